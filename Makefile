@@ -1,0 +1,47 @@
+# Every target makes its own environment in .venv; nothing but Python 3.11+ and make is needed beforehand.
+PYTHON ?= python3
+BIN := .venv/bin
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
+
+.PHONY: help demo test test-all lint bench docs clean
+
+help:
+	@echo "make demo      simulate a small Falcon and LWR course, ingest it, write reports/*.html (FULL=1: thesis size)"
+	@echo "make test      lint, type check and the fast tests"
+	@echo "make test-all  the slow tests too"
+	@echo "make bench     speed and memory of the thesis-size experiment"
+	@echo "make docs      regenerate schemas/*.json and the figure in the README"
+	@echo "make clean     remove what the other targets made (logs in raw/ that you recorded are kept)"
+
+.venv/.run: pyproject.toml constraints.txt
+	$(PYTHON) -m venv .venv
+	$(PIP) -e .
+	@touch $@
+
+.venv/.dev: .venv/.run
+	$(PIP) -e '.[dev]'
+	@touch $@
+
+demo: .venv/.run
+	$(BIN)/pipeline demo $(if $(FULL),--full)
+
+lint: .venv/.dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+test: lint
+	$(BIN)/python -m pytest -n auto -m "not slow"
+
+test-all: lint
+	$(BIN)/python -m pytest -n auto
+
+bench: .venv/.dev
+	$(BIN)/python benchmarks/spine.py
+
+docs: .venv/.dev
+	$(BIN)/python docs/make_schemas.py
+
+clean:
+	rm -rf .venv processed reports raw/demo .pytest_cache .mypy_cache .ruff_cache .hypothesis dist
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

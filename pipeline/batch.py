@@ -1,0 +1,78 @@
+"""Step responses of one experiment side by side, as arrays: what every measured quantity is computed from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+Booleans = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class TrialBatch:
+    """Trials as rows, samples as columns; shorter trials are padded with NaN.
+
+    Parameters
+    ----------
+    trial_id : sequence of str, length n
+    stiffness, damping, step, sampling_period_s : float64, shape (n,)
+        Virtual stiffness K [N/m, Nm/rad], virtual damping B [Ns/m, Nms/rad], external step F_0 [N, Nm],
+        sampling period T [s].
+    rows : int64, shape (n,)
+        Number of samples of each trial.
+    time, command, position : float64, shape (n, N)
+        Time stamps [s], total commanded force before any delay [N, Nm], measured position [m, rad].
+    """
+
+    trial_id: tuple[str, ...]
+    stiffness: Floats
+    damping: Floats
+    step: Floats
+    sampling_period_s: Floats
+    rows: Integers
+    time: Floats
+    command: Floats
+    position: Floats
+
+    def __len__(self) -> int:
+        return len(self.trial_id)
+
+    @cached_property
+    def valid(self) -> Booleans:
+        """Where there is a sample and not padding, shape (n, N)."""
+        return np.arange(self.position.shape[1])[None, :] < self.rows[:, None]
+
+    @cached_property
+    def displacement(self) -> Floats:
+        """Position relative to the first one, where the wall rests, shape (n, N) [m, rad]."""
+        return self.position - self.position[:, :1]
+
+    def select(self, which: Booleans | Integers) -> TrialBatch:
+        """Return the trials picked by a mask or by indices, in that order."""
+        index = np.flatnonzero(which) if which.dtype == np.bool_ else which
+        return TrialBatch(
+            tuple(self.trial_id[i] for i in index),
+            *(getattr(self, name)[index] for name in ("stiffness", "damping", "step", "sampling_period_s", "rows")),
+            *(getattr(self, name)[index] for name in ("time", "command", "position")),
+        )
+
+
+def pad(values: Floats, first: Integers, rows: Integers) -> Floats:
+    """Cut a long column into trials: row i holds ``values[first[i] : first[i] + rows[i]]``, then NaN.
+
+    Parameters
+    ----------
+    values : float64, shape (m,)
+    first, rows : int64, shape (n,)
+        Start and length of each trial in ``values``.
+    """
+    longest = int(rows.max(initial=0))
+    offset = np.arange(longest)
+    inside = offset[None, :] < rows[:, None]
+    taken = values[np.minimum(first[:, None] + offset[None, :], max(len(values) - 1, 0))]
+    return np.where(inside, taken, np.nan)

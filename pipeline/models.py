@@ -1,0 +1,240 @@
+"""Records that stages hand to each other and that users read: frozen, validated, SI.
+
+Units follow the motion of the device: N, N/m, Ns/m, kg and m for ``translation``; Nm, Nm/rad, Nms/rad,
+kg m^2 and rad for ``rotation``. ``docs/nomenclature.md`` lists the symbols. The JSON Schemas in ``schemas/``
+are generated from these classes.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+Motion = Literal["translation", "rotation"]
+Grip = Literal["none", "comfortable", "firm"]
+Stability = Literal["stable", "unstable", "undecided"]
+Name = Annotated[str, Field(min_length=1, max_length=200)]
+Positive = Annotated[float, Field(gt=0)]
+NonNegative = Annotated[float, Field(ge=0)]
+
+RESPONSE_CRITERIA = ("settle_1pct", "settle_2pct", "settle_5pct", "overshoot")
+ENERGY_CRITERIA = ("energy_step_w0", "energy_step_w1", "energy_step_w2")
+CRITERIA = RESPONSE_CRITERIA + ENERGY_CRITERIA
+"""Criteria that a step-response log can be judged by; costs as in `pipeline.costs` and `pipeline.criteria`."""
+
+SETTLING_BANDS = {"settle_1pct": 0.01, "settle_2pct": 0.02, "settle_5pct": 0.05}
+"""Half width of the settling band relative to the final displacement, by criterion."""
+
+
+class Record(BaseModel):
+    """Base of all records: immutable, no unknown fields, no NaN or infinity."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class Sensor(Record):
+    """Position sensor: quantisation step and standard deviation of white noise before it, in m or rad."""
+
+    quantum: NonNegative = 0.0
+    noise: NonNegative = 0.0
+
+
+class Limits(Record):
+    """Largest distance from the workspace centre [m, rad] and, where known, largest force [N, Nm]."""
+
+    travel: Positive
+    force: Positive | None = None
+
+
+class Controller(Record):
+    """Wall controller: time constant of the first-order velocity filter in s, 0 for the plain difference."""
+
+    velocity_filter_s: NonNegative = 0.0
+
+
+class Experiment(Record):
+    """One course of measurements: configuration, plant as published, and the grid of (K, B) that is tested."""
+
+    name: Name
+    configuration: str = ""
+    grip: Grip = "none"
+    mass: Positive
+    damping: NonNegative = 0.0
+    stiffness: NonNegative = 0.0
+    delay_samples: NonNegative
+    added_delay_samples: Annotated[int, Field(ge=0)] = 0
+    jitter_samples: tuple[Annotated[int, Field(ge=0)], ...] = ()
+    damping_first: float = 0.0
+    damping_last: float
+    damping_step: Positive
+    stiffness_step: Positive
+
+    @model_validator(mode="after")
+    def _grid_is_ordered(self) -> Self:
+        if self.damping_last < self.damping_first:
+            raise ValueError(f"damping_last ({self.damping_last}) is below damping_first ({self.damping_first})")
+        return self
+
+
+class TableLayout(Record):
+    """One published table: which criteria, which experiments, and whose parameters theory uses."""
+
+    name: Name
+    criteria: tuple[str, ...]
+    experiments: tuple[Name, ...]
+    theory_from: Name
+    kind: Literal["optima", "delay"] = "optima"
+
+    @model_validator(mode="after")
+    def _criteria_are_known(self) -> Self:
+        unknown = [c for c in self.criteria if c not in CRITERIA]
+        if unknown:
+            raise ValueError(f"unknown criteria {unknown}; known are {list(CRITERIA)}")
+        return self
+
+
+class Device(Record):
+    """A haptic device as data: everything that simulation, theory and reports need to know of it."""
+
+    name: Name
+    title: str
+    source: str
+    motion: Motion = "translation"
+    sampling_period_s: Positive
+    step: Positive
+    centre: float = 0.0
+    duration_s: Positive
+    baseline_s: Positive
+    sensor: Sensor = Sensor()
+    limits: Limits
+    controller: Controller = Controller()
+    experiments: tuple[Experiment, ...] = Field(alias="experiment", min_length=1)
+    tables: tuple[TableLayout, ...] = Field(default=(), alias="table")
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, validate_by_name=True)
+
+    @model_validator(mode="after")
+    def _names_fit_together(self) -> Self:
+        names = [e.name for e in self.experiments]
+        double = sorted({n for n in names if names.count(n) > 1})
+        if double:
+            raise ValueError(f"experiment names must be unique; given more than once: {double}")
+        for table in self.tables:
+            missing = [n for n in (*table.experiments, table.theory_from) if n not in names]
+            if missing:
+                raise ValueError(f"table {table.name} names experiments that are not defined: {missing}")
+        if self.baseline_s >= self.duration_s:
+            raise ValueError(f"baseline_s ({self.baseline_s}) must be shorter than duration_s ({self.duration_s})")
+        return self
+
+
+class Trial(Record):
+    """One step response and where it came from."""
+
+    trial_id: Name
+    device: Name
+    experiment: Name
+    motion: Motion = "translation"
+    stiffness: float
+    damping: float
+    step: float
+    sampling_period_s: Positive
+    added_delay_samples: Annotated[int, Field(ge=0)] = 0
+    grip: Grip = "none"
+    simulated: bool = False
+    rows: Annotated[int, Field(gt=0)]
+    source_path: str
+    source_sha256: str
+    profile: str
+    profile_sha256: str
+    package_version: str
+
+
+class Estimate(Record):
+    """A quantity with its 95 % interval and method, or no value and the reason for that."""
+
+    value: float | None
+    low: float | None = None
+    high: float | None = None
+    unit: str
+    method: str
+    reason: str | None = None
+    trials: int = 0
+    by_method: dict[str, Estimate] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _a_missing_value_has_a_reason(self) -> Self:
+        if self.value is None and not self.reason:
+            raise ValueError("an estimate without a value needs a reason")
+        return self
+
+
+class Cost(Record):
+    """Cost of one trial by one criterion, or the reason why it has none."""
+
+    trial_id: Name
+    criterion: Name
+    cost: float | None
+    reason: str | None = None
+
+
+class BoundaryPoint(Record):
+    """Stability limit at one damping: largest stable stiffness below the smallest unstable one."""
+
+    damping: float
+    stable: float | None
+    unstable: float | None
+    censored: bool
+
+
+class Optimum(Record):
+    """Trial (or theoretical point) with the smallest cost; censored where it lies at the edge of the tested range."""
+
+    stiffness: float
+    damping: float
+    cost: float
+    trial_id: str | None = None
+    ties: int = 1
+    censored: bool = False
+
+
+class ComparisonRow(Record):
+    """One row of Tables D.1 to D.6: computed or measured beside the published value."""
+
+    table: str
+    criterion: str
+    condition: str
+    delay_samples: float | None
+    stiffness: float | None
+    damping: float | None
+    cost: float | None
+    published_stiffness: float | None = None
+    published_damping: float | None = None
+    published_cost: float | None = None
+    deviation_percent: float | None = None
+    censored: bool = False
+    note: str | None = None
+
+
+class Scene(Record):
+    """What one comparison needs; the plan of stages is made backwards from it."""
+
+    device: Name
+    experiments: tuple[Name, ...]
+    criteria: tuple[str, ...] = CRITERIA
+    delay_sweep: bool = False
+    operator: bool = False
+
+
+SCHEMA_MODELS: dict[str, type[Record]] = {
+    "device": Device,
+    "experiment": Experiment,
+    "trial": Trial,
+    "estimate": Estimate,
+    "cost": Cost,
+    "boundary_point": BoundaryPoint,
+    "comparison_row": ComparisonRow,
+    "scene": Scene,
+}
+"""Records whose JSON Schema is kept in ``schemas/<name>.json``."""

@@ -1,0 +1,53 @@
+"""Where a stored number comes from: hashes of inputs, parameters and code, and the package version."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable, Mapping
+from functools import cache
+from pathlib import Path
+
+from pipeline import __version__
+
+PACKAGE_FOLDER = Path(__file__).parent
+
+
+def schema_folder() -> Path:
+    """Return the folder with device, profile and schema files: inside the package, or in a source checkout beside it."""
+    installed = PACKAGE_FOLDER / "_schemas"
+    return installed if installed.is_dir() else PACKAGE_FOLDER.parent / "schemas"
+
+
+def sha256(data: bytes) -> str:
+    """Return the SHA-256 of bytes as 64 hexadecimal digits."""
+    return hashlib.sha256(data).hexdigest()
+
+
+def digest(value: object) -> str:
+    """Return a 16-digit hash of anything JSON can hold; equal values give equal hashes on every machine."""
+    text = json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=True, allow_nan=False)
+    return sha256(text.encode())[:16]
+
+
+def digest_all(parts: Iterable[str]) -> str:
+    """Return a 16-digit hash of strings, in order."""
+    joined = hashlib.sha256()
+    for part in parts:
+        joined.update(part.encode())
+        joined.update(b"\0")
+    return joined.hexdigest()[:16]
+
+
+@cache
+def code_digest(*modules: str) -> str:
+    """Return a hash of the source text of modules of this package (`"costs"`, `"readers/native"`).
+
+    A stored result is reused only while the code that made it is the same.
+    """
+    return digest_all(sha256((PACKAGE_FOLDER / f"{module}.py").read_bytes()) for module in sorted(modules))
+
+
+def stamp(**entries: str) -> Mapping[str, str]:
+    """Return metadata for an output file: the given hashes and the package version."""
+    return {"pipeline.version": __version__, **{f"pipeline.{key}": value for key, value in entries.items()}}

@@ -1,0 +1,254 @@
+"""The one dictionary of stored columns, and Parquet files that are checked against it.
+
+Each table is a tuple of column names; each column has one Arrow type, unit and meaning wherever it occurs.
+Writing checks a table against the dictionary and stamps units and meanings into the file's metadata; reading
+refuses a file whose columns or types differ. Files appear under their final name only when they are complete.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from pipeline.errors import StoreError
+
+TEMPORARY_ENDING = ".tmp"
+Metadata = Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class Column:
+    """A stored column: Arrow type, unit for translation, unit for rotation, meaning, whether it may be null."""
+
+    dtype: pa.DataType
+    unit: str
+    unit_rotation: str
+    meaning: str
+    nullable: bool = False
+
+
+def _same(dtype: pa.DataType, unit: str, meaning: str, nullable: bool = False) -> Column:
+    return Column(dtype, unit, unit, meaning, nullable)
+
+
+_F, _I, _S, _B = pa.float64(), pa.int64(), pa.string(), pa.bool_()
+
+COLUMNS: dict[str, Column] = {
+    # identity and conditions of a trial
+    "trial_id": _same(_S, "", "first 16 digits of the SHA-256 of the source log"),
+    "device": _same(_S, "", "device name as in the log"),
+    "experiment": _same(_S, "", "experiment name as in the log"),
+    "motion": _same(_S, "", "translation or rotation; decides the units of the other columns"),
+    "stiffness": Column(_F, "N/m", "Nm/rad", "virtual stiffness K"),
+    "damping": Column(_F, "Ns/m", "Nms/rad", "virtual damping B"),
+    "step": Column(_F, "N", "Nm", "size of the external force step F_0"),
+    "sampling_period_s": _same(_F, "s", "sampling period T"),
+    "added_delay_samples": _same(_I, "samples", "delay added on purpose"),
+    "grip": _same(_S, "", "none, comfortable or firm"),
+    "simulated": _same(_B, "", "true where the log says that it was simulated"),
+    "rows": _same(_I, "", "number of samples"),
+    "extra": _same(_S, "", "metadata of the log that has no column of its own, as JSON"),
+    # where it came from
+    "source_path": _same(_S, "", "source log as found"),
+    "source_sha256": _same(_S, "", "SHA-256 of the source log (of both files, in order, for a pair)"),
+    "source_size": _same(_I, "byte", "size of the source log"),
+    "source_mtime_ns": _same(_I, "ns", "modification time of the source log"),
+    "profile": _same(_S, "", "log profile that read it"),
+    "profile_sha256": _same(_S, "", "SHA-256 of that profile"),
+    "package_version": _same(_S, "", "version that stored it"),
+    "sample_file": _same(_S, "", "file below processed/ that holds the samples"),
+    "first_row": _same(_I, "", "row of that file with the first sample"),
+    # samples
+    "time_s": _same(_F, "s", "time stamp of the sample"),
+    "command": Column(_F, "N", "Nm", "total commanded force before any delay: external step minus wall force"),
+    "position": Column(_F, "m", "rad", "measured position"),
+    # response stage
+    "verdict": _same(_S, "", "stable, unstable or undecided, from the log alone"),
+    "reason": _same(_S, "", "why a value is missing or uncertain; empty where it is neither", True),
+    "growth_per_s": _same(_F, "1/s", "growth rate of the slowest visible mode; negative where it decays", True),
+    "edge_row": _same(_I, "", "row of the command edge k0, counted from 0", True),
+    "position_start": Column(_F, "m", "rad", "position at which the wall rests: the first one"),
+    "position_final_expected": Column(_F, "m", "rad", "x_0 + F_0/K (6.1)", True),
+    "position_final_measured": Column(_F, "m", "rad", "mean position over the last tenth of the log", True),
+    "sensor_quantum": Column(_F, "m", "rad", "smallest change of the position seen in the log", True),
+    "sensor_noise": Column(_F, "m", "rad", "standard deviation of the position before the step", True),
+    # delay, mass, damping stages
+    "delay_samples": _same(_I, "samples", "integer delay factor d = d_obs - 1 by the first position change", True),
+    "mass_momentum": Column(_F, "kg", "kg m^2", "mass by the momentum balance (6.4), biased by b", True),
+    "mass": Column(_F, "kg", "kg m^2", "mass by the momentum balance corrected for viscous damping", True),
+    "viscous_damping": Column(_F, "Ns/m", "Nms/rad", "viscous damping b from the trial", True),
+    # cost stages
+    "overshoot": _same(_F, "1", "(max x - x_inf)/(x_inf - x_0), 0 where the position stays below", True),
+    "overshoot_floor": _same(_F, "1", "overshoot that quantum and noise alone can cause"),
+    "settle_1pct": _same(_I, "samples", "discrete settling time, band 1 %", True),
+    "settle_2pct": _same(_I, "samples", "discrete settling time, band 2 %", True),
+    "settle_5pct": _same(_I, "samples", "discrete settling time, band 5 %", True),
+    "energy_potential_w0": _same(_F, "1", "potential part of the discrete energy cost, w = 0", True),
+    "energy_potential_w1": _same(_F, "1", "potential part of the discrete energy cost, w = 1", True),
+    "energy_potential_w2": _same(_F, "1", "potential part of the discrete energy cost, w = 2", True),
+    "energy_kinetic_w0": Column(_F, "1/kg", "1/(kg m^2)", "kinetic part per mass, w = 0", True),
+    "energy_kinetic_w1": Column(_F, "1/kg", "1/(kg m^2)", "kinetic part per mass, w = 1", True),
+    "energy_kinetic_w2": Column(_F, "1/kg", "1/(kg m^2)", "kinetic part per mass, w = 2", True),
+    "horizon_samples": _same(_I, "samples", "number of samples summed before the noise floor or the end", True),
+    # boundary stage
+    "stable": Column(_F, "N/m", "Nm/rad", "largest stable stiffness below the smallest unstable one", True),
+    "unstable": Column(_F, "N/m", "Nm/rad", "smallest unstable stiffness", True),
+    "censored": _same(_B, "", "true where the tested range ended before an unstable trial"),
+}
+
+_ENERGY = tuple(f"energy_{part}_w{w}" for part in ("potential", "kinetic") for w in (0, 1, 2))
+
+TABLES: dict[str, tuple[str, ...]] = {
+    "samples": ("trial_id", "time_s", "command", "position"),
+    "trials": (
+        *("trial_id", "device", "experiment", "motion", "stiffness", "damping", "step", "sampling_period_s"),
+        *("added_delay_samples", "grip", "simulated", "rows", "extra", "source_path", "source_sha256"),
+        *("source_size", "source_mtime_ns", "profile", "profile_sha256", "package_version"),
+        *("sample_file", "first_row"),
+    ),
+    "response": (
+        *("trial_id", "stiffness", "damping", "verdict", "reason", "growth_per_s", "edge_row", "position_start"),
+        *("position_final_expected", "position_final_measured", "sensor_quantum", "sensor_noise"),
+    ),
+    "delay": ("trial_id", "stiffness", "damping", "delay_samples", "reason"),
+    "mass": ("trial_id", "stiffness", "damping", "mass_momentum", "mass", "reason"),
+    "damping": ("trial_id", "stiffness", "damping", "viscous_damping", "reason"),
+    "overshoot": ("trial_id", "stiffness", "damping", "overshoot", "overshoot_floor", "reason"),
+    "settling": ("trial_id", "stiffness", "damping", "settle_1pct", "settle_2pct", "settle_5pct", "reason"),
+    "energy": ("trial_id", "stiffness", "damping", *_ENERGY, "horizon_samples", "reason"),
+    "boundary": ("damping", "stable", "unstable", "censored"),
+}
+
+
+def arrow_schema(table: str, *, rotation: bool = False, metadata: Metadata | None = None) -> pa.Schema:
+    """Return the Arrow schema of a stored table with unit and meaning on each field.
+
+    Parameters
+    ----------
+    table : str
+        A key of `TABLES`.
+    rotation : bool
+        Whether units are those of a rotational device.
+    metadata : mapping of str to str, optional
+        Provenance that is stamped into the file.
+    """
+    fields = []
+    for name in TABLES[table]:
+        column = COLUMNS[name]
+        unit = column.unit_rotation if rotation else column.unit
+        fields.append(
+            pa.field(name, column.dtype, column.nullable, metadata={"unit": unit, "meaning": column.meaning})
+        )
+    return pa.schema(fields, metadata={"pipeline.table": table, **(metadata or {})})
+
+
+def to_arrow(
+    table: str, columns: Mapping[str, Any], *, rotation: bool = False, metadata: Metadata | None = None
+) -> pa.Table:
+    """Build an Arrow table from arrays or lists, one per column of the dictionary; NaN in a nullable column is null."""
+    schema = arrow_schema(table, rotation=rotation, metadata=metadata)
+    arrays = []
+    for field in schema:
+        values = columns[field.name]
+        arrays.append(
+            values
+            if isinstance(values, (pa.Array, pa.ChunkedArray))
+            else pa.array(values, type=field.type, from_pandas=field.nullable)
+        )
+    return pa.table(arrays, schema=schema)
+
+
+def write_table(path: Path, data: pa.Table) -> None:
+    """Write a table to Parquet so that a reader sees all of it or nothing.
+
+    Raises
+    ------
+    StoreError
+        If the table does not equal its entry in `TABLES`.
+    """
+    _check(path, data.schema)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}{TEMPORARY_ENDING}")
+    try:
+        with temporary.open("wb") as stream:
+            pq.write_table(data, stream, compression="zstd", row_group_size=1 << 19)
+            stream.flush()
+            os.fsync(stream.fileno())
+        commit(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file (UTF-8) so that a reader sees all of it or nothing."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}{TEMPORARY_ENDING}")
+    try:
+        with temporary.open("w", encoding="utf-8", newline="") as stream:
+            stream.write(text)
+            stream.flush()
+            os.fsync(stream.fileno())
+        commit(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def commit(temporary: Path, path: Path) -> None:
+    """Give a complete, synced temporary file its final name and sync the folder, so that it survives power loss."""
+    temporary.replace(path)
+    folder = os.open(path.parent, os.O_RDONLY)
+    try:
+        os.fsync(folder)
+    finally:
+        os.close(folder)
+
+
+def read_table(path: Path, columns: list[str] | None = None) -> pa.Table:
+    """Read a stored table (all or some columns) after checking it against the dictionary.
+
+    Raises
+    ------
+    StoreError
+        If the file is damaged, or was written with other columns or types.
+    """
+    try:
+        with pq.ParquetFile(path) as file:
+            _check(path, file.schema_arrow)
+            return file.read(columns=columns)
+    except (pa.ArrowException, OSError) as error:
+        raise StoreError(
+            f"{path}: cannot be read as Parquet ({error}). Expected a file written by `pipeline`; "
+            "remove it and run the command again, it will be made anew from the logs."
+        ) from error
+
+
+def read_metadata(path: Path) -> dict[str, str]:
+    """Return the metadata stamped into a stored file, or an empty dictionary where there is no such file."""
+    try:
+        metadata = pq.read_schema(path).metadata or {}
+    except FileNotFoundError:
+        return {}
+    except (pa.ArrowException, OSError):
+        return {}
+    return {key.decode(): value.decode() for key, value in metadata.items() if key.startswith(b"pipeline.")}
+
+
+def _check(path: Path, schema: pa.Schema) -> None:
+    table = (schema.metadata or {}).get(b"pipeline.table", b"").decode()
+    if table not in TABLES:
+        raise StoreError(f"{path}: holds no known table (found {table!r}); expected one of {sorted(TABLES)}.")
+    found = [(f.name, str(f.type)) for f in schema]
+    expected = [(name, str(COLUMNS[name].dtype)) for name in TABLES[table]]
+    if found != expected:
+        missing = [c for c in expected if c not in found]
+        surplus = [c for c in found if c not in expected]
+        raise StoreError(
+            f"{path}: columns differ from table {table!r}; missing {missing}, not expected {surplus}. "
+            "It was written by another version: ingest the logs into a new folder (--processed)."
+        )
