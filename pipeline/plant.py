@@ -18,6 +18,12 @@ from pipeline.errors import ParameterError
 _QUADRATURE_ORDER = 48
 """Gauss points for the position gain; the integrand is entire, and 48 points reach 1e-15 while delta t <= 40."""
 
+_SERIES_LIMIT = 0.25
+"""Largest gamma and delta for the power series in t <= 1; its terms then fall at least fourfold from one to the next."""
+
+_SERIES_TERMS = 16
+"""Terms of the power series: with the limit above, the next one is below 1e-17 of the sum."""
+
 _QUADRATURE_LIMIT = 20.0
 """Largest delta t / 2 that the quadrature is used for; beyond it the closed form no longer cancels."""
 
@@ -64,6 +70,8 @@ def flow(gamma: float, delta: float, time: float | Floats) -> Flow:
     if gamma == 0 and delta == 0:
         one, zero = np.ones_like(t), np.zeros_like(t)
         return _assemble(one, t, zero, one, 0.5 * t * t)
+    if gamma <= _SERIES_LIMIT and delta <= _SERIES_LIMIT and t.max(initial=0.0) <= 1:
+        return _by_series(gamma, delta, t)
     h = 0.5 * delta * t
     q_squared = h * h - gamma * t * t
     q = np.sqrt(np.abs(q_squared))
@@ -82,6 +90,23 @@ def flow(gamma: float, delta: float, time: float | Floats) -> Flow:
     separate = (-slow * shrink + (h + q) * np.exp(-(h + q))) / (2 * safe_q)
     velocity = np.where(apart, separate, cosine - 0.5 * delta * impulse)
     return _assemble(1 - gamma * position_gain, impulse, -gamma * impulse, velocity, position_gain)
+
+
+def _by_series(gamma: float, delta: float, t: Floats) -> Flow:
+    """Motion by the power series of the impulse response, s_1 = 1, n (n+1) s_{n+1} = -n delta s_n - gamma s_{n-1}.
+
+    For the small normalised parameters of real devices: many times faster than the closed form, and as exact.
+    """
+    s = [0.0, 1.0]
+    for n in range(1, _SERIES_TERMS):
+        s.append(-(n * delta * s[n] + gamma * s[n - 1]) / (n * (n + 1)))
+    impulse, slope, gain = (np.zeros_like(t) for _ in range(3))
+    for n in range(_SERIES_TERMS, 0, -1):
+        impulse = (impulse + s[n]) * t
+        slope = slope * t + n * s[n]
+        gain = (gain + s[n] / (n + 1)) * t
+    gain = gain * t
+    return _assemble(1 - gamma * gain, impulse, -gamma * impulse, slope, gain)
 
 
 def _position_gain(

@@ -146,9 +146,12 @@ def load_batch(processed: Path, trials: pa.Table) -> TrialBatch:
     offset = np.array([start[f] for f in trials.column("sample_file").to_pylist()], dtype=np.int64)
     first = trials.column("first_row").to_numpy().astype(np.int64) + offset
     if len(rows) and int((first + rows).max()) > total:
-        raise StoreError(f"{processed}: a samples file is shorter than its trials say; ingest the logs again.")
+        raise StoreError(
+            f"{processed}: a samples file is shorter than its trials say; ingest the logs again."
+        )
     padded = {
-        name: pad(np.concatenate(parts) if parts else np.empty(0), first, rows) for name, parts in columns.items()
+        name: pad(np.concatenate(parts) if parts else np.empty(0), first, rows)
+        for name, parts in columns.items()
     }
     return TrialBatch(
         trial_id=tuple(trials.column("trial_id").to_pylist()),

@@ -1,0 +1,327 @@
+"""Discrete costs of measured step responses: settling time, overshoot, energy.
+
+Cost index 0 is sample k0 + d: the response starts at the command edge k0, and its first d samples pass before
+the command reaches the device. Each cost has its own function that asks for no more than it needs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.batch import Booleans, Floats, Integers, TrialBatch
+from pipeline.errors import ParameterError
+from pipeline.models import SETTLING_BANDS
+from pipeline.response import Response
+from pipeline.verdict import Verdicts
+
+SETTLED_SAMPLES = 5
+"""Samples inside the band at the end: fewer may be a mere passage of the band."""
+
+HORIZON_FACTOR = 2.0
+"""Distance, in amplitudes of the rest, above which the response stands: it leaves room for a beat."""
+
+REST_FLOORS = 8.0
+"""Amplitude at the end, in sensor floors, up to which it may be a limit cycle that only the sensor causes."""
+
+LASTING = 0.7
+"""Amplitude of the last fifth relative to the fifth before from which on an oscillation lasts."""
+
+TAIL_FRACTION = 0.01
+"""Estimate of what lies beyond the horizon, relative to the potential part, from which on it is reported."""
+
+WEIGHTS = (0, 1, 2)
+"""Exponents w of the weighting by time."""
+
+
+@dataclass(frozen=True, eq=False)
+class Settling:
+    """Discrete settling time by criterion, each of shape (n,) [samples]; NaN where there is a reason."""
+
+    samples: Mapping[str, Floats]
+    reason: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Overshoot:
+    """Overshoot, and the one that the sensor alone can cause, shape (n,) [1]; NaN where there is a reason."""
+
+    overshoot: Floats
+    floor: Floats
+    reason: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Energy:
+    """Parts of the discrete energy cost for w = 0, 1, 2, shape (n, 3); NaN where there is no value.
+
+    The cost is ``potential + mass * kinetic``.
+
+    Parameters
+    ----------
+    potential : float64
+        Potential part [1].
+    kinetic : float64
+        Kinetic part per mass [1/kg, 1/(kg m^2)].
+    horizon_samples : int64, shape (n,)
+        Number of samples summed.
+    reason : tuple of str
+        Why there is no value, or that more than 1 % of it may lie beyond the horizon.
+    """
+
+    potential: Floats
+    kinetic: Floats
+    horizon_samples: Integers
+    reason: tuple[str, ...]
+
+
+def settling(
+    batch: TrialBatch,
+    response: Response,
+    verdicts: Verdicts,
+    delay_samples: int,
+    *,
+    bands: Mapping[str, float] = SETTLING_BANDS,
+    settled_samples: int = SETTLED_SAMPLES,
+) -> Settling:
+    """Return the discrete settling time: the smallest k from which on all samples are inside the band.
+
+    Parameters
+    ----------
+    batch : TrialBatch
+    response, verdicts : Response, Verdicts
+        Of the same trials.
+    delay_samples : int
+        Integer delay factor d of the experiment.
+    bands : mapping of str to float
+        Half width relative to the final displacement, by criterion.
+    settled_samples : int
+        Samples inside the band that the log must hold at least.
+
+    Returns
+    -------
+    Settling
+
+    Raises
+    ------
+    ParameterError
+        If the delay is negative.
+
+    Notes
+    -----
+    The band lies about x_0 + F_0/K, not about the last sample. It is not judged where it is narrower than
+    what quantum and noise alone cause.
+
+    Source: Hulin 2017, secs. 5.1.1 and 6.1.4 (discrete settling time, first d samples dropped).
+    """
+    first, usable, why = _start(batch, response, verdicts, delay_samples)
+    final, travel = response.position_final_expected, batch.step / np.where(usable, batch.stiffness, 1.0)
+    column = np.arange(batch.position.shape[1])[None, :]
+    counted = batch.valid & (column >= first[:, None])
+    distance = np.abs(batch.position - final[:, None])
+    samples: dict[str, Floats] = {}
+    missing = [[text] if text else [] for text in why]
+    for name, band in bands.items():
+        width = band * np.abs(travel)
+        outside = counted & ~(distance <= width[:, None])
+        after = np.where(outside.any(axis=1), column.size - np.argmax(outside[:, ::-1], axis=1), first)
+        resolved = width >= response.floor
+        settled = batch.rows - after >= settled_samples
+        good = usable & resolved & settled
+        samples[name] = np.where(good, after - first, np.nan).astype(np.float64)
+        for i in np.flatnonzero(usable & ~good):
+            missing[i].append(
+                f"{name}: not settled at the end of the log"
+                if resolved[i]
+                else f"{name}: band of {width[i]:.3g} is below the sensor floor {response.floor[i]:.3g}"
+            )
+    return Settling(samples, tuple("; ".join(parts) for parts in missing))
+
+
+def overshoot(batch: TrialBatch, response: Response, verdicts: Verdicts) -> Overshoot:
+    """Return the overshoot over the whole response, max(0, max (x - x_inf)/(x_inf - x_0)).
+
+    Parameters
+    ----------
+    batch : TrialBatch
+    response, verdicts : Response, Verdicts
+        Of the same trials.
+
+    Notes
+    -----
+    Neither delay nor mass is needed. Below ``floor`` an overshoot cannot be told from quantum and noise.
+
+    Source: Hulin 2017, sec. 5.1.1; footnote 4 of 5.2.2 for the tolerance 1e-12 of "no overshoot".
+    """
+    first, usable, why = _start(batch, response, verdicts, 0)
+    travel = np.where(usable, response.position_final_expected - response.position_start, 1.0)
+    counted = batch.valid & (np.arange(batch.position.shape[1])[None, :] >= first[:, None])
+    relative = (batch.position - response.position_final_expected[:, None]) / travel[:, None]
+    largest = np.max(np.where(counted & usable[:, None], relative, 0.0), axis=1, initial=0.0)
+    floor = np.where(usable, response.floor / np.abs(travel), 0.0)
+    return Overshoot(np.where(usable, largest, np.nan), floor, why)
+
+
+def energy(batch: TrialBatch, response: Response, verdicts: Verdicts, delay_samples: int) -> Energy:
+    """Return the parts of the discrete energy cost.
+
+    Parameters
+    ----------
+    batch : TrialBatch
+    response, verdicts : Response, Verdicts
+        Of the same trials.
+    delay_samples : int
+        Integer delay factor d of the experiment.
+
+    Returns
+    -------
+    Energy
+
+    Raises
+    ------
+    ParameterError
+        If the delay is negative.
+
+    Notes
+    -----
+    sum of k^w E_k / E_0 with E_k = K/2 (x_k - x_inf)^2 + m/2 ((x_k - x_{k-1})/T)^2, x_{-1} = x_0 and
+    E_0 = F_0^2/(2 K): left rectangle rule and backward difference. The sum ends where the response sinks
+    below
+    the sensor floor (or the limit cycle that quanta keep up) for good, since floor times k^2 over a long log
+    would swamp it; ideal logs are summed to
+    their end. What lies beyond is estimated from the envelope there and its decay.
+
+    Source: Hulin 2017, eqs. 5.7 and 5.14 (sampled), sec. 6.1.4.
+    """
+    first, usable, why = _start(batch, response, verdicts, delay_samples)
+    columns = batch.position.shape[1]
+    column = np.arange(columns)[None, :]
+    final = np.where(usable, response.position_final_expected, 0.0)
+    stiffness = np.where(usable, batch.stiffness, 1.0)
+    counted = batch.valid & (column >= first[:, None]) & usable[:, None]
+    error = np.where(counted, batch.position - final[:, None], 0.0)
+    above = counted & (
+        np.abs(error) > HORIZON_FACTOR * _rest_amplitude(batch, first, response.floor)[:, None]
+    )
+    stop = np.where(above.any(axis=1), columns - np.argmax(above[:, ::-1], axis=1), first)
+    stop = np.where(response.floor > 0, stop, batch.rows)
+    counted &= column < stop[:, None]
+    change = np.diff(batch.position, axis=1, prepend=batch.position[:, :1])
+    # chi_{-1} = chi_0 (DEFINITIONS: the response is at rest at its index 0)
+    change = np.where(counted & (column > first[:, None]), change, 0.0)
+    k = np.where(counted, column - first[:, None], 0).astype(np.float64)
+    start_energy = batch.step**2 / (2 * stiffness)
+    potential = np.where(counted, 0.5 * stiffness[:, None] * error**2, 0.0) / start_energy[:, None]
+    kinetic = 0.5 * (change / batch.sampling_period_s[:, None]) ** 2 / start_energy[:, None]
+    sums = [np.stack([(k**w * part).sum(axis=1) for w in WEIGHTS], axis=1) for part in (potential, kinetic)]
+    horizon = np.where(usable, stop - first, 0)
+    decay = _decay_per_sample(batch, response, verdicts, error, horizon)
+    tail = _tail(error, np.where(usable, stop, 0), horizon, decay, 0.5 * stiffness / start_energy)
+    reason = tuple(
+        text or _tail_reason(beyond, total, end)
+        for text, beyond, total, end in zip(why, tail, sums[0], horizon, strict=True)
+    )
+    missing = ~usable[:, None]
+    return Energy(
+        potential=np.where(missing, np.nan, sums[0]),
+        kinetic=np.where(missing, np.nan, sums[1]),
+        horizon_samples=horizon.astype(np.int64),
+        reason=reason,
+    )
+
+
+def _rest_amplitude(batch: TrialBatch, first: Integers, floor: Floats) -> Floats:
+    """Amplitude that remains at rest: the sensor floor, or the limit cycle that quanta keep up, shape (n,)."""
+    before, end = _amplitude(batch, first, 0.6, 0.8), _amplitude(batch, first, 0.8, 1.0)
+    lasting = (end <= REST_FLOORS * floor) & (end >= LASTING * before)
+    rest: Floats = np.maximum(floor, np.where(lasting, end, 0.0))
+    return rest
+
+
+def _amplitude(batch: TrialBatch, first: Integers, since: float, until: float) -> Floats:
+    """Half the range of the positions in a part of the response, 0 where it has no samples, shape (n,)."""
+    column = np.arange(batch.position.shape[1])[None, :]
+    length = batch.rows - first
+    part = (column >= (first + since * length)[:, None]) & (column < (first + until * length)[:, None])
+    highest = np.max(np.where(part, batch.position, -np.inf), axis=1, initial=-np.inf)
+    amplitude = 0.5 * (highest - np.min(np.where(part, batch.position, np.inf), axis=1, initial=np.inf))
+    result: Floats = np.where(np.isfinite(amplitude), amplitude, 0.0)
+    return result
+
+
+def _decay_per_sample(
+    batch: TrialBatch, response: Response, verdicts: Verdicts, error: Floats, horizon: Integers
+) -> Floats:
+    """Decay of the amplitude beyond the horizon per sample, shape (n,), 0 where none is known.
+
+    An ideal log tells its slowest mode. With noise that mode may be the noise; there it is the mean decay
+    from the
+    step to the horizon.
+    """
+    by_mode = -np.nan_to_num(verdicts.growth_per_s) * batch.sampling_period_s
+    start = np.abs(error).max(axis=1, initial=0.0)
+    level = np.where(response.floor > 0, response.floor, 1.0)
+    mean = np.log(np.maximum(start / level, 1.0)) / np.maximum(horizon, 1)
+    decay: Floats = np.maximum(np.where(response.floor > 0, mean, by_mode), 0.0)
+    return decay
+
+
+def _tail(error: Floats, stop: Integers, horizon: Integers, decay: Floats, potential: Floats) -> Floats:
+    """Estimate of sum k^w E_k/E_0 beyond the horizon, shape (n, 3); infinite where no decay is known.
+
+    The largest distance over the last eighth of the response is its envelope, whose energy decays at twice
+    the rate.
+    """
+    column = np.arange(error.shape[1])[None, :]
+    last = (column >= (stop - np.maximum(horizon // 8, 1))[:, None]) & (column < stop[:, None])
+    envelope = np.max(np.where(last, np.abs(error), 0.0), axis=1, initial=0.0)
+    known = decay > 0
+    ratio = np.exp(-2 * np.where(known, decay, 1.0))
+    rest = -np.expm1(-2 * np.where(known, decay, 1.0))
+    # sum over j >= 0 of (h + j)^w r^j
+    h = horizon.astype(np.float64)
+    plain, once, twice = 1 / rest, ratio / rest**2, ratio * (1 + ratio) / rest**3
+    moments = np.stack([plain, h * plain + once, h * h * plain + 2 * h * once + twice], axis=1)
+    start = (potential * envelope**2)[:, None]
+    result: Floats = np.where(known[:, None] | (start == 0), start * moments, np.inf)
+    return result
+
+
+def _tail_reason(tail: Floats, total: Floats, horizon: int) -> str:
+    large = [w for w in WEIGHTS if tail[w] > TAIL_FRACTION * total[w]]
+    if not large:
+        return ""
+    shares = ", ".join(
+        f"w = {w}: {100 * tail[w] / total[w]:.2g} %"
+        if np.isfinite(tail[w]) and total[w] > 0
+        else f"w = {w}: unknown"
+        for w in large
+    )
+    return f"summed over {horizon} samples; beyond them lie about {shares} of the sum"
+
+
+def _start(
+    batch: TrialBatch, response: Response, verdicts: Verdicts, delay_samples: int
+) -> tuple[Integers, Booleans, tuple[str, ...]]:
+    """Row of cost index 0, which trials have costs, and why the others have none."""
+    if delay_samples < 0:
+        raise ParameterError(f"delay of {delay_samples} samples: expected an integer >= 0.")
+    first = np.maximum(response.edge_row, 0) + delay_samples
+    reasons = []
+    for edge, k, verdict, start, rows in zip(
+        response.edge_row, batch.stiffness, verdicts.verdict, first, batch.rows, strict=True
+    ):
+        if verdict == "unstable":
+            reasons.append("unstable: no cost")
+        elif edge < 0:
+            reasons.append("no command edge: the start of the response is not known")
+        elif k <= 0:
+            reasons.append(f"no final position: x_0 + F_0/K needs K > 0, found K = {k:g}")
+        elif start >= rows:
+            reasons.append(f"the log of {rows} rows ends before the command takes effect in row {start}")
+        else:
+            reasons.append("")
+    usable = np.array([not text for text in reasons], dtype=np.bool_)
+    return first.astype(np.int64), usable, tuple(reasons)

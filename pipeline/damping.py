@@ -1,0 +1,167 @@
+"""Viscous damping of the device: by the stability limit at K = 0, or from each trial by its momentum
+balance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.batch import Floats, TrialBatch
+from pipeline.momentum import balance
+from pipeline.response import Response
+
+FEWEST_INTERVALS = 20
+"""Two unknowns with fewer samples follow the noise."""
+
+LARGEST_CONDITION = 1e4
+"""Condition (of the scaled normal equations) beyond which a quantum of 0.1 % in the position turns into 10 %
+in b."""
+
+
+@dataclass(frozen=True)
+class LimitDamping:
+    """Viscous damping by the stability limit [Ns/m, Nms/rad], with the bracket that the trials give.
+
+    Parameters
+    ----------
+    value : float or None
+        -B where the growth rate crosses zero.
+    low, high : float or None
+        -B of the last stable and of the first unstable trial.
+    trials : int
+    reason : str or None
+    """
+
+    value: float | None
+    low: float | None
+    high: float | None
+    trials: int
+    reason: str | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class TrialDamping:
+    """Viscous damping and mass of each trial by least squares, shape (n,), NaN where there is a reason."""
+
+    viscous_damping: Floats
+    mass: Floats
+    reason: tuple[str, ...]
+
+
+def by_limit(damping: Floats, stiffness: Floats, growth_per_s: Floats) -> LimitDamping:
+    """Return b = -B at the stability limit with K = 0.
+
+    Parameters
+    ----------
+    damping, stiffness : float64, shape (n,)
+        Virtual damping B [Ns/m, Nms/rad] and stiffness K of the trials; those with K other than 0 are left
+        out.
+    growth_per_s : float64, shape (n,)
+        Growth rate of the acceleration, as `verdict.judge` returns it [1/s]; NaN where it is not known.
+
+    Returns
+    -------
+    LimitDamping
+
+    Notes
+    -----
+    Near the limit the rate is -(b + B)/m, linear in B, and is interpolated between the trials on both sides
+    of the zero. A rate of exactly zero on one side is a zero found.
+
+    Source: Hulin 2017, eq. 3.25 for K = 0 and sec. 6.1.2.
+    """
+    used = (stiffness == 0) & np.isfinite(growth_per_s)
+    B, rate = damping[used], growth_per_s[used]
+    if not len(B):
+        return LimitDamping(None, None, None, 0, "no usable trial at K = 0: record some with B <= 0")
+    levels, member = np.unique(B, return_inverse=True)
+    mean = np.bincount(member, weights=rate) / np.bincount(member)
+    stable, unstable = levels[mean < 0], levels[mean >= 0]
+    if not len(stable) and not (mean == 0).any() and len(levels) > 1 and abs(mean[-1]) <= 0.01 * np.ptp(mean):
+        # an undamped device: its limit is B = 0 itself, where rounding decides the sign
+        return LimitDamping(-float(levels[-1]), -float(levels[-1]), -float(levels[-2]), len(B))
+    if not len(stable) or not len(unstable):
+        side = "unstable" if not len(stable) else "stable"
+        return LimitDamping(
+            None,
+            None,
+            None,
+            len(B),
+            f"all {len(B)} trials at K = 0 are {side}; the limit needs both sides of it",
+        )
+    first_unstable = unstable.max()
+    above = stable[stable > first_unstable]
+    if not len(above):
+        return LimitDamping(
+            None,
+            None,
+            None,
+            len(B),
+            "growth rates at K = 0 do not fall with B; the limit is not a single crossing",
+        )
+    last_stable = above.min()
+    low, high = mean[levels == last_stable][0], mean[levels == first_unstable][0]
+    crossing = last_stable + (first_unstable - last_stable) * low / (low - high)
+    return LimitDamping(-float(crossing), -float(last_stable), -float(first_unstable), len(B))
+
+
+def from_trials(batch: TrialBatch, response: Response, delay_samples: int) -> TrialDamping:
+    """Return viscous damping and mass of each trial by least squares of its momentum balance.
+
+    Parameters
+    ----------
+    batch : TrialBatch
+    response : Response
+        Of the same trials.
+    delay_samples : int
+        Integer delay factor by which the command is shifted.
+
+    Returns
+    -------
+    TrialDamping
+
+    Raises
+    ------
+    ParameterError
+        If the delay is negative.
+
+    Notes
+    -----
+    m v_k + b (x_k - x_0) = integral of the delayed command, over all intervals from the command edge to the
+    end
+    of the log. The
+    balance integrates once, so that an offset or friction of the drive grows with time: for such drives use
+    `by_limit`. At rest the balance alone gives b, in motion mass and b.
+
+    Source: Hulin 2017, eq. 6.4 with the viscous term.
+    """
+    momentum = balance(batch, response.edge_row, delay_samples)
+    v, x, p = (
+        np.where(momentum.inside, a, 0.0)
+        for a in (momentum.velocity, momentum.displacement, momentum.impulse)
+    )
+    count = momentum.inside.sum(axis=1)
+    vv, xx, vx = (v * v).sum(axis=1), (x * x).sum(axis=1), (v * x).sum(axis=1)
+    vp, xp = (v * p).sum(axis=1), (x * p).sum(axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        correlation = vx / np.sqrt(vv * xx)
+        condition = (1 + np.abs(correlation)) / (1 - np.abs(correlation))
+        determinant = vv * xx - vx * vx
+        b = (vv * xp - vx * vp) / determinant
+        m = (xx * vp - vx * xp) / determinant
+    conditioned = np.nan_to_num(condition, nan=np.inf) < LARGEST_CONDITION
+    good = response.has_edge & (count >= FEWEST_INTERVALS) & conditioned & (np.nan_to_num(m) > 0)
+    reasons = []
+    for i in range(len(batch)):
+        if good[i]:
+            reasons.append("")
+        elif not response.has_edge[i]:
+            reasons.append("no command edge: the balance cannot be started")
+        elif count[i] < FEWEST_INTERVALS:
+            reasons.append(f"{count[i]} samples after the edge; at least {FEWEST_INTERVALS} are needed")
+        elif not conditioned[i]:
+            reasons.append("velocity and position are too much alike to tell mass from damping")
+        else:
+            reasons.append("no positive mass explains the motion with this delay")
+    return TrialDamping(np.where(good, b, np.nan), np.where(good, m, np.nan), tuple(reasons))

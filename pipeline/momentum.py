@@ -1,0 +1,82 @@
+"""Momentum of the commanded force and of the device, sampled so that the balance is exact.
+
+With the command held over each period, the mean velocity of an interval is v + F T/2m, so that for b = 0
+interval means differ by exactly T (F_{k-1} + F_k)/2m: trapezoid of the held command, no differentiation
+error.
+Viscous damping adds b times the mean position of the interval.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.batch import Booleans, Floats, Integers, TrialBatch
+from pipeline.errors import ParameterError
+
+
+@dataclass(frozen=True, eq=False)
+class Momentum:
+    """Balance per interval [k, k+1] of a log, shape (n, N - 1), NaN beyond its end.
+
+    Parameters
+    ----------
+    impulse : float64
+        Integral of the delayed command from the edge to (the mean over) the interval [Ns, Nms].
+    velocity : float64
+        Mean velocity of the interval [m/s, rad/s].
+    displacement : float64
+        Mean position of the interval relative to the first one [m, rad].
+    inside : bool
+        From the command edge to the end of the log.
+    """
+
+    impulse: Floats
+    velocity: Floats
+    displacement: Floats
+    inside: Booleans
+
+
+def balance(batch: TrialBatch, edge: Integers, delay_samples: int) -> Momentum:
+    """Return impulse, velocity and displacement of each interval, with the command shifted by a delay.
+
+    Parameters
+    ----------
+    batch : TrialBatch
+    edge : int64, shape (n,)
+        Row of the command edge; a trial without one (-1) has nothing inside.
+    delay_samples : int
+        Integer delay factor d.
+
+    Raises
+    ------
+    ParameterError
+        If the delay is negative.
+
+    Source: Hulin 2017, eq. 6.4.
+    """
+    if delay_samples < 0:
+        raise ParameterError(f"delay of {delay_samples} samples: expected an integer >= 0.")
+    period = batch.sampling_period_s[:, None]
+    columns = batch.command.shape[1]
+    interval = np.arange(columns - 1)[None, :]
+    inside = (interval >= edge[:, None]) & (interval < (batch.rows - 1)[:, None]) & (edge[:, None] >= 0)
+    arrived = np.arange(columns) - delay_samples
+    force = np.nan_to_num(batch.command[:, np.maximum(arrived, 0)])
+    # what the controller commanded before the edge is noise on a device at rest
+    force = np.where(arrived[None, :] >= edge[:, None], force, 0.0)
+    impulse = period * (np.cumsum(force, axis=1) - 0.5 * force)
+    x = batch.displacement
+    change = np.diff(x, axis=1)
+    # mean of the interval: trapezoid corrected for the change of slope, which matters from 0.2 rad a sample
+    # on
+    bend = np.zeros_like(change)
+    bend[:, 1:-1] = (change[:, 2:] - change[:, :-2]) / 24
+    mean = 0.5 * (x[:, 1:] + x[:, :-1]) - np.nan_to_num(bend)
+    return Momentum(
+        impulse=np.where(inside, impulse[:, :-1], np.nan),
+        velocity=np.where(inside, change / period, np.nan),
+        displacement=np.where(inside, mean, np.nan),
+        inside=inside,
+    )

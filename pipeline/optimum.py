@@ -1,0 +1,313 @@
+"""Optimal points of the loop for each criterion.
+
+Energy costs are smooth with one minimum. Settling time jumps where an extremum of the response crosses the band, and
+its optimum sits in the corner of such a jump; the region without overshoot ends in cusps. Smooth optimisers miss both.
+The search here only compares values: a grid over the whole stable region, then grids that shrink around the best
+points found. A corner looks the same at every scale, so each grid finds points inside it and the search converges to
+the corner; several of the best cells are followed, so that a better valley is not lost to a lucky grid point.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.batch import Floats
+from pipeline.energy import energy_costs
+from pipeline.errors import ParameterError
+from pipeline.loop import Loop
+from pipeline.stability import boundary, is_stable
+from pipeline.transient import NO_OVERSHOOT, transient_costs
+
+Cost = Callable[[Floats, Floats, float], Floats]
+"""Cost of points; the last argument is the best cost known, points that are worse may be given infinity."""
+
+STEP_CRITERIA = (
+    "settle_1pct",
+    "settle_2pct",
+    "settle_5pct",
+    "overshoot",
+    *(f"energy_step_w{w}" for w in (0, 1, 2)),
+)
+"""Criteria with an optimum here; each also as ``_discrete``."""
+
+_COARSE = 61
+"""Grid points along each axis of the first grid over the stable region."""
+
+_FINE = 15
+"""Grid points along each axis of each following grid."""
+
+_SHRINK = 0.45
+"""Size of a grid relative to the one before; with 15 points, a grid still spans 6 cells of its predecessor."""
+
+_LEVELS = 24
+"""0.45^24 = 5e-9 of a first cell: the optimum is located to 1e-10 of the stable region."""
+
+_STARTS = 3
+"""Best distinct cells of the first grid that are followed."""
+
+_ENDLESS = 60
+"""Samples, times d + 1, after which a response counts as not settled in a search; optima settle in about 5 (d + 1)."""
+
+
+@dataclass(frozen=True)
+class OptimalPoint:
+    """Optimal normalised stiffness and damping with the cost there, and the bounding box of equally good points."""
+
+    alpha: float
+    beta: float
+    cost: float
+    box: tuple[float, float, float, float] | None = None
+    """alpha_low, alpha_high, beta_low, beta_high where the optimum is a region."""
+
+
+def optimal_point(loop: Loop, criterion: str) -> OptimalPoint:
+    """Return the optimal point of a criterion for the step response.
+
+    Parameters
+    ----------
+    loop : Loop
+    criterion : str
+        One of `STEP_CRITERIA`, with ``_discrete`` appended for the costs of the sampled response.
+
+    Returns
+    -------
+    OptimalPoint
+        For the discrete settling time the centre of the bounding box of all points with the smallest cost; for
+        overshoot the stiffest point whose overshoot is at most 1e-12.
+
+    Raises
+    ------
+    ParameterError
+        For an unknown criterion.
+
+    Source: Hulin 2017, secs. 5.2.1 to 5.2.3; reproduces the step rows of C.1 to C.3 and the theory rows of D.1 to D.6.
+    """
+    base = criterion.removesuffix("_discrete")
+    if base not in STEP_CRITERIA:
+        raise ParameterError(f"criterion {criterion!r} is unknown; expected one of {list(STEP_CRITERIA)}.")
+    if base == "overshoot":
+        return _stiffest_without_overshoot(loop, criterion)
+    if base.startswith("energy"):
+        return _search(loop, lambda a, b, _: energy_costs(loop, a, b)[criterion])
+    band = float(base.removeprefix("settle_").removesuffix("pct")) / 100
+    if criterion == base:
+        return _search(loop, lambda a, b, best: _settling(loop, a, b, band, best)[base])
+    return _settling_region(loop, band, criterion)
+
+
+def _settling(loop: Loop, alpha: Floats, beta: Floats, band: float, best: float) -> dict[str, Floats]:
+    longest = int(_ENDLESS * (loop.delay + 1))
+    return transient_costs(loop, alpha, beta, (band,), overshoot=False, longest=longest, cutoff=best)
+
+
+def _where_stable(loop: Loop, cost: Cost) -> Cost:
+    """Cost with infinity where the loop is unstable or the cost is not defined."""
+
+    def guarded(alpha: Floats, beta: Floats, best: float) -> Floats:
+        result = np.full(len(alpha), np.inf)
+        usable = np.flatnonzero(alpha + loop.gamma > 0)
+        usable = usable[is_stable(loop, alpha[usable], beta[usable])]
+        if len(usable):
+            values = cost(alpha[usable], beta[usable], best)
+            result[usable] = np.where(np.isnan(values), np.inf, values)
+        return result
+
+    return guarded
+
+
+def _grid(low: Floats, high: Floats, size: int) -> tuple[Floats, Floats]:
+    alpha, beta = np.meshgrid(np.linspace(low[0], high[0], size), np.linspace(low[1], high[1], size))
+    return alpha.ravel(), beta.ravel()
+
+
+def _region(loop: Loop) -> tuple[Floats, Floats]:
+    """Bounding box of the stable region, a little inside the line alpha = -gamma."""
+    border = boundary(loop)
+    width = border.alpha_max + loop.gamma
+    # 5 % in from alpha = -gamma: closer to it every step response creeps, and no optimum of a step criterion is there
+    return (
+        np.array([-loop.gamma + 0.05 * width, min(float(border.beta.min()), 0.0)]),
+        np.array([border.alpha_max, border.beta_max]),
+    )
+
+
+def _search(loop: Loop, cost: Cost) -> OptimalPoint:
+    """Global minimum of a cost over the stable region."""
+    guarded = _where_stable(loop, cost)
+    low, high = _region(loop)
+    alpha, beta = _grid(low, high, _COARSE)
+    values = guarded(alpha, beta, np.inf)
+    cell = (high - low) / (_COARSE - 1)
+    best: OptimalPoint | None = None
+    left = np.ones(len(values), dtype=bool)
+    for _ in range(_STARTS):
+        if not np.isfinite(values[left]).any():
+            break
+        index = int(np.flatnonzero(left)[np.argmin(values[left])])
+        found = _refine(guarded, np.array([alpha[index], beta[index]]), float(values[index]), 2 * cell)
+        if best is None or found.cost < best.cost:
+            best = found
+        left &= (np.abs(alpha - alpha[index]) > 3 * cell[0]) | (np.abs(beta - beta[index]) > 3 * cell[1])
+    if best is None:
+        raise ParameterError(f"{loop}: no point of the stable region has this cost.")
+    return best
+
+
+def _refine(cost: Cost, centre: Floats, value: float, half: Floats, levels: int = _LEVELS) -> OptimalPoint:
+    """Grids that shrink around the best point found; one whose best point lies at its rim moves instead of shrinking."""
+    for _ in range(levels):
+        alpha, beta = _grid(centre - half, centre + half, _FINE)
+        values = cost(alpha, beta, value)
+        index = int(np.argmin(values))
+        row, column = divmod(index, _FINE)
+        if values[index] < value:
+            centre, value = np.array([alpha[index], beta[index]]), float(values[index])
+            if min(row, column) == 0 or max(row, column) == _FINE - 1:
+                continue
+        half = half * _SHRINK
+    return OptimalPoint(float(centre[0]), float(centre[1]), value)
+
+
+def _late_deviation(loop: Loop, alpha: Floats, beta: Floats, first: int) -> Floats:
+    """Largest deviation of the samples from ``first`` on, relative to the final displacement."""
+    state = np.broadcast_to(loop.initial("step"), (len(alpha), loop.states)).copy()[..., None]
+    matrix = loop.matrix(alpha, beta)
+    for _ in range(first):
+        state = matrix @ state
+    largest = np.abs(state[:, 0, 0])
+    for _ in range(int(_ENDLESS * (loop.delay + 1))):
+        state = matrix @ state
+        largest = np.maximum(largest, np.abs(state[:, 0, 0]))
+        # one delay later nothing of the past is larger than this; 1e-2: the loop does not amplify a hundredfold again
+        if np.all(np.abs(state[:, :, 0]).max(axis=1) < 1e-2 * largest):
+            break
+    return largest
+
+
+def _settling_region(loop: Loop, band: float, criterion: str) -> OptimalPoint:
+    """Smallest discrete settling time and the bounding box of all points that have it.
+
+    A number of samples n can be reached where the largest deviation of samples n, n+1, ... can be brought into the
+    band; that deviation is continuous, so its minimum can be searched for where the settling time itself has steps.
+    """
+    base = criterion.removesuffix("_discrete")
+    start = _search(loop, lambda a, b, best: _settling(loop, a, b, band, best)[base])
+    samples = math.ceil(start.cost)
+    point = start
+    while samples > 1:
+        goal = samples - 1
+        better = _search(loop, lambda a, b, _, n=goal: _late_deviation(loop, a, b, n))  # type: ignore[misc]
+        if better.cost > band:
+            break
+        samples, point = goal, better
+
+    def feasible(alpha: Floats, beta: Floats, _: float) -> Floats:
+        return np.where(_late_deviation(loop, alpha, beta, samples) <= band, 0.0, np.inf)
+
+    box = _bounding_box(_where_stable(loop, feasible), np.array([point.alpha, point.beta]), _region(loop))
+    return OptimalPoint(0.5 * (box[0] + box[1]), 0.5 * (box[2] + box[3]), float(samples), box)
+
+
+def _bounding_box(
+    feasible: Cost, inside: Floats, region: tuple[Floats, Floats], size: int = 61
+) -> tuple[float, float, float, float]:
+    """Bounding box of the connected feasible set around a point of it."""
+    half = (region[1] - region[0]) * 1e-4
+    corner = np.array([inside, inside])
+    for _ in range(40):  # grow by 1.6 until the set no longer touches the rim: 1.6^40 covers any region
+        alpha, beta = _grid(corner[0] - half, corner[1] + half, size)
+        good = feasible(alpha, beta, np.inf) == 0
+        found = (
+            np.array([[alpha[good].min(), beta[good].min()], [alpha[good].max(), beta[good].max()]])
+            if good.any()
+            else corner
+        )
+        touches = (found[0] <= corner[0] - half * 0.999) | (found[1] >= corner[1] + half * 0.999)
+        corner = np.array([np.minimum(corner[0], found[0]), np.maximum(corner[1], found[1])])
+        if not touches.any():
+            break
+        half = np.maximum(half, 0.3 * (corner[1] - corner[0]))
+    edges = []
+    span = corner[1] - corner[0]
+    for axis, sign in ((0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0)):
+
+        def distance(alpha: Floats, beta: Floats, _: float, axis: int = axis, sign: float = sign) -> Floats:
+            return feasible(alpha, beta, np.inf) + sign * (alpha if axis == 0 else beta)
+
+        good_alpha, good_beta = alpha[good], beta[good]
+        values = distance(good_alpha, good_beta, np.inf)
+        index = int(np.argmin(values))
+        edge = _refine(
+            distance,
+            np.array([good_alpha[index], good_beta[index]]),
+            float(values[index]),
+            0.1 * span,
+            levels=16,
+        )
+        edges.append(edge.alpha if axis == 0 else edge.beta)
+    return edges[0], edges[1], edges[2], edges[3]
+
+
+def _stiffest_without_overshoot(loop: Loop, criterion: str) -> OptimalPoint:
+    """Stiffest point of the region without overshoot: its edge over beta, followed to the higher of its cusps."""
+    low, high = _region(loop)
+
+    def clean(alpha: Floats, beta: Floats, _: float) -> Floats:
+        costs = transient_costs(
+            loop, alpha, beta, (), continuous=not criterion.endswith("_discrete"), enough=NO_OVERSHOOT
+        )
+        return np.where(costs[criterion] <= NO_OVERSHOOT, 0.0, np.inf)
+
+    guarded = _where_stable(loop, clean)
+
+    def edge(beta: Floats, floor: float, top: float, passes: int) -> Floats:
+        """Largest alpha without overshoot at each beta, between a clean and an unclean alpha, 24 sections a pass."""
+        lower, upper = np.full(len(beta), floor), np.full(len(beta), top)
+        share = np.linspace(0, 1, 25)
+        for _ in range(passes):
+            alpha = lower[:, None] + share * (upper - lower)[:, None]
+            good = np.isfinite(guarded(alpha.ravel(), np.repeat(beta, 25), np.inf)).reshape(alpha.shape)
+            # the region is convex along alpha seen from its clean side: count clean sections from the lower end
+            last = np.where(good.all(axis=1), 24, good.argmin(axis=1) - 1)
+            row = np.arange(len(beta))
+            upper = np.where(last < 0, lower, alpha[row, np.minimum(last + 1, 24)])
+            lower = np.where(last < 0, -np.inf, alpha[row, np.maximum(last, 0)])
+            if not np.isfinite(lower).any():
+                break
+            upper, lower = (
+                np.where(np.isfinite(lower), upper, floor),
+                np.where(np.isfinite(lower), lower, floor),
+            )
+        return lower
+
+    betas = np.linspace(0.0, high[1], 61)[1:]
+    floor, top = float(low[0]), float(high[0])
+    edges = edge(betas, floor, top, 2)
+    best_alpha, best_beta = -np.inf, np.nan
+    order = np.argsort(edges)[::-1]
+    followed: list[int] = []
+    for index in order:
+        if len(followed) == 2 or edges[index] <= floor:
+            break
+        if any(abs(index - other) <= 2 for other in followed):
+            continue
+        followed.append(int(index))
+        half = 1.5 * (betas[1] - betas[0])
+        alpha, beta = float(edges[index]), float(betas[index])
+        width = 0.3 * alpha
+        for _ in range(12):
+            window = beta + np.linspace(-half, half, 25)
+            values = edge(window, alpha - 0.2 * width, alpha + width, 1)
+            peak = int(np.argmax(values))
+            if values[peak] > alpha:
+                alpha, beta = float(values[peak]), float(window[peak])
+            half, width = half * 0.4, width * 0.3
+        if alpha > best_alpha:
+            best_alpha, best_beta = alpha, beta
+    if not np.isfinite(best_alpha):
+        raise ParameterError(f"{loop}: no point without overshoot was found.")
+    return OptimalPoint(best_alpha, best_beta, 0.0)

@@ -1,0 +1,208 @@
+"""Where the step response begins in a log, and how finely its sensor sees.
+
+The external force is recovered from the log itself: command plus wall force. It is a step from 0 to F_0,
+whatever delay, mass and sensor do, because the controller computed the wall force from the very positions in
+the log.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.batch import Booleans, Floats, Integers, TrialBatch
+
+NO_ROW = -1
+"""Edge row of a trial without an identifiable command edge."""
+
+EDGE_SAMPLES = 3
+"""Rows for which the external force must stay above half the step: fewer would take one flicker for the
+edge."""
+
+BASELINE_SAMPLES = 5
+"""Fewest baseline rows for a standard deviation; below that its own error exceeds 30 %."""
+
+NOISE_FACTOR = 6.0
+"""Four standard deviations (2 % chance in 400 samples) of a difference of two readings, 4 sqrt 2, rounded
+up."""
+
+GRID_TOLERANCE = 1e-3
+"""Largest distance of a position change from a multiple of the quantum, relative to the quantum."""
+
+ROUNDING_UNITS = 64.0
+"""Changes below this many units of rounding are arithmetic, not the sensor."""
+
+
+@dataclass(frozen=True, eq=False)
+class Response:
+    """Edge, rest positions and resolution of each trial; every array has shape (n,), NaN where there is a
+    reason.
+
+    Parameters
+    ----------
+    edge_row : int64
+        Row of the command edge k0, counted from 0; -1 where there is none.
+    position_start : float64
+        First position, where the wall rests [m, rad].
+    position_final_expected : float64
+        x_0 + F_0/K (6.1) [m, rad]; NaN where K <= 0.
+    position_final_measured : float64
+        Mean over the last tenth of the log [m, rad].
+    sensor_quantum : float64
+        Step of the grid on which all positions lie [m, rad]; 0 where there is none.
+    sensor_noise : float64
+        Standard deviation of the position before the edge [m, rad]; NaN without a baseline.
+    floor : float64
+        Position amplitude that quantum and noise alone can cause [m, rad]; 0 for an ideal log.
+    reason : tuple of str
+        Why values are missing; empty where all are there.
+    """
+
+    edge_row: Integers
+    position_start: Floats
+    position_final_expected: Floats
+    position_final_measured: Floats
+    sensor_quantum: Floats
+    sensor_noise: Floats
+    floor: Floats
+    reason: tuple[str, ...]
+
+    @property
+    def has_edge(self) -> Booleans:
+        """Where a command edge was found, shape (n,)."""
+        return self.edge_row >= 0
+
+
+def find_response(batch: TrialBatch, *, edge_samples: int = EDGE_SAMPLES) -> Response:
+    """Find the command edge and the resolution of each trial.
+
+    Parameters
+    ----------
+    batch : TrialBatch
+    edge_samples : int
+        Rows for which the external force must stay above half the step.
+
+    Returns
+    -------
+    Response
+
+    Notes
+    -----
+    The external force is exact for a controller that uses the plain difference of positions. With a velocity
+    filter or a force limit it is wrong once the device moves, but not before, so that the edge stays right
+    for any delay of at least one sample.
+
+    Source: Hulin 2017, sec. 6.1.1 (procedure) and eq. 6.1 (final position).
+    """
+    edge, no_edge = _edge(batch, edge_samples)
+    baseline = np.arange(batch.position.shape[1])[None, :] < edge[:, None]
+    quantum = _quantum(batch)
+    noise = _deviation(batch.displacement, baseline)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        travel = np.where(batch.stiffness > 0, batch.step / batch.stiffness, np.nan)
+    start = batch.position[:, 0]
+    reason = tuple(
+        "; ".join(part for part in (text, "" if k > 0 else _no_final(k)) if part)
+        for text, k in zip(no_edge, batch.stiffness, strict=True)
+    )
+    return Response(
+        edge_row=edge,
+        position_start=start,
+        position_final_expected=start + travel,
+        position_final_measured=_last_tenth(batch),
+        sensor_quantum=quantum,
+        sensor_noise=noise,
+        floor=quantum + NOISE_FACTOR * np.nan_to_num(noise),
+        reason=reason,
+    )
+
+
+def external_force(batch: TrialBatch) -> Floats:
+    """Return command plus wall force, shape (n, N) [N, Nm]: the external step as the controller added it.
+
+    The wall force is K (x_k - x_0) + B (x_k - x_{k-1})/T with x_{-1} = x_0.
+    """
+    change = np.diff(batch.position, axis=1, prepend=batch.position[:, :1])
+    damping_per_sample = batch.damping / batch.sampling_period_s
+    return (
+        batch.command + batch.stiffness[:, None] * batch.displacement + damping_per_sample[:, None] * change
+    )
+
+
+def _edge(batch: TrialBatch, samples: int) -> tuple[Integers, list[str]]:
+    sign = np.sign(batch.step)[:, None]
+    above = np.nan_to_num(external_force(batch) * sign) > 0.5 * np.abs(batch.step)[:, None]
+    stays = above.copy()
+    for shift in range(1, samples):
+        stays[:, :-shift] &= above[:, shift:]
+        stays[:, -shift:] = False
+    first = (
+        np.argmax(stays, axis=1).astype(np.int64) if stays.shape[1] else np.zeros(len(batch), dtype=np.int64)
+    )
+    found = stays.any(axis=1)
+    reasons = []
+    for k, has, step in zip(first, np.atleast_1d(found), batch.step, strict=True):
+        if not has:
+            reasons.append(
+                f"no command edge: command plus wall force never stays above half the step ({step:g}) "
+                f"for {samples} rows; check step, stiffness and damping in the log's header"
+            )
+        elif k == 0:
+            reasons.append(
+                "no baseline: the step is already there in row 0, so the command edge is not identifiable; "
+                "record at least one row before the step"
+            )
+        else:
+            reasons.append("")
+    return np.where(found & (first > 0), first, NO_ROW).astype(np.int64), reasons
+
+
+def _no_final(stiffness: float) -> str:
+    return f"no final position: x_0 + F_0/K needs K > 0, found K = {stiffness:g}"
+
+
+def _quantum(batch: TrialBatch) -> Floats:
+    """Smallest change of which all changes of the position are multiples, 0 where there is none."""
+    change = np.abs(np.diff(batch.position, axis=1))
+    # a fast motion never changes by one quantum a sample, but its changes differ by one
+    second = np.abs(np.diff(batch.position, n=2, axis=1))
+    largest = np.nanmax(np.abs(batch.position), axis=1, initial=0.0)
+    rounding = ROUNDING_UNITS * np.finfo(np.float64).eps * largest
+    moved = np.nan_to_num(change) > rounding[:, None]
+    bent = np.nan_to_num(second) > rounding[:, None]
+    smallest = np.minimum(
+        np.min(np.where(moved, change, np.inf), axis=1, initial=np.inf),
+        np.min(np.where(bent, second, np.inf), axis=1, initial=np.inf),
+    )
+    quantum = np.zeros(len(batch))
+    # no single change may have been one quantum: then the smallest is two or three of them
+    for parts in (1, 2, 3):
+        open_trials = np.flatnonzero(np.isfinite(smallest) & (quantum == 0))
+        if not len(open_trials):
+            break
+        grid = smallest[open_trials] / parts
+        multiple = np.where(moved[open_trials], change[open_trials], 0.0) / grid[:, None]
+        error = np.max(np.abs(multiple - np.round(multiple)), axis=1, initial=0.0)
+        # beyond 1/tolerance multiples the rounding of the positions themselves hides the grid
+        on_grid = (error < GRID_TOLERANCE) & (grid > rounding[open_trials] / GRID_TOLERANCE)
+        quantum[open_trials[on_grid]] = grid[on_grid]
+    return quantum
+
+
+def _deviation(displacement: Floats, where: Booleans) -> Floats:
+    count = where.sum(axis=1)
+    enough = count >= BASELINE_SAMPLES
+    inside = np.where(where, displacement, 0.0)
+    mean = inside.sum(axis=1) / np.maximum(count, 1)
+    squares = np.where(where, (displacement - mean[:, None]) ** 2, 0.0).sum(axis=1)
+    result: Floats = np.where(enough, np.sqrt(squares / np.maximum(count - 1, 1)), np.nan)
+    return result
+
+
+def _last_tenth(batch: TrialBatch) -> Floats:
+    first = batch.rows - np.maximum(batch.rows // 10, 1)
+    column = np.arange(batch.position.shape[1])[None, :]
+    where = batch.valid & (column >= first[:, None])
+    mean: Floats = np.where(where, batch.position, 0.0).sum(axis=1) / np.maximum(where.sum(axis=1), 1)
+    return mean

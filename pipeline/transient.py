@@ -1,0 +1,284 @@
+"""Settling time and overshoot of the loop's step response, from the exact motion between samples.
+
+The deviation from the final position is advanced sample by sample for all points at once; points leave the
+computation as soon as nothing that is asked for can change any more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from pipeline.batch import Floats, Integers
+from pipeline.errors import ParameterError
+from pipeline.loop import Loop, as_points
+from pipeline.plant import flow
+
+LONGEST = 1 << 18
+"""Samples after which a response that still moves is given up (no settling time): spectral radius about 1 - 1e-5."""
+
+NO_OVERSHOOT = 1e-12
+"""Overshoot up to this fraction counts as none. Part of the definition: Hulin 2017, footnote 4 of 5.2.2."""
+
+_BLOCK = 16
+"""Samples between two checks of which points are finished."""
+
+_SETTLED = 1e-4
+"""A point is finished when position and velocity have stayed this far below the band (or the overshoot found) for a
+block and a delay: the loop would have to amplify by 1e4 to leave the band again; 60 is the largest seen for d <= 256."""
+
+QUIET = 1e-15
+"""Deviation below which a response is no longer followed for overshoot: no overshoot above `NO_OVERSHOOT` can follow."""
+
+
+@dataclass
+class _Crossing:
+    """Last entry into a band: start, length, state and input of the segment in which it happened."""
+
+    start: Floats
+    low: Floats
+    high: Floats
+    position: Floats
+    velocity: Floats
+    force: Floats
+    level: Floats
+
+    @classmethod
+    def empty(cls, n: int) -> _Crossing:
+        return cls(*(np.full(n, np.nan) for _ in range(7)))
+
+    def set(self, index: Integers, start: float, low: object, high: object, *values: Floats) -> None:
+        self.start[index], self.low[index], self.high[index] = start, low, high
+        for name, value in zip(("position", "velocity", "force", "level"), values, strict=True):
+            getattr(self, name)[index] = value
+
+
+@dataclass
+class _Active:
+    """State of the points that still move."""
+
+    index: Integers
+    alpha: Floats
+    beta: Floats
+    position: Floats
+    before: Floats
+    velocity: Floats
+    forces: list[Floats]
+    quiet: Floats = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.quiet = np.zeros_like(self.alpha)
+
+    def keep(self, mask: np.ndarray) -> None:
+        for name in ("index", "alpha", "beta", "position", "before", "velocity", "quiet"):
+            setattr(self, name, getattr(self, name)[mask])
+        self.forces = [f[mask] for f in self.forces]
+
+
+def transient_costs(
+    loop: Loop,
+    alpha: object,
+    beta: object,
+    bands: Sequence[float] = (0.01, 0.02, 0.05),
+    *,
+    overshoot: bool = True,
+    continuous: bool = True,
+    longest: int = LONGEST,
+    quiet: float = QUIET,
+    cutoff: float = np.inf,
+    enough: float = np.inf,
+) -> dict[str, Floats]:
+    """Return settling times and overshoot of the step response of stable points.
+
+    Parameters
+    ----------
+    loop : Loop
+    alpha, beta : array_like, shape (n,)
+        Normalised virtual stiffness and damping; stable, alpha + gamma > 0.
+    bands : sequence of float
+        Half widths of the settling bands relative to the final displacement, in (0, 1).
+    overshoot : bool
+        Whether the overshoot is asked for; without it responses are followed only until they have settled.
+    continuous : bool
+        Whether the motion between samples is asked for, besides the samples.
+    longest : int
+        Samples after which a point that still moves gets no result.
+    quiet : float
+        Deviation below which a response without overshoot so far is no longer followed; a map that is only drawn
+        does not need the default.
+    cutoff : float
+        Settling time [samples] from which on a point is of no interest: one still outside all bands then is given
+        up. A search knows the best value so far.
+    enough : float
+        Overshoot above which a point is of no further interest; only for calls without bands.
+
+    Returns
+    -------
+    dict of float64, shape (n,)
+        ``settle_<band in percent>pct_discrete`` [samples]: smallest k with all samples from k on inside the band;
+        ``settle_<..>pct`` [samples]: last entry of the continuous position into the band; ``overshoot`` and
+        ``overshoot_discrete``: largest excess over the final position relative to the final displacement, >= 0.
+        NaN where the response still moves after ``longest`` samples.
+
+    Source: Hulin 2017, eqs. 5.10 to 5.12.
+    """
+    a, b = as_points(alpha, beta)
+    if np.any(a + loop.gamma <= 0):
+        raise ParameterError(
+            "a step response needs alpha + gamma > 0: without stiffness there is no final position."
+        )
+    if any(not 0 < band < 1 for band in bands):
+        raise ParameterError(f"bands = {list(bands)}: expected fractions between 0 and 1, such as 0.02.")
+    n = len(a)
+    peaks = {"overshoot": np.zeros(n), "overshoot_discrete": np.zeros(n)}
+    settled = {band: np.zeros(n) for band in bands}
+    crossings = {band: _Crossing.empty(n) for band in bands}
+    run = _Active(
+        np.arange(n), a, b, np.full(n, -1.0), np.full(n, -1.0), np.zeros(n), [a] * (loop.oldest_force + 1)
+    )
+    given_up: list[Integers] = []
+    calm = _SETTLED * min(bands) if bands else 1.0
+    for k in range(longest):
+        if not len(run.index):
+            break
+        _advance(loop, run, k, peaks["overshoot"], crossings, continuous)
+        size = np.abs(run.position)
+        for band in bands:
+            settled[band][run.index[size > band]] = k + 1
+        peaks["overshoot_discrete"][run.index] = np.maximum(
+            peaks["overshoot_discrete"][run.index], run.position
+        )
+        if k > cutoff and not overshoot:
+            late = size > max(bands)
+            if late.any():
+                given_up.append(run.index[late])
+                run.keep(~late)
+                size = size[~late]
+        if k % _BLOCK == 0:
+            limit = np.full(len(size), calm)
+            if overshoot:
+                found = _SETTLED * peaks["overshoot_discrete"][run.index]
+                limit = np.minimum(limit, np.maximum(found, quiet))
+            moving = np.maximum(size, np.abs(run.velocity)) > limit
+            run.quiet = np.where(moving, 0.0, run.quiet + 1)
+            done = run.quiet * _BLOCK > loop.oldest_force + 2
+            if not bands:
+                done |= np.maximum(peaks["overshoot"], peaks["overshoot_discrete"])[run.index] > enough
+            if done.any():
+                run.keep(~done)
+    unfinished = np.concatenate([run.index, *given_up])
+    result: dict[str, Floats] = {}
+    for band in bands:
+        name = f"settle_{100 * band:g}pct"
+        result[f"{name}_discrete"] = settled[band] + 1
+        if continuous:
+            result[name] = _entry_times(loop, crossings[band])
+    if overshoot:
+        result["overshoot_discrete"] = peaks["overshoot_discrete"]
+        if continuous:
+            result["overshoot"] = np.maximum(peaks["overshoot"], peaks["overshoot_discrete"])
+    for values in result.values():
+        values[unfinished] = np.nan
+    return result
+
+
+def _advance(
+    loop: Loop, run: _Active, k: int, peak: Floats, crossings: dict[float, _Crossing], continuous: bool
+) -> None:
+    """Move all points by one sample; note extrema between samples and entries into the bands."""
+    force = run.beta * run.before - (run.alpha + run.beta) * run.position
+    run.forces = [force, *run.forces[:-1]]
+    run.before = run.position
+    time = float(k)
+    for segment, motion in zip(loop.segments, loop.flows, strict=True):
+        u = run.forces[segment.age]
+        (xx, xv), (vx, vv) = motion.transition
+        position = xx * run.position + xv * run.velocity + motion.gain[0] * u
+        velocity = vx * run.position + vv * run.velocity + motion.gain[1] * u
+        if continuous:
+            _note(loop, run, u, position, velocity, (time, segment.duration), peak, crossings)
+        run.position, run.velocity = position, velocity
+        time += segment.duration
+
+
+def _note(
+    loop: Loop,
+    run: _Active,
+    force: Floats,
+    position: Floats,
+    velocity: Floats,
+    segment: tuple[float, float],
+    peak: Floats,
+    crossings: dict[float, _Crossing],
+) -> None:
+    start, duration = segment
+    turn = np.flatnonzero(run.velocity * velocity < 0)
+    e, v, u = run.position[turn], run.velocity[turn], force[turn]
+    when = _turning_time(loop.gamma, loop.delta, e, v, u, duration)
+    motion = flow_position(loop, when)
+    extreme = motion[0] * e + motion[1] * v + motion[2] * u
+    which = run.index[turn]
+    peak[which] = np.maximum(peak[which], extreme)
+    size_before, size_after = np.abs(run.position), np.abs(position)
+    turned = np.full(len(size_before), np.nan)
+    turned[turn] = when
+    for band, crossing in crossings.items():
+        inside = size_after <= band
+        enter = np.flatnonzero(inside & (size_before > band))
+        if len(enter):
+            # an extremum inside the band follows the entry; one outside it is met below
+            high = np.where(np.isnan(turned[enter]), duration, turned[enter])
+            at = run.position[enter]
+            crossing.set(
+                run.index[enter], start, 0.0, high, at, run.velocity[enter], force[enter], np.sign(at) * band
+            )
+        peaked = np.abs(extreme) > band
+        out = turn[peaked & inside[turn]]
+        if len(out):
+            crossing.set(
+                *(run.index[out], start, turned[out], duration, run.position[out], run.velocity[out]),
+                *(force[out], np.sign(extreme[peaked & inside[turn]]) * band),
+            )
+
+
+def _turning_time(gamma: float, delta: float, e: Floats, v: Floats, u: Floats, duration: float) -> Floats:
+    """Time at which the velocity changes sign inside a segment, in closed form.
+
+    v(t) exp(delta t/2) = v c(t) + (a + delta v/2) s(t), with a the acceleration at the start, c and s the (hyperbolic)
+    cosine and sine of the plant's own motion.
+    """
+    slope = u - gamma * e - 0.5 * delta * v
+    square = 0.25 * delta * delta - gamma
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        if square > 0:
+            root = np.sqrt(square)
+            time = np.arctanh(np.clip(-v * root / slope, -1, 1)) / root
+        elif square < 0:
+            root = np.sqrt(-square)
+            time = np.arctan2(root * np.abs(v), -np.sign(v) * slope) / root
+        else:
+            time = -v / slope
+    return np.clip(np.nan_to_num(time, nan=0.0), 0.0, duration)
+
+
+def flow_position(loop: Loop, time: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return the factors of position, velocity and input in the position after the given times."""
+    if loop.gamma == 0 and loop.delta == 0:
+        return np.ones_like(time), time, 0.5 * time * time
+    motion = flow(loop.gamma, loop.delta, time)
+    return motion.transition[..., 0, 0], motion.transition[..., 0, 1], motion.gain[..., 0]
+
+
+def _entry_times(loop: Loop, crossing: _Crossing) -> Floats:
+    """Time of entry into the band: root of a monotone motion, by bisection to the last bit."""
+    low, high = crossing.low.copy(), crossing.high.copy()
+    outside = np.sign(crossing.level)
+    for _ in range(54):  # halves an interval of one sample to below 1e-16
+        middle = 0.5 * (low + high)
+        one, speed, push = flow_position(loop, np.nan_to_num(middle))
+        excess = one * crossing.position + speed * crossing.velocity + push * crossing.force - crossing.level
+        still = excess * outside > 0
+        low, high = np.where(still, middle, low), np.where(still, high, middle)
+    return crossing.start + 0.5 * (low + high)

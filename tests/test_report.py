@@ -1,0 +1,167 @@
+"""The report: what a reader finds on the page, read back from the HTML."""
+
+from __future__ import annotations
+
+import re
+import time
+from dataclasses import replace
+from html.parser import HTMLParser
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+from report_data import HOSTILE, bare, report_data
+
+from pipeline import report
+from pipeline.errors import PipelineError
+from pipeline.models import ComparisonRow
+from pipeline.provenance import digest
+from pipeline.results import ReportData
+
+
+class Outline(HTMLParser):
+    """Tags in order, and whether every opened element was closed in order."""
+
+    VOID = ("meta", "br", "hr", "img", "link", "input")
+
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.open: list[str] = []
+        self.feed(page)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+        if tag not in self.VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+
+@pytest.fixture(scope="module")
+def numbers() -> str:
+    return report.render(report_data(full=False))
+
+
+@pytest.fixture(scope="module")
+def page() -> str:
+    return report.render(report_data())
+
+
+def test_page_is_well_formed_with_language_headings_in_order_and_described_tables(page: str) -> None:
+    outline = Outline(page)
+    assert outline.open == []
+    tags = [tag for tag, _ in outline.tags]
+    assert dict(outline.tags)["html"]["lang"] == "en"
+    levels = [int(tag[1]) for tag in tags if re.fullmatch(r"h[1-6]", tag)]
+    assert levels[0] == 1
+    assert levels.count(1) == 1
+    assert all(b - a <= 1 for a, b in pairwise(levels))
+    assert tags.count("table") == tags.count("caption") > 5
+    assert all("scope" in attributes for tag, attributes in outline.tags if tag == "th")
+    assert all(a.get("role") == "img" for tag, a in outline.tags if tag == "svg")
+
+
+def test_page_needs_nothing_but_itself(page: str) -> None:
+    for tag, attributes in Outline(page).tags:
+        assert tag not in ("script", "link", "iframe", "object")
+        for name in ("src", "href", "xlink:href"):
+            assert (attributes.get(name) or "#").startswith("#")
+    assert not re.search(r"https?:|@import|url\((?!#)", page)
+
+
+def test_identifiers_are_unique(page: str) -> None:
+    identifiers = [a["id"] for _, a in Outline(page).tags if "id" in a]
+    assert len(identifiers) == len(set(identifiers))
+
+
+def test_all_figures_fit_into_two_megabytes_and_are_the_same_each_time(page: str) -> None:
+    start = time.process_time()
+    again = report.render(report_data())
+    assert time.process_time() - start < 10  # 5 s on one free core; twice that leaves room for a busy one
+    assert again == page
+    assert len(page.encode()) < 2_000_000
+    assert page.count("<figcaption") == 11
+
+
+def test_cells_hold_the_numbers_as_printed(numbers: str) -> None:
+    found = report.cells(numbers)
+    assert found["D.1/settle_2pct/theory_discrete/stiffness"] == "4469"
+    assert found["D.1/settle_2pct/theory_discrete/damping"] == "73.05"
+    assert found["D.1/settle_2pct/experiment_1/deviation"] == "\N{MINUS SIGN}14.7"
+    assert found["D.2/energy_step_w2/theory_discrete/cost"] == "871.32"
+    assert found["D.6/d=2/settle_2pct/experiment"] == "16.50 (14.85)"
+    assert found["D.6/d=5/energy_step_w2/experiment"].startswith("–")
+    assert found["experiments/1/mass"].startswith("0.580")
+    assert "0.563 to 0.603" in found["experiments/1/mass"]
+
+
+def test_overshoot_is_printed_in_percent() -> None:
+    data = report_data(full=False)
+    row = ComparisonRow(table="D.1", criterion="overshoot", condition="experiment_1", delay_samples=None,
+                        stiffness=1.0, damping=2.0, cost=0.125)  # fmt: skip
+    page = report.render(ReportData(data.result.model_copy(update={"tables": (row,)})))
+    assert report.cells(page)["D.1/overshoot/experiment_1/cost"] == "12.50"
+    assert "overshoot [%]" in page
+
+
+def test_missing_value_gives_its_reason(numbers: str) -> None:
+    assert 'title="no stable trial with this cost">–' in numbers
+    assert "no logs with K = 0 and B &lt;= 0 in this experiment" in numbers
+
+
+def test_censored_and_erratum_are_footnotes(numbers: str) -> None:
+    assert report.cells(numbers)["D.1/settle_2pct/experiment_2/condition"] == "experiment 2 b"
+    assert re.search(r"<sup>b</sup>At the edge of the tested range", numbers)
+    assert re.search(r"<sup>a</sup>the printed value is a known erratum", numbers)
+
+
+def test_digest_shows_any_changed_cell(numbers: str) -> None:
+    assert report.stored_digest(numbers) == digest(report.cells(numbers))
+    changed = numbers.replace(">4469<", ">4470<", 1)
+    assert changed != numbers
+    assert report.stored_digest(changed) != digest(report.cells(changed))
+
+
+def test_hostile_names_are_harmless() -> None:
+    page = report.render(report_data(full=False, hostile=True))
+    outline = Outline(page)
+    assert "script" not in [tag for tag, _ in outline.tags]
+    assert report.cells(page)[f"experiments/{HOSTILE}/experiment"] == HOSTILE
+
+
+def test_sections_without_data_are_left_out() -> None:
+    page = report.render(bare(report_data(full=False)))
+    headings = re.findall(r"<h2>(.*?)</h2>", page)
+    assert headings == ["Definitions"]
+    assert "<table" not in page
+    assert "simulated" not in page
+    links = set(re.findall(r'href="#([^"]+)"', page))
+    assert links == set(re.findall(r'<section id="([^"]+)"', page))
+
+
+def test_simulated_logs_are_announced_before_any_number(numbers: str) -> None:
+    assert numbers.index("All logs of this report are simulated") < numbers.index("In brief")
+
+
+def test_rotation_has_rotational_units() -> None:
+    page = report.render(report_data(full=False, motion="rotation"))
+    assert "stiffness K [Nm/rad]" in page
+    assert "[N/m]" not in page
+
+
+def test_equal_rows_are_refused_with_their_name() -> None:
+    data = report_data(full=False)
+    double = data.result.model_copy(update={"tables": (*data.result.tables, data.result.tables[0])})
+    with pytest.raises(PipelineError, match=r"D\.1/settle_2pct/theory_discrete/condition"):
+        report.render(replace(data, result=double))
+
+
+def test_write_leaves_one_complete_file(tmp_path: Path, numbers: str) -> None:
+    report.write(report_data(full=False), tmp_path / "reports" / "r.html")
+    assert [p.name for p in (tmp_path / "reports").iterdir()] == ["r.html"]
+    assert (tmp_path / "reports" / "r.html").read_text(encoding="utf-8") == numbers

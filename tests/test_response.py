@@ -1,0 +1,95 @@
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from simulated import FALCON, LWR, simulate
+
+from pipeline.batch import TrialBatch
+from pipeline.response import external_force, find_response
+
+K = np.array([200.0, 3000.0, 12000.0, 0.0, 15000.0])
+B = np.array([4.0, 50.0, 90.0, -4.0, 120.0])
+
+
+def test_edge_start_and_final_position_of_ideal_logs():
+    found = find_response(simulate(K, B, **FALCON, baseline=17))
+    assert found.edge_row.tolist() == [17] * 5
+    assert found.floor.tolist() == [0.0] * 5
+    # the simulator starts each trial so that it ends at the workspace centre (6.1)
+    np.testing.assert_allclose(found.position_final_expected[[0, 1, 2, 4]], 0.12, rtol=1e-15)
+    assert np.isnan(found.position_final_expected[3])
+    assert "K > 0" in found.reason[3]
+    assert [bool(text) for text in found.reason] == [False, False, False, True, False]
+
+
+@pytest.mark.parametrize("quantum", [2e-6, 1e-5, 6e-5])
+@pytest.mark.parametrize("jitter", [(), (3, 4, 5)])
+def test_edge_and_quantum_with_a_coarse_sensor(quantum, jitter):
+    # at B = 184 a quantum of 60 um changes the wall force by 11 N, more than the step of 8 N
+    batch = simulate(
+        K, np.array([4.0, 184.0, 90.0, -4.0, 120.0]), **FALCON, quantum=quantum, noise=5e-7, jitter=jitter
+    )
+    found = find_response(batch)
+    assert found.edge_row.tolist() == [20] * 5
+    np.testing.assert_allclose(found.sensor_quantum, quantum, rtol=1e-6)
+
+
+def test_quantum_of_a_motion_that_always_changes_by_many_quanta():
+    found = find_response(simulate([120.0, 200.0], [20.0, 60.0], **LWR, quantum=5e-6, noise=1e-6))
+    np.testing.assert_allclose(found.sensor_quantum, 5e-6, rtol=1e-6)
+
+
+def test_noise_is_that_of_the_sensor():
+    batch = simulate(np.full(40, 400.0), np.full(40, 4.0), **FALCON, noise=1e-6, baseline=100)
+    found = find_response(batch)
+    assert np.median(found.sensor_noise) == pytest.approx(1e-6, rel=0.1)
+    assert (found.sensor_quantum == 0).all()
+    np.testing.assert_allclose(found.floor, 6 * found.sensor_noise)
+
+
+def test_negative_step():
+    batch = simulate(K, B, **{**FALCON, "step": -8.0})
+    assert find_response(batch).edge_row.tolist() == [20] * 5
+
+
+def test_external_force_is_the_step():
+    force = external_force(simulate([3000.0], [50.0], **FALCON, quantum=1e-5, jitter=(3, 4, 5)))
+    np.testing.assert_allclose(force[0, :20], 0, atol=1e-9)
+    np.testing.assert_allclose(force[0, 20:], 8, atol=1e-9)
+
+
+def test_step_in_row_0_has_no_edge():
+    found = find_response(simulate([3000.0], [50.0], **FALCON, baseline=0))
+    assert found.edge_row.tolist() == [-1]
+    assert "no baseline" in found.reason[0]
+
+
+def test_no_step_at_all_has_no_edge():
+    batch = simulate([3000.0], [50.0], **FALCON)
+    still = dataclasses.replace(
+        batch, command=np.zeros_like(batch.command), position=np.full_like(batch.position, 0.1)
+    )
+    found = find_response(still)
+    assert found.edge_row.tolist() == [-1]
+    assert "no command edge" in found.reason[0]
+
+
+def test_a_short_flicker_is_no_edge():
+    batch = simulate([3000.0], [50.0], **FALCON)
+    command = batch.command.copy()
+    command[0, 5:7] += 8.0
+    assert find_response(dataclasses.replace(batch, command=command)).edge_row.tolist() == [20]
+
+
+def test_measured_final_position_is_the_mean_of_the_last_tenth():
+    batch = simulate([3000.0, 200.0], [50.0, 0.0], **FALCON, rows=137)
+    expected = [np.mean(p[-13:]) for p in batch.position]
+    np.testing.assert_allclose(find_response(batch).position_final_measured, expected, rtol=1e-14)
+
+
+def test_empty_batch():
+    nothing = np.empty(0)
+    batch = TrialBatch((), *[nothing] * 4, np.empty(0, np.int64), *[np.empty((0, 0))] * 3)
+    assert find_response(batch).reason == ()

@@ -1,0 +1,108 @@
+"""Layout of processed/: names survive as folder names, versions and damage are handled."""
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pipeline.errors import StoreError
+from pipeline.ingest import ingest
+from pipeline.native import NativeHeader, format_header
+from pipeline.storage import (
+    folder_name,
+    list_devices,
+    list_experiments,
+    load_batch,
+    name_of_folder,
+    natural_key,
+    read_trials,
+)
+from pipeline.tables import COLUMNS, TABLES, read_table, to_arrow, write_table
+
+
+def write_log(path, stiffness, damping=1.0, device="bench", experiment="1", rows=3):
+    header = format_header(NativeHeader(device, experiment, stiffness, damping, 8.0, 0.001))
+    path.write_text(header + "".join(f"{k},{k + stiffness},{k - damping}\n" for k in range(rows)))
+
+
+@given(st.text(st.characters(codec="utf-8"), min_size=1, max_size=40))
+def test_any_name_survives_as_one_visible_folder(name):
+    folder = folder_name(name)
+    assert name_of_folder(folder) == name
+    assert "/" not in folder
+    assert not folder.startswith(".")
+
+
+def test_experiments_are_sorted_as_people_do():
+    names = ["delay-10", "delay-2", "10", "9", "a"]
+    assert sorted(names, key=natural_key) == ["9", "10", "a", "delay-2", "delay-10"]
+
+
+@pytest.fixture
+def processed(tmp_path):
+    logs = tmp_path / "logs"
+    logs.mkdir()
+    for number, (stiffness, damping, experiment) in enumerate(
+        [(5.0, 2.0, "1"), (7.0, 1.0, "1"), (6.0, 1.0, "1"), (1.0, 0.0, "ä/10"), (1.0, 0.0, "ä/9")]
+    ):
+        write_log(logs / f"{number}.csv", stiffness, damping, experiment=experiment, rows=3 + number)
+    ingest([logs], tmp_path / "processed", jobs=1)
+    return tmp_path / "processed"
+
+
+def test_trials_are_found_by_device_and_experiment(processed):
+    assert list_devices(processed) == ["bench"]
+    assert list_experiments(processed, "bench") == ["1", "ä/9", "ä/10"]
+    assert list_experiments(processed, "other") == []
+    assert read_trials(processed).num_rows == 5
+    assert read_trials(processed, "bench", "ä/9").column("experiment").to_pylist() == ["ä/9"]
+    assert read_trials(processed, "other").num_rows == 0
+
+
+def test_a_batch_is_ordered_and_padded(processed):
+    batch = load_batch(processed, read_trials(processed, "bench", "1"))
+    assert list(zip(batch.damping, batch.stiffness, batch.rows, strict=True)) == [
+        (1, 6, 5),
+        (1, 7, 4),
+        (2, 5, 3),
+    ]
+    for stiffness, damping, rows, command, position in zip(
+        batch.stiffness, batch.damping, batch.rows, batch.command, batch.position, strict=True
+    ):
+        np.testing.assert_array_equal(command[:rows], np.arange(rows) + stiffness)
+        np.testing.assert_array_equal(position[:rows], np.arange(rows) - damping)
+        assert np.isnan(position[rows:]).all()
+
+
+def test_nothing_stored_is_an_empty_batch(processed):
+    assert len(load_batch(processed, read_trials(processed, "other"))) == 0
+
+
+def test_units_and_meanings_are_stored(processed):
+    (path,) = (processed / "samples" / "bench" / "1").glob("*.parquet")
+    field = pq.read_schema(path).field("position")
+    assert field.metadata == {b"unit": b"m", b"meaning": b"measured position"}
+    assert {name for names in TABLES.values() for name in names} == set(COLUMNS)
+
+
+def test_missing_and_damaged_files_are_named(processed):
+    trials = read_trials(processed, "bench", "1")
+    (path,) = (processed / "samples" / "bench" / "1").glob("*.parquet")
+    short = read_table(path).slice(0, 5)
+    write_table(path, short)
+    with pytest.raises(StoreError, match="shorter than its trials say"):
+        load_batch(processed, trials)
+    path.write_bytes(b"no table")
+    with pytest.raises(StoreError, match="cannot be read as Parquet"):
+        load_batch(processed, trials)
+    path.unlink()
+    with pytest.raises(StoreError, match="samples file is missing"):
+        load_batch(processed, trials)
+
+
+def test_a_table_of_other_columns_is_not_written(tmp_path):
+    table = to_arrow("samples", {"trial_id": ["a"], "time_s": [0.0], "command": [0.0], "position": [0.0]})
+    with pytest.raises(StoreError, match="columns differ"):
+        write_table(tmp_path / "a.parquet", table.drop_columns(["command"]))
+    assert list(tmp_path.iterdir()) == []
