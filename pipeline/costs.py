@@ -233,7 +233,7 @@ def energy(batch: TrialBatch, response: Response, verdicts: Verdicts, delay_samp
 
 
 def _rest_amplitude(batch: TrialBatch, first: Integers, floor: Floats) -> Floats:
-    """Amplitude that remains at rest: the sensor floor, or the limit cycle that quanta keep up, shape (n,)."""
+    """Amplitude left at rest: the sensor floor, or the limit cycle that quanta keep up, shape (n,)."""
     before, end = _amplitude(batch, first, 0.6, 0.8), _amplitude(batch, first, 0.8, 1.0)
     lasting = (end <= REST_FLOORS * floor) & (end >= LASTING * before)
     rest: Floats = np.maximum(floor, np.where(lasting, end, 0.0))

@@ -19,6 +19,13 @@ LARGEST_CONDITION = 1e4
 in b."""
 
 
+ZERO_RATE = 1e-6
+"""Growth rate, relative to the range of the rates, that is zero but for rounding."""
+
+ZERO_RATE_AT_END = 0.01
+"""As `ZERO_RATE` for the largest B tested, with noise: an error of 1 % of the tested range of B."""
+
+
 @dataclass(frozen=True)
 class LimitDamping:
     """Viscous damping by the stability limit [Ns/m, Nms/rad], with the bracket that the trials give.
@@ -77,10 +84,15 @@ def by_limit(damping: Floats, stiffness: Floats, growth_per_s: Floats) -> LimitD
         return LimitDamping(None, None, None, 0, "no usable trial at K = 0: record some with B <= 0")
     levels, member = np.unique(B, return_inverse=True)
     mean = np.bincount(member, weights=rate) / np.bincount(member)
+    size = np.abs(mean) / (np.ptp(mean) or 1.0)
+    # an undamped device has its limit at B = 0, the end of the range, where noise decides the sign
+    at_limit = np.flatnonzero((size <= ZERO_RATE) | ((size <= ZERO_RATE_AT_END) & (levels == levels[-1])))
+    if len(at_limit) and at_limit[-1] > 0:
+        at = at_limit[-1]
+        return LimitDamping(
+            0.0 - float(levels[at]), 0.0 - float(levels[at]), 0.0 - float(levels[at - 1]), len(B)
+        )
     stable, unstable = levels[mean < 0], levels[mean >= 0]
-    if not len(stable) and not (mean == 0).any() and len(levels) > 1 and abs(mean[-1]) <= 0.01 * np.ptp(mean):
-        # an undamped device: its limit is B = 0 itself, where rounding decides the sign
-        return LimitDamping(-float(levels[-1]), -float(levels[-1]), -float(levels[-2]), len(B))
     if not len(stable) or not len(unstable):
         side = "unstable" if not len(stable) else "stable"
         return LimitDamping(
@@ -103,7 +115,7 @@ def by_limit(damping: Floats, stiffness: Floats, growth_per_s: Floats) -> LimitD
     last_stable = above.min()
     low, high = mean[levels == last_stable][0], mean[levels == first_unstable][0]
     crossing = last_stable + (first_unstable - last_stable) * low / (low - high)
-    return LimitDamping(-float(crossing), -float(last_stable), -float(first_unstable), len(B))
+    return LimitDamping(0.0 - float(crossing), 0.0 - float(last_stable), 0.0 - float(first_unstable), len(B))
 
 
 def from_trials(batch: TrialBatch, response: Response, delay_samples: int) -> TrialDamping:

@@ -24,6 +24,9 @@ _SERIES_LIMIT = 0.25
 _SERIES_TERMS = 16
 """Terms of the power series: with the limit above, the next one is below 1e-17 of the sum."""
 
+_NEGLIGIBLE = 1e-18
+"""Term of the power series that no longer changes a double near 1."""
+
 _QUADRATURE_LIMIT = 20.0
 """Largest delta t / 2 that the quadrature is used for; beyond it the closed form no longer cancels."""
 
@@ -100,8 +103,10 @@ def _by_series(gamma: float, delta: float, t: Floats) -> Flow:
     s = [0.0, 1.0]
     for n in range(1, _SERIES_TERMS):
         s.append(-(n * delta * s[n] + gamma * s[n - 1]) / (n * (n + 1)))
+        if max(abs(s[n]), abs(s[n + 1])) * (n + 1) < _NEGLIGIBLE:
+            break
     impulse, slope, gain = (np.zeros_like(t) for _ in range(3))
-    for n in range(_SERIES_TERMS, 0, -1):
+    for n in range(len(s) - 1, 0, -1):
         impulse = (impulse + s[n]) * t
         slope = slope * t + n * s[n]
         gain = (gain + s[n] / (n + 1)) * t

@@ -101,7 +101,7 @@ def find_response(batch: TrialBatch, *, edge_samples: int = EDGE_SAMPLES) -> Res
     noise = _deviation(batch.displacement, baseline)
     with np.errstate(divide="ignore", invalid="ignore"):
         travel = np.where(batch.stiffness > 0, batch.step / batch.stiffness, np.nan)
-    start = batch.position[:, 0]
+    start = batch.position[:, :1].reshape(-1)
     reason = tuple(
         "; ".join(part for part in (text, "" if k > 0 else _no_final(k)) if part)
         for text, k in zip(no_edge, batch.stiffness, strict=True)

@@ -54,7 +54,7 @@ class Verdicts:
         Growth rate of the fastest growing (slowest decaying) visible mode [1/s]; NaN where none can be told.
         Where K = 0: growth rate of the acceleration, -(b + B)/m for small (b + B).
     reason : tuple of str
-        Why a trial is undecided; empty otherwise.
+        Why a trial is undecided, or has no growth rate; empty otherwise.
     """
 
     verdict: np.ndarray[tuple[int, ...], np.dtype[np.str_]]
@@ -148,7 +148,7 @@ def _judge_wall(batch: TrialBatch, edge: Integers, floor: Floats) -> Verdicts:
         grows[doubtful] &= _adds(again, floor[doubtful])
     # motion that no mode explains to its end: it has died away in the noise, or it has risen out of it
     trend = _trend(signal, count)
-    unexplained = np.isnan(rate) & ~at_rest & (count >= FEWEST_SAMPLES)
+    unexplained = np.isnan(rate) & ~at_rest & (count >= FEWEST_SAMPLES) & (peak > 0)
     grows |= unexplained & (trend > TREND_FACTOR)
     known = (
         np.isfinite(rate) | at_rest | (unexplained & ((trend > TREND_FACTOR) | (trend < 1 / TREND_FACTOR)))

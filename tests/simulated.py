@@ -6,6 +6,8 @@ list of past commands, and the spectral radius comes from the eigenvalues of the
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 from scipy.linalg import expm
 
@@ -15,6 +17,7 @@ FALCON = {"mass": 0.58, "b": 4.0, "delay": 4, "step": 8.0, "centre": 0.12, "trav
 LWR = {"mass": 0.19, "b": 0.0, "delay": 2, "step": 15.0, "centre": 0.0, "travel": 0.3}
 
 
+@cache
 def plant(mass, b, T):
     """Exact transition and input gain of ``m x'' = F - b x'`` over T by the matrix exponential."""
     block = np.zeros((3, 3))

@@ -59,7 +59,7 @@ def test_sensor_moves_the_boundary_by_little_and_leaves_no_stray_verdict(dev, se
 def test_jitter_and_sensor_leave_no_stray_verdict():
     B = np.linspace(4, 90, 6)
     edge = np.array([limit(FALCON, b) for b in B])
-    share = np.r_[np.linspace(0.08, 0.8, 25), np.linspace(1.4, 1.8, 6)]
+    share = np.r_[np.linspace(0.25, 0.8, 25), np.linspace(1.4, 1.8, 6)]
     K, S = np.outer(edge, share).ravel(), np.outer(np.ones(6), share).ravel()
     found = judge(simulate(K, np.repeat(B, len(share)), **FALCON, **FALCON_SENSOR, jitter=(3, 4, 5), seed=5))
     assert found.verdict.tolist() == np.where(S > 1, "unstable", "stable").tolist()

@@ -1,0 +1,166 @@
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from simulated import FALCON, LWR, simulate
+
+from pipeline import costs
+from pipeline.errors import ParameterError
+from pipeline.response import find_response
+from pipeline.verdict import judge
+
+K = np.array([4469.0, 12000.0, 600.0, 1500.0, 3000.0, 8000.0, 4000.0])
+B = np.array([73.05, 90.0, 24.0, 40.0, 100.0, 140.0, 72.0])
+
+
+def evaluate(batch, delay=4):
+    response = find_response(batch)
+    verdicts = judge(batch, response)
+    return (
+        costs.settling(batch, response, verdicts, delay),
+        costs.overshoot(batch, response, verdicts),
+        costs.energy(batch, response, verdicts, delay),
+    )
+
+
+def direct(batch, i, delay, mass, edge=20):
+    """Costs of one trial by a plain loop over its samples, as the definitions are worded."""
+    x = [float(p) for p in batch.position[i, edge + delay : batch.rows[i]]]
+    k_wall, force, T = float(batch.stiffness[i]), float(batch.step[i]), float(batch.sampling_period_s[i])
+    start = float(batch.position[i, 0])
+    final = start + force / k_wall
+    energy = [0.0, 0.0, 0.0]
+    before = x[0]
+    for k, now in enumerate(x):
+        stored = k_wall / 2 * (now - final) ** 2 + mass / 2 * ((now - before) / T) ** 2
+        for w in (0, 1, 2):
+            energy[w] += k**w * stored / (force**2 / (2 * k_wall))
+        before = now
+    settled = {}
+    for band in (0.01, 0.02, 0.05):
+        k = len(x)
+        while k > 0 and abs(x[k - 1] - final) <= band * abs(force / k_wall):
+            k -= 1
+        settled[band] = k if len(x) - k >= 5 else None
+    return energy, settled, max(0.0, max((now - final) / (force / k_wall) for now in x))
+
+
+@pytest.mark.parametrize(
+    ("dev", "delay"), [(FALCON, 4), ({**FALCON, "step": -8.0}, 4), ({**FALCON, "delay": 2}, 2)]
+)
+def test_ideal_costs_equal_a_direct_evaluation(dev, delay):
+    batch = simulate(K, B, **dev)
+    settling, overshoot, energy = evaluate(batch, delay)
+    for i in range(len(K)):
+        expected, settled, over = direct(batch, i, delay, 0.58)
+        np.testing.assert_allclose(energy.potential[i] + 0.58 * energy.kinetic[i], expected, rtol=1e-12)
+        assert overshoot.overshoot[i] == pytest.approx(over, rel=1e-12, abs=1e-15)
+        for name, band in (("settle_1pct", 0.01), ("settle_2pct", 0.02), ("settle_5pct", 0.05)):
+            value = settling.samples[name][i]
+            assert (None if np.isnan(value) else value) == settled[band]
+    assert energy.horizon_samples.tolist() == [400 - 20 - delay] * len(K)
+
+
+@pytest.mark.parametrize(("dev", "delay", "cost", "box"), [
+    (FALCON, 4, 24, (4461.8, 4478.4, 72.98, 73.16)),
+    (LWR, 2, 15, (3723, 3800, 38.84, 39.36)),
+])  # fmt: skip
+def test_region_of_the_published_settling_optimum(dev, delay, cost, box):
+    """Tables D.1 and D.4, discrete theory: smallest settling time and the box of all (K, B) that reach it."""
+    k_grid, b_grid = (np.linspace(2 * a - c, 2 * c - a, 46) for a, c in (box[:2], box[2:]))
+    batch = simulate(*(a.ravel() for a in np.meshgrid(k_grid, b_grid)), **dev)
+    found = evaluate(batch, delay)[0].samples["settle_2pct"]
+    best = found == np.nanmin(found)
+    assert np.nanmin(found) == cost
+    for axis, grid, low, high in ((batch.stiffness, k_grid, *box[:2]), (batch.damping, b_grid, *box[2:])):
+        step = grid[1] - grid[0]
+        # the region ends in tips that a grid cuts off
+        assert low - step < axis[best].min() < low + 4 * step
+        assert high - 4 * step < axis[best].max() < high + step
+
+
+def test_energy_near_the_published_optimum():
+    grid = np.meshgrid(np.linspace(3000, 6500, 15), np.linspace(40, 62, 15))
+    _, _, energy = evaluate(simulate(*(a.ravel() for a in grid), **LWR), 2)
+    cost = energy.potential + 0.19 * energy.kinetic
+    # the minimum over a grid lies above the published one by little, as the optimum is flat
+    np.testing.assert_allclose(cost.min(axis=0), [8.690, 40.881, 320.081], rtol=5e-3)
+    assert (cost.min(axis=0) >= [8.6895, 40.8805, 320.0805]).all()
+
+
+def test_no_overshoot_region():
+    # the edge lies at 5056 N/m (Falcon, d = 4, tolerance 1e-12)
+    _, found, _ = evaluate(simulate([3000.0, 4000.0, 6000.0], [74.0, 80.0, 84.0], **FALCON))
+    assert found.overshoot[0] <= 1e-12
+    assert found.overshoot[2] > 1e-6
+
+
+@pytest.mark.parametrize("sensor", [{"noise": 5e-7, "quantum": 2e-6}, {"quantum": 1e-5}])
+@pytest.mark.parametrize("rows", [400, 1000])
+def test_sensor_does_not_swamp_the_energy(sensor, rows):
+    good = [0, 2, 3, 4, 6]  # trials that die out well inside the log
+    ideal, seen = (evaluate(simulate(K[good], B[good], **FALCON, rows=rows, **s))[2] for s in ({}, sensor))
+    cost, noisy = (e.potential + 0.58 * e.kinetic for e in (ideal, seen))
+    # uncut, a quantum of 10 um turns w = 2 into many times its value over 1,000 rows
+    np.testing.assert_allclose(noisy, cost, rtol=0.06)
+    assert (seen.horizon_samples < 300).all()
+
+
+def test_untold_tail_is_reported_and_of_the_right_size():
+    long, short = (simulate([12000.0], [90.0], **FALCON, rows=rows) for rows in (3000, 220))
+    whole, part = evaluate(long)[2], evaluate(short)[2]
+    assert whole.reason == ("",)
+    assert "beyond them" in part.reason[0]
+    lost = 1 - part.potential[0] / whole.potential[0]
+    assert lost[2] > 0.01
+    told = float(part.reason[0].split("w = 2: ")[1].split(" %")[0]) / 100
+    missing = (
+        whole.potential[0, 2] + 0.58 * whole.kinetic[0, 2] - part.potential[0, 2] - 0.58 * part.kinetic[0, 2]
+    )
+    assert told * part.potential[0, 2] == pytest.approx(missing, rel=0.5)
+
+
+def test_band_below_the_sensor_floor_is_not_identifiable():
+    batch = simulate([12000.0], [90.0], **FALCON, quantum=1e-5, rows=1000)
+    settling, overshoot, _ = evaluate(batch)
+    # 1 % of 8 N / 12000 N/m is 6.7 um
+    assert np.isnan(settling.samples["settle_1pct"][0])
+    assert "below the sensor floor" in settling.reason[0]
+    assert overshoot.floor[0] == pytest.approx(1e-5 / (8 / 12000), rel=1e-6)
+
+
+def test_not_settled_and_settled_too_late():
+    batch = simulate([12000.0], [90.0], **FALCON, rows=120)
+    settling, _, _ = evaluate(batch)
+    assert np.isnan(settling.samples["settle_2pct"][0])
+    assert "settle_2pct: not settled" in settling.reason[0]
+    whole = simulate([4000.0], [72.0], **FALCON)
+    time = int(evaluate(whole)[0].samples["settle_5pct"][0])
+    for rows, told in ((20 + 4 + time + 5, True), (20 + 4 + time + 4, False)):
+        cut = simulate([4000.0], [72.0], **FALCON, rows=rows)
+        assert np.isfinite(evaluate(cut)[0].samples["settle_5pct"][0]) == told
+
+
+def test_trials_without_costs():
+    batch = simulate([20000.0, 0.0, 4000.0], [60.0, 0.0, 70.0], **FALCON)
+    response = find_response(batch)
+    response = dataclasses.replace(response, edge_row=np.array([20, 20, -1]))
+    verdicts = judge(batch, response)
+    for found in (
+        costs.settling(batch, response, verdicts, 4),
+        costs.overshoot(batch, response, verdicts),
+        costs.energy(batch, response, verdicts, 4),
+    ):
+        assert [text.split(":")[0] for text in found.reason] == [
+            "unstable",
+            "no final position",
+            "no command edge",
+        ]
+    assert np.isnan(costs.energy(batch, response, verdicts, 4).potential).all()
+    assert np.isnan(costs.overshoot(batch, response, verdicts).overshoot).all()
+    short = simulate([4000.0], [70.0], **FALCON, rows=30)
+    assert "ends before" in evaluate(short, 15)[2].reason[0]
+    with pytest.raises(ParameterError):
+        evaluate(short, -1)

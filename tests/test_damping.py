@@ -1,0 +1,91 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from simulated import FALCON, LWR, simulate, spectral_radius
+
+from pipeline.damping import by_limit, from_trials
+from pipeline.response import find_response
+from pipeline.verdict import judge
+
+FIRM = {**FALCON, "mass": 1.0, "b": 34.0}
+
+
+def limit_course(dev, step):
+    """B = 0, -step, ... until past -b, then a fifth of it, as the procedure of the experiments does."""
+    coarse = -np.arange(0, dev["b"] + 1.5 * step, step)
+    fine = coarse[-2] - np.arange(1, 6) * step / 5
+    return np.r_[coarse, fine]
+
+
+def estimate(dev, step, **sensor):
+    B = limit_course(dev, step)
+    batch = simulate(np.zeros_like(B), B, **dev, **sensor)
+    return by_limit(batch.damping, batch.stiffness, judge(batch).growth_per_s)
+
+
+@pytest.mark.parametrize(("dev", "step"), [(FALCON, 4.0), (FIRM, 10.0), ({**FALCON, "b": 2.0}, 4.0)])
+def test_limit_on_ideal_logs(dev, step):
+    found = estimate(dev, step)
+    assert found.value == pytest.approx(dev["b"], rel=5e-3)
+    assert found.low <= found.value <= found.high
+    assert found.high - found.low <= step / 5 * 1.001
+
+
+def test_limit_of_an_undamped_device_is_zero():
+    found = estimate(LWR, 1.0)
+    assert found.value == pytest.approx(0.0, abs=0.02)
+
+
+@pytest.mark.parametrize(("dev", "step", "sensor", "error"), [
+    (FALCON, 4.0, {"quantum": 2e-6, "noise": 5e-7, "jitter": (3, 4, 5)}, 0.3),
+    (FIRM, 10.0, {"quantum": 2e-6, "noise": 5e-7, "jitter": (3, 4, 5)}, 1.0),
+    (LWR, 1.0, {"quantum": 5e-6, "noise": 1e-6}, 0.02),
+])  # fmt: skip
+def test_limit_with_sensor_and_jitter(dev, step, sensor, error):
+    assert estimate(dev, step, **sensor).value == pytest.approx(dev["b"], abs=error)
+
+
+def test_limit_needs_both_sides():
+    zero = np.zeros(3)
+    stable = by_limit(np.array([0.0, -1.0, -2.0]), zero, np.array([-4.0, -3.0, -2.0]))
+    assert stable.value is None
+    assert "both sides" in stable.reason
+    unstable = by_limit(np.array([-5.0, -6.0]), zero[:2], np.array([1.0, 2.0]))
+    assert unstable.value is None
+    assert "unstable" in unstable.reason
+    assert "no usable trial" in by_limit(np.array([4.0]), np.array([200.0]), np.array([-1.0])).reason
+    assert by_limit(zero[:1], zero[:1], np.array([np.nan])).trials == 0
+    folded = by_limit(np.array([0.0, -1.0, -2.0]), zero, np.array([1.0, 2.0, -1.0]))
+    assert "single crossing" in folded.reason
+
+
+def test_trials_with_stiffness_are_left_out():
+    B, K, rate = np.array([0.0, -8.0, 0.0]), np.array([0.0, 0.0, 200.0]), np.array([-4.0, 4.0, 99.0])
+    assert by_limit(B, K, rate).value == pytest.approx(4.0)
+
+
+@pytest.mark.parametrize(("dev", "top"), [(FALCON, 13600.0), (FIRM, 29000.0), (LWR, 11800.0)])
+def test_from_trials_on_ideal_logs(dev, top):
+    grid = np.meshgrid(np.linspace(200, top, 11), np.linspace(0, 150 if dev["mass"] > 0.5 else 50, 9))
+    K, B = (a.ravel() for a in grid)
+    moderate = np.array([spectral_radius(k, b, **dev) < 1.02 for k, b in zip(K, B, strict=True)])
+    batch = simulate(K[moderate], B[moderate], **dev)
+    found = from_trials(batch, find_response(batch), dev["delay"])
+    assert set(found.reason) == {""}
+    np.testing.assert_allclose(found.viscous_damping, dev["b"], atol=max(0.005 * dev["b"], 0.02))
+    np.testing.assert_allclose(found.mass, dev["mass"], rtol=1e-3)
+
+
+def test_from_trials_with_a_sensor_leaves_the_median():
+    K, B = np.repeat(np.linspace(400, 6000, 20), 3), np.tile([20.0, 40.0, 60.0], 20)
+    batch = simulate(K, B, **FALCON, quantum=2e-6, noise=5e-7)
+    found = from_trials(batch, find_response(batch), 4)
+    assert np.nanmedian(found.viscous_damping) == pytest.approx(4.0, abs=0.1)
+
+
+def test_from_trials_gives_reasons():
+    no_edge = simulate([3000.0], [50.0], **FALCON, baseline=0)
+    assert "no command edge" in from_trials(no_edge, find_response(no_edge), 4).reason[0]
+    short = simulate([3000.0], [50.0], **FALCON, rows=35)
+    assert "samples after the edge" in from_trials(short, find_response(short), 4).reason[0]
