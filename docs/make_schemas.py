@@ -1,4 +1,4 @@
-"""Write the JSON Schemas in ``schemas/`` from the record classes in `pipeline.models`; run by ``make docs``."""
+"""Write the JSON Schemas in ``schemas/`` from the records in `pipeline.models`; run by ``make docs``."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ FOLDER = Path(__file__).parents[1] / "schemas"
 def schemas() -> dict[str, str]:
     """Return the text of each schema file by its name (`device.json`, ...).
 
-    Fields are named as in the files that users write (TOML, JSON), keys are sorted, so that equal records give
-    equal files.
+    Fields are named as in the files that users write (TOML, JSON); keys are sorted, so that equal records
+    give equal files.
     """
     return {
         f"{name}.json": json.dumps(model.model_json_schema(by_alias=True), indent=2, sort_keys=True) + "\n"

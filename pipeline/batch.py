@@ -57,10 +57,7 @@ class TrialBatch:
         index = np.flatnonzero(which) if which.dtype == np.bool_ else which
         return TrialBatch(
             tuple(self.trial_id[i] for i in index),
-            *(
-                getattr(self, name)[index]
-                for name in ("stiffness", "damping", "step", "sampling_period_s", "rows")
-            ),
+            *(getattr(self, name)[index] for name in ("stiffness", "damping", "step", "sampling_period_s", "rows")),
             *(getattr(self, name)[index] for name in ("time", "command", "position")),
         )
 

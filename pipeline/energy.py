@@ -62,9 +62,7 @@ def energy_costs(loop: Loop, alpha: object, beta: object, signal: str = "step") 
     """
     a, b = as_points(alpha, beta)
     if np.any(a + loop.gamma <= 0):
-        raise ParameterError(
-            "energy costs need alpha + gamma > 0: without stiffness there is no final position."
-        )
+        raise ParameterError("energy costs need alpha + gamma > 0: without stiffness there is no final position.")
     names = [f"energy_{signal}_w{w}{suffix}" for w in WEIGHTS for suffix in ("", "_discrete")]
     result = {name: np.empty(len(a)) for name in names}
     for i in range(0, len(a), _CHUNK):
@@ -128,15 +126,11 @@ def weighted_sums(matrix: Floats, initial: Floats) -> tuple[Floats, Floats, Floa
             return x0, x1, x2
         power = power @ power
         count *= 2
-    raise ParameterError(
-        "an energy sum does not converge: a point is not stable; check `stability.is_stable` first."
-    )
+    raise ParameterError("an energy sum does not converge: a point is not stable; check `stability.is_stable` first.")
 
 
 @lru_cache(maxsize=64)
-def _motion_moments(
-    gamma: float, delta: float, offset: float, duration: float
-) -> tuple[tuple[Floats, Floats], ...]:
+def _motion_moments(gamma: float, delta: float, offset: float, duration: float) -> tuple[tuple[Floats, Floats], ...]:
     """Integrals of (offset + tau)^w p p' over a segment for w = 0, 1, 2, with p the row of position, then velocity."""
     nodes, weights = leggauss(_NODES)
     time = 0.5 * duration * (nodes + 1)
@@ -145,7 +139,6 @@ def _motion_moments(
     result = []
     for w in WEIGHTS:
         weight = 0.5 * duration * weights * (offset + time) ** w
-        result.append(
-            tuple(np.einsum("t,ti,tj->ij", weight, rows[:, part], rows[:, part]) for part in (0, 1))
-        )
-    return tuple(result)  # type: ignore[arg-type] # two entries each, position and velocity
+        place, speed = (np.einsum("t,ti,tj->ij", weight, rows[:, part], rows[:, part]) for part in (0, 1))
+        result.append((place, speed))
+    return tuple(result)

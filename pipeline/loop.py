@@ -146,7 +146,11 @@ class Loop:
         return rows
 
     def segment_maps(self, alpha: Floats, beta: Floats) -> list[tuple[Floats, Floats]]:
-        """Return for each segment the maps from z to (e, v) at its start and to its input, (n, 2, states), (n, states)."""
+        """Return for each segment the maps from z to (e, v) at its start and to its input.
+
+
+        A last entry holds the end of the interval.
+        """
         start = np.zeros((len(alpha), 2, self.states))
         start[:, 0, 0] = start[:, 1, 1] = 1.0
         maps = []

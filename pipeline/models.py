@@ -73,9 +73,7 @@ class Experiment(Record):
     @model_validator(mode="after")
     def _grid_is_ordered(self) -> Self:
         if self.damping_last < self.damping_first:
-            raise ValueError(
-                f"damping_last ({self.damping_last}) is below damping_first ({self.damping_first})"
-            )
+            raise ValueError(f"damping_last ({self.damping_last}) is below damping_first ({self.damping_first})")
         return self
 
 
@@ -127,9 +125,7 @@ class Device(Record):
             if missing:
                 raise ValueError(f"table {table.name} names experiments that are not defined: {missing}")
         if self.baseline_s >= self.duration_s:
-            raise ValueError(
-                f"baseline_s ({self.baseline_s}) must be shorter than duration_s ({self.duration_s})"
-            )
+            raise ValueError(f"baseline_s ({self.baseline_s}) must be shorter than duration_s ({self.duration_s})")
         return self
 
 

@@ -173,7 +173,7 @@ def _search(loop: Loop, cost: Cost) -> OptimalPoint:
 
 
 def _refine(cost: Cost, centre: Floats, value: float, half: Floats, levels: int = _LEVELS) -> OptimalPoint:
-    """Grids that shrink around the best point found; one whose best point lies at its rim moves instead of shrinking."""
+    """Grids that shrink around the best point found; one whose best point lies at its rim moves instead."""
     for _ in range(levels):
         alpha, beta = _grid(centre - half, centre + half, _FINE)
         values = cost(alpha, beta, value)
@@ -279,7 +279,7 @@ def _stiffest_without_overshoot(loop: Loop, criterion: str) -> OptimalPoint:
     guarded = _where_stable(loop, clean)
 
     def edge(beta: Floats, floor: Floats, top: Floats, passes: int) -> Floats:
-        """Largest alpha without overshoot at each beta in [floor, top], by 24 sections a pass; floor where there is none.
+        """Largest alpha without overshoot at each beta in [floor, top] (floor if none), by 24 sections a pass.
 
         Seen from small alpha, the region is left once: its lower part is clean throughout (checked by test).
         """

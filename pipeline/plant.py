@@ -19,7 +19,7 @@ _QUADRATURE_ORDER = 48
 """Gauss points for the position gain; the integrand is entire, and 48 points reach 1e-15 while delta t <= 40."""
 
 _SERIES_LIMIT = 0.25
-"""Largest gamma and delta for the power series in t <= 1; its terms then fall at least fourfold from one to the next."""
+"""Largest gamma and delta for the power series in t <= 1; its terms then fall at least fourfold each."""
 
 _SERIES_TERMS = 16
 """Terms of the power series: with the limit above, the next one is below 1e-17 of the sum."""
@@ -114,9 +114,7 @@ def _by_series(gamma: float, delta: float, t: Floats) -> Flow:
     return _assemble(1 - gamma * gain, impulse, -gamma * impulse, slope, gain)
 
 
-def _position_gain(
-    gamma: float, t: Floats, h: Floats, q_squared: Floats, impulse: Floats, cosine: Floats
-) -> Floats:
+def _position_gain(gamma: float, t: Floats, h: Floats, q_squared: Floats, impulse: Floats, cosine: Floats) -> Floats:
     stiff = gamma * t * t >= 1
     by_balance = (1 - cosine - np.where(t > 0, h / np.where(t > 0, t, 1.0), 0.0) * impulse) / (gamma or 1.0)
     nodes, weights = leggauss(_QUADRATURE_ORDER)

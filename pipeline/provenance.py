@@ -14,7 +14,7 @@ PACKAGE_FOLDER = Path(__file__).parent
 
 
 def schema_folder() -> Path:
-    """Return the folder with device, profile and schema files: inside the package, or in a source checkout beside it."""
+    """Return the folder with device, profile and schema files: in the package, or beside it in a source checkout."""
     installed = PACKAGE_FOLDER / "_schemas"
     return installed if installed.is_dir() else PACKAGE_FOLDER.parent / "schemas"
 

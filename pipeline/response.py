@@ -1,8 +1,8 @@
 """Where the step response begins in a log, and how finely its sensor sees.
 
 The external force is recovered from the log itself: command plus wall force. It is a step from 0 to F_0,
-whatever delay, mass and sensor do, because the controller computed the wall force from the very positions in
-the log.
+whatever delay, mass and sensor do, because the controller computed the wall force from the very positions
+in the log.
 """
 
 from __future__ import annotations
@@ -17,15 +17,16 @@ NO_ROW = -1
 """Edge row of a trial without an identifiable command edge."""
 
 EDGE_SAMPLES = 3
-"""Rows for which the external force must stay above half the step: fewer would take one flicker for the
-edge."""
+"""Rows for which the external force must stay above half the step; fewer would take a flicker for the edge."""
 
 BASELINE_SAMPLES = 5
-"""Fewest baseline rows for a standard deviation; below that its own error exceeds 30 %."""
+"""Fewest baseline rows for the noise, whose own error then is 60 % (25 % for 20 rows); none would be zero."""
+
+NOISE_GAIN = 6.0
+"""Variance of the second difference of white noise relative to its own: 1 + 4 + 1."""
 
 NOISE_FACTOR = 6.0
-"""Four standard deviations (2 % chance in 400 samples) of a difference of two readings, 4 sqrt 2, rounded
-up."""
+"""Four standard deviations (2 % chance in 400 samples) of a difference of two readings: 4 sqrt 2, rounded up."""
 
 GRID_TOLERANCE = 1e-3
 """Largest distance of a position change from a multiple of the quantum, relative to the quantum."""
@@ -36,8 +37,7 @@ ROUNDING_UNITS = 64.0
 
 @dataclass(frozen=True, eq=False)
 class Response:
-    """Edge, rest positions and resolution of each trial; every array has shape (n,), NaN where there is a
-    reason.
+    """Edge, rest positions and resolution of each trial, shape (n,) each; NaN where there is a reason.
 
     Parameters
     ----------
@@ -52,9 +52,12 @@ class Response:
     sensor_quantum : float64
         Step of the grid on which all positions lie [m, rad]; 0 where there is none.
     sensor_noise : float64
-        Standard deviation of the position before the edge [m, rad]; NaN without a baseline.
+        Standard deviation of the white noise of the positions before the edge [m, rad]; NaN without a
+        baseline.
     floor : float64
         Position amplitude that quantum and noise alone can cause [m, rad]; 0 for an ideal log.
+    baseline_motion : float64
+        Peak to peak of the positions before the step where the sensor alone cannot cause it [m, rad], else 0.
     reason : tuple of str
         Why values are missing; empty where all are there.
     """
@@ -66,6 +69,7 @@ class Response:
     sensor_quantum: Floats
     sensor_noise: Floats
     floor: Floats
+    baseline_motion: Floats
     reason: tuple[str, ...]
 
     @property
@@ -93,12 +97,19 @@ def find_response(batch: TrialBatch, *, edge_samples: int = EDGE_SAMPLES) -> Res
     filter or a force limit it is wrong once the device moves, but not before, so that the edge stays right
     for any delay of at least one sample.
 
+    The noise is that of the second differences of the baseline, var = 6 sigma^2 for white noise. A device that
+    chatters before the step (at high B one quantum commands newtons) hardly adds to them while its period is
+    long: a chatter of amplitude a and period of p samples adds a variance of (2 pi/p)^4 a^2/12, 1 % of a for
+    p = 35, 5 % for p = 16. A faster chatter still counts as noise. A quantum alone leaves the baseline
+    constant: then the noise is exactly 0.
+
     Source: Hulin 2017, sec. 6.1.1 (procedure) and eq. 6.1 (final position).
     """
     edge, no_edge = _edge(batch, edge_samples)
     baseline = np.arange(batch.position.shape[1])[None, :] < edge[:, None]
     quantum = _quantum(batch)
-    noise = _deviation(batch.displacement, baseline)
+    noise = _white_noise(batch.position, baseline)
+    floor = quantum + NOISE_FACTOR * np.nan_to_num(noise)
     with np.errstate(divide="ignore", invalid="ignore"):
         travel = np.where(batch.stiffness > 0, batch.step / batch.stiffness, np.nan)
     start = batch.position[:, :1].reshape(-1)
@@ -113,7 +124,8 @@ def find_response(batch: TrialBatch, *, edge_samples: int = EDGE_SAMPLES) -> Res
         position_final_measured=_last_tenth(batch),
         sensor_quantum=quantum,
         sensor_noise=noise,
-        floor=quantum + NOISE_FACTOR * np.nan_to_num(noise),
+        floor=floor,
+        baseline_motion=_motion(batch.displacement, baseline, floor),
         reason=reason,
     )
 
@@ -190,13 +202,23 @@ def _quantum(batch: TrialBatch) -> Floats:
     return quantum
 
 
-def _deviation(displacement: Floats, where: Booleans) -> Floats:
+def _white_noise(position: Floats, baseline: Booleans) -> Floats:
+    """Standard deviation of white noise from the second differences of the baseline, shape (n,)."""
+    second = np.diff(position, n=2, axis=1)
+    where = baseline[:, 2:]
     count = where.sum(axis=1)
-    enough = count >= BASELINE_SAMPLES
-    inside = np.where(where, displacement, 0.0)
-    mean = inside.sum(axis=1) / np.maximum(count, 1)
-    squares = np.where(where, (displacement - mean[:, None]) ** 2, 0.0).sum(axis=1)
-    result: Floats = np.where(enough, np.sqrt(squares / np.maximum(count - 1, 1)), np.nan)
+    mean_square = np.where(where, second**2, 0.0).sum(axis=1) / np.maximum(count, 1)
+    enough = count >= BASELINE_SAMPLES - 2
+    result: Floats = np.where(enough, np.sqrt(mean_square / NOISE_GAIN), np.nan)
+    return result
+
+
+def _motion(displacement: Floats, baseline: Booleans, floor: Floats) -> Floats:
+    """Peak to peak of the baseline where it exceeds the sensor floor, else 0, shape (n,)."""
+    # row 0 is its reference, so that 0 is one of the values
+    inside = np.where(baseline, displacement, 0.0)
+    spread = inside.max(axis=1, initial=0.0) - inside.min(axis=1, initial=0.0)
+    result: Floats = np.where(spread > floor, spread, 0.0)
     return result
 
 

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from pydantic import Field
+
 from pipeline.batch import Floats
 from pipeline.models import BoundaryPoint, ComparisonRow, Estimate, Motion, Optimum, Record
 
@@ -34,7 +36,7 @@ class ExperimentResult(Record):
     estimates: dict[str, Estimate]
     boundary: tuple[BoundaryPoint, ...]
     optimum: dict[str, Optimum]
-    missing: dict[str, str] = {}
+    missing: dict[str, str] = Field(default_factory=dict)
     theory: TheoryParameters | None = None
 
 

@@ -1,4 +1,4 @@
-"""Stages of the measured branch: each reads the samples of one experiment and writes one table; unchanged ones are reused.
+"""Stages of the measured branch: each takes the samples of one experiment and writes one table.
 
 A stage is reused while its key is the same: a hash of the trials (source and profile hashes), of the code that
 computes it, and of the values it takes from stages before it.

@@ -103,7 +103,7 @@ def _newest_versions(table: pa.Table) -> pa.Table:
     paths = table.column("source_path").to_numpy(zero_copy_only=False)
     stamps = table.column("source_mtime_ns").to_numpy()
     order = np.lexsort((np.arange(len(paths)), stamps))
-    newest = {path: index for path, index in zip(paths[order], order, strict=True)}
+    newest = dict(zip(paths[order], order, strict=True))
     if len(newest) == len(paths):
         return table
     return table.take(pa.array(sorted(newest.values())))
@@ -123,9 +123,7 @@ def load_batch(processed: Path, trials: pa.Table) -> TrialBatch:
     StoreError
         If a samples file is missing or shorter than its trials say.
     """
-    order = pc.sort_indices(
-        trials, [("damping", "ascending"), ("stiffness", "ascending"), ("trial_id", "ascending")]
-    )
+    order = pc.sort_indices(trials, [("damping", "ascending"), ("stiffness", "ascending"), ("trial_id", "ascending")])
     trials = trials.take(order)
     columns: dict[str, list[np.ndarray]] = {"time_s": [], "command": [], "position": []}
     start: dict[str, int] = {}
@@ -146,12 +144,9 @@ def load_batch(processed: Path, trials: pa.Table) -> TrialBatch:
     offset = np.array([start[f] for f in trials.column("sample_file").to_pylist()], dtype=np.int64)
     first = trials.column("first_row").to_numpy().astype(np.int64) + offset
     if len(rows) and int((first + rows).max()) > total:
-        raise StoreError(
-            f"{processed}: a samples file is shorter than its trials say; ingest the logs again."
-        )
+        raise StoreError(f"{processed}: a samples file is shorter than its trials say; ingest the logs again.")
     padded = {
-        name: pad(np.concatenate(parts) if parts else np.empty(0), first, rows)
-        for name, parts in columns.items()
+        name: pad(np.concatenate(parts) if parts else np.empty(0), first, rows) for name, parts in columns.items()
     }
     return TrialBatch(
         trial_id=tuple(trials.column("trial_id").to_pylist()),

@@ -66,16 +66,12 @@ COLUMNS: dict[str, Column] = {
     "first_row": _same(_I, "", "row of that file with the first sample"),
     # samples
     "time_s": _same(_F, "s", "time stamp of the sample"),
-    "command": Column(
-        _F, "N", "Nm", "total commanded force before any delay: external step minus wall force"
-    ),
+    "command": Column(_F, "N", "Nm", "total commanded force before any delay: external step minus wall force"),
     "position": Column(_F, "m", "rad", "measured position"),
     # response stage
     "verdict": _same(_S, "", "stable, unstable or undecided, from the log alone"),
     "reason": _same(_S, "", "why a value is missing or uncertain; empty where it is neither", True),
-    "growth_per_s": _same(
-        _F, "1/s", "growth rate of the slowest visible mode; negative where it decays", True
-    ),
+    "growth_per_s": _same(_F, "1/s", "growth rate of the slowest visible mode; negative where it decays", True),
     "edge_row": _same(_I, "", "row of the command edge k0, counted from 0", True),
     "position_start": Column(_F, "m", "rad", "position at which the wall rests: the first one"),
     "position_final_expected": Column(_F, "m", "rad", "x_0 + F_0/K (6.1)", True),
@@ -83,9 +79,7 @@ COLUMNS: dict[str, Column] = {
     "sensor_quantum": Column(_F, "m", "rad", "smallest change of the position seen in the log", True),
     "sensor_noise": Column(_F, "m", "rad", "standard deviation of the position before the step", True),
     # delay, mass, damping stages
-    "delay_samples": _same(
-        _I, "samples", "integer delay factor d = d_obs - 1 by the first position change", True
-    ),
+    "delay_samples": _same(_I, "samples", "integer delay factor d = d_obs - 1 by the first position change", True),
     "mass_momentum": Column(_F, "kg", "kg m^2", "mass by the momentum balance (6.4), biased by b", True),
     "mass": Column(_F, "kg", "kg m^2", "mass by the momentum balance corrected for viscous damping", True),
     "viscous_damping": Column(_F, "Ns/m", "Nms/rad", "viscous damping b from the trial", True),
@@ -101,9 +95,7 @@ COLUMNS: dict[str, Column] = {
     "energy_kinetic_w0": Column(_F, "1/kg", "1/(kg m^2)", "kinetic part per mass, w = 0", True),
     "energy_kinetic_w1": Column(_F, "1/kg", "1/(kg m^2)", "kinetic part per mass, w = 1", True),
     "energy_kinetic_w2": Column(_F, "1/kg", "1/(kg m^2)", "kinetic part per mass, w = 2", True),
-    "horizon_samples": _same(
-        _I, "samples", "number of samples summed before the noise floor or the end", True
-    ),
+    "horizon_samples": _same(_I, "samples", "number of samples summed before the noise floor or the end", True),
     # boundary stage
     "stable": Column(_F, "N/m", "Nm/rad", "largest stable stiffness below the smallest unstable one", True),
     "unstable": Column(_F, "N/m", "Nm/rad", "smallest unstable stiffness", True),
@@ -159,9 +151,7 @@ def arrow_schema(table: str, *, rotation: bool = False, metadata: Metadata | Non
     for name in TABLES[table]:
         column = COLUMNS[name]
         unit = column.unit_rotation if rotation else column.unit
-        fields.append(
-            pa.field(name, column.dtype, column.nullable, metadata={"unit": unit, "meaning": column.meaning})
-        )
+        fields.append(pa.field(name, column.dtype, column.nullable, metadata={"unit": unit, "meaning": column.meaning}))
     return pa.schema(fields, metadata={"pipeline.table": table, **(metadata or {})})
 
 
@@ -190,6 +180,11 @@ def write_table(path: Path, data: pa.Table) -> None:
         If the table does not equal its entry in `TABLES`.
     """
     _check(path, data.schema)
+    write_parquet(path, data)
+
+
+def write_parquet(path: Path, data: pa.Table) -> None:
+    """Write any Arrow table so that a reader sees all of it or nothing; `write_table` checks it too."""
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.name}.{os.getpid()}{TEMPORARY_ENDING}")
     try:

@@ -27,10 +27,10 @@ _BLOCK = 16
 
 _SETTLED = 1e-4
 """A point is finished when position and velocity have stayed this far below the band (or the overshoot found) for a
-block and a delay: the loop would have to amplify by 1e4 to leave the band again; 60 is the largest seen for d <= 256."""
+block and a delay: a stable loop would have to amplify its state by 1e4 to leave the band again."""
 
 QUIET = 1e-15
-"""Deviation below which a response is no longer followed for overshoot: no overshoot above `NO_OVERSHOOT` can follow."""
+"""Deviation below which a response is no longer followed for overshoot: a thousandth of `NO_OVERSHOOT`."""
 
 
 @dataclass
@@ -49,8 +49,10 @@ class _Crossing:
     def empty(cls, n: int) -> _Crossing:
         return cls(*(np.full(n, np.nan) for _ in range(7)))
 
-    def set(self, index: Integers, start: float, low: object, high: object, *values: Floats) -> None:
-        self.start[index], self.low[index], self.high[index] = start, low, high
+    def set(self, index: Integers, start: float, low: Floats | float, high: Floats | float, *values: Floats) -> None:
+        self.start[index] = start
+        self.low[index] = low
+        self.high[index] = high
         for name, value in zip(("position", "velocity", "force", "level"), values, strict=True):
             getattr(self, name)[index] = value
 
@@ -126,18 +128,14 @@ def transient_costs(
     """
     a, b = as_points(alpha, beta)
     if np.any(a + loop.gamma <= 0):
-        raise ParameterError(
-            "a step response needs alpha + gamma > 0: without stiffness there is no final position."
-        )
+        raise ParameterError("a step response needs alpha + gamma > 0: without stiffness there is no final position.")
     if any(not 0 < band < 1 for band in bands):
         raise ParameterError(f"bands = {list(bands)}: expected fractions between 0 and 1, such as 0.02.")
     n = len(a)
     peaks = {"overshoot": np.zeros(n), "overshoot_discrete": np.zeros(n)}
     settled = {band: np.zeros(n) for band in bands}
     crossings = {band: _Crossing.empty(n) for band in bands}
-    run = _Active(
-        np.arange(n), a, b, np.full(n, -1.0), np.full(n, -1.0), np.zeros(n), [a] * (loop.oldest_force + 1)
-    )
+    run = _Active(np.arange(n), a, b, np.full(n, -1.0), np.full(n, -1.0), np.zeros(n), [a] * (loop.oldest_force + 1))
     given_up: list[Integers] = []
     calm = _SETTLED * min(bands) if bands else 1.0
     for k in range(longest):
@@ -147,9 +145,7 @@ def transient_costs(
         size = np.abs(run.position)
         for band in bands:
             settled[band][run.index[size > band]] = k + 1
-        peaks["overshoot_discrete"][run.index] = np.maximum(
-            peaks["overshoot_discrete"][run.index], run.position
-        )
+        peaks["overshoot_discrete"][run.index] = np.maximum(peaks["overshoot_discrete"][run.index], run.position)
         if k > cutoff and not overshoot:
             late = size > max(bands)
             if late.any():
@@ -231,9 +227,7 @@ def _note(
             # an extremum inside the band follows the entry; one outside it is met below
             high = np.where(np.isnan(turned[enter]), duration, turned[enter])
             at = run.position[enter]
-            crossing.set(
-                run.index[enter], start, 0.0, high, at, run.velocity[enter], force[enter], np.sign(at) * band
-            )
+            crossing.set(run.index[enter], start, 0.0, high, at, run.velocity[enter], force[enter], np.sign(at) * band)
         peaked = np.abs(extreme) > band
         out = turn[peaked & inside[turn]]
         if len(out):
@@ -260,7 +254,8 @@ def _turning_time(gamma: float, delta: float, e: Floats, v: Floats, u: Floats, d
             time = np.arctan2(root * np.abs(v), -np.sign(v) * slope) / root
         else:
             time = -v / slope
-    return np.clip(np.nan_to_num(time, nan=0.0), 0.0, duration)
+    bounded: Floats = np.clip(np.nan_to_num(time, nan=0.0), 0.0, duration)
+    return bounded
 
 
 def flow_position(loop: Loop, time: Floats) -> tuple[Floats, Floats, Floats]:

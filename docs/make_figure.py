@@ -1,0 +1,131 @@
+"""Draw the figure of the README: theory beside a simulated course of measurements; run by ``make docs``."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from pipeline import figures
+from pipeline.aggregate import choose_optimum, estimate_delay
+from pipeline.boundary import measured_boundary
+from pipeline.costs import WEIGHTS, energy
+from pipeline.course import Course, run_course
+from pipeline.delay import first_change
+from pipeline.devices import load_device
+from pipeline.figure_data import theory_curve
+from pipeline.maps import cost_maps
+from pipeline.models import Optimum
+from pipeline.optimum import optimal_point
+from pipeline.predictions import Theory
+from pipeline.response import find_response
+from pipeline.results import CostFigure, CostMap, Curve, TheoryParameters
+from pipeline.verdict import judge
+
+FILE = Path(__file__).parent / "img" / "cost-map.svg"
+DEVICE, EXPERIMENT, WEIGHT, SEED = "falcon", "1", 2, 1
+CRITERION = f"energy_step_w{WEIGHT}"
+GRID = 161
+"""Points of the theoretical map along each axis: finer is not seen at this size."""
+
+NONE = np.zeros(0)
+STYLE = (
+    "<style>*{stroke-linejoin:round;stroke-linecap:butt}svg{color:#1f2328;background:#fff;--fig-faint:#ddd}"
+    "@media(prefers-color-scheme:dark){svg{color:#e6edf3;background:#0d1117;--paper:#0d1117;--fig-faint:#30363d;"
+    "--fig-blue:#58a6ff;--fig-green:#3fb950}}</style>"
+)
+"""Colours of the page, which a report's style sheet would bring."""
+
+
+def theory_map(course: Course) -> CostMap:
+    """Return the theoretical cost map for the published parameters of the experiment."""
+    plant = course.experiment
+    theory = Theory(
+        TheoryParameters(
+            mass=plant.mass,
+            damping=plant.damping,
+            stiffness=plant.stiffness,
+            sampling_period_s=course.setup.sampling_period_s,
+            delay_samples=plant.delay_samples,
+            source=course.device.source,
+        )
+    )
+    alpha = np.linspace(0, theory.boundary.alpha_max, GRID)
+    beta = np.linspace(0, theory.boundary.beta_max, GRID)
+    best = theory.physical(optimal_point(theory.loop, f"{CRITERION}_discrete"))
+    return CostMap(
+        label=f"theory, m = {plant.mass:g} kg, b = {plant.damping:g} Ns/m, d = {plant.delay_samples:g}",
+        kind="theory",
+        stiffness=alpha * theory.units.stiffness,
+        damping=beta * theory.units.damping,
+        cost=cost_maps(theory.loop, alpha, beta, [CRITERION])[CRITERION],
+        boundary=theory_curve(theory, "stability boundary"),
+        optimum=Optimum(stiffness=best.stiffness, damping=best.damping, cost=best.cost),
+        trial_stiffness=NONE,
+        trial_damping=NONE,
+        trial_cost=NONE,
+    )
+
+
+def measured_map(course: Course) -> CostMap:
+    """Return the cost map that the measured branch makes of the simulated logs."""
+    batch = course.batch
+    response = find_response(batch)
+    verdicts = judge(batch, response)
+    delay = estimate_delay(first_change(batch, response).delay_samples)
+    assert delay.value is not None, delay.reason
+    parts = energy(batch, response, verdicts, int(delay.value))
+    column = WEIGHTS.index(WEIGHT)
+    cost = parts.potential[:, column] + course.experiment.mass * parts.kinetic[:, column]
+    unstable = verdicts.verdict == "unstable"
+    points = measured_boundary(batch.stiffness, batch.damping, verdicts.verdict)
+    limit = np.array([p.stable or 0.0 for p in points])
+    stiffness, row = np.unique(batch.stiffness, return_inverse=True)
+    damping, line = np.unique(batch.damping, return_inverse=True)
+    grid = np.full((len(damping), len(stiffness)), np.nan)
+    # trials of the fine steps lie near the boundary only; the front view would take them for all of a stiffness
+    known = np.isfinite(cost) & ~unstable & (course.passes == 1)
+    grid[line[known], row[known]] = cost[known]
+    return CostMap(
+        label=f"simulated experiment {course.experiment.name}, {len(batch):,} trials",
+        kind="measured",
+        stiffness=stiffness,
+        damping=damping,
+        cost=grid,
+        boundary=Curve("stability boundary", "measured", limit, np.array([p.damping for p in points])),
+        optimum=choose_optimum(cost, batch.stiffness, batch.damping, batch.trial_id, unstable=unstable),
+        trial_stiffness=batch.stiffness[known],
+        trial_damping=batch.damping[known],
+        trial_cost=cost[known],
+    )
+
+
+def side_by_side(panels: tuple[str, ...], title: str) -> str:
+    """Return one SVG file with panels of equal size beside each other."""
+    boxes = [re.search(r'viewBox="0 0 ([\d.]+) ([\d.]+)"', panel) for panel in panels]
+    sizes = [(float(box[1]), float(box[2])) for box in boxes if box]
+    width, height = sum(w for w, _ in sizes), max(h for _, h in sizes)
+    parts = []
+    left = 0.0
+    for panel, (w, h) in zip(panels, sizes, strict=True):
+        parts.append(panel.replace("<svg ", f'<svg x="{left:g}" width="{w:g}" height="{h:g}" ', 1))
+        left += w
+    head = (
+        '<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink" '
+        f'viewBox="0 0 {width:g} {height:g}" width="{width:g}" height="{height:g}"><title>{title}</title>'
+    )
+    return head + STYLE + "".join(parts) + "</svg>\n"
+
+
+def main() -> None:
+    """Simulate a course without jitter (theory knows constant delays only), evaluate it and draw it."""
+    course = run_course(load_device(DEVICE), EXPERIMENT, seed=SEED, jitter=())
+    title = "Energy cost (w = 2) over stiffness and damping: theory and a simulated experiment"
+    figure = CostFigure("readme", title, "", CRITERION, (theory_map(course), measured_map(course)))
+    FILE.parent.mkdir(parents=True, exist_ok=True)
+    FILE.write_text(side_by_side(figures.cost_maps(figure), title), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,245 @@
+"""The command line: parse, call, print. Nothing is computed here, and each command imports what it needs itself,
+so that `pipeline --help` answers at once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from pipeline import __version__, cli_theory, console
+from pipeline.errors import EXIT_QUARANTINED, UsageError
+
+if TYPE_CHECKING:
+    from pipeline.models import Device
+
+app = typer.Typer(
+    name="pipeline",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+    help="From logs of step responses against virtual walls to stability, costs and their comparison with theory.",
+)
+app.add_typer(cli_theory.app, name="theory")
+
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout, nothing else there.")]
+Processed = Annotated[Path, typer.Option("--processed", help="Folder of the stored tables.")]
+Experiments = Annotated[
+    list[str] | None,
+    typer.Option("--experiment", "-e", help="Only this experiment; may be given several times."),
+]
+
+
+class DampingRange(StrEnum):
+    """Which dampings a simulated course covers."""
+
+    tested = "tested"
+    full = "full"
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        console.say(f"pipeline {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _main(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    pass
+
+
+@app.command("demo")
+def demo(
+    full: Annotated[bool, typer.Option("--full", help="Thesis size: all experiments, all trials.")] = False,
+) -> None:
+    """Simulate, ingest and compare a small course of the Falcon and of the light-weight robot.
+
+    Writes raw/demo/, processed/demo/, reports/falcon.html and reports/lwr.html below the current folder.
+
+    Example: pipeline demo
+    """
+    from pipeline.demo import run_demo
+
+    for line in run_demo(full=full, report_progress=console.note).lines:
+        console.say(line)
+
+
+@app.command("simulate")
+def simulate(
+    device: Annotated[str, typer.Argument(help="Name of a known device, or a device file (.toml).")],
+    experiment: Experiments = None,
+    out: Annotated[Path, typer.Option("--out", help="Logs go to DEVICE/EXPERIMENT below this folder.")] = Path("raw"),
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of noise and jitter.")] = 0,
+    ideal: Annotated[bool, typer.Option("--ideal", help="Without noise, quantum and jitter.")] = False,
+    quantum: Annotated[
+        float | None, typer.Option("--quantum", help="Sensor quantum [m, rad] in place of the device's.")
+    ] = None,
+    noise: Annotated[
+        float | None, typer.Option("--noise", help="Sensor noise [m, rad] in place of the device's.")
+    ] = None,
+    jitter: Annotated[
+        str | None,
+        typer.Option("--jitter", help='Delays to draw from, such as "3,4,5", or "none".'),
+    ] = None,
+    duration: Annotated[
+        float | None, typer.Option("--duration", help="Length of a trial [s] in place of the device's.")
+    ] = None,
+    damping_range: Annotated[
+        DampingRange,
+        typer.Option("--range", help="Dampings as tested, or on until no stiffness is stable."),
+    ] = DampingRange.tested,
+    coarsen: Annotated[int, typer.Option("--coarsen", help="Every n-th damping and n times the stiffness step.")] = 1,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the logs of an earlier simulation.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Write simulated logs of a device, and the true parameters beside them (truth.json).
+
+    Example: pipeline simulate falcon --experiment 1 --out raw --seed 1
+    """
+    from pipeline.course import run_course, write_course
+
+    record = _device(device)
+    names = [e.name for e in record.experiments] if not experiment else list(dict.fromkeys(experiment))
+    delays = None if jitter is None else _jitter(jitter)
+    counts: dict[str, int] = {}
+    for name in names:
+        with console.progress(f"{record.name} {name}", "trials", as_json) as advance:
+            course = run_course(
+                record,
+                name,
+                seed=seed,
+                ideal=ideal,
+                quantum=quantum,
+                noise=noise,
+                jitter=delays,
+                duration_s=duration,
+                damping_range=damping_range.value,
+                coarsen=coarsen,
+                progress=lambda kept, advance=advance: advance(kept, None),  # type: ignore[misc]
+            )
+        counts[name] = write_course(course, out, overwrite=overwrite)
+        if not as_json:
+            console.say(f"{record.name}, experiment {name}: {counts[name]} logs in {out}")
+    if as_json:
+        console.print_json({"device": record.name, "folder": str(out), "seed": seed, "logs": counts})
+
+
+def _device(text: str) -> Device:
+    from pipeline.devices import load_device, read_device
+
+    return read_device(Path(text)) if text.endswith(".toml") else load_device(text)
+
+
+def _jitter(text: str) -> tuple[int, ...]:
+    if text.strip() == "none":
+        return ()
+    try:
+        return tuple(int(word) for word in text.split(","))
+    except ValueError as error:
+        raise UsageError(
+            f'--jitter {text!r}: expected whole numbers of samples, such as "3,4,5", or "none".'
+        ) from error
+
+
+@app.command("ingest")
+def ingest(
+    paths: Annotated[list[Path], typer.Argument(help="Folders with logs (searched below, too), and logs.")],
+    profile: Annotated[
+        str | None, typer.Option("--profile", help="Log profile by name, or a profile file (.toml).")
+    ] = None,
+    processed: Processed = Path("processed"),
+    jobs: Annotated[int | None, typer.Option("--jobs", help="Threads; one per processor where not given.")] = None,
+    rehash: Annotated[
+        bool, typer.Option("--rehash", help="Look at the content even where size and time are unchanged.")
+    ] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Read and check, write nothing.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Check logs and store what is new; logs that are refused go into quarantine with the reason.
+
+    Exit status 3 where a log is in quarantine.
+
+    Example: pipeline ingest raw --processed processed
+    """
+    from pipeline.ingest import ingest as ingest_logs
+
+    with console.progress("ingest", "logs", as_json) as advance:
+        report = ingest_logs(paths, processed, profile, jobs, dry_run, rehash, advance)
+    if as_json:
+        console.print_json(report.model_dump(mode="json"))
+    else:
+        counts = {
+            "found": report.found,
+            "ingested": report.ingested,
+            "skipped": report.skipped,
+            "quarantined": len(report.quarantined),
+        }
+        for line in console.table([counts], tuple(counts)):
+            console.say(line)
+        for refusal in report.quarantined:
+            row = "" if refusal.row is None else f", row {refusal.row}"
+            console.say(f"{refusal.path}{row}: {refusal.reason}")
+    if report.quarantined:
+        raise typer.Exit(EXIT_QUARANTINED)
+
+
+@app.command("compare")
+def compare(
+    device: Annotated[str, typer.Option("--device", help="Device whose logs are compared.", show_default=False)],
+    experiment: Experiments = None,
+    criteria: Annotated[
+        str | None,
+        typer.Option("--criteria", help="Criteria, separated by commas; all where not given."),
+    ] = None,
+    processed: Processed = Path("processed"),
+    report: Annotated[
+        Path | None,
+        typer.Option("--report", help="HTML file; reports/DEVICE.html where not given.", show_default=False),
+    ] = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be done and why, do nothing.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Estimate, judge and compare with theory; write the report.
+
+    Example: pipeline compare --device falcon --experiment 1 --criteria settle_2pct,overshoot
+    """
+    from pipeline.compare import compare as compare_device
+    from pipeline.storage import folder_name
+
+    outcome = compare_device(
+        device,
+        processed,
+        experiments=experiment or None,
+        criteria=None if criteria is None else cli_theory.split(criteria),
+        report=report or Path("reports") / f"{folder_name(device)}.html",
+        dry_run=dry_run,
+        progress=None if as_json else console.note,
+    )
+    if outcome.result is None:
+        stages = [dict(zip(("stage", "action", "reason"), row, strict=True)) for row in outcome.stages]
+        if as_json:
+            console.print_json(stages)
+            return
+        for line in console.table(stages, ("stage", "action", "reason")):
+            console.say(line)
+        return
+    if as_json:
+        console.print_json(outcome.result.model_dump(mode="json"))
+        return
+    for line in (*outcome.result.summary, *(f"Warning: {text}" for text in outcome.result.warnings)):
+        console.say(line)
+    if outcome.report is not None:
+        console.say(f"report: {outcome.report}")
+
+
+def run(arguments: Sequence[str] | None = None) -> None:
+    """Run the command line, by default with the arguments of the process, and leave with its exit status."""
+    console.run_app(app, arguments)

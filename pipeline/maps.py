@@ -1,0 +1,62 @@
+"""Theoretical cost maps over a grid of stiffness and damping, for figures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from pipeline.batch import Floats
+from pipeline.energy import energy_costs
+from pipeline.loop import Loop
+from pipeline.stability import is_stable
+from pipeline.transient import transient_costs
+
+MAP_SAMPLES = 1000
+"""Samples after which a point of a map counts as not settled and stays empty; a log is some 400 long."""
+
+MAP_QUIET = 1e-9
+"""Deviation below which a map no longer looks for overshoot: far below what a contour of 10 % or a sensor shows."""
+
+
+def cost_maps(loop: Loop, alpha: Floats, beta: Floats, criteria: Sequence[str]) -> dict[str, Floats]:
+    """Return the discrete step-response costs on a grid.
+
+    Parameters
+    ----------
+    loop : Loop
+    alpha, beta : float64, shapes (p,), (q,)
+        Axes of normalised stiffness and damping.
+    criteria : sequence of str
+        ``settle_<..>pct``, ``overshoot``, ``energy_step_w0`` to ``w2``; the costs of the sampled response, as of logs.
+
+    Returns
+    -------
+    dict of float64, shape (q, p)
+        NaN where unstable, without final position (alpha + gamma <= 0), or still moving after `MAP_SAMPLES`.
+
+    Source: Hulin 2017, secs. 5.2 and 6.1.4 (theoretical maps of Figs. 6.5 to 6.7, 6.10, 6.11).
+    """
+    grid_alpha, grid_beta = (g.ravel() for g in np.meshgrid(alpha, beta))
+    usable = np.flatnonzero(grid_alpha + loop.gamma > 0)
+    usable = usable[is_stable(loop, grid_alpha[usable], grid_beta[usable])]
+    a, b = grid_alpha[usable], grid_beta[usable]
+    costs: dict[str, Floats] = {}
+    if any(c.startswith("energy") for c in criteria):
+        costs |= energy_costs(loop, a, b)
+    bands = [float(c.removeprefix("settle_").removesuffix("pct")) / 100 for c in criteria if c.startswith("settle")]
+    if bands or "overshoot" in criteria:
+        costs |= transient_costs(
+            loop,
+            *(a, b, bands),
+            overshoot="overshoot" in criteria,
+            continuous=False,
+            longest=MAP_SAMPLES,
+            quiet=MAP_QUIET,
+        )
+    result = {}
+    for criterion in criteria:
+        values = np.full(grid_alpha.shape, np.nan)
+        values[usable] = costs[f"{criterion}_discrete"]
+        result[criterion] = values.reshape(len(beta), len(alpha))
+    return result

@@ -1,0 +1,120 @@
+"""A comparison in a few sentences with numbers, and the warnings that belong before them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+from pipeline.labels import CRITERION_NAMES, UNITS
+from pipeline.models import ComparisonRow
+from pipeline.predictions import Theory
+from pipeline.results import ExperimentResult
+from pipeline.scene import SceneData
+
+FEW_TRIALS = 30
+"""Trials below which an optimum or a boundary says little."""
+
+SHOWN = 3
+"""Experiments and criteria that get a sentence of their own; the tables hold all."""
+
+
+def summarise(
+    data: SceneData,
+    results: Sequence[ExperimentResult],
+    rows: Sequence[ComparisonRow],
+    theories: Mapping[str, Theory],
+) -> tuple[str, ...]:
+    """Return the key results: parameters, largest stable stiffness, optimal costs against theory."""
+    rotation = data.experiments[0].rotation
+    units = UNITS["rotation" if rotation else "translation"]
+    sentences = []
+    for result in results[:SHOWN]:
+        text = _estimates(result)
+        if text:
+            sentences.append(f"Experiment {result.experiment}: {text}.")
+    for result in results[:SHOWN]:
+        stable = [(p.stable, p.damping) for p in result.boundary if p.stable is not None]
+        if not stable:
+            continue
+        stiffness, damping = max(stable)
+        text = (
+            f"Experiment {result.experiment}: the largest stable stiffness measured is {stiffness:.4g} "
+            f"{units.stiffness} "
+            f"(at B = {damping:g} {units.damping})"
+        )
+        theory = theories.get(result.experiment)
+        if theory:
+            predicted = theory.boundary.alpha_max * theory.units.stiffness
+            where = theory.boundary.beta_at_alpha_max * theory.units.damping
+            text += f", theory says {predicted:.4g} {units.stiffness} at {where:.3g} {units.damping}"
+            text += f" ({100 * (stiffness / predicted - 1):+.0f} %)"
+        sentences.append(text + ".")
+    deviations = [r for r in rows if r.deviation_percent is not None]
+    if deviations:
+        smallest = min(deviations, key=_size)
+        largest = max(deviations, key=_size)
+        median = sorted(_size(r) for r in deviations)[len(deviations) // 2]
+        sentences.append(
+            f"Optimal costs differ from the discrete theory by {median:.0f} % in the median of {len(deviations)} "
+            f"comparisons: least for {_named(smallest)} ({smallest.deviation_percent:+.1f} %), most for "
+            f"{_named(largest)} ({largest.deviation_percent:+.1f} %)."
+        )
+    return tuple(sentences)
+
+
+def _size(row: ComparisonRow) -> float:
+    return abs(row.deviation_percent or 0.0)
+
+
+def _named(row: ComparisonRow) -> str:
+    name = CRITERION_NAMES.get(row.criterion, row.criterion)
+    where = f"d = {row.delay_samples:g}" if row.condition == "experiment" else row.condition.replace("_", " ")
+    return f"{name}, {where}"
+
+
+def _estimates(result: ExperimentResult) -> str:
+    names = {"delay_samples": "delay d", "mass": "mass", "damping": "viscous damping"}
+    parts = []
+    for key, name in names.items():
+        estimate = result.estimates[key]
+        if estimate.value is None:
+            continue
+        text = f"{name} {estimate.value:.3g} {estimate.unit}"
+        if estimate.low is not None and estimate.high is not None:
+            text += f" (95 %: {estimate.low:.3g} to {estimate.high:.3g})"
+        parts.append(text)
+    return ", ".join(parts)
+
+
+def warnings_of(data: SceneData, results: Sequence[ExperimentResult], rows: Sequence[ComparisonRow]) -> tuple[str, ...]:
+    """Return what a reader must know before trusting the numbers."""
+    warnings = []
+    mixed = [r.experiment for r in results if r.simulated]
+    if mixed and len(mixed) < len(results):
+        warnings.append(f"Simulated logs stand beside recorded ones: experiments {', '.join(mixed)} are simulated.")
+    few = [r.experiment for r in results if r.trials < FEW_TRIALS]
+    if few:
+        warnings.append(
+            f"Fewer than {FEW_TRIALS} trials in experiment {', '.join(few)}: boundary and optima say little."
+        )
+    edge = sorted({f"{r.experiment}" for r in results for o in r.optimum.values() if o.censored})
+    if edge:
+        warnings.append(
+            f"Optima at the edge of the tested range in experiment {', '.join(edge)}: the true optimum may lie beyond "
+            "it; such rows are marked."
+        )
+    open_end = [r.experiment for r in results if any(p.censored for p in r.boundary)]
+    if open_end:
+        warnings.append(
+            f"The tested stiffness range ended before a trial was unstable in experiment {', '.join(open_end)}: the "
+            "boundary there is a lower bound."
+        )
+    for result in results:
+        for name, estimate in result.estimates.items():
+            if estimate.value is None and "left out" not in (estimate.reason or ""):
+                quantity = name.removesuffix("_samples")
+                warnings.append(f"Experiment {result.experiment}: no {quantity} estimate ({estimate.reason}).")
+    if data.device is None:
+        warnings.append(
+            f"The device {data.scene.device!r} has no device file: theory uses the parameters estimated from its logs."
+        )
+    return tuple(warnings)

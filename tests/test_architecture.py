@@ -1,0 +1,184 @@
+"""Imports inside the package point one way; function-level imports count like any other."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+PACKAGE = Path(__file__).parents[1] / "pipeline"
+LONGEST_MODULE = 400
+
+LAYERS: dict[str, set[str]] = {
+    "ground": {"__init__", "errors", "provenance", "units"},
+    "records": {"models", "tables", "batch", "native", "results"},
+    "store": {
+        "storage",
+        "profiles",
+        "sources",
+        "trialstore",
+        "quarantine",
+        "devices",
+        "published",
+        "readers",
+        "readers.native",
+        "readers.delimited",
+    },
+    "ingest": {"ingest"},
+    "measured": {
+        "response",
+        "modes",
+        "momentum",
+        "verdict",
+        "delay",
+        "mass",
+        "damping",
+        "costs",
+        "boundary",
+        "aggregate",
+        "stages",
+    },
+    "theory": {"plant", "loop", "stability", "energy", "transient", "optimum", "theory"},
+    "simulation": {"simulate", "procedure", "course"},
+    "rendering": {"style", "labels", "panels", "figures", "report_tables", "report"},
+    "meeting": {"scene", "predictions", "tables_d", "figure_data", "compare"},
+    "shell": {"console", "demo", "cli", "cli_theory"},
+}
+"""Every module by its layer, as in docs/architecture.md."""
+
+MAY_IMPORT: dict[str, set[str]] = {
+    "ground": {"ground"},
+    "records": {"ground", "records"},
+    "store": {"ground", "records", "store"},
+    "ingest": {"ground", "records", "store", "ingest"},
+    "measured": {"ground", "records", "store", "measured"},
+    "theory": {"ground", "records", "theory"},
+    "simulation": {"ground", "records", "store", "simulation"},
+    "rendering": {"ground", "records", "rendering"},
+    "meeting": {"ground", "records", "store", "measured", "theory", "rendering", "meeting"},
+    "shell": set(LAYERS),
+}
+
+EXCEPTIONS = {
+    ("simulate", "plant"): "the simulated device moves by the same exact flow",
+    ("course", "verdict"): "a lab stops raising K when the log looks unstable",
+}
+
+
+def imports_of(source: str, modules: set[str], package: str = "") -> set[str]:
+    """Modules of the package that a source text imports; ``package`` is where relative imports start."""
+    found = set()
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            base = node.module or ""
+            if node.level:
+                assert node.level == 1, "relative imports beyond the own folder are not used"
+                base = ".".join(part for part in ("pipeline", package, base) if part)
+            names = [base, *(f"{base}.{alias.name}" for alias in node.names)]
+        elif isinstance(node, ast.Call) and getattr(node.func, "attr", "") == "import_module":
+            names = [str(arg.value) for arg in node.args if isinstance(arg, ast.Constant)]
+        else:
+            continue
+        for name in names:
+            inner = "__init__" if name == "pipeline" else name.removeprefix("pipeline.")
+            if name.split(".")[0] == "pipeline" and inner in modules:
+                found.add(inner)
+    return found
+
+
+def module_files() -> dict[str, Path]:
+    files = {}
+    for path in sorted(PACKAGE.rglob("*.py")):
+        parts = path.relative_to(PACKAGE).with_suffix("").parts
+        name = ".".join(parts)
+        files[name.removesuffix(".__init__") if len(parts) > 1 else name] = path
+    return files
+
+
+FILES = module_files()
+IMPORTS = {
+    name: imports_of(path.read_text(encoding="utf-8"), set(FILES), "readers" if "readers" in name else "")
+    - {name}
+    for name, path in FILES.items()
+}
+LAYER_OF = {module: layer for layer, modules in LAYERS.items() for module in modules}
+
+
+def reach(start: str) -> set[str]:
+    seen: set[str] = set()
+    waiting = [start]
+    while waiting:
+        for name in IMPORTS.get(waiting.pop(), set()) - seen:
+            seen.add(name)
+            waiting.append(name)
+    return seen
+
+
+def test_every_module_has_a_layer() -> None:
+    assert sorted(set(FILES) - set(LAYER_OF)) == [], "name their layer in LAYERS and in docs/architecture.md"
+
+
+def test_architecture_page_names_every_module() -> None:
+    page = (PACKAGE.parent / "docs" / "architecture.md").read_text(encoding="utf-8")
+    absent = [name for name in FILES if name != "__init__" and f"`{name.replace('.', '/')}`" not in page]
+    assert absent == []
+
+
+@pytest.mark.parametrize("name", sorted(FILES))
+def test_imports_point_to_lower_layers(name: str) -> None:
+    layer = LAYER_OF[name]
+    upward = {
+        other
+        for other in IMPORTS[name]
+        if LAYER_OF[other] not in MAY_IMPORT[layer] and (name, other) not in EXCEPTIONS
+    }
+    assert upward == set(), f"{name} ({layer}) may import {sorted(MAY_IMPORT[layer])} only"
+
+
+def test_exceptions_are_used() -> None:
+    assert [pair for pair in EXCEPTIONS if pair[1] not in IMPORTS[pair[0]]] == []
+
+
+def test_no_module_reaches_itself() -> None:
+    assert [name for name in FILES if name in reach(name)] == []
+
+
+def test_measured_and_theory_never_meet() -> None:
+    measured, theory = LAYERS["measured"] & set(FILES), LAYERS["theory"] & set(FILES)
+    assert len(measured) > 5
+    assert len(theory) > 5
+    assert {(m, t) for m in measured for t in reach(m) & theory} == set()
+    assert {(t, m) for t in theory for m in reach(t) & measured} == set()
+
+
+def test_measured_quantities_are_functions_of_arrays() -> None:
+    quantities = (LAYERS["measured"] & set(FILES)) - {"stages"}
+    readers = {name for name in quantities if reach(name) & (LAYERS["store"] | {"tables"})}
+    assert readers == set(), "only `stages` reads and writes files"
+
+
+def test_nothing_imports_the_command_line() -> None:
+    shell = {"cli", "cli_theory"}
+    assert {name for name in FILES if name not in shell and IMPORTS[name] & shell} == set()
+
+
+def test_no_module_is_long() -> None:
+    lines = {name: len(path.read_text(encoding="utf-8").splitlines()) for name, path in FILES.items()}
+    assert {name: count for name, count in lines.items() if count > LONGEST_MODULE} == {}
+
+
+def test_imports_are_found_wherever_they_stand() -> None:
+    modules = {"__init__", "costs", "loop", "plant", "readers", "readers.native", "stages"}
+    source = (
+        "import os, pipeline.costs\n"
+        "from pipeline import __version__, loop\n"
+        "def f():\n"
+        "    from pipeline.plant import flow\n"
+        "    if True:\n"
+        "        import pipeline.readers.native as n\n"
+        "    importlib.import_module('pipeline.stages')\n"
+    )
+    assert imports_of(source, modules) == {"__init__", "costs", "loop", "plant", "readers.native", "stages"}
+    assert imports_of("from . import native", modules, "readers") == {"readers", "readers.native"}
+    assert imports_of("from numpy import costs", modules) == set()
