@@ -1,5 +1,4 @@
-"""From single trials to one value per experiment: estimates with 95 % intervals, and the best trial by a
-criterion."""
+"""From single trials to one value per experiment: estimates with 95 % intervals, and the best trial."""
 
 from __future__ import annotations
 
@@ -13,8 +12,11 @@ CONFIDENCE = 0.95
 """Coverage of every interval."""
 
 NO_OVERSHOOT = 1e-12
-"""Overshoot that counts as none (footnote 4 of 5.2.2); part of the definition, it reproduces the printed
-edges."""
+"""Overshoot that counts as none (footnote 4 of 5.2.2): part of the definition, it gives the printed edges."""
+
+LARGEST_OVERSHOOT_FLOOR = 0.01
+"""Uncertainty of the overshoot from which on "none" is no finding: a tenth of the distance between contour
+lines in the published maps (10 percentage points)."""
 
 TIE_TOLERANCE = 1e-12
 """Relative difference of costs that rounding alone makes."""
@@ -86,9 +88,9 @@ def estimate_median(values: Floats, unit: str, method: str, reason: str) -> Esti
     Notes
     -----
     The interval lies between the order statistics l and n + 1 - l, where l is the largest for which a
-    binomial (n, 1/2) count falls below l with a chance of at most 2.5 %. Fewer than six trials cannot give 95
-    %: then it is the range, and the method says so. It tells the scatter of the trials, not a bias that they
-    share.
+    binomial (n, 1/2) count falls below l with a chance of at most 2.5 %. Fewer than six trials cannot give
+    95 %: then it is the range, and the method says so. It tells the scatter of the trials, not a bias that
+    they share.
     """
     known = np.sort(values[np.isfinite(values)])
     n = len(known)
@@ -142,8 +144,7 @@ def estimate_mass(corrected: Floats, mass_momentum: Floats, unit: str = "kg") ->
 
 
 def estimate_damping(limit: LimitDamping, from_trials: Floats, unit: str = "Ns/m") -> Estimate:
-    """Return the viscous damping of an experiment: by the stability limit at K = 0, else the median of the
-    trials.
+    """Return the viscous damping of an experiment: by the limit at K = 0, else the median of the trials.
 
     Parameters
     ----------
@@ -194,8 +195,9 @@ def choose_optimum(
     unstable : bool, shape (n,)
         Trials that are unstable: beside them the tested range has not ended.
     floor : float64, shape (n,), optional
-        Given for the overshoot: overshoot that the sensor alone can cause. Then the stiffest trial without
-        overshoot is chosen, and only where there is none the smallest overshoot.
+        Given for the overshoot: overshoot that sensor and chatter can feign. Then the stiffest trial without
+        overshoot is chosen, and only where there is none the smallest overshoot. A trial whose floor exceeds
+        `LARGEST_OVERSHOOT_FLOOR` is not known to be without overshoot.
 
     Notes
     -----
@@ -210,7 +212,11 @@ def choose_optimum(
     if not candidates.any():
         return None
     tested = stiffness > 0
-    if floor is not None and (free := candidates & (cost <= np.maximum(NO_OVERSHOOT, floor))).any():
+    free = np.zeros_like(candidates)
+    if floor is not None:
+        resolved = floor <= LARGEST_OVERSHOOT_FLOOR
+        free = candidates & resolved & (cost <= np.maximum(NO_OVERSHOOT, floor))
+    if free.any():
         tied = free & (stiffness == stiffness[free].max())
     else:
         least = cost[candidates].min()

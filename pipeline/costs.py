@@ -29,8 +29,15 @@ REST_FLOORS = 8.0
 LASTING = 0.7
 """Amplitude of the last fifth relative to the fifth before from which on an oscillation lasts."""
 
+UNSETTLED = 0.05
+"""Lasting amplitude relative to the final displacement from which on a response never settles: the widest
+settling band."""
+
 TAIL_FRACTION = 0.01
 """Estimate of what lies beyond the horizon, relative to the potential part, from which on it is reported."""
+
+LARGEST_TAIL = 0.05
+"""As `TAIL_FRACTION`, from which on the sum is no cost: the optima of one criterion differ by no more."""
 
 WEIGHTS = (0, 1, 2)
 """Exponents w of the weighting by time."""
@@ -46,7 +53,7 @@ class Settling:
 
 @dataclass(frozen=True, eq=False)
 class Overshoot:
-    """Overshoot, and the one that the sensor alone can cause, shape (n,) [1]; NaN where there is a reason."""
+    """Overshoot, and the largest one that sensor and chatter can feign, shape (n,) [1]; NaN where a reason is."""
 
     overshoot: Floats
     floor: Floats
@@ -57,7 +64,7 @@ class Overshoot:
 class Energy:
     """Parts of the discrete energy cost for w = 0, 1, 2, shape (n, 3); NaN where there is no value.
 
-    The cost is ``potential + mass * kinetic``.
+    The cost is ``potential + mass * kinetic``. A reason may concern single exponents w.
 
     Parameters
     ----------
@@ -68,7 +75,7 @@ class Energy:
     horizon_samples : int64, shape (n,)
         Number of samples summed.
     reason : tuple of str
-        Why there is no value, or that more than 1 % of it may lie beyond the horizon.
+        Why values are missing, or that more than 1 % of them may lie beyond the horizon.
     """
 
     potential: Floats
@@ -151,7 +158,9 @@ def overshoot(batch: TrialBatch, response: Response, verdicts: Verdicts) -> Over
 
     Notes
     -----
-    Neither delay nor mass is needed. Below ``floor`` an overshoot cannot be told from quantum and noise.
+    Neither delay nor mass is needed. Below ``floor`` an overshoot cannot be told from quantum and noise, nor
+    from the motion before the step, which goes on after it: a chatter that the sensor does not explain is
+    added to the floor with its peak to peak.
 
     Source: Hulin 2017, sec. 5.1.1; footnote 4 of 5.2.2 for the tolerance 1e-12 of "no overshoot".
     """
@@ -160,7 +169,7 @@ def overshoot(batch: TrialBatch, response: Response, verdicts: Verdicts) -> Over
     counted = batch.valid & (np.arange(batch.position.shape[1])[None, :] >= first[:, None])
     relative = (batch.position - response.position_final_expected[:, None]) / travel[:, None]
     largest = np.max(np.where(counted & usable[:, None], relative, 0.0), axis=1, initial=0.0)
-    floor = np.where(usable, response.floor / np.abs(travel), 0.0)
+    floor = np.where(usable, (response.floor + response.baseline_motion) / np.abs(travel), 0.0)
     return Overshoot(np.where(usable, largest, np.nan), floor, why)
 
 
@@ -188,10 +197,13 @@ def energy(batch: TrialBatch, response: Response, verdicts: Verdicts, delay_samp
     -----
     sum of k^w E_k / E_0 with E_k = K/2 (x_k - x_inf)^2 + m/2 ((x_k - x_{k-1})/T)^2, x_{-1} = x_0 and
     E_0 = F_0^2/(2 K): left rectangle rule and backward difference. The sum ends where the response sinks
-    below
-    the sensor floor (or the limit cycle that quanta keep up) for good, since floor times k^2 over a long log
-    would swamp it; ideal logs are summed to
-    their end. What lies beyond is estimated from the envelope there and its decay.
+    below the sensor floor (or the limit cycle that quanta keep up) for good, since the floor times k^2 over a
+    long log would swamp it; ideal logs are summed to their end. What lies beyond is estimated from the
+    envelope there and its decay.
+
+    A sum is a cost only where it is nearly the whole: a motion that lasts to the end of the log with more
+    than `UNSETTLED` of the final displacement has no cost at all, and an exponent w for which more than
+    `LARGEST_TAIL` of the sum lies beyond the horizon has none while the others keep theirs.
 
     Source: Hulin 2017, eqs. 5.7 and 5.14 (sampled), sec. 6.1.4.
     """
@@ -202,9 +214,8 @@ def energy(batch: TrialBatch, response: Response, verdicts: Verdicts, delay_samp
     stiffness = np.where(usable, batch.stiffness, 1.0)
     counted = batch.valid & (column >= first[:, None]) & usable[:, None]
     error = np.where(counted, batch.position - final[:, None], 0.0)
-    above = counted & (
-        np.abs(error) > HORIZON_FACTOR * _rest_amplitude(batch, first, response.floor)[:, None]
-    )
+    end = _end_of_log(batch, first, response.floor)
+    above = counted & (np.abs(error) > HORIZON_FACTOR * end.rest[:, None])
     stop = np.where(above.any(axis=1), columns - np.argmax(above[:, ::-1], axis=1), first)
     stop = np.where(response.floor > 0, stop, batch.rows)
     counted &= column < stop[:, None]
@@ -217,27 +228,51 @@ def energy(batch: TrialBatch, response: Response, verdicts: Verdicts, delay_samp
     kinetic = 0.5 * (change / batch.sampling_period_s[:, None]) ** 2 / start_energy[:, None]
     sums = [np.stack([(k**w * part).sum(axis=1) for w in WEIGHTS], axis=1) for part in (potential, kinetic)]
     horizon = np.where(usable, stop - first, 0)
-    decay = _decay_per_sample(batch, response, verdicts, error, horizon)
-    tail = _tail(error, np.where(usable, stop, 0), horizon, decay, 0.5 * stiffness / start_energy)
+    envelope = _envelope(error, np.where(usable, stop, 0), horizon)
+    decay = _decay_per_sample(batch, response, verdicts, end, envelope, error, stop)
+    tail = _tail(envelope, horizon, decay, 0.5 * stiffness / start_energy)
+    lasting = end.amplitude / np.abs(batch.step / stiffness)
+    settles = ~(end.lasts & (lasting > UNSETTLED))
+    # a sum of zero has no tail to be compared with
+    trusted = ~(tail > LARGEST_TAIL * sums[0])
+    there = (usable & settles)[:, None] & trusted
     reason = tuple(
-        text or _tail_reason(beyond, total, end)
-        for text, beyond, total, end in zip(why, tail, sums[0], horizon, strict=True)
+        text
+        or ("" if good else f"never settles: {size:.0%} of the final displacement lasts to the end of the log")
+        or _tail_reason(beyond, total, count)
+        for text, good, size, beyond, total, count in zip(why, settles, lasting, tail, sums[0], horizon, strict=True)
     )
-    missing = ~usable[:, None]
     return Energy(
-        potential=np.where(missing, np.nan, sums[0]),
-        kinetic=np.where(missing, np.nan, sums[1]),
+        potential=np.where(there, sums[0], np.nan),
+        kinetic=np.where(there, sums[1], np.nan),
         horizon_samples=horizon.astype(np.int64),
         reason=reason,
     )
 
 
-def _rest_amplitude(batch: TrialBatch, first: Integers, floor: Floats) -> Floats:
-    """Amplitude left at rest: the sensor floor, or the limit cycle that quanta keep up, shape (n,)."""
-    before, end = _amplitude(batch, first, 0.6, 0.8), _amplitude(batch, first, 0.8, 1.0)
-    lasting = (end <= REST_FLOORS * floor) & (end >= LASTING * before)
-    rest: Floats = np.maximum(floor, np.where(lasting, end, 0.0))
-    return rest
+@dataclass(frozen=True, eq=False)
+class _End:
+    """Motion at the end of the log, shape (n,).
+
+    ``since`` is the first row of the last fifth, ``amplitude`` that of the last fifth, ``before`` that of the
+    fifth before, ``lasts`` whether it hardly decays, ``rest`` what is left when the response is over.
+    """
+
+    since: Floats
+    before: Floats
+    amplitude: Floats
+    lasts: Booleans
+    rest: Floats
+
+
+def _end_of_log(batch: TrialBatch, first: Integers, floor: Floats) -> _End:
+    since = first + 0.8 * (batch.rows - first)
+    before, amplitude = _amplitude(batch, first, 0.6, 0.8), _amplitude(batch, first, 0.8, 1.0)
+    lasts = (amplitude >= LASTING * before) & (amplitude > 0)
+    # the sensor floor, or the limit cycle that quanta keep up
+    limit_cycle = lasts & (amplitude <= REST_FLOORS * floor)
+    rest = np.maximum(floor, np.where(limit_cycle, amplitude, 0.0))
+    return _End(since, before, amplitude, lasts, rest)
 
 
 def _amplitude(batch: TrialBatch, first: Integers, since: float, until: float) -> Floats:
@@ -251,32 +286,49 @@ def _amplitude(batch: TrialBatch, first: Integers, since: float, until: float) -
     return result
 
 
+def _envelope(error: Floats, stop: Integers, horizon: Integers) -> Floats:
+    """Largest distance over the last eighth of what was summed, shape (n,)."""
+    column = np.arange(error.shape[1])[None, :]
+    last = (column >= (stop - np.maximum(horizon // 8, 1))[:, None]) & (column < stop[:, None])
+    envelope: Floats = np.max(np.where(last, np.abs(error), 0.0), axis=1, initial=0.0)
+    return envelope
+
+
 def _decay_per_sample(
-    batch: TrialBatch, response: Response, verdicts: Verdicts, error: Floats, horizon: Integers
+    batch: TrialBatch,
+    response: Response,
+    verdicts: Verdicts,
+    end: _End,
+    envelope: Floats,
+    error: Floats,
+    stop: Integers,
 ) -> Floats:
     """Decay of the amplitude beyond the horizon per sample, shape (n,), 0 where none is known.
 
-    An ideal log tells its slowest mode. With noise that mode may be the noise; there it is the mean decay
-    from the
-    step to the horizon.
+    An ideal log tells its slowest mode. With noise that mode may be the noise: there it is the mean decay from
+    the largest distance to the horizon if the response is over well before the end of the log, else the decay
+    over the last two fifths of the log.
     """
     by_mode = -np.nan_to_num(verdicts.growth_per_s) * batch.sampling_period_s
-    start = np.abs(error).max(axis=1, initial=0.0)
-    level = np.where(response.floor > 0, response.floor, 1.0)
-    mean = np.log(np.maximum(start / level, 1.0)) / np.maximum(horizon, 1)
-    decay: Floats = np.maximum(np.where(response.floor > 0, mean, by_mode), 0.0)
+    size = np.abs(error)
+    largest = size.max(axis=1, initial=0.0)
+    elapsed = np.maximum(stop - np.argmax(size, axis=1), 1)
+    fall = np.where(envelope > 0, envelope, largest)
+    mean = np.log(np.where(fall > 0, largest, 1.0) / np.where(fall > 0, fall, 1.0)) / elapsed
+    moves = (end.before > 0) & (end.amplitude > 0)
+    ratio = np.where(moves, end.before, 1.0) / np.where(moves, end.amplitude, 1.0)
+    fifth = np.maximum(batch.rows - end.since, 1.0)
+    at_end = np.where(moves, np.log(ratio) / fifth, mean)
+    seen = np.where(stop <= end.since, mean, at_end)
+    decay: Floats = np.maximum(np.where((response.floor > 0) | (by_mode <= 0), seen, by_mode), 0.0)
     return decay
 
 
-def _tail(error: Floats, stop: Integers, horizon: Integers, decay: Floats, potential: Floats) -> Floats:
+def _tail(envelope: Floats, horizon: Integers, decay: Floats, potential: Floats) -> Floats:
     """Estimate of sum k^w E_k/E_0 beyond the horizon, shape (n, 3); infinite where no decay is known.
 
-    The largest distance over the last eighth of the response is its envelope, whose energy decays at twice
-    the rate.
+    The energy of the envelope decays at twice the rate.
     """
-    column = np.arange(error.shape[1])[None, :]
-    last = (column >= (stop - np.maximum(horizon // 8, 1))[:, None]) & (column < stop[:, None])
-    envelope = np.max(np.where(last, np.abs(error), 0.0), axis=1, initial=0.0)
     known = decay > 0
     ratio = np.exp(-2 * np.where(known, decay, 1.0))
     rest = -np.expm1(-2 * np.where(known, decay, 1.0))
@@ -294,12 +346,14 @@ def _tail_reason(tail: Floats, total: Floats, horizon: int) -> str:
     if not large:
         return ""
     shares = ", ".join(
-        f"w = {w}: {100 * tail[w] / total[w]:.2g} %"
-        if np.isfinite(tail[w]) and total[w] > 0
-        else f"w = {w}: unknown"
+        f"w = {w}: {100 * tail[w] / total[w]:.2g} %" if np.isfinite(tail[w]) and total[w] > 0 else f"w = {w}: unknown"
         for w in large
     )
-    return f"summed over {horizon} samples; beyond them lie about {shares} of the sum"
+    lost = [str(w) for w in large if tail[w] > LARGEST_TAIL * total[w]]
+    text = f"summed over {horizon} samples; beyond them lie about {shares} of the sum"
+    if lost:
+        text += f"; above {LARGEST_TAIL:.0%} there is no value (w = {', '.join(lost)}): record longer"
+    return text
 
 
 def _start(

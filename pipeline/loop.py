@@ -17,7 +17,7 @@ import numpy as np
 
 from pipeline.batch import Floats
 from pipeline.errors import ParameterError
-from pipeline.plant import Flow, flow
+from pipeline.plant import Flow, flow, horner, motion_series
 
 LARGEST_DELAY = 256
 """Largest delay factor; beyond it the loop matrices of a map no longer fit into memory sensibly."""
@@ -124,6 +124,20 @@ class Loop:
         """Exact motion over a whole sampling interval."""
         return flow(self.gamma, self.delta, 1.0)
 
+    @cached_property
+    def _series(self) -> tuple[list[float], list[float]] | None:
+        return motion_series(self.gamma, self.delta)
+
+    def position_after(self, time: Floats, position: Floats, velocity: Floats, force: Floats) -> Floats:
+        """Return the deviation after times in [0, 1] with constant input, from position and velocity at its start."""
+        if self._series is not None:
+            impulse, gain = self._series
+            moved: Floats = time * (velocity * horner(impulse, time))
+            return position + moved + time * time * ((force - self.gamma * position) * horner(gain, time))
+        motion = flow(self.gamma, self.delta, time)
+        moved = motion.transition[..., 0, 1] * velocity + motion.gain[..., 0] * force
+        return motion.transition[..., 0, 0] * position + moved
+
     @property
     def oldest_force(self) -> int:
         """Age in samples of the oldest wall force that still acts."""
@@ -147,7 +161,6 @@ class Loop:
 
     def segment_maps(self, alpha: Floats, beta: Floats) -> list[tuple[Floats, Floats]]:
         """Return for each segment the maps from z to (e, v) at its start and to its input.
-
 
         A last entry holds the end of the interval.
         """

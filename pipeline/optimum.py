@@ -54,6 +54,9 @@ _ENDLESS = 60
 """Samples, times d + 1, after which a response counts as not settled in a search; optima settle in about 5 (d + 1)."""
 
 
+_FLOORS = (0.2, 0.05, 0.01)
+"""Shares of the stable stiffness from which on the edge is looked for; it lies near 0.35, and softer walls creep."""
+
 _RIDGE = 73
 """Samples of the edge of the region without overshoot around its highest part."""
 
@@ -294,9 +297,13 @@ def _stiffest_without_overshoot(loop: Loop, criterion: str) -> OptimalPoint:
         return lower
 
     betas = np.linspace(0.0, high[1], 61)[1:]
-    edges = edge(betas, np.full(60, low[0]), np.full(60, high[0]), 2)
-    highest = float(edges.max())
-    if highest <= low[0]:
+    for share in _FLOORS:
+        lowest = share * high[0] - (1 - share) * loop.gamma
+        edges = edge(betas, np.full(60, lowest), np.full(60, high[0]), 2)
+        highest = float(edges.max())
+        if highest > lowest:
+            break
+    else:
         raise ParameterError(f"{loop}: no point without overshoot was found.")
     ridge = betas[np.argmax(edges)] + np.linspace(-3, 3, _RIDGE) * (betas[1] - betas[0])
     edges = edge(ridge, np.full(_RIDGE, 0.8 * highest), np.full(_RIDGE, min(1.1 * highest, high[0])), 3)

@@ -73,8 +73,9 @@ def flow(gamma: float, delta: float, time: float | Floats) -> Flow:
     if gamma == 0 and delta == 0:
         one, zero = np.ones_like(t), np.zeros_like(t)
         return _assemble(one, t, zero, one, 0.5 * t * t)
-    if gamma <= _SERIES_LIMIT and delta <= _SERIES_LIMIT and t.max(initial=0.0) <= 1:
-        return _by_series(gamma, delta, t)
+    series = motion_series(gamma, delta)
+    if series is not None and t.max(initial=0.0) <= 1:
+        return _by_series(series, gamma, t)
     h = 0.5 * delta * t
     q_squared = h * h - gamma * t * t
     q = np.sqrt(np.abs(q_squared))
@@ -95,22 +96,34 @@ def flow(gamma: float, delta: float, time: float | Floats) -> Flow:
     return _assemble(1 - gamma * position_gain, impulse, -gamma * impulse, velocity, position_gain)
 
 
-def _by_series(gamma: float, delta: float, t: Floats) -> Flow:
-    """Motion by the power series of the impulse response, s_1 = 1, n (n+1) s_{n+1} = -n delta s_n - gamma s_{n-1}.
+def motion_series(gamma: float, delta: float) -> tuple[list[float], list[float]] | None:
+    """Return the coefficients of S(t)/t and G(t)/t^2 for t <= 1, S and G being velocity and position gain.
 
-    For the small normalised parameters of real devices: many times faster than the closed form, and as exact.
+    None where gamma or delta is too large for a short power series. The impulse response has s_1 = 1 and
+    n (n+1) s_{n+1} = -n delta s_n - gamma s_{n-1}. For the small normalised parameters of real devices this is many
+    times faster than the closed form, and as exact.
     """
+    if gamma > _SERIES_LIMIT or delta > _SERIES_LIMIT:
+        return None
     s = [0.0, 1.0]
     for n in range(1, _SERIES_TERMS):
         s.append(-(n * delta * s[n] + gamma * s[n - 1]) / (n * (n + 1)))
         if max(abs(s[n]), abs(s[n + 1])) * (n + 1) < _NEGLIGIBLE:
             break
-    impulse, slope, gain = (np.zeros_like(t) for _ in range(3))
-    for n in range(len(s) - 1, 0, -1):
-        impulse = (impulse + s[n]) * t
-        slope = slope * t + n * s[n]
-        gain = (gain + s[n] / (n + 1)) * t
-    gain = gain * t
+    return s[1:], [value / (n + 1) for n, value in enumerate(s) if n > 0]
+
+
+def horner(coefficients: list[float], t: Floats) -> Floats:
+    """Return the polynomial with these coefficients, lowest power first."""
+    result = np.full_like(t, coefficients[-1])
+    for coefficient in reversed(coefficients[:-1]):
+        result = result * t + coefficient
+    return result
+
+
+def _by_series(series: tuple[list[float], list[float]], gamma: float, t: Floats) -> Flow:
+    impulse, gain = t * horner(series[0], t), t * t * horner(series[1], t)
+    slope = horner([(n + 1) * value for n, value in enumerate(series[0])], t)
     return _assemble(1 - gamma * gain, impulse, -gamma * impulse, slope, gain)
 
 

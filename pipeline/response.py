@@ -137,9 +137,7 @@ def external_force(batch: TrialBatch) -> Floats:
     """
     change = np.diff(batch.position, axis=1, prepend=batch.position[:, :1])
     damping_per_sample = batch.damping / batch.sampling_period_s
-    return (
-        batch.command + batch.stiffness[:, None] * batch.displacement + damping_per_sample[:, None] * change
-    )
+    return batch.command + batch.stiffness[:, None] * batch.displacement + damping_per_sample[:, None] * change
 
 
 def _edge(batch: TrialBatch, samples: int) -> tuple[Integers, list[str]]:
@@ -149,9 +147,7 @@ def _edge(batch: TrialBatch, samples: int) -> tuple[Integers, list[str]]:
     for shift in range(1, samples):
         stays[:, :-shift] &= above[:, shift:]
         stays[:, -shift:] = False
-    first = (
-        np.argmax(stays, axis=1).astype(np.int64) if stays.shape[1] else np.zeros(len(batch), dtype=np.int64)
-    )
+    first = np.argmax(stays, axis=1).astype(np.int64) if stays.shape[1] else np.zeros(len(batch), dtype=np.int64)
     found = stays.any(axis=1)
     reasons = []
     for k, has, step in zip(first, np.atleast_1d(found), batch.step, strict=True):

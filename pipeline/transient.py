@@ -14,7 +14,6 @@ import numpy as np
 from pipeline.batch import Floats, Integers
 from pipeline.errors import ParameterError
 from pipeline.loop import Loop, as_points
-from pipeline.plant import flow
 
 LONGEST = 1 << 18
 """Samples after which a response that still moves is given up (no settling time): spectral radius about 1 - 1e-5."""
@@ -25,12 +24,13 @@ NO_OVERSHOOT = 1e-12
 _BLOCK = 16
 """Samples between two checks of which points are finished."""
 
-_SETTLED = 1e-4
-"""A point is finished when position and velocity have stayed this far below the band (or the overshoot found) for a
-block and a delay: a stable loop would have to amplify its state by 1e4 to leave the band again."""
+_SETTLED = 0.1
+"""A point is finished when its motion has stayed below this share of the band (or of the overshoot found) for a block
+and a delay. Motion is position plus velocity times `_lever`: from such a state no stable loop with d <= 16 swings out
+further than fourfold (largest row sums of the powers of A over the stable region)."""
 
-QUIET = 1e-15
-"""Deviation below which a response is no longer followed for overshoot: a thousandth of `NO_OVERSHOOT`."""
+QUIET = 0.1 * NO_OVERSHOOT
+"""Motion below which a response is no longer followed for overshoot, by the same margin."""
 
 
 @dataclass
@@ -67,6 +67,7 @@ class _Active:
     position: Floats
     before: Floats
     velocity: Floats
+    lever: Floats
     forces: list[Floats]
     quiet: Floats = field(init=False)
 
@@ -74,7 +75,7 @@ class _Active:
         self.quiet = np.zeros_like(self.alpha)
 
     def keep(self, mask: np.ndarray) -> None:
-        for name in ("index", "alpha", "beta", "position", "before", "velocity", "quiet"):
+        for name in ("index", "alpha", "beta", "position", "before", "velocity", "lever", "quiet"):
             setattr(self, name, getattr(self, name)[mask])
         self.forces = [f[mask] for f in self.forces]
 
@@ -135,7 +136,7 @@ def transient_costs(
     peaks = {"overshoot": np.zeros(n), "overshoot_discrete": np.zeros(n)}
     settled = {band: np.zeros(n) for band in bands}
     crossings = {band: _Crossing.empty(n) for band in bands}
-    run = _Active(np.arange(n), a, b, np.full(n, -1.0), np.full(n, -1.0), np.zeros(n), [a] * (loop.oldest_force + 1))
+    run = _Active(np.arange(n), a, b, np.full(n, -1.0), np.full(n, -1.0), np.zeros(n), _lever(loop, a), [a] * (loop.oldest_force + 1))
     given_up: list[Integers] = []
     calm = _SETTLED * min(bands) if bands else 1.0
     for k in range(longest):
@@ -157,7 +158,7 @@ def transient_costs(
             if overshoot:
                 found = _SETTLED * peaks["overshoot_discrete"][run.index]
                 limit = np.minimum(limit, np.maximum(found, quiet))
-            moving = np.maximum(size, np.abs(run.velocity)) > limit
+            moving = size + run.lever * np.abs(run.velocity) > limit
             run.quiet = np.where(moving, 0.0, run.quiet + 1)
             done = run.quiet * _BLOCK > loop.oldest_force + 2
             if not bands:
@@ -178,6 +179,11 @@ def transient_costs(
     for values in result.values():
         values[unfinished] = np.nan
     return result
+
+
+def _lever(loop: Loop, alpha: Floats) -> Floats:
+    """Samples for which a velocity may carry on before the wall turns it: the delay, or an eighth of an oscillation."""
+    return np.maximum(8 * (loop.delay + 1), 2 / np.sqrt(alpha + loop.gamma))
 
 
 def _advance(
@@ -213,8 +219,7 @@ def _note(
     turn = np.flatnonzero(run.velocity * velocity < 0)
     e, v, u = run.position[turn], run.velocity[turn], force[turn]
     when = _turning_time(loop.gamma, loop.delta, e, v, u, duration)
-    motion = flow_position(loop, when)
-    extreme = motion[0] * e + motion[1] * v + motion[2] * u
+    extreme = loop.position_after(when, e, v, u)
     which = run.index[turn]
     peak[which] = np.maximum(peak[which], extreme)
     size_before, size_after = np.abs(run.position), np.abs(position)
@@ -258,22 +263,13 @@ def _turning_time(gamma: float, delta: float, e: Floats, v: Floats, u: Floats, d
     return bounded
 
 
-def flow_position(loop: Loop, time: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return the factors of position, velocity and input in the position after the given times."""
-    if loop.gamma == 0 and loop.delta == 0:
-        return np.ones_like(time), time, 0.5 * time * time
-    motion = flow(loop.gamma, loop.delta, time)
-    return motion.transition[..., 0, 0], motion.transition[..., 0, 1], motion.gain[..., 0]
-
-
 def _entry_times(loop: Loop, crossing: _Crossing) -> Floats:
     """Time of entry into the band: root of a monotone motion, by bisection to the last bit."""
-    low, high = crossing.low.copy(), crossing.high.copy()
+    low, high = np.nan_to_num(crossing.low), np.nan_to_num(crossing.high)
     outside = np.sign(crossing.level)
     for _ in range(54):  # halves an interval of one sample to below 1e-16
         middle = 0.5 * (low + high)
-        one, speed, push = flow_position(loop, np.nan_to_num(middle))
-        excess = one * crossing.position + speed * crossing.velocity + push * crossing.force - crossing.level
+        excess = loop.position_after(middle, crossing.position, crossing.velocity, crossing.force) - crossing.level
         still = excess * outside > 0
         low, high = np.where(still, middle, low), np.where(still, high, middle)
-    return crossing.start + 0.5 * (low + high)
+    return crossing.start + 0.5 * (low + high)  # NaN where the band was never entered

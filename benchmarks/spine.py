@@ -1,0 +1,170 @@
+"""Speed and memory of the way from logs to a report: thesis-size Falcon experiment 1, each stage as a whole process.
+
+Prints a table beside the limits and writes JSON to benchmarks/results/. Nothing here fails on a slow machine.
+
+    python benchmarks/spine.py [--rows 400 --rows 1000]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+RESULTS = Path(__file__).parent / "results"
+ROWS = (400, 1000)
+PERIOD_S = 1e-3
+PIPELINE = [sys.executable, "-c", "from pipeline.cli import run; run()"]
+MIB = 1 << 20
+
+SECONDS = {
+    "simulate": 15.0,
+    "ingest": 5.0,
+    "estimates and costs": 3.0,
+    "compare": 10.0,
+    "compare again": 1.0,
+    "ingest again": 1.0,
+    "pipeline --help": 0.4,
+    "import pipeline": 0.4,
+}
+MEMORY_MIB = 500.0
+REPORT_MB = 5.0
+
+STAGES = """
+import json, sys, time
+from pathlib import Path
+began = time.perf_counter()
+from pipeline.scene import needed_stages, open_scene
+data = open_scene("falcon", Path(sys.argv[1]), ["1"], None)
+imported = time.perf_counter()
+for of in data.experiments:
+    for stage in sorted(needed_stages(data)):
+        of.table(stage)
+print(json.dumps({"seconds": time.perf_counter() - imported}))
+"""
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """One stage: wall time [s], its limit [s], peak memory [MiB] of its largest process."""
+
+    rows: int | None
+    stage: str
+    seconds: float
+    limit_s: float
+    memory_mib: float
+
+
+def run(command: list[str], cwd: Path) -> tuple[float, float, str]:
+    """Return wall time [s], peak memory [MiB] and stdout of a process; stop where it fails."""
+    with tempfile.TemporaryFile() as out:
+        began = time.perf_counter()
+        process = subprocess.Popen(command, cwd=cwd, stdout=out, stderr=subprocess.DEVNULL)
+        # wait4 gives the usage of this child (and of its own children) alone, RUSAGE_CHILDREN that of all so far
+        _, status, usage = os.wait4(process.pid, 0)
+        seconds = time.perf_counter() - began
+        process.returncode = os.waitstatus_to_exitcode(status)
+        out.seek(0)
+        text = out.read().decode()
+    if process.returncode != 0:
+        sys.exit(f"{' '.join(command)}: exit status {process.returncode}; run it by hand to see why.")
+    scale = 1 if sys.platform == "darwin" else 1024  # ru_maxrss: bytes on macOS, KiB elsewhere
+    return seconds, usage.ru_maxrss * scale / MIB, text
+
+
+def starts(folder: Path) -> list[Measurement]:
+    """Time to the first answer: best of five, the files being in memory then."""
+    commands = {
+        "pipeline --help": [*PIPELINE, "--help"],
+        "import pipeline": [sys.executable, "-c", "import pipeline"],
+    }
+    found = []
+    for stage, command in commands.items():
+        seconds, memory, _ = min(run(command, folder) for _ in range(5))
+        found.append(Measurement(None, stage, seconds, SECONDS[stage], memory))
+    return found
+
+
+def spine(folder: Path, rows: int) -> tuple[list[Measurement], dict[str, float]]:
+    """Measure all stages of one course; returns them with the sizes of logs and report."""
+    ingest = [*PIPELINE, "ingest", "raw", "--json"]
+    compare = [*PIPELINE, "compare", "--device", "falcon", "--json"]
+    duration = f"{rows * PERIOD_S:g}"
+    simulate = [*PIPELINE, "simulate", "falcon", "--experiment", "1", "--duration", duration, "--json"]
+    copy = folder / "copy"
+    commands = {
+        "simulate": simulate,
+        "ingest": ingest,
+        "ingest again": ingest,
+        # the same logs in a second store, so that `compare` below has all of its stages still to run
+        "": [*PIPELINE, "ingest", "raw", "--processed", str(copy), "--json"],
+        "estimates and costs": [sys.executable, "-c", STAGES, str(copy)],
+        "compare": compare,
+        "compare again": compare,
+    }
+    found = []
+    for stage, command in commands.items():
+        seconds, memory, text = run(command, folder)
+        if not stage:
+            continue
+        if stage == "estimates and costs":
+            seconds = json.loads(text)["seconds"]  # without the start of Python
+        found.append(Measurement(rows, stage, seconds, SECONDS[stage], memory))
+    logs = list((folder / "raw").rglob("*.csv"))
+    sizes = {
+        "logs": len(logs),
+        "logs_mb": sum(log.stat().st_size for log in logs) / 1e6,
+        "report_mb": (folder / "reports" / "falcon.html").stat().st_size / 1e6,
+    }
+    return found, sizes
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--rows", type=int, action="append", help="rows of a log; 400 and 1000 where not given")
+    chosen = parser.parse_args().rows or ROWS
+    measurements: list[Measurement] = []
+    sizes: dict[int, dict[str, float]] = {}
+    with tempfile.TemporaryDirectory() as name:
+        measurements += starts(Path(name))
+        for rows in chosen:
+            folder = Path(name) / str(rows)
+            folder.mkdir()
+            found, sizes[rows] = spine(folder, rows)
+            measurements += found
+    print(f"{'rows':>5}  {'stage':<20} {'wall [s]':>9} {'limit [s]':>9} {'peak [MiB]':>10} (limit {MEMORY_MIB:g})")
+    for m in measurements:
+        over = " over" if m.seconds > m.limit_s or m.memory_mib > MEMORY_MIB else ""
+        row = "" if m.rows is None else str(m.rows)
+        print(f"{row:>5}  {m.stage:<20} {m.seconds:9.2f} {m.limit_s:9.2f} {m.memory_mib:10.0f}{over}")
+    for rows, size in sizes.items():
+        over = " over" if size["report_mb"] > REPORT_MB else ""
+        print(
+            f"{rows:>5}  {size['logs']:.0f} logs, {size['logs_mb']:.0f} MB; report {size['report_mb']:.2f} MB "
+            f"(limit {REPORT_MB:g}){over}"
+        )
+    from pipeline import __version__
+
+    RESULTS.mkdir(exist_ok=True)
+    document = {
+        "version": __version__,
+        "python": platform.python_version(),
+        "processors": os.cpu_count(),
+        "measurements": [asdict(m) for m in measurements],
+        "sizes": {str(rows): size for rows, size in sizes.items()},
+        "limits": {"seconds": SECONDS, "memory_mib": MEMORY_MIB, "report_mb": REPORT_MB},
+    }
+    file = RESULTS / f"spine-{time.strftime('%Y%m%dT%H%M%SZ', time.gmtime())}.json"
+    file.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
+    print(f"{file}")
+
+
+if __name__ == "__main__":
+    main()
