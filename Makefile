@@ -41,6 +41,7 @@ bench: .venv/.dev
 
 docs: .venv/.dev
 	$(BIN)/python docs/make_schemas.py
+	$(BIN)/python docs/make_figure.py
 
 clean:
 	rm -rf .venv processed reports raw/demo .pytest_cache .mypy_cache .ruff_cache .hypothesis dist

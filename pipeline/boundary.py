@@ -1,5 +1,4 @@
-"""Measured stability boundary: per damping, the smallest unstable stiffness and the largest stable one below
-it."""
+"""Measured stability boundary: per damping, smallest unstable stiffness and largest stable one below it."""
 
 from __future__ import annotations
 

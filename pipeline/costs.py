@@ -53,7 +53,7 @@ class Settling:
 
 @dataclass(frozen=True, eq=False)
 class Overshoot:
-    """Overshoot, and the largest one that sensor and chatter can feign, shape (n,) [1]; NaN where a reason is."""
+    """Overshoot, and what of it sensor and chatter can feign, shape (n,) [1]; NaN where there is a reason."""
 
     overshoot: Floats
     floor: Floats

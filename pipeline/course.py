@@ -11,7 +11,7 @@ import json
 import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from math import floor
+from math import floor, inf
 from pathlib import Path
 from typing import Any, Literal, Protocol
 
@@ -127,6 +127,8 @@ def run_course(
     """
     if coarsen < 1:
         raise ParameterError(f"coarsen = {coarsen}: expected 1 (every trial) or a larger whole number.")
+    if duration_s is not None and not 0 < duration_s < inf:
+        raise ParameterError(f"duration = {duration_s} s: expected a positive, finite length of a trial.")
     conditions = find_experiment(device, experiment)
     setup = setup_of(device, conditions)
     setup = idealise(setup) if ideal else setup
@@ -247,9 +249,7 @@ def _write_logs(course: Course, target: Path, names: Sequence[str]) -> None:
                 motion=device.motion,
                 simulated=True,
             )
-            text = format_header(header, device.motion) + templates[rows] % tuple(
-                both[i, :rows].ravel().tolist()
-            )
+            text = format_header(header, device.motion) + templates[rows] % tuple(both[i, :rows].ravel().tolist())
             temporary.write_bytes(text.encode())
             temporary.replace(target / name)
     finally:
@@ -281,9 +281,7 @@ def _truth(course: Course) -> dict[str, Any]:
     setup, experiment, batch = course.setup, course.experiment, course.batch
     plant = MassSpringDamper(experiment.mass, experiment.damping, experiment.stiffness)
     radius = spectral_radius(plant, setup, batch.stiffness, batch.damping)
-    rows = zip(
-        batch.trial_id, batch.stiffness, batch.damping, course.verdict, radius, batch.rows, strict=True
-    )
+    rows = zip(batch.trial_id, batch.stiffness, batch.damping, course.verdict, radius, batch.rows, strict=True)
     return {
         "device": course.device.name,
         "experiment": experiment.name,

@@ -1,5 +1,4 @@
-"""Viscous damping of the device: by the stability limit at K = 0, or from each trial by its momentum
-balance."""
+"""Viscous damping of the device: by the stability limit at K = 0, or by each trial's momentum balance."""
 
 from __future__ import annotations
 
@@ -15,9 +14,7 @@ FEWEST_INTERVALS = 20
 """Two unknowns with fewer samples follow the noise."""
 
 LARGEST_CONDITION = 1e4
-"""Condition (of the scaled normal equations) beyond which a quantum of 0.1 % in the position turns into 10 %
-in b."""
-
+"""Condition of the scaled normal equations beyond which 0.1 % of quantum in the position makes 10 % in b."""
 
 ZERO_RATE = 1e-6
 """Growth rate, relative to the range of the rates, that is zero but for rounding."""
@@ -62,8 +59,7 @@ def by_limit(damping: Floats, stiffness: Floats, growth_per_s: Floats) -> LimitD
     Parameters
     ----------
     damping, stiffness : float64, shape (n,)
-        Virtual damping B [Ns/m, Nms/rad] and stiffness K of the trials; those with K other than 0 are left
-        out.
+        Virtual damping B [Ns/m, Nms/rad] and stiffness K of the trials; only those with K = 0 are used.
     growth_per_s : float64, shape (n,)
         Growth rate of the acceleration, as `verdict.judge` returns it [1/s]; NaN where it is not known.
 
@@ -89,9 +85,7 @@ def by_limit(damping: Floats, stiffness: Floats, growth_per_s: Floats) -> LimitD
     at_limit = np.flatnonzero((size <= ZERO_RATE) | ((size <= ZERO_RATE_AT_END) & (levels == levels[-1])))
     if len(at_limit) and at_limit[-1] > 0:
         at = at_limit[-1]
-        return LimitDamping(
-            0.0 - float(levels[at]), 0.0 - float(levels[at]), 0.0 - float(levels[at - 1]), len(B)
-        )
+        return LimitDamping(0.0 - float(levels[at]), 0.0 - float(levels[at]), 0.0 - float(levels[at - 1]), len(B))
     stable, unstable = levels[mean < 0], levels[mean >= 0]
     if not len(stable) or not len(unstable):
         side = "unstable" if not len(stable) else "stable"
@@ -141,18 +135,13 @@ def from_trials(batch: TrialBatch, response: Response, delay_samples: int) -> Tr
     Notes
     -----
     m v_k + b (x_k - x_0) = integral of the delayed command, over all intervals from the command edge to the
-    end
-    of the log. The
-    balance integrates once, so that an offset or friction of the drive grows with time: for such drives use
-    `by_limit`. At rest the balance alone gives b, in motion mass and b.
+    end of the log. The balance integrates once, so that an offset or friction of the drive grows with time:
+    for such drives use `by_limit`. At rest the balance alone gives b, in motion mass and b.
 
     Source: Hulin 2017, eq. 6.4 with the viscous term.
     """
     momentum = balance(batch, response.edge_row, delay_samples)
-    v, x, p = (
-        np.where(momentum.inside, a, 0.0)
-        for a in (momentum.velocity, momentum.displacement, momentum.impulse)
-    )
+    v, x, p = (np.where(momentum.inside, a, 0.0) for a in (momentum.velocity, momentum.displacement, momentum.impulse))
     count = momentum.inside.sum(axis=1)
     vv, xx, vx = (v * v).sum(axis=1), (x * x).sum(axis=1), (v * x).sum(axis=1)
     vp, xp = (v * p).sum(axis=1), (x * p).sum(axis=1)

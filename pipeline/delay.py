@@ -13,7 +13,7 @@ NO_DELAY = -1
 """Stands where no delay factor could be had."""
 
 QUANTA, SIGMAS = 1.5, 3.0
-"""Threshold in quanta plus standard deviations: rounding flickers by one quantum, noise by three deviations."""
+"""Threshold in quanta plus standard deviations: rounding flickers by one quantum, noise by three sigma."""
 
 QUANTA_AT_REST = 0.5
 """Threshold in quanta where the baseline is constant: there one quantum is a change."""
@@ -26,7 +26,7 @@ LARGEST_LAG = 2
 """Rows behind the first change from which the onset is extrapolated: later ones see the second wall force."""
 
 ONSET_ERROR = 0.35
-"""Largest standard error of the extrapolated onset in samples: beyond it rounding to whole ones is a guess."""
+"""Largest standard error of the extrapolated onset [samples]: beyond it rounding to whole ones is a guess."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +99,7 @@ def first_change(batch: TrialBatch, response: Response, *, threshold: Floats | N
 def _onset(
     away: Floats, first: Integers, delay: Integers, response: Response, rows: Integers
 ) -> tuple[Floats, Booleans]:
-    """Row (with a fraction) from which constant acceleration leads to two later readings, and where it is known.
+    """Row (with a fraction) from which constant acceleration leads to two later readings; where it is known.
 
     The wall answers d + 1 rows after the onset, so that small delays leave fewer rows.
     """

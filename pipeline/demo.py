@@ -31,7 +31,7 @@ class Part:
 
 
 REDUCED = (Part("falcon", ("1", "2", "6"), coarsen=2), Part("lwr", coarsen=2))
-"""Half the dampings and half the stiffness steps: a fourth of the trials, and maps that still look like the full ones."""
+"""Half the dampings and half the stiffness steps: a fourth of the trials, and maps that look like the full ones."""
 
 FULL = (Part("falcon"), Part("lwr"))
 

@@ -7,7 +7,7 @@ is cut; every energy cost is the trace of a small quadratic form with them.
 from __future__ import annotations
 
 from functools import lru_cache
-from math import comb
+from math import ceil, comb, log2
 
 import numpy as np
 from numpy.polynomial.legendre import leggauss
@@ -27,7 +27,10 @@ _CHUNK = 4096
 """Points summed at a time; bounds memory to about 100 MB at d = 16."""
 
 _NODES = 24
-"""Gauss points over one interval (or each part of one); exact to rounding while delta T/m < 10, checked by test."""
+"""Gauss points over each panel of an interval (or part of one); exact to rounding with the limit below, by test."""
+
+_PANEL = 8.0
+"""Largest delta times duration of a panel: a faster decay is integrated over panels that halve towards its start."""
 
 WEIGHTS = (0, 1, 2)
 """Weighting exponents w of the energy criteria (5.14)."""
@@ -133,12 +136,16 @@ def weighted_sums(matrix: Floats, initial: Floats) -> tuple[Floats, Floats, Floa
 def _motion_moments(gamma: float, delta: float, offset: float, duration: float) -> tuple[tuple[Floats, Floats], ...]:
     """Integrals of (offset + tau)^w p p' over a segment for w = 0, 1, 2, with p the row of position, then velocity."""
     nodes, weights = leggauss(_NODES)
-    time = 0.5 * duration * (nodes + 1)
+    halvings = max(0, ceil(log2(delta * duration / _PANEL))) if delta > 0 else 0
+    edges = np.append(0.0, duration * 0.5 ** np.arange(halvings, -1, -1.0))
+    widths = np.diff(edges)[:, None]
+    time = (edges[:-1, None] + 0.5 * widths * (nodes + 1)).ravel()
+    weights = (0.5 * widths * weights).ravel()
     motion = flow(gamma, delta, time)
     rows = np.concatenate([motion.transition, motion.gain[..., None]], axis=2)
     result = []
     for w in WEIGHTS:
-        weight = 0.5 * duration * weights * (offset + time) ** w
+        weight = weights * (offset + time) ** w
         place, speed = (np.einsum("t,ti,tj->ij", weight, rows[:, part], rows[:, part]) for part in (0, 1))
         result.append((place, speed))
     return tuple(result)

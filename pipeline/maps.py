@@ -33,7 +33,9 @@ def cost_maps(loop: Loop, alpha: Floats, beta: Floats, criteria: Sequence[str]) 
     Returns
     -------
     dict of float64, shape (q, p)
-        NaN where unstable, without final position (alpha + gamma <= 0), or still moving after `MAP_SAMPLES`.
+        NaN where unstable or without final position (alpha + gamma <= 0); the settling time also where the response
+        still moves after `MAP_SAMPLES`. The overshoot is the largest one within that time, which a stable response
+        reaches in its first oscillations.
 
     Source: Hulin 2017, secs. 5.2 and 6.1.4 (theoretical maps of Figs. 6.5 to 6.7, 6.10, 6.11).
     """
@@ -53,6 +55,7 @@ def cost_maps(loop: Loop, alpha: Floats, beta: Floats, criteria: Sequence[str]) 
             continuous=False,
             longest=MAP_SAMPLES,
             quiet=MAP_QUIET,
+            unfinished_overshoot=True,
         )
     result = {}
     for criterion in criteria:

@@ -17,8 +17,7 @@ SMALLEST_SIGNAL = 20.0
 """Velocity change in standard errors of the sensor: at 20 the sensor alone makes an error of 5 %."""
 
 IRREGULARITY = 0.01
-"""Largest deviation of a time step from T inside the window: it enters the velocity, and so the mass, in
-full."""
+"""Largest deviation of a time step from T in the window: it enters the velocity, and so the mass, in full."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,10 +72,8 @@ def by_momentum(
     Notes
     -----
     Exact for b = 0 whatever K and B; else too large by b (x_2 - x_1)/(v_2 - v_1), see `correct`. A delay that
-    is
-    wrong
-    by one sample shifts the result by some 10 %. Friction and offsets of a real drive must be taken out of
-    the command before.
+    is wrong by one sample shifts the result by some 10 %. Friction and offsets of a real drive must be taken
+    out of the command before.
 
     Source: Hulin 2017, eq. 6.4 and sec. 6.1.2.
     """
@@ -110,13 +107,10 @@ def by_momentum(
             )
         elif irregular[i] > IRREGULARITY:
             reasons.append(
-                f"time steps in the window differ from T by {irregular[i]:.1%}; allowed are "
-                f"{IRREGULARITY:.0%}"
+                f"time steps in the window differ from T by {irregular[i]:.1%}; allowed are {IRREGULARITY:.0%}"
             )
         elif not visible[i]:
-            reasons.append(
-                f"velocity change {abs(velocity[i]):.3g} is not above the noise threshold {least[i]:.3g}"
-            )
+            reasons.append(f"velocity change {abs(velocity[i]):.3g} is not above the noise threshold {least[i]:.3g}")
         else:
             reasons.append(
                 "impulse and velocity change have opposite signs: no mass explains the motion with this delay"

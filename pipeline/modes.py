@@ -51,8 +51,7 @@ class Growth:
     amplitude : float64
         Root mean square of that mode at the end of the fit.
     noise : float64
-        Standard deviation of what the modes do not explain; the noise given, or more where the signal shows
-        more.
+        Standard deviation of what the modes do not explain: the noise given, or more where there is more.
     clean : bool
         Whether few modes explain the signal down to rounding.
     """
@@ -110,8 +109,7 @@ def _grow(
     take = np.minimum(column, signal.shape[1] - 1)
     hankel = np.where(inside[:, :, None], signal[np.arange(len(signal))[:, None, None], take], 0.0)
     _, values, right = np.linalg.svd(np.linalg.qr(hankel, mode="r"))
-    # the largest singular value of a noise matrix is sigma (sqrt(rows) + sqrt(points)), the smallest sigma
-    # sqrt(rows)
+    # singular values of a noise matrix: largest sigma (sqrt(rows) + sqrt(points)), smallest sigma sqrt(rows)
     spread = np.sqrt(rows) + np.sqrt(points)
     level = np.maximum(noise * spread * RANK_FACTOR, DYNAMIC_RANGE * values[:, 0])
     clean = (values[:, -1] <= level) & (level < CLEAN_FRACTION * 1e-3 * values[:, 0])

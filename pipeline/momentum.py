@@ -2,8 +2,7 @@
 
 With the command held over each period, the mean velocity of an interval is v + F T/2m, so that for b = 0
 interval means differ by exactly T (F_{k-1} + F_k)/2m: trapezoid of the held command, no differentiation
-error.
-Viscous damping adds b times the mean position of the interval.
+error. Viscous damping adds b times the mean position of the interval.
 """
 
 from __future__ import annotations
@@ -69,8 +68,7 @@ def balance(batch: TrialBatch, edge: Integers, delay_samples: int) -> Momentum:
     impulse = period * (np.cumsum(force, axis=1) - 0.5 * force)
     x = batch.displacement
     change = np.diff(x, axis=1)
-    # mean of the interval: trapezoid corrected for the change of slope, which matters from 0.2 rad a sample
-    # on
+    # mean of the interval: trapezoid corrected for the change of slope, needed from 0.2 rad a sample on
     bend = np.zeros_like(change)
     bend[:, 1:-1] = (change[:, 2:] - change[:, :-2]) / 24
     mean = 0.5 * (x[:, 1:] + x[:, :-1]) - np.nan_to_num(bend)

@@ -271,7 +271,7 @@ def _bounding_box(
 
 def _stiffest_without_overshoot(loop: Loop, criterion: str) -> OptimalPoint:
     """Stiffest point of the region without overshoot: its edge over beta, followed to the higher of its cusps."""
-    low, high = _region(loop)
+    _, high = _region(loop)
 
     def clean(alpha: Floats, beta: Floats, _: float) -> Floats:
         costs = transient_costs(

@@ -17,7 +17,7 @@ NO_ROW = -1
 """Edge row of a trial without an identifiable command edge."""
 
 EDGE_SAMPLES = 3
-"""Rows for which the external force must stay above half the step; fewer would take a flicker for the edge."""
+"""Rows for which the external force must stay above half the step: fewer would take a flicker for it."""
 
 BASELINE_SAMPLES = 5
 """Fewest baseline rows for the noise, whose own error then is 60 % (25 % for 20 rows); none would be zero."""
@@ -26,7 +26,7 @@ NOISE_GAIN = 6.0
 """Variance of the second difference of white noise relative to its own: 1 + 4 + 1."""
 
 NOISE_FACTOR = 6.0
-"""Four standard deviations (2 % chance in 400 samples) of a difference of two readings: 4 sqrt 2, rounded up."""
+"""Four standard deviations (2 % chance in 400 samples) of the difference of two readings, 4 sqrt 2 and more."""
 
 GRID_TOLERANCE = 1e-3
 """Largest distance of a position change from a multiple of the quantum, relative to the quantum."""

@@ -12,7 +12,7 @@ import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from math import exp, floor
+from math import exp, floor, inf
 from typing import Protocol
 
 import numpy as np
@@ -125,8 +125,8 @@ class Setup:
                 f"the step in row {self.edge_row} lies outside the log of {self.rows} rows; "
                 "a trial must last longer than its baseline."
             )
-        if self.quantum < 0 or self.noise < 0:
-            raise ParameterError(f"quantum {self.quantum} and noise {self.noise} must not be negative.")
+        if not (0 <= self.quantum < inf and 0 <= self.noise < inf):
+            raise ParameterError(f"quantum {self.quantum} and noise {self.noise} must be finite and not negative.")
 
     @property
     def filter_share(self) -> float:
@@ -211,9 +211,7 @@ def simulate(
     filtered = share < 1
 
     position = np.full((setup.rows, trials), np.nan)
-    command = np.full(
-        (setup.rows + 1, trials), np.nan
-    )  # row 0: what the plant feels before the first arrival
+    command = np.full((setup.rows + 1, trials), np.nan)  # row 0: what the plant feels before the first arrival
     command[0] = 0.0
     rows = np.full(trials, setup.rows, dtype=np.int64)
     inside = np.ones(trials, dtype=np.bool_)
@@ -305,9 +303,7 @@ def _draw(
     name = int.from_bytes(hashlib.sha256(stream.encode()).digest()[:8])
     choices = np.array(setup.jitter_samples, dtype=np.int64)
     noise, delays = np.zeros((setup.rows, len(K))), np.zeros((setup.rows, len(K)), dtype=np.int64)
-    bits = (
-        np.stack((K + 0.0, B + 0.0), axis=1).view(np.uint64).tolist()
-    )  # + 0.0: -0.0 is the same trial as 0.0
+    bits = np.stack((K + 0.0, B + 0.0), axis=1).view(np.uint64).tolist()  # + 0.0: -0.0 is the same trial as 0.0
     for trial, (stiffness_bits, damping_bits) in enumerate(bits):
         entropy = [seed, name, stiffness_bits, damping_bits, repetition]
         if setup.noise > 0:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -245,7 +246,7 @@ def _line_at_minus_one(loop: Loop) -> float:
 
 
 def _kept_parts(loop: Loop, curve: _Curve, place: Floats) -> list[_Part]:
-    """Return place, alpha and beta of each part of a curve that bounds the stable region, its ends and extrema refined."""
+    """Return place, alpha and beta of each part of a curve that bounds the region, its ends and extrema refined."""
 
     def kept(t: Floats) -> Booleans:
         alpha, beta = curve(t)
@@ -263,7 +264,7 @@ def _kept_parts(loop: Loop, curve: _Curve, place: Floats) -> list[_Part]:
         good, bad = np.where(fine, middle, good), np.where(fine, bad, middle)
     parts = []
     edges = np.concatenate([[0], flips + 1, [len(place)]])
-    for first, last in zip(edges[:-1], edges[1:], strict=True):
+    for first, last in pairwise(edges):
         if not status[first]:
             continue
         ends = good[(flips + 1 == first) | (flips + 1 == last)]

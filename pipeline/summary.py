@@ -37,7 +37,7 @@ def summarise(
             continue
         stiffness, damping = max(stable)
         text = (
-            f"Experiment {result.experiment}: the largest stable stiffness measured is {stiffness:.4g} "
+            f"Experiment {result.experiment}: the largest stable stiffness measured is {stiffness:.0f} "
             f"{units.stiffness} "
             f"(at B = {damping:g} {units.damping})"
         )
@@ -45,7 +45,7 @@ def summarise(
         if theory:
             predicted = theory.boundary.alpha_max * theory.units.stiffness
             where = theory.boundary.beta_at_alpha_max * theory.units.damping
-            text += f", theory says {predicted:.4g} {units.stiffness} at {where:.3g} {units.damping}"
+            text += f", theory says {predicted:.0f} {units.stiffness} at {where:.3g} {units.damping}"
             text += f" ({100 * (stiffness / predicted - 1):+.0f} %)"
         sentences.append(text + ".")
     deviations = [r for r in rows if r.deviation_percent is not None]

@@ -77,7 +77,7 @@ COLUMNS: dict[str, Column] = {
     "position_final_expected": Column(_F, "m", "rad", "x_0 + F_0/K (6.1)", True),
     "position_final_measured": Column(_F, "m", "rad", "mean position over the last tenth of the log", True),
     "sensor_quantum": Column(_F, "m", "rad", "smallest change of the position seen in the log", True),
-    "sensor_noise": Column(_F, "m", "rad", "standard deviation of the position before the step", True),
+    "sensor_noise": Column(_F, "m", "rad", "standard deviation of the white noise of the position", True),
     # delay, mass, damping stages
     "delay_samples": _same(_I, "samples", "integer delay factor d = d_obs - 1 by the first position change", True),
     "mass_momentum": Column(_F, "kg", "kg m^2", "mass by the momentum balance (6.4), biased by b", True),
@@ -85,7 +85,7 @@ COLUMNS: dict[str, Column] = {
     "viscous_damping": Column(_F, "Ns/m", "Nms/rad", "viscous damping b from the trial", True),
     # cost stages
     "overshoot": _same(_F, "1", "(max x - x_inf)/(x_inf - x_0), 0 where the position stays below", True),
-    "overshoot_floor": _same(_F, "1", "overshoot that quantum and noise alone can cause"),
+    "overshoot_floor": _same(_F, "1", "overshoot that sensor and chatter alone can cause"),
     "settle_1pct": _same(_I, "samples", "discrete settling time, band 1 %", True),
     "settle_2pct": _same(_I, "samples", "discrete settling time, band 2 %", True),
     "settle_5pct": _same(_I, "samples", "discrete settling time, band 5 %", True),

@@ -92,6 +92,7 @@ def transient_costs(
     quiet: float = QUIET,
     cutoff: float = np.inf,
     enough: float = np.inf,
+    unfinished_overshoot: bool = False,
 ) -> dict[str, Floats]:
     """Return settling times and overshoot of the step response of stable points.
 
@@ -116,6 +117,8 @@ def transient_costs(
         up. A search knows the best value so far.
     enough : float
         Overshoot above which a point is of no further interest; only for calls without bands.
+    unfinished_overshoot : bool
+        Whether points that still move after ``longest`` samples get the overshoot found so far instead of none.
 
     Returns
     -------
@@ -136,7 +139,16 @@ def transient_costs(
     peaks = {"overshoot": np.zeros(n), "overshoot_discrete": np.zeros(n)}
     settled = {band: np.zeros(n) for band in bands}
     crossings = {band: _Crossing.empty(n) for band in bands}
-    run = _Active(np.arange(n), a, b, np.full(n, -1.0), np.full(n, -1.0), np.zeros(n), _lever(loop, a), [a] * (loop.oldest_force + 1))
+    run = _Active(
+        np.arange(n),
+        a,
+        b,
+        np.full(n, -1.0),
+        np.full(n, -1.0),
+        np.zeros(n),
+        _lever(loop, a),
+        [a] * (loop.oldest_force + 1),
+    )
     given_up: list[Integers] = []
     calm = _SETTLED * min(bands) if bands else 1.0
     for k in range(longest):
@@ -176,8 +188,9 @@ def transient_costs(
         result["overshoot_discrete"] = peaks["overshoot_discrete"]
         if continuous:
             result["overshoot"] = np.maximum(peaks["overshoot"], peaks["overshoot_discrete"])
-    for values in result.values():
-        values[unfinished] = np.nan
+    for name, values in result.items():
+        if not (unfinished_overshoot and name.startswith("overshoot")):
+            values[unfinished] = np.nan
     return result
 
 

@@ -25,15 +25,13 @@ IDEAL_RANGE = 1e-9
 """Motion below this fraction of its peak counts as rest in a log without noise and quantum."""
 
 ROUNDING_RANGE = 1e3
-"""Motion below this many units of rounding of the position counts as rest in a log without noise and
-quantum."""
+"""As `IDEAL_RANGE`, in units of rounding of the position."""
 
 AT_REST_FROM = 0.8
 """Part of the motion after which it must be at rest to be called stable without asking for a growth rate."""
 
 TREND_FACTOR = 3.0
-"""Change of the motion from first to last quarter that decides where no mode explains it; noise alone changes
-less."""
+"""Change from first to last quarter that decides a motion that no mode explains; noise alone changes less."""
 
 LIMIT_SIGMAS = 3.0
 """Rates within this many standard errors of zero are not decided where K = 0."""
@@ -126,17 +124,13 @@ def _judge_wall(batch: TrialBatch, edge: Integers, floor: Floats) -> Verdicts:
     rest = np.where(ideal, np.maximum(IDEAL_RANGE * peak, ROUNDING_RANGE * rounding), floor)
     moving = size > rest[:, None]
     lasted = np.where(moving.any(axis=1), size.shape[1] - np.argmax(moving[:, ::-1], axis=1) - start, 0)
-    still = np.where(
-        ideal, lasted < AT_REST_FROM * count, _end_spread(batch, start, count) <= 2 * FLOOR_FACTOR * floor
-    )
+    still = np.where(ideal, lasted < AT_REST_FROM * count, _end_spread(batch, start, count) <= 2 * FLOOR_FACTOR * floor)
     at_rest = still & (count >= FEWEST_SAMPLES) & (peak > 0)
-    # a motion that comes to rest is fitted while it lasts, or with some rest behind it where that is too
-    # short
+    # a motion that comes to rest is fitted while it lasts, with some rest behind it where that is too short
     length = np.where(at_rest | ideal, np.maximum(lasted, np.minimum(count, 2 * FEWEST_SAMPLES)), count)
     take = np.minimum(start[:, None] + column, change.shape[1] - 1)
     signal = np.take_along_axis(change, take, axis=1)
-    # the floor is six standard deviations of the noise wide, or one quantum, whose error is far smaller than
-    # that
+    # the floor is six standard deviations of the noise wide, or one quantum, whose error is far smaller
     grown = fastest_growth(signal, length, np.maximum(floor / NOISE_FACTOR, rounding))
     rate = grown.per_sample
     grows = _adds(grown, floor) & ~at_rest
@@ -150,9 +144,7 @@ def _judge_wall(batch: TrialBatch, edge: Integers, floor: Floats) -> Verdicts:
     trend = _trend(signal, count)
     unexplained = np.isnan(rate) & ~at_rest & (count >= FEWEST_SAMPLES) & (peak > 0)
     grows |= unexplained & (trend > TREND_FACTOR)
-    known = (
-        np.isfinite(rate) | at_rest | (unexplained & ((trend > TREND_FACTOR) | (trend < 1 / TREND_FACTOR)))
-    )
+    known = np.isfinite(rate) | at_rest | (unexplained & ((trend > TREND_FACTOR) | (trend < 1 / TREND_FACTOR)))
     verdict = np.where(~known, "undecided", np.where(grows, "unstable", "stable"))
     rate = np.where(at_rest & (rate > 0), np.nan, rate)
     reason = tuple(
@@ -180,8 +172,7 @@ def _trend(signal: Floats, count: Integers) -> Floats:
     first = column < (0.25 * count)[:, None]
     last = (column >= (0.75 * count)[:, None]) & (column < count[:, None])
     before, after = (
-        np.sqrt(np.where(part, signal**2, 0.0).sum(axis=1) / np.maximum(part.sum(axis=1), 1))
-        for part in (first, last)
+        np.sqrt(np.where(part, signal**2, 0.0).sum(axis=1) / np.maximum(part.sum(axis=1), 1)) for part in (first, last)
     )
     trend: Floats = after / np.where(before > 0, before, 1.0)
     return trend
@@ -235,9 +226,7 @@ def _judge_free(batch: TrialBatch, edge: Integers, floor: Floats) -> Verdicts:
         if done:
             reasons.append("")
         elif usable:
-            reasons.append(
-                f"at the limit: growth of the acceleration {g:.3g} +- {s:.2g} 1/s does not differ from 0"
-            )
+            reasons.append(f"at the limit: growth of the acceleration {g:.3g} +- {s:.2g} 1/s does not differ from 0")
         else:
             reasons.append(
                 f"too little motion at K = 0: at least {FEWEST_SAMPLES} samples above the sensor floor needed"

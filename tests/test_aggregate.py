@@ -117,14 +117,21 @@ def test_overshoot_takes_the_stiffest_trial_without_any():
     nothing = np.zeros_like(K)
     assert choose_optimum(cost, K, B, names, unstable=unstable, floor=nothing).trial_id == "5/3"
     assert choose_optimum(cost, K, B, names, unstable=unstable, floor=nothing + 2e-3).trial_id == "6/3"
-    assert choose_optimum(cost + 0.2, K, B, names, unstable=unstable, floor=nothing).cost == pytest.approx(
-        0.2
-    )
+    assert choose_optimum(cost + 0.2, K, B, names, unstable=unstable, floor=nothing).cost == pytest.approx(0.2)
 
 
-@pytest.mark.parametrize(
-    ("at", "censored"), [((3, 6), True), ((3, 0), False), ((3, 3), False), ((6, 3), False)]
-)
+def test_a_trial_with_a_wide_floor_is_not_known_to_be_without_overshoot():
+    K, B, names, unstable = grid()
+    cost = np.where(K <= 4, 0.0, 0.1)
+    cost[(K == 6) & (B == 3)] = 0.04
+    floor = np.where((K == 6) & (B == 3), 0.05, 1e-3)
+    assert choose_optimum(cost, K, B, names, unstable=unstable, floor=floor).stiffness == 4.0
+    # where no trial is known to be without, the smallest overshoot is the best
+    cost = np.where((K == 6) & (B == 3), 0.04, 0.1)
+    assert choose_optimum(cost, K, B, names, unstable=unstable, floor=floor).trial_id == "6/3"
+
+
+@pytest.mark.parametrize(("at", "censored"), [((3, 6), True), ((3, 0), False), ((3, 3), False), ((6, 3), False)])
 def test_censored_at_the_largest_tested_damping(at, censored):
     K, B, names, unstable = grid()
     cost = (K - at[0]) ** 2 + (B - at[1]) ** 2

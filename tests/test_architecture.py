@@ -40,7 +40,7 @@ LAYERS: dict[str, set[str]] = {
     "theory": {"plant", "loop", "stability", "energy", "transient", "optimum", "maps", "predictions", "theory"},
     "simulation": {"simulate", "procedure", "course"},
     "rendering": {"style", "labels", "panels", "figures", "report_tables", "report"},
-    "meeting": {"scene", "tables_d", "figure_data", "compare"},
+    "meeting": {"scene", "tables_d", "figure_data", "summary", "compare"},
     "shell": {"console", "demo", "cli", "cli_theory"},
 }
 """Every module by its layer, as in docs/architecture.md."""

@@ -7,8 +7,12 @@ import pytest
 from simulated import FALCON, LWR, simulate
 
 from pipeline import costs
+from pipeline.aggregate import choose_optimum
+from pipeline.course import run_course
+from pipeline.devices import load_device
 from pipeline.errors import ParameterError
 from pipeline.response import find_response
+from pipeline.simulate import simulate as simulate_device
 from pipeline.verdict import judge
 
 K = np.array([4469.0, 12000.0, 600.0, 1500.0, 3000.0, 8000.0, 4000.0])
@@ -47,15 +51,17 @@ def direct(batch, i, delay, mass, edge=20):
     return energy, settled, max(0.0, max((now - final) / (force / k_wall) for now in x))
 
 
-@pytest.mark.parametrize(
-    ("dev", "delay"), [(FALCON, 4), ({**FALCON, "step": -8.0}, 4), ({**FALCON, "delay": 2}, 2)]
-)
+@pytest.mark.parametrize(("dev", "delay"), [(FALCON, 4), ({**FALCON, "step": -8.0}, 4), ({**FALCON, "delay": 2}, 2)])
 def test_ideal_costs_equal_a_direct_evaluation(dev, delay):
     batch = simulate(K, B, **dev)
     settling, overshoot, energy = evaluate(batch, delay)
     for i in range(len(K)):
         expected, settled, over = direct(batch, i, delay, 0.58)
-        np.testing.assert_allclose(energy.potential[i] + 0.58 * energy.kinetic[i], expected, rtol=1e-12)
+        cost = energy.potential[i] + 0.58 * energy.kinetic[i]
+        # 12000 N/m, 90 Ns/m has not decayed within 400 samples (d = 4): what it lacks is tested below
+        known = np.isfinite(cost)
+        assert known.tolist() == ([True, False, False] if i == 1 and delay == 4 else [True] * 3)
+        np.testing.assert_allclose(cost[known], np.array(expected)[known], rtol=1e-12)
         assert overshoot.overshoot[i] == pytest.approx(over, rel=1e-12, abs=1e-15)
         for name, band in (("settle_1pct", 0.01), ("settle_2pct", 0.02), ("settle_5pct", 0.05)):
             value = settling.samples[name][i]
@@ -108,18 +114,101 @@ def test_sensor_does_not_swamp_the_energy(sensor, rows):
     assert (seen.horizon_samples < 300).all()
 
 
-def test_untold_tail_is_reported_and_of_the_right_size():
-    long, short = (simulate([12000.0], [90.0], **FALCON, rows=rows) for rows in (3000, 220))
+def test_a_sum_with_a_large_tail_is_no_cost():
+    """A log that ends before the response has decayed; a longer log tells what is lost."""
+    long, short = (simulate([12000.0], [90.0], **FALCON, rows=rows) for rows in (3000, 420))
     whole, part = evaluate(long)[2], evaluate(short)[2]
     assert whole.reason == ("",)
-    assert "beyond them" in part.reason[0]
-    lost = 1 - part.potential[0] / whole.potential[0]
-    assert lost[2] > 0.01
-    told = float(part.reason[0].split("w = 2: ")[1].split(" %")[0]) / 100
-    missing = (
-        whole.potential[0, 2] + 0.58 * whole.kinetic[0, 2] - part.potential[0, 2] - 0.58 * part.kinetic[0, 2]
-    )
-    assert told * part.potential[0, 2] == pytest.approx(missing, rel=0.5)
+    full = (whole.potential + 0.58 * whole.kinetic)[0]
+    cut = (part.potential + 0.58 * part.kinetic)[0]
+    told = {
+        w: float(part.reason[0].split(f"w = {w}: ")[1].split(" %")[0]) / 100
+        for w in (0, 1, 2)
+        if f"w = {w}:" in part.reason[0]
+    }
+    assert np.isfinite(cut).tolist() == [True, True, False]
+    assert "no value (w = 2): record longer" in part.reason[0]
+    # what is told is relative to the potential part and taken from the envelope, whose mean square is half
+    assert set(told) == {1, 2}
+    lost = (full[1] - cut[1]) / cut[1]
+    assert 0.5 * told[1] < lost < 2 * told[1]
+    assert told[2] > 0.05
+
+
+def test_a_tail_of_the_largest_weight_alone_leaves_the_others():
+    rows = np.arange(60, 400, 20)
+    whole = evaluate(simulate([4469.0], [73.05], **FALCON, rows=3000))[2]
+    full = (whole.potential + 0.58 * whole.kinetic)[0]
+    ends = [evaluate(simulate([4469.0], [73.05], **FALCON, rows=int(r)))[2] for r in rows]
+    cost = np.array([(e.potential + 0.58 * e.kinetic)[0] for e in ends])
+    known = np.isfinite(cost)
+    assert (known[:, 0] & ~known[:, 2]).any()
+    # a log that is longer tells no less, and what it tells is nearly the whole
+    assert (np.diff(known.astype(int), axis=0) >= 0).all()
+    np.testing.assert_allclose((cost / full)[known], 1.0, rtol=0.06)
+
+
+def lasting(amplitude):
+    """A good trial on whose response an oscillation of the given share of the displacement lasts."""
+    batch = simulate([4000.0], [80.0], **FALCON, quantum=2e-6, noise=5e-7)
+    row = np.arange(400)
+    motion = amplitude * 8 / 4000 * np.sin(2 * np.pi * (row - 20) / 25) * (row >= 20)
+    return dataclasses.replace(batch, position=batch.position + motion)
+
+
+def test_a_response_that_never_settles_has_no_energy_cost():
+    batch = lasting(0.2)
+    response = dataclasses.replace(find_response(lasting(0.0)), floor=np.array([6e-6]))
+    found = costs.energy(batch, response, judge(lasting(0.0)), 4)
+    assert np.isnan(found.potential).all()
+    assert np.isnan(found.kinetic).all()
+    assert found.reason[0] == "never settles: 20% of the final displacement lasts to the end of the log"
+
+
+def test_the_floor_may_not_hide_a_lasting_motion():
+    """A floor wrongly taken for wide would cut the sum after a few samples and make it the smallest of all."""
+    quiet, swinging = lasting(0.0), lasting(0.2)
+    response = dataclasses.replace(find_response(quiet), floor=np.array([3e-5]))
+    verdicts = judge(quiet)
+    assert np.isfinite(costs.energy(quiet, response, verdicts, 4).potential).all()
+    assert np.isnan(costs.energy(swinging, response, verdicts, 4).potential).all()
+
+
+def test_chatter_before_the_step_widens_the_floor_of_the_overshoot():
+    batch = simulate([4000.0], [80.0], **FALCON, quantum=2e-6, noise=5e-7)
+    response, verdicts = find_response(batch), judge(batch)
+    calm = costs.overshoot(batch, response, verdicts)
+    chatter = dataclasses.replace(response, baseline_motion=np.array([3e-5]))
+    found = costs.overshoot(batch, chatter, verdicts)
+    assert found.floor[0] - calm.floor[0] == pytest.approx(3e-5 / (8 / 4000))
+    assert found.overshoot[0] == calm.overshoot[0]
+
+
+def test_optima_of_a_jittered_noisy_course_are_trustworthy():
+    """Each optimum against the cost of the same trial with the same jitter, no sensor and a long log."""
+    course = run_course(load_device("falcon"), "1", seed=1, coarsen=2)
+    batch = course.batch
+    K, B = batch.stiffness, batch.damping
+    response = find_response(batch)
+    verdicts = judge(batch, response)
+    bare = dataclasses.replace(course.setup, noise=0.0, quantum=0.0, rows=2000)
+    unstable = verdicts.verdict == "unstable"
+
+    def best(cost, floor=None):
+        return choose_optimum(cost, K, B, batch.trial_id, unstable=unstable, floor=floor)
+
+    energy = costs.energy(batch, response, verdicts, 4)
+    for w in (0, 1, 2):
+        chosen = best(energy.potential[:, w] + 0.58 * energy.kinetic[:, w])
+        i = batch.trial_id.index(chosen.trial_id)
+        true = simulate_device(bare, K[[i]], B[[i]], seed=1, stream="falcon/1")
+        # the horizon leaves out some percent, the sensor moves the device by some more
+        assert chosen.cost == pytest.approx(direct(true, 0, 4, 0.58)[0][w], rel=0.1)
+    overshoot = costs.overshoot(batch, response, verdicts)
+    found = best(overshoot.overshoot, overshoot.floor)
+    # theory without jitter: 5056 N/m; the thesis measured 6800 and 6600 N/m
+    assert 4500 < found.stiffness < 7500
+    assert found.cost < 0.01
 
 
 def test_band_below_the_sensor_floor_is_not_identifiable():

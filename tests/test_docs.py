@@ -91,6 +91,20 @@ def test_readme_shows_the_commands_that_a_user_needs() -> None:
         assert f"pipeline {name}" in shown
 
 
+def test_log_of_the_readme_is_accepted(tmp_path: Path) -> None:
+    from pipeline.ingest import ingest
+    from pipeline.storage import read_trials
+
+    block = re.search(r"^ {4}# device: .*\n(?: {4}.*\n)+", read(ROOT / "README.md"), flags=re.MULTILINE)
+    assert block
+    (tmp_path / "logs").mkdir()
+    (tmp_path / "logs" / "a.csv").write_text(re.sub(r"^ {4}", "", block[0], flags=re.MULTILINE), encoding="utf-8")
+    report = ingest([tmp_path / "logs"], tmp_path / "processed")
+    assert (report.found, report.ingested) == (1, 1)
+    trial = read_trials(tmp_path / "processed").to_pylist()[0]
+    assert (trial["device"], trial["stiffness"], trial["damping"], trial["step"]) == ("falcon", 3200, 18, 8)
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda path: path.name)
 def test_make_targets_exist(page: Path) -> None:
     targets = set(re.findall(r"^([a-z-]+):", read(ROOT / "Makefile"), flags=re.MULTILINE))
@@ -122,6 +136,12 @@ def test_image_is_small_and_needs_no_network() -> None:
     for image in images:
         assert image.stat().st_size <= LARGEST_IMAGE
         assert not re.search(r'(?:href|src)="(?!#)|url\((?!#)|@import', read(image))
+
+
+def test_readme_names_the_trials_that_the_figure_shows() -> None:
+    shown = re.search(r"[\d,]+ trials", read(ROOT / "docs" / "img" / "cost-map.svg"))
+    assert shown
+    assert f"{shown[0].split()[0]} simulated logs" in " ".join(read(ROOT / "README.md").split())
 
 
 def names_of_the_code() -> set[str]:

@@ -28,9 +28,7 @@ def test_edge_start_and_final_position_of_ideal_logs():
 @pytest.mark.parametrize("jitter", [(), (3, 4, 5)])
 def test_edge_and_quantum_with_a_coarse_sensor(quantum, jitter):
     # at B = 184 a quantum of 60 um changes the wall force by 11 N, more than the step of 8 N
-    batch = simulate(
-        K, np.array([4.0, 184.0, 90.0, -4.0, 120.0]), **FALCON, quantum=quantum, noise=5e-7, jitter=jitter
-    )
+    batch = simulate(K, np.array([4.0, 184.0, 90.0, -4.0, 120.0]), **FALCON, quantum=quantum, noise=5e-7, jitter=jitter)
     found = find_response(batch)
     assert found.edge_row.tolist() == [20] * 5
     np.testing.assert_allclose(found.sensor_quantum, quantum, rtol=1e-6)
@@ -47,6 +45,46 @@ def test_noise_is_that_of_the_sensor():
     assert np.median(found.sensor_noise) == pytest.approx(1e-6, rel=0.1)
     assert (found.sensor_quantum == 0).all()
     np.testing.assert_allclose(found.floor, 6 * found.sensor_noise)
+
+
+def test_a_quantum_alone_is_no_noise():
+    found = find_response(simulate(K, B, **FALCON, quantum=1e-5))
+    assert found.sensor_noise.tolist() == [0.0] * 5
+    np.testing.assert_allclose(found.floor, 1e-5, rtol=1e-6)
+
+
+def with_baseline(move, rows=60):
+    """Trials whose baseline of ``rows`` samples carries the given motion, shape (n, rows)."""
+    n = len(move)
+    batch = simulate(np.full(n, 400.0), np.full(n, 4.0), **FALCON, baseline=rows)
+    position = batch.position.copy()
+    position[:, :rows] += move
+    # the controller sees the motion: command = step - wall, so that the edge stays where it is
+    change = np.diff(position, axis=1, prepend=position[:, :1])
+    wall = 400.0 * (position - position[:, :1]) + 4.0 * change * 1e3
+    command = np.where(np.arange(position.shape[1]) >= rows, 8.0, 0.0) - wall
+    return dataclasses.replace(batch, position=position, command=command)
+
+
+@pytest.mark.parametrize(("period", "share"), [(35, 0.01), (16, 0.05)])
+def test_slow_chatter_before_the_step_is_motion_and_not_noise(period, share):
+    random = np.random.default_rng(1)
+    noise = 5e-7 * random.standard_normal((50, 60))
+    phase = random.uniform(0, 2 * np.pi, (50, 1))
+    chatter = 1e-5 * np.sin(2 * np.pi * np.arange(60) / period + phase)
+    found = find_response(with_baseline(noise + chatter))
+    assert found.edge_row.tolist() == [60] * 50
+    # variances add; 10 um of chatter would be a standard deviation of 7 um
+    assert np.median(found.sensor_noise) == pytest.approx(np.hypot(5e-7, share * 1e-5), rel=0.1)
+    assert (found.baseline_motion > 1.9e-5).all()
+    assert (found.baseline_motion < 2.3e-5).all()
+    quiet = find_response(with_baseline(noise))
+    assert (quiet.baseline_motion == 0).mean() > 0.95
+
+
+def test_a_short_baseline_tells_no_noise():
+    found = find_response(simulate(K, B, **FALCON, noise=1e-6, baseline=4))
+    assert np.isnan(found.sensor_noise).all()
 
 
 def test_negative_step():
@@ -68,9 +106,7 @@ def test_step_in_row_0_has_no_edge():
 
 def test_no_step_at_all_has_no_edge():
     batch = simulate([3000.0], [50.0], **FALCON)
-    still = dataclasses.replace(
-        batch, command=np.zeros_like(batch.command), position=np.full_like(batch.position, 0.1)
-    )
+    still = dataclasses.replace(batch, command=np.zeros_like(batch.command), position=np.full_like(batch.position, 0.1))
     found = find_response(still)
     assert found.edge_row.tolist() == [-1]
     assert "no command edge" in found.reason[0]

@@ -131,9 +131,7 @@ def problems(value: Any, schema: dict[str, Any], root: dict[str, Any], where: st
         "integer": int,
     }
     kind = schema.get("type")
-    if kind and (
-        not isinstance(value, kinds[kind]) or (isinstance(value, bool) and kind in ("number", "integer"))
-    ):
+    if kind and (not isinstance(value, kinds[kind]) or (isinstance(value, bool) and kind in ("number", "integer"))):
         return [*found, f"{where}: {value!r} is no {kind}"]
     if kind == "object":
         properties, others = schema.get("properties", {}), schema.get("additionalProperties", True)
@@ -150,9 +148,7 @@ def problems(value: Any, schema: dict[str, Any], root: dict[str, Any], where: st
             found.append(f"{where}: too few entries")
         for index, entry in enumerate(value):
             found += problems(entry, schema.get("items", {}), root, f"{where}[{index}]")
-    if kind == "string" and not schema.get("minLength", 0) <= len(value) <= schema.get(
-        "maxLength", len(value)
-    ):
+    if kind == "string" and not schema.get("minLength", 0) <= len(value) <= schema.get("maxLength", len(value)):
         found.append(f"{where}: {value!r} has a wrong length")
     if kind in ("number", "integer"):
         if value < schema.get("minimum", value) or value > schema.get("maximum", value):

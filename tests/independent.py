@@ -1,0 +1,218 @@
+"""Second methods for the theory branch: none of them shares a formula or a line with `pipeline`.
+
+A loop in physical units that is stepped through time (matrix exponential, absolute coordinates, force in a list),
+polynomials in many digits, and costs read off dense samples.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import mpmath as mp
+import numpy as np
+from scipy.linalg import expm
+
+DIGITS = 50
+
+
+def flow_in_many_digits(gamma: float, delta: float, time: float) -> mp.matrix:
+    """Matrix exponential of (x, v, u) for x'' = u - delta x' - gamma x."""
+    with mp.workdps(DIGITS):
+        g, d, t = mp.mpf(gamma), mp.mpf(delta), mp.mpf(time)
+        return mp.expm(mp.matrix([[0, t, 0], [-g * t, -d * t, t], [0, 0, 0]]))
+
+
+def characteristic(gamma: float, delta: float, delay: float, alpha: float, beta: float) -> list[mp.mpf]:
+    """Characteristic polynomial, highest power first, from the modified z-transform of the delayed plant."""
+    with mp.workdps(DIGITS):
+        whole, fraction = math.floor(delay), mp.mpf(delay) - math.floor(delay)
+        full = flow_in_many_digits(gamma, delta, 1.0)
+        late = mp.expm(
+            mp.matrix([[0, 1, 0], [-mp.mpf(gamma), -mp.mpf(delta), 1], [0, 0, 0]]) * (1 - fraction)
+        )
+        first = mp.expm(mp.matrix([[0, 1, 0], [-mp.mpf(gamma), -mp.mpf(delta), 1], [0, 0, 0]]) * fraction)
+        new = (late[0, 2], late[1, 2])
+        old = [late[i, 0] * first[0, 2] + late[i, 1] * first[1, 2] for i in (0, 1)]
+        a, b, c, d = full[0, 0], full[0, 1], full[1, 0], full[1, 1]
+        plant = [mp.mpf(1), -(a + d), a * d - b * c]
+        # first row of adj(z I - A) is (z - d, b); new acts with delay `whole`, old one sample later
+        numerator = [new[0], b * new[1] - d * new[0] + old[0], b * old[1] - d * old[0]]
+        wall = [mp.mpf(alpha) + mp.mpf(beta), -mp.mpf(beta)]
+        right = [mp.mpf(0)] * 4
+        for i, n in enumerate(numerator):
+            for j, w in enumerate(wall):
+                right[i + j] += n * w
+        left = plant + [mp.mpf(0)] * (whole + 2)
+        right = [mp.mpf(0)] * (len(left) - 4) + right
+        return [x + y for x, y in zip(left, right, strict=True)]
+
+
+def radius_by_polynomial(gamma: float, delta: float, delay: float, alpha: float, beta: float) -> float:
+    """Largest root of the characteristic polynomial (Durand-Kerner in many digits)."""
+    with mp.workdps(DIGITS):
+        polynomial = characteristic(gamma, delta, delay, alpha, beta)
+        while polynomial[-1] == 0:
+            polynomial.pop()
+        return float(max(abs(root) for root in mp.polyroots(polynomial, maxsteps=400, extraprec=200)))
+
+
+def stable_by_schur_cohn(polynomial: list[mp.mpf], radius: float = 1.0) -> bool:
+    """Whether all roots lie inside a circle, by reducing the degree with reflection coefficients."""
+    with mp.workdps(4 * DIGITS):
+        degree = len(polynomial) - 1
+        p = [c * mp.mpf(radius) ** (degree - i) for i, c in enumerate(polynomial)]
+        while len(p) > 1:
+            ratio = p[-1] / p[0]
+            if abs(ratio) >= 1:
+                return False
+            p = [x - ratio * y for x, y in zip(p[:-1], reversed(p[1:]), strict=True)]
+        return True
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Dense motion: time in samples, displacement and velocity per final displacement (or as is), index of samples."""
+
+    time: np.ndarray
+    x: np.ndarray
+    v: np.ndarray
+    every: int
+    piece: int
+    acceleration: float
+
+
+@lru_cache(maxsize=64)
+def _piece(mass: float, damping: float, stiffness: float, time: float, fine: int) -> np.ndarray:
+    """Rows of position and velocity at the `fine` points of a piece, shape (fine, 2, 3), by matrix exponentials."""
+    m = np.array([[0, 1, 0], [-stiffness / mass, -damping / mass, 1 / mass], [0, 0, 0]])
+    return np.array([expm(m * time * (i + 1) / fine)[:2] for i in range(fine)])
+
+
+def simulate(
+    alpha: float,
+    beta: float,
+    *,
+    delay: tuple[int, int],
+    samples: int,
+    gamma: float = 0.0,
+    delta: float = 0.0,
+    mass: float = 1.0,
+    period: float = 1.0,
+    signal: str = "step",
+    fine: int = 16,
+) -> Motion:
+    """Step a physical mass with wall through time: delay p/q samples, 1/(q fine) samples a step.
+
+    ``alpha``, ``beta``, ``gamma``, ``delta`` are the physical K, B, k, b; the external step is 1 N (kg m/s for an impulse)
+    at sample 0, undelayed. The wall samples every q-th piece and its force arrives p pieces later.
+    """
+    p, q = delay
+    rows = _piece(mass, delta, gamma, period / q, fine)
+    (xx, xv, xu), (vx, vv, vu) = rows[-1].tolist()
+    x, v = 0.0, (1.0 / mass if signal == "impulse" else 0.0)
+    external = 1.0 if signal == "step" else 0.0
+    arriving = [0.0] * (p + samples * q + q)
+    states, before = [], 0.0
+    for piece in range(samples * q):
+        if piece % q == 0:
+            wall = -alpha * x - beta * (x - before) / period
+            before = x
+            arriving[piece + p : piece + p + q] = [wall] * q
+        u = external + arriving[piece]
+        states.append((x, v, u))
+        x, v = xx * x + xv * v + xu * u, vx * x + vv * v + vu * u
+    state = np.array(states)
+    dense = np.einsum("frc,pc->rpf", rows, state).reshape(2, -1)
+    xs, vs = (np.concatenate([[state[0, i]], dense[i]]) for i in (0, 1))
+    forces = np.repeat(state[:, 2], fine)
+    largest = float(np.abs(forces - delta * vs[1:] - gamma * xs[1:]).max()) / mass
+    largest = max(largest, float(np.abs(state @ np.array([-gamma, -delta, 1.0])).max()) / mass)
+    # between two points the acceleration differs from that at the points by little; 1.1 covers it
+    return Motion(
+        np.arange(len(xs)) / (q * fine), xs, vs, q * fine, fine, 1.1 * largest * period**2 * (alpha + gamma)
+    )
+
+
+def deviation(motion: Motion, stiffness: float) -> np.ndarray:
+    """Distance from the final position of a unit step, relative to the final displacement."""
+    return motion.x * stiffness - 1.0
+
+
+def between_points(motion: Motion) -> float:
+    """Bound of how far the relative position strays from a straight line between two dense points: a h^2/8."""
+    return motion.acceleration / motion.every**2 / 8
+
+
+def settling_bracket(motion: Motion, stiffness: float, band: float) -> tuple[float, float]:
+    """Interval that holds the last entry into the band: the band widened and narrowed by what lies between points."""
+    e = np.abs(deviation(motion, stiffness))
+    slack = between_points(motion)
+
+    def entry(level: float) -> float:
+        last = int(np.flatnonzero(e > level)[-1])
+        share = (e[last] - level) / (e[last] - e[last + 1])
+        return float(motion.time[last] + share / motion.every)
+
+    return entry(band + slack), entry(band - slack)
+
+
+def discrete_settling(motion: Motion, stiffness: float, band: float) -> int:
+    """Smallest k with samples k, k+1, ... inside the band."""
+    outside = np.abs(deviation(motion, stiffness)[:: motion.every]) > band
+    return int(np.flatnonzero(outside)[-1]) + 1
+
+
+def continuous_energy(
+    motion: Motion, stiffness: float, mass: float, w: int, signal: str
+) -> float:
+    """Integral (5.14) by Simpson's rule on each piece of constant force."""
+    final, norm = (1 / stiffness, 0.5 / stiffness) if signal == "step" else (0.0, 0.5 / mass)
+    energy = 0.5 * stiffness * (motion.x - final) ** 2 + 0.5 * mass * motion.v**2
+    weighted = motion.time**w * energy / norm
+    assert motion.piece % 2 == 0, "a panel of Simpson's rule must not straddle a jump of the force"
+    weights = np.ones(len(weighted))
+    weights[1:-1:2], weights[2:-1:2] = 4.0, 2.0
+    return float(weights @ weighted / (3 * motion.every))
+
+
+def discrete_energy(
+    motion: Motion, stiffness: float, mass: float, period: float, w: int, signal: str
+) -> float:
+    """Left rectangle rule with the backward difference, term by term."""
+    final, norm = (1 / stiffness, 0.5 / stiffness) if signal == "step" else (0.0, 0.5 / mass)
+    x = motion.x[:: motion.every]
+    speed = np.diff(x, prepend=x[0]) / period
+    k = np.arange(len(x), dtype=float)
+    return float(np.sum(k**w * (0.5 * stiffness * (x - final) ** 2 + 0.5 * mass * speed**2)) / norm)
+
+
+def stable_cases(count: int, seed: int, slowest: float = 0.93) -> list[tuple[float, ...]]:
+    """Random (gamma, delta, p, q, alpha, beta) of loops that settle in a few hundred samples; seeded.
+
+    Stability is judged by polynomial roots (numpy), so that drawing needs nothing of the code under test.
+    """
+    rng = np.random.default_rng(seed)
+    cases: list[tuple[float, ...]] = []
+    while len(cases) < count:
+        q = int(rng.choice([1, 1, 2, 3, 4, 5]))
+        p = int(rng.integers(0, 4 * q + 1))
+        d = p / q
+        gamma = float(rng.choice([0.0, 1e-9, 1e-3, 0.02 / (1 + d) ** 2, 0.3 / (1 + d) ** 2]))
+        delta = float(rng.choice([0.0, 1e-9, 0.02, 0.3, 2.0]))
+        alpha = float(rng.uniform(0.02, 0.7) * 2.1 / (1 + d) ** 2 * 0.5)
+        beta = float(rng.uniform(0.1, 1.2) / (0.5 + d) * 0.7)
+        polynomial = [float(c) for c in characteristic(gamma, delta, d, alpha, beta)]
+        radius = float(np.abs(np.roots(polynomial)).max())
+        if radius < 1 - (1 - slowest) / (1 + d):
+            cases.append((gamma, delta, p, q, alpha, beta))
+    return cases
+
+
+def horizon(case: tuple[float, ...], decades: float = 14.0) -> int:
+    """Samples after which a response has decayed by that many decades."""
+    gamma, delta, p, q, alpha, beta = case
+    polynomial = [float(c) for c in characteristic(gamma, delta, p / q, alpha, beta)]
+    radius = float(np.abs(np.roots(polynomial)).max())
+    return int(decades * math.log(10) / -math.log(max(radius, 0.3))) + 20

@@ -1,0 +1,378 @@
+"""The command line: each option is parsed, calls the right function, and prints and exits as promised."""
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pytest
+from native_logs import FAULTS, log_text
+
+from pipeline import __version__, compare, console
+from pipeline.cli import run
+from pipeline.errors import StoreError
+
+COMMANDS = {
+    "demo": ["--full"],
+    "simulate": [
+        *("--experiment", "--out", "--seed", "--ideal", "--quantum", "--noise", "--jitter", "--duration"),
+        *("--range", "--coarsen", "--overwrite", "--json"),
+    ],
+    "ingest": ["--profile", "--processed", "--jobs", "--rehash", "--dry-run", "--json"],
+    "compare": ["--device", "--experiment", "--criteria", "--processed", "--report", "--dry-run", "--json"],
+    "theory points": ["--json"],
+    "theory boundary": ["--delay", "--gamma", "--delta", "--json"],
+    "theory optimum": ["--criterion", "--delay", "--gamma", "--delta", "--signal", "--json"],
+    "theory map": ["--delay", "--gamma", "--delta", "--size", "--criteria", "--out", "--json"],
+}
+
+
+@pytest.fixture
+def call(capsys, monkeypatch, tmp_path):
+    """Run the command line in an empty folder; returns exit status, stdout and stderr."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "200")
+
+    def run_here(*arguments):
+        with pytest.raises(SystemExit) as leaving:
+            run([str(a) for a in arguments])
+        out, err = capsys.readouterr()
+        return leaving.value.code or 0, out, err
+
+    return run_here
+
+
+def document(result, status=0):
+    assert result[0] == status, result
+    return json.loads(result[1])
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_names_purpose_options_and_an_example(call, command):
+    status, out, _ = call(*command.split(), "--help")
+    assert status == 0
+    assert [option for option in COMMANDS[command] if option not in out] == []
+    assert f"Example: pipeline {command}" in out
+
+
+def test_help_and_version_need_none_of_the_heavy_packages():
+    heavy = ["numpy", "scipy", "pyarrow", "matplotlib", "jinja2", "pipeline.loop"]
+    script = (
+        "import sys\nfrom pipeline.cli import run\ntry:\n    run(sys.argv[1:])\nfinally:\n"
+        f"    print([m for m in {heavy} if m in sys.modules], file=sys.stderr)"
+    )
+    for arguments in (["--help"], ["--version"], ["ingest", "--help"]):
+        process = subprocess.run([sys.executable, "-c", script, *arguments], capture_output=True, text=True, check=True)
+        assert process.stderr.strip() == "[]", arguments
+
+
+def test_version(call):
+    assert call("--version") == (0, f"pipeline {__version__}\n", "")
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [["fly"], ["ingest"], ["ingest", "raw", "--fast"], ["compare"], ["simulate", "falcon", "--seed", "x"], ["theory"]],
+)
+def test_usage_errors_leave_with_2(call, arguments):
+    status, _, err = call(*arguments)
+    assert status == 2
+    assert "Usage" in err or arguments == ["theory"]
+
+
+# simulate
+
+
+def test_simulate_writes_logs_and_counts_them(call, tmp_path):
+    arguments = ("simulate", "lwr", "--experiment", "delay-8", "--coarsen", "4", "--seed", "3", "--json")
+    status, out, err = call(*arguments)
+    found = json.loads(out)
+    folder = tmp_path / "raw" / "lwr" / "delay-8"
+    assert (status, err) == (0, "")
+    assert found == {"device": "lwr", "folder": "raw", "seed": 3, "logs": {"delay-8": len(list(folder.glob("*.csv")))}}
+    assert found["logs"]["delay-8"] > 20
+    assert json.loads((folder / "truth.json").read_text())["seed"] == 3
+    status, out, err = call(*arguments)
+    assert (status, out) == (2, "")
+    assert "--overwrite" in err
+    assert document(call(*arguments, "--overwrite")) == found
+
+
+def test_simulate_options_reach_the_simulation(call, tmp_path):
+    options = ("--ideal", "--quantum", "1e-5", "--noise", "2e-6", "--duration", "0.1", "--coarsen", "8")
+    out = tmp_path / "logs"
+    document(call("simulate", "falcon", "-e", "4", "-e", "6", "--jitter", "3,5", *options, "--out", out, "--json"))
+    assert sorted(p.name for p in (out / "falcon").iterdir()) == ["4", "6"]
+    truth = json.loads((out / "falcon" / "6" / "truth.json").read_text())
+    assert (truth["quantum"], truth["noise"], truth["jitter_samples"]) == (1e-5, 2e-6, [3, 5])
+    assert max(log["rows"] for log in truth["logs"].values()) == 100
+    arguments = ("--experiment", "6", "--jitter", "none", "--duration", "0.1", "--coarsen", "8", "--json")
+    document(call("simulate", "falcon", *arguments, "--out", tmp_path / "none"))
+    assert json.loads((tmp_path / "none/falcon/6/truth.json").read_text())["jitter_samples"] == []
+
+
+def test_simulate_takes_a_device_file_and_a_damping_range(call, tmp_path):
+    shipped = Path(compare.__file__).parents[1] / "schemas" / "devices" / "lwr.toml"
+    text = shipped.read_text(encoding="utf-8").replace('name = "lwr"', 'name = "mine"', 1)
+    (tmp_path / "mine.toml").write_text(text, encoding="utf-8")
+    arguments = ("mine.toml", "-e", "delay-6", "--coarsen", "8", "--duration", "0.1", "--json")
+    tested = document(call("simulate", *arguments))
+    full = document(call("simulate", *arguments, "--range", "full", "--out", "full"))
+    assert tested["device"] == "mine"
+    # 0.19 * 0.22535/1e-3 = 42.8 Nms/rad (Table B.1) lies above the tested 40
+    assert full["logs"]["delay-6"] > tested["logs"]["delay-6"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "message"),
+    [
+        (["hammer"], 1, "device 'hammer' is not known; known are falcon, lwr"),
+        (["none.toml"], 1, "none.toml: device file cannot be read"),
+        (["falcon", "-e", "9"], 1, "no experiment '9'"),
+        (["falcon", "--jitter", "3;4"], 2, "--jitter '3;4': expected whole numbers"),
+        (["falcon", "--coarsen", "0"], 1, "coarsen = 0"),
+        (["lwr", "-e", "delay-8", "--quantum", "-1"], 1, "quantum"),
+        (["lwr", "-e", "delay-8", "--noise", "nan"], 1, "noise"),
+        (["lwr", "-e", "delay-8", "--duration", "0"], 1, "duration = 0.0 s"),
+        (["lwr", "-e", "delay-8", "--duration", "nan"], 1, "duration = nan s"),
+    ],
+)
+def test_wrong_simulations_are_refused(call, arguments, status, message, tmp_path):
+    found, out, err = call("simulate", *arguments)
+    assert (found, out) == (status, "")
+    assert err.startswith("Error: ")
+    assert re.search(message, err)
+    assert not (tmp_path / "raw").exists()
+
+
+# ingest
+
+
+@pytest.fixture
+def logs(tmp_path):
+    (tmp_path / "logs").mkdir()
+    for stiffness in (300, 600):
+        (tmp_path / "logs" / f"{stiffness}.csv").write_text(log_text(float(stiffness)))
+    return tmp_path / "logs"
+
+
+def test_ingest_counts_and_stays_quiet(call, logs, tmp_path):
+    counts = {"found": 2, "ingested": 2, "skipped": 0, "quarantined": []}
+    assert document(call("ingest", "logs", "--dry-run", "--json")) == counts
+    assert not (tmp_path / "processed").exists()
+    status, out, err = call("ingest", "logs", "--json", "--jobs", "1")
+    assert (status, json.loads(out), err) == (0, counts, "")
+    again = {**counts, "ingested": 0, "skipped": 2}
+    assert document(call("ingest", "logs", "--json")) == again
+    assert document(call("ingest", "logs", "--rehash", "--json")) == again
+    assert document(call("ingest", "logs", "--processed", "other", "--profile", "native", "--json")) == counts
+
+
+def test_quarantine_is_told_and_leaves_with_3(call, logs):
+    text, row, _ = FAULTS["text cell"]
+    (logs / "bad.csv").write_text(text)
+    found = document(call("ingest", "logs", "--json"), status=3)
+    assert (found["found"], found["ingested"]) == (3, 2)
+    (refusal,) = found["quarantined"]
+    assert (refusal["path"], refusal["row"]) == ("logs/bad.csv", row)
+    status, out, _ = call("ingest", "logs")
+    assert status == 3
+    header, counts, reason = out.splitlines()
+    assert header.split() == ["found", "ingested", "skipped", "quarantined"]
+    assert counts.split() == ["3", "0", "2", "1"]
+    assert reason == f"logs/bad.csv, row {row}: {refusal['reason']}"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "message"),
+    [(["nowhere"], 2, "nowhere: no such file"), (["logs", "--jobs", "0"], 2, "jobs must be at least 1")],
+)
+def test_wrong_ingests_are_refused(call, logs, arguments, status, message):
+    found, out, err = call("ingest", *arguments)
+    assert (found, out) == (status, "")
+    assert message in err
+
+
+# compare
+
+
+@pytest.fixture(scope="module")
+def course(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("course")
+    for arguments in (
+        ["simulate", "lwr", "-e", "delay-8", "--coarsen", "3", "--out", str(folder / "raw")],
+        ["ingest", str(folder / "raw"), "--processed", str(folder / "processed")],
+    ):
+        with pytest.raises(SystemExit) as leaving:
+            run(arguments)
+        assert not leaving.value.code
+    return folder / "processed"
+
+
+def test_compare_says_what_it_would_do_and_why(call, course, tmp_path):
+    arguments = ("compare", "--device", "lwr", "--processed", course, "--dry-run")
+    plan = document(call(*arguments, "--json"))
+    assert {frozenset(stage) for stage in plan} == {frozenset(("stage", "action", "reason"))}
+    assert {stage["action"] for stage in plan} <= {"run", "reuse", "leave out"}
+    status, out, _ = call(*arguments)
+    assert status == 0
+    assert len(out.splitlines()) == len(plan) + 1
+    assert not (tmp_path / "reports").exists()
+
+
+def test_compare_prints_one_document_and_writes_the_report(call, course, tmp_path):
+    options = ("--experiment", "delay-8", "--criteria", "overshoot,settle_5pct", "--processed", course)
+    status, out, err = call("compare", "--device", "lwr", *options, "--json")
+    found = json.loads(out)
+    assert (status, err) == (0, "")
+    assert found["criteria"] == ["overshoot", "settle_5pct"]
+    assert [e["experiment"] for e in found["experiments"]] == ["delay-8"]
+    assert (tmp_path / "reports" / "lwr.html").is_file()
+    status, out, err = call("compare", "--device", "lwr", *options, "--report", "here.html")
+    assert status == 0
+    assert out.splitlines()[-1] == "report: here.html"
+    assert (tmp_path / "here.html").is_file()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "message"),
+    [
+        (["--device", "falcon"], 1, "falcon"),
+        (["--device", "lwr", "--experiment", "delay-2"], 1, "delay-2"),
+        (["--device", "lwr", "--criteria", "overshoot,speed"], 2, "speed"),
+        (["--device", "lwr", "--criteria", ""], 2, "criterion ''"),
+    ],
+)
+def test_wrong_comparisons_are_refused(call, course, arguments, status, message, tmp_path):
+    found, out, err = call("compare", *arguments, "--processed", course)
+    assert (found, out) == (status, "")
+    assert message in err
+    assert not (tmp_path / "reports").exists()
+
+
+# theory
+
+
+def test_theory_points(call, tmp_path):
+    (tmp_path / "c.csv").write_text("alpha,beta,gamma,delta,delay\n0.3220,0.9800,0,0,0\n9,9,0,0,0\n")
+    stable, unstable = document(call("theory", "points", "c.csv", "--json"))
+    assert stable["energy_step_w0"] == pytest.approx(2.583, abs=5e-4)  # Table C.1
+    assert (unstable["stable"], unstable["energy_step_w0"]) == (False, None)
+    status, out, _ = call("theory", "points", "c.csv")
+    assert status == 0
+    assert [line.split()[5] for line in out.splitlines()] == ["stable", "yes", "no"]
+    (tmp_path / "c.csv").write_text("alpha,beta,gamma,delta\n")
+    assert call("theory", "points", "c.csv")[0] == 1
+
+
+def test_theory_boundary(call):
+    found = document(call("theory", "boundary", "--delay", "1", "--delta", "0.02", "--json"))
+    assert found["alpha_max"] == pytest.approx(0.15480, abs=5e-6)  # Table B.3
+    damped = document(call("theory", "boundary", "--delay", "1", "--delta", "0.02", "--gamma", "0.001", "--json"))
+    assert damped["alpha_max"] == pytest.approx(0.15433, abs=5e-6)  # Table B.4
+    status, out, _ = call("theory", "boundary", "--delay", "1", "--delta", "0.02")
+    assert status == 0
+    assert "largest alpha 0.1548" in out
+
+
+def test_theory_optimum(call):
+    arguments = ("theory", "optimum", "--criterion", "energy_step_w0", "--delay", "2")
+    assert document(call(*arguments, "--json"))["cost"] == pytest.approx(8.21, abs=5e-3)  # Table D.5
+    discrete = document(call(*arguments, "--signal", "discrete", "--json"))
+    assert (discrete["criterion"], discrete["cost"]) == ("energy_step_w0_discrete", pytest.approx(8.690, abs=5e-4))
+    status, out, _ = call(*arguments)
+    assert status == 0
+    assert out.startswith("energy_step_w0: alpha 0.0305")  # 5796 Nm/rad on 0.19 kg m^2
+
+
+def test_theory_map(call, tmp_path):
+    arguments = (
+        "theory",
+        "map",
+        "--delay",
+        "1",
+        "--size",
+        "9",
+        "--criteria",
+        "overshoot, settle_1pct",
+        "--out",
+        "m.pq",
+    )
+    found = document(call(*arguments, "--json"))
+    table = pq.read_table(tmp_path / "m.pq")
+    assert table.column_names == ["alpha", "beta", "stable", "overshoot", "settle_1pct"]
+    assert found == {"file": "m.pq", "rows": 81, "stable": sum(table.column("stable").to_pylist())}
+    assert call(*arguments)[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["boundary", "--delay", "-1"], "delay = -1"),
+        (["boundary", "--delay", "nan"], "delay = nan"),
+        (["boundary", "--delay", "1", "--gamma", "-0.1"], "gamma = -0.1"),
+        (["optimum", "--delay", "1", "--criterion", "speed"], "supported are alpha_max"),
+        (["map", "--delay", "1", "--criteria", "speed", "--out", "m.pq"], "expected some of settle_1pct"),
+        (["map", "--delay", "-1", "--out", "m.pq"], "delay = -1"),
+        (["points", "none.csv"], "cannot be read"),
+    ],
+)
+def test_wrong_theory_is_refused(call, arguments, message, tmp_path):
+    status, out, err = call("theory", *arguments, "--json") if "map" not in arguments else call("theory", *arguments)
+    assert (status, out) == (1, "")
+    assert err.startswith("Error: ")
+    assert message in err
+    assert list(tmp_path.iterdir()) == []
+
+
+# the frame
+
+
+def test_named_errors_are_messages_and_others_pass(monkeypatch, call, course):
+    def damaged(*_, **__):
+        raise StoreError("a.parquet: is damaged.")
+
+    monkeypatch.setattr(compare, "compare", damaged)
+    assert call("compare", "--device", "lwr") == (1, "", "Error: a.parquet: is damaged.\n")
+
+    def broken(*_, **__):
+        raise ZeroDivisionError("a defect")
+
+    monkeypatch.setattr(compare, "compare", broken)
+    with pytest.raises(ZeroDivisionError, match="a defect"):
+        run(["compare", "--device", "lwr"])
+
+
+def test_progress_is_lines_where_stderr_is_no_terminal(monkeypatch, capsys):
+    clock = iter([0.0, 1.0, 2.5, 3.0, 5.0])
+    monkeypatch.setattr(console.time, "monotonic", lambda: next(clock))
+    with console.progress("ingest", "logs", silent=False) as advance:
+        for done in (1, 2, 3):
+            advance(done, 4)
+        advance(4, None)
+    assert capsys.readouterr() == ("", "ingest: 2 of 4 logs\ningest: 4 logs\n")
+
+
+def test_progress_is_a_bar_on_a_terminal_and_nothing_with_json(monkeypatch, capsys):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    monkeypatch.setenv("TERM", "xterm")
+    with console.progress("ingest", "logs", silent=True) as advance:
+        advance(1, 2)
+    assert capsys.readouterr() == ("", "")
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    with console.progress("ingest", "logs", silent=False) as advance:
+        advance(1, 2)
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert "1/2 logs" in err
+
+
+def test_table_aligns_and_shows_what_is_missing():
+    rows = [{"name": "a", "cost": None, "good": True}, {"name": "long", "cost": 1 / 3, "good": False}]
+    assert console.table(rows, ("name", "cost", "good")) == [
+        "name  cost      good",
+        "a     –         yes",
+        "long  0.333333  no",
+    ]
