@@ -25,6 +25,8 @@ from pipeline.tables_d import TableBuilder
 _REPORT_CODE = (
     *("compare", "scene", "tables_d", "figure_data", "summary", "maps", "predictions", "published", "results"),
     *("report", "report_tables", "figures", "panels", "labels", "style", "models"),
+    *("plant", "loop", "stability", "energy", "transient", "optimum"),
+    *("templates/report.html.j2", "templates/macros.html.j2", "templates/report.css"),
 )
 
 

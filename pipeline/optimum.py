@@ -20,8 +20,8 @@ from pipeline.batch import Floats
 from pipeline.energy import energy_costs
 from pipeline.errors import ParameterError
 from pipeline.loop import Loop
-from pipeline.stability import boundary, is_stable
-from pipeline.transient import NO_OVERSHOOT, transient_costs
+from pipeline.stability import boundary, is_stable, surely_stable
+from pipeline.transient import NO_OVERSHOOT, late_deviation, transient_costs
 
 Cost = Callable[[Floats, Floats, float], Floats]
 """Cost of points; the last argument is the best cost known, points that are worse may be given infinity."""
@@ -35,20 +35,27 @@ STEP_CRITERIA = (
 )
 """Criteria with an optimum here; each also as ``_discrete``."""
 
-_COARSE = 61
-"""Grid points along each axis of the first grid over the stable region."""
 
-_FINE = 15
-"""Grid points along each axis of each following grid."""
+@dataclass(frozen=True)
+class _Grids:
+    """Points along each axis of the first and of each following grid, and how many of the best cells are followed."""
+
+    coarse: int
+    fine: int
+    starts: int
+
+
+_SMOOTH = _Grids(coarse=25, fine=9, starts=1)
+"""For costs that are smooth and have one minimum."""
+
+_JUMPING = _Grids(coarse=61, fine=15, starts=3)
+"""For costs with jumps: a corner must hold grid points at every scale, and a better valley must not be missed."""
 
 _SHRINK = 0.45
-"""Size of a grid relative to the one before; with 15 points, a grid still spans 6 cells of its predecessor."""
+"""Size of a grid relative to the one before; with 15 (9) points, it spans 6 (4) cells of its predecessor."""
 
 _LEVELS = 24
 """0.45^24 = 5e-9 of a first cell: the optimum is located to 1e-10 of the stable region."""
-
-_STARTS = 3
-"""Best distinct cells of the first grid that are followed."""
 
 _ENDLESS = 60
 """Samples, times d + 1, after which a response counts as not settled in a search; optima settle in about 5 (d + 1)."""
@@ -110,7 +117,7 @@ def optimal_point(loop: Loop, criterion: str) -> OptimalPoint:
     if base == "overshoot":
         return _stiffest_without_overshoot(loop, criterion)
     if base.startswith("energy"):
-        return _search(loop, lambda a, b, _: energy_costs(loop, a, b)[criterion])
+        return _search(loop, lambda a, b, _: energy_costs(loop, a, b)[criterion], _SMOOTH)
     band = float(base.removeprefix("settle_").removesuffix("pct")) / 100
     if criterion == base:
         return _search(loop, lambda a, b, best: _settling(loop, a, b, band, best)[base])
@@ -127,8 +134,10 @@ def _where_stable(loop: Loop, cost: Cost) -> Cost:
 
     def guarded(alpha: Floats, beta: Floats, best: float) -> Floats:
         result = np.full(len(alpha), np.inf)
-        usable = np.flatnonzero(alpha + loop.gamma > 0)
-        usable = usable[is_stable(loop, alpha[usable], beta[usable])]
+        stable = surely_stable(loop, alpha, beta)
+        open_points = np.flatnonzero(~stable & (alpha + loop.gamma > 0))
+        stable[open_points] = is_stable(loop, alpha[open_points], beta[open_points])
+        usable = np.flatnonzero(stable)
         if len(usable):
             values = cost(alpha[usable], beta[usable], best)
             result[usable] = np.where(np.isnan(values), np.inf, values)
@@ -153,20 +162,21 @@ def _region(loop: Loop) -> tuple[Floats, Floats]:
     )
 
 
-def _search(loop: Loop, cost: Cost) -> OptimalPoint:
+def _search(loop: Loop, cost: Cost, grids: _Grids | None = None) -> OptimalPoint:
     """Global minimum of a cost over the stable region."""
+    grids = grids or _JUMPING
     guarded = _where_stable(loop, cost)
     low, high = _region(loop)
-    alpha, beta = _grid(low, high, _COARSE)
+    alpha, beta = _grid(low, high, grids.coarse)
     values = guarded(alpha, beta, np.inf)
-    cell = (high - low) / (_COARSE - 1)
+    cell = (high - low) / (grids.coarse - 1)
     best: OptimalPoint | None = None
     left = np.ones(len(values), dtype=bool)
-    for _ in range(_STARTS):
+    for _ in range(grids.starts):
         if not np.isfinite(values[left]).any():
             break
         index = int(np.flatnonzero(left)[np.argmin(values[left])])
-        found = _refine(guarded, np.array([alpha[index], beta[index]]), float(values[index]), 2 * cell)
+        found = _refine(guarded, np.array([alpha[index], beta[index]]), float(values[index]), 2 * cell, size=grids.fine)
         if best is None or found.cost < best.cost:
             best = found
         left &= (np.abs(alpha - alpha[index]) > 3 * cell[0]) | (np.abs(beta - beta[index]) > 3 * cell[1])
@@ -175,35 +185,21 @@ def _search(loop: Loop, cost: Cost) -> OptimalPoint:
     return best
 
 
-def _refine(cost: Cost, centre: Floats, value: float, half: Floats, levels: int = _LEVELS) -> OptimalPoint:
+def _refine(
+    cost: Cost, centre: Floats, value: float, half: Floats, levels: int = _LEVELS, size: int = 15
+) -> OptimalPoint:
     """Grids that shrink around the best point found; one whose best point lies at its rim moves instead."""
     for _ in range(levels):
-        alpha, beta = _grid(centre - half, centre + half, _FINE)
+        alpha, beta = _grid(centre - half, centre + half, size)
         values = cost(alpha, beta, value)
         index = int(np.argmin(values))
-        row, column = divmod(index, _FINE)
+        row, column = divmod(index, size)
         if values[index] < value:
             centre, value = np.array([alpha[index], beta[index]]), float(values[index])
-            if min(row, column) == 0 or max(row, column) == _FINE - 1:
+            if min(row, column) == 0 or max(row, column) == size - 1:
                 continue
         half = half * _SHRINK
     return OptimalPoint(float(centre[0]), float(centre[1]), value)
-
-
-def _late_deviation(loop: Loop, alpha: Floats, beta: Floats, first: int) -> Floats:
-    """Largest deviation of the samples from ``first`` on, relative to the final displacement."""
-    state = np.broadcast_to(loop.initial("step"), (len(alpha), loop.states)).copy()[..., None]
-    matrix = loop.matrix(alpha, beta)
-    for _ in range(first):
-        state = matrix @ state
-    largest = np.abs(state[:, 0, 0])
-    for _ in range(int(_ENDLESS * (loop.delay + 1))):
-        state = matrix @ state
-        largest = np.maximum(largest, np.abs(state[:, 0, 0]))
-        # one delay later nothing of the past is larger than this; 1e-2: the loop does not amplify a hundredfold again
-        if np.all(np.abs(state[:, :, 0]).max(axis=1) < 1e-2 * largest):
-            break
-    return largest
 
 
 def _settling_region(loop: Loop, band: float, criterion: str) -> OptimalPoint:
@@ -214,16 +210,17 @@ def _settling_region(loop: Loop, band: float, criterion: str) -> OptimalPoint:
     """
     start = optimal_point(loop, criterion.removesuffix("_discrete"))
     samples = math.ceil(start.cost)
+    longest = int(_ENDLESS * (loop.delay + 1))
     point = start
     while samples > 1:
         goal = samples - 1
-        better = _search(loop, lambda a, b, _, n=goal: _late_deviation(loop, a, b, n))  # type: ignore[misc]
+        better = _search(loop, lambda a, b, _, n=goal: late_deviation(loop, a, b, n, longest))  # type: ignore[misc]
         if better.cost > band:
             break
         samples, point = goal, better
 
     def feasible(alpha: Floats, beta: Floats, _: float) -> Floats:
-        return np.where(_late_deviation(loop, alpha, beta, samples) <= band, 0.0, np.inf)
+        return np.where(late_deviation(loop, alpha, beta, samples, longest) <= band, 0.0, np.inf)
 
     box = _bounding_box(_where_stable(loop, feasible), np.array([point.alpha, point.beta]), _region(loop))
     return OptimalPoint(0.5 * (box[0] + box[1]), 0.5 * (box[2] + box[3]), float(samples), box)

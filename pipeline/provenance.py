@@ -39,13 +39,18 @@ def digest_all(parts: Iterable[str]) -> str:
     return joined.hexdigest()[:16]
 
 
+def _source(module: str) -> Path:
+    path = PACKAGE_FOLDER / module
+    return path if path.suffix else path.with_suffix(".py")
+
+
 @cache
 def code_digest(*modules: str) -> str:
-    """Return a hash of the source text of modules of this package (`"costs"`, `"readers/native"`).
+    """Return a hash of the source text of files of this package (`"costs"`, `"readers/native"`, `"templates/x.css"`).
 
     A stored result is reused only while the code that made it is the same.
     """
-    return digest_all(sha256((PACKAGE_FOLDER / f"{module}.py").read_bytes()) for module in sorted(modules))
+    return digest_all(sha256(_source(module).read_bytes()) for module in sorted(modules))
 
 
 def stamp(**entries: str) -> Mapping[str, str]:

@@ -72,7 +72,7 @@ def open_scene(
     grips = {grip for d in data for grip in d.trials.column("grip").unique().to_pylist()}
     added = {n for d in data for n in d.trials.column("added_delay_samples").unique().to_pylist()}
     scene = Scene(
-        device=device, experiments=names, criteria=chosen, delay_sweep=len(added) > 1, operator=grips > {"none"}
+        device=device, experiments=names, criteria=chosen, delay_sweep=len(added) > 1, operator=bool(grips - {"none"})
     )
     needed = required(_wanted(chosen))
     return SceneData(

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -15,6 +16,9 @@ from numpy.typing import NDArray
 from pipeline.batch import Booleans, Floats
 from pipeline.errors import ParameterError
 from pipeline.loop import Loop, as_points
+
+_POLYGON_POINTS = 60
+"""Corners of the polygon that stands for the stable region; it deviates from it by 1 %, the shrinking is by 5 %."""
 
 _CHUNK = 8192
 """Points whose eigenvalues are computed at a time; bounds memory to about 40 MB at d = 16."""
@@ -61,6 +65,34 @@ def is_stable(loop: Loop, alpha: object, beta: object) -> Booleans:
     """
     a, b = as_points(alpha, beta)
     return np.asarray((spectral_radius(loop, a, b) < 1) & (a + loop.gamma > 0))
+
+
+def surely_stable(loop: Loop, alpha: Floats, beta: Floats) -> Booleans:
+    """Return where points lie so far inside the boundary that no eigenvalue is needed to call them stable.
+
+    A point counts if it lies in the region enclosed by the first branch and the line alpha = -gamma, shrunk by 5 %
+    towards its centre. False says nothing: ask `is_stable`.
+    """
+    corner_alpha, corner_beta, centre = _polygon(loop)
+    a, b = ((p - c) / 0.95 + c for p, c in zip((alpha, beta), centre, strict=True))
+    inside = np.zeros(len(a), dtype=np.bool_)
+    for i in range(0, len(a), _CHUNK):
+        part = slice(i, i + _CHUNK)
+        x, y = a[part, None], b[part, None]
+        crosses = (corner_beta[:-1] > y) != (corner_beta[1:] > y)
+        rise = np.where(corner_beta[1:] == corner_beta[:-1], 1.0, corner_beta[1:] - corner_beta[:-1])
+        at = corner_alpha[:-1] + (y - corner_beta[:-1]) * (corner_alpha[1:] - corner_alpha[:-1]) / rise
+        inside[part] = (crosses & (at > x)).sum(axis=1) % 2 == 1
+    return inside
+
+
+@lru_cache(maxsize=64)
+def _polygon(loop: Loop) -> tuple[Floats, Floats, tuple[float, float]]:
+    """Corners of the stable region, closed, and its centre."""
+    border = boundary(loop, _POLYGON_POINTS)
+    alpha = np.concatenate([border.alpha, border.alpha[:1]])
+    beta = np.concatenate([border.beta, border.beta[:1]])
+    return alpha, beta, (0.5 * (border.alpha_max - loop.gamma), 0.5 * (border.beta_max + float(border.beta.min())))
 
 
 def boundary_points(loop: Loop, theta: Floats) -> tuple[Floats, Floats]:
@@ -165,7 +197,7 @@ def boundary(loop: Loop, points: int = 400) -> Boundary:
         alpha_max=float(peak[0][0]),
         beta_at_alpha_max=float(peak[1][0]),
         beta_max=float(top[1][0]),
-        alpha_at_beta_max=-loop.gamma if theta_top == end else float(top[0][0]),
+        alpha_at_beta_max=0.0 - loop.gamma if theta_top == end else float(top[0][0]),
     )
 
 

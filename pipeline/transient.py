@@ -29,6 +29,9 @@ _SETTLED = 0.1
 and a delay. Motion is position plus velocity times `_lever`: from such a state no stable loop with d <= 16 swings out
 further than fourfold (largest row sums of the powers of A over the stable region)."""
 
+_FADED = 0.25
+"""Motion relative to the largest deviation found below which no larger one follows: the reciprocal of fourfold."""
+
 QUIET = 0.1 * NO_OVERSHOOT
 """Motion below which a response is no longer followed for overshoot, by the same margin."""
 
@@ -192,6 +195,40 @@ def transient_costs(
         if not (unfinished_overshoot and name.startswith("overshoot")):
             values[unfinished] = np.nan
     return result
+
+
+def late_deviation(loop: Loop, alpha: object, beta: object, first: int, longest: int) -> Floats:
+    """Return the largest deviation of the samples from ``first`` on, relative to the final displacement.
+
+    A discrete settling time of at most ``first`` can be had where this lies inside the band; unlike the settling time
+    it is continuous in alpha and beta.
+
+    Parameters
+    ----------
+    loop : Loop
+    alpha, beta : array_like, shape (n,)
+        Normalised virtual stiffness and damping; stable, alpha + gamma > 0.
+    first : int
+        First sample that counts, >= 1.
+    longest : int
+        Samples after which the largest deviation so far is returned.
+    """
+    a, b = as_points(alpha, beta)
+    n = len(a)
+    start = np.full(n, -1.0)
+    run = _Active(np.arange(n), a, b, start, start, np.zeros(n), _lever(loop, a), [a] * (loop.oldest_force + 1))
+    largest = np.zeros(n)
+    for k in range(1, longest + 1):
+        _advance(loop, run, k - 1, start, {}, continuous=False)
+        if k < first:
+            continue
+        largest = np.maximum(largest, np.abs(run.position))
+        if (k - first) % _BLOCK == _BLOCK - 1:
+            motion = np.abs(run.position) + run.lever * np.abs(run.velocity)
+            run.quiet = np.where(motion > _FADED * largest, 0.0, run.quiet + 1)
+            if np.all(run.quiet * _BLOCK > loop.oldest_force + 2):
+                break
+    return largest
 
 
 def _lever(loop: Loop, alpha: Floats) -> Floats:
