@@ -199,7 +199,8 @@ def energy(batch: TrialBatch, response: Response, verdicts: Verdicts, delay_samp
     E_0 = F_0^2/(2 K): left rectangle rule and backward difference. The sum ends where the response sinks
     below the sensor floor (or the limit cycle that quanta keep up) for good, since the floor times k^2 over a
     long log would swamp it; ideal logs are summed to their end. What lies beyond is estimated from the
-    envelope there and its decay.
+    envelope there and its decay, relative to the potential part: two to five times too much for a motion that
+    swings, since half of its energy is kinetic and it mostly lies within its envelope.
 
     A sum is a cost only where it is nearly the whole: a motion that lasts to the end of the log with more
     than `UNSETTLED` of the final displacement has no cost at all, and an exponent w for which more than
@@ -350,7 +351,7 @@ def _tail_reason(tail: Floats, total: Floats, horizon: int) -> str:
         for w in large
     )
     lost = [str(w) for w in large if tail[w] > LARGEST_TAIL * total[w]]
-    text = f"summed over {horizon} samples; beyond them lie about {shares} of the sum"
+    text = f"summed over {horizon} samples; beyond them lie up to {shares} of the sum"
     if lost:
         text += f"; above {LARGEST_TAIL:.0%} there is no value (w = {', '.join(lost)}): record longer"
     return text

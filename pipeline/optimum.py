@@ -9,10 +9,9 @@ the corner; several of the best cells are followed, so that a better valley is n
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 
@@ -208,19 +207,31 @@ def _settling_region(loop: Loop, band: float, criterion: str) -> OptimalPoint:
     A number of samples n can be reached where the largest deviation of samples n, n+1, ... can be brought into the
     band; that deviation is continuous, so its minimum can be searched for where the settling time itself has steps.
     """
-    start = optimal_point(loop, criterion.removesuffix("_discrete"))
-    samples = math.ceil(start.cost)
     longest = int(_ENDLESS * (loop.delay + 1))
-    point = start
+
+    def deviation(alpha: Floats, beta: Floats, _: float, first: int) -> Floats:
+        return late_deviation(loop, alpha, beta, first, longest)
+
+    def samples_to_settle(alpha: Floats, beta: Floats, _: float) -> Floats:
+        costs = transient_costs(loop, alpha, beta, (band,), overshoot=False, continuous=False, longest=longest)
+        return costs[criterion]
+
+    # a first number that can surely be had; below it, each number is tried in turn
+    alpha, beta = _grid(*_region(loop), _JUMPING.coarse)
+    tried = _where_stable(loop, samples_to_settle)(alpha, beta, np.inf)
+    index = int(np.argmin(tried))
+    if not np.isfinite(tried[index]):
+        raise ParameterError(f"{loop}: no response settles into a band of {band} within {longest} samples.")
+    samples = int(tried[index])
+    point = OptimalPoint(float(alpha[index]), float(beta[index]), float(samples))
     while samples > 1:
-        goal = samples - 1
-        better = _search(loop, lambda a, b, _, n=goal: late_deviation(loop, a, b, n, longest))  # type: ignore[misc]
+        better = _search(loop, partial(deviation, first=samples - 1))
         if better.cost > band:
             break
-        samples, point = goal, better
+        samples, point = samples - 1, better
 
     def feasible(alpha: Floats, beta: Floats, _: float) -> Floats:
-        return np.where(late_deviation(loop, alpha, beta, samples, longest) <= band, 0.0, np.inf)
+        return np.where(deviation(alpha, beta, np.inf, samples) <= band, 0.0, np.inf)
 
     box = _bounding_box(_where_stable(loop, feasible), np.array([point.alpha, point.beta]), _region(loop))
     return OptimalPoint(0.5 * (box[0] + box[1]), 0.5 * (box[2] + box[3]), float(samples), box)

@@ -115,37 +115,26 @@ def test_sensor_does_not_swamp_the_energy(sensor, rows):
 
 
 def test_a_sum_with_a_large_tail_is_no_cost():
-    """A log that ends before the response has decayed; a longer log tells what is lost."""
-    long, short = (simulate([12000.0], [90.0], **FALCON, rows=rows) for rows in (3000, 420))
-    whole, part = evaluate(long)[2], evaluate(short)[2]
+    """Logs that end before the response has decayed, against a longer one that tells what is lost."""
+    rows = np.array([340, 460, 620, 900])
+    whole = evaluate(simulate([12000.0], [90.0], **FALCON, rows=3000))[2]
     assert whole.reason == ("",)
     full = (whole.potential + 0.58 * whole.kinetic)[0]
-    cut = (part.potential + 0.58 * part.kinetic)[0]
-    told = {
-        w: float(part.reason[0].split(f"w = {w}: ")[1].split(" %")[0]) / 100
-        for w in (0, 1, 2)
-        if f"w = {w}:" in part.reason[0]
-    }
-    assert np.isfinite(cut).tolist() == [True, True, False]
-    assert "no value (w = 2): record longer" in part.reason[0]
-    # what is told is relative to the potential part and taken from the envelope, whose mean square is half
-    assert set(told) == {1, 2}
-    lost = (full[1] - cut[1]) / cut[1]
-    assert 0.5 * told[1] < lost < 2 * told[1]
-    assert told[2] > 0.05
-
-
-def test_a_tail_of_the_largest_weight_alone_leaves_the_others():
-    rows = np.arange(60, 400, 20)
-    whole = evaluate(simulate([4469.0], [73.05], **FALCON, rows=3000))[2]
-    full = (whole.potential + 0.58 * whole.kinetic)[0]
-    ends = [evaluate(simulate([4469.0], [73.05], **FALCON, rows=int(r)))[2] for r in rows]
-    cost = np.array([(e.potential + 0.58 * e.kinetic)[0] for e in ends])
-    known = np.isfinite(cost)
-    assert (known[:, 0] & ~known[:, 2]).any()
-    # a log that is longer tells no less, and what it tells is nearly the whole
-    assert (np.diff(known.astype(int), axis=0) >= 0).all()
-    np.testing.assert_allclose((cost / full)[known], 1.0, rtol=0.06)
+    parts = [evaluate(simulate([12000.0], [90.0], **FALCON, rows=int(r)))[2] for r in rows]
+    cost = np.array([(part.potential + 0.58 * part.kinetic)[0] for part in parts])
+    assert np.isfinite(cost).tolist() == [
+        [True, False, False],
+        [True, True, False],
+        [True, True, True],
+        [True, True, True],
+    ]
+    assert "no value (w = 2): record longer" in parts[1].reason[0]
+    assert parts[3].reason == ("",)
+    for at, w in ((0, 0), (1, 1), (2, 2)):
+        told = float(parts[at].reason[0].split(f"w = {w}: ")[1].split(" %")[0]) / 100
+        lost = full[w] / cost[at, w] - 1
+        # twice for the kinetic energy, which it leaves out, twice for the mean below the envelope, some for a beat
+        assert lost < told < 8 * lost
 
 
 def lasting(amplitude):
@@ -165,13 +154,16 @@ def test_a_response_that_never_settles_has_no_energy_cost():
     assert found.reason[0] == "never settles: 20% of the final displacement lasts to the end of the log"
 
 
-def test_the_floor_may_not_hide_a_lasting_motion():
-    """A floor wrongly taken for wide would cut the sum after a few samples and make it the smallest of all."""
+def test_a_wide_floor_may_not_hide_a_lasting_motion():
+    """Chatter before the step widened the floor, which cut the sum and made the cost the smallest of all."""
     quiet, swinging = lasting(0.0), lasting(0.2)
     response = dataclasses.replace(find_response(quiet), floor=np.array([3e-5]))
     verdicts = judge(quiet)
-    assert np.isfinite(costs.energy(quiet, response, verdicts, 4).potential).all()
-    assert np.isnan(costs.energy(swinging, response, verdicts, 4).potential).all()
+    # 20 % of 2 mm are 400 um: 8 floors of 60 um, not of 30 um, let that pass for a limit cycle of the sensor
+    wide = dataclasses.replace(response, floor=np.array([6e-5]))
+    assert np.isfinite(costs.energy(quiet, response, verdicts, 4).potential[0, :2]).all()
+    for one in (response, wide):
+        assert np.isnan(costs.energy(swinging, one, verdicts, 4).potential).all()
 
 
 def test_chatter_before_the_step_widens_the_floor_of_the_overshoot():

@@ -64,7 +64,10 @@ def test_lateness_is_taken_back_where_readings_allow(delay):
 def test_a_quantum_too_coarse_to_extrapolate_stays_late():
     batch = simulate(K, B, **FALCON, quantum=6e-5)
     found = first_change(batch, find_response(batch)).delay_samples
-    assert set(found.tolist()) <= {5, 6}
+    assert (found >= 4).all()
+    assert (found <= 6).all()
+    # two or three samples to move half a quantum: late by one or two, and not corrected by a guess
+    assert np.mean(found > 4) > 0.9
 
 
 def test_a_trial_that_moves_before_the_step_has_no_delay():
