@@ -126,7 +126,7 @@ def _stiffness_line(result: ComparisonResult) -> str:
     units = UNITS[result.motion]
     stiffness, damping = max(stable)
     line = (
-        f"{result.title}, experiment {first.experiment}: stable up to K = {stiffness:.4g} {units.stiffness} "
+        f"{result.title}, experiment {first.experiment}: stable up to K = {_digits(stiffness)} {units.stiffness} "
         f"at B = {damping:g} {units.damping}"
     )
     theory = first.theory
@@ -135,9 +135,14 @@ def _stiffness_line(result: ComparisonResult) -> str:
     normalised = Normalised(theory.mass, theory.sampling_period_s)
     border = boundary(normalised.loop(theory.stiffness, theory.damping, theory.delay_samples))
     return (
-        f"{line}; theory (d = {theory.delay_samples:g}): {border.alpha_max * normalised.stiffness:.4g} at "
+        f"{line}; theory (d = {theory.delay_samples:g}): {_digits(border.alpha_max * normalised.stiffness)} at "
         f"{border.beta_at_alpha_max * normalised.damping:.3g}."
     )
+
+
+def _digits(value: float) -> str:
+    """Four digits without an exponent up to 999999."""
+    return f"{float(f'{value:.4g}'):g}"
 
 
 def _deviation_line(results: Sequence[ComparisonResult]) -> str:
