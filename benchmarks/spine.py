@@ -53,17 +53,18 @@ print(json.dumps({"seconds": time.perf_counter() - imported}))
 
 @dataclass(frozen=True)
 class Measurement:
-    """One stage: wall time [s], its limit [s], peak memory [MiB] of its largest process."""
+    """One stage: wall time [s], its limit [s], processor time [s], peak memory [MiB] of its largest process."""
 
     rows: int | None
     stage: str
     seconds: float
     limit_s: float
+    processor_s: float
     memory_mib: float
 
 
-def run(command: list[str], cwd: Path) -> tuple[float, float, str]:
-    """Return wall time [s], peak memory [MiB] and stdout of a process; stop where it fails."""
+def run(command: list[str], cwd: Path) -> tuple[float, float, float, str]:
+    """Return wall time [s], processor time [s], peak memory [MiB] and stdout of a process; stop where it fails."""
     with tempfile.TemporaryFile() as out:
         began = time.perf_counter()
         process = subprocess.Popen(command, cwd=cwd, stdout=out, stderr=subprocess.DEVNULL)
@@ -76,7 +77,7 @@ def run(command: list[str], cwd: Path) -> tuple[float, float, str]:
     if process.returncode != 0:
         sys.exit(f"{' '.join(command)}: exit status {process.returncode}; run it by hand to see why.")
     scale = 1 if sys.platform == "darwin" else 1024  # ru_maxrss: bytes on macOS, KiB elsewhere
-    return seconds, usage.ru_maxrss * scale / MIB, text
+    return seconds, usage.ru_utime + usage.ru_stime, usage.ru_maxrss * scale / MIB, text
 
 
 def starts(folder: Path) -> list[Measurement]:
@@ -87,8 +88,8 @@ def starts(folder: Path) -> list[Measurement]:
     }
     found = []
     for stage, command in commands.items():
-        seconds, memory, _ = min(run(command, folder) for _ in range(5))
-        found.append(Measurement(None, stage, seconds, SECONDS[stage], memory))
+        seconds, processor, memory, _ = min(run(command, folder) for _ in range(5))
+        found.append(Measurement(None, stage, seconds, SECONDS[stage], processor, memory))
     return found
 
 
@@ -111,12 +112,12 @@ def spine(folder: Path, rows: int) -> tuple[list[Measurement], dict[str, float]]
     }
     found = []
     for stage, command in commands.items():
-        seconds, memory, text = run(command, folder)
+        seconds, processor, memory, text = run(command, folder)
         if not stage:
             continue
         if stage == "estimates and costs":
             seconds = json.loads(text)["seconds"]  # without the start of Python
-        found.append(Measurement(rows, stage, seconds, SECONDS[stage], memory))
+        found.append(Measurement(rows, stage, seconds, SECONDS[stage], processor, memory))
     logs = list((folder / "raw").rglob("*.csv"))
     sizes = {
         "logs": len(logs),
@@ -139,11 +140,13 @@ def main() -> None:
             folder.mkdir()
             found, sizes[rows] = spine(folder, rows)
             measurements += found
-    print(f"{'rows':>5}  {'stage':<20} {'wall [s]':>9} {'limit [s]':>9} {'peak [MiB]':>10} (limit {MEMORY_MIB:g})")
+    head = f"{'wall [s]':>9} {'limit [s]':>9} {'processor [s]':>13} {'peak [MiB]':>10}"
+    print(f"{'rows':>5}  {'stage':<20} {head} (limit {MEMORY_MIB:g})")
     for m in measurements:
         over = " over" if m.seconds > m.limit_s or m.memory_mib > MEMORY_MIB else ""
         row = "" if m.rows is None else str(m.rows)
-        print(f"{row:>5}  {m.stage:<20} {m.seconds:9.2f} {m.limit_s:9.2f} {m.memory_mib:10.0f}{over}")
+        numbers = f"{m.seconds:9.2f} {m.limit_s:9.2f} {m.processor_s:13.2f} {m.memory_mib:10.0f}"
+        print(f"{row:>5}  {m.stage:<20} {numbers}{over}")
     for rows, size in sizes.items():
         over = " over" if size["report_mb"] > REPORT_MB else ""
         print(

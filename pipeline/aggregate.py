@@ -174,6 +174,18 @@ def estimate_damping(limit: LimitDamping, from_trials: Floats, unit: str = "Ns/m
     return best.model_copy(update={"by_method": {"stability_limit": by_limit, "momentum_balance": by_trials}})
 
 
+def without_overshoot(overshoot: Floats, floor: Floats) -> Booleans:
+    """Return which trials count as free of overshoot: none above what their sensor can tell, if it can tell 1 %.
+
+    Parameters
+    ----------
+    overshoot, floor : float64, shape (n,)
+        Overshoot and the one that the sensor alone can cause, as fractions of the final displacement.
+    """
+    free: Booleans = (floor <= LARGEST_OVERSHOOT_FLOOR) & (overshoot <= np.maximum(NO_OVERSHOOT, floor))
+    return free
+
+
 def choose_optimum(
     cost: Floats,
     stiffness: Floats,
@@ -214,8 +226,7 @@ def choose_optimum(
     tested = stiffness > 0
     free = np.zeros_like(candidates)
     if floor is not None:
-        resolved = floor <= LARGEST_OVERSHOOT_FLOOR
-        free = candidates & resolved & (cost <= np.maximum(NO_OVERSHOOT, floor))
+        free = candidates & without_overshoot(cost, floor)
     if free.any():
         tied = free & (stiffness == stiffness[free].max())
     else:

@@ -75,8 +75,7 @@ def find_experiment(device: Device, name: str) -> Experiment:
         if experiment.name == name:
             return experiment
     raise DeviceError(
-        f"device {device.name!r} has no experiment {name!r}; it has "
-        f"{', '.join(e.name for e in device.experiments)}."
+        f"device {device.name!r} has no experiment {name!r}; it has {', '.join(e.name for e in device.experiments)}."
     )
 
 

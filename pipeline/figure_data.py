@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pipeline.aggregate import without_overshoot
 from pipeline.batch import Floats
 from pipeline.labels import criterion_label
 from pipeline.loop import Loop
@@ -31,23 +32,28 @@ from pipeline.tables_d import layouts
 MAP_POINTS = 101
 """Grid points along each axis of a drawn map; finer ones change no contour visibly."""
 
+NARROW_BAND = 0.01
+"""Relative difference of the largest stable stiffness below which two boundaries look the same."""
+
 DAMPED = 0.02
 """Relative damping delta of the second theory curve of Fig. 6.12, the upper end of the range of 3.3."""
 
 _EMPTY = np.empty(0)
 
 
-def theory_curve(theory: Theory, label: str) -> Curve:
+def theory_curve(theory: Theory, label: str, kind: str = "theory") -> Curve:
     """Return the theoretical boundary in physical units, closed along K = -k."""
     border, units = theory.boundary, theory.units
     stiffness = np.append(border.alpha, -theory.loop.gamma) * units.stiffness
     damping = np.append(border.beta, border.beta[-1]) * units.damping
-    return Curve(label, "theory", stiffness, damping)
+    return Curve(label, kind, stiffness, damping)
 
 
 def measured_curve(result: ExperimentResult) -> Curve:
     """Return the measured boundary: the last stable stiffness at each damping, 0 where none was stable."""
-    points = [p for p in result.boundary if p.stable is not None or p.unstable is not None]
+    stable = [p.stable is not None for p in result.boundary]
+    # dampings without a stable trial beside those with one close the curve; further ones tell nothing
+    points = [p for i, p in enumerate(result.boundary) if any(stable[max(i - 1, 0) : i + 2])]
     return Curve(
         f"experiment {result.experiment}",
         "measured",
@@ -102,21 +108,24 @@ class FigureBuilder:
         settings = {r.experiment: self.theories[r.experiment].parameters for r in free}
         experiments = {e.name: e for e in self.data.device.experiments}
         delays = sorted({d for r in free if r.experiment in experiments for d in _delays(experiments[r.experiment])})
-        seen = set()
-        for p in settings.values():
-            for d in delays or [p.delay_samples]:
-                changed = p.model_copy(update={"delay_samples": float(d)})
-                identity = (changed.mass, changed.damping, changed.stiffness, d)
-                if identity not in seen:
-                    seen.add(identity)
-                    curves.append(theory_curve(Theory(changed), f"theory, d = {d:g}, b = {p.damping:g}"))
+        values = list(dict.fromkeys((p.mass, p.damping, p.stiffness) for p in settings.values()))
+        template = next(iter(settings.values()))
+        for index, (m, b, k) in enumerate(values):
+            for number, d in enumerate(delays or [template.delay_samples]):
+                parameters = template.model_copy(
+                    update={"mass": m, "damping": b, "stiffness": k, "delay_samples": float(d)}
+                )
+                label = f"d = {d:g}" if index == 0 else f"theory, b = {b:g}" if number == 0 else "_"
+                curves.append(theory_curve(Theory(parameters), label, "band" if index else "theory"))
         curves.append(linear_curve(self.theories[free[0].experiment]))
-        p = next(iter(settings.values()))
+        m, b, k = values[0]
+        others = ", ".join(f"{other[1]:g}" for other in values[1:])
         return BoundaryFigure(
             "boundaries-free",
             "Stability boundaries without operator",
-            f"Measured: last stable stiffness at each damping. Theory for m = {p.mass:g}, k = {p.stiffness:g} and the "
-            "delay factors and damping named at the curves. In the manner of Fig. 6.3.",
+            f"Measured: last stable stiffness at each damping. Theory for m = {m:g}, b = {b:g}, k = {k:g} and the delay "
+            f"factors at the curves{f'; thin dots: the same with b = {others}' if others else ''}. "
+            "In the manner of Fig. 6.3.",
             (("", tuple(curves)),),
         )
 
@@ -170,15 +179,15 @@ class FigureBuilder:
         for result in self.results:
             theories = band_of_estimates(result, self.theories.get(result.experiment), self._period(result))
             if theories:
-                curves = [measured_curve(result), *(theory_curve(t, label) for label, t in theories)]
+                curves = [measured_curve(result), *(theory_curve(t, label, kind) for label, kind, t in theories)]
                 panels.append((f"experiment {result.experiment}", tuple(curves)))
         if not panels:
             return None
         return BoundaryFigure(
             "boundaries-estimates",
             "Boundaries predicted from what the logs say",
-            "Theory with the estimated mass, damping and delay of each experiment; the other two curves take the "
-            "ends of the 95 % intervals that give the smallest and the largest region.",
+            "Theory with the estimated mass, damping and delay of each experiment; thin dots: theory for the "
+            "ends of the 95 % intervals that give the smallest and the largest region, where these differ.",
             tuple(panels),
         )
 
@@ -248,8 +257,10 @@ class FigureBuilder:
 
 def band_of_estimates(
     result: ExperimentResult, nominal: Theory | None, sampling_period_s: float
-) -> list[tuple[str, Theory]]:
-    """Return theory for the estimates of an experiment, and for the ends of their intervals; empty without estimates.
+) -> list[tuple[str, str, Theory]]:
+    """Return label, kind and theory for the estimates of an experiment, then for the ends of their intervals.
+
+    Empty without estimates; without the ends where they cannot be told apart in a figure.
 
     The stable region grows with mass and damping and shrinks with delay, so the ends of the intervals give the
     smallest and the largest region. A damping below zero counts as zero: the theory asks for delta >= 0.
@@ -271,12 +282,18 @@ def band_of_estimates(
             )
         )
 
-    found = [("theory from estimates", theory(mass.value, damping.value, delay.value))]
+    found = [("theory from estimates", "theory", theory(mass.value, damping.value, delay.value))]
     (m_low, m_high), (b_low, b_high), (d_low, d_high) = (_interval(e) for e in (mass, damping, delay))
     # the upper end of the delay interval is open (6.3): the largest factor that occurred is one less
-    found.append(("smallest region of the intervals", theory(m_low, b_low, max(d_high - 1, d_low))))
-    found.append(("largest region of the intervals", theory(m_high, b_high, d_low)))
+    smallest, largest = theory(m_low, b_low, max(d_high - 1, d_low)), theory(m_high, b_high, d_low)
+    if _reach(largest) > _reach(smallest) * (1 + NARROW_BAND):
+        found += [("smallest region of the intervals", "band", smallest), ("largest", "band", largest)]
     return found
+
+
+def _reach(theory: Theory) -> float:
+    """Largest stable stiffness in physical units."""
+    return theory.boundary.alpha_max * theory.units.stiffness
 
 
 def _interval(estimate: Estimate) -> tuple[float, float]:
@@ -324,6 +341,8 @@ def _theory_panel(theory: Theory, window: tuple[float, float, float], cost: Floa
 
 def _measured_panel(result: ExperimentResult, stages: ExperimentStages, criterion: str) -> CostMap:
     cost, _ = stages.cost(criterion)
+    if criterion == "overshoot":
+        cost = np.where(without_overshoot(cost, stages.column("overshoot", "overshoot_floor")), 0.0, cost)
     k, b = stages.column("response", "stiffness"), stages.column("response", "damping")
     shown = (k > 0) & (stages.verdicts.verdict != "unstable")
     k, b, cost = k[shown], b[shown], cost[shown]

@@ -113,9 +113,7 @@ def cost_maps(figure: CostFigure, motion: Motion = "translation") -> tuple[str, 
             panels.draw_front(front, cost_map, figure.criterion, scale, top)
             front.set_xlabel(_stiffness_label(motion, scale))
             text = _describe_map(cost_map, figure.criterion, motion)
-            result.append(
-                style.svg(drawing, f"{figure.identifier}-{index}", f"{figure.title} {cost_map.label}", text)
-            )
+            result.append(style.svg(drawing, f"{figure.identifier}-{index}", f"{figure.title} {cost_map.label}", text))
     return tuple(result)
 
 
@@ -142,9 +140,7 @@ def delays(figure: DelayFigure) -> tuple[str, ...]:
             ):
                 known = np.isfinite(values)
                 if known.any():
-                    handles += axes.plot(
-                        panel.delay_samples[known], values[known] * factor, label=label, **look
-                    )
+                    handles += axes.plot(panel.delay_samples[known], values[known] * factor, label=label, **look)
             axes.set_ylim(0, None)
             axes.xaxis.set_major_locator(MaxNLocator(integer=True))
             axes.yaxis.set_major_locator(MaxNLocator(5, steps=style.TICK_STEPS))

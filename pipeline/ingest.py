@@ -175,9 +175,7 @@ class _Ingest:
     def report(self) -> IngestReport:
         """Return the counts."""
         refusals = tuple(sorted(self.refusals, key=lambda refusal: refusal.path))
-        return IngestReport(
-            found=self.found, ingested=self.ingested, skipped=self.skipped, quarantined=refusals
-        )
+        return IngestReport(found=self.found, ingested=self.ingested, skipped=self.skipped, quarantined=refusals)
 
     def _settled_unread(self, source: Source) -> bool:
         if self.rehash:
@@ -249,18 +247,14 @@ class _Ingest:
         for key in ("device", "experiment"):
             name = getattr(log.header, key)
             if len(folder_name(name)) > LONGEST_FOLDER:
-                raise LogError(
-                    f"{key} {name!r} is too long for a folder name; shorten it or use ASCII letters."
-                )
+                raise LogError(f"{key} {name!r} is too long for a folder name; shorten it or use ASCII letters.")
         self.known[trial_id] = profile_sha256
         self.ingested += 1
         if self.dry_run:
             return
         if former is not None:
             self.replaced.add((former.trial_id, former.profile_sha256, source.key))
-        self._written(
-            self.writer.add(Accepted(trial_id, sha256, source, log, motion, profile.name, profile_sha256))
-        )
+        self._written(self.writer.add(Accepted(trial_id, sha256, source, log, motion, profile.name, profile_sha256)))
 
     def _reprofiled(self, source: Source, trial_id: str) -> bool:
         """Return whether this is the stored source of a trial, now read by another profile."""
@@ -323,9 +317,7 @@ def _load(source: Source) -> tuple[RawLog, str]:
     except OSError as error:
         raise LogError(f"file cannot be read ({error.strerror}). Correct its permissions.") from error
     if sum(len(part) for part in data) != source.size:
-        raise LogError(
-            "file changed while it was read; expected a finished recording. Run the command again."
-        )
+        raise LogError("file changed while it was read; expected a finished recording. Run the command again.")
     hashes = [hashlib.sha256(part).hexdigest() for part in data]
     sha256 = hashes[0] if len(hashes) == 1 else hashlib.sha256("".join(hashes).encode()).hexdigest()
     return RawLog(tuple(file.name for file in source.files), data), sha256

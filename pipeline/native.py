@@ -176,9 +176,7 @@ def parse_header(lines: Iterable[str]) -> NativeHeader:
         sampling_period_s=_period(*values["sampling_period_s"]),
         added_delay_samples=_count(*values.get("added_delay_samples", ("0", 0))),
         grip=cast(Grip, _choice("grip", get_args(Grip), *values.get("grip", ("none", 0)))),
-        motion=cast(Motion, _choice("motion", get_args(Motion), *values["motion"]))
-        if "motion" in values
-        else None,
+        motion=cast(Motion, _choice("motion", get_args(Motion), *values["motion"])) if "motion" in values else None,
         simulated=simulated,
         extra=extra,
     )
@@ -231,9 +229,7 @@ def _step(value: str, row: int) -> float:
 def _period(value: str, row: int) -> float:
     period = _number("sampling_period_s", value, row)
     if period <= 0:
-        raise LogError(
-            f"sampling_period_s must be above 0 s, found {period:g}. Write the period, such as 0.001.", row
-        )
+        raise LogError(f"sampling_period_s must be above 0 s, found {period:g}. Write the period, such as 0.001.", row)
     return period
 
 

@@ -45,11 +45,13 @@ LABEL_SIZE = (0.12, 0.042)
 """Width and height of a direct label [fraction of the axes]; closer ones overlap and go into the legend."""
 SHORT_LABEL = 9
 """Longest text [characters] that is written at a curve."""
+LABELLED_KINDS = ("measured", "theory")
+"""Kinds of curves whose tip may bear a label; linear conditions and bands have none of their own."""
 
 
 def draw_curves(axes: Axes, curves: Sequence[Curve], scale: float) -> set[str]:
     """Draw boundaries; return the labels that were written at their curve and need no legend."""
-    order = {kind: [c for c in curves if c.kind == kind] for kind in ("measured", "theory", "linear")}
+    order = {kind: [c for c in curves if c.kind == kind] for kind in ("measured", "theory", "linear", "band")}
     # One theory curve to each measured one share its colour; otherwise theory would borrow a wrong partner.
     paired = len(order["measured"]) in (0, len(order["theory"]))
     labelled = set()
@@ -58,16 +60,14 @@ def draw_curves(axes: Axes, curves: Sequence[Curve], scale: float) -> set[str]:
         places = _label_places(group, axes.get_xlim()[1] / scale, axes.get_ylim())
         for index, curve in enumerate(group):
             colour = style.SERIES[index % len(style.SERIES)]
-            if kind == "linear" or (kind == "theory" and not paired):
-                colour = style.INK if kind == "linear" else style.VERMILLION
+            if kind in ("linear", "band") or (kind == "theory" and not paired):
+                colour = style.VERMILLION if kind == "theory" else style.INK
             _draw_curve(axes, curve, scale, colour, style.MARKERS[index % len(style.MARKERS)])
             if places:
                 labelled.add(curve.label)
                 box = {"facecolor": style.PAPER, "edgecolor": "none", "pad": 0.8, "alpha": 0.85}
                 look: dict[str, Any] = {"color": colour, "va": "center", "fontsize": 9.5, "bbox": box}
-                axes.annotate(
-                    curve.label, places[index], (4, 0), "axes fraction", textcoords="offset points", **look
-                )
+                axes.annotate(curve.label, places[index], (4, 0), "axes fraction", textcoords="offset points", **look)
     return labelled
 
 
@@ -81,24 +81,23 @@ def _draw_curve(axes: Axes, curve: Curve, scale: float, colour: str, marker: str
             open_look: dict[str, Any] = {"mfc": style.PAPER, "mec": colour, "mew": 1.1, "label": "_censored"}
             axes.plot(k[where], curve.damping[where], ls="none", marker=marker, ms=5, **open_look)
     else:
-        axes.plot(k, curve.damping, lw=1.4 if curve.kind == "theory" else 1.6, **look)
+        axes.plot(k, curve.damping, lw={"theory": 1.4, "linear": 1.6, "band": 1.0}[curve.kind], **look)
 
 
 def legend_entries(curves: Sequence[Curve], largest: float, damping: tuple[float, float]) -> int:
     """Return how many curves have no room for their label and need a legend; ranges of the axes in SI."""
     kinds = {curve.kind for curve in curves}
-    groups = [[curve for curve in curves if curve.kind == kind] for kind in kinds]
+    shown = [curve for curve in curves if not curve.label.startswith("_")]
+    groups = [[curve for curve in shown if curve.kind == kind] for kind in kinds]
     return sum(len(group) for group in groups if not _label_places(group, largest, damping))
 
 
-def _label_places(
-    curves: Sequence[Curve], largest: float, damping: tuple[float, float]
-) -> list[tuple[float, float]]:
+def _label_places(curves: Sequence[Curve], largest: float, damping: tuple[float, float]) -> list[tuple[float, float]]:
     """Return the tips of the curves [axes fraction] if a short label fits at each of them, else nothing."""
     places: list[tuple[float, float]] = []
     for curve in curves:
         known = np.isfinite(curve.stiffness) & np.isfinite(curve.damping)
-        if len(curve.label) > SHORT_LABEL or not known.any():
+        if curve.kind not in LABELLED_KINDS or len(curve.label) > SHORT_LABEL or not known.any():
             return []
         tip = int(np.argmax(np.where(known, curve.stiffness, -np.inf)))
         x = float(curve.stiffness[tip]) / largest
@@ -130,9 +129,7 @@ def draw_map(axes: Axes, cost_map: CostMap, criterion: str, scale: float) -> Non
         if cost_map.kind == "theory":
             lines = axes.contour(cost_map.stiffness * scale, cost_map.damping, cost_map.cost, **look)
             shown = (
-                levels[1::LINES_PER_DOUBLING]
-                if criterion != "overshoot"
-                else levels[levels > NO_OVERSHOOT_LINE][::2]
+                levels[1::LINES_PER_DOUBLING] if criterion != "overshoot" else levels[levels > NO_OVERSHOOT_LINE][::2]
             )
             factor = printed_scale(criterion)
             axes.clabel(lines, shown[:2], fmt=lambda level: significant(level * factor, 3), fontsize=8.5,
@@ -173,9 +170,7 @@ def draw_front(axes: Axes, cost_map: CostMap, criterion: str, scale: float, top:
     axes.yaxis.set_major_locator(MaxNLocator(4, steps=style.TICK_STEPS))
     axes.set_ylabel("overshoot [%]" if criterion == "overshoot" else _short_label(criterion))
     inside = cost_map.trial_cost <= top
-    _dots(
-        axes, cost_map.trial_stiffness[inside] * scale, cost_map.trial_cost[inside] * factor, style.GREEN, 2.6
-    )
+    _dots(axes, cost_map.trial_stiffness[inside] * scale, cost_map.trial_cost[inside] * factor, style.GREEN, 2.6)
     known = np.isfinite(cost_map.cost).any(axis=0)
     lowest = np.where(np.isfinite(cost_map.cost), cost_map.cost, np.inf).min(axis=0)[known]
     axes.plot(cost_map.stiffness[known] * scale, lowest * factor, color=style.INK, lw=1.3)
@@ -247,7 +242,5 @@ def _dots(axes: Axes, x: Floats, y: Floats, colour: str, size: float) -> None:
     path = Path(np.repeat(pixels, 2, axis=0), codes)
     path.should_simplify = False  # simplification would drop lines without length
     axes.add_artist(  # `add_patch` would search the path for limits of the axes, which are set already
-        PathPatch(
-            path, fill=False, edgecolor=colour, lw=size, capstyle="round", transform=IdentityTransform()
-        )
+        PathPatch(path, fill=False, edgecolor=colour, lw=size, capstyle="round", transform=IdentityTransform())
     )

@@ -131,9 +131,7 @@ class Climb:
         steps = ladder.origin + ladder.stride * rungs
         if ladder.damping is None:
             return np.stack((np.zeros(len(rungs)), 0.0 - steps * self.damping_step / FINE_STEPS), axis=1)
-        return np.stack(
-            (steps * self.stiffness_step / FINE_STEPS, np.full(len(rungs), ladder.damping)), axis=1
-        )
+        return np.stack((steps * self.stiffness_step / FINE_STEPS, np.full(len(rungs), ladder.damping)), axis=1)
 
     def result(self, last_column: int) -> tuple[TrialBatch, Integers, Strings]:
         """Return trials, pass and verdict in the order of testing, without columns behind the last one."""

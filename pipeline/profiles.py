@@ -51,9 +51,7 @@ class Partner(Record):
     @model_validator(mode="after")
     def _names_differ(self) -> Self:
         if self.replace in self.by or self.by in self.replace:
-            raise ValueError(
-                f"'replace' and 'by' must not contain each other, found {self.replace!r}, {self.by!r}"
-            )
+            raise ValueError(f"'replace' and 'by' must not contain each other, found {self.replace!r}, {self.by!r}")
         return self
 
 
@@ -116,28 +114,20 @@ class Profile(Record):
                 raise ValueError(f"a native profile takes all from the log; remove {sorted(foreign)}")
             return self
         if self.columns is None:
-            raise ValueError(
-                "'columns' is missing; expected [columns.time], [columns.command], [columns.position]"
-            )
+            raise ValueError("'columns' is missing; expected [columns.time], [columns.command], [columns.position]")
         if self.delimiter == self.decimal:
             raise ValueError(f"'delimiter' and 'decimal' are both {self.delimiter!r}")
         if self.partner is None and any(c.file == "partner" for c in self.column_sources().values()):
-            raise ValueError(
-                "a column is taken from the partner file, but there is no [partner] with replace and by"
-            )
+            raise ValueError("a column is taken from the partner file, but there is no [partner] with replace and by")
         try:
             self.factors()
         except ParameterError as error:
             raise ValueError(str(error)) from error
         absent = [
-            key
-            for key in REQUIRED_CONSTANTS
-            if getattr(self.constants, key) is None and key not in self.name_groups()
+            key for key in REQUIRED_CONSTANTS if getattr(self.constants, key) is None and key not in self.name_groups()
         ]
         if absent:
-            raise ValueError(
-                f"[constants] has no {absent}; expected each there or as a group of name_pattern"
-            )
+            raise ValueError(f"[constants] has no {absent}; expected each there or as a group of name_pattern")
         return self
 
     def name_groups(self) -> frozenset[str]:
@@ -150,9 +140,7 @@ class Profile(Record):
             raise ValueError(f"name_pattern is no regular expression: {error}") from error
         unknown = groups - set(REQUIRED_CONSTANTS) - {"added_delay_samples", "grip"}
         if unknown:
-            raise ValueError(
-                f"name_pattern has unknown groups {sorted(unknown)}; known are {REQUIRED_CONSTANTS}"
-            )
+            raise ValueError(f"name_pattern has unknown groups {sorted(unknown)}; known are {REQUIRED_CONSTANTS}")
         return groups
 
     def column_sources(self) -> dict[str, ColumnSource]:
@@ -179,9 +167,7 @@ class Profile(Record):
             try:
                 factors[key] = source.sign * factor_to_si(source.unit, quantities[key])
             except ParameterError as error:
-                raise ParameterError(
-                    f"columns.{key}.unit: {error} (motion is {self.constants.motion})"
-                ) from error
+                raise ParameterError(f"columns.{key}.unit: {error} (motion is {self.constants.motion})") from error
         return factors
 
     def claims(self, name: str) -> bool:
@@ -241,9 +227,7 @@ def _explain(error: dict[str, object]) -> str:
     key = ".".join(str(part) for part in location)
     section = _SECTIONS.get(tuple(str(part) for part in location[:-1]))
     if error["type"] == "extra_forbidden" and section is not None:
-        return (
-            f"key {key!r} is not known; expected one of {sorted(section.model_fields)}. Correct or remove it."
-        )
+        return f"key {key!r} is not known; expected one of {sorted(section.model_fields)}. Correct or remove it."
     if error["type"] == "missing":
         return f"key {key!r} is missing. Add it."
     message = str(error["msg"]).removeprefix("Value error, ")

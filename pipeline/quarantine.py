@@ -71,8 +71,7 @@ def list_quarantine(processed: Path) -> list[QuarantineRecord]:
             records.append(QuarantineRecord.model_validate_json(file.read_bytes()))
         except ValidationError as error:
             raise StoreError(
-                f"{file}: is no quarantine record ({error.error_count()} errors). "
-                "Remove its folder and ingest again."
+                f"{file}: is no quarantine record ({error.error_count()} errors). Remove its folder and ingest again."
             ) from error
     return sorted(records, key=lambda record: record.path)
 

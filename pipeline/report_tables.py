@@ -116,13 +116,13 @@ def experiment_table(result: ComparisonResult) -> Table:
     units = {q: e.estimates[q].unit for e in reversed(result.experiments) for q in e.estimates}
     heads = [Head("experiment", numeric=False), Head("set-up", numeric=False), Head("all", "trials")]
     heads += [Head(v, "trials") for v in verdicts]
-    heads += [Head(f"{_quantity(q)} [{units[q]}]", "estimated, with 95 % interval") for q in quantities]
+    heads += [
+        Head(f"{_quantity(q)} [{units[q].replace('^2', '²')}]", "estimated, with 95 % interval") for q in quantities
+    ]
     heads += [Head("theory uses", numeric=False)] if theory else []
     table = Table("experiments", "Experiments, verdicts on stability and estimated parameters", tuple(heads))
     for e in result.experiments:
-        setup = ", ".join(
-            filter(None, [e.configuration, f"{e.grip} grip" if e.grip != "none" else "no operator"])
-        )
+        setup = ", ".join(filter(None, [e.configuration, f"{e.grip} grip" if e.grip != "none" else "no operator"]))
         cells = [text_cell(e.experiment), text_cell(setup), Cell(str(e.trials))]
         cells += [Cell(str(e.verdicts.get(v, 0))) for v in verdicts]
         cells += [_estimate_cell(table, e.estimates.get(q)) for q in quantities]
@@ -137,9 +137,7 @@ def experiment_table(result: ComparisonResult) -> Table:
 def method_table(result: ComparisonResult) -> Table | None:
     """Return the estimates by every method, or None where there is one method only."""
     heads = (Head("method", numeric=False), Head("value"), Head("low"), Head("high"), Head("trials"))
-    table = Table(
-        "methods", "Estimates by method, with 95 % intervals", (*heads, Head("remark", numeric=False))
-    )
+    table = Table("methods", "Estimates by method, with 95 % intervals", (*heads, Head("remark", numeric=False)))
     columns = ("method", "value", "low", "high", "trials", "remark")
     for e in result.experiments:
         for quantity, best in e.estimates.items():
@@ -237,9 +235,7 @@ def missing_table(result: ComparisonResult) -> Table | None:
     return table if table.blocks else None
 
 
-def word_table(
-    identifier: str, caption: str, heads: Sequence[str], rows: Iterable[Sequence[str]]
-) -> Table | None:
+def word_table(identifier: str, caption: str, heads: Sequence[str], rows: Iterable[Sequence[str]]) -> Table | None:
     """Return a table of words, or None where it has no rows; the first cell of a row names it."""
     table = Table(identifier, caption, tuple(Head(text, numeric=False) for text in heads))
     for row in rows:
@@ -248,9 +244,7 @@ def word_table(
 
 
 def _quantity(name: str) -> str:
-    return {"delay_samples": "delay d", "mass": "mass m", "damping": "damping b"}.get(
-        name, name.replace("_", " ")
-    )
+    return {"delay_samples": "delay d", "mass": "mass m", "damping": "damping b"}.get(name, name.replace("_", " "))
 
 
 def _estimate_cell(table: Table, value: Estimate | None) -> Cell:
@@ -328,13 +322,9 @@ def _deviation_cell(row: ComparisonRow) -> Cell:
 def _published_cells(row: ComparisonRow) -> list[Cell]:
     why = "not published"
     return [
-        Cell(stiffness_text(row.published_stiffness))
-        if row.published_stiffness is not None
-        else missing_cell(why),
+        Cell(stiffness_text(row.published_stiffness)) if row.published_stiffness is not None else missing_cell(why),
         Cell(damping_text(row.published_damping)) if row.published_damping is not None else missing_cell(why),
-        Cell(cost_text(row.criterion, row.published_cost))
-        if row.published_cost is not None
-        else missing_cell(why),
+        Cell(cost_text(row.criterion, row.published_cost)) if row.published_cost is not None else missing_cell(why),
     ]
 
 
@@ -380,9 +370,7 @@ def _boundary_cells(table: Table, experiment: ExperimentResult, damping: float) 
     if point is None:
         return [missing_cell("not tested at this damping")] * 2
     note = "The tested range ended before an unstable trial." if point.censored else None
-    stable = (
-        Cell(stiffness_text(point.stable)) if point.stable is not None else missing_cell("no stable trial")
-    )
+    stable = Cell(stiffness_text(point.stable)) if point.stable is not None else missing_cell("no stable trial")
     if point.unstable is None:
         return [stable, Cell(MISSING, why=note or "no unstable trial", marks=table.mark([note]))]
     return [stable, Cell(stiffness_text(point.unstable), marks=table.mark([note]))]

@@ -61,7 +61,8 @@ class ComparisonResult(Record):
 class Curve:
     """A line in the plane of stiffness (abscissa) and damping (ordinate), in physical units.
 
-    ``kind`` is ``measured`` (solid), ``theory`` (dashed) or ``linear`` (dotted). ``censored`` marks the points
+    ``kind`` is ``measured`` (solid), ``theory`` (dashed), ``linear`` (dotted) or ``band`` (thin dots).
+    A label that begins with an underscore is not shown. ``censored`` marks the points
     of a measured curve where the tested range ended before an unstable trial.
     """
 

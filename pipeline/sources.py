@@ -78,9 +78,7 @@ def find_sources(paths: Sequence[Path], profiles: tuple[Profile, ...], exclude: 
 
 def _walk(folder: Path, exclude: Path) -> Iterator[Path]:
     for here, folders, files in os.walk(folder):
-        folders[:] = [
-            f for f in folders if not f.startswith(".") and Path(os.path.abspath(here), f) != exclude
-        ]
+        folders[:] = [f for f in folders if not f.startswith(".") and Path(os.path.abspath(here), f) != exclude]
         for name in files:
             if not name.startswith(".") and name != UNCOUNTED:
                 yield Path(here, name)
@@ -95,19 +93,12 @@ def _source(file: Path, profiles: tuple[Profile, ...]) -> Source:
         try:
             status = part.stat()
         except OSError as error:
-            problem = (
-                problem or f"{part.name} cannot be read ({error.strerror}); expected it in {part.parent}."
-            )
+            problem = problem or f"{part.name} cannot be read ({error.strerror}); expected it in {part.parent}."
             if part == partner:
-                problem += (
-                    f" Profile {profile.name if profile else ''} reads a log from two files; add the second."
-                )
+                problem += f" Profile {profile.name if profile else ''} reads a log from two files; add the second."
             continue
         if not stat.S_ISREG(status.st_mode):
-            problem = (
-                problem
-                or f"{part.name} is no regular file; expected a log. Copy the log's content to a file."
-            )
+            problem = problem or f"{part.name} is no regular file; expected a log. Copy the log's content to a file."
             continue
         present.append(part)
         size += status.st_size

@@ -43,7 +43,7 @@ TICK_STEPS = (1, 2, 2.5, 5, 10)
 SERIES = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, INK)
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 """Markers that tell the series apart in grey, in the order of `SERIES`."""
-LINES: dict[str, Any] = {"measured": "-", "theory": (0, (5, 2)), "linear": (0, (1, 1.8))}
+LINES: dict[str, Any] = {"measured": "-", "theory": (0, (5, 2)), "linear": (0, (1, 1.8)), "band": (0, (1, 2.5))}
 
 RC: Any = {
     "svg.fonttype": "none",  # text stays text: searchable, and in the page's font

@@ -46,7 +46,7 @@ def summarise(
             predicted = theory.boundary.alpha_max * theory.units.stiffness
             where = theory.boundary.beta_at_alpha_max * theory.units.damping
             text += f", theory says {predicted:.0f} {units.stiffness} at {where:.3g} {units.damping}"
-            text += f" ({100 * (stiffness / predicted - 1):+.0f} %)"
+            text += f" ({_percent(stiffness / predicted - 1)})"
         sentences.append(text + ".")
     deviations = [r for r in rows if r.deviation_percent is not None]
     if deviations:
@@ -59,6 +59,12 @@ def summarise(
             f"{_named(largest)} ({largest.deviation_percent:+.1f} %)."
         )
     return tuple(sentences)
+
+
+def _percent(share: float) -> str:
+    """Signed whole percent, without a sign for zero."""
+    rounded = round(100 * share)
+    return f"{rounded:+d} %" if rounded else "0 %"
 
 
 def _size(row: ComparisonRow) -> float:
@@ -78,7 +84,7 @@ def _estimates(result: ExperimentResult) -> str:
         estimate = result.estimates[key]
         if estimate.value is None:
             continue
-        text = f"{name} {estimate.value:.3g} {estimate.unit}"
+        text = f"{name} {estimate.value:.3g} {estimate.unit.replace('^2', '²')}"
         if estimate.low is not None and estimate.high is not None:
             text += f" (95 %: {estimate.low:.3g} to {estimate.high:.3g})"
         parts.append(text)

@@ -175,7 +175,7 @@ class TableBuilder:
             published_cost=published.cost if published else None,
             deviation_percent=_deviation(cost, reference),
             censored=bool(optimum and optimum.censored),
-            note="; ".join(n for n in notes if n) or None,
+            note=" ".join(n for n in notes if n) or None,
         )
 
     def _region_note(self, criterion: str, prediction: Prediction | None) -> str | None:
@@ -183,8 +183,8 @@ class TableBuilder:
             return None
         low_k, high_k, low_b, high_b = prediction.region
         return (
-            f"the optimum is a region; the centre of its bounding box is given, K from {low_k:.4g} to {high_k:.4g}, "
-            f"B from {low_b:.4g} to {high_b:.4g}"
+            f"The optimum is a region; given is the centre of its bounding box, K from {low_k:.4g} to {high_k:.4g}, "
+            f"B from {low_b:.4g} to {high_b:.4g}."
         )
 
 
@@ -198,9 +198,6 @@ def _deviation(cost: float | None, reference: float | None) -> float | None:
 def _optimum_note(criterion: str, optimum: Optimum | None) -> str | None:
     if optimum is None:
         return None
-    notes = []
-    if optimum.censored:
-        notes.append("at the edge of the tested range: the true optimum may lie beyond it")
     if optimum.ties > 1 and criterion in SETTLING_BANDS:
-        notes.append(f"{optimum.ties} trials share this cost; the one nearest to the middle of them is given")
-    return "; ".join(notes) or None
+        return f"{optimum.ties} trials share this cost; the one nearest to the middle of them is given."
+    return None

@@ -73,9 +73,7 @@ class TrialWriter:
         return written
 
 
-def _write_batch(
-    processed: Path, device: str, experiment: str, motion: Motion, members: list[Accepted]
-) -> None:
+def _write_batch(processed: Path, device: str, experiment: str, motion: Motion, members: list[Accepted]) -> None:
     rows = np.array([len(m.log.time) for m in members], dtype=np.int64)
     name = digest([[m.trial_id, m.profile_sha256] for m in members]) + ".parquet"
     samples_file = samples_folder(processed, device, experiment) / name
@@ -94,8 +92,7 @@ def _write_batch(
     headers = [m.log.header for m in members]
     plain = ("device", "experiment", "stiffness", "damping", "step", "sampling_period_s")
     trials: dict[str, object] = {
-        key: [getattr(h, key) for h in headers]
-        for key in (*plain, "added_delay_samples", "grip", "simulated")
+        key: [getattr(h, key) for h in headers] for key in (*plain, "added_delay_samples", "grip", "simulated")
     }
     trials |= {
         "trial_id": [m.trial_id for m in members],

@@ -48,9 +48,7 @@ def reader_of(profile: Profile) -> Reader:
     return read
 
 
-def check_samples(
-    header: NativeHeader, time: Floats, command: Floats, position: Floats, first_row: int
-) -> Log:
+def check_samples(header: NativeHeader, time: Floats, command: Floats, position: Floats, first_row: int) -> Log:
     """Return the log if its samples can be a step response.
 
     Parameters

@@ -90,9 +90,7 @@ def header_of(profile: Profile, name: str) -> NativeHeader:
         # as native header lines, so that the conditions of every format pass the same checks
         header = parse_header(f"# {key}: {value}" for key, value in given.items())
     except LogError as error:
-        raise LogError(
-            f"{name}: by the constants and name_pattern of {profile.name}, {error.reason}"
-        ) from error
+        raise LogError(f"{name}: by the constants and name_pattern of {profile.name}, {error.reason}") from error
     if (header.device, header.experiment) != (given["device"], given["experiment"]):
         raise LogError(
             f"{name}: device {given['device']!r} or experiment {given['experiment']!r} would be stored as "
@@ -142,9 +140,7 @@ def _read_columns(
     return {key: table.column(labels[i]).to_numpy() for key, i in positions.items()}
 
 
-def _fault(
-    profile: Profile, name: str, body: bytes, positions: dict[str, int], width: int, message: str
-) -> LogError:
+def _fault(profile: Profile, name: str, body: bytes, positions: dict[str, int], width: int, message: str) -> LogError:
     """Return the error that names the row and cell at which a file cannot be read."""
     first = profile.skip_rows + 2
     reader = csv.reader(body.decode("utf-8", "replace").splitlines(), delimiter=profile.delimiter)

@@ -61,16 +61,12 @@ def read(profile: Profile, raws: Sequence[RawLog], use_threads: bool) -> list[Ou
         except LogError as error:
             outcomes[index] = error
     filled = {index: body for index, body in bodies.items() if body.lines}
-    columns = _parse(
-        b"".join(b.text for b in filled.values()), sum(b.lines for b in filled.values()), use_threads
-    )
+    columns = _parse(b"".join(b.text for b in filled.values()), sum(b.lines for b in filled.values()), use_threads)
     end = 0
     for index, body in bodies.items():
         start, end = end, end + body.lines
         try:
-            time, command, position = (
-                _parse_alone(body) if columns is None else (c[start:end] for c in columns)
-            )
+            time, command, position = _parse_alone(body) if columns is None else (c[start:end] for c in columns)
             outcomes[index] = check_samples(body.header, time, command, position, body.first_row)
         except LogError as error:
             outcomes[index] = error
@@ -81,9 +77,7 @@ def _split(data: bytes) -> tuple[NativeHeader, int, int]:
     """Return the header, the offset of the first sample and its line number."""
     head = data[:_LONGEST_HEADER]
     if not head.strip(b"\xef\xbb\xbf \t\r\n"):
-        raise LogError(
-            "file is empty; expected a header, the column line and samples. Record the log again.", 1
-        )
+        raise LogError("file is empty; expected a header, the column line and samples. Record the log again.", 1)
     lines: list[str] = []
     start = 0
     while start < len(head):
@@ -91,9 +85,7 @@ def _split(data: bytes) -> tuple[NativeHeader, int, int]:
         try:
             text = head[start:end].decode("utf-8-sig" if start == 0 else "utf-8").strip()
         except UnicodeDecodeError as error:
-            raise LogError(
-                f"line is no UTF-8 text ({error.reason}). Save the log as UTF-8.", len(lines) + 1
-            ) from error
+            raise LogError(f"line is no UTF-8 text ({error.reason}). Save the log as UTF-8.", len(lines) + 1) from error
         start = end
         if text and not text.startswith("#"):
             header = parse_header(lines)
@@ -106,9 +98,7 @@ def _split(data: bytes) -> tuple[NativeHeader, int, int]:
             return header, start, len(lines) + 2
         lines.append(text)
     parse_header(lines)
-    raise LogError(
-        f"column line {COLUMN_LINE!r} is missing below the header; add it and the samples.", len(lines) + 1
-    )
+    raise LogError(f"column line {COLUMN_LINE!r} is missing below the header; add it and the samples.", len(lines) + 1)
 
 
 def _parse(text: bytes, lines: int, use_threads: bool) -> Columns | None:

@@ -1,0 +1,85 @@
+"""Plant motion against the matrix exponential in 50 digits, where the printed formula divides by zero or cancels."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from pipeline.errors import ParameterError
+from pipeline.plant import flow
+from tests.independent import flow_in_many_digits
+
+GAMMA = [0.0, 1e-300, 1e-16, 1e-9, 1e-3, 0.2499, 0.2501, 1.0, 3.0, 9.8]
+DELTA = [0.0, 1e-300, 1e-16, 1e-3, 0.2499, 0.2501, 2.0, 10.0, 39.0, 41.0, 100.0, 1e3]
+RELATIVE = 1e-13
+"""The requirement; rounding alone costs about 1e-14 at gamma = 9.8, where sin(pi - 0.01) cancels three digits."""
+
+
+def check(gamma: float, delta: float, time: float) -> None:
+    got, exact = flow(gamma, delta, time), flow_in_many_digits(gamma, delta, time)
+    entries = {
+        "position by position": (got.transition[0, 0], exact[0, 0]),
+        "position by velocity": (got.transition[0, 1], exact[0, 1]),
+        "velocity by position": (got.transition[1, 0], exact[1, 0]),
+        "position gain": (got.gain[0], exact[0, 2]),
+        "velocity gain": (got.gain[1], exact[1, 2]),
+    }
+    for name, (value, truth) in entries.items():
+        assert abs(value - truth) <= RELATIVE * abs(truth) + 1e-320, (name, gamma, delta, time, value, truth)
+    # this entry alone passes through zero inside the range (gamma = delta = 2, say): relative to its two addends there
+    scale = abs(exact[1, 1]) + abs(delta * exact[0, 1] / 2)
+    assert abs(got.transition[1, 1] - exact[1, 1]) <= RELATIVE * scale, (gamma, delta, time)
+
+
+@pytest.mark.parametrize("gamma", GAMMA)
+def test_every_entry_has_full_precision(gamma: float) -> None:
+    for delta in DELTA:
+        check(gamma, delta, 1.0)
+
+
+@pytest.mark.parametrize("time", [1e-4, 0.37])
+def test_parts_of_an_interval_have_full_precision(time: float) -> None:
+    for gamma, delta in [(0.0, 0.0), (1e-12, 50.0), (0.3, 0.0), (9.8, 0.5), (0.2, 0.2), (5.0, 1e3)]:
+        check(gamma, delta, time)
+
+
+@pytest.mark.parametrize("gamma", [1e-14, 2.5e-13, 0.01, 0.26, 1.0, 9.0])
+def test_near_critical_damping(gamma: float) -> None:
+    for nearness in (0.0, 1e-15, -1e-15, 1e-9, -1e-9, 1e-5, -1e-5):
+        check(gamma, 2 * math.sqrt(gamma) * (1 + nearness), 1.0)
+
+
+def test_the_fast_mode_of_a_strongly_damped_plant_is_kept() -> None:
+    got, exact = flow(0.0, 30.0, 1.0), flow_in_many_digits(0.0, 30.0, 1.0)
+    assert got.transition[1, 1] == pytest.approx(float(exact[1, 1]), rel=RELATIVE)  # exp(-30): no difference of ones
+
+
+def test_an_array_of_times_gives_the_motion_of_each() -> None:
+    times = np.array([0.0, 0.1, 0.7, 1.0])
+    for gamma, delta in [(0.0, 0.0), (0.1, 0.05), (4.0, 1.0)]:
+        together = flow(gamma, delta, times)
+        assert together.transition.shape == (4, 2, 2)
+        np.testing.assert_array_equal(together.transition[0], np.eye(2))
+        np.testing.assert_array_equal(together.gain[0], [0.0, 0.0])
+        for i, time in enumerate(times):
+            single = flow(gamma, delta, float(time))
+            np.testing.assert_allclose(together.transition[i], single.transition, rtol=1e-14, atol=0)
+            np.testing.assert_allclose(together.gain[i], single.gain, rtol=1e-14, atol=0)
+
+
+def test_two_halves_make_a_whole() -> None:
+    rng = np.random.default_rng(11)
+    for gamma, delta, share in rng.uniform([0, 0, 0], [9.8, 5, 1], (100, 3)):
+        first, second, whole = flow(gamma, delta, share), flow(gamma, delta, 1 - share), flow(gamma, delta, 1.0)
+        np.testing.assert_allclose(second.transition @ first.transition, whole.transition, rtol=0, atol=2e-14)
+        np.testing.assert_allclose(second.transition @ first.gain + second.gain, whole.gain, rtol=0, atol=2e-14)
+
+
+@pytest.mark.parametrize(
+    ("gamma", "delta"), [(-1e-9, 0.0), (0.0, -1.0), (math.nan, 0.0), (0.0, math.nan), (math.inf, 0.0), (0.0, math.inf)]
+)
+def test_negative_or_infinite_parameters_are_refused(gamma: float, delta: float) -> None:
+    with pytest.raises(ParameterError, match="gamma = .*delta = .*not negative"):
+        flow(gamma, delta, 1.0)
