@@ -124,12 +124,14 @@ def cost_map(
 
     Example: pipeline theory map --delay 1 --criteria settle_2pct,energy_step_w0 --out map.parquet
     """
-    from pipeline import theory
+    from pipeline import theory_map
     from pipeline.loop import Loop
 
-    names = theory.MAP_DEFAULT if criteria is None else split(criteria)
-    table = theory.map_table(Loop(gamma, delta, delay), size, names, theory.MAP_LONGEST if longest is None else longest)
-    theory.write_map(out, table)
+    names = theory_map.MAP_DEFAULT if criteria is None else split(criteria)
+    table = theory_map.map_table(
+        Loop(gamma, delta, delay), size, names, theory_map.MAP_LONGEST if longest is None else longest
+    )
+    theory_map.write_map(out, table)
     stable = int(table.column("stable").to_numpy().sum())
     if as_json:
         console.print_json({"file": str(out), "rows": table.num_rows, "stable": stable})

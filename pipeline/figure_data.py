@@ -123,8 +123,8 @@ class FigureBuilder:
         return BoundaryFigure(
             "boundaries-free",
             "Stability boundaries without operator",
-            f"Measured: last stable stiffness at each damping. Theory for m = {m:g}, b = {b:g}, k = {k:g} and the delay "
-            f"factors at the curves{f'; thin dots: the same with b = {others}' if others else ''}. "
+            f"Measured: last stable stiffness at each damping. Theory for m = {m:g}, b = {b:g}, k = {k:g} and the "
+            f"delay factors at the curves{f'; thin dots: the same with b = {others}' if others else ''}. "
             "In the manner of Fig. 6.3.",
             (("", tuple(curves)),),
         )
@@ -346,8 +346,9 @@ def _measured_panel(result: ExperimentResult, stages: ExperimentStages, criterio
     k, b = stages.column("response", "stiffness"), stages.column("response", "damping")
     shown = (k > 0) & (stages.verdicts.verdict != "unstable")
     k, b, cost = k[shown], b[shown], cost[shown]
-    axis = np.linspace(0, k.max(initial=1.0), MAP_POINTS)
     levels = np.unique(b) if len(b) else np.zeros(1)
+    optimum = result.optimum.get(criterion)
+    axis = _stiffness_axis(k, len(levels), optimum)
     grid = np.full((len(levels), len(axis)), np.nan)
     for row, level in enumerate(levels):
         at = np.flatnonzero((b == level) & np.isfinite(cost))
@@ -356,8 +357,18 @@ def _measured_panel(result: ExperimentResult, stages: ExperimentStages, criterio
             # along K a course is dense enough to interpolate; beyond its first and last trial nothing is claimed
             grid[row] = np.interp(axis, k[order], cost[order], left=np.nan, right=np.nan)
     name = f"experiment {result.experiment}" + (f", {result.configuration}" if result.configuration else "")
-    optimum = result.optimum.get(criterion)
     return CostMap(name, "measured", axis, levels, grid, measured_curve(result), optimum, k, b, cost)
+
+
+def _stiffness_axis(stiffness: Floats, levels: int, optimum: Optimum | None) -> Floats:
+    """Stiffness values that were tried at a tenth of the dampings or more, and that of the optimum.
+
+    The second pass of a course refines each column around its own limit only; as grid lines those values would be gaps.
+    """
+    values, count = np.unique(stiffness, return_counts=True)
+    common = values[count >= min(max(2, 0.1 * levels), count.max(initial=1))]
+    axis = np.union1d(common, [optimum.stiffness] if optimum else [])
+    return axis if len(axis) > 1 else np.array([0.0, 1.0])
 
 
 def _cost_figure(table: TableLayout, criterion: str, panels: tuple[CostMap, ...], theory: Theory | None) -> CostFigure:

@@ -1,7 +1,7 @@
-"""Numbers behind the theory commands: costs of listed points, cost maps, boundaries and optima as documents.
+"""Numbers behind the theory commands: costs of listed points, boundaries and optima as documents.
 
-All parameters are normalised (Table 3.1). What cannot be computed is None, with the reason beside it or in
-the metadata of the column.
+All parameters are normalised (Table 3.1). What cannot be computed is None, with the reason beside it.
+`pipeline.theory_map` makes maps of the same costs.
 """
 
 from __future__ import annotations
@@ -11,22 +11,18 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from pipeline.batch import Booleans, Floats
 from pipeline.energy import energy_costs
-from pipeline.errors import ParameterError, PipelineError
+from pipeline.errors import ParameterError
 from pipeline.loop import Loop
 from pipeline.models import SETTLING_BANDS
 from pipeline.optimum import STEP_CRITERIA, optimal_point
-from pipeline.provenance import stamp
-from pipeline.stability import boundary, boundary_points, spectral_radius
+from pipeline.stability import boundary, spectral_radius
 from pipeline.transient import LONGEST, QUIET, transient_costs
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 CASE_COLUMNS = ("alpha", "beta", "gamma", "delta", "delay")
 ENERGIES = {signal: tuple(f"energy_{signal}_w{w}" for w in (0, 1, 2)) for signal in ("step", "impulse")}
@@ -38,11 +34,6 @@ POINT_COSTS = tuple(
 )
 """Costs of a listed point."""
 
-MAP_CRITERIA = (*SETTLING_BANDS, "overshoot", *ENERGIES["step"], *ENERGIES["impulse"], "pole_radius")
-"""Criteria of a map; all but ``pole_radius`` also as ``_discrete``."""
-
-MAP_DEFAULT = ("settle_2pct", "overshoot", *ENERGIES["step"])
-
 BOUNDARY_CRITERIA = ("alpha_max", "beta_max")
 """Criteria whose optimum is a point of the stability boundary; they have no cost."""
 
@@ -51,16 +42,6 @@ OPTIMUM_CRITERIA = (*BOUNDARY_CRITERIA, *STEP_CRITERIA)
 MARGINAL = 1e-12
 """Distance of the spectral radius from 1 below which no cost is given: the poles are rounded to about 1e-15
 and energy costs grow with the inverse distance to the power of w + 1, so hardly three digits would be left."""
-
-MAP_LONGEST = 1 << 14
-"""Samples after which a response on a map is given up: 0.5 to 3 % of the stable cells, all along the boundary,
-where costs are a thousand times the optimum; following those too takes ten times as long."""
-
-MAP_QUIET = 1e-13
-"""Deviation at which a response on a map without overshoot ends: below the 1e-12 that counts as none."""
-
-LARGEST_MAP = 2001
-"""Grid points along an axis; 2001 x 2001 points take about 1 GiB."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,11 +150,11 @@ def point_costs(cases: Cases) -> list[dict[str, Any]]:
 
 def _points_of_loop(loop: Loop, alpha: Floats, beta: Floats) -> list[dict[str, Any]]:
     radius = spectral_radius(loop, alpha, beta)
-    stable = _stable(loop, alpha, radius)
+    stable = stable_points(loop, alpha, radius)
     usable = np.flatnonzero(stable & (radius < 1 - MARGINAL))
     costs = {name: np.full(len(alpha), np.nan) for name in POINT_COSTS}
     if len(usable):
-        found = _costs(loop, alpha[usable], beta[usable], POINT_COSTS, LONGEST)
+        found = costs_of_points(loop, alpha[usable], beta[usable], POINT_COSTS, LONGEST)
         for name, values in found.items():
             costs[name][usable] = values
     columns = {name: [None if math.isnan(v) else float(v) for v in values] for name, values in costs.items()}
@@ -208,12 +189,15 @@ def _reason(loop: Loop, alpha: float, radius: float, incomplete: bool) -> str | 
     return f"still moves after {LONGEST} samples" if incomplete else None
 
 
-def _stable(loop: Loop, alpha: Floats, radius: Floats) -> Booleans:
-    # with alpha + gamma <= 0 there is a real pole at or above z = 1, which rounding may show just below it
+def stable_points(loop: Loop, alpha: Floats, radius: Floats) -> Booleans:
+    """Return where points of known spectral radius are stable.
+
+    With alpha + gamma <= 0 there is a real pole at or above z = 1, which rounding may show just below it.
+    """
     return np.asarray((radius < 1) & (alpha + loop.gamma > 0))
 
 
-def _costs(
+def costs_of_points(
     loop: Loop,
     alpha: Floats,
     beta: Floats,
@@ -221,7 +205,20 @@ def _costs(
     longest: int,
     quiet: float = QUIET,
 ) -> dict[str, Floats]:
-    """Costs of stable points by name, computing no more than what is asked for."""
+    """Return costs of stable points by name, computing no more than what is asked for.
+
+    Parameters
+    ----------
+    loop : Loop
+    alpha, beta : float64, shape (n,)
+        Stable points with a spectral radius below 1 - `MARGINAL`.
+    names : sequence of str
+        Settling times, overshoot and energy costs, each also with ``_discrete`` appended.
+    longest : int
+        Samples after which a response that still moves gets NaN for settling time and overshoot.
+    quiet : float
+        Deviation below which a response without overshoot is no longer followed.
+    """
     bases = {name.removesuffix("_discrete") for name in names}
     result: dict[str, Floats] = {}
     for signal, energies in ENERGIES.items():
@@ -299,103 +296,3 @@ def optimum_document(loop: Loop, criterion: str, signal: str | None = None) -> d
     if point.box is not None:
         document["box"] = dict(zip(("alpha_low", "alpha_high", "beta_low", "beta_high"), point.box, strict=True))
     return document
-
-
-def bounding_box(loop: Loop) -> tuple[float, float, float, float]:
-    """Return alpha_low, alpha_high, beta_low, beta_high of the stable region.
-
-    The region's lowest beta is often the limit of the boundary for theta -> 0, on the line alpha = -gamma.
-    """
-    border = boundary(loop)
-    start = float(boundary_points(loop, np.array([_NEAR_ZERO]))[1][0])
-    return -loop.gamma, border.alpha_max, min(start, float(border.beta.min())), border.beta_max
-
-
-_NEAR_ZERO = 1e-5
-"""Angle that stands for theta -> 0: the boundary is off its limit by O(theta^2), rounding by 1e-16/theta."""
-
-
-def map_table(
-    loop: Loop, size: int = 251, criteria: Sequence[str] = MAP_DEFAULT, longest: int = MAP_LONGEST
-) -> pa.Table:
-    """Return the costs on a grid over the bounding box of the stable region, both ends included.
-
-    Parameters
-    ----------
-    loop : Loop
-    size : int
-        Grid points along each axis, 2 to 2001.
-    criteria : sequence of str
-        Any of `MAP_CRITERIA`, also with ``_discrete`` appended (not ``pole_radius``).
-    longest : int
-        Samples after which a response that still moves gets no cost.
-
-    Returns
-    -------
-    pyarrow.Table
-        ``size**2`` rows, beta changing slowest: alpha, beta, stable and one column for each criterion, null
-        where not stable or (overshoot, settling time) where the response still moves after ``longest`` samples.
-
-    Raises
-    ------
-    ParameterError
-        For an unknown criterion or a size out of range.
-
-    Notes
-    -----
-    Responses without overshoot are followed down to a deviation of 1e-13.
-
-    Source: Hulin 2017, ch. 5, footnote 1 (grid of 251 x 251 points).
-    """
-    import pyarrow as pa
-
-    names = tuple(dict.fromkeys(criteria))
-    known = {*MAP_CRITERIA, *(f"{name}_discrete" for name in MAP_CRITERIA if name != "pole_radius")}
-    unknown = [name for name in names if name not in known]
-    if unknown:
-        raise ParameterError(
-            f"criterion {unknown[0]!r} is unknown; expected some of {', '.join(MAP_CRITERIA)}, "
-            "all but pole_radius also with _discrete appended."
-        )
-    if not 2 <= size <= LARGEST_MAP:
-        raise ParameterError(f"size = {size}: expected 2 to {LARGEST_MAP} grid points along an axis.")
-    if longest < 1:
-        raise ParameterError(f"longest = {longest}: expected at least 1 sample.")
-    box = bounding_box(loop)
-    axes = np.meshgrid(np.linspace(*box[:2], size), np.linspace(*box[2:], size))
-    alpha, beta = (axis.ravel() for axis in axes)
-    radius = spectral_radius(loop, alpha, beta)
-    stable = _stable(loop, alpha, radius)
-    usable = np.flatnonzero(stable & (radius < 1 - MARGINAL))
-    costs = {name: np.full(len(alpha), np.nan) for name in names}
-    if "pole_radius" in costs:
-        costs["pole_radius"][stable] = radius[stable]
-    asked = [name for name in names if name != "pole_radius"]
-    for name, values in _costs(loop, alpha[usable], beta[usable], asked, longest, MAP_QUIET).items():
-        costs[name][usable] = values
-    meaning = f"null where not stable or still moving after {longest} samples"
-    fields = [pa.field("alpha", pa.float64(), False), pa.field("beta", pa.float64(), False)]
-    fields += [pa.field("stable", pa.bool_(), False)]
-    fields += [pa.field(name, pa.float64(), metadata={"unit": "1", "meaning": meaning}) for name in names]
-    plant = {name: repr(value) for name, value in _plant(loop).items()}
-    columns = [pa.array(alpha), pa.array(beta), pa.array(stable)]
-    columns += [pa.array(values, from_pandas=True) for values in costs.values()]
-    return pa.table(columns, schema=pa.schema(fields, metadata=dict(stamp(**plant, size=str(size)))))
-
-
-def write_map(path: Path, table: pa.Table) -> None:
-    """Write a map to Parquet so that a reader sees all of it or nothing.
-
-    Raises
-    ------
-    PipelineError
-        If the file cannot be written; an earlier one stays as it was.
-    """
-    from pipeline.tables import write_parquet
-
-    try:
-        write_parquet(path, table)
-    except OSError as error:
-        raise PipelineError(
-            f"{path}: map cannot be written ({error.strerror or error}). Choose another file (--out)."
-        ) from error

@@ -9,7 +9,7 @@ import pytest
 
 from pipeline.errors import ParameterError
 from pipeline.loop import LARGEST_DELAY, Loop, Normalised, as_points
-from tests.independent import deviation, simulate, stable_cases
+from independent import deviation, simulate, stable_cases
 
 CASES = stable_cases(100, seed=5)
 

@@ -9,7 +9,7 @@ import pytest
 
 from pipeline.errors import ParameterError
 from pipeline.plant import flow
-from tests.independent import flow_in_many_digits
+from independent import flow_in_many_digits
 
 GAMMA = [0.0, 1e-300, 1e-16, 1e-9, 1e-3, 0.2499, 0.2501, 1.0, 3.0, 9.8]
 DELTA = [0.0, 1e-300, 1e-16, 1e-3, 0.2499, 0.2501, 2.0, 10.0, 39.0, 41.0, 100.0, 1e3]
