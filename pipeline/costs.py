@@ -365,13 +365,13 @@ def _start(
         raise ParameterError(f"delay of {delay_samples} samples: expected an integer >= 0.")
     first = np.maximum(response.edge_row, 0) + delay_samples
     reasons = []
-    for edge, k, verdict, start, rows in zip(
-        response.edge_row, batch.stiffness, verdicts.verdict, first, batch.rows, strict=True
+    for edge, edge_reason, k, verdict, start, rows in zip(
+        response.edge_row, response.edge_reason, batch.stiffness, verdicts.verdict, first, batch.rows, strict=True
     ):
         if verdict == "unstable":
             reasons.append("unstable: no cost")
         elif edge < 0:
-            reasons.append("no command edge: the start of the response is not known")
+            reasons.append(f"no start of the response: {edge_reason}")
         elif k <= 0:
             reasons.append(f"no final position: x_0 + F_0/K needs K > 0, found K = {k:g}")
         elif start >= rows:

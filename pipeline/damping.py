@@ -158,7 +158,7 @@ def from_trials(batch: TrialBatch, response: Response, delay_samples: int) -> Tr
         if good[i]:
             reasons.append("")
         elif not response.has_edge[i]:
-            reasons.append("no command edge: the balance cannot be started")
+            reasons.append(f"no start of the balance: {response.edge_reason[i]}")
         elif count[i] < FEWEST_INTERVALS:
             reasons.append(f"{count[i]} samples after the edge; at least {FEWEST_INTERVALS} are needed")
         elif not conditioned[i]:

@@ -91,7 +91,9 @@ def first_change(batch: TrialBatch, response: Response, *, threshold: Floats | N
         delay = np.where(known, np.maximum(np.round(onset - edge), 0), delay).astype(np.int64)
     reason = tuple(
         _reason(*trial)
-        for trial in zip(response.has_edge, seen, response.baseline_motion, response.floor, limit, strict=True)
+        for trial in zip(
+            response.has_edge, response.edge_reason, seen, response.baseline_motion, response.floor, limit, strict=True
+        )
     )
     return Delays(np.where(found, delay, NO_DELAY).astype(np.int64), reason)
 
@@ -119,9 +121,9 @@ def _onset(
     return onset, rising & (error <= ONSET_ERROR)
 
 
-def _reason(has_edge: bool, seen: bool, motion: float, floor: float, limit: float) -> str:
+def _reason(has_edge: bool, edge_reason: str, seen: bool, motion: float, floor: float, limit: float) -> str:
     if not has_edge:
-        return "no command edge: the delay cannot be counted from it"
+        return f"delay not identifiable: {edge_reason}"
     if motion > 0:
         return (
             f"moving before the step: {motion:.3g} peak to peak, above the sensor floor of {floor:.3g}; "

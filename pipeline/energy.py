@@ -118,11 +118,14 @@ def weighted_sums(matrix: Floats, initial: Floats) -> tuple[Floats, Floats, Floa
     power, count = matrix, 1.0
     for _ in range(_DOUBLINGS):
         turned = np.swapaxes(power, 1, 2)
-        add2 = power @ (x2 + 2 * count * x1 + count * count * x0) @ turned
-        add1 = power @ (x1 + count * x0) @ turned
-        add0 = power @ x0 @ turned
+        with np.errstate(over="ignore", invalid="ignore"):  # the sums of an unstable point overflow: refused below
+            add2 = power @ (x2 + 2 * count * x1 + count * count * x0) @ turned
+            add1 = power @ (x1 + count * x0) @ turned
+            add0 = power @ x0 @ turned
         x0, x1, x2 = x0 + add0, x1 + add1, x2 + add2
         total = np.trace(x2, axis1=1, axis2=2)
+        if not np.isfinite(total).all():
+            break
         if np.all(np.trace(add2, axis1=1, axis2=2) <= _CONVERGED * total) and np.all(
             np.trace(add0, axis1=1, axis2=2) <= _CONVERGED * np.trace(x0, axis1=1, axis2=2)
         ):

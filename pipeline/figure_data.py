@@ -210,7 +210,9 @@ class FigureBuilder:
                 if theory:
                     optimum = _as_optimum(predictions.get(theory, f"{criterion}_discrete"))
                     panels.append(_theory_panel(theory, window, maps[criterion], optimum))
-                panels += [_measured_panel(r, stages[r.experiment], criterion) for r in shown]
+                panels += [_measured_panel(r, stages[r.experiment], criterion) for r in shown if criterion in r.optimum]
+                if not panels:
+                    continue
                 figures.append(_cost_figure(table, criterion, tuple(panels), theory))
         return tuple(figures)
 

@@ -99,7 +99,7 @@ def by_momentum(
         if good[i]:
             reasons.append("")
         elif not response.has_edge[i]:
-            reasons.append("no command edge: the time window cannot be placed")
+            reasons.append(f"no start of the time window: {response.edge_reason[i]}")
         elif not fits[i]:
             reasons.append(
                 f"window of {window[i]} samples from the edge: the log ends earlier, or the delay of "

@@ -60,6 +60,8 @@ class Response:
         Peak to peak of the positions before the step where the sensor alone cannot cause it [m, rad], else 0.
     reason : tuple of str
         Why values are missing; empty where all are there.
+    edge_reason : tuple of str
+        Why there is no command edge; empty where there is one.
     """
 
     edge_row: Integers
@@ -71,6 +73,7 @@ class Response:
     floor: Floats
     baseline_motion: Floats
     reason: tuple[str, ...]
+    edge_reason: tuple[str, ...]
 
     @property
     def has_edge(self) -> Booleans:
@@ -127,6 +130,7 @@ def find_response(batch: TrialBatch, *, edge_samples: int = EDGE_SAMPLES) -> Res
         floor=floor,
         baseline_motion=_motion(batch.displacement, baseline, floor),
         reason=reason,
+        edge_reason=tuple(no_edge),
     )
 
 
@@ -158,7 +162,7 @@ def _edge(batch: TrialBatch, samples: int) -> tuple[Integers, list[str]]:
             )
         elif k == 0:
             reasons.append(
-                "no baseline: the step is already there in row 0, so the command edge is not identifiable; "
+                "no baseline, the step is already there in row 0: the command edge is not identifiable; "
                 "record at least one row before the step"
             )
         else:

@@ -157,7 +157,7 @@ class ExperimentStages:
     def delay_estimate(self) -> Estimate:
         """Integer delay factor of the experiment."""
         found = np.nan_to_num(self.column("delay", "delay_samples"), nan=response.NO_ROW).astype(np.int64)
-        return aggregate.estimate_delay(found, sampling_period_s=self.sampling_period_s)
+        return self._explained(aggregate.estimate_delay(found, sampling_period_s=self.sampling_period_s), "delay")
 
     @cached_property
     def damping_estimate(self) -> Estimate:
@@ -171,9 +171,14 @@ class ExperimentStages:
     @cached_property
     def mass_estimate(self) -> Estimate:
         """Mass of the experiment."""
-        return aggregate.estimate_mass(
-            self.column("mass", "mass"), self.column("mass", "mass_momentum"), self._unit("mass")
-        )
+        corrected, plain = self.column("mass", "mass"), self.column("mass", "mass_momentum")
+        return self._explained(aggregate.estimate_mass(corrected, plain, self._unit("mass")), "mass")
+
+    def _explained(self, estimate: Estimate, stage: str) -> Estimate:
+        """Return the estimate with the commonest reason of the trials, where it has no value."""
+        if estimate.value is not None:
+            return estimate
+        return estimate.model_copy(update={"reason": f"{estimate.reason}; most trials: {self._why(stage)}"})
 
     def _unit(self, column: str) -> str:
         field_of_column = self.table("mass" if column == "mass" else "damping").schema.field(column)
@@ -295,7 +300,7 @@ def _with_delay(
     estimate = of.delay_estimate
     if estimate.value is None:
         nothing = dict.fromkeys(missing, [None] * len(of.batch))
-        reason = {"reason": [f"needs the delay: {estimate.reason}"] * len(of.batch)}
+        reason = {"reason": ["needs the delay, which is not known"] * len(of.batch)}
         return _conditions(of) | nothing | reason
     return _conditions(of) | compute(int(estimate.value))
 

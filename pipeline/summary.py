@@ -58,6 +58,12 @@ def summarise(
             f"comparisons: least for {_named(smallest)} ({smallest.deviation_percent:+.1f} %), most for "
             f"{_named(largest)} ({largest.deviation_percent:+.1f} %)."
         )
+    if not sentences:
+        trials = sum(r.trials for r in results)
+        sentences.append(
+            f"{trials} {'trial is' if trials == 1 else 'trials are'} stored, from which neither parameters nor costs "
+            "follow; the reasons are below."
+        )
     return tuple(sentences)
 
 

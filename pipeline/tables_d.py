@@ -10,6 +10,7 @@ from pipeline.predictions import Prediction, Predictions, Request, Theory
 from pipeline.published import find
 from pipeline.results import ExperimentResult
 from pipeline.scene import SceneData
+from pipeline.stages import ExperimentStages
 
 DEFAULT_CRITERIA = ("settle_2pct", "overshoot", "energy_step_w0", "energy_step_w1", "energy_step_w2")
 """Criteria of a table for an experiment that no published table holds."""
@@ -31,9 +32,13 @@ def layouts(data: SceneData) -> tuple[TableLayout, ...]:
             result.append(table.model_copy(update={"experiments": experiments, "criteria": criteria}))
     covered = {e for table in result if table.kind == "optima" for e in table.experiments}
     covered |= {e for table in result if table.kind == "delay" for e in table.experiments}
-    for experiment in stored:
-        criteria = tuple(c for c in DEFAULT_CRITERIA if c in asked) or tuple(c for c in CRITERIA if c in asked)
-        if experiment not in covered:
+    criteria = tuple(c for c in DEFAULT_CRITERIA if c in asked) or tuple(c for c in CRITERIA if c in asked)
+    least = min((added_delay(e) for e in data.experiments), default=0)
+    for stages in data.experiments:
+        experiment = stages.experiment
+        # in a sweep of a device without layouts, one table over delay says more than one table for each delay
+        swept = data.device is None and data.scene.delay_sweep and added_delay(stages) > least
+        if experiment not in covered and not swept:
             layout = TableLayout(
                 name=f"experiment {experiment}", criteria=criteria, experiments=(experiment,), theory_from=experiment
             )
@@ -44,6 +49,11 @@ def layouts(data: SceneData) -> tuple[TableLayout, ...]:
             TableLayout(name="delay", criteria=sweep, experiments=stored, theory_from=stored[0], kind="delay")
         )
     return tuple(result)
+
+
+def added_delay(stages: ExperimentStages) -> int:
+    """Return the least delay that was added on purpose in the trials of an experiment, in samples."""
+    return int(min(stages.trials.column("added_delay_samples").to_pylist()))
 
 
 def condition_of(table: TableLayout, experiment: str, published_experiments: int) -> str:
@@ -102,6 +112,8 @@ class TableBuilder:
             for experiment in table.experiments:
                 result = measured[experiment]
                 optimum = result.optimum.get(criterion)
+                if optimum is None and discrete is None:
+                    continue  # nothing to show; the reason stands with the experiment
                 condition = condition_of(table, experiment, self._published_size(table))
                 estimated = result.estimates["delay_samples"].value
                 cost = discrete.cost if discrete else None

@@ -29,9 +29,7 @@ def characteristic(gamma: float, delta: float, delay: float, alpha: float, beta:
     with mp.workdps(DIGITS):
         whole, fraction = math.floor(delay), mp.mpf(delay) - math.floor(delay)
         full = flow_in_many_digits(gamma, delta, 1.0)
-        late = mp.expm(
-            mp.matrix([[0, 1, 0], [-mp.mpf(gamma), -mp.mpf(delta), 1], [0, 0, 0]]) * (1 - fraction)
-        )
+        late = mp.expm(mp.matrix([[0, 1, 0], [-mp.mpf(gamma), -mp.mpf(delta), 1], [0, 0, 0]]) * (1 - fraction))
         first = mp.expm(mp.matrix([[0, 1, 0], [-mp.mpf(gamma), -mp.mpf(delta), 1], [0, 0, 0]]) * fraction)
         new = (late[0, 2], late[1, 2])
         old = [late[i, 0] * first[0, 2] + late[i, 1] * first[1, 2] for i in (0, 1)]
@@ -49,15 +47,6 @@ def characteristic(gamma: float, delta: float, delay: float, alpha: float, beta:
         return [x + y for x, y in zip(left, right, strict=True)]
 
 
-def radius_by_polynomial(gamma: float, delta: float, delay: float, alpha: float, beta: float) -> float:
-    """Largest root of the characteristic polynomial (Durand-Kerner in many digits)."""
-    with mp.workdps(DIGITS):
-        polynomial = characteristic(gamma, delta, delay, alpha, beta)
-        while polynomial[-1] == 0:
-            polynomial.pop()
-        return float(max(abs(root) for root in mp.polyroots(polynomial, maxsteps=400, extraprec=200)))
-
-
 def stable_by_schur_cohn(polynomial: list[mp.mpf], radius: float = 1.0) -> bool:
     """Whether all roots lie inside a circle, by reducing the degree with reflection coefficients."""
     with mp.workdps(4 * DIGITS):
@@ -69,6 +58,16 @@ def stable_by_schur_cohn(polynomial: list[mp.mpf], radius: float = 1.0) -> bool:
                 return False
             p = [x - ratio * y for x, y in zip(p[:-1], reversed(p[1:]), strict=True)]
         return True
+
+
+def radius_by_polynomial(gamma: float, delta: float, delay: float, alpha: float, beta: float) -> float:
+    """Largest root of the characteristic polynomial: the smallest circle that holds all roots, by bisection."""
+    polynomial = characteristic(gamma, delta, delay, alpha, beta)
+    low, high = 0.0, 1.0 + float(max(abs(c) for c in polynomial[1:]))  # Cauchy's bound
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if stable_by_schur_cohn(polynomial, middle) else (middle, high)
+    return high
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +86,10 @@ class Motion:
 def _piece(mass: float, damping: float, stiffness: float, time: float, fine: int) -> np.ndarray:
     """Rows of position and velocity at the `fine` points of a piece, shape (fine, 2, 3), by matrix exponentials."""
     m = np.array([[0, 1, 0], [-stiffness / mass, -damping / mass, 1 / mass], [0, 0, 0]])
-    return np.array([expm(m * time * (i + 1) / fine)[:2] for i in range(fine)])
+    one, rows = expm(m * time / fine), [np.eye(3)]
+    for _ in range(fine):
+        rows.append(one @ rows[-1])
+    return np.array(rows[1:])[:, :2]
 
 
 def simulate(
@@ -130,9 +132,7 @@ def simulate(
     largest = float(np.abs(forces - delta * vs[1:] - gamma * xs[1:]).max()) / mass
     largest = max(largest, float(np.abs(state @ np.array([-gamma, -delta, 1.0])).max()) / mass)
     # between two points the acceleration differs from that at the points by little; 1.1 covers it
-    return Motion(
-        np.arange(len(xs)) / (q * fine), xs, vs, q * fine, fine, 1.1 * largest * period**2 * (alpha + gamma)
-    )
+    return Motion(np.arange(len(xs)) / (q * fine), xs, vs, q * fine, fine, 1.1 * largest * period**2 * (alpha + gamma))
 
 
 def deviation(motion: Motion, stiffness: float) -> np.ndarray:
@@ -164,9 +164,7 @@ def discrete_settling(motion: Motion, stiffness: float, band: float) -> int:
     return int(np.flatnonzero(outside)[-1]) + 1
 
 
-def continuous_energy(
-    motion: Motion, stiffness: float, mass: float, w: int, signal: str
-) -> float:
+def continuous_energy(motion: Motion, stiffness: float, mass: float, w: int, signal: str) -> float:
     """Integral (5.14) by Simpson's rule on each piece of constant force."""
     final, norm = (1 / stiffness, 0.5 / stiffness) if signal == "step" else (0.0, 0.5 / mass)
     energy = 0.5 * stiffness * (motion.x - final) ** 2 + 0.5 * mass * motion.v**2
@@ -177,9 +175,7 @@ def continuous_energy(
     return float(weights @ weighted / (3 * motion.every))
 
 
-def discrete_energy(
-    motion: Motion, stiffness: float, mass: float, period: float, w: int, signal: str
-) -> float:
+def discrete_energy(motion: Motion, stiffness: float, mass: float, period: float, w: int, signal: str) -> float:
     """Left rectangle rule with the backward difference, term by term."""
     final, norm = (1 / stiffness, 0.5 / stiffness) if signal == "step" else (0.0, 0.5 / mass)
     x = motion.x[:: motion.every]

@@ -98,8 +98,7 @@ def cost_figure(criterion: str, size: float = 1.0) -> CostFigure:
 
 def boundary_figures() -> tuple[BoundaryFigure, ...]:
     measured = tuple(
-        boundary(f"experiment {i} (Falcon {'ABB'[i - 1]})", "measured", 1 - 0.03 * i, 60, i)
-        for i in (1, 2, 3)
+        boundary(f"experiment {i} (Falcon {'ABB'[i - 1]})", "measured", 1 - 0.03 * i, 60, i) for i in (1, 2, 3)
     )
     theory = tuple(boundary(f"d = {d}", "theory", 4.5 / (d + 0.5)) for d in (3, 4, 5, 6))
     line = Curve("linear condition (6.5)", "linear", np.array([0.0, 9000.0]), np.array([150.0, 90.0]))
@@ -137,17 +136,13 @@ def delay_figure() -> DelayFigure:
         measured = theory * (1 + 0.05 * np.sin(3 * d))
         measured[3] = np.nan
         panels.append(DelayPanel(criterion, d, theory, theory * 0.95, "theory, δ = 0.02", measured))
-    return DelayFigure(
-        "delay", "Optimal cost over delay", "Measured optima (plus signs) follow theory.", tuple(panels)
-    )
+    return DelayFigure("delay", "Optimal cost over delay", "Measured optima (plus signs) follow theory.", tuple(panels))
 
 
 def estimate(value: float | None, unit: str, reason: str | None = None) -> Estimate:
     if value is None:
         return Estimate(value=None, unit=unit, method="none", reason=reason)
-    other = Estimate(
-        value=1.07 * value, low=value, high=1.2 * value, unit=unit, method="momentum balance", trials=212
-    )
+    other = Estimate(value=1.07 * value, low=value, high=1.2 * value, unit=unit, method="momentum balance", trials=212)
     return Estimate(
         value=value,
         low=0.97 * value,
@@ -196,9 +191,7 @@ def rows() -> tuple[ComparisonRow, ...]:
     for table, names in (("D.1", ("settle_2pct", "overshoot")), ("D.2", CRITERIA[2:])):
         for criterion in names:
             c = MINIMA.get(criterion, 0.0)
-            for n, condition in enumerate(
-                ("theory_discrete", "theory_continuous", "experiment_1", "experiment_2")
-            ):
+            for n, condition in enumerate(("theory_discrete", "theory_continuous", "experiment_1", "experiment_2")):
                 measured = condition.startswith("exp")
                 result.append(
                     ComparisonRow(
@@ -268,9 +261,7 @@ def report_data(*, full: bool = True, motion: Motion = "translation", hostile: b
             "Measured energy costs lie 20 to 43 % below theory; the optimum moves with w as predicted.",
             "The measured stability boundary follows d = 3 near the origin and d = 4 as a whole.",
         ),
-        warnings=(
-            "Experiment 2: 3 optima lie at the edge of the tested range; they bound the true optimum only.",
-        ),
+        warnings=("Experiment 2: 3 optima lie at the edge of the tested range; they bound the true optimum only.",),
         provenance={
             "pipeline.version": "0.1.0",
             "input sha-256": "f" * 64,
@@ -284,9 +275,7 @@ def report_data(*, full: bool = True, motion: Motion = "translation", hostile: b
     )
     if not full:
         return ReportData(result, stages=stages)
-    costs = tuple(cost_figure(c) for c in CRITERIA) + tuple(
-        cost_figure(c, 1.4) for c in ("settle_2pct", "overshoot")
-    )
+    costs = tuple(cost_figure(c) for c in CRITERIA) + tuple(cost_figure(c, 1.4) for c in ("settle_2pct", "overshoot"))
     return ReportData(result, boundary_figures(), costs, (delay_figure(),), stages)
 
 

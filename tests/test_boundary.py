@@ -23,9 +23,7 @@ def test_course_of_one_damping():
 
 
 def test_stable_trial_above_the_unstable_one_does_not_count():
-    (point,) = measured_boundary(
-        np.array([200.0, 400.0, 600.0]), np.zeros(3), ["stable", "unstable", "stable"]
-    )
+    (point,) = measured_boundary(np.array([200.0, 400.0, 600.0]), np.zeros(3), ["stable", "unstable", "stable"])
     assert (point.stable, point.unstable) == (200.0, 400.0)
 
 
@@ -42,25 +40,19 @@ def test_missing_sides():
 
 
 def test_repeated_pair_is_unstable_if_it_was_once():
-    (point,) = measured_boundary(
-        np.array([200.0, 400.0, 400.0]), np.zeros(3), ["stable", "stable", "unstable"]
-    )
+    (point,) = measured_boundary(np.array([200.0, 400.0, 400.0]), np.zeros(3), ["stable", "stable", "unstable"])
     assert (point.stable, point.unstable) == (200.0, 400.0)
 
 
 @given(st.lists(TRIAL, max_size=30))
 def test_equals_a_search_trial_by_trial(trials):
-    points = measured_boundary(
-        *(np.array([t[i] for t in trials], dtype=float) for i in (0, 1)), [t[2] for t in trials]
-    )
+    points = measured_boundary(*(np.array([t[i] for t in trials], dtype=float) for i in (0, 1)), [t[2] for t in trials])
     dampings = sorted({b for k, b, _ in trials if k > 0})
     assert [p.damping for p in points] == dampings
     for point in points:
         column = [(k, said) for k, b, said in trials if b == point.damping and k > 0]
         unstable = min((k for k, said in column if said == "unstable"), default=None)
-        stable = max(
-            (k for k, said in column if said == "stable" and (unstable is None or k < unstable)), default=None
-        )
+        stable = max((k for k, said in column if said == "stable" and (unstable is None or k < unstable)), default=None)
         assert (point.stable, point.unstable, point.censored) == (stable, unstable, unstable is None)
 
 

@@ -237,7 +237,7 @@ def test_trials_without_costs():
         assert [text.split(":")[0] for text in found.reason] == [
             "unstable",
             "no final position",
-            "no command edge",
+            "no start of the response",
         ]
     assert np.isnan(costs.energy(batch, response, verdicts, 4).potential).all()
     assert np.isnan(costs.overshoot(batch, response, verdicts).overshoot).all()

@@ -57,9 +57,7 @@ def judge_by_theory(device: Device, experiment: str) -> Judge:
     return judge
 
 
-def sequential(
-    device: Device, experiment: str, judge: Judge, coarsen: int, seed: int
-) -> list[tuple[float, float]]:
+def sequential(device: Device, experiment: str, judge: Judge, coarsen: int, seed: int) -> list[tuple[float, float]]:
     """Pairs (K, B) of a lab that tests one trial after the other, in plain loops."""
     e = find_experiment(device, experiment)
     setup = setup_of(device, e)
@@ -98,9 +96,7 @@ def test_course_equals_testing_one_after_the_other(
         monkeypatch.setattr(procedure, "WAVE", wave)
         course = run_course(device, experiment, seed=5, coarsen=coarsen, judge=judge_by_noise)
         batch = course.batch
-        assert np.allclose(
-            np.stack((batch.stiffness, batch.damping), axis=1), expected, rtol=1e-12, atol=1e-12
-        )
+        assert np.allclose(np.stack((batch.stiffness, batch.damping), axis=1), expected, rtol=1e-12, atol=1e-12)
     assert set(course.verdict) == {"stable", "unstable", "undecided"}
     assert set(course.passes) == {1, 2}
 
@@ -319,8 +315,6 @@ def test_a_broken_run_leaves_complete_logs_that_the_next_run_replaces(
     monkeypatch.undo()
     assert json.loads((folder / TRUTH_FILE).read_text())["complete"] is False
     found = sorted(p.name for p in folder.iterdir() if p.name != TRUTH_FILE)
-    assert found == sorted(
-        f"{name}.csv" for name in small.batch.trial_id[:7]
-    )  # whole logs, no temporary file
+    assert found == sorted(f"{name}.csv" for name in small.batch.trial_id[:7])  # whole logs, no temporary file
     assert write_course(small, tmp_path, overwrite=True) == len(small.batch)
     assert json.loads((folder / TRUTH_FILE).read_text())["complete"] is True

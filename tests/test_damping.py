@@ -86,6 +86,6 @@ def test_from_trials_with_a_sensor_leaves_the_median():
 
 def test_from_trials_gives_reasons():
     no_edge = simulate([3000.0], [50.0], **FALCON, baseline=0)
-    assert "no command edge" in from_trials(no_edge, find_response(no_edge), 4).reason[0]
+    assert "no baseline" in from_trials(no_edge, find_response(no_edge), 4).reason[0]
     short = simulate([3000.0], [50.0], **FALCON, rows=35)
     assert "samples after the edge" in from_trials(short, find_response(short), 4).reason[0]

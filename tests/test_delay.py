@@ -115,7 +115,7 @@ def test_reasons():
     batch = simulate([3000.0], [50.0], **FALCON, baseline=0)
     found = first_change(batch, find_response(batch))
     assert found.delay_samples.tolist() == [-1]
-    assert "no command edge" in found.reason[0]
+    assert "no baseline" in found.reason[0]
     moving = simulate([3000.0], [50.0], **FALCON)
     response = find_response(moving)
     still = dataclasses.replace(moving, position=np.full_like(moving.position, 0.1))

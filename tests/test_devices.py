@@ -40,11 +40,7 @@ def test_parameters_are_those_of_table_6_2() -> None:
     checked = 0
     for row in published:
         device = load_device("lwr" if row["device"] == "lwr" else "falcon")
-        names = (
-            [e.name for e in device.experiments]
-            if row["experiments"] == "lwr"
-            else row["experiments"].split(";")
-        )
+        names = [e.name for e in device.experiments] if row["experiments"] == "lwr" else row["experiments"].split(";")
         for name in names:
             experiment = find_experiment(device, name)
             assert (experiment.mass, experiment.damping, experiment.grip) == (
@@ -142,9 +138,7 @@ def test_a_wrong_file_is_refused_with_field_found_and_reason(
 
 
 def test_all_wrong_fields_are_named_at_once(tmp_path: Path) -> None:
-    path = altered(
-        tmp_path, ("mass = 0.58", "mass = 0"), ("travel = 0.05", "travel = -1"), ("quantum = 2e-6", "q = 1")
-    )
+    path = altered(tmp_path, ("mass = 0.58", "mass = 0"), ("travel = 0.05", "travel = -1"), ("quantum = 2e-6", "q = 1"))
     with pytest.raises(DeviceError, match=r"3 field\(s\)") as refused:
         read_device(path)
     for field in (r"experiment[1].mass", "limits.travel", "sensor.q"):

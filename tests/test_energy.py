@@ -38,7 +38,7 @@ def test_random_points(signal: str) -> None:
 def test_strong_damping(gamma: float, delta: float) -> None:
     # the motion between samples dies within a fraction of a sample; quadrature points must be where it does
     alpha, beta = 0.4 * delta, 0.2 * delta
-    fine = int(32 * max(1, delta / 10))
+    fine = int(64 * max(1, delta / 20))
     motion = simulate(alpha, beta, gamma=gamma, delta=delta, delay=(1, 2), samples=150, fine=fine, signal="impulse")
     costs = energy_costs(Loop(gamma, delta, 0.5), alpha, beta, "impulse")
     for w in (0, 1, 2):
@@ -98,8 +98,8 @@ def test_physical_energies_scale_with_mass_and_period(
     ],
 )
 def test_reference_optima(d: int, alpha: float, beta: float, w: int, cost: float) -> None:
-    # flat optima, computed by others in 400-bit arithmetic: rounding alpha and beta does not show in the cost
-    assert energy_costs(Loop(0, 0, d), alpha, beta)[f"energy_step_w{w}"][0] == pytest.approx(cost, rel=2e-7)
+    # computed by others in 400-bit arithmetic, flat: rounding alpha and beta does not show; 5e-7 is half a digit
+    assert energy_costs(Loop(0, 0, d), alpha, beta)[f"energy_step_w{w}"][0] == pytest.approx(cost, rel=5e-7)
 
 
 def test_small_parameters_change_nothing() -> None:

@@ -39,9 +39,7 @@ def test_boundaries_give_one_well_formed_svg_a_panel(figure: BoundaryFigure) -> 
         assert root.get("role") == "img"
         assert root[0].tag == "title"
         assert root[1].tag == "desc"
-        assert {c.label for c in curves} <= set(texts(svg)), (
-            "every curve is named, at the curve or in the legend"
-        )
+        assert {c.label for c in curves} <= set(texts(svg)), "every curve is named, at the curve or in the legend"
 
 
 def test_identifiers_are_unique_over_the_page_and_references_resolve() -> None:
@@ -73,8 +71,7 @@ def test_measured_is_solid_theory_dashed_and_censored_points_are_open() -> None:
     measured = Curve("m", "measured", np.array([1.0, 2, 1]), np.array([1.0, 2, 3]), np.array([0.0, 0, 1]))
     theory = Curve("t", "theory", np.array([1.0, 3, 1]), np.array([1.0, 2, 3]))
     solid, dashed = (
-        figures.boundaries(BoundaryFigure("f", "t", "c", (("", (curve,)),)))[0]
-        for curve in (measured, theory)
+        figures.boundaries(BoundaryFigure("f", "t", "c", (("", (curve,)),)))[0] for curve in (measured, theory)
     )
     assert "dasharray" in dashed
     assert "dasharray" not in solid
@@ -82,9 +79,7 @@ def test_measured_is_solid_theory_dashed_and_censored_points_are_open() -> None:
 
 
 def test_stiffness_axis_counts_in_thousands_above_the_limit_only() -> None:
-    small = BoundaryFigure(
-        "f", "t", "c", (("", (replace(boundary("m", "measured"), stiffness=np.full(38, 900.0)),)),)
-    )
+    small = BoundaryFigure("f", "t", "c", (("", (replace(boundary("m", "measured"), stiffness=np.full(38, 900.0)),)),))
     assert "stiffness K [N/m]" in texts(figures.boundaries(small)[0])
     assert "stiffness K [kNm/rad]" in texts(figures.boundaries(boundary_figures()[0], "rotation")[0])
 

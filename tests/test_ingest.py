@@ -69,9 +69,7 @@ def test_stored_values_equal_the_logs(logs, run, processed):
     assert list_devices(processed) == ["bench"]
     trials = read_trials(processed)
     batch = load_batch(processed, trials)
-    sources = dict(
-        zip(trials.column("trial_id").to_pylist(), trials.column("source_path").to_pylist(), strict=True)
-    )
+    sources = dict(zip(trials.column("trial_id").to_pylist(), trials.column("source_path").to_pylist(), strict=True))
     assert batch.stiffness.tolist() == [0, 100, 200, 300, 400, 500]
     for index, trial_id in enumerate(batch.trial_id):
         lines = Path(sources[trial_id]).read_text().splitlines()[HEADER_LINES:]
@@ -278,9 +276,7 @@ def test_batches_and_threads_do_not_change_what_is_stored(tmp_path, processed, m
     logs = tmp_path / "logs"
     logs.mkdir()
     for number in range(40):
-        (logs / f"{number}.csv").write_text(
-            log_text(number, experiment=f"delay-{number % 3}", rows=2 + number)
-        )
+        (logs / f"{number}.csv").write_text(log_text(number, experiment=f"delay-{number % 3}", rows=2 + number))
     (logs / "20a.csv").write_text(FAULTS["NaN"][0])
     assert counts(ingest([logs], processed, jobs=1)) == (41, 40, 0, 1)
     monkeypatch.setattr(ingest_module, "BATCH_LOGS", 3)

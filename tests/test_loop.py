@@ -28,9 +28,7 @@ def test_samples_are_those_of_a_loop_stepped_through_time(signal: str) -> None:
     fractional = 0
     for gamma, delta, p, q, alpha, beta in CASES:
         fractional += q > 1 and p % q != 0
-        motion = simulate(
-            alpha, beta, gamma=gamma, delta=delta, delay=(p, q), samples=40, signal=signal, fine=1
-        )
+        motion = simulate(alpha, beta, gamma=gamma, delta=delta, delay=(p, q), samples=40, signal=signal, fine=1)
         e = deviation(motion, alpha + gamma) if signal == "step" else motion.x
         v = motion.v * (alpha + gamma) if signal == "step" else motion.v
         truth = np.stack([e, v], axis=1)[:: motion.every]

@@ -15,9 +15,7 @@ FIRM = {**FALCON, "mass": 1.0, "b": 34.0}
 
 def course(dev, top, spread=13):
     """Stable trials over the whole region of a device."""
-    grid = np.meshgrid(
-        np.linspace(200, top, spread), np.linspace(0, 180 if dev["mass"] > 0.5 else 55, spread)
-    )
+    grid = np.meshgrid(np.linspace(200, top, spread), np.linspace(0, 180 if dev["mass"] > 0.5 else 55, spread))
     K, B = (a.ravel() for a in grid)
     stable = np.array([spectral_radius(k, b, **dev) < 1 for k, b in zip(K, B, strict=True)])
     return K[stable], B[stable]
@@ -74,7 +72,7 @@ def test_reasons():
     batch = simulate([3000.0], [50.0], **FALCON)
     response = find_response(batch)
     no_edge = simulate([3000.0], [50.0], **FALCON, baseline=0)
-    assert "no command edge" in by_momentum(no_edge, find_response(no_edge), 4).reason[0]
+    assert "no baseline" in by_momentum(no_edge, find_response(no_edge), 4).reason[0]
     short = simulate([3000.0], [50.0], **FALCON, rows=34)
     assert "ends earlier" in by_momentum(short, find_response(short), 4).reason[0]
     assert "fills it" in by_momentum(batch, response, 40).reason[0]

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from pipeline.errors import LogError, ParameterError
 from pipeline.native import COLUMN_LINE, NativeHeader, format_header, parse_header
 
-NAMES = st.text(
-    st.characters(codec="utf-8", categories=("L", "N", "P", "S")), min_size=1, max_size=30
-).filter(lambda name: not name.startswith("["))
+NAMES = st.text(st.characters(codec="utf-8", categories=("L", "N", "P", "S")), min_size=1, max_size=30).filter(
+    lambda name: not name.startswith("[")
+)
 NUMBERS = st.floats(allow_nan=False, allow_infinity=False)
 
 EXAMPLE = """\
@@ -63,9 +63,7 @@ def test_example_of_the_manual_with_all_its_notes():
     assert parse_header(EXAMPLE.splitlines()) == HEADER
 
 
-@pytest.mark.parametrize(
-    "change", [("\n", "\r\n"), ("# device", "\ufeff# device"), ("# ", "  #   "), ("\n", "\n\n")]
-)
+@pytest.mark.parametrize("change", [("\n", "\r\n"), ("# device", "\ufeff# device"), ("# ", "  #   "), ("\n", "\n\n")])
 def test_line_ends_mark_and_blanks_do_not_matter(change):
     assert parse_header(EXAMPLE.replace(*change).split("\n")) == HEADER
 

@@ -28,9 +28,7 @@ FALCON = setup_of(load_device("falcon"), load_device("falcon").experiments[0])
 IDEAL = idealise(FALCON)
 
 
-def fine_loop(
-    setup: Setup, plant: MassSpringDamper, K: float, B: float, p: int, q: int
-) -> tuple[Floats, Floats]:
+def fine_loop(setup: Setup, plant: MassSpringDamper, K: float, B: float, p: int, q: int) -> tuple[Floats, Floats]:
     """Displacement and command of the ideal loop with d = p/q: q matrix exponential steps per sample."""
     gamma, delta = plant.stiffness / plant.mass, plant.damping / plant.mass
     step = expm(np.array([[0, 1, 0], [-gamma, -delta, 1 / plant.mass], [0, 0, 0]]) * T / q)
@@ -122,9 +120,7 @@ def test_a_trial_ends_with_the_first_sample_outside_its_travel_and_the_others_go
 
 
 def test_a_start_outside_the_travel_does_not_end_the_trial_at_once() -> None:
-    batch = simulate(
-        FALCON, np.array([40.0]), np.array([30.0])
-    )  # starts 0.2 m from the centre, travel 0.05 m
+    batch = simulate(FALCON, np.array([40.0]), np.array([30.0]))  # starts 0.2 m from the centre, travel 0.05 m
     assert batch.rows[0] == FALCON.rows
 
 
@@ -206,9 +202,7 @@ def test_velocity_filter_is_the_first_order_low_pass() -> None:
     setup = replace(IDEAL, velocity_filter_s=0.003)
     K, B = 1000.0, 20.0
     batch = simulate(setup, np.array([K]), np.array([B]))
-    velocity = (
-        8.0 * (np.arange(IDEAL.rows) >= IDEAL.edge_row) - batch.command[0] - K * batch.displacement[0]
-    ) / B
+    velocity = (8.0 * (np.arange(IDEAL.rows) >= IDEAL.edge_row) - batch.command[0] - K * batch.displacement[0]) / B
     raw = np.diff(batch.position[0], prepend=batch.position[0, 0]) / T
     # exact response of v' = (raw - v)/tau to an input that is constant over each period
     weights = np.exp(-np.arange(IDEAL.rows) * T / 0.003) * (1 - np.exp(-T / 0.003))
@@ -242,9 +236,7 @@ def test_seed_experiment_and_repetition_change_the_trial(change: dict[str, objec
     assert not np.array_equal(one.position, other.position)
 
 
-@pytest.mark.parametrize(
-    ("K", "B", "seed"), [(-1.0, 0.0, 0), (np.nan, 0.0, 0), (1.0, np.inf, 0), (1.0, 0.0, -1)]
-)
+@pytest.mark.parametrize(("K", "B", "seed"), [(-1.0, 0.0, 0), (np.nan, 0.0, 0), (1.0, np.inf, 0), (1.0, 0.0, -1)])
 def test_conditions_out_of_range_are_refused(K: float, B: float, seed: int) -> None:
     with pytest.raises(ParameterError):
         simulate(IDEAL, np.array([K]), np.array([B]), seed=seed)

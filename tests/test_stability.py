@@ -138,7 +138,9 @@ def test_extremes_against_a_dense_grid_of_verdicts(values: tuple[float, float, f
     near = -loop.gamma + width * (1 - 1e-6)
     assert is_stable(loop, near, border.beta_at_alpha_max + height * np.linspace(-1e-5, 1e-5, 201)).any()
     beyond = -loop.gamma + width * (1 + 1e-6)
-    assert not is_stable(loop, beyond, border.beta.min() + height * np.linspace(-0.5, 1.5, 401 if size > 30 else 41)).any()
+    assert not is_stable(
+        loop, beyond, border.beta.min() + height * np.linspace(-0.5, 1.5, 401 if size > 30 else 41)
+    ).any()
 
 
 @pytest.mark.parametrize("values", [*ORDINARY, *RESONANT, *UNDELAYED])
@@ -193,7 +195,9 @@ def test_the_linear_condition_is_the_tangent_at_the_origin(values: tuple[float, 
     alpha, beta = boundary_points(loop, theta)
     excess = beta - linear_condition(loop, alpha)
     # what is left grows with theta^2, as alpha does when delta > 0, or faster
-    assert abs(excess[0]) < 0.1 * loop.delta * alpha[0] + 0.02 * alpha[0] + 1e-9 or abs(excess[0]) < 0.5 * abs(excess[1])
+    assert abs(excess[0]) < 0.1 * loop.delta * alpha[0] + 0.02 * alpha[0] + 1e-9 or abs(excess[0]) < 0.5 * abs(
+        excess[1]
+    )
     exact = float((mp.mpf(1) / 2 + loop.delay) * mp.mpf(0.01) - loop.delta)
     assert linear_condition(loop, 0.01)[0] == pytest.approx(exact, rel=1e-12)
 

@@ -22,10 +22,7 @@ def limit(dev, B, low=1.0, high=40000.0):
 @pytest.mark.parametrize("dev", [FALCON, FIRM, LWR, {**LWR, "delay": 8}, {**FALCON, "delay": 0}])
 def test_ideal_verdict_is_the_sign_of_the_spectral_radius(dev):
     damping = np.linspace(0, 180 if dev["mass"] > 0.5 else 60, 12)
-    K, B = (
-        a.ravel()
-        for a in np.meshgrid(np.r_[np.arange(200, 2000, 150.0), np.arange(2000, 30000, 1400.0)], damping)
-    )
+    K, B = (a.ravel() for a in np.meshgrid(np.r_[np.arange(200, 2000, 150.0), np.arange(2000, 30000, 1400.0)], damping))
     radius = np.array([spectral_radius(k, b, **dev) for k, b in zip(K, B, strict=True)])
     found = judge(simulate(K, B, **dev))
     clear = abs(radius - 1) > 1e-5
@@ -42,9 +39,7 @@ def test_ideal_verdict_right_beside_the_limit(dev):
         assert judge(simulate(edge + shift, B, **dev)).verdict.tolist() == [verdict] * len(B)
 
 
-@pytest.mark.parametrize(
-    ("dev", "sensor"), [(FALCON, FALCON_SENSOR), (LWR, LWR_SENSOR), (FALCON, {"quantum": 1e-5})]
-)
+@pytest.mark.parametrize(("dev", "sensor"), [(FALCON, FALCON_SENSOR), (LWR, LWR_SENSOR), (FALCON, {"quantum": 1e-5})])
 def test_sensor_moves_the_boundary_by_little_and_leaves_no_stray_verdict(dev, sensor):
     B = np.linspace(4, 120, 7) if dev is FALCON else np.linspace(2, 60, 7)
     edge = np.array([limit(dev, b) for b in B])
