@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-import json
+import shlex
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from pydantic import ValidationError
+
 from pipeline import __version__
 from pipeline.figure_data import FigureBuilder, requests_of_delay_figure
 from pipeline.labels import UNITS
-from pipeline.models import Estimate, Experiment, Motion, Optimum
+from pipeline.models import CRITERIA, Estimate, Experiment, Motion, Optimum
 from pipeline.predictions import Predictions, Theory
 from pipeline.provenance import code_digest, digest
 from pipeline.report import write as write_report
@@ -181,12 +183,10 @@ def _stored_result(path: Path | None, key: str) -> ComparisonResult | None:
     if path is None or not path.is_file():
         return None
     try:
-        document = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
-    except (FileNotFoundError, json.JSONDecodeError):
-        return None
-    if not isinstance(document, dict) or document.get("provenance", {}).get("key") != key:
-        return None
-    return ComparisonResult.model_validate(document)
+        result = ComparisonResult.model_validate_json(path.with_suffix(".json").read_bytes())
+    except (FileNotFoundError, ValidationError):
+        return None  # not there, or not in this form: it is written anew
+    return result if result.provenance.get("key") == key else None
 
 
 def _motion(data: SceneData) -> Motion:
@@ -200,8 +200,11 @@ def _inputs(data: SceneData) -> dict[str, str]:
 
 
 def _command(data: SceneData, processed: Path) -> str:
-    experiments = "".join(f" --experiment {e}" for e in data.scene.experiments)
-    return f"pipeline compare --device {data.scene.device}{experiments} --processed {processed}"
+    scene = data.scene
+    words = ["pipeline", "compare", "--device", scene.device]
+    words += [word for experiment in scene.experiments for word in ("--experiment", experiment)]
+    words += [] if scene.criteria == CRITERIA else ["--criteria", ",".join(scene.criteria)]
+    return shlex.join([*words, "--processed", str(processed)])  # names come from logs and may hold anything
 
 
 def _nominal_theories(data: SceneData) -> dict[str, Theory]:

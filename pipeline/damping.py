@@ -94,7 +94,7 @@ def by_limit(damping: Floats, stiffness: Floats, growth_per_s: Floats) -> LimitD
             None,
             None,
             len(B),
-            f"all {len(B)} trials at K = 0 are {side}; the limit needs both sides of it",
+            f"{len(B)} trial(s) at K = 0, on the {side} side of the limit only; it needs trials on both sides",
         )
     first_unstable = unstable.max()
     above = stable[stable > first_unstable]

@@ -6,10 +6,13 @@ import json
 import os
 from collections.abc import Iterable, Mapping
 from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from multiprocessing import get_context
 from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict, ValidationError
 
 from pipeline.loop import Loop, Normalised
 from pipeline.optimum import OptimalPoint, optimal_point
@@ -66,6 +69,14 @@ class Theory:
 Request = tuple[Loop, str]
 
 
+class _Kept(BaseModel):
+    """A file of kept optima; what else it holds is for people."""
+
+    optima: dict[str, OptimalPoint]
+
+    model_config = ConfigDict(allow_inf_nan=False)
+
+
 @dataclass
 class Predictions:
     """Optima that are asked for, looked up or computed.
@@ -106,7 +117,12 @@ class Predictions:
     def finish(self) -> None:
         """Wait for what `start` began, and keep it."""
         try:
-            self._store({request: future.result() for request, future in self._pending.items()})
+            try:
+                found = {request: future.result() for request, future in self._pending.items()}
+            except BrokenProcessPool:
+                # a process was killed, or could not import the caller's main program (typed in, or without a guard)
+                found = {request: optimal_point(*request) for request in self._pending}
+            self._store(found)
         finally:
             self._pending = {}
             if self._pool is not None:
@@ -130,9 +146,6 @@ class Predictions:
 
     def _read(self, loop: Loop) -> dict[str, OptimalPoint]:
         try:
-            document = json.loads(self._file(loop).read_text(encoding="utf-8"))
-            return {
-                c: OptimalPoint(**(p | {"box": p["box"] and tuple(p["box"])})) for c, p in document["optima"].items()
-            }
-        except (FileNotFoundError, json.JSONDecodeError, KeyError, TypeError):
+            return _Kept.model_validate_json(self._file(loop).read_bytes()).optima
+        except (FileNotFoundError, ValidationError):
             return {}  # nothing is kept, or not in this form: it is computed anew

@@ -189,7 +189,8 @@ def write_parquet(path: Path, data: pa.Table) -> None:
     temporary = path.with_name(f".{path.name}.{os.getpid()}{TEMPORARY_ENDING}")
     try:
         with temporary.open("wb") as stream:
-            pq.write_table(data, stream, compression="zstd", row_group_size=1 << 19)
+            # the compression alone does not notice a flipped byte, which would then be read as another number
+            pq.write_table(data, stream, compression="zstd", row_group_size=1 << 19, write_page_checksum=True)
             stream.flush()
             os.fsync(stream.fileno())
         commit(temporary, path)
@@ -230,10 +231,10 @@ def read_table(path: Path, columns: list[str] | None = None) -> pa.Table:
         If the file is damaged, or was written with other columns or types.
     """
     try:
-        with pq.ParquetFile(path) as file:
+        with pq.ParquetFile(path, page_checksum_verification=True) as file:
             _check(path, file.schema_arrow)
             return file.read(columns=columns)
-    except (pa.ArrowException, OSError) as error:
+    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
         raise StoreError(
             f"{path}: cannot be read as Parquet ({error}). Expected a file written by `pipeline`; "
             "remove it and run the command again, it will be made anew from the logs."
@@ -241,14 +242,12 @@ def read_table(path: Path, columns: list[str] | None = None) -> pa.Table:
 
 
 def read_metadata(path: Path) -> dict[str, str]:
-    """Return the metadata stamped into a stored file, or an empty dictionary where there is no such file."""
+    """Return the metadata stamped into a stored file, or an empty dictionary where there is no readable one."""
     try:
         metadata = pq.read_schema(path).metadata or {}
-    except FileNotFoundError:
+        return {key.decode(): value.decode() for key, value in metadata.items() if key.startswith(b"pipeline.")}
+    except (pa.ArrowException, OSError, UnicodeDecodeError):
         return {}
-    except (pa.ArrowException, OSError):
-        return {}
-    return {key.decode(): value.decode() for key, value in metadata.items() if key.startswith(b"pipeline.")}
 
 
 def _check(path: Path, schema: pa.Schema) -> None:

@@ -47,9 +47,9 @@ def test_every_cell_of_d6_is_there() -> None:
             assert theory.cost == float(row[f"theory_{name}"])
             assert measured.cost == float(row[f"experiment_{name}"])
             assert theory.stiffness is None
-            # the printed deviation holds the two together, up to the rounding of all three
+            # the printed deviation holds the two together, up to the rounding of both costs, 0.05 of 11.5
             percent = 100 * (measured.cost / theory.cost - 1)
-            assert percent == pytest.approx(float(row[f"deviation_{name}_percent"]), abs=0.5)
+            assert percent == pytest.approx(float(row[f"deviation_{name}_percent"]), abs=0.9)
             count += 2
     assert count == sum(r.table == "D.6" for r in published_rows("lwr"))
 
@@ -97,7 +97,7 @@ def test_a_damaged_or_missing_file_is_named(tmp_path: Path, monkeypatch: pytest.
         folder = tmp_path / "published"
         folder.mkdir()
         (folder / "hulin-2017.csv").write_text("table,device,criterion,condition,cost\nD.1,falcon,overshoot,x,many\n")
-        with pytest.raises(StoreError, match=r"data row 1.*cost"):
+        with pytest.raises(StoreError, match=r"(?s)data row 1.*cost"):
             published_rows("falcon")
     finally:
         pipeline.published._all_rows.cache_clear()
