@@ -44,5 +44,5 @@ docs: .venv/.dev
 	$(BIN)/python docs/make_figure.py
 
 clean:
-	rm -rf .venv processed reports raw/demo .pytest_cache .mypy_cache .ruff_cache .hypothesis dist
+	rm -rf .venv processed reports raw/demo raw/demo-full .pytest_cache .mypy_cache .ruff_cache .hypothesis dist
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -25,6 +25,9 @@ FEWEST_SAMPLES = 12
 RANK_FACTOR = 3.0
 """Singular values below this many standard deviations of the noise matrix are noise."""
 
+LARGEST_WINDOWS = 256
+"""Windows that a long motion is seen through, evenly spread: more cost time and tell little more."""
+
 DYNAMIC_RANGE = 1e-13
 """Smallest singular value kept relative to the largest: rounding of double precision positions."""
 
@@ -103,17 +106,19 @@ def _grow(
 ) -> tuple[Floats, Floats, Floats, Booleans]:
     stride = np.maximum(length // (window_part * points), 1)
     rows = length - stride * (points - 1)
-    row = np.arange(int(rows.max()))[None, :]
+    hop = np.maximum(rows // LARGEST_WINDOWS, 1)
+    windows = -(-rows // hop)
+    row = np.arange(int(windows.max()))[None, :] * hop[:, None]
     inside = row < rows[:, None]
     column = row[:, :, None] + stride[:, None, None] * np.arange(points)[None, None, :]
     take = np.minimum(column, signal.shape[1] - 1)
     hankel = np.where(inside[:, :, None], signal[np.arange(len(signal))[:, None, None], take], 0.0)
     _, values, right = np.linalg.svd(np.linalg.qr(hankel, mode="r"))
-    # singular values of a noise matrix: largest sigma (sqrt(rows) + sqrt(points)), smallest sigma sqrt(rows)
-    spread = np.sqrt(rows) + np.sqrt(points)
+    # of a noise matrix: largest singular value is sigma (sqrt(windows) + sqrt(points)), smallest sigma sqrt(windows)
+    spread = np.sqrt(windows) + np.sqrt(points)
     level = np.maximum(noise * spread * RANK_FACTOR, DYNAMIC_RANGE * values[:, 0])
     clean = (values[:, -1] <= level) & (level < CLEAN_FRACTION * 1e-3 * values[:, 0])
-    left_over = np.maximum(noise, values[:, -1] / np.sqrt(rows))
+    left_over = np.maximum(noise, values[:, -1] / np.sqrt(windows))
     level = np.where(values[:, -1] <= level, level, left_over * spread * RANK_FACTOR)
     rank = np.minimum((values > level[:, None]).sum(axis=1), points - 1)
     at_end = (np.arange(signal.shape[1])[None, :] >= (0.75 * length)[:, None]) & (
