@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pipeline.devices import known_devices
-from pipeline.errors import DeviceError, UsageError
+from pipeline.errors import DeviceError, StoreError, UsageError
 from pipeline.models import CRITERIA, ENERGY_CRITERIA, SETTLING_BANDS, Device, Scene
 from pipeline.stages import STAGES, ExperimentStages, required
 from pipeline.storage import list_devices, list_experiments, read_trials
@@ -51,6 +51,8 @@ def open_scene(
         If no log of the device is stored, or an experiment has none; the message lists what there is.
     UsageError
         For an unknown criterion.
+    StoreError
+        If translation and rotation are mixed: one report has one set of units.
     """
     chosen = tuple(dict.fromkeys(criteria or CRITERIA))
     unknown = [c for c in chosen if c not in CRITERIA]
@@ -71,6 +73,12 @@ def open_scene(
     data = tuple(ExperimentStages(processed, device, e, read_trials(processed, device, e)) for e in names)
     grips = {grip for d in data for grip in d.trials.column("grip").unique().to_pylist()}
     added = {n for d in data for n in d.trials.column("added_delay_samples").unique().to_pylist()}
+    motions = sorted({motion for d in data for motion in d.trials.column("motion").unique().to_pylist()})
+    if len(motions) > 1:
+        raise StoreError(
+            f"device {device!r}: its logs mix {' and '.join(motions)}; expected one kind of motion for one device. "
+            "Compare the experiments apart (--experiment), or name the devices apart in the logs' headers."
+        )
     scene = Scene(
         device=device, experiments=names, criteria=chosen, delay_sweep=len(added) > 1, operator=bool(grips - {"none"})
     )

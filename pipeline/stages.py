@@ -6,6 +6,7 @@ computes it, and of the values it takes from stages before it.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -128,12 +129,27 @@ class ExperimentStages:
             if self.is_stored(stage):
                 self._tables[stage] = read_table(self._file(stage))
             else:
-                metadata = stamp(key=self.key(stage), inputs=self.inputs_digest, stage=stage)
                 columns = _COMPUTE[stage](self)
+                metadata = stamp(
+                    stage=stage,
+                    key=self.key(stage),
+                    inputs=self.inputs_digest,
+                    code=code_digest(*_SHARED_CODE, *_CODE[stage]),
+                    parameters=json.dumps(self._parameters(stage)),
+                )
                 result = to_arrow(stage, columns, rotation=self.rotation, metadata=metadata)
                 write_table(self._file(stage), result)
                 self._tables[stage] = result
         return self._tables[stage]
+
+    def _parameters(self, stage: str) -> dict[str, float | None]:
+        """Values from earlier stages that a stage was computed with."""
+        parameters: dict[str, float | None] = {}
+        if "delay" in NEEDS[stage]:
+            parameters["delay_samples"] = self.delay_estimate.value
+        if "damping" in NEEDS[stage]:
+            parameters["viscous_damping"] = self.damping_estimate.value
+        return parameters
 
     def column(self, stage: str, name: str) -> Floats:
         """Return a numeric column of a stage as float64, null as NaN."""

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from math import isclose
 
 from pipeline.labels import CRITERION_NAMES, UNITS
-from pipeline.models import ComparisonRow
+from pipeline.models import ComparisonRow, Device
 from pipeline.predictions import Theory
 from pipeline.results import ExperimentResult
 from pipeline.scene import SceneData
 
 FEW_TRIALS = 30
 """Trials below which an optimum or a boundary says little."""
+
+PERIOD_TOLERANCE = 0.01
+"""Relative difference of sampling periods that no result shows: K scales with 1/T^2, B with 1/T."""
 
 SHOWN = 3
 """Experiments and criteria that get a sentence of their own; the tables hold all."""
@@ -125,8 +129,31 @@ def warnings_of(data: SceneData, results: Sequence[ExperimentResult], rows: Sequ
             if estimate.value is None and "left out" not in (estimate.reason or ""):
                 quantity = name.removesuffix("_samples")
                 warnings.append(f"Experiment {result.experiment}: no {quantity} estimate ({estimate.reason}).")
-    if data.device is None:
+    if data.device is not None:
+        warnings += _conflicts(data, data.device)
+    else:
         warnings.append(
             f"The device {data.scene.device!r} has no device file: theory uses the parameters estimated from its logs."
         )
     return tuple(warnings)
+
+
+def _conflicts(data: SceneData, device: Device) -> list[str]:
+    """Where the logs of a known device do not fit its device file, so that theory speaks of something else."""
+    texts = []
+    known = {e.name for e in device.experiments}
+    foreign = [name for name in data.scene.experiments if name not in known]
+    if foreign:
+        texts.append(
+            f"The device file of {device.name!r} has no experiment {', '.join(foreign)}: its tables have no theory, "
+            "only the curves from its estimates."
+        )
+    for stages in data.experiments:
+        periods = set(stages.trials.column("sampling_period_s").to_pylist())
+        other = sorted(p for p in periods if not isclose(p, device.sampling_period_s, rel_tol=PERIOD_TOLERANCE))
+        if other:
+            texts.append(
+                f"Experiment {stages.experiment} was sampled every {other[0]:g} s, but theory takes "
+                f"{device.sampling_period_s:g} s from the device file."
+            )
+    return texts
