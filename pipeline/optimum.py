@@ -256,25 +256,22 @@ def _bounding_box(
         if not touches.any():
             break
         half = np.maximum(half, 0.3 * (corner[1] - corner[0]))
-    edges = []
     span = corner[1] - corner[0]
-    for axis, sign in ((0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0)):
+    known_alpha, known_beta = alpha[good], beta[good]
+    # twice: in the thin sliver of a corner the grids of one edge may stall; the point of another edge leads on
+    for _ in range(2):
+        edges = []
+        for axis, sign in ((0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0)):
 
-        def distance(alpha: Floats, beta: Floats, _: float, axis: int = axis, sign: float = sign) -> Floats:
-            return feasible(alpha, beta, np.inf) + sign * (alpha if axis == 0 else beta)
+            def distance(alpha: Floats, beta: Floats, _: float, axis: int = axis, sign: float = sign) -> Floats:
+                return feasible(alpha, beta, np.inf) + sign * (alpha if axis == 0 else beta)
 
-        good_alpha, good_beta = alpha[good], beta[good]
-        values = distance(good_alpha, good_beta, np.inf)
-        index = int(np.argmin(values))
-        edge = _refine(
-            distance,
-            np.array([good_alpha[index], good_beta[index]]),
-            float(values[index]),
-            0.1 * span,
-            levels=16,
-        )
-        edges.append(edge.alpha if axis == 0 else edge.beta)
-    return edges[0], edges[1], edges[2], edges[3]
+            values = distance(known_alpha, known_beta, np.inf)
+            index = int(np.argmin(values))
+            start = np.array([known_alpha[index], known_beta[index]])
+            edges.append(_refine(distance, start, float(values[index]), 0.1 * span, levels=16))
+        known_alpha, known_beta = (np.array([getattr(e, name) for e in edges]) for name in ("alpha", "beta"))
+    return edges[0].alpha, edges[1].alpha, edges[2].beta, edges[3].beta
 
 
 def _stiffest_without_overshoot(loop: Loop, criterion: str) -> OptimalPoint:

@@ -129,7 +129,7 @@ def _drawings(data: ReportData) -> dict[str, Any]:
     maps = []
     for figure in data.costs:
         overshoot = figure.criterion == "overshoot"
-        lines = "every 10 percentage points, the heavy one around the region without overshoot"
+        lines = "every 10 percentage points, the heavy one at 0.1 % around the region without"
         key = map_key.format(
             lines=lines if overshoot else "two for each doubling, starting at the optimum",
             dots=" and all trials (dots)" if any(m.trial_cost.size for m in figure.maps) else "",

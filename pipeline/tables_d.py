@@ -171,7 +171,7 @@ class TableBuilder:
         published = find(table.name, criterion, condition, delay if table.kind == "delay" else None)
         if self.data.device is None:
             published = None  # tables of other devices bear the same names
-        notes = [missing if point is None else None, self._region_note(criterion, prediction)]
+        notes = [missing if point is None else None, None if table.kind == "delay" else _region_note(prediction)]
         notes += [_optimum_note(criterion, optimum), published.erratum if published else None]
         cost = point.cost if point else None
         return ComparisonRow(
@@ -190,14 +190,15 @@ class TableBuilder:
             note=" ".join(n for n in notes if n) or None,
         )
 
-    def _region_note(self, criterion: str, prediction: Prediction | None) -> str | None:
-        if prediction is None or prediction.region is None:
-            return None
-        low_k, high_k, low_b, high_b = prediction.region
-        return (
-            f"The optimum is a region; given is the centre of its bounding box, K from {low_k:.4g} to {high_k:.4g}, "
-            f"B from {low_b:.4g} to {high_b:.4g}."
-        )
+
+def _region_note(prediction: Prediction | None) -> str | None:
+    if prediction is None or prediction.region is None:
+        return None
+    low_k, high_k, low_b, high_b = prediction.region
+    return (
+        f"The optimum is a region; given is the centre of its bounding box, K from {low_k:.4g} to {high_k:.4g}, "
+        f"B from {low_b:.4g} to {high_b:.4g}."
+    )
 
 
 def _deviation(cost: float | None, reference: float | None) -> float | None:

@@ -107,7 +107,7 @@ def simulate(
 ) -> Motion:
     """Step a physical mass with wall through time: delay p/q samples, 1/(q fine) samples a step.
 
-    ``alpha``, ``beta``, ``gamma``, ``delta`` are the physical K, B, k, b; the external step is 1 N (kg m/s for an impulse)
+    ``alpha``, ``beta``, ``gamma``, ``delta`` are the physical K, B, k, b; the external step is 1 N (an impulse 1 Ns)
     at sample 0, undelayed. The wall samples every q-th piece and its force arrives p pieces later.
     """
     p, q = delay

@@ -6,10 +6,10 @@ import math
 
 import numpy as np
 import pytest
+from independent import deviation, simulate, stable_cases
 
 from pipeline.errors import ParameterError
 from pipeline.loop import LARGEST_DELAY, Loop, Normalised, as_points
-from independent import deviation, simulate, stable_cases
 
 CASES = stable_cases(100, seed=5)
 

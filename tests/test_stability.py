@@ -14,6 +14,7 @@ from independent import characteristic, radius_by_polynomial, stable_by_schur_co
 from pipeline.errors import ParameterError
 from pipeline.loop import Loop
 from pipeline.stability import (
+    Boundary,
     boundary,
     boundary_points,
     is_stable,
@@ -96,10 +97,12 @@ def test_the_line_without_stiffness_is_not_stable(loop: Loop) -> None:
     assert not is_stable(loop, -loop.gamma, beta).any()
 
 
-def neighbours(loop: Loop, theta: float, step: float) -> tuple[tuple[float, float], tuple[float, float]]:
+def neighbours(
+    loop: Loop, border: Boundary, theta: float, step: float
+) -> tuple[tuple[float, float], tuple[float, float]]:
     """Points on either side of the boundary at an angle, across its tangent."""
     a, b = boundary_points(loop, np.array([theta - 1e-6, theta, theta + 1e-6]))
-    scale = np.array([np.ptp(boundary(loop).alpha), np.ptp(boundary(loop).beta)])
+    scale = np.array([np.ptp(border.alpha), np.ptp(border.beta)])
     tangent = np.array([a[2] - a[0], b[2] - b[0]]) / scale
     normal = np.array([-tangent[1], tangent[0]]) / np.hypot(*tangent) * scale * step
     return (float(a[1] + normal[0]), float(b[1] + normal[1])), (float(a[1] - normal[0]), float(b[1] - normal[1]))
@@ -112,7 +115,9 @@ def test_just_inside_is_stable_and_just_outside_is_not(values: tuple[float, floa
     inner = [t for t in border.theta[2:-2] if 1e-3 < t < math.pi - 1e-3]
     checked = 0
     for theta in inner[:: max(1, len(inner) // 8)]:
-        sides = [stable_by_schur_cohn(characteristic(*values, *p)) for p in neighbours(loop, float(theta), 1e-5)]
+        sides = [
+            stable_by_schur_cohn(characteristic(*values, *p)) for p in neighbours(loop, border, float(theta), 1e-5)
+        ]
         checked += 1
         if sorted(sides) != [False, True]:  # a corner within 1e-5: both sides are unstable
             checked -= 1
@@ -191,13 +196,11 @@ def test_the_boundary_moves_steadily_with_the_delay() -> None:
 @pytest.mark.parametrize("values", [(0, 0, 1), (0, 0.02, 2), (0, 0.1, 3.5)])
 def test_the_linear_condition_is_the_tangent_at_the_origin(values: tuple[float, float, float]) -> None:
     loop = Loop(*values)
-    theta = np.array([0.002, 0.004])
-    alpha, beta = boundary_points(loop, theta)
+    alpha, beta = boundary_points(loop, np.array([0.002, 0.004]))
+    # both start at (0, -delta); the slopes differ by terms of the order of delta, which 3.27 neglects
     excess = beta - linear_condition(loop, alpha)
-    # what is left grows with theta^2, as alpha does when delta > 0, or faster
-    assert abs(excess[0]) < 0.1 * loop.delta * alpha[0] + 0.02 * alpha[0] + 1e-9 or abs(excess[0]) < 0.5 * abs(
-        excess[1]
-    )
+    assert abs(excess[0]) < 0.3 * abs(excess[1])
+    assert abs(excess[0]) < (10 * loop.delta + 1e-4) * alpha[0]
     exact = float((mp.mpf(1) / 2 + loop.delay) * mp.mpf(0.01) - loop.delta)
     assert linear_condition(loop, 0.01)[0] == pytest.approx(exact, rel=1e-12)
 

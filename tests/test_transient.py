@@ -29,7 +29,7 @@ ROUNDING = 1e-9
 """Rounding of a crossing time: 1e-13 of the dense motion over the speed at which the band is crossed."""
 
 
-def compare(case: tuple[float, ...], decades: float = 6.0, fine: int = 16) -> float:
+def compare(case: tuple[float, ...], decades: float = 6.0, fine: int = 12) -> float:
     """Check every cost of a case; return the width of the narrowest bracket."""
     gamma, delta, p, q, alpha, beta = case
     motion = simulate(alpha, beta, gamma=gamma, delta=delta, delay=(p, q), samples=horizon(case, decades), fine=fine)
@@ -42,15 +42,15 @@ def compare(case: tuple[float, ...], decades: float = 6.0, fine: int = 16) -> fl
         assert costs[f"{name}_discrete"][0] == discrete_settling(motion, stiffness, band), (name, case)
         widths.append(high - low)
     e = deviation(motion, stiffness)
-    peak = max(e.max(), 0.0)
-    assert peak - 1e-12 <= costs["overshoot"][0] <= peak + between_points(motion) + 1e-12, case
-    assert costs["overshoot_discrete"][0] == pytest.approx(max(e[:: motion.every].max(), 0.0), abs=1e-11), case
+    peak, later = max(e.max(), 0.0), 10 ** (1 - decades)  # of what comes after the simulated horizon
+    assert peak - 1e-12 <= costs["overshoot"][0] <= peak + between_points(motion) + later, case
+    assert costs["overshoot_discrete"][0] == pytest.approx(max(e[:: motion.every].max(), 0.0), abs=later), case
     return min(widths)
 
 
 def test_random_points() -> None:
-    cases = stable_cases(50, seed=33, slowest=0.8)
-    assert sum(case[3] > 1 for case in cases) > 20
+    cases = stable_cases(40, seed=33, slowest=0.8)
+    assert sum(case[3] > 1 for case in cases) > 12
     widths = [compare(case) for case in cases]
     assert np.median(widths) < 2e-2  # the brackets are narrow, or the comparison would not say much
 
@@ -58,7 +58,7 @@ def test_random_points() -> None:
 @pytest.mark.slow
 def test_many_random_points() -> None:
     for case in stable_cases(400, seed=34):
-        compare(case, decades=6.0, fine=48)
+        compare(case, decades=13.0, fine=16)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,108 @@
+"""Small simulated courses that several test files share: simulated, written and ingested once per session."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from pipeline.compare import Outcome, compare
+from pipeline.course import Course, run_course, write_course
+from pipeline.devices import load_device
+from pipeline.ingest import ingest
+from pipeline.models import Device
+from pipeline.stages import ExperimentStages
+from pipeline.storage import read_trials
+
+
+@dataclass(frozen=True)
+class Lab:
+    """Courses of one device, with the folders of their logs and of what was ingested from them."""
+
+    device: Device
+    courses: dict[str, Course]
+    raw: Path
+    processed: Path
+
+    def stages(self, experiment: str, processed: Path | None = None) -> ExperimentStages:
+        """Stages of an experiment, with nothing kept in memory."""
+        folder = processed or self.processed
+        trials = read_trials(folder, self.device.name, experiment)
+        return ExperimentStages(folder, self.device.name, experiment, trials)
+
+    def compare(self, **options) -> Outcome:
+        return compare(self.device.name, options.pop("processed", self.processed), **options)
+
+
+def make_lab(folder: Path, device: Device, experiments: tuple[str, ...], **options) -> Lab:
+    courses = {name: run_course(device, name, **options) for name in experiments}
+    written = sum(write_course(course, folder / "raw") for course in courses.values())
+    report = ingest([folder / "raw"], folder / "processed")
+    assert report.ingested == written == report.found
+    return Lab(device, courses, folder / "raw", folder / "processed")
+
+
+@pytest.fixture(scope="session")
+def one_process():
+    """Theory in this process: the pool takes seconds to start, and what is computed here is kept for all tests."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "cpu_count", lambda: 1)
+        yield
+
+
+@pytest.fixture(scope="session")
+def falcon(tmp_path_factory) -> Lab:
+    """Ideal experiment 1, 180 trials: every fourth damping, four times the stiffness step."""
+    return make_lab(tmp_path_factory.mktemp("falcon"), load_device("falcon"), ("1",), ideal=True, coarsen=4)
+
+
+@pytest.fixture(scope="session")
+def patient(tmp_path_factory) -> Lab:
+    """Ideal experiment 1 with logs of 1.5 s: most stable responses have decayed to nothing at their end."""
+    folder = tmp_path_factory.mktemp("patient")
+    return make_lab(folder, load_device("falcon"), ("1",), ideal=True, coarsen=5, duration_s=1.5)
+
+
+@pytest.fixture(scope="session")
+def noisy(tmp_path_factory) -> Lab:
+    """The same with jitter, sensor noise and quantum of the device file."""
+    return make_lab(tmp_path_factory.mktemp("noisy"), load_device("falcon"), ("1",), seed=11, coarsen=4)
+
+
+@pytest.fixture(scope="session")
+def lwr(tmp_path_factory) -> Lab:
+    """Ideal sweep over two delays, some 200 trials."""
+    folder = tmp_path_factory.mktemp("lwr")
+    return make_lab(folder, load_device("lwr"), ("delay-2", "delay-4"), ideal=True, coarsen=4)
+
+
+@pytest.fixture(scope="session")
+def sweep(tmp_path_factory) -> Lab:
+    """All seven delays of the LWR, some 230 trials."""
+    device = load_device("lwr")
+    names = tuple(e.name for e in device.experiments)
+    return make_lab(tmp_path_factory.mktemp("sweep"), device, names, ideal=True, coarsen=8)
+
+
+@pytest.fixture(scope="session")
+def unknown(tmp_path_factory) -> Lab:
+    """A device without a device file that moves like the Falcon."""
+    device = load_device("falcon").model_copy(update={"name": "mydevice"})
+    return make_lab(tmp_path_factory.mktemp("unknown"), device, ("1",), ideal=True, coarsen=6)
+
+
+@pytest.fixture(scope="session")
+def falcon_outcome(falcon, one_process) -> Outcome:
+    return falcon.compare(report=falcon.raw.parent / "falcon.html")
+
+
+@pytest.fixture(scope="session")
+def lwr_outcome(lwr, one_process) -> Outcome:
+    return lwr.compare(report=lwr.raw.parent / "lwr.html")
+
+
+@pytest.fixture(scope="session")
+def unknown_outcome(unknown, one_process) -> Outcome:
+    return unknown.compare(report=unknown.raw.parent / "unknown.html")

@@ -1,0 +1,390 @@
+from __future__ import annotations
+
+import json
+import os
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from native_logs import log_text
+from report_data import HOSTILE
+
+from pipeline import compare as comparison
+from pipeline import predictions, report, stages
+from pipeline.compare import compare
+from pipeline.errors import DeviceError, StoreError
+from pipeline.figure_data import FigureBuilder
+from pipeline.ingest import ingest
+from pipeline.native import NativeHeader, format_header
+from pipeline.results import ComparisonResult
+from pipeline.scene import LEAVE_OUT, REUSE, RUN
+from pipeline.tables import write_text
+
+QUICK = ("energy_step_w0", "overshoot")
+"""Criteria that need all stages but settling, and little time."""
+
+pytestmark = pytest.mark.usefixtures("one_process")
+
+
+def files(folder: Path) -> dict[str, tuple[int, int]]:
+    return {str(p): (p.stat().st_mtime_ns, p.stat().st_size) for p in folder.rglob("*") if p.is_file()}
+
+
+def actions(outcome) -> dict[str, str]:
+    return {stage: action for stage, action, _ in outcome.stages}
+
+
+@pytest.fixture
+def plain_page(monkeypatch):
+    """A report without figures, which take a second: these tests are about what is run and when."""
+    monkeypatch.setattr(comparison, "write_report", lambda data, path: write_text(path, data.result.device))
+    monkeypatch.setattr(FigureBuilder, "costs", lambda self, predictions: ())
+
+
+@pytest.fixture
+def own(lwr, lwr_outcome, tmp_path, plain_page):
+    """A copy of the sweep with its stages, theory and report, to be changed at will."""
+    shutil.copytree(lwr.raw.parent, tmp_path / "lab")
+    return tmp_path / "lab"
+
+
+def run(own, **options):
+    return compare("lwr", own / "processed", report=own / "own.html", criteria=options.pop("criteria", QUICK), **options)
+
+
+@pytest.fixture
+def nothing_is_computed(monkeypatch):
+    """Call it: from then on reading a log, computing a stage or an optimum, and drawing fail."""
+
+    def forbid():
+        def refuse(*_, **__):
+            raise AssertionError("was computed again")
+
+        for stage in stages.STAGES:
+            monkeypatch.setitem(stages._COMPUTE, stage, refuse)
+        monkeypatch.setattr(stages, "load_batch", refuse)
+        monkeypatch.setattr(predictions, "optimal_point", refuse)
+        monkeypatch.setattr(comparison, "write_report", refuse)
+        monkeypatch.setattr(comparison, "write_text", refuse)
+
+    return forbid
+
+
+# --- the document -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["falcon_outcome", "lwr_outcome", "unknown_outcome"])
+def test_document_holds_what_the_design_lists(name, request):
+    outcome = request.getfixturevalue(name)
+    document = json.loads(outcome.report.with_suffix(".json").read_text(encoding="utf-8"))
+    assert {"device", "experiments", "tables"} <= set(document)
+    for experiment in document["experiments"]:
+        assert {"experiment", "trials", "verdicts", "estimates", "boundary", "optimum"} <= set(experiment)
+        assert set(experiment["estimates"]) == {"delay_samples", "mass", "damping"}
+        assert sum(experiment["verdicts"].values()) == experiment["trials"]
+        for estimate in experiment["estimates"].values():
+            assert {"value", "low", "high", "method", "reason", "by_method"} <= set(estimate)
+            assert estimate["low"] <= estimate["value"] <= estimate["high"]
+        for point in experiment["boundary"]:
+            assert {"damping", "stable", "unstable", "censored"} <= set(point)
+            assert (point["unstable"] is None) == point["censored"]
+        for optimum in experiment["optimum"].values():
+            assert {"stiffness", "damping", "cost"} <= set(optimum)
+    for row in document["tables"]:
+        assert {
+            *("table", "criterion", "condition", "delay_samples", "stiffness", "damping", "cost"),
+            *("published_stiffness", "published_damping", "published_cost", "deviation_percent"),
+        } <= set(row)
+        if row["condition"].startswith("theory"):
+            assert row["deviation_percent"] is None
+
+
+@pytest.mark.parametrize("name", ["falcon_outcome", "lwr_outcome", "unknown_outcome"])
+def test_document_survives_the_round_trip(name, request):
+    outcome = request.getfixturevalue(name)
+    text = outcome.report.with_suffix(".json").read_text(encoding="utf-8")
+    assert "NaN" not in text
+    assert ComparisonResult.model_validate_json(text) == outcome.result
+    assert outcome.result.report == str(outcome.report)
+
+
+def test_report_stands_with_its_digest(falcon_outcome, lwr_outcome):
+    for outcome in (falcon_outcome, lwr_outcome):
+        page = outcome.report.read_text(encoding="utf-8")
+        assert report.stored_digest(page) is not None
+        assert len(report.cells(page)) > 50
+
+
+def test_origin_names_the_command_that_repeats_the_comparison(own):
+    command = run(own, experiments=["delay-4"]).result.provenance["command"]
+    assert command == (
+        f"pipeline compare --device lwr --experiment delay-4 --criteria energy_step_w0,overshoot "
+        f"--processed {own / 'processed'}"
+    )
+
+
+# --- what is run again ------------------------------------------------------------------------------------------------
+
+
+def test_second_run_reuses_the_real_report(falcon, falcon_outcome, nothing_is_computed):
+    before = files(falcon.raw.parent)
+    nothing_is_computed()
+    second = falcon.compare(report=falcon_outcome.report)
+    assert actions(second)["report"] == REUSE
+    assert second.result == falcon_outcome.result
+    assert files(falcon.raw.parent) == before
+
+
+def test_second_run_reuses_everything_and_touches_nothing(own, nothing_is_computed):
+    first = run(own)
+    before = files(own)
+    nothing_is_computed()
+    second = run(own)
+    assert set(actions(second).values()) <= {REUSE, LEAVE_OUT}
+    assert actions(second)["report"] == REUSE
+    assert second.result == first.result
+    assert files(own) == before
+
+
+def test_dry_run_writes_nothing_and_tells_the_plan(lwr, tmp_path, nothing_is_computed):
+    shutil.copytree(lwr.processed / "trials", tmp_path / "processed/trials")
+    shutil.copytree(lwr.processed / "samples", tmp_path / "processed/samples")
+    before = files(tmp_path)
+    nothing_is_computed()
+    outcome = compare("lwr", tmp_path / "processed", report=tmp_path / "new/x.html", dry_run=True)
+    assert outcome.result is None
+    assert files(tmp_path) == before
+    assert not (tmp_path / "new").exists()
+    plan = actions(outcome)
+    assert plan["delay-2: energy"] == plan["delay-4: response"] == plan["theory: optima"] == plan["report"] == RUN
+    assert all(reason for _, _, reason in outcome.stages)
+
+
+def test_dry_run_after_a_run_reuses_all(own, nothing_is_computed):
+    run(own)
+    nothing_is_computed()
+    outcome = run(own, dry_run=True)
+    assert outcome.result is None
+    assert set(actions(outcome).values()) <= {REUSE, LEAVE_OUT}
+
+
+def test_one_more_log_runs_only_its_experiment(own):
+    before = run(own)
+    log = sorted((own / "raw/lwr/delay-4").glob("B008*.csv"))[0]
+    text = re.sub(r"# stiffness: \S+", "# stiffness: 123", log.read_text(encoding="utf-8"))
+    extra = own / "extra.csv"
+    extra.write_text(text, encoding="utf-8")
+    assert ingest([extra], own / "processed").ingested == 1
+    kept = files(own / "processed/stages/lwr/delay-2")
+    after = run(own)
+    plan = actions(after)
+    assert {action for stage, action in plan.items() if stage.startswith("delay-2")} <= {REUSE, LEAVE_OUT}
+    assert {action for stage, action in plan.items() if stage.startswith("delay-4")} <= {RUN, LEAVE_OUT}
+    assert plan["theory: optima"] == REUSE
+    assert plan["report"] == RUN
+    assert files(own / "processed/stages/lwr/delay-2") == kept
+    trials = {e.experiment: e.trials for e in after.result.experiments}
+    assert trials["delay-4"] == 1 + {e.experiment: e.trials for e in before.result.experiments}["delay-4"]
+    assert after.result.experiments[0] == before.result.experiments[0]
+
+
+def test_other_criteria_run_only_what_is_missing(lwr, tmp_path, plain_page):
+    for part in ("trials", "samples"):
+        shutil.copytree(lwr.processed / part, tmp_path / "processed" / part)
+
+    def plan(criteria):
+        page = tmp_path / "x.html"
+        return actions(compare("lwr", tmp_path / "processed", experiments=["delay-4"], criteria=criteria, report=page))
+
+    first = plan(["overshoot"])
+    assert {s for s, a in first.items() if a == RUN} >= {"delay-4: response", "delay-4: overshoot", "report"}
+    assert {s for s, a in first.items() if a == LEAVE_OUT} >= {
+        f"delay-4: {stage}" for stage in ("delay", "damping", "mass", "settling", "energy")
+    }
+    second = plan(["overshoot", "energy_step_w0"])
+    assert {s for s, a in second.items() if a == RUN and s.startswith("delay-4")} == {
+        f"delay-4: {stage}" for stage in ("delay", "damping", "mass", "energy")
+    }
+    assert second["report"] == RUN
+    third = plan(["overshoot"])  # all is stored, but the report shows other criteria
+    assert {s for s, a in third.items() if a == RUN} == {"theory: boundaries and maps", "report"}
+
+
+def test_left_out_estimates_say_so(own):
+    result = run(own, criteria=["overshoot"]).result
+    for experiment in result.experiments:
+        for estimate in experiment.estimates.values():
+            assert estimate.value is None
+            assert estimate.reason.startswith("left out")
+    assert not any("estimate" in text for text in result.warnings)
+
+
+@pytest.mark.parametrize("change", ["", "[]", "{}", '{"provenance": []}', '{"provenance": {"key": "KEY"}}', "\ud800"])
+def test_a_damaged_document_beside_the_report_is_written_anew(own, change):
+    outcome = run(own)
+    path = outcome.report.with_suffix(".json")
+    sound = path.read_bytes()
+    path.write_bytes(change.replace("KEY", outcome.result.provenance["key"]).encode("utf-8", "surrogatepass"))
+    again = run(own)
+    assert actions(again)["report"] == RUN
+    assert path.read_bytes() == sound
+
+
+def test_a_missing_report_is_written_again_without_computing_stages(own, monkeypatch):
+    outcome = run(own)
+    outcome.report.unlink()
+
+    def refuse(*_):
+        raise AssertionError("a log was read")
+
+    monkeypatch.setattr(stages, "load_batch", refuse)
+    monkeypatch.setattr(predictions, "optimal_point", refuse)
+    assert actions(run(own))["report"] == RUN
+    assert outcome.report.is_file()
+
+
+def test_a_damaged_stage_file_is_named_or_made_anew(own):
+    expected = run(own).result
+    path = own / "processed/stages/lwr/delay-2/energy.parquet"
+    sound = path.read_bytes()
+    path.write_bytes(sound[: len(sound) // 2])  # without its end there is no key
+    (own / "own.html").unlink()
+    again = run(own)
+    assert actions(again)["delay-2: energy"] == RUN
+    assert again.result == expected
+    damaged = bytearray(path.read_bytes())
+    damaged[200] ^= 0xFF  # a value; the key stays readable
+    path.write_bytes(bytes(damaged))
+    (own / "own.html").unlink()
+    with pytest.raises(StoreError, match=r"energy\.parquet.*remove it and run the command again"):
+        run(own)
+    assert not (own / "own.html").exists()
+
+
+# --- devices that are not known, names that are meant to harm ---------------------------------------------------------
+
+
+def test_unknown_device_is_compared_with_theory_from_its_estimates(unknown_outcome):
+    result = unknown_outcome.result
+    assert not result.known_device
+    (experiment,) = result.experiments
+    assert experiment.theory.source == "estimated from the logs"
+    assert experiment.theory.mass == pytest.approx(0.58, rel=5e-3)
+    assert experiment.theory.damping == pytest.approx(4.0, abs=0.02)
+    assert experiment.theory.delay_samples == 4
+    assert set(experiment.optimum) == set(result.criteria)
+    assert any("no device file" in text for text in result.warnings)
+    assert unknown_outcome.report.is_file()
+
+
+def bare_log(stiffness, damping, rows=300, **header):
+    """A stable response whose record begins at the command edge: no baseline."""
+    import simulated
+
+    found = simulated.simulate([stiffness], [damping], **simulated.FALCON, rows=rows, baseline=0)
+    native = NativeHeader(
+        device=header.get("device", "bare"), experiment=header.get("experiment", "a"), stiffness=stiffness,
+        damping=damping, step=8.0, sampling_period_s=1e-3,
+    )  # fmt: skip
+    rows = zip(found.time[0], found.command[0], found.position[0], strict=True)
+    return format_header(native) + "".join("{:.17g},{:.17g},{:.17g}\n".format(*map(float, row)) for row in rows)
+
+
+def test_logs_without_a_baseline_give_reasons_and_no_crash(tmp_path):
+    logs = tmp_path / "logs"
+    logs.mkdir()
+    for i, K in enumerate((1000.0, 2000.0, 3000.0)):
+        (logs / f"{i}.csv").write_text(bare_log(K, 60.0))
+    assert ingest([logs], tmp_path / "processed").ingested == 3
+    outcome = compare("bare", tmp_path / "processed", report=tmp_path / "bare.html")
+    (experiment,) = outcome.result.experiments
+    for estimate in experiment.estimates.values():
+        assert estimate.value is None
+        assert estimate.reason
+    assert experiment.theory is None
+    assert set(experiment.missing) | set(experiment.optimum) == set(outcome.result.criteria)
+    assert "energy_step_w0" in experiment.missing
+    assert all(experiment.missing.values())
+    text = " ".join(outcome.result.warnings)
+    assert "no delay estimate" in text
+    assert "Fewer than 30 trials" in text
+    ComparisonResult.model_validate_json((tmp_path / "bare.json").read_text())
+    again = compare("bare", tmp_path / "processed", report=tmp_path / "bare.html")
+    assert again.result == outcome.result
+
+
+DEVICES = ["<script>alert(1)</script>", HOSTILE, "..", "$(touch owned)", "_", "a\\b", "{{ 7 * 7 }}"]
+
+
+@pytest.mark.parametrize("device", DEVICES)
+def test_hostile_names_stay_text_and_inside_the_folder(tmp_path, device):
+    home = tmp_path / "home"
+    logs = home / "logs"
+    logs.mkdir(parents=True)
+    experiment = "../../x <img src=x onerror=alert(2)>"
+    for i, K in enumerate((1000.0, 2000.0)):
+        (logs / f"{i}.csv").write_text(bare_log(K, 60.0, device=device, experiment=experiment))
+    assert ingest([logs], home / "processed").ingested == 2
+    outcome = compare(device, home / "processed", report=home / "out/report.html", criteria=["overshoot"])
+    assert {p.name for p in home.iterdir()} == {"logs", "processed", "out"}
+    assert [p.name for p in tmp_path.iterdir()] == ["home"]
+    # trials/DEVICE/EXPERIMENT/FILE, and nothing deeper or beside it
+    for part in ("trials", "samples", "stages"):
+        found = [p.relative_to(home / "processed") for p in (home / "processed" / part).rglob("*.parquet")]
+        assert found
+        assert {len(p.parts) for p in found} == {4}
+    assert outcome.result.device == device
+    assert outcome.result.experiments[0].experiment == experiment
+    page = outcome.report.read_text(encoding="utf-8")
+    for markup in ("<script>alert", "<img", "onerror=alert(2)>"):
+        assert markup not in page
+    assert "&lt;img src=x" in page
+    assert "49" not in re.findall(r"<title>(.*?)</title>", page)[0]
+    assert ("&lt;script&gt;" in page) == ("<script>" in device)
+
+
+def test_names_in_the_command_are_quoted_for_a_shell(tmp_path):
+    import shlex
+
+    (tmp_path / "a.csv").write_text(bare_log(1000.0, 60.0, device="$(touch owned); x", experiment="it's"))
+    ingest([tmp_path / "a.csv"], tmp_path / "processed")
+    command = compare("$(touch owned); x", tmp_path / "processed", criteria=["overshoot"]).result.provenance["command"]
+    words = shlex.split(command)
+    assert words[:6] == ["pipeline", "compare", "--device", "$(touch owned); x", "--experiment", "it's"]
+
+
+def test_two_devices_in_one_folder_do_not_mix(tmp_path):
+    for i, device in enumerate(("one", "two")):
+        (tmp_path / f"{i}.csv").write_text(bare_log(1000.0 + i, 60.0, device=device))
+    ingest([tmp_path], tmp_path / "processed")
+    result = compare("two", tmp_path / "processed", criteria=["overshoot"]).result
+    assert [e.trials for e in result.experiments] == [1]
+    assert result.experiments[0].boundary[0].stable == 1001.0
+    with pytest.raises(DeviceError, match="found one, two"):
+        compare("three", tmp_path / "processed")
+
+
+def test_logs_of_noise_alone_are_compared_without_a_crash(tmp_path):
+    for i in range(4):
+        (tmp_path / f"{i}.csv").write_text(log_text(stiffness=100.0 * (i + 1), seed=i))
+    assert ingest([tmp_path], tmp_path / "processed").ingested == 4
+    outcome = compare("bench", tmp_path / "processed", report=tmp_path / "noise.html")
+    assert outcome.report.is_file()
+    assert sum(outcome.result.experiments[0].verdicts.values()) == 4
+
+
+def test_stage_files_name_their_origin(own):
+    from pipeline.tables import read_metadata
+
+    run(own)
+    found = read_metadata(own / "processed/stages/lwr/delay-2/energy.parquet")
+    assert {"pipeline.version", "pipeline.key", "pipeline.inputs", "pipeline.stage"} <= set(found)
+    assert found["pipeline.stage"] == "energy"
+
+
+def test_no_temporary_files_are_left(own):
+    run(own)
+    assert not [p for p in own.rglob("*") if p.name.startswith(".") or p.suffix == ".tmp"]
+    assert np.all([os.access(p, os.R_OK) for p in own.rglob("*.parquet")])

@@ -1,0 +1,193 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import simulated
+
+from pipeline.compare import _nominal_theories
+from pipeline.figure_data import (
+    FigureBuilder,
+    band_of_estimates,
+    linear_curve,
+    measured_curve,
+    requests_of_delay_figure,
+    theory_curve,
+)
+from pipeline.predictions import Predictions
+from pipeline.scene import open_scene
+
+
+@pytest.fixture(scope="module")
+def of_falcon(falcon, falcon_outcome):
+    data = open_scene("falcon", falcon.processed, None, None)
+    theories = _nominal_theories(data)
+    return FigureBuilder(data, theories, falcon_outcome.result.experiments)
+
+
+@pytest.fixture(scope="module")
+def of_lwr(lwr, lwr_outcome):
+    data = open_scene("lwr", lwr.processed, None, None)
+    return FigureBuilder(data, _nominal_theories(data), lwr_outcome.result.experiments)
+
+
+def known_predictions(builder, lab):
+    from pipeline.tables_d import TableBuilder
+
+    found = Predictions(lab.processed / "theory")
+    wanted = TableBuilder(builder.data, builder.theories).requests()
+    assert found.missing(wanted + requests_of_delay_figure(builder.data, builder.theories)) == []
+    return found
+
+
+@pytest.mark.parametrize(("builder", "name", "plant"), [
+    ("of_falcon", "1", simulated.FALCON), ("of_falcon", "6", {**simulated.FALCON, "mass": 1.0, "b": 34.0}),
+    ("of_lwr", "delay-4", {**simulated.LWR, "delay": 4}),
+])  # fmt: skip
+def test_drawn_boundary_is_the_limit_of_an_independent_loop(builder, name, plant, request):
+    theory = request.getfixturevalue(builder).theories[name]
+    curve = theory_curve(theory, "x")
+    assert curve.stiffness[-1] == 0  # closed along K = -k
+    inner = curve.stiffness[1:-1:6], curve.damping[1:-1:6]
+    for K, B in zip(*inner, strict=True):
+        if K > 0.05 * curve.stiffness.max():  # near K = 0 the pole at z = 1 hides the others
+            assert simulated.spectral_radius(K, B, **plant) == pytest.approx(1, abs=1e-9)
+            assert simulated.spectral_radius(0.98 * K, B, **plant) < 1 or K < 0.5 * curve.stiffness.max()
+
+
+def test_measured_curve_shows_the_last_stable_trials(of_falcon, falcon_outcome):
+    result = falcon_outcome.result.experiments[0]
+    curve = measured_curve(result)
+    assert curve.kind == "measured"
+    points = {p.damping: p.stable or 0.0 for p in result.boundary}
+    for K, B in zip(curve.stiffness, curve.damping, strict=True):
+        assert points[B] == K
+    assert not curve.censored.any()
+    empty = result.model_copy(update={"boundary": ()})
+    assert len(measured_curve(empty).stiffness) == 0
+
+
+def test_linear_condition_touches_the_boundary_at_the_origin(of_falcon):
+    theory = of_falcon.theories["1"]
+    line = linear_curve(theory)
+    # (3.25): B = K t_r - b with t_r = (d + 1/2) T
+    assert line.damping[0] == pytest.approx(-4.0)
+    slope = (line.damping[1] - line.damping[0]) / line.stiffness[1]
+    assert slope == pytest.approx(4.5e-3)
+    near = 20.0  # the tangent: a little above the line is stable, a little below unstable
+    for offset, stable in ((0.05, True), (-0.05, False)):
+        radius = simulated.spectral_radius(near, near * 4.5e-3 - 4.0 + offset, **simulated.FALCON)
+        assert (radius < 1) is stable
+
+
+def test_boundary_figures_of_a_free_device(of_falcon):
+    figures = {f.identifier: f for f in of_falcon.boundaries()}
+    assert set(figures) == {"boundaries-free", "boundaries-estimates"}
+    ((_, curves),) = figures["boundaries-free"].panels
+    assert [c.label for c in curves if c.kind == "theory"] == ["d = 3", "d = 4", "d = 5", "d = 6"]
+    assert [c.kind for c in curves].count("measured") == 1
+    tops = [c.stiffness.max() for c in curves if c.kind == "theory"]
+    assert tops == sorted(tops, reverse=True)  # more delay, less stiffness
+    ((title, panel),) = figures["boundaries-estimates"].panels
+    assert title == "experiment 1"
+    estimated = next(c for c in panel if c.kind == "theory")
+    assert estimated.stiffness.max() == pytest.approx(tops[1], rel=1e-3)
+
+
+def test_boundary_figures_of_a_sweep(of_lwr):
+    figures = {f.identifier: f for f in of_lwr.boundaries()}
+    assert set(figures) == {"boundaries-delay", "boundaries-estimates"}
+    panels = dict(figures["boundaries-delay"].panels)
+    assert [c.label for c in panels["theory"]] == ["d = 2", "d = 4"]
+    assert [c.label for c in panels["measured"]] == ["delay-2", "delay-4"]
+
+
+def test_no_overlay_without_the_estimates_it_needs(falcon, falcon_outcome):
+    data = open_scene("falcon", falcon.processed, None, ["overshoot"])
+    builder = FigureBuilder(data, _nominal_theories(data), falcon_outcome.result.experiments)
+    assert {f.identifier for f in builder.boundaries()} == {"boundaries-free"}
+
+
+def test_band_of_estimates_encloses_the_estimate(of_falcon, falcon_outcome):
+    result = falcon_outcome.result.experiments[0]
+
+    def with_(name, **changes):
+        estimate = result.estimates[name].model_copy(update=changes)
+        return result.model_copy(update={"estimates": result.estimates | {name: estimate}})
+
+    wide = with_("mass", low=0.5, high=0.7)
+    (_, kind, best), (_, low_kind, small), (_, high_kind, large) = band_of_estimates(wide, None, 1e-3)
+    assert (kind, low_kind, high_kind) == ("theory", "band", "band")
+    top = [t.boundary.alpha_max * t.units.stiffness for t in (small, best, large)]
+    assert top == sorted(top)
+    assert band_of_estimates(with_("mass", value=None, reason="none"), None, 1e-3) == []
+    negative = with_("damping", value=-0.05, low=-0.1, high=0.0)
+    assert band_of_estimates(negative, None, 1e-3)[0][2].parameters.damping == 0.0
+    assert len(band_of_estimates(with_("mass", low=None, high=None), None, 1e-3)) >= 1
+
+
+def test_cost_figures_show_theory_beside_the_trials(of_falcon, falcon):
+    figures = of_falcon.costs(known_predictions(of_falcon, falcon))
+    assert [f.criterion for f in figures] == [
+        "settle_2pct", "overshoot", "energy_step_w0", "energy_step_w1", "energy_step_w2",
+    ]  # fmt: skip
+    assert len({f.identifier for f in figures}) == 5
+    stages = falcon.stages("1")
+    for figure in figures:
+        theory, measured = figure.maps
+        assert (theory.kind, measured.kind) == ("theory", "measured")
+        assert theory.cost.shape == (len(theory.damping), len(theory.stiffness))
+        assert measured.cost.shape == (len(measured.damping), len(measured.stiffness))
+        # no grid point beats the optimum that is marked
+        assert np.nanmin(theory.cost) >= theory.optimum.cost * (1 - 1e-9)
+        assert np.nanmin(measured.trial_cost) == measured.optimum.cost
+        stable = (stages.column("response", "stiffness") > 0) & (stages.verdicts.verdict != "unstable")
+        assert len(measured.trial_cost) == stable.sum()
+        # a measured grid is nothing but its trials where one was made
+        for K, B, cost in list(zip(measured.trial_stiffness, measured.trial_damping, measured.trial_cost, strict=True))[
+            ::9
+        ]:
+            at = np.flatnonzero(measured.stiffness == K)
+            known = np.isfinite(measured.trial_cost) & (measured.trial_damping == B)
+            if len(at) and np.isfinite(cost) and known.sum() > 1:  # a line of one trial is only its marker
+                row = measured.cost[np.flatnonzero(measured.damping == B)[0]]
+                assert row[at[0]] == pytest.approx(cost)
+
+
+def test_cost_maps_claim_nothing_beyond_the_tested_range(of_falcon, falcon):
+    measured = of_falcon.costs(known_predictions(of_falcon, falcon))[2].maps[1]
+    for row, B in enumerate(measured.damping):
+        tested = measured.trial_stiffness[(measured.trial_damping == B) & np.isfinite(measured.trial_cost)]
+        shown = measured.stiffness[np.isfinite(measured.cost[row])]
+        if len(shown):
+            assert tested.min() <= shown.min()
+            assert shown.max() <= tested.max()
+
+
+def test_delay_figure_holds_the_rows_of_the_table(of_lwr, lwr, lwr_outcome):
+    rows = lwr_outcome.result.tables
+    (figure,) = of_lwr.delays(rows, known_predictions(of_lwr, lwr))
+    assert [p.criterion for p in figure.panels] == ["settle_2pct", "energy_step_w0", "energy_step_w1", "energy_step_w2"]
+    for panel in figure.panels:
+        assert panel.delay_samples.tolist() == [2.0, 4.0]
+        costs = {
+            (r.condition, r.delay_samples): r.cost
+            for r in rows
+            if r.table == "D.6" and r.criterion == panel.criterion
+        }
+        assert panel.theory.tolist() == [costs["theory_discrete", 2], costs["theory_discrete", 4]]
+        assert panel.measured.tolist() == [costs["experiment", 2], costs["experiment", 4]]
+        assert (panel.damped < panel.theory).all() or panel.criterion == "settle_2pct"  # damping helps
+        assert (np.diff(panel.theory) > 0).all()
+
+
+def test_no_delay_figure_without_a_sweep(of_falcon, falcon, falcon_outcome):
+    assert requests_of_delay_figure(of_falcon.data, of_falcon.theories) == []
+    assert of_falcon.delays(falcon_outcome.result.tables, known_predictions(of_falcon, falcon)) == ()
+
+
+def test_device_without_theory_still_has_its_measured_maps(unknown, unknown_outcome):
+    data = open_scene("mydevice", unknown.processed, None, ["overshoot"])
+    builder = FigureBuilder(data, {}, unknown_outcome.result.experiments)
+    (figure,) = builder.costs(Predictions(unknown.processed / "theory"))
+    assert [m.kind for m in figure.maps] == ["measured"]
+    assert {f.identifier for f in builder.boundaries()} <= {"boundaries-estimates"}
