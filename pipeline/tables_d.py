@@ -169,8 +169,8 @@ class TableBuilder:
     ) -> ComparisonRow:
         point = prediction or optimum
         published = find(table.name, criterion, condition, delay if table.kind == "delay" else None)
-        if self.data.device is None:
-            published = None  # tables of other devices bear the same names
+        if published is not None and published.device != self.data.scene.device:
+            published = None  # a table of another device may bear the same name
         notes = [missing if point is None else None, None if table.kind == "delay" else _region_note(prediction)]
         notes += [_optimum_note(criterion, optimum), published.erratum if published else None]
         cost = point.cost if point else None

@@ -8,16 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from native_logs import log_text
-from report_data import HOSTILE
 
 from pipeline import compare as comparison
 from pipeline import predictions, report, stages
 from pipeline.compare import compare
-from pipeline.errors import DeviceError, StoreError
+from pipeline.errors import StoreError
 from pipeline.figure_data import FigureBuilder
 from pipeline.ingest import ingest
-from pipeline.native import NativeHeader, format_header
 from pipeline.results import ComparisonResult
 from pipeline.scene import LEAVE_OUT, REUSE, RUN
 from pipeline.tables import write_text
@@ -51,7 +48,9 @@ def own(lwr, lwr_outcome, tmp_path, plain_page):
 
 
 def run(own, **options):
-    return compare("lwr", own / "processed", report=own / "own.html", criteria=options.pop("criteria", QUICK), **options)
+    return compare(
+        "lwr", own / "processed", report=own / "own.html", criteria=options.pop("criteria", QUICK), **options
+    )
 
 
 @pytest.fixture
@@ -212,6 +211,34 @@ def test_other_criteria_run_only_what_is_missing(lwr, tmp_path, plain_page):
     assert {s for s, a in third.items() if a == RUN} == {"theory: boundaries and maps", "report"}
 
 
+def test_criteria_of_the_same_stage_still_change_the_report(own):
+    assert run(own, criteria=["energy_step_w0"]).result.criteria == ("energy_step_w0",)
+    other = run(own, criteria=["energy_step_w1"])
+    assert actions(other)["report"] == RUN
+    assert other.result.criteria == ("energy_step_w1",)
+
+
+def test_a_report_is_renewed_where_another_one_already_computed_the_stages(own):
+    first = run(own)
+    log = sorted((own / "raw/lwr/delay-4").glob("B008*.csv"))[0]
+    (own / "extra.csv").write_text(re.sub(r"# stiffness: \S+", "# stiffness: 123", log.read_text(encoding="utf-8")))
+    ingest([own / "extra.csv"], own / "processed")
+    compare("lwr", own / "processed", criteria=QUICK)  # without a report
+    after = run(own)
+    assert {action for stage, action in actions(after).items() if stage.startswith("delay")} <= {REUSE, LEAVE_OUT}
+    assert actions(after)["report"] == RUN
+    assert sum(e.trials for e in after.result.experiments) == 1 + sum(e.trials for e in first.result.experiments)
+
+
+def test_a_lost_stage_file_is_made_again_though_the_report_stands(own):
+    run(own)
+    path = own / "processed/stages/lwr/delay-2/energy.parquet"
+    path.unlink()
+    again = run(own)
+    assert {s for s, a in actions(again).items() if a == RUN and s.startswith("delay-2")} == {"delay-2: energy"}
+    assert path.is_file()
+
+
 def test_left_out_estimates_say_so(own):
     result = run(own, criteria=["overshoot"]).result
     for experiment in result.experiments:
@@ -263,7 +290,7 @@ def test_a_damaged_stage_file_is_named_or_made_anew(own):
     assert not (own / "own.html").exists()
 
 
-# --- devices that are not known, names that are meant to harm ---------------------------------------------------------
+# --- the rest ---------------------------------------------------------------------------------------------------------
 
 
 def test_unknown_device_is_compared_with_theory_from_its_estimates(unknown_outcome):
@@ -277,102 +304,6 @@ def test_unknown_device_is_compared_with_theory_from_its_estimates(unknown_outco
     assert set(experiment.optimum) == set(result.criteria)
     assert any("no device file" in text for text in result.warnings)
     assert unknown_outcome.report.is_file()
-
-
-def bare_log(stiffness, damping, rows=300, **header):
-    """A stable response whose record begins at the command edge: no baseline."""
-    import simulated
-
-    found = simulated.simulate([stiffness], [damping], **simulated.FALCON, rows=rows, baseline=0)
-    native = NativeHeader(
-        device=header.get("device", "bare"), experiment=header.get("experiment", "a"), stiffness=stiffness,
-        damping=damping, step=8.0, sampling_period_s=1e-3,
-    )  # fmt: skip
-    rows = zip(found.time[0], found.command[0], found.position[0], strict=True)
-    return format_header(native) + "".join("{:.17g},{:.17g},{:.17g}\n".format(*map(float, row)) for row in rows)
-
-
-def test_logs_without_a_baseline_give_reasons_and_no_crash(tmp_path):
-    logs = tmp_path / "logs"
-    logs.mkdir()
-    for i, K in enumerate((1000.0, 2000.0, 3000.0)):
-        (logs / f"{i}.csv").write_text(bare_log(K, 60.0))
-    assert ingest([logs], tmp_path / "processed").ingested == 3
-    outcome = compare("bare", tmp_path / "processed", report=tmp_path / "bare.html")
-    (experiment,) = outcome.result.experiments
-    for estimate in experiment.estimates.values():
-        assert estimate.value is None
-        assert estimate.reason
-    assert experiment.theory is None
-    assert set(experiment.missing) | set(experiment.optimum) == set(outcome.result.criteria)
-    assert "energy_step_w0" in experiment.missing
-    assert all(experiment.missing.values())
-    text = " ".join(outcome.result.warnings)
-    assert "no delay estimate" in text
-    assert "Fewer than 30 trials" in text
-    ComparisonResult.model_validate_json((tmp_path / "bare.json").read_text())
-    again = compare("bare", tmp_path / "processed", report=tmp_path / "bare.html")
-    assert again.result == outcome.result
-
-
-DEVICES = ["<script>alert(1)</script>", HOSTILE, "..", "$(touch owned)", "_", "a\\b", "{{ 7 * 7 }}"]
-
-
-@pytest.mark.parametrize("device", DEVICES)
-def test_hostile_names_stay_text_and_inside_the_folder(tmp_path, device):
-    home = tmp_path / "home"
-    logs = home / "logs"
-    logs.mkdir(parents=True)
-    experiment = "../../x <img src=x onerror=alert(2)>"
-    for i, K in enumerate((1000.0, 2000.0)):
-        (logs / f"{i}.csv").write_text(bare_log(K, 60.0, device=device, experiment=experiment))
-    assert ingest([logs], home / "processed").ingested == 2
-    outcome = compare(device, home / "processed", report=home / "out/report.html", criteria=["overshoot"])
-    assert {p.name for p in home.iterdir()} == {"logs", "processed", "out"}
-    assert [p.name for p in tmp_path.iterdir()] == ["home"]
-    # trials/DEVICE/EXPERIMENT/FILE, and nothing deeper or beside it
-    for part in ("trials", "samples", "stages"):
-        found = [p.relative_to(home / "processed") for p in (home / "processed" / part).rglob("*.parquet")]
-        assert found
-        assert {len(p.parts) for p in found} == {4}
-    assert outcome.result.device == device
-    assert outcome.result.experiments[0].experiment == experiment
-    page = outcome.report.read_text(encoding="utf-8")
-    for markup in ("<script>alert", "<img", "onerror=alert(2)>"):
-        assert markup not in page
-    assert "&lt;img src=x" in page
-    assert "49" not in re.findall(r"<title>(.*?)</title>", page)[0]
-    assert ("&lt;script&gt;" in page) == ("<script>" in device)
-
-
-def test_names_in_the_command_are_quoted_for_a_shell(tmp_path):
-    import shlex
-
-    (tmp_path / "a.csv").write_text(bare_log(1000.0, 60.0, device="$(touch owned); x", experiment="it's"))
-    ingest([tmp_path / "a.csv"], tmp_path / "processed")
-    command = compare("$(touch owned); x", tmp_path / "processed", criteria=["overshoot"]).result.provenance["command"]
-    words = shlex.split(command)
-    assert words[:6] == ["pipeline", "compare", "--device", "$(touch owned); x", "--experiment", "it's"]
-
-
-def test_two_devices_in_one_folder_do_not_mix(tmp_path):
-    for i, device in enumerate(("one", "two")):
-        (tmp_path / f"{i}.csv").write_text(bare_log(1000.0 + i, 60.0, device=device))
-    ingest([tmp_path], tmp_path / "processed")
-    result = compare("two", tmp_path / "processed", criteria=["overshoot"]).result
-    assert [e.trials for e in result.experiments] == [1]
-    assert result.experiments[0].boundary[0].stable == 1001.0
-    with pytest.raises(DeviceError, match="found one, two"):
-        compare("three", tmp_path / "processed")
-
-
-def test_logs_of_noise_alone_are_compared_without_a_crash(tmp_path):
-    for i in range(4):
-        (tmp_path / f"{i}.csv").write_text(log_text(stiffness=100.0 * (i + 1), seed=i))
-    assert ingest([tmp_path], tmp_path / "processed").ingested == 4
-    outcome = compare("bench", tmp_path / "processed", report=tmp_path / "noise.html")
-    assert outcome.report.is_file()
-    assert sum(outcome.result.experiments[0].verdicts.values()) == 4
 
 
 def test_stage_files_name_their_origin(own):

@@ -167,8 +167,8 @@ def test_estimates_of_noisy_logs_hold_the_truth(noisy):
     assert delay_found.low <= 3
     assert delay_found.high >= 5
     mass_found = of.mass_estimate
+    assert mass_found.low < TRUE_MASS < mass_found.high
     assert mass_found.low < mass_found.value < mass_found.high
-    # an interval of the median tells scatter; a shift of the median delay by a jittered sample is systematic
     assert mass_found.value == pytest.approx(TRUE_MASS, rel=0.05)
     by_limit = of.damping_estimate.by_method["stability_limit"]
     assert by_limit.low <= TRUE_DAMPING <= by_limit.high
@@ -283,8 +283,7 @@ def test_every_flipped_byte_is_noticed(falcon, copy):
             continue
         try:
             table = read_table(path)
-        except StoreError as error:
-            assert str(path) in str(error)
+        except StoreError:
             outcomes["refused"] += 1
         else:
             assert table.equals(expected)

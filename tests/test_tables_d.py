@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 
 import pytest
 
@@ -116,9 +117,7 @@ def test_measured_rows_hold_the_best_trial_and_its_deviation(falcon_outcome, fal
     assert set(rows) == {"settle_2pct", "overshoot", "energy_step_w0", "energy_step_w1", "energy_step_w2"}
     tested = set(zip(falcon.courses["1"].batch.stiffness, falcon.courses["1"].batch.damping, strict=True))
     for criterion, row in rows.items():
-        theory = next(
-            r for r in result.tables if (r.criterion, r.condition) == (criterion, "theory_discrete")
-        )
+        theory = next(r for r in result.tables if (r.criterion, r.condition) == (criterion, "theory_discrete"))
         assert (row.stiffness, row.damping) in tested
         assert row.published_cost == float(PRINTED[row.table, criterion, "experiment_1", ""]["cost"])
         if criterion == "overshoot":
@@ -181,6 +180,21 @@ def test_unknown_device_is_not_held_against_published_tables(unknown_outcome):
     theory = {(r.criterion, r.condition): r for r in rows}
     assert theory["energy_step_w0", "theory_discrete"].stiffness == pytest.approx(6689, rel=2e-3)
     assert theory["energy_step_w0", "experiment"].deviation_percent is not None
+
+
+def test_own_device_file_with_a_table_of_a_published_name_is_not_held_against_it(falcon, falcon_outcome):
+    data = open_scene("falcon", falcon.processed, None, ["energy_step_w0"])
+    own = dataclasses.replace(
+        data,
+        device=data.device.model_copy(update={"name": "own"}),
+        scene=data.scene.model_copy(update={"device": "own"}),
+    )
+    predictions = Predictions(falcon.processed / "theory")
+    for scene, published in ((data, 13.84), (own, None)):
+        builder = TableBuilder(scene, _nominal_theories(scene))
+        assert predictions.missing(builder.requests()) == []
+        row = builder.rows(predictions, falcon_outcome.result.experiments)[0]
+        assert (row.table, row.condition, row.published_cost) == ("D.2", "theory_discrete", published)
 
 
 def test_a_criterion_without_a_measured_value_keeps_its_row_beside_theory(falcon, falcon_outcome):
