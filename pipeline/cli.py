@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -72,6 +73,11 @@ def demo(
         console.say(line)
 
 
+def _count(advance: console.Advance, kept: int) -> None:
+    """Show how many trials a course has so far; how many there will be is known only at its end."""
+    advance(kept, None)
+
+
 @app.command("simulate")
 def simulate(
     device: Annotated[str, typer.Argument(help="Name of a known device, or a device file (.toml).")],
@@ -123,7 +129,7 @@ def simulate(
                 duration_s=duration,
                 damping_range=damping_range.value,
                 coarsen=coarsen,
-                progress=lambda kept, advance=advance: advance(kept, None),  # type: ignore[misc]
+                progress=partial(_count, advance),
             )
         counts[name] = write_course(course, out, overwrite=overwrite)
         if not as_json:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from pipeline.compare import compare
@@ -91,7 +92,7 @@ def run_demo(
             processed,
             experiments=part.experiments or None,
             report=folder / "reports" / f"{part.device}.html",
-            progress=lambda text, device=part.device: say(f"{device}: {text}"),  # type: ignore[misc]
+            progress=partial(_say_of, part.device, say),
         )
         assert outcome.result is not None, "only a dry run has no result"
         assert outcome.report is not None, "a report was asked for"
@@ -105,6 +106,10 @@ def run_demo(
         _deviation_line(results),
     ]
     return DemoOutcome(tuple(reports), tuple(results), tuple(line for line in lines if line))
+
+
+def _say_of(device: str, say: Callable[[str], None], text: str) -> None:
+    say(f"{device}: {text}")
 
 
 def _simulate(part: Part, raw: Path, say: Callable[[str], None]) -> int:

@@ -16,7 +16,7 @@ from pydantic import ValidationError
 from pipeline.errors import StoreError
 from pipeline.models import Record
 from pipeline.provenance import digest
-from pipeline.tables import TEMPORARY_ENDING, commit, write_text
+from pipeline.tables import replacing, write_text
 
 LARGEST_COPY = 64 << 20
 """Bytes up to which a refused file is copied; a log is well below 1 MB, what is larger was hardly one."""
@@ -108,7 +108,6 @@ def _folder_of(processed: Path, path: str) -> Path:
 
 def _copy(source: Path, target: Path) -> bool:
     """Copy a file and return whether it is there; one that cannot be read or is too large is left out."""
-    temporary = target.with_name(f".{target.name[-100:]}.{os.getpid()}{TEMPORARY_ENDING}")
     if not source.is_file():  # opening a pipe would wait for ever
         return False
     try:
@@ -118,12 +117,6 @@ def _copy(source: Path, target: Path) -> bool:
     with stream:
         if os.fstat(stream.fileno()).st_size > LARGEST_COPY:
             return False
-        try:
-            with temporary.open("wb") as copy:
-                shutil.copyfileobj(stream, copy, 1 << 20)
-                copy.flush()
-                os.fsync(copy.fileno())
-            commit(temporary, target)
-        finally:
-            temporary.unlink(missing_ok=True)
+        with replacing(target) as copy:
+            shutil.copyfileobj(stream, copy, 1 << 20)
     return True

@@ -8,10 +8,11 @@ refuses a file whose columns or types differ. Files appear under their final nam
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -185,41 +186,39 @@ def write_table(path: Path, data: pa.Table) -> None:
 
 def write_parquet(path: Path, data: pa.Table) -> None:
     """Write any Arrow table so that a reader sees all of it or nothing; `write_table` checks it too."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}{TEMPORARY_ENDING}")
-    try:
-        with temporary.open("wb") as stream:
-            # the compression alone does not notice a flipped byte, which would then be read as another number
-            pq.write_table(data, stream, compression="zstd", row_group_size=1 << 19, write_page_checksum=True)
-            stream.flush()
-            os.fsync(stream.fileno())
-        commit(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with replacing(path) as stream:
+        # the compression alone does not notice a flipped byte, which would then be read as another number
+        pq.write_table(data, stream, compression="zstd", row_group_size=1 << 19, write_page_checksum=True)
 
 
 def write_text(path: Path, text: str) -> None:
     """Write a text file (UTF-8) so that a reader sees all of it or nothing."""
+    with replacing(path) as stream:
+        stream.write(text.encode())
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[BinaryIO]:
+    """Open a temporary file that becomes ``path`` when the block ends well, and is removed when it does not.
+
+    File and folder are synced, so that the file survives power loss.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}{TEMPORARY_ENDING}")
+    # a name of its own for each process; long names are cut, a file system allows 255 bytes
+    temporary = path.with_name(f".{path.name[-100:]}.{os.getpid()}{TEMPORARY_ENDING}")
     try:
-        with temporary.open("w", encoding="utf-8", newline="") as stream:
-            stream.write(text)
+        with temporary.open("wb") as stream:
+            yield stream
             stream.flush()
             os.fsync(stream.fileno())
-        commit(temporary, path)
+        temporary.replace(path)
+        folder = os.open(path.parent, os.O_RDONLY)
+        try:
+            os.fsync(folder)
+        finally:
+            os.close(folder)
     finally:
         temporary.unlink(missing_ok=True)
-
-
-def commit(temporary: Path, path: Path) -> None:
-    """Give a complete, synced temporary file its final name and sync the folder, so that it survives power loss."""
-    temporary.replace(path)
-    folder = os.open(path.parent, os.O_RDONLY)
-    try:
-        os.fsync(folder)
-    finally:
-        os.close(folder)
 
 
 def read_table(path: Path, columns: list[str] | None = None) -> pa.Table:
