@@ -59,8 +59,8 @@ def summarise(
         median = sorted(_size(r) for r in deviations)[len(deviations) // 2]
         sentences.append(
             f"Optimal costs differ from the discrete theory by {median:.0f} % in the median of {len(deviations)} "
-            f"comparisons: least for {_named(smallest)} ({smallest.deviation_percent:+.1f} %), most for "
-            f"{_named(largest)} ({largest.deviation_percent:+.1f} %)."
+            f"comparisons: least for {_named(smallest)} ({_tenths(smallest.deviation_percent)} %), most for "
+            f"{_named(largest)} ({_tenths(largest.deviation_percent)} %)."
         )
     if not sentences:
         trials = sum(r.trials for r in results)
@@ -75,6 +75,12 @@ def _percent(share: float) -> str:
     """Signed whole percent, without a sign for zero."""
     rounded = round(100 * share)
     return f"{rounded:+d} %" if rounded else "0 %"
+
+
+def _tenths(percent: float | None) -> str:
+    """Signed percent with one decimal, without a sign for zero."""
+    rounded = round(percent or 0.0, 1)
+    return f"{rounded:+.1f}" if rounded else "0.0"
 
 
 def _size(row: ComparisonRow) -> float:
