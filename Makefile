@@ -38,6 +38,7 @@ test-all: lint
 
 bench: .venv/.dev
 	$(BIN)/python benchmarks/spine.py
+	$(BIN)/python benchmarks/theory.py
 
 docs: .venv/.dev
 	$(BIN)/python docs/make_schemas.py

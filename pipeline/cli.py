@@ -246,6 +246,44 @@ def compare(
         console.say(f"report: {outcome.report}")
 
 
+@app.command("accuracy")
+def accuracy(
+    out: Annotated[Path, typer.Option("--out", help="HTML file to write, with the JSON document beside it.")] = Path(
+        "reports/accuracy.html"
+    ),
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Fewer settings and repetitions: seconds, not a minute.")
+    ] = False,
+    processed: Processed = Path("processed"),
+    as_json: Json = False,
+) -> None:
+    """Measure error against run time of every method for every quantity of the theory, and write a page.
+
+    Reports of comparisons show the result while code and machine are unchanged.
+
+    Example: pipeline accuracy --quick
+    """
+    from pipeline import accuracy as results
+    from pipeline import accuracy_report
+    from pipeline.accuracy_run import measure
+    from pipeline.tables import write_text
+
+    report = measure(quick, None if as_json else console.note)
+    accuracy_report.write(report, out)
+    write_text(out.with_suffix(".json"), report.model_dump_json(indent=1) + "\n")
+    results.store(report, processed)
+    if as_json:
+        console.print_json(report.model_dump(mode="json"))
+        return
+    columns = ("quantity", "error", "time", "other", "compared")
+    for line in console.table(accuracy_report.summary_rows(report), columns):
+        console.say(line)
+    for text in (*report.summary, *report.distrusted):
+        console.say(text)
+    console.say(f"{report.machine['processor']}, Python {report.machine['python']}, numpy {report.machine['numpy']}")
+    console.say(f"report: {out}")
+
+
 def run(arguments: Sequence[str] | None = None) -> None:
     """Run the command line, by default with the arguments of the process, and leave with its exit status."""
     console.run_app(app, arguments)

@@ -74,7 +74,11 @@ def boundary(delay: Delay, gamma: Gamma = 0.0, delta: Delta = 0.0, as_json: Json
 def optimum(
     criterion: Annotated[
         str,
-        typer.Option("--criterion", help="Such as settle_2pct, overshoot, energy_step_w1.", show_default=False),
+        typer.Option(
+            "--criterion",
+            help="Such as settle_2pct, pole_radius, energy_impulse_w1; a wrong one lists all.",
+            show_default=False,
+        ),
     ],
     delay: Delay,
     gamma: Gamma = 0.0,
@@ -137,6 +141,69 @@ def cost_map(
         console.print_json({"file": str(out), "rows": table.num_rows, "stable": stable})
         return
     console.say(f"{out}: {table.num_rows} points, {stable} of them stable, columns {table.column_names}")
+
+
+@app.command("tables")
+def tables(
+    table: Annotated[
+        list[str] | None,
+        typer.Option("--table", help="Such as B.1, C.3, 5.1(a); may be given again. All where not given."),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Tables B.1 to B.4, C.1 to C.3 and 5.1 of the thesis, computed anew beside the printed numbers.
+
+    Example: pipeline theory tables --table C.1 --table C.2
+    """
+    from pipeline import theory_tables, theory_tables_text
+    from pipeline.published_theory import THEORY_TABLES
+
+    rows: list[theory_tables.TheoryRow] = []
+    for name, count, of_table in theory_tables.recomputed_tables(table or THEORY_TABLES):
+        found = []
+        with console.progress(f"Table {name}", "rows", silent=as_json) as advance:
+            for row in of_table:
+                found.append(row)
+                advance(len(found), count)
+        rows += found
+        if not as_json:
+            for line in theory_tables_text.table_lines(name, found):
+                console.say(line)
+    if as_json:
+        console.print_json(theory_tables_text.document(rows))
+        return
+    console.say(theory_tables_text.summary_line(rows))
+
+
+@app.command("figures")
+def figures(
+    out: Annotated[Path, typer.Option("--out", help="HTML file to write.")] = Path("reports/theory.html"),
+    figure: Annotated[
+        list[str] | None,
+        typer.Option("--figure", help="Such as 3.6; may be given again. All where not given."),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Data figures 3.5 to 5.16 of the thesis, computed anew, on one page.
+
+    Example: pipeline theory figures --figure 3.6 --figure 5.4 --out theory.html
+    """
+    from pipeline import theory_figures
+
+    asked = tuple(dict.fromkeys(figure or theory_figures.NUMBERS))
+    computed = theory_figures.compute(asked)  # refuses an unknown number before the drawing library is loaded
+    from pipeline import theory_drawings
+
+    drawn = []
+    with console.progress("theory figures", "figures", silent=as_json) as advance:
+        for done in computed:
+            drawn.append(done)
+            advance(len(drawn), len(asked))
+    theory_drawings.write(drawn, out)
+    if as_json:
+        console.print_json({"file": str(out), "figures": [done.number for done in drawn]})
+        return
+    console.say(f"{out}: {len(drawn)} figures")
 
 
 def split(text: str) -> tuple[str, ...]:

@@ -11,10 +11,11 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from pipeline import __version__
+from pipeline import accuracy as measured_accuracy
 from pipeline.figure_data import FigureBuilder, requests_of_delay_figure
 from pipeline.labels import UNITS
 from pipeline.models import CRITERIA, Estimate, Experiment, Motion, Optimum
-from pipeline.predictions import Predictions, Theory
+from pipeline.predictions import THEORY_CODE, Predictions, Theory
 from pipeline.provenance import code_digest, digest
 from pipeline.report import write as write_report
 from pipeline.results import ComparisonResult, ExperimentResult, ReportData, TheoryParameters
@@ -26,8 +27,8 @@ from pipeline.tables_d import TableBuilder
 
 _REPORT_CODE = (
     *("compare", "scene", "tables_d", "figure_data", "summary", "maps", "predictions", "published", "results"),
-    *("report", "report_tables", "figures", "panels", "labels", "style", "models"),
-    *("plant", "loop", "stability", "energy", "transient", "optimum"),
+    *("report", "report_tables", "figures", "panels", "labels", "style", "models", "accuracy"),
+    *THEORY_CODE,
     *("templates/report.html.j2", "templates/macros.html.j2", "templates/report.css"),
 )
 
@@ -84,7 +85,8 @@ def compare(
     predictions = Predictions(processed / "theory")
     known = data.device is not None
     early = _nominal_theories(data)
-    key = _report_key(data, report)
+    accuracy = measured_accuracy.stored(processed)
+    key = _report_key(data, report, accuracy.measured if accuracy else "")
     stored = _stored_result(report, key)
     if stored is not None and all(p.action != RUN for p in plan):
         plan += [
@@ -136,7 +138,12 @@ def compare(
         say("report: figures and page")
         figures = FigureBuilder(data, early, results)
         page = ReportData(
-            result, figures.boundaries(), figures.costs(predictions), figures.delays(rows, predictions), _rows(plan)
+            result,
+            boundaries=figures.boundaries(),
+            costs=figures.costs(predictions),
+            delays=figures.delays(rows, predictions),
+            stages=_rows(plan),
+            accuracy=accuracy,
         )
         write_report(page, report)
         write_text(report.with_suffix(".json"), result.model_dump_json(indent=1) + "\n")
@@ -170,12 +177,12 @@ def _plan_report(path: Path | None) -> PlannedStage:
     return PlannedStage("report", RUN, "there is none, or something that it shows changed")
 
 
-def _report_key(data: SceneData, path: Path | None) -> str:
+def _report_key(data: SceneData, path: Path | None, accuracy: str) -> str:
     """Hash of all that a report shows: stages, device file, criteria, code, and where it lies."""
     needed = sorted(needed_stages(data))
     stages = [[e.experiment, *(e.key(s) for s in needed)] for e in data.experiments]
     device = data.device.model_dump_json() if data.device else ""
-    return digest([data.scene.model_dump_json(), stages, device, code_digest(*_REPORT_CODE), str(path)])
+    return digest([data.scene.model_dump_json(), stages, device, code_digest(*_REPORT_CODE), str(path), accuracy])
 
 
 def _stored_result(path: Path | None, key: str) -> ComparisonResult | None:

@@ -9,7 +9,7 @@ import numpy as np
 from pipeline.batch import Floats
 from pipeline.energy import energy_costs
 from pipeline.loop import Loop
-from pipeline.stability import is_stable
+from pipeline.region import is_well_inside
 from pipeline.transient import transient_costs
 
 MAP_SAMPLES = 1000
@@ -41,7 +41,7 @@ def cost_maps(loop: Loop, alpha: Floats, beta: Floats, criteria: Sequence[str]) 
     """
     grid_alpha, grid_beta = (g.ravel() for g in np.meshgrid(alpha, beta))
     usable = np.flatnonzero(grid_alpha + loop.gamma > 0)
-    usable = usable[is_stable(loop, grid_alpha[usable], grid_beta[usable])]
+    usable = usable[is_well_inside(loop, grid_alpha[usable], grid_beta[usable])]
     a, b = grid_alpha[usable], grid_beta[usable]
     costs: dict[str, Floats] = {}
     if any(c.startswith("energy") for c in criteria):

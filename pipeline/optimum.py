@@ -1,16 +1,13 @@
 """Optimal points of the loop for each criterion.
 
-Energy costs are smooth with one minimum. Settling time jumps where an extremum of the response crosses the band, and
-its optimum sits in the corner of such a jump; the region without overshoot ends in cusps. Smooth optimisers miss both.
-The search here only compares values: a grid over the whole stable region, then grids that shrink around the best
-points found. A corner looks the same at every scale, so each grid finds points inside it and the search converges to
-the corner; several of the best cells are followed, so that a better valley is not lost to a lucky grid point.
+Each kind of criterion has the search that its costs ask for: energy is smooth; settling time jumps where an extremum of
+the response crosses the band, and its optimum sits in the corner of such a jump; the discrete settling time has steps;
+pole radius and damping ratio have kinks where poles meet; the region without overshoot ends in cusps. Why each
+search finds the global optimum stands in `pipeline.search`, `pipeline.lines` and `pipeline.overshoot`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
 from functools import lru_cache, partial
 
 import numpy as np
@@ -18,12 +15,13 @@ import numpy as np
 from pipeline.batch import Floats
 from pipeline.energy import energy_costs
 from pipeline.errors import ParameterError
+from pipeline.lines import search_lines, search_plane
 from pipeline.loop import Loop
-from pipeline.stability import boundary, is_stable, surely_stable
-from pipeline.transient import NO_OVERSHOOT, late_deviation, transient_costs
-
-Cost = Callable[[Floats, Floats, float], Floats]
-"""Cost of points; the last argument is the best cost known, points that are worse may be given infinity."""
+from pipeline.overshoot import stiffest_without_overshoot
+from pipeline.poles import damping_ratio, threefold_pole
+from pipeline.search import JUMPING, SMOOTH, OptimalPoint, bounding_box, grid, region, search, where_stable
+from pipeline.stability import spectral_radius
+from pipeline.transient import late_deviation, transient_costs
 
 STEP_CRITERIA = (
     "settle_1pct",
@@ -32,94 +30,94 @@ STEP_CRITERIA = (
     "overshoot",
     *(f"energy_step_w{w}" for w in (0, 1, 2)),
 )
-"""Criteria with an optimum here; each also as ``_discrete``."""
+"""Criteria of the step response; each also as ``_discrete``."""
 
+RESPONSE_CRITERIA = (*STEP_CRITERIA, "overshoot_at_all", *(f"energy_impulse_w{w}" for w in (0, 1, 2)))
+"""Criteria of a response; each also as ``_discrete``. ``overshoot_at_all`` allows none whatever its size."""
 
-@dataclass(frozen=True)
-class _Grids:
-    """Points along each axis of the first and of each following grid, and how many of the best cells are followed."""
+POLE_CRITERIA = ("pole_radius", "damping")
+"""Criteria of the poles, which continuous and sampled response share."""
 
-    coarse: int
-    fine: int
-    starts: int
+COST_CRITERIA = (*POLE_CRITERIA, *RESPONSE_CRITERIA)
+"""Criteria with an optimum here."""
 
-
-_SMOOTH = _Grids(coarse=25, fine=9, starts=1)
-"""For costs that are smooth and have one minimum."""
-
-_JUMPING = _Grids(coarse=61, fine=15, starts=3)
-"""For costs with jumps: a corner must hold grid points at every scale, and a better valley must not be missed."""
-
-_SHRINK = 0.45
-"""Size of a grid relative to the one before; with 15 (9) points, it spans 6 (4) cells of its predecessor."""
-
-_LEVELS = 24
-"""0.45^24 = 5e-9 of a first cell: the optimum is located to 1e-10 of the stable region."""
+UNDAMPED_LOSS = 1e-9
+"""Distance of a damping ratio from 1 that is rounding: a threefold pole is split by 1e-5, which costs 2e-10."""
 
 _ENDLESS = 60
 """Samples, times d + 1, after which a response counts as not settled in a search; optima settle in about 5 (d + 1)."""
 
+_IMPULSE_INSET = 0.002
+"""Share of the width by which the first grid for an impulse stays clear of alpha = -gamma."""
 
-_FLOORS = (0.2, 0.05, 0.01)
-"""Shares of the stable stiffness from which on the edge is looked for; it lies near 0.35, and softer walls creep."""
+_NEAR_LINE = 1e-4
+"""Distance from alpha = -gamma, relative to the width, from which its limit is extrapolated by a parabola: the cost is
+smooth in the distance, so this is off by about 1e-10, and sums over 1e4 samples and more keep as many digits."""
 
-_RIDGE = 73
-"""Samples of the edge of the region without overshoot around its highest part."""
+_CREEP = 1e-9
+"""Smallest (alpha + gamma) and |beta|, relative to the largest, where the best damping is looked for: with
+delay it lies next to the line alpha = -gamma (5.1.2)."""
 
-_TIPS = 3
-"""Tips of that edge that are followed."""
+_CORNER = 1e-5
+"""Relative distance within which a closed form replaces what a search found."""
 
-_CLIMBS = 7
-"""Zooms onto a tip: its damping is found to 0.4^7 = 2e-3 of a sample of the ridge, its stiffness to 1e-8."""
-
-_EQUAL = 1e-4
-"""Relative stiffness within which two tips count as equal; the thesis's tables print four digits."""
-
-
-@dataclass(frozen=True)
-class OptimalPoint:
-    """Optimal normalised stiffness and damping with the cost there, and the bounding box of equally good points."""
-
-    alpha: float
-    beta: float
-    cost: float
-    box: tuple[float, float, float, float] | None = None
-    """alpha_low, alpha_high, beta_low, beta_high where the optimum is a region."""
+_KINK_LEVELS = 16
+"""0.35^16 = 5e-8 of a first step: beyond that, rounding of multiple poles decides between points."""
 
 
-@lru_cache(maxsize=512)
+def criterion_names() -> list[str]:
+    """Return all criteria that `optimal_point` knows."""
+    return [*POLE_CRITERIA, *RESPONSE_CRITERIA, *(f"{name}_discrete" for name in RESPONSE_CRITERIA)]
+
+
+@lru_cache(maxsize=1024)
 def optimal_point(loop: Loop, criterion: str) -> OptimalPoint:
-    """Return the optimal point of a criterion for the step response.
+    """Return the optimal point of a criterion.
 
     Parameters
     ----------
     loop : Loop
     criterion : str
-        One of `STEP_CRITERIA`, with ``_discrete`` appended for the costs of the sampled response.
+        One of `POLE_CRITERIA`, or of `RESPONSE_CRITERIA`, these also with ``_discrete`` appended for the costs of the
+        sampled response.
 
     Returns
     -------
     OptimalPoint
-        For the discrete settling time the centre of the bounding box of all points with the smallest cost; for
-        overshoot the stiffest point whose overshoot is at most 1e-12.
+        Cost as the tables print it: pole modulus; damping ratio (largest, not its negative of 5.3); settling time
+        [samples]; overshoot; energy. Where points tie: for the discrete settling time the centre of the bounding box
+        of all of them; for overshoot, and for a damping ratio of 1, the stiffest. ``attained`` is False where
+        the optimum is a limit: E_0 of an impulse for alpha -> -gamma; with delay and gamma = 0 the damping
+        ratio, which tends to 1 for alpha, beta -> 0 (the extra poles tend to 0 and the plant's own are real).
 
     Raises
     ------
     ParameterError
         For an unknown criterion.
 
-    Source: Hulin 2017, secs. 5.2.1 to 5.2.3; reproduces the step rows of C.1 to C.3 and the theory rows of D.1 to D.6.
+    Source: Hulin 2017, secs. 5.1 and 5.2; reproduces C.1 to C.3 and the theory rows of D.1 to D.6.
     """
     base = criterion.removesuffix("_discrete")
-    if base not in STEP_CRITERIA:
-        raise ParameterError(f"criterion {criterion!r} is unknown; expected one of {list(STEP_CRITERIA)}.")
-    if base == "overshoot":
-        return _stiffest_without_overshoot(loop, criterion)
+    if base not in COST_CRITERIA or (base in POLE_CRITERIA and criterion != base):
+        raise ParameterError(
+            f"criterion {criterion!r} is unknown; expected one of {[*COST_CRITERIA]}, those of a response also with "
+            "_discrete appended."
+        )
+    if base == "pole_radius":
+        return _smallest_radius(loop)
+    if base == "damping":
+        return _most_damped(loop)
+    if base.startswith("overshoot"):
+        return stiffest_without_overshoot(loop, continuous=criterion == base, at_all=base != "overshoot")
+    if base == "energy_impulse_w0":
+        return _least_impulse_energy(loop, criterion)
     if base.startswith("energy"):
-        return _search(loop, lambda a, b, _: energy_costs(loop, a, b)[criterion], _SMOOTH)
+        signal = base.split("_")[1]
+        bounds = region(loop) if signal == "step" else region(loop, _IMPULSE_INSET)
+        return search(loop, lambda a, b, _: energy_costs(loop, a, b, signal)[criterion], SMOOTH, bounds)
     band = float(base.removeprefix("settle_").removesuffix("pct")) / 100
     if criterion == base:
-        return _search(loop, lambda a, b, best: _settling(loop, a, b, band, best)[base])
+        return search(loop, lambda a, b, best: _settling(loop, a, b, band, best)[base])
     return _settling_region(loop, band, criterion)
 
 
@@ -128,77 +126,103 @@ def _settling(loop: Loop, alpha: Floats, beta: Floats, band: float, best: float)
     return transient_costs(loop, alpha, beta, (band,), overshoot=False, longest=longest, cutoff=best)
 
 
-def _where_stable(loop: Loop, cost: Cost) -> Cost:
-    """Cost with infinity where the loop is unstable or the cost is not defined."""
+def _smallest_radius(loop: Loop) -> OptimalPoint:
+    """Smallest pole modulus; where three real poles meet there, their place in closed form."""
+    low, high = region(loop, inset=0.0)
 
-    def guarded(alpha: Floats, beta: Floats, best: float) -> Floats:
-        result = np.full(len(alpha), np.inf)
-        stable = surely_stable(loop, alpha, beta)
-        open_points = np.flatnonzero(~stable & (alpha + loop.gamma > 0))
-        stable[open_points] = is_stable(loop, alpha[open_points], beta[open_points])
-        usable = np.flatnonzero(stable)
-        if len(usable):
-            values = cost(alpha[usable], beta[usable], best)
-            result[usable] = np.where(np.isnan(values), np.inf, values)
-        return result
-
-    return guarded
+    radius = where_stable(loop, lambda alpha, beta, _: spectral_radius(loop, alpha, beta))
+    alpha, beta, cost = search_plane(radius, low, high, levels=_KINK_LEVELS)
+    exact = threefold_pole(loop, cost)
+    if exact is not None and abs(exact[2] - cost) <= _CORNER * 10:
+        away = max(abs(exact[0] - alpha) / (high[0] - low[0]), abs(exact[1] - beta) / (high[1] - low[1]))
+        if away <= 100 * _CORNER:
+            return OptimalPoint(*exact)
+    return OptimalPoint(alpha, beta, cost)
 
 
-def _grid(low: Floats, high: Floats, size: int) -> tuple[Floats, Floats]:
-    alpha, beta = np.meshgrid(np.linspace(low[0], high[0], size), np.linspace(low[1], high[1], size))
-    return alpha.ravel(), beta.ravel()
+def _most_damped(loop: Loop) -> OptimalPoint:
+    """Largest damping ratio; among points without any oscillation the stiffest.
+
+    With delay the best points lie next to the line alpha = -gamma and to beta = 0, so both are searched by orders of
+    magnitude.
+    """
+    low, high = region(loop, inset=0.0)
+    width, largest = float(high[0] - low[0]), float(max(high[1], -low[1]))
+    unit = _CREEP * largest
+
+    def cost(alpha: Floats, beta: Floats, _: float) -> Floats:
+        ratio = damping_ratio(loop, alpha, beta)
+        return np.where(ratio < 1 - UNDAMPED_LOSS, -ratio, -1 - (alpha + loop.gamma) / width)
+
+    guarded = where_stable(loop, cost)
+
+    def by_magnitude(first: Floats, second: Floats, best: float) -> Floats:
+        return guarded(-loop.gamma + width * np.exp(first), unit * np.sinh(second), best)
+
+    reach = float(np.arcsinh(1 / _CREEP))
+    corners = np.array([np.log(_CREEP), -reach]), np.array([0.0, reach])
+    first, second, found = search_plane(by_magnitude, *corners, coarse=(61, 241), levels=_KINK_LEVELS)
+    alpha, beta = -loop.gamma + width * float(np.exp(first)), unit * float(np.sinh(second))
+    plant_is_real = loop.delta**2 >= 4 * loop.gamma
+    if plant_is_real and (found > -1 or alpha < _CREEP * width):
+        # without a wall no pole oscillates; for gamma = 0 the one at z = 1 makes this a limit
+        return OptimalPoint(0.0, 0.0, 1.0, attained=loop.gamma > 0)
+    if found > -1:
+        return OptimalPoint(alpha, beta, -found)
+    radius = float(spectral_radius(loop, alpha, beta)[0])
+    exact = threefold_pole(loop, radius)
+    if exact is not None and abs(exact[0] - alpha) <= _CORNER * width:
+        alpha, beta, _ = exact
+    return OptimalPoint(alpha, beta, 1.0)
 
 
-def _region(loop: Loop) -> tuple[Floats, Floats]:
-    """Bounding box of the stable region, a little inside the line alpha = -gamma."""
-    border = boundary(loop)
-    width = border.alpha_max + loop.gamma
-    # 5 % in from alpha = -gamma: closer to it every step response creeps, and no optimum of a step criterion is there
-    return (
-        np.array([-loop.gamma + 0.05 * width, min(float(border.beta.min()), 0.0)]),
-        np.array([border.alpha_max, border.beta_max]),
-    )
+def _least_impulse_energy(loop: Loop, criterion: str) -> OptimalPoint:
+    """Optimum of E_0 after an impulse: along the limit alpha -> -gamma, or inside where that should be less."""
+    low, high = region(loop, _IMPULSE_INSET)
+    nearest = nearest_to_line(loop)
+
+    def cost(alpha: Floats, beta: Floats, _: float) -> Floats:
+        # closer to the line the limit stands for the cost, which a search must not gain on by rounding
+        return np.where(alpha >= nearest, energy_costs(loop, alpha, beta, "impulse")[criterion], np.inf)
+
+    inside = search(loop, cost, SMOOTH, (low, high))
+    end = np.array([low[1]]), np.array([high[1]])
+    line = search_lines(lambda _, beta, __: impulse_energy_limit(loop, beta, criterion), *end, coarse=61, levels=12)
+    if line.cost[0] <= inside.cost:
+        return OptimalPoint(0.0 - loop.gamma, float(line.place[0]), float(line.cost[0]), attained=False)
+    return inside
 
 
-def _search(loop: Loop, cost: Cost, grids: _Grids | None = None) -> OptimalPoint:
-    """Global minimum of a cost over the stable region."""
-    grids = grids or _JUMPING
-    guarded = _where_stable(loop, cost)
-    low, high = _region(loop)
-    alpha, beta = _grid(low, high, grids.coarse)
-    values = guarded(alpha, beta, np.inf)
-    cell = (high - low) / (grids.coarse - 1)
-    best: OptimalPoint | None = None
-    left = np.ones(len(values), dtype=bool)
-    for _ in range(grids.starts):
-        if not np.isfinite(values[left]).any():
-            break
-        index = int(np.flatnonzero(left)[np.argmin(values[left])])
-        found = _refine(guarded, np.array([alpha[index], beta[index]]), float(values[index]), 2 * cell, size=grids.fine)
-        if best is None or found.cost < best.cost:
-            best = found
-        left &= (np.abs(alpha - alpha[index]) > 3 * cell[0]) | (np.abs(beta - beta[index]) > 3 * cell[1])
-    if best is None:
-        raise ParameterError(f"{loop}: no point of the stable region has this cost.")
-    return best
+def nearest_to_line(loop: Loop) -> float:
+    """Return the alpha below which the limit alpha -> -gamma stands for the impulse energy w = 0."""
+    return _NEAR_LINE * (float(region(loop)[1][0]) + loop.gamma) - loop.gamma
 
 
-def _refine(
-    cost: Cost, centre: Floats, value: float, half: Floats, levels: int = _LEVELS, size: int = 15
-) -> OptimalPoint:
-    """Grids that shrink around the best point found; one whose best point lies at its rim moves instead."""
-    for _ in range(levels):
-        alpha, beta = _grid(centre - half, centre + half, size)
-        values = cost(alpha, beta, value)
-        index = int(np.argmin(values))
-        row, column = divmod(index, size)
-        if values[index] < value:
-            centre, value = np.array([alpha[index], beta[index]]), float(values[index])
-            if min(row, column) == 0 or max(row, column) == size - 1:
-                continue
-        half = half * _SHRINK
-    return OptimalPoint(float(centre[0]), float(centre[1]), value)
+def impulse_energy_limit(loop: Loop, beta: Floats, criterion: str = "energy_impulse_w0") -> Floats:
+    """Return the limit of the impulse energy w = 0 for alpha -> -gamma from above; infinity where it is not stable.
+
+    Parameters
+    ----------
+    loop : Loop
+    beta : float64, shape (n,)
+    criterion : str
+        ``energy_impulse_w0`` or ``energy_impulse_w0_discrete``.
+
+    Notes
+    -----
+    Towards the line the potential energy falls with alpha + gamma and the time that it is stored rises with the
+    reciprocal: its integral has a positive limit, though it is zero on the line. The cost is a smooth function of the
+    distance; the limit is that of the parabola through three points close to the line.
+
+    Source: Hulin 2017, sec. 5.2.3.
+    """
+    step = nearest_to_line(loop) + loop.gamma
+    cost = where_stable(loop, lambda a, b, _: energy_costs(loop, a, b, "impulse")[criterion])
+    near, far, farther = (cost(np.full(len(beta), -loop.gamma + step * n), beta, np.inf) for n in (1, 2, 4))
+    usable = np.isfinite(near) & np.isfinite(far) & np.isfinite(farther)
+    result = np.full(len(beta), np.inf)
+    result[usable] = (8 * near[usable] - 6 * far[usable] + farther[usable]) / 3
+    return result
 
 
 def _settling_region(loop: Loop, band: float, criterion: str) -> OptimalPoint:
@@ -217,15 +241,15 @@ def _settling_region(loop: Loop, band: float, criterion: str) -> OptimalPoint:
         return costs[criterion]
 
     # a first number that can surely be had; below it, each number is tried in turn
-    alpha, beta = _grid(*_region(loop), _JUMPING.coarse)
-    tried = _where_stable(loop, samples_to_settle)(alpha, beta, np.inf)
+    alpha, beta = grid(*region(loop), JUMPING.coarse)
+    tried = where_stable(loop, samples_to_settle)(alpha, beta, np.inf)
     index = int(np.argmin(tried))
     if not np.isfinite(tried[index]):
         raise ParameterError(f"{loop}: no response settles into a band of {band} within {longest} samples.")
     samples = int(tried[index])
     point = OptimalPoint(float(alpha[index]), float(beta[index]), float(samples))
     while samples > 1:
-        better = _search(loop, partial(deviation, first=samples - 1))
+        better = search(loop, partial(deviation, first=samples - 1))
         if better.cost > band:
             break
         samples, point = samples - 1, better
@@ -233,106 +257,5 @@ def _settling_region(loop: Loop, band: float, criterion: str) -> OptimalPoint:
     def feasible(alpha: Floats, beta: Floats, _: float) -> Floats:
         return np.where(deviation(alpha, beta, np.inf, samples) <= band, 0.0, np.inf)
 
-    box = _bounding_box(_where_stable(loop, feasible), np.array([point.alpha, point.beta]), _region(loop))
+    box = bounding_box(where_stable(loop, feasible), np.array([point.alpha, point.beta]), region(loop))
     return OptimalPoint(0.5 * (box[0] + box[1]), 0.5 * (box[2] + box[3]), float(samples), box)
-
-
-def _bounding_box(
-    feasible: Cost, inside: Floats, region: tuple[Floats, Floats], size: int = 61
-) -> tuple[float, float, float, float]:
-    """Bounding box of the connected feasible set around a point of it."""
-    half = (region[1] - region[0]) * 1e-4
-    corner = np.array([inside, inside])
-    for _ in range(40):  # grow by 1.6 until the set no longer touches the rim: 1.6^40 covers any region
-        alpha, beta = _grid(corner[0] - half, corner[1] + half, size)
-        good = feasible(alpha, beta, np.inf) == 0
-        found = (
-            np.array([[alpha[good].min(), beta[good].min()], [alpha[good].max(), beta[good].max()]])
-            if good.any()
-            else corner
-        )
-        touches = (found[0] <= corner[0] - half * 0.999) | (found[1] >= corner[1] + half * 0.999)
-        corner = np.array([np.minimum(corner[0], found[0]), np.maximum(corner[1], found[1])])
-        if not touches.any():
-            break
-        half = np.maximum(half, 0.3 * (corner[1] - corner[0]))
-    span = corner[1] - corner[0]
-    known_alpha, known_beta = alpha[good], beta[good]
-    # twice: in the thin sliver of a corner the grids of one edge may stall; the point of another edge leads on
-    for _ in range(2):
-        edges = []
-        for axis, sign in ((0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0)):
-
-            def distance(alpha: Floats, beta: Floats, _: float, axis: int = axis, sign: float = sign) -> Floats:
-                return feasible(alpha, beta, np.inf) + sign * (alpha if axis == 0 else beta)
-
-            values = distance(known_alpha, known_beta, np.inf)
-            index = int(np.argmin(values))
-            start = np.array([known_alpha[index], known_beta[index]])
-            edges.append(_refine(distance, start, float(values[index]), 0.1 * span, levels=16))
-        known_alpha, known_beta = (np.array([getattr(e, name) for e in edges]) for name in ("alpha", "beta"))
-    return edges[0].alpha, edges[1].alpha, edges[2].beta, edges[3].beta
-
-
-def _stiffest_without_overshoot(loop: Loop, criterion: str) -> OptimalPoint:
-    """Stiffest point of the region without overshoot: its edge over beta, followed to the higher of its cusps."""
-    _, high = _region(loop)
-
-    def clean(alpha: Floats, beta: Floats, _: float) -> Floats:
-        costs = transient_costs(
-            loop, alpha, beta, (), continuous=not criterion.endswith("_discrete"), enough=NO_OVERSHOOT
-        )
-        return np.where(costs[criterion] <= NO_OVERSHOOT, 0.0, np.inf)
-
-    guarded = _where_stable(loop, clean)
-
-    def edge(beta: Floats, floor: Floats, top: Floats, passes: int) -> Floats:
-        """Largest alpha without overshoot at each beta in [floor, top] (floor if none), by 24 sections a pass.
-
-        Seen from small alpha, the region is left once: its lower part is clean throughout (checked by test).
-        """
-        lower, upper = floor.copy(), top.copy()
-        share, row = np.linspace(0, 1, 25), np.arange(len(beta))
-        for _ in range(passes):
-            alpha = lower[:, None] + share * (upper - lower)[:, None]
-            good = np.isfinite(guarded(alpha.ravel(), np.repeat(beta, 25), np.inf)).reshape(alpha.shape)
-            last = np.where(good.all(axis=1), 24, good.argmin(axis=1) - 1)
-            lower = alpha[row, np.maximum(last, 0)]
-            upper = np.where(last < 0, lower, alpha[row, np.minimum(last + 1, 24)])
-        return lower
-
-    betas = np.linspace(0.0, high[1], 61)[1:]
-    for share in _FLOORS:
-        lowest = share * high[0] - (1 - share) * loop.gamma
-        edges = edge(betas, np.full(60, lowest), np.full(60, high[0]), 2)
-        highest = float(edges.max())
-        if highest > lowest:
-            break
-    else:
-        raise ParameterError(f"{loop}: no point without overshoot was found.")
-    ridge = betas[np.argmax(edges)] + np.linspace(-3, 3, _RIDGE) * (betas[1] - betas[0])
-    edges = edge(ridge, np.full(_RIDGE, 0.8 * highest), np.full(_RIDGE, min(1.1 * highest, high[0])), 3)
-    tips = _local_maxima(edges)[:_TIPS]
-    alpha, beta = edges[tips], ridge[tips]
-    half, width = 1.5 * (ridge[1] - ridge[0]), 0.01 * highest
-    for _ in range(_CLIMBS):
-        window = beta[:, None] + half * np.linspace(-1, 1, 19)
-        middle = np.repeat(alpha, 19)
-        values = edge(window.ravel(), middle - width, middle + width, 2).reshape(window.shape)
-        peak, tip = values.argmax(axis=1), np.arange(len(alpha))
-        better = values[tip, peak] > alpha
-        alpha = np.where(better, values[tip, peak], alpha)
-        beta = np.where(better, window[tip, peak], beta)
-        half, width = half * 0.4, width * 0.35
-    # tips of practically equal stiffness: the least damping is reported, so that rounding cannot decide between them
-    equal = np.flatnonzero(alpha >= alpha.max() * (1 - _EQUAL))
-    best = equal[np.argmin(beta[equal])]
-    return OptimalPoint(float(alpha[best]), float(beta[best]), 0.0)
-
-
-def _local_maxima(values: Floats) -> list[int]:
-    """Indices of inner local maxima, highest first."""
-    inner = np.flatnonzero((values[1:-1] >= values[:-2]) & (values[1:-1] > values[2:])) + 1
-    if not len(inner):
-        inner = np.array([int(np.argmax(values))])
-    return [int(i) for i in inner[np.argsort(values[inner])[::-1]]]

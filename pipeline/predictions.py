@@ -15,13 +15,18 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from pipeline.loop import Loop, Normalised
-from pipeline.optimum import OptimalPoint, optimal_point
+from pipeline.optimum import optimal_point
 from pipeline.provenance import code_digest, digest
 from pipeline.results import TheoryParameters
+from pipeline.search import OptimalPoint
 from pipeline.stability import Boundary, boundary
 from pipeline.tables import write_text
 
-_CODE = ("plant", "loop", "stability", "energy", "transient", "optimum")
+THEORY_CODE = (
+    *("plant", "loop", "stability", "branches", "region", "energy", "lagsums", "transient", "poles"),
+    *("search", "lines", "overshoot", "optimum"),
+)
+"""Modules on which an optimum or a map depends: what they found is valid while their source is the same."""
 
 BOUNDARY_POINTS = 160
 """Points of a boundary that is drawn."""
@@ -141,7 +146,7 @@ class Predictions:
             write_text(self._file(loop), json.dumps(document, indent=1) + "\n")
 
     def _file(self, loop: Loop) -> Path:
-        key = digest([loop.gamma, loop.delta, loop.delay, code_digest(*_CODE)])
+        key = digest([loop.gamma, loop.delta, loop.delay, code_digest(*THEORY_CODE)])
         return self.folder / f"{key}.json"
 
     def _read(self, loop: Loop) -> dict[str, OptimalPoint]:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline import report_tables, tables
+from pipeline.accuracy import AccuracyReport, duration, error_text, own_rungs
 from pipeline.errors import PipelineError
 from pipeline.provenance import digest
 from pipeline.results import ReportData
@@ -107,9 +108,19 @@ def _tables(data: ReportData) -> dict[str, Any]:
         "delay_tables": report_tables.delay_tables(result),
         "boundary": report_tables.boundary_table(result),
         "missing": report_tables.missing_table(result),
+        "accuracy": _accuracy_table(data.accuracy),
         "stages": report_tables.word_table("stages", "Plan of stages", stages, data.stages),
         "provenance": report_tables.word_table("provenance", "Origin", ("entry", "value"), provenance),
     }
+
+
+def _accuracy_table(accuracy: AccuracyReport | None) -> report_tables.Table | None:
+    """Error and run time of our own methods, one row a quantity."""
+    if accuracy is None:
+        return None
+    rows = [(r.quantity, r.setting, error_text(r.error), duration(r.seconds)) for r in own_rungs(accuracy)]
+    caption = f"Largest error and run time of the methods behind the theory, measured {accuracy.measured}"
+    return report_tables.word_table("accuracy", caption, ("quantity", "method", "largest error", "run time"), rows)
 
 
 def _drawings(data: ReportData) -> dict[str, Any]:

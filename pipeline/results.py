@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 
 from pydantic import Field
 
+from pipeline.accuracy import AccuracyReport
 from pipeline.batch import Floats
 from pipeline.models import BoundaryPoint, ComparisonRow, Estimate, Motion, Optimum, Record
 
@@ -161,3 +162,5 @@ class ReportData:
     delays: tuple[DelayFigure, ...] = ()
     stages: tuple[tuple[str, str, str], ...] = field(default=())
     """Stage, what was done with it (run, reuse, leave out), and why."""
+    accuracy: AccuracyReport | None = None
+    """Error and run time of the methods behind the theory, where `pipeline accuracy` was run with this code here."""

@@ -7,18 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.batch import Booleans, Floats
 from pipeline.errors import ParameterError
 from pipeline.loop import Loop, as_points
-
-_POLYGON_POINTS = 60
-"""Corners of the polygon that stands for the stable region; it deviates from it by 1 %, the shrinking is by 5 %."""
 
 _CHUNK = 8192
 """Points whose eigenvalues are computed at a time; bounds memory to about 40 MB at d = 16."""
@@ -65,34 +60,6 @@ def is_stable(loop: Loop, alpha: object, beta: object) -> Booleans:
     """
     a, b = as_points(alpha, beta)
     return np.asarray((spectral_radius(loop, a, b) < 1) & (a + loop.gamma > 0))
-
-
-def surely_stable(loop: Loop, alpha: Floats, beta: Floats) -> Booleans:
-    """Return where points lie so far inside the boundary that no eigenvalue is needed to call them stable.
-
-    A point counts if it lies in the region enclosed by the first branch and the line alpha = -gamma, shrunk by 5 %
-    towards its centre. False says nothing: ask `is_stable`.
-    """
-    corner_alpha, corner_beta, centre = _polygon(loop)
-    a, b = ((p - c) / 0.95 + c for p, c in zip((alpha, beta), centre, strict=True))
-    inside = np.zeros(len(a), dtype=np.bool_)
-    for i in range(0, len(a), _CHUNK):
-        part = slice(i, i + _CHUNK)
-        x, y = a[part, None], b[part, None]
-        crosses = (corner_beta[:-1] > y) != (corner_beta[1:] > y)
-        rise = np.where(corner_beta[1:] == corner_beta[:-1], 1.0, corner_beta[1:] - corner_beta[:-1])
-        at = corner_alpha[:-1] + (y - corner_beta[:-1]) * (corner_alpha[1:] - corner_alpha[:-1]) / rise
-        inside[part] = (crosses & (at > x)).sum(axis=1) % 2 == 1
-    return inside
-
-
-@lru_cache(maxsize=64)
-def _polygon(loop: Loop) -> tuple[Floats, Floats, tuple[float, float]]:
-    """Corners of the stable region, closed, and its centre."""
-    border = boundary(loop, _POLYGON_POINTS)
-    alpha = np.concatenate([border.alpha, border.alpha[:1]])
-    beta = np.concatenate([border.beta, border.beta[:1]])
-    return alpha, beta, (0.5 * (border.alpha_max - loop.gamma), 0.5 * (border.beta_max + float(border.beta.min())))
 
 
 def boundary_points(loop: Loop, theta: Floats) -> tuple[Floats, Floats]:
@@ -351,18 +318,3 @@ def linear_condition(loop: Loop, alpha: object) -> Floats:
     Source: Hulin 2017, eq. 3.27.
     """
     return np.atleast_1d(np.asarray(alpha, dtype=np.float64)) * (0.5 + loop.delay) - loop.delta
-
-
-def stiffness_at(border: Boundary, beta: NDArray[np.float64]) -> Floats:
-    """Return the largest alpha of the boundary at given beta by linear interpolation between its points; NaN outside.
-
-    For figures and scores; the error falls with the square of the number of boundary points.
-    """
-    result = np.full(len(beta), np.nan)
-    for i, level in enumerate(beta):
-        below, above = border.beta[:-1], border.beta[1:]
-        hit = np.flatnonzero((below - level) * (above - level) <= 0)
-        if len(hit):
-            share = (level - below[hit]) / np.where(above[hit] == below[hit], 1.0, above[hit] - below[hit])
-            result[i] = np.max(border.alpha[hit] + share * (border.alpha[hit + 1] - border.alpha[hit]))
-    return result

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,13 +15,13 @@ from typing import Any
 import numpy as np
 
 from pipeline.batch import Booleans, Floats
-from pipeline.energy import energy_costs
 from pipeline.errors import ParameterError
 from pipeline.loop import Loop
-from pipeline.models import SETTLING_BANDS
-from pipeline.optimum import STEP_CRITERIA, optimal_point
+from pipeline.optimum import COST_CRITERIA, POLE_CRITERIA, optimal_point
+from pipeline.pointcosts import point_costs_by_name
+from pipeline.rules import POINT_CRITERIA, marked_point
 from pipeline.stability import boundary, spectral_radius
-from pipeline.transient import LONGEST, QUIET, transient_costs
+from pipeline.transient import LONGEST
 
 CASE_COLUMNS = ("alpha", "beta", "gamma", "delta", "delay")
 ENERGIES = {signal: tuple(f"energy_{signal}_w{w}" for w in (0, 1, 2)) for signal in ("step", "impulse")}
@@ -34,10 +33,10 @@ POINT_COSTS = tuple(
 )
 """Costs of a listed point."""
 
-BOUNDARY_CRITERIA = ("alpha_max", "beta_max")
-"""Criteria whose optimum is a point of the stability boundary; they have no cost."""
+UNSIGNALLED = (*POINT_CRITERIA, *POLE_CRITERIA)
+"""Criteria that do not depend on which response is looked at: points without a cost, and poles."""
 
-OPTIMUM_CRITERIA = (*BOUNDARY_CRITERIA, *STEP_CRITERIA)
+OPTIMUM_CRITERIA = (*POINT_CRITERIA, *COST_CRITERIA)
 
 MARGINAL = 1e-12
 """Distance of the spectral radius from 1 below which no cost is given: the poles are rounded to about 1e-15
@@ -154,7 +153,7 @@ def _points_of_loop(loop: Loop, alpha: Floats, beta: Floats) -> list[dict[str, A
     usable = np.flatnonzero(stable & (radius < 1 - MARGINAL))
     costs = {name: np.full(len(alpha), np.nan) for name in POINT_COSTS}
     if len(usable):
-        found = costs_of_points(loop, alpha[usable], beta[usable], POINT_COSTS, LONGEST)
+        found = point_costs_by_name(loop, alpha[usable], beta[usable], POINT_COSTS, LONGEST)
         for name, values in found.items():
             costs[name][usable] = values
     columns = {name: [None if math.isnan(v) else float(v) for v in values] for name, values in costs.items()}
@@ -197,48 +196,6 @@ def stable_points(loop: Loop, alpha: Floats, radius: Floats) -> Booleans:
     return np.asarray((radius < 1) & (alpha + loop.gamma > 0))
 
 
-def costs_of_points(
-    loop: Loop,
-    alpha: Floats,
-    beta: Floats,
-    names: Sequence[str],
-    longest: int,
-    quiet: float = QUIET,
-) -> dict[str, Floats]:
-    """Return costs of stable points by name, computing no more than what is asked for.
-
-    Parameters
-    ----------
-    loop : Loop
-    alpha, beta : float64, shape (n,)
-        Stable points with a spectral radius below 1 - `MARGINAL`.
-    names : sequence of str
-        Settling times, overshoot and energy costs, each also with ``_discrete`` appended.
-    longest : int
-        Samples after which a response that still moves gets NaN for settling time and overshoot.
-    quiet : float
-        Deviation below which a response without overshoot is no longer followed.
-    """
-    bases = {name.removesuffix("_discrete") for name in names}
-    result: dict[str, Floats] = {}
-    for signal, energies in ENERGIES.items():
-        if bases & set(energies):
-            result |= energy_costs(loop, alpha, beta, signal)
-    bands = [width for criterion, width in SETTLING_BANDS.items() if criterion in bases]
-    if bands or "overshoot" in bases:
-        result |= transient_costs(
-            loop,
-            alpha,
-            beta,
-            bands,
-            overshoot="overshoot" in bases,
-            continuous=any(name in (*SETTLING_BANDS, "overshoot") for name in names),
-            longest=longest,
-            quiet=quiet,
-        )
-    return {name: result[name] for name in names}
-
-
 def boundary_document(loop: Loop, points: int = 400) -> dict[str, Any]:
     """Return the stability boundary with its extreme points, as the document that `theory boundary` prints.
 
@@ -273,26 +230,30 @@ def optimum_document(loop: Loop, criterion: str, signal: str | None = None) -> d
         For a criterion or signal that is not supported, or where both contradict each other.
     """
     base = criterion.removesuffix("_discrete")
-    if base not in OPTIMUM_CRITERIA or (base in BOUNDARY_CRITERIA and criterion != base):
+    if base not in OPTIMUM_CRITERIA or (base in UNSIGNALLED and criterion != base):
         raise ParameterError(
             f"no optimum for criterion {criterion!r}; supported are {', '.join(OPTIMUM_CRITERIA)}, "
-            f"all but {' and '.join(BOUNDARY_CRITERIA)} also with _discrete appended."
+            f"all but {', '.join(UNSIGNALLED)} also with _discrete appended."
         )
     if signal not in (None, "continuous", "discrete"):
         raise ParameterError(f"signal {signal!r}: expected continuous or discrete.")
     if signal == "continuous" and criterion != base:
         raise ParameterError(f"criterion {criterion!r} is a discrete one, but the signal is continuous.")
     document: dict[str, Any] = {"criterion": criterion, **_plant(loop)}
-    if base in BOUNDARY_CRITERIA:
-        border = boundary(loop)
-        largest = (border.alpha_max, border.beta_at_alpha_max)
-        alpha, beta = largest if base == "alpha_max" else (border.alpha_at_beta_max, border.beta_max)
-        reason = "a point of the stability boundary has no cost"
-        return {**document, "alpha": alpha, "beta": beta, "cost": None, "reason": reason}
-    name = f"{base}_discrete" if signal == "discrete" else criterion
+    if base in POINT_CRITERIA:
+        mark = marked_point(loop, base)
+        reason = (
+            "a tuning rule has no cost"
+            if base == "ziegler_nichols"
+            else "a point of the stability boundary has no cost"
+        )
+        return {**document, "alpha": mark.alpha, "beta": mark.beta, "cost": None, "reason": reason}
+    name = f"{base}_discrete" if signal == "discrete" and base not in UNSIGNALLED else criterion
     point = optimal_point(loop, name)
     document["criterion"] = name
     document |= {"alpha": point.alpha, "beta": point.beta, "cost": point.cost}
+    if not point.attained:
+        document["reason"] = "a limit at the edge of the stable region, which no stable point reaches"
     if point.box is not None:
         document["box"] = dict(zip(("alpha_low", "alpha_high", "beta_low", "beta_high"), point.box, strict=True))
     return document

@@ -10,26 +10,28 @@ import pyarrow as pa
 
 from pipeline.errors import ParameterError, PipelineError
 from pipeline.loop import Loop
-from pipeline.models import SETTLING_BANDS
+from pipeline.pointcosts import IMPULSE_ENERGIES, SETTLING, STEP_ENERGIES, point_costs_by_name
 from pipeline.provenance import stamp
+from pipeline.region import is_inside, is_well_inside
 from pipeline.stability import boundary, boundary_points, spectral_radius
 from pipeline.tables import write_parquet
-from pipeline.theory import ENERGIES, MARGINAL, costs_of_points, stable_points
 
-MAP_CRITERIA = (*SETTLING_BANDS, "overshoot", *ENERGIES["step"], *ENERGIES["impulse"], "pole_radius")
+MAP_CRITERIA = (*SETTLING, "overshoot", *STEP_ENERGIES, *IMPULSE_ENERGIES, "pole_radius")
 """Criteria of a map; all but ``pole_radius`` also as ``_discrete``."""
 
-MAP_DEFAULT = ("settle_2pct", "overshoot", *ENERGIES["step"])
+MAP_DEFAULT = ("settle_2pct", "overshoot", *STEP_ENERGIES)
 
 MAP_LONGEST = 1 << 14
-"""Samples after which a response on a map is given up: 0.5 to 3 % of the stable cells, all along the boundary,
-where costs are a thousand times the optimum; following those too takes ten times as long."""
+"""Samples after which a response on a map is given up; only cells along the boundary need more."""
 
 MAP_QUIET = 1e-13
 """Deviation at which a response on a map without overshoot ends: below the 1e-12 that counts as none."""
 
 LARGEST_MAP = 2001
 """Grid points along an axis; 2001 x 2001 points take about 1 GiB."""
+
+_MARGIN = 1e-9
+"""Distance from the boundary, as a share of alpha + gamma, within which costs would be rounding errors."""
 
 _NEAR_ZERO = 1e-5
 """Angle that stands for theta -> 0: the boundary is off its limit by O(theta^2), rounding by 1e-16/theta."""
@@ -92,16 +94,15 @@ def map_table(
     box = bounding_box(loop)
     axes = np.meshgrid(np.linspace(*box[:2], size), np.linspace(*box[2:], size))
     alpha, beta = (axis.ravel() for axis in axes)
-    radius = spectral_radius(loop, alpha, beta)
-    stable = stable_points(loop, alpha, radius)
-    usable = np.flatnonzero(stable & (radius < 1 - MARGINAL))
+    stable = is_inside(loop, alpha, beta)
+    inside = np.flatnonzero(is_well_inside(loop, alpha, beta, _MARGIN))
     costs = {name: np.full(len(alpha), np.nan) for name in names}
     if "pole_radius" in costs:
-        costs["pole_radius"][stable] = radius[stable]
+        costs["pole_radius"][inside] = spectral_radius(loop, alpha[inside], beta[inside])
     asked = [name for name in names if name != "pole_radius"]
-    for name, values in costs_of_points(loop, alpha[usable], beta[usable], asked, longest, MAP_QUIET).items():
-        costs[name][usable] = values
-    meaning = f"null where not stable or still moving after {longest} samples"
+    for name, values in point_costs_by_name(loop, alpha[inside], beta[inside], asked, longest, MAP_QUIET).items():
+        costs[name][inside] = values
+    meaning = f"null where not stable, within {_MARGIN:g} of the boundary, or still moving after {longest} samples"
     fields = [pa.field("alpha", pa.float64(), False), pa.field("beta", pa.float64(), False)]
     fields += [pa.field("stable", pa.bool_(), False)]
     fields += [pa.field(name, pa.float64(), metadata={"unit": "1", "meaning": meaning}) for name in names]

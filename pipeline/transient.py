@@ -26,7 +26,7 @@ _BLOCK = 16
 
 _SETTLED = 0.1
 """A point is finished when its motion has stayed below this share of the band (or of the overshoot found) for a block
-and a delay. Motion is position plus velocity times `_lever`: from such a state no stable loop with d <= 16 swings out
+and a delay. Motion is position plus velocity times `lever`: from such a state no stable loop with d <= 16 swings out
 further than fourfold (largest row sums of the powers of A over the stable region)."""
 
 _FADED = 0.25
@@ -37,7 +37,7 @@ QUIET = 0.1 * NO_OVERSHOOT
 
 
 @dataclass
-class _Crossing:
+class Crossing:
     """Last entry into a band: start, length, state and input of the segment in which it happened."""
 
     start: Floats
@@ -49,10 +49,12 @@ class _Crossing:
     level: Floats
 
     @classmethod
-    def empty(cls, n: int) -> _Crossing:
+    def empty(cls, n: int) -> Crossing:
+        """Return crossings of n points, none of them known yet."""
         return cls(*(np.full(n, np.nan) for _ in range(7)))
 
     def set(self, index: Integers, start: float, low: Floats | float, high: Floats | float, *values: Floats) -> None:
+        """Note a crossing of some points; ``values`` are position, velocity, force and level."""
         self.start[index] = start
         self.low[index] = low
         self.high[index] = high
@@ -141,7 +143,7 @@ def transient_costs(
     n = len(a)
     peaks = {"overshoot": np.zeros(n), "overshoot_discrete": np.zeros(n)}
     settled = {band: np.zeros(n) for band in bands}
-    crossings = {band: _Crossing.empty(n) for band in bands}
+    crossings = {band: Crossing.empty(n) for band in bands}
     run = _Active(
         np.arange(n),
         a,
@@ -149,7 +151,7 @@ def transient_costs(
         np.full(n, -1.0),
         np.full(n, -1.0),
         np.zeros(n),
-        _lever(loop, a),
+        lever(loop, a),
         [a] * (loop.oldest_force + 1),
     )
     given_up: list[Integers] = []
@@ -186,7 +188,7 @@ def transient_costs(
         name = f"settle_{100 * band:g}pct"
         result[f"{name}_discrete"] = settled[band] + 1
         if continuous:
-            result[name] = _entry_times(loop, crossings[band])
+            result[name] = entry_times(loop, crossings[band])
     if overshoot:
         result["overshoot_discrete"] = peaks["overshoot_discrete"]
         if continuous:
@@ -216,7 +218,7 @@ def late_deviation(loop: Loop, alpha: object, beta: object, first: int, longest:
     a, b = as_points(alpha, beta)
     n = len(a)
     start = np.full(n, -1.0)
-    run = _Active(np.arange(n), a, b, start, start, np.zeros(n), _lever(loop, a), [a] * (loop.oldest_force + 1))
+    run = _Active(np.arange(n), a, b, start, start, np.zeros(n), lever(loop, a), [a] * (loop.oldest_force + 1))
     largest = np.zeros(n)
     for k in range(1, longest + 1):
         _advance(loop, run, k - 1, start, {}, continuous=False)
@@ -231,13 +233,13 @@ def late_deviation(loop: Loop, alpha: object, beta: object, first: int, longest:
     return largest
 
 
-def _lever(loop: Loop, alpha: Floats) -> Floats:
+def lever(loop: Loop, alpha: Floats) -> Floats:
     """Samples for which a velocity may carry on before the wall turns it: the delay, or an eighth of an oscillation."""
     return np.maximum(8 * (loop.delay + 1), 2 / np.sqrt(alpha + loop.gamma))
 
 
 def _advance(
-    loop: Loop, run: _Active, k: int, peak: Floats, crossings: dict[float, _Crossing], continuous: bool
+    loop: Loop, run: _Active, k: int, peak: Floats, crossings: dict[float, Crossing], continuous: bool
 ) -> None:
     """Move all points by one sample; note extrema between samples and entries into the bands."""
     force = run.beta * run.before - (run.alpha + run.beta) * run.position
@@ -263,12 +265,12 @@ def _note(
     velocity: Floats,
     segment: tuple[float, float],
     peak: Floats,
-    crossings: dict[float, _Crossing],
+    crossings: dict[float, Crossing],
 ) -> None:
     start, duration = segment
     turn = np.flatnonzero(run.velocity * velocity < 0)
     e, v, u = run.position[turn], run.velocity[turn], force[turn]
-    when = _turning_time(loop.gamma, loop.delta, e, v, u, duration)
+    when = turning_time(loop.gamma, loop.delta, e, v, u, duration)
     extreme = loop.position_after(when, e, v, u)
     which = run.index[turn]
     peak[which] = np.maximum(peak[which], extreme)
@@ -292,7 +294,7 @@ def _note(
             )
 
 
-def _turning_time(gamma: float, delta: float, e: Floats, v: Floats, u: Floats, duration: float) -> Floats:
+def turning_time(gamma: float, delta: float, e: Floats, v: Floats, u: Floats, duration: float) -> Floats:
     """Time at which the velocity changes sign inside a segment, in closed form.
 
     v(t) exp(delta t/2) = v c(t) + (a + delta v/2) s(t), with a the acceleration at the start, c and s the (hyperbolic)
@@ -313,7 +315,7 @@ def _turning_time(gamma: float, delta: float, e: Floats, v: Floats, u: Floats, d
     return bounded
 
 
-def _entry_times(loop: Loop, crossing: _Crossing) -> Floats:
+def entry_times(loop: Loop, crossing: Crossing) -> Floats:
     """Time of entry into the band: root of a monotone motion, by bisection to the last bit."""
     low, high = np.nan_to_num(crossing.low), np.nan_to_num(crossing.high)
     outside = np.sign(crossing.level)

@@ -25,6 +25,9 @@ COMMANDS = {
     "theory points": ["--json"],
     "theory boundary": ["--delay", "--gamma", "--delta", "--json"],
     "theory optimum": ["--criterion", "--delay", "--gamma", "--delta", "--signal", "--json"],
+    "theory tables": ["--table", "--json"],
+    "theory figures": ["--figure", "--out", "--json"],
+    "accuracy": ["--quick", "--out", "--processed", "--json"],
     "theory map": ["--delay", "--gamma", "--delta", "--size", "--criteria", "--out", "--json"],
 }
 

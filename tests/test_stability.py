@@ -20,7 +20,6 @@ from pipeline.stability import (
     is_stable,
     linear_condition,
     spectral_radius,
-    stiffness_at,
 )
 
 TABLES = Path(__file__).parents[2] / "shared" / "reference" / "tables"
@@ -203,17 +202,6 @@ def test_the_linear_condition_is_the_tangent_at_the_origin(values: tuple[float, 
     assert abs(excess[0]) < (10 * loop.delta + 1e-4) * alpha[0]
     exact = float((mp.mpf(1) / 2 + loop.delay) * mp.mpf(0.01) - loop.delta)
     assert linear_condition(loop, 0.01)[0] == pytest.approx(exact, rel=1e-12)
-
-
-def test_stiffness_at_a_damping() -> None:
-    loop = Loop(0, 0, 1)
-    border = boundary(loop, 2000)
-    levels = np.array([0.1, 0.4, 0.8])
-    got = stiffness_at(border, levels)
-    for level, alpha in zip(levels, got, strict=True):
-        assert is_stable(loop, alpha * (1 - 1e-4), level)[0]
-        assert not is_stable(loop, alpha * (1 + 1e-4), level)[0]
-    assert np.isnan(stiffness_at(border, np.array([5.0]))).all()
 
 
 def test_too_few_points_are_refused() -> None:

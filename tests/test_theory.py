@@ -175,6 +175,16 @@ def test_optima_on_the_boundary_have_no_cost():
     assert (top["alpha"], top["beta"]) == pytest.approx((-0.001, 2.0270), abs=5e-5)
 
 
+def test_criteria_without_cost_or_point_say_so():
+    tuning = theory.optimum_document(Loop(0, 0, 1), "ziegler_nichols")
+    assert (tuning["alpha"], tuning["beta"]) == pytest.approx((0.056, 0.373), abs=5e-4)  # Table C.2
+    assert (tuning["cost"], tuning["reason"]) == (None, "a tuning rule has no cost")
+    assert theory.optimum_document(Loop(0, 0, 1), "energy_impulse_w0")["reason"].startswith("a limit")
+    poles = theory.optimum_document(Loop(0, 0, 1), "pole_radius", "discrete")
+    assert (poles["criterion"], poles["cost"]) == ("pole_radius", pytest.approx(0.752, abs=5e-4))
+    assert "reason" not in poles
+
+
 def test_signal_and_suffix_mean_the_same():
     loop = Loop(0, 0, 2)  # the LWR of Table D.5: 8.21 continuous, 8.690 discrete
     by_signal = theory.optimum_document(loop, "energy_step_w0", "discrete")
@@ -188,7 +198,7 @@ def test_signal_and_suffix_mean_the_same():
     ("criterion", "signal", "message"),
     [
         ("speed", None, "'speed'; supported are alpha_max.*energy_step_w2"),
-        ("ziegler_nichols", None, "supported are"),
+        ("damping_discrete", None, "supported are"),
         ("alpha_max_discrete", None, "supported are"),
         ("overshoot_discrete", "continuous", "signal is continuous"),
         ("overshoot", "digital", "expected continuous or discrete"),

@@ -1,0 +1,121 @@
+"""Rules of thumb against continuous-time poles, the critical oscillation and the printed scaling factors."""
+
+from __future__ import annotations
+
+import cmath
+import math
+
+import numpy as np
+import pytest
+from independent import characteristic
+
+from pipeline.errors import ParameterError
+from pipeline.loop import Loop
+from pipeline.rules import (
+    approximate_cost,
+    approximation_error,
+    cost_exponent,
+    critical_damping,
+    marked_point,
+    optimal_cost,
+    optimal_damping,
+    scaling_factor,
+)
+
+SCALING = [
+    ("pole_radius", 6.84, 0.01),
+    ("settle_2pct", 4.90, 0.01),
+    ("energy_step_w0", 2.75, 0.01),
+    ("energy_step_w1", 4.40, 0.01),
+    ("energy_step_w2", 11.00, 0.01),
+    ("energy_impulse_w0", 2.15, 0.01),
+    ("energy_impulse_w1", 5.69, 0.01),
+    ("energy_impulse_w2", 20.30, 0.01),
+    ("settle_2pct_discrete", 5.0, 0.1),
+    ("energy_step_w0_discrete", 2.81, 0.01),
+    ("energy_step_w1_discrete", 4.47, 0.01),
+    ("energy_step_w2_discrete", 11.30, 0.01),
+    ("energy_impulse_w0_discrete", 2.16, 0.015),
+    ("energy_impulse_w1_discrete", 5.80, 0.01),
+    ("energy_impulse_w2_discrete", 20.71, 0.01),
+]
+"""Table 5.1: criterion, printed factor, one unit of its last digit. Discrete E_0 of the impulse is printed as 2.16; the
+limit is 2.1454, and 2.16 is the smallest value at 0.8 % of alpha_max, two lines of the thesis's grid inside."""
+
+
+@pytest.mark.parametrize(("criterion", "printed", "unit"), SCALING)
+def test_scaling_factors_of_table_5_1(criterion: str, printed: float, unit: float) -> None:
+    assert scaling_factor(criterion) == pytest.approx(printed, abs=1.001 * unit)
+
+
+@pytest.mark.parametrize(("criterion", "printed"), [("settle_5pct", 3.77), ("settle_1pct", 5.81)])
+def test_scaling_factors_of_other_bands(criterion: str, printed: float) -> None:
+    assert scaling_factor(criterion) == pytest.approx(printed, abs=0.0101)  # 5.4.2, printed with "about"
+
+
+@pytest.mark.parametrize("criterion", ["pole_radius", "settle_2pct", "energy_step_w1", "energy_impulse_w2"])
+def test_error_of_the_cost_approximation(criterion: str) -> None:
+    error = np.abs(approximation_error(criterion, [0, 1, 2, 4, 8]))
+    # limits stated in 5.4.2
+    assert (error <= np.array([0.0915, 0.0265, 0.0125, 0.0125, 1e-12])).all()
+    assert error[0] == error.max()
+    if criterion == "pole_radius":
+        assert error[0] == pytest.approx(0.091, abs=1e-3)  # printed as 9.1 %
+
+
+def test_exponents_and_explicit_factor() -> None:
+    assert [cost_exponent(f"energy_step_w{w}_discrete") for w in (0, 1, 2)] == [1, 2, 3]
+    assert approximate_cost("energy_step_w2", [0, 1, 8], 11.0) == pytest.approx([11, 88, 8019])
+    assert approximate_cost("settle_2pct", 3.0, 4.9) == pytest.approx([19.6])
+
+
+def test_continuous_damping_against_its_poles() -> None:
+    rng = np.random.default_rng(2)
+    for gamma, delta, alpha in zip(*rng.uniform(0, 1, (3, 60)), strict=True):
+        loop = Loop(gamma, delta, 1)
+        for rule, ratio in ((critical_damping, 1.0), (optimal_damping, 1 / math.sqrt(2))):
+            beta = float(rule(loop, alpha)[0])
+            # s^2 + (beta + delta) s + (alpha + gamma)
+            s = (-(beta + delta) + cmath.sqrt((beta + delta) ** 2 - 4 * (alpha + gamma))) / 2
+            assert -s.real / abs(s) == pytest.approx(ratio, abs=1e-12)
+            assert abs(s) ** 2 == pytest.approx(alpha + gamma, rel=1e-7)
+
+
+@pytest.mark.parametrize(("delay", "period"), [(0, 4), (1, 8), (2, 12), (0.5, None), (5, 24)])
+@pytest.mark.parametrize("plant", [(0.0, 0.0), (0.001, 0.02)])
+def test_ziegler_nichols_from_the_critical_oscillation(delay: float, period: float, plant: tuple[float, float]) -> None:
+    loop = Loop(*plant, delay)
+    point, top = marked_point(loop, "ziegler_nichols"), marked_point(loop, "beta_max")
+    assert point.beta == pytest.approx(0.45 * top.beta, rel=1e-12)
+    found = 0.54 * top.beta / point.alpha
+    if period and plant == (0.0, 0.0):
+        assert found == pytest.approx(period, rel=1e-6)
+    # at the critical gain the characteristic polynomial has a root on the unit circle at the angle of that period
+    polynomial = [float(c) for c in characteristic(*plant, delay, top.alpha, top.beta)]
+    roots = np.roots(polynomial)
+    assert np.abs(roots - np.exp(2j * np.pi / found)).min() < 1e-6
+
+
+def test_points_of_table_c2() -> None:
+    for name, alpha, beta in (
+        ("alpha_max", 0.1445, 0.4247),
+        ("beta_max", 0.0, 0.8284),
+        ("ziegler_nichols", 0.056, 0.373),
+    ):
+        found = marked_point(Loop(0, 0, 1), name)
+        assert (found.alpha, found.beta) == pytest.approx((alpha, beta), abs=5e-4 if name[0] == "z" else 5e-5)
+
+
+def test_wrong_use_is_refused() -> None:
+    loop = Loop(0.1, 0, 1)
+    with pytest.raises(ParameterError, match="not negative"):
+        critical_damping(loop, -0.2)
+    with pytest.raises(ParameterError, match="not negative"):
+        optimal_damping(loop, float("nan"))
+    with pytest.raises(ParameterError, match="expected one of"):
+        marked_point(loop, "gamma_max")
+    for criterion in ("damping", "overshoot", "overshoot_discrete"):
+        with pytest.raises(ParameterError, match="does not depend on delay"):
+            optimal_cost(loop, criterion)
+    with pytest.raises(ParameterError, match="delay"):
+        approximate_cost("settle_2pct", [-1.0], 4.9)
