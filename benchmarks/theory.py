@@ -8,17 +8,28 @@ A comparison is a function that returns a `Row` and stands in `COMPARISONS`. Not
 from __future__ import annotations
 
 import argparse
+import os
+import subprocess
+import sys
+import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
 
 from pipeline.loop import Loop
 from pipeline.region import is_inside, region, stiffness_limit
 from pipeline.stability import boundary, spectral_radius
+from pipeline.theory_map import bounding_box
 
 REPEATS = 5
+
+ENDED = 64
+"""Points that settle into 2 % before this sample: what the peer leaves out after 512 is then below rounding."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +105,35 @@ def verdicts_of_a_map() -> Row:
     return Row("verdicts of a map, d = 4", fastest(other, 2), fastest(ours), 10, difference)
 
 
-COMPARISONS: list[Callable[[], Row]] = [boundary_of_five_delays, verdicts_of_a_map]
+def map_as_a_process() -> Row:
+    """251 x 251 map, d = 4, whole processes on one core: eigenvalue mask and 512 sampled steps, and `theory map`.
+
+    Ours follows the motion between samples without a horizon; the peer samples 512 steps. The difference is that of the
+    sampled energies, w = 0, over points of which the peer's sum has ended.
+    """
+    box = bounding_box(Loop(0.0, 0.0, 4))
+    energy = "energy_step_w0_discrete"
+    with tempfile.TemporaryDirectory() as folder:
+        peer, table = Path(folder) / "peer.npz", Path(folder) / "map.parquet"
+        peer_script = Path(__file__).with_name("map_peer.py")
+        other = [sys.executable, str(peer_script), "--delay", "4", "--box", *map(repr, box), "--out", str(peer)]
+        ours = [sys.executable, "-m", "pipeline", "theory", "map", "--delay", "4", "--out", str(table)]
+        times = [fastest(partial(run, command), 3) for command in (other, ours)]
+        run([*ours, "--criteria", energy])
+        found = pq.read_table(table).column(energy).to_numpy()
+        with np.load(peer) as arrays:
+            theirs, ended = arrays["w0"], arrays["settle"] < ENDED
+    difference = float(np.nanmax(np.abs(found[ended] / theirs[ended] - 1)))
+    return Row("map 251 x 251, d = 4, process", times[0], times[1], 1 / 0.7, difference)
+
+
+def run(command: list[str]) -> None:
+    """Run a command on one core, its output thrown away."""
+    environment = os.environ | {"OPENBLAS_NUM_THREADS": "1"}
+    subprocess.run(command, check=True, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+
+COMPARISONS: list[Callable[[], Row]] = [boundary_of_five_delays, verdicts_of_a_map, map_as_a_process]
 
 
 def main() -> None:
