@@ -121,10 +121,10 @@ def _plant(quick: bool) -> Iterator[Trial]:
     one = partial(Trial, ("plant",), errors=errors)
     yield one("printed formula (3.7)", "one setting", each(methods.printed_transfer))
     for steps in (1, 16, 128) if quick else (1, 2, 4, 8, 16, 32, 64, 128, 256):
-        run = by(lambda g, d, n=steps: methods.plant_by_runge_kutta(g, d, n))  # type: ignore[misc]
+        run = by(partial(methods.plant_by_runge_kutta, steps=steps))
         yield one("simulation (Runge-Kutta)", f"{steps} steps", run)
     for terms in (4, 8, 16) if quick else (2, 4, 6, 8, 10, 12, 16, 20, 24):
-        run = by(lambda g, d, n=terms: methods.plant_by_taylor(g, d, n))  # type: ignore[misc]
+        run = by(partial(methods.plant_by_taylor, terms=terms))
         yield one("Taylor series", f"{terms} terms", run)
     yield one("matrix exponential", "one setting", by(methods.plant_by_expm))
     if linalg := optional.load("scipy.linalg"):
@@ -193,11 +193,15 @@ def _radius(quick: bool) -> Iterator[Trial]:
         return methods.printed_transfer(case.gamma, case.delta)
 
     one = partial(Trial, ("spectral radius",), errors=errors)
+
+    def squared(squarings: int) -> Floats:
+        return methods.radius_by_squaring(_exact_plant(), case.delay, alpha, beta, squarings)
+
     for squarings in (4, 16) if quick else (2, 4, 6, 8, 12, 16, 20, 24, 30, 40):
         yield one(
             "squaring of the loop matrix",
             f"{squarings} squarings",
-            lambda n=squarings: methods.radius_by_squaring(_exact_plant(), case.delay, alpha, beta, n),  # type: ignore[misc]
+            partial(squared, squarings),
         )
     yield one(
         "polynomial roots, one by one",
@@ -353,8 +357,10 @@ def _map(quick: bool) -> Iterator[Trial]:
             largest = max(largest, error)
         return {"map": largest}
 
+    def truncated(samples: int) -> dict[str, Floats]:
+        return methods.discrete_map(_exact_plant(), case, alpha, beta, samples)
+
     one = partial(Trial, ("map",), errors=errors)
     for samples in (128, 512) if quick else (64, 128, 256, 512, 1024, 2048):
-        run = lambda n=samples: methods.discrete_map(_exact_plant(), case, alpha, beta, n)  # noqa: E731
-        yield one("eigenvalues and truncated recurrence", f"{samples} samples", run)
+        yield one("eigenvalues and truncated recurrence", f"{samples} samples", partial(truncated, samples))
     yield one(OURS, "61 x 61 points", lambda: cost_maps(loop, axes[0][usable], axes[1], MAP_CRITERIA))

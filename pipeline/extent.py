@@ -9,6 +9,7 @@ Source: Hulin 2017, secs. 3.4, 3.5 and 4.3.
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from numpy.polynomial.legendre import leggauss
@@ -85,7 +86,7 @@ def damping_limits(loop: Loop, alpha: object) -> tuple[Floats, Floats]:
         if len(found):
             inner = levels[found[[0, -1]]]
             outer = levels[[max(found[0] - 1, 0), min(found[-1] + 1, len(levels) - 1)]]
-            low[i], high[i] = _bisect(lambda b, at=value: is_inside(loop, at, b), inner, outer)  # type: ignore[misc]
+            low[i], high[i] = _bisect(partial(is_inside, loop, value), inner, outer)
     return low, high
 
 
@@ -188,9 +189,13 @@ def linear_error_crossings(loop: Loop, level: float) -> tuple[Floats, Floats]:
         at = np.flatnonzero(above[1:] != above[:-1])
         good = np.where(above[at], levels[at], levels[at + 1])
         bad = np.where(above[at], levels[at + 1], levels[at])
-        roots.append(_bisect(lambda b, s=sign: linear_error(loop, b) > s * level, good, bad))  # type: ignore[misc]
+        roots.append(_bisect(partial(_exceeds, loop, sign * level), good, bad))
     b = np.sort(np.concatenate(roots))
     return stiffness_limit(loop, b), b
+
+
+def _exceeds(loop: Loop, level: float, beta: Floats) -> Booleans:
+    return np.asarray(linear_error(loop, beta) > level)
 
 
 def _bisect(holds: Callable[[Floats], Booleans], good: Floats, bad: Floats) -> Floats:

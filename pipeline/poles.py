@@ -11,10 +11,8 @@ from numpy.polynomial import Chebyshev
 from pipeline.batch import Booleans, Floats
 from pipeline.errors import ParameterError
 from pipeline.loop import Loop, as_points
+from pipeline.stability import poles
 from pipeline.transient import transient_costs
-
-_CHUNK = 8192
-"""Points whose eigenvalues are computed at a time; bounds memory to about 40 MB at d = 16."""
 
 _TIME_CONSTANTS = 4.0
 """Time constants of the slowest pole in a settling time (5.4): exp(-4) = 1.8 %."""
@@ -31,16 +29,6 @@ _NODES = 24
 
 _REACH = 0.04
 """Relative range of u = 1/z in which a threefold pole is looked for around the slowest pole of a search."""
-
-
-def poles(loop: Loop, alpha: object, beta: object) -> np.ndarray:
-    """Return all poles z of each point, shape (n, states), complex, in no order."""
-    a, b = as_points(alpha, beta)
-    found = np.empty((len(a), loop.states), dtype=np.complex128)
-    for i in range(0, len(a), _CHUNK):
-        part = slice(i, i + _CHUNK)
-        found[part] = np.linalg.eigvals(loop.matrix(a[part], b[part]))
-    return found
 
 
 def pole_settling_time(radius: object) -> Floats:

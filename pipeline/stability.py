@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -29,6 +30,16 @@ _PER_TURN = 64
 """Samples of each turn of the delayed plant along all branches."""
 
 
+def poles(loop: Loop, alpha: object, beta: object) -> np.ndarray:
+    """Return all poles z of each point, shape (n, states), complex, in no order."""
+    a, b = as_points(alpha, beta)
+    found = np.empty((len(a), loop.states), dtype=np.complex128)
+    for i in range(0, len(a), _CHUNK):
+        part = slice(i, i + _CHUNK)
+        found[part] = np.linalg.eigvals(loop.matrix(a[part], b[part]))
+    return found
+
+
 def spectral_radius(loop: Loop, alpha: object, beta: object) -> Floats:
     """Return the largest pole modulus r = |z|_max of each point.
 
@@ -44,11 +55,7 @@ def spectral_radius(loop: Loop, alpha: object, beta: object) -> Floats:
 
     Source: Hulin 2017, eq. 5.2.
     """
-    a, b = as_points(alpha, beta)
-    radius = np.empty(len(a))
-    for i in range(0, len(a), _CHUNK):
-        part = slice(i, i + _CHUNK)
-        radius[part] = np.abs(np.linalg.eigvals(loop.matrix(a[part], b[part]))).max(axis=1)
+    radius: Floats = np.abs(poles(loop, alpha, beta)).max(axis=1)
     return radius
 
 
@@ -268,7 +275,7 @@ def _kept_parts(loop: Loop, curve: _Curve, place: Floats) -> list[_Part]:
             continue
         ends = good[(flips + 1 == first) | (flips + 1 == last)]
         part = np.unique(np.concatenate([place[first:last], ends]))
-        extrema = [_maximise(lambda t, axis=axis: curve(t)[axis], part) for axis in (0, 1)]  # type: ignore[misc]
+        extrema = [_maximise(partial(_component, curve, axis), part) for axis in (0, 1)]
         part = np.unique(np.concatenate([part, extrema]))
         parts.append((part, *curve(part)))
     return parts
@@ -294,6 +301,10 @@ def _last_angle(loop: Loop, theta: float) -> float:
         if boundary_points(loop, np.array([candidate]))[0][0] + loop.gamma > 0:
             theta = candidate
     return float(theta)
+
+
+def _component(curve: Callable[[Floats], tuple[Floats, Floats]], axis: int, theta: Floats) -> Floats:
+    return curve(theta)[axis]
 
 
 def _maximise(function: Callable[[Floats], Floats], theta: Floats) -> float:
