@@ -5,14 +5,10 @@ The file ``schemas/published/hulin-2017-human-arm.csv`` ships with the package.
 
 from __future__ import annotations
 
-import csv
 from functools import cache
 
-from pydantic import ValidationError
-
-from pipeline.errors import StoreError
 from pipeline.models import Positive, Record
-from pipeline.provenance import schema_folder
+from pipeline.published import shipped_rows
 
 _FILE = "hulin-2017-human-arm.csv"
 
@@ -38,12 +34,4 @@ def human_arms() -> tuple[HumanArm, ...]:
     StoreError
         If the file that ships with the package is missing or damaged.
     """
-    path = schema_folder() / "published" / _FILE
-    try:
-        lines = [line for line in path.read_text(encoding="utf-8").splitlines() if line and not line.startswith("#")]
-        return tuple(HumanArm.model_validate(row) for row in csv.DictReader(lines))
-    except (OSError, ValidationError) as error:
-        raise StoreError(
-            f"{path}: expected rows of source, mass, stiffness and damping that ship with the package, found {error}. "
-            "Install the package again."
-        ) from error
+    return shipped_rows(_FILE, HumanArm)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import csv
 from functools import cache
+from typing import TypeVar
 
 from pydantic import ValidationError
 
@@ -17,6 +18,8 @@ from pipeline.models import Name, Positive, Record
 from pipeline.provenance import schema_folder
 
 _FILE = "hulin-2017.csv"
+
+RowT = TypeVar("RowT", bound=Record)
 
 
 class PublishedRow(Record):
@@ -56,12 +59,25 @@ class PublishedRow(Record):
     erratum: str | None = None
 
 
-@cache
-def _all_rows() -> tuple[PublishedRow, ...]:
-    path = schema_folder() / "published" / _FILE
+def shipped_rows(file: str, row: type[RowT]) -> tuple[RowT, ...]:
+    """Return the rows of a CSV file of published values that ships with the package; empty cells are left out.
+
+    Parameters
+    ----------
+    file : str
+        Name below ``schemas/published/``.
+    row : type
+        Record that validates each row.
+
+    Raises
+    ------
+    StoreError
+        If the file is missing or damaged; the message names the data row.
+    """
+    path = schema_folder() / "published" / file
     try:
         text = path.read_text(encoding="utf-8")
-    except OSError as error:
+    except (OSError, UnicodeDecodeError) as error:
         raise StoreError(
             f"{path}: the published values that ship with the package cannot be read ({error}). "
             "Install the package again."
@@ -70,13 +86,18 @@ def _all_rows() -> tuple[PublishedRow, ...]:
     rows = []
     for number, cells in enumerate(csv.DictReader(lines), start=1):
         try:
-            rows.append(PublishedRow.model_validate({k: v for k, v in cells.items() if v != ""}))
+            rows.append(row.model_validate({name: cell for name, cell in cells.items() if cell}))
         except ValidationError as error:
             raise StoreError(
-                f"{path}, data row {number}: expected the columns of PublishedRow, found {error}. "
+                f"{path}, data row {number}: expected the columns of {row.__name__}, found {error}. "
                 "Restore the file that ships with the package."
             ) from error
     return tuple(rows)
+
+
+@cache
+def _all_rows() -> tuple[PublishedRow, ...]:
+    return shipped_rows(_FILE, PublishedRow)
 
 
 def published_rows(device: str) -> tuple[PublishedRow, ...]:

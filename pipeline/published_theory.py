@@ -8,18 +8,17 @@ Source: Hulin 2017, Table 5.1, appendices B and C.
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 from functools import cache
 from typing import Annotated, Self
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, field_validator, model_validator
 
-from pipeline.errors import ParameterError, StoreError
+from pipeline.errors import ParameterError
 from pipeline.models import Name, NonNegative, Record
-from pipeline.provenance import schema_folder
+from pipeline.published import shipped_rows
 
 THEORY_TABLES = ("B.1", "B.2", "B.3", "B.4", "C.1", "C.2", "C.3", "5.1(a)", "5.1(b)")
 """Tables of theory alone; those of appendix D are in `pipeline.published`."""
@@ -98,6 +97,11 @@ class PublishedPoint(Record):
     erratum_of: tuple[Name, ...] = ()
     erratum: str | None = None
 
+    @field_validator("erratum_of", mode="before")
+    @classmethod
+    def _names_are_parted_by_blanks(cls, given: object) -> object:
+        return tuple(given.split()) if isinstance(given, str) else given
+
     @model_validator(mode="after")
     def _errata_have_a_reason(self) -> Self:
         absent = [name for name in self.erratum_of if name not in self.printed()]
@@ -113,28 +117,7 @@ class PublishedPoint(Record):
 
 @cache
 def _all_points() -> tuple[PublishedPoint, ...]:
-    path = schema_folder() / "published" / _FILE
-    try:
-        text = path.read_text(encoding="utf-8")
-    except OSError as error:
-        raise StoreError(
-            f"{path}: the published values that ship with the package cannot be read ({error}). "
-            "Install the package again."
-        ) from error
-    lines = [line for line in text.splitlines() if line and not line.startswith("#")]
-    points = []
-    for number, cells in enumerate(csv.DictReader(lines), start=1):
-        given = {name: cell for name, cell in cells.items() if cell}
-        try:
-            points.append(
-                PublishedPoint.model_validate({**given, "erratum_of": tuple(given.get("erratum_of", "").split())})
-            )
-        except ValidationError as error:
-            raise StoreError(
-                f"{path}, data row {number}: expected the columns of PublishedPoint, found {error}. "
-                "Restore the file that ships with the package."
-            ) from error
-    return tuple(points)
+    return shipped_rows(_FILE, PublishedPoint)
 
 
 def published_points(tables: Sequence[str] = THEORY_TABLES) -> tuple[PublishedPoint, ...]:

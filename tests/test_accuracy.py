@@ -163,10 +163,10 @@ def test_calls_of_python_control_make_the_same_loop() -> None:
     alpha, beta = np.array([row["alpha"]]), np.array([row["beta"]])
     plant = accuracy_methods.plant_by_expm(CASE.gamma, CASE.delta)
     stand_in = _StandIn()
-    found = accuracy_optional.radius_by_control_states(stand_in, plant, 4, alpha, beta)  # type: ignore[arg-type]
+    found = accuracy_optional.radius_by_control_states(stand_in, plant, 4, alpha, beta)
     assert found == pytest.approx([row["radius"]], rel=1e-12)
     transfer = accuracy_methods.transfer_of(plant)
-    found = accuracy_optional.radius_by_control_transfer(stand_in, transfer, 4, alpha, beta)  # type: ignore[arg-type]
+    found = accuracy_optional.radius_by_control_transfer(stand_in, transfer, 4, alpha, beta)
     assert found == pytest.approx([row["radius"]], rel=1e-12)
 
 
@@ -197,7 +197,7 @@ def test_more_work_gives_smaller_errors(report: AccuracyReport) -> None:
     ):
         errors = [r.error for r in report.rungs if (r.method, r.quantity) == (method, quantity)]
         assert None not in errors
-        assert errors == sorted(errors, reverse=True)  # type: ignore[type-var]
+        assert errors == sorted(errors, reverse=True)
         assert len(errors) >= 2
 
 

@@ -138,7 +138,7 @@ def test_an_unknown_table_is_refused_with_the_list() -> None:
 
 
 def test_a_damaged_or_missing_file_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "schema_folder", lambda: tmp_path)
+    monkeypatch.setattr("pipeline.published.schema_folder", lambda: tmp_path)
     module._all_points.cache_clear()
     try:
         with pytest.raises(StoreError, match=r"hulin-2017-theory\.csv"):
