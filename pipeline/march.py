@@ -14,9 +14,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pipeline.batch import Booleans, Floats, Integers
+from pipeline.envelope import envelope_end, excess, untouched
 from pipeline.loop import Loop
 from pipeline.march_buffer import Buffer, joined
-from pipeline.slowmodes import Complexes, SlowModes, slow_modes, velocity_factor
+from pipeline.slowmodes import SlowModes, slow_modes, velocity_factor
 from pipeline.transient import Crossing, entry_times, lever, turning_time
 
 _CHUNK = 2048
@@ -37,8 +38,11 @@ _NEAR = 4
 _WIDER = 4.0
 """Growth of the window in front of the end where nothing outside the band was met in it."""
 
-_MARGIN = 0.9
-"""Share of a leading negative mode that all others together may have for it to keep its sign."""
+_HALF_TURNS = 1.2
+"""Length of that window in half turns of the mode that is largest at the end."""
+
+_BEFORE = 8.0
+"""Samples before a later overshoot at which the march goes on."""
 
 _SETTLED = 0.1
 """As in `pipeline.transient`: a point is finished below this share of the band or of the overshoot found."""
@@ -148,35 +152,6 @@ def _parabolic_entries(crossing: Crossing) -> Floats:
     return np.asarray(crossing.start + np.clip(time, crossing.low, crossing.high))
 
 
-def _no_higher(modes: SlowModes, size: Floats, rate: Floats, peak: Floats) -> Booleans:
-    """Return where no later deviation exceeds the peak found so far."""
-    below = (np.abs(modes.pole.imag) < 1e-12) & (modes.pole.real > 0) & (modes.amplitude.real < 0)
-    others = np.where(below, 0.0, size)
-    result = others.sum(axis=0) <= peak
-    # a mode on the near side of the final position that dies out last keeps all others on its side
-    lead = np.argmax(np.where(below, np.abs(modes.amplitude), -1.0), axis=0)[None]
-    slowest = np.where(size > 0, rate, np.inf).min(axis=0) >= np.take_along_axis(rate, lead, 0)[0]
-    largest = np.take_along_axis(np.where(below, np.abs(modes.amplitude), 0.0), lead, 0)[0]
-    return np.asarray(result | (slowest & (others.sum(axis=0) <= _MARGIN * largest) & (largest > 0)))
-
-
-def _envelope_end(size: Floats, rate: Floats, band: float) -> Floats:
-    """Return a time from which on sum of size exp(-rate t) is inside the band, at most a sample too late."""
-    time = np.zeros(size.shape[1])
-    log_band = np.log(band)
-    for _ in range(30):
-        parts = size * np.exp(-rate * time)
-        total = parts.sum(axis=0)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            # Newton's method on the logarithm, a convex function, comes from below
-            step = (np.log(total) - log_band) * total / (rate * parts).sum(axis=0)
-        step = np.where(total > band, step, 0.0)
-        time += step
-        if not (step > 0.5).any():
-            break
-    return np.where(time > 0, time + 1, 0.0)
-
-
 class _Motion:
     """The loop's constants, and the march."""
 
@@ -221,34 +196,30 @@ class _Motion:
         if not len(at.index):
             return at, []
         modes = slow_modes(self.loop, at.alpha, at.beta, at.position)
-        excess = self._excess(modes.pole)
-        size = np.abs(modes.amplitude) * (1 + excess)
+        beyond = excess(self.loop, at.alpha, at.beta, np.where(modes.good, modes.pole, 0.5))
+        size = np.abs(modes.amplitude) * (1 + beyond)
         rate = -np.log(np.abs(modes.pole), where=modes.good, out=np.ones_like(size))
         peak = np.maximum(np.maximum(found.peak, found.sampled_peak)[at.index], self.quiet)
-        known = modes.good & _no_higher(modes, size, rate, peak)
-        end = np.where(known, _envelope_end(np.where(known, size, 0.0), rate, self.band), 0.0)
+        free = np.where(modes.good, untouched(modes, size, rate, beyond, peak), 0.0)
+        known = free > 0
+        end = np.where(known, envelope_end(np.where(known, size, 0.0), rate, self.band), 0.0)
+        known &= free > end + self.rows
+        end[~known] = 0
         lead = np.argmax(size * np.exp(-rate * end), axis=0)[None]
         angle = np.abs(np.angle(np.take_along_axis(modes.pole, lead, 0)[0]))
-        slack = np.log1p(np.take_along_axis(excess, lead, 0)[0]) / np.take_along_axis(rate, lead, 0)[0]
-        window = 8 + 1.1 * slack + 3 * np.pi / np.maximum(angle, 1e-3) * (angle > 0)
-        end[known & (end > 0)] += 1
+        slack = np.log1p(np.take_along_axis(beyond, lead, 0)[0]) / np.take_along_axis(rate, lead, 0)[0]
+        window = 8 + 1.1 * slack + _HALF_TURNS * np.pi / np.maximum(angle, 1e-3) * (angle > 0)
+        end[end > 0] += 1
+        later = known & np.isfinite(free)
+        behind = self._ahead(_Jump(at.keep(later), modes.part(later), free[later], np.full(later.sum(), _BEFORE)))
         at.stop[known] = at.sample[known] + end[known]
         far = known & (end - window > self.history)
         near = [at.keep(known & ~far & (end > 0))]
         if far.any():
             jump = _Jump(at.keep(far), modes.part(far), end[far], window[far])
             jumps.append(jump)
-            near.append(self._jumped(jump))
-        return at.keep(~known), near
-
-    def _excess(self, pole: Complexes) -> Floats:
-        """Bound of the share by which the motion between samples exceeds the envelope of a mode's samples."""
-        plain = 0.25 * np.abs(pole - 1) ** 2
-        if not self.parabolic:
-            return np.asarray(plain)
-        # a parabola through two samples of z^t is off by (log z)^3 t (1 - t)/6 at most
-        with np.errstate(divide="ignore"):
-            return np.asarray(np.minimum(plain, 0.05 * np.abs(np.log(pole)) ** 3))
+            near.append(self._ahead(jump))
+        return joined([at.keep(~known), behind]), near
 
     def mend(self, jump: _Jump, found: _Found, longest: int) -> None:
         """Start earlier where the march met no sample outside the band."""
@@ -259,9 +230,9 @@ class _Motion:
                 return
             jump = jump.keep(missed)
             jump.window *= _WIDER
-            self.run(self._jumped(jump), found, longest)
+            self.run(self._ahead(jump), found, longest)
 
-    def _jumped(self, jump: _Jump) -> Buffer:
+    def _ahead(self, jump: _Jump) -> Buffer:
         """Return the points one window before their end, or as they are where that is earlier."""
         ahead = np.floor(jump.end - jump.window)
         far = ahead > self.history

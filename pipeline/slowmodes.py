@@ -29,6 +29,9 @@ _MORE = 10
 _THIRD = 0.5 + 0.1j
 """Start of that search."""
 
+_UNUSED = 0.5
+"""Pole of a mode without amplitude; any inside the unit circle would do."""
+
 _REPRODUCED = 1e-12
 """Largest deviation from the earlier samples, relative to the largest of them."""
 
@@ -98,12 +101,13 @@ def _fitted(loop: Loop, alpha: Floats, beta: Floats, samples: Floats, three: boo
         value = x[6] - (far[j] + far[k]) * x[5] + far[j] * far[k] * x[4]
         last[i] = value / ((far[i] - far[j]) * (far[i] - far[k])) * (far[i] * far[i])
     scale = np.maximum.reduce([np.abs(value) for value in x])
-    good = np.isfinite(last).all(axis=0) & (np.abs(pole).max(axis=0) < 1)
-    good &= np.abs((last / pole).sum(axis=0).real - samples[-2]) <= _REPRODUCED * scale
     back = last / (far * far)
-    # a mode that is rounding there would grow without bound on the way back
+    # a mode that is rounding there would grow without bound on the way back, and its pole may be anywhere
     noise = np.abs(back) <= _NOISE * scale
     back[noise] = last[noise] = 0
+    pole[noise], far[noise] = _UNUSED, _UNUSED**apart
+    good = np.isfinite(last).all(axis=0) & (np.abs(pole).max(axis=0) < 1)
+    good &= np.abs((last / pole).sum(axis=0).real - samples[-2]) <= _REPRODUCED * scale
     for value in (x[3], x[2], x[1], x[0]):
         back /= far
         good &= np.abs(back.sum(axis=0).real - value) <= _REPRODUCED * scale
@@ -112,10 +116,13 @@ def _fitted(loop: Loop, alpha: Floats, beta: Floats, samples: Floats, three: boo
 
 def velocity_factor(loop: Loop, alpha: Floats, beta: Floats, pole: Complexes) -> Complexes:
     """Return v/e of modes."""
-    motion, d = loop.period, int(loop.delay)
-    (xx, xv), gx = motion.transition[0], motion.gain[0]
-    force = (beta / pole - (alpha + beta)) / _power(pole, d)
-    return np.asarray((pole - xx - gx * force) / xv)
+    (xx, xv), gx = loop.period.transition[0], loop.period.gain[0]
+    return np.asarray((pole - xx - gx * force_factor(loop, alpha, beta, pole)) / xv)
+
+
+def force_factor(loop: Loop, alpha: Floats, beta: Floats, pole: Complexes) -> Complexes:
+    """Return u/e of modes, u being the force in the interval after the sample."""
+    return np.asarray((beta / pole - (alpha + beta)) / _power(pole, int(loop.delay)))
 
 
 def _power(base: Complexes, exponent: int) -> Complexes:

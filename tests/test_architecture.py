@@ -52,6 +52,7 @@ LAYERS: dict[str, set[str]] = {
         "lagsums",
         "transient",
         "slowmodes",
+        "envelope",
         "march_buffer",
         "march",
         "pointcosts",
