@@ -1,18 +1,16 @@
-"""Speed of the theory beside what a user would write instead, each pair in the same process; prints ratios.
+"""Speed of the theory beside what a user would write instead, as ratios; then what it has to reach by itself.
 
-    python benchmarks/theory.py [name ...]
+    python benchmarks/theory.py [--quick] [name ...]
 
-A comparison is a function that returns a `Row` and stands in `COMPARISONS`. Nothing here fails on a slow machine.
+A comparison is a function that returns a `Row` and stands in `COMPARISONS`; the limits are in `theory_limits`. Nothing
+here fails on a slow machine.
 """
 
 from __future__ import annotations
 
 import argparse
-import os
-import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
@@ -20,16 +18,23 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet as pq
+from theory_limits import LIMITS, tables_c_as_a_process
+from timing import fastest, once, run
 
+from pipeline.energy import energy_costs
 from pipeline.loop import Loop
 from pipeline.region import is_inside, region, stiffness_limit
 from pipeline.stability import boundary, spectral_radius
 from pipeline.theory_map import bounding_box
 
-REPEATS = 5
-
 ENDED = 64
 """Points that settle into 2 % before this sample: what the peer leaves out after 512 is then below rounding."""
+
+CONTROL_POINTS = 60
+"""Stable points that python-control computes, at some milliseconds each."""
+
+DECAYED = 0.96
+"""Spectral radius below which a response of 512 samples has ended: 0.96^1024 is 1e-18."""
 
 
 @dataclass(frozen=True)
@@ -45,17 +50,6 @@ class Row:
     @property
     def ratio(self) -> float:
         return self.other_s / self.ours_s
-
-
-def fastest(work: Callable[[], object], repeats: int = REPEATS) -> float:
-    """Return the smallest of several run times [s], after one run to warm up."""
-    work()
-    times = []
-    for _ in range(repeats):
-        began = time.perf_counter()
-        work()
-        times.append(time.perf_counter() - began)
-    return min(times)
 
 
 def bisected_limits(loop: Loop, beta: np.ndarray, largest: float, tolerance: float) -> np.ndarray:
@@ -127,26 +121,110 @@ def map_as_a_process() -> Row:
     return Row("map 251 x 251, d = 4, process", times[0], times[1], 1 / 0.7, difference)
 
 
-def run(command: list[str]) -> None:
-    """Run a command on one core, its output thrown away."""
-    environment = os.environ | {"OPENBLAS_NUM_THREADS": "1"}
-    subprocess.run(command, check=True, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+def map_by_python_control() -> Row:
+    """The same map from python-control: poles, a step response of 512 samples, `step_info` and energies of each point.
+
+    Run for `CONTROL_POINTS` stable points of the map and scaled to all, unstable points with their poles alone; the
+    plant and its delay are made once.
+    """
+    import control
+
+    loop, steps = Loop(0.0, 0.0, 4), 512
+    box = bounding_box(loop)
+    alpha, beta = (g.ravel() for g in np.meshgrid(np.linspace(*box[:2], 251), np.linspace(*box[2:], 251)))
+    stable = np.flatnonzero(is_inside(loop, alpha, beta))
+    points = np.random.default_rng(251).choice(stable, CONTROL_POINTS, replace=False)
+    double_integrator = control.ss([[0, 1], [0, 0]], [[0], [1]], [[1, 0]], [[0]])
+    plant = control.sample_system(double_integrator, 1.0, "zoh")
+    delay = control.ss(np.eye(4, k=-1), np.eye(4, 1), np.eye(1, 4, k=3), [[0]], 1.0)
+    time = np.arange(float(steps))
+    energies = np.empty((3, CONTROL_POINTS))
+
+    def closed(a: float, b: float) -> control.StateSpace:
+        wall = control.ss([[0]], [[1]], [[-b]], [[a + b]], 1.0)
+        return control.feedback(plant, control.series(wall, delay))
+
+    def poles() -> None:
+        for a, b in zip(alpha[points].tolist(), beta[points].tolist(), strict=True):
+            if np.abs(closed(a, b).poles()).max() >= 1:
+                raise AssertionError(f"python-control calls alpha = {a}, beta = {b} unstable.")
+
+    def costs() -> None:
+        for i, (a, b) in enumerate(zip(alpha[points].tolist(), beta[points].tolist(), strict=True)):
+            system = closed(a, b)
+            if np.abs(system.poles()).max() < 1:
+                x = np.ravel(control.forced_response(system, time, np.ones(steps)).outputs) * a
+                control.step_info(x, time, SettlingTimeThreshold=0.02)
+                energy = (x - 1) ** 2 + np.diff(x, prepend=x[0]) ** 2 / a
+                energies[:, i] = [time**w @ energy for w in range(3)]
+
+    poles_s, costs_s = once(poles) / CONTROL_POINTS, fastest(costs, 2) / CONTROL_POINTS
+    other_s = len(stable) * costs_s + (alpha.size - len(stable)) * poles_s
+    with tempfile.TemporaryDirectory() as folder:
+        table = str(Path(folder) / "map.parquet")
+        ours_s = fastest(
+            partial(run, [sys.executable, "-m", "pipeline", "theory", "map", "--delay", "4", "--out", table]), 3
+        )
+    ended = spectral_radius(loop, alpha[points], beta[points]) < DECAYED
+    exact = energy_costs(loop, alpha[points], beta[points])["energy_step_w0_discrete"]
+    difference = float(np.abs(energies[0] / exact - 1)[ended].max())
+    return Row("map, python-control (60 points)", other_s, ours_s, 100, difference)
 
 
-COMPARISONS: list[Callable[[], Row]] = [boundary_of_five_delays, verdicts_of_a_map, map_as_a_process]
+COMPARISONS: list[Callable[[], Row]] = [
+    boundary_of_five_delays,
+    verdicts_of_a_map,
+    map_as_a_process,
+    map_by_python_control,
+]
+
+SLOW = (map_as_a_process, map_by_python_control, tables_c_as_a_process)
+"""Left out of a quick run."""
+
+PACKAGES = {"control": "python-control"}
+"""Packages that are known by another name than that of their module."""
+
+
+def reason(missing: ModuleNotFoundError) -> str:
+    """Say why a row is left out; a missing module of this project is a defect and raised."""
+    name = (missing.name or "").partition(".")[0]
+    if name not in ("control", "mpmath", "scipy"):
+        raise missing
+    return f"left out: {PACKAGES.get(name, name)} not installed"
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("names", nargs="*", help="functions to run; all without any")
-    names = parser.parse_args().names
-    print(f"{'comparison':32} {'other [ms]':>11} {'ours [ms]':>11} {'ratio':>8} {'wanted':>8} {'difference':>11}")
-    for comparison in COMPARISONS:
-        if names and comparison.__name__ not in names:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    known = [function.__name__ for function in (*COMPARISONS, *LIMITS)]
+    parser.add_argument("names", nargs="*", metavar="name", help=f"of {', '.join(known)}; all without any")
+    parser.add_argument("--quick", action="store_true", help="fewer points and shorter delays; the slow rows left out")
+    arguments = parser.parse_args()
+    if unknown := set(arguments.names) - set(known):
+        parser.error(f"unknown: {', '.join(sorted(unknown))}; expected of {', '.join(known)}")
+    chosen = arguments.names or [f.__name__ for f in (*COMPARISONS, *LIMITS) if not (arguments.quick and f in SLOW)]
+
+    comparisons = [function for function in COMPARISONS if function.__name__ in chosen]
+    if comparisons:
+        print(f"{'comparison':32} {'other [ms]':>11} {'ours [ms]':>11} {'ratio':>8} {'wanted':>8} {'difference':>11}")
+    for comparison in comparisons:
+        try:
+            row = comparison()
+        except ModuleNotFoundError as missing:
+            print(f"{comparison.__name__:32} {reason(missing)}", flush=True)
             continue
-        row = comparison()
         times = f"{1e3 * row.other_s:11.2f} {1e3 * row.ours_s:11.2f} {row.ratio:8.1f} {row.wanted:8.1f}"
-        print(f"{row.name:32} {times} {row.difference:11.1e}")
+        print(f"{row.name:32} {times} {row.difference:11.1e}", flush=True)
+
+    limits = [function for function in LIMITS if function.__name__ in chosen]
+    if limits:
+        print(f"\n{'limit':52} {'wanted':>11}  {'holds':5}  reached")
+    for function in limits:
+        try:
+            limit = function(arguments.quick)
+        except ModuleNotFoundError as missing:
+            print(f"{function.__name__:52} {reason(missing)}", flush=True)
+            continue
+        print(f"{limit.name:52} {limit.wanted:>11}  {'yes' if limit.holds else 'NO':5}  {limit.reached}", flush=True)
 
 
 if __name__ == "__main__":
