@@ -218,6 +218,34 @@ def curve_points(c: Curve, angle: Floats) -> CurvePoints:
     )
 
 
+def beta_above_start(c: Curve, angle: Floats) -> Floats:
+    """Return beta + delta on the curves of a plant without stiffness, to full relative precision.
+
+    Parameters
+    ----------
+    c : Curve
+        With gamma = 0, whose first branch starts at beta = -delta.
+    angle : float64, shape (n,)
+        Angle theta, not folded: in [0, `FOLD`] [rad].
+
+    Notes
+    -----
+    Near the start alpha is small and so is this, where the difference of beta and its start would leave few digits.
+    """
+    sine, cosine = np.sin(0.5 * angle), np.cos(0.5 * angle)
+    turn = c.delay_turn * angle
+    turned = -2 * np.sin(0.5 * turn) ** 2 + 1j * np.sin(turn)
+    if c.fractional:
+        factor, start = -2.0, c.last + 2 * c.total
+        change = -2 * c.total * sine**2 + 2j * (c.skew * sine * cosine)
+    else:
+        factor, start = -1.0, c.f
+        change = -2 * c.f * np.sin(0.25 * angle) ** 2 + 1j * (c.k * sine)
+    lever = factor / (start + change)
+    real = (lever * (start * turned - change)).real / start
+    return np.asarray(real * c.sinh - (lever * (1 + turned)).imag * (sine / cosine) * c.cosh)
+
+
 def _nodes(low: float, high: float) -> tuple[Floats, Floats]:
     """Gauss points and weights of an interval."""
     half = 0.5 * (high - low)

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.batch import Booleans, Floats
-from pipeline.branches import FOLD, Curve, curve, curve_points, folded
+from pipeline.branches import FOLD, Curve, beta_above_start, curve, curve_points, folded
 from pipeline.loop import Loop, as_points
 from pipeline.stability import is_stable
 
@@ -198,12 +198,16 @@ def solve(c: Curve, cells: Cells, cell: Indices, target: Floats, axis: str) -> F
     share = (target - ends[0]) / (ends[1] - ends[0])
     root = np.where(high > 0, 1.0, -1.0) * np.sqrt(low**2 + share * (high**2 - low**2))
     active = np.arange(len(target))
+    near_start = axis == "beta" and c.gamma == 0 and c.h > 0
     for _ in range(_ITERATIONS):
         if not len(active):
             break
         x = root[active]
         p = curve_points(c, x)
         miss = getattr(p, axis) - target[active]
+        if near_start:
+            first = np.flatnonzero(x >= 0)
+            miss[first] = beta_above_start(c, x[first]) - (target[active[first]] - c.start)
         above = (miss > 0) == rising[active]
         high[active] = np.where(above, x, high[active])
         low[active] = np.where(above, low[active], x)

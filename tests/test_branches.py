@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from independent import DIGITS, characteristic
 
-from pipeline.branches import FOLD, curve, curve_points, folded, unfolded
+from pipeline.branches import FOLD, beta_above_start, curve, curve_points, folded, unfolded
 from pipeline.loop import Loop
 
 NYQUIST = math.pi**2
@@ -119,3 +119,17 @@ def test_folding_angles() -> None:
     theta = np.array([0.0, 1.0, FOLD, FOLD + 1e-9, 3.0, math.pi - 1e-9])
     assert (folded(theta)[3:] < 0).all()
     np.testing.assert_allclose(unfolded(folded(theta)), theta, rtol=0, atol=1e-15)
+
+
+@pytest.mark.parametrize("values", [(0, 10, 2.5), (0, 10, 2), (0, 0.3, 4), (0, 100, 1.5), (0, 1000, 0), (0, 2, 256)])
+def test_damping_above_the_start_keeps_its_digits(values):
+    """Against the curve itself where that is large, and against its leading term theta^2 where it is small."""
+    c = curve(Loop(*values))
+    angle = np.array([0.3, 0.9, 1.4]) / (1 + values[2])
+    np.testing.assert_allclose(
+        beta_above_start(c, angle), curve_points(c, angle).beta - c.start, rtol=1e-10, atol=1e-14 * values[1]
+    )
+    small = np.array([1e-3, 1e-4, 1e-5, 1e-6]) / (1 + values[2])
+    share = beta_above_start(c, small) / small**2
+    np.testing.assert_allclose(share, share[-1], rtol=1e-4)
+    np.testing.assert_allclose(share[2:], share[-1], rtol=1e-9)
