@@ -27,6 +27,11 @@ class TrialBatch:
         Number of samples of each trial.
     time, command, position : float64, shape (n, N)
         Time stamps [s], total commanded force before any delay [N, Nm], measured position [m, rad].
+    force, velocity : float64, shape (n, N), optional
+        Measured force [N, Nm] and velocity as logged [m/s, rad/s], NaN for trials without; None where no trial has it.
+        Nothing is computed from a logged velocity: how it was made is not known (filters, lags).
+    step_row : int64, shape (n,), optional
+        Declared row of the command edge, -1 for trials whose log shows it; None where no trial declares one.
     """
 
     trial_id: tuple[str, ...]
@@ -38,6 +43,9 @@ class TrialBatch:
     time: Floats
     command: Floats
     position: Floats
+    force: Floats | None = None
+    velocity: Floats | None = None
+    step_row: Integers | None = None
 
     def __len__(self) -> int:
         return len(self.trial_id)
@@ -59,6 +67,10 @@ class TrialBatch:
             tuple(self.trial_id[i] for i in index),
             *(getattr(self, name)[index] for name in ("stiffness", "damping", "step", "sampling_period_s", "rows")),
             *(getattr(self, name)[index] for name in ("time", "command", "position")),
+            *(
+                None if (values := getattr(self, name)) is None else values[index]
+                for name in ("force", "velocity", "step_row")
+            ),
         )
 
 

@@ -63,7 +63,7 @@ class NativeHeader:
     simulated : bool
         Whether the log says ``# origin: simulated``.
     extra : dict of str to str
-        Further keys of the header, as written.
+        Further keys of the header, as written; ``step_row`` among them declares the row of the step, counted from 0.
     """
 
     device: str
@@ -164,6 +164,8 @@ def parse_header(lines: Iterable[str]) -> NativeHeader:
             + " ".join(f"Add a line `# {key}: <value>` with {_REQUIRED[key]}." for key in missing),
             1,
         )
+    if "step_row" in extra:
+        _count("step_row", extra["step_row"], 1)
     simulated = extra.get("origin") == "simulated"
     if simulated:
         del extra["origin"]
@@ -174,7 +176,7 @@ def parse_header(lines: Iterable[str]) -> NativeHeader:
         damping=_number("damping", *values["damping"]),
         step=_step(*values["step"]),
         sampling_period_s=_period(*values["sampling_period_s"]),
-        added_delay_samples=_count(*values.get("added_delay_samples", ("0", 0))),
+        added_delay_samples=_count("added_delay_samples", *values.get("added_delay_samples", ("0", 0))),
         grip=cast(Grip, _choice("grip", get_args(Grip), *values.get("grip", ("none", 0)))),
         motion=cast(Motion, _choice("motion", get_args(Motion), *values["motion"])) if "motion" in values else None,
         simulated=simulated,
@@ -233,10 +235,10 @@ def _period(value: str, row: int) -> float:
     return period
 
 
-def _count(value: str, row: int) -> int:
-    number = _number("added_delay_samples", _OPTIONAL_NOTE.sub("", value), row)
+def _count(key: str, value: str, row: int) -> int:
+    number = _number(key, _OPTIONAL_NOTE.sub("", value), row)
     if number < 0 or number != int(number):
-        raise LogError(f"added_delay_samples must be a whole number of samples >= 0, found {number:g}.", row)
+        raise LogError(f"{key} must be a whole number of samples >= 0, found {number:g}.", row)
     return int(number)
 
 

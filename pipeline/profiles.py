@@ -35,11 +35,13 @@ class ColumnSource(Record):
 
 
 class Columns(Record):
-    """The three columns that every log needs."""
+    """The three columns that every log needs, and two that it may have: measured force, logged velocity."""
 
     time: ColumnSource
     command: ColumnSource
     position: ColumnSource
+    force: ColumnSource | None = None
+    velocity: ColumnSource | None = None
 
 
 class Partner(Record):
@@ -144,9 +146,10 @@ class Profile(Record):
         return groups
 
     def column_sources(self) -> dict[str, ColumnSource]:
-        """Return the columns of a delimited profile by SI name: time, command, position."""
+        """Return the columns of a delimited profile by SI name: time, command, position, and what else it has."""
         assert self.columns is not None, "validated: every delimited profile has columns"
-        return {"time": self.columns.time, "command": self.columns.command, "position": self.columns.position}
+        sources = {name: getattr(self.columns, name) for name in Columns.model_fields}
+        return {name: source for name, source in sources.items() if source is not None}
 
     def factors(self) -> dict[str, float]:
         """Return the signed factor to SI of each column.
@@ -161,6 +164,8 @@ class Profile(Record):
             "time": ("time",),
             "command": ("torque",) if rotation else ("force",),
             "position": ("angle",) if rotation else ("length",),
+            "force": ("torque",) if rotation else ("force",),
+            "velocity": ("angular velocity",) if rotation else ("velocity",),
         }
         factors = {}
         for key, source in self.column_sources().items():

@@ -10,6 +10,7 @@ A samples file is written before the trials file that names it, so a trial that 
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from urllib.parse import quote, unquote
 
@@ -17,9 +18,12 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from pipeline.batch import TrialBatch, pad
+from pipeline.batch import Integers, TrialBatch, pad
 from pipeline.errors import StoreError
 from pipeline.tables import arrow_schema, read_table
+
+_OPTIONAL = ("force", "velocity")
+"""Columns of samples that a log may lack."""
 
 
 def folder_name(name: str) -> str:
@@ -125,7 +129,7 @@ def load_batch(processed: Path, trials: pa.Table) -> TrialBatch:
     """
     order = pc.sort_indices(trials, [("damping", "ascending"), ("stiffness", "ascending"), ("trial_id", "ascending")])
     trials = trials.take(order)
-    columns: dict[str, list[np.ndarray]] = {"time_s": [], "command": [], "position": []}
+    columns: dict[str, list[np.ndarray]] = {name: [] for name in ("time_s", "command", "position", *_OPTIONAL)}
     start: dict[str, int] = {}
     total = 0
     for file in sorted(set(trials.column("sample_file").to_pylist())):
@@ -148,6 +152,7 @@ def load_batch(processed: Path, trials: pa.Table) -> TrialBatch:
     padded = {
         name: pad(np.concatenate(parts) if parts else np.empty(0), first, rows) for name, parts in columns.items()
     }
+    present = {name: None if np.isnan(padded[name]).all() else padded[name] for name in _OPTIONAL}
     return TrialBatch(
         trial_id=tuple(trials.column("trial_id").to_pylist()),
         stiffness=trials.column("stiffness").to_numpy(),
@@ -158,4 +163,14 @@ def load_batch(processed: Path, trials: pa.Table) -> TrialBatch:
         time=padded["time_s"],
         command=padded["command"],
         position=padded["position"],
+        **present,
+        step_row=_declared_step_rows(trials.column("extra").to_pylist()),
     )
+
+
+def _declared_step_rows(extra: list[str]) -> Integers | None:
+    """Rows of the command edge that profiles or logs declare (``step_row``), -1 for the others."""
+    declared = [json.loads(text).get("step_row") if "step_row" in text else None for text in extra]
+    if not any(declared):
+        return None
+    return np.array([-1 if row is None else int(row) for row in declared], dtype=np.int64)

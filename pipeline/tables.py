@@ -69,6 +69,8 @@ COLUMNS: dict[str, Column] = {
     "time_s": _same(_F, "s", "time stamp of the sample"),
     "command": Column(_F, "N", "Nm", "total commanded force before any delay: external step minus wall force"),
     "position": Column(_F, "m", "rad", "measured position"),
+    "force": Column(_F, "N", "Nm", "measured force, where the log has one", True),
+    "velocity": Column(_F, "m/s", "rad/s", "velocity as logged; no cost or estimate uses it", True),
     # response stage
     "verdict": _same(_S, "", "stable, unstable or undecided, from the log alone"),
     "reason": _same(_S, "", "why a value is missing or uncertain; empty where it is neither", True),
@@ -106,7 +108,7 @@ COLUMNS: dict[str, Column] = {
 _ENERGY = tuple(f"energy_{part}_w{w}" for part in ("potential", "kinetic") for w in (0, 1, 2))
 
 TABLES: dict[str, tuple[str, ...]] = {
-    "samples": ("trial_id", "time_s", "command", "position"),
+    "samples": ("trial_id", "time_s", "command", "position", "force", "velocity"),
     "trials": (
         *("trial_id", "device", "experiment", "motion", "stiffness", "damping", "step", "sampling_period_s"),
         *("added_delay_samples", "grip", "simulated", "rows", "extra", "source_path", "source_sha256"),

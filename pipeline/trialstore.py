@@ -13,6 +13,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from pipeline import __version__
+from pipeline.batch import Floats, Integers
 from pipeline.models import Motion
 from pipeline.provenance import digest, stamp
 from pipeline.readers import Log
@@ -36,7 +37,9 @@ class Accepted:
     @property
     def bytes(self) -> int:
         """Memory of the samples [byte]."""
-        return self.log.time.nbytes + self.log.command.nbytes + self.log.position.nbytes
+        log = self.log
+        columns = (log.time, log.command, log.position, log.force, log.velocity)
+        return sum(values.nbytes for values in columns if values is not None)
 
 
 @dataclass
@@ -88,6 +91,8 @@ def _write_batch(processed: Path, device: str, experiment: str, motion: Motion, 
         "time_s": np.concatenate([m.log.time for m in members]),
         "command": np.concatenate([m.log.command for m in members]),
         "position": np.concatenate([m.log.position for m in members]),
+        "force": _optional([m.log.force for m in members], rows),
+        "velocity": _optional([m.log.velocity for m in members], rows),
     }
     headers = [m.log.header for m in members]
     plain = ("device", "experiment", "stiffness", "damping", "step", "sampling_period_s")
@@ -114,6 +119,15 @@ def _write_batch(processed: Path, device: str, experiment: str, motion: Motion, 
         trials_folder(processed, device, experiment) / name,
         to_arrow("trials", trials, rotation=rotation, metadata=metadata),
     )
+
+
+def _optional(columns: list[Floats | None], rows: Integers) -> pa.ChunkedArray:
+    """Return a column that some logs lack; null where they do."""
+    parts = [
+        pa.nulls(int(count), pa.float64()) if values is None else pa.array(values)
+        for values, count in zip(columns, rows, strict=True)
+    ]
+    return pa.chunked_array(parts, type=pa.float64())
 
 
 def drop_superseded(processed: Path, replaced: Collection[tuple[str, str, str]]) -> None:

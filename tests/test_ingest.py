@@ -8,6 +8,7 @@ import time
 from pathlib import Path
 
 import numpy as np
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
 from native_logs import FAULTS, GOOD, HEADER_LINES, ROWS, log_text
@@ -374,6 +375,40 @@ def test_a_pair_is_one_log_and_a_changed_profile_is_applied(tmp_path, run, proce
     assert len(list(processed.rglob("trials/**/*.parquet"))) == 1
 
 
+def test_measured_force_logged_velocity_and_declared_step_are_kept(tmp_path, run, processed):
+    profile = tmp_path / "lab.toml"
+    columns = (
+        'columns.force = { name = "g", unit = "mN", sign = -1 }\ncolumns.velocity = { name = "v", unit = "mm/s" }\n'
+    )
+    profile.write_text(
+        PROFILE.replace('"bench"', '"pair"').replace("[constants]", columns + "step_row = 1\n[constants]")
+    )
+    (tmp_path / "a_m.txt").write_text("t,x,g,v\n0,1,10,2\n1,2,20,3\n2,4,30,5\n")
+    (tmp_path / "a_d.txt").write_text("f\n5\n6\n7\n")
+    assert counts(run(tmp_path / "a_m.txt", profile=profile)) == (1, 1, 0, 0)
+    (tmp_path / "b.csv").write_text(GOOD.replace("# device", "# step_row: 0\n# device", 1))
+    (tmp_path / "c.csv").write_text(log_text(400.0))
+    assert run(tmp_path / "b.csv", tmp_path / "c.csv").ingested == 2
+    pair = load_batch(processed, read_trials(processed, "pair"))
+    np.testing.assert_allclose(pair.force, [[-0.01, -0.02, -0.03]])
+    np.testing.assert_allclose(pair.velocity, [[0.002, 0.003, 0.005]])
+    assert pair.step_row.tolist() == [1]
+    everything = load_batch(processed, read_trials(processed))
+    assert np.isfinite(everything.force).any(axis=1).sum() == 1
+    assert sorted(everything.step_row.tolist()) == [-1, 0, 1]
+    native = read_trials(processed).filter(pc.field("device") != "pair")
+    assert load_batch(processed, native).force is None
+
+
+def test_a_declared_step_outside_the_log_is_refused(tmp_path, run):
+    for name, value in (("a", "99999"), ("b", "-1"), ("c", "soon")):
+        (tmp_path / f"{name}.csv").write_text(GOOD.replace("# device", f"# step_row: {value}\n# device", 1))
+    reasons = [refusal.reason for refusal in run(tmp_path).quarantined]
+    assert len(reasons) == 3
+    assert "samples. Count from 0" in reasons[0]
+    assert all("step_row" in reason for reason in reasons)
+
+
 @pytest.mark.skipif(not PENDULUM.is_dir(), reason="recorded logs in ../shared are not there")
 @pytest.mark.parametrize("profile", [None, "dfki_pendulum"])
 def test_pendulum_is_one_trial(run, processed, profile):
@@ -383,3 +418,5 @@ def test_pendulum_is_one_trial(run, processed, profile):
     batch = load_batch(processed, read_trials(processed))
     assert batch.command[0, 0] == 0.9
     assert batch.time[0, 1] == 2.349305152893066406e-02
+    assert batch.force[0, 1] == 4.087912087912073389e-01
+    assert batch.step_row.tolist() == [0]

@@ -29,12 +29,17 @@ class RawLog:
 
 @dataclass(frozen=True, eq=False)
 class Log:
-    """One step response: conditions, and time [s], command [N, Nm], position [m, rad] of shape (rows,)."""
+    """One step response: conditions, and time [s], command [N, Nm], position [m, rad] of shape (rows,).
+
+    ``force`` [N, Nm] and ``velocity`` [m/s, rad/s] are there where the log has them.
+    """
 
     header: NativeHeader
     time: Floats
     command: Floats
     position: Floats
+    force: Floats | None = None
+    velocity: Floats | None = None
 
 
 Outcome = Log | LogError
@@ -48,7 +53,15 @@ def reader_of(profile: Profile) -> Reader:
     return read
 
 
-def check_samples(header: NativeHeader, time: Floats, command: Floats, position: Floats, first_row: int) -> Log:
+def check_samples(
+    header: NativeHeader,
+    time: Floats,
+    command: Floats,
+    position: Floats,
+    first_row: int,
+    force: Floats | None = None,
+    velocity: Floats | None = None,
+) -> Log:
     """Return the log if its samples can be a step response.
 
     Parameters
@@ -57,6 +70,7 @@ def check_samples(header: NativeHeader, time: Floats, command: Floats, position:
     time, command, position : float64, shape (rows,)
     first_row : int
         Line number of the first sample in the file, counted from 1; one sample a line.
+    force, velocity : float64, shape (rows,), optional
 
     Raises
     ------
@@ -68,7 +82,16 @@ def check_samples(header: NativeHeader, time: Floats, command: Floats, position:
             f"log has {len(time)} samples; expected at least 2. Was the recording cut off? Record it again.",
             first_row,
         )
-    for name, values in (("time", time), ("command", command), ("position", position)):
+    step_row = int(header.extra.get("step_row", 0))
+    if step_row >= len(time):
+        raise LogError(
+            f"step_row is {step_row}, but the log has {len(time)} samples. Count from 0; correct header or profile.",
+            first_row,
+        )
+    columns = {"time": time, "command": command, "position": position, "force": force, "velocity": velocity}
+    for name, values in columns.items():
+        if values is None:
+            continue
         finite = np.isfinite(values)
         if not finite.all():
             at = int(np.argmin(finite))
@@ -84,4 +107,4 @@ def check_samples(header: NativeHeader, time: Floats, command: Floats, position:
             "Sort out doubled or swapped rows, or leave this log out.",
             first_row + at,
         )
-    return Log(header, time, command, position)
+    return Log(header, time, command, position, force, velocity)

@@ -64,9 +64,7 @@ def _read_log(profile: Profile, raw: RawLog, use_threads: bool) -> Log:
     for key, factor in profile.factors().items():
         if factor != 1.0:
             columns[key] = columns[key] * factor
-    return check_samples(
-        header, columns["time"], columns["command"], columns["position"], first_row=profile.skip_rows + 2
-    )
+    return check_samples(header, first_row=profile.skip_rows + 2, **columns)
 
 
 def header_of(profile: Profile, name: str) -> NativeHeader:
