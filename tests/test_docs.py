@@ -204,3 +204,13 @@ def test_every_dependency_is_explained() -> None:
     page = read(ROOT / "docs" / "dependencies.md")
     packages = [re.split(r"[<>=!~\[]", entry)[0] for entry in needed]
     assert [name for name in packages if f"| {name} |" not in page] == []
+
+
+def test_tests_named_in_the_verification_exist() -> None:
+    named = re.findall(r"`(test_\w+\.py)::(test_\w+)`( \(slow\))?", read(ROOT / "docs" / "verification.md"))
+    assert len(named) > 40
+    for file, name, slow in named:
+        text = read(ROOT / "tests" / file)
+        assert re.search(rf"^def {name}\(", text, flags=re.MULTILINE), f"{file}: no {name}"
+        marked = re.search(rf"^@pytest\.mark\.slow\n(?:@.*\n)*def {name}\(", text, flags=re.MULTILINE)
+        assert bool(marked) == bool(slow), f"{file}::{name}: marked slow in one of test and page only"

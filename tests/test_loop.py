@@ -6,12 +6,14 @@ import math
 
 import numpy as np
 import pytest
-from independent import deviation, simulate, stable_cases
+from independent import deviation, extreme_cases, random_loops, simulate, simulate_many, stable_walls
 
 from pipeline.errors import ParameterError
 from pipeline.loop import LARGEST_DELAY, Loop, Normalised, as_points
+from pipeline.responses import response
 
-CASES = stable_cases(100, seed=5)
+RANDOM = stable_walls(random_loops(100, seed=5), each=3, seed=6)
+EXTREME = extreme_cases()
 
 
 def trajectory(loop: Loop, alpha: float, beta: float, signal: str, samples: int) -> np.ndarray:
@@ -24,17 +26,48 @@ def trajectory(loop: Loop, alpha: float, beta: float, signal: str, samples: int)
 
 
 @pytest.mark.parametrize("signal", ["step", "impulse"])
-def test_samples_are_those_of_a_loop_stepped_through_time(signal: str) -> None:
-    fractional = 0
-    for gamma, delta, p, q, alpha, beta in CASES:
-        fractional += q > 1 and p % q != 0
-        motion = simulate(alpha, beta, gamma=gamma, delta=delta, delay=(p, q), samples=40, signal=signal, fine=1)
+def test_samples_are_those_of_a_loop_stepped_through_time(signal: str, record_property) -> None:
+    worst, cases = 0.0, RANDOM + EXTREME
+    # long delays are stepped until the wall has answered the answer to its own force
+    samples = [40 + 2 * math.ceil(case[2] / case[3]) for case in cases]
+    motions = simulate_many(cases, samples, signal, fine=1)
+    for case, count, motion in zip(cases, samples, motions, strict=True):
+        gamma, delta, p, q, alpha, beta = case
         e = deviation(motion, alpha + gamma) if signal == "step" else motion.x
         v = motion.v * (alpha + gamma) if signal == "step" else motion.v
         truth = np.stack([e, v], axis=1)[:: motion.every]
-        got = trajectory(Loop(gamma, delta, p / q), alpha, beta, signal, 40)
-        np.testing.assert_allclose(got, truth, rtol=0, atol=1e-11, err_msg=f"{gamma, delta, p, q, alpha, beta}")
-    assert fractional >= 30
+        got = trajectory(Loop(gamma, delta, p / q), alpha, beta, signal, count)
+        # rounding of 1e-16 a step, times delta where the velocity is a difference of forces
+        np.testing.assert_allclose(got, truth, rtol=0, atol=1e-11, err_msg=str(case))
+        worst = max(worst, float(np.abs(got - truth).max()))
+    record_property("random", len(RANDOM))
+    record_property("extreme", len(EXTREME))
+    record_property("deviation", worst)
+    assert len(RANDOM) >= 300
+    assert len(EXTREME) >= 60
+    for some in (RANDOM, EXTREME):
+        assert sum(case[2] % case[3] != 0 for case in some) >= len(some) // 4  # fractional delays
+
+
+def test_positions_between_samples_are_those_of_a_loop_stepped_through_time(record_property) -> None:
+    worst, cases = 0.0, RANDOM + EXTREME
+    for signal in ("step", "impulse"):
+        motions = simulate_many(cases, [24] * len(cases), signal, fine=6)
+        for case, motion in zip(cases, motions, strict=True):
+            gamma, delta, p, q, alpha, beta = case
+            # the pieces of the stepped loop end where those of the response do only for q = 1: compare by time
+            found = response(Loop(gamma, delta, p / q), alpha, beta, signal, 24, per_sample=60)
+            at = np.round(found.time * motion.every, 9)
+            same = np.flatnonzero(at == np.round(at))
+            assert len(same) > 24 * 6
+            truth = motion.x[at[same].astype(int)]
+            scale = 1 / (alpha + gamma) if signal == "step" else np.abs(truth).max()
+            difference = float(np.abs(found.position[same] - truth).max() / scale)
+            assert difference < 1e-11, case
+            worst = max(worst, difference)
+    record_property("random", len(RANDOM))
+    record_property("extreme", len(EXTREME))
+    record_property("deviation", worst)
 
 
 @pytest.mark.parametrize(("p", "q"), [(16, 1), (64, 1), (129, 2)])

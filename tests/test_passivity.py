@@ -7,9 +7,11 @@ import math
 import mpmath as mp
 import numpy as np
 import pytest
-from scipy.optimize import linprog
+from independent import characteristic, random_loops, stable_by_schur_cohn
+from scipy.optimize import linprog, minimize_scalar
 
 from pipeline.errors import ParameterError
+from pipeline.extent import damping_limits
 from pipeline.loop import Loop
 from pipeline.passivity import (
     boundary_angle,
@@ -68,6 +70,96 @@ def test_the_boundary_equals_the_printed_one_and_touches_the_condition(d: float)
         assert abs(b - exact[1]) < 2e-12
         assert required_damping(d, k, b, w) == pytest.approx(1, abs=1e-11)
         assert float(required_damping(d, k, b, all_frequencies(d)).max()) <= 1 + 1e-9
+
+
+EXTREME_DELAYS = [1e-9, 1e-6, 1e-3, 0.01, 1 / 3, 1 - 1e-9, 7.25, 31.5, 64.0, 128.0, 255.999, 256.0]
+
+
+def random_delays() -> np.ndarray:
+    rng = np.random.default_rng(41)
+    return np.where(rng.random(300) < 0.3, rng.integers(1, 20, 300), 10 ** rng.uniform(-2, 2, 300))
+
+
+def check_boundary(d: float, share: float) -> float:
+    """Boundary, limit and its line at one angle against (4.8) and (4.10) as printed; return the largest deviation."""
+    w = share * boundary_angle(d)
+    k, b = (float(value[0]) for value in passive_boundary(d, w))
+    exact = [float(value) for value in printed_boundary(d, w)]
+    # (4.8) is a quotient of sines of up to pi: 1e-16 of 1 over a stiffness that falls as 1/(d + 1)
+    deviation = max(abs(k - exact[0]) * (d + 1), abs(b - exact[1]))
+    # almost without delay, numerator and denominator vanish together at the last angle
+    assert deviation < 1e-11 + 1e-15 / (d + 1 - share), (d, share)
+    # the limit at the exact damping is the exact stiffness; along the steep end 1e-16 of damping moves it
+    assert passive_limits(d, exact[1])[0] == pytest.approx(exact[0], rel=1e-7, abs=1e-11), (d, share)
+    lower = -1 + share * (1 + d / (2 * d + 3))  # somewhere on the straight part
+    straight = (1 + mp.mpf(lower)) / (mp.mpf(d) + mp.mpf(0.5))
+    assert float(abs(passive_limits(d, lower)[0] / straight - 1)) < 1e-12
+    # its points are those at which (4.6) is an equality for omega -> 0
+    assert float(abs(printed_condition(d, float(straight), lower, 1e-9) - 1)) < 1e-12
+    return deviation
+
+
+@pytest.mark.slow
+def test_boundary_and_limits_of_random_and_extreme_delays(record_property) -> None:
+    rng = np.random.default_rng(42)
+    random = [(float(d), float(rng.uniform(0.001, 0.999))) for d in random_delays()]
+    extreme = [(d, share) for d in EXTREME_DELAYS for share in (1e-9, 1e-4, 0.03, 0.5, 1 - 1e-6)]
+    worst = max(check_boundary(*case) for case in random + extreme)
+    record_property("random", len(random))
+    record_property("extreme", len(extreme))
+    record_property("deviation", worst)
+    assert len(extreme) >= 60
+
+
+def test_largest_stiffness_by_search_along_the_printed_boundary(record_property) -> None:
+    delays = [*random_delays().tolist(), *EXTREME_DELAYS, *np.geomspace(0.005, 250, 50).tolist()]
+    found = np.transpose(maximum_passive_stiffness(delays))
+    worst = 0.0
+    for d, (k, b) in zip(delays, found, strict=True):
+        best = minimize_scalar(
+            lambda share, d=d: -float(printed_boundary(d, share * math.pi / (d + 1))[0]),
+            bounds=(0.01, 0.99),
+            method="bounded",
+            options={"xatol": 1e-9},
+        )
+        worst = max(worst, abs(k / -best.fun - 1))
+        assert k == pytest.approx(-best.fun, rel=1e-12), d
+        place = printed_boundary(d, best.x * math.pi / (d + 1))[1]
+        assert b == pytest.approx(float(place), abs=1e-6), d  # a flat maximum: the root of rounding
+    record_property("random", 300)
+    record_property("extreme", len(delays) - 300)
+    record_property("deviation", worst)
+
+
+@pytest.mark.slow
+def test_ratio_to_stable_stiffness_of_random_and_extreme_loops(record_property) -> None:
+    rng = np.random.default_rng(43)
+    random = [(gamma, float(10 ** rng.uniform(-6, 0)), p, q) for gamma, _, p, q in random_loops(300, seed=44)]
+    extreme = [
+        (gamma, delta, *delay)
+        for gamma in (0.0, 1e-16, 1e-6, 1e-3)
+        for delta in (1e-12, 1e-3, 0.2, 1.0)
+        for delay in ((0, 1), (1, 1000), (3, 2), (32, 1))
+    ]
+    for case in random + extreme:
+        gamma, delta, p, q = case[:4]
+        d = p / q
+        found = float(passive_to_stable([d], gamma, delta)[0])
+        # (4.11) as printed, over a stiffness between a stable and an unstable one in many digits
+        quarter = mp.pi / (2 * (mp.mpf(d) + 1))
+        passive = mp.mpf(delta) * 2 * (1 - mp.cos(quarter)) / mp.sin(quarter)
+        peak = float(passive / found)
+        step = 1e-8 * (peak + gamma)
+        lower = sum(float(value[0]) for value in damping_limits(Loop(gamma, delta, d), peak - step)) / 2
+        assert stable_by_schur_cohn(characteristic(gamma, delta, d, peak - step, lower)), case
+        assert not is_inside(
+            Loop(gamma, delta, d), peak + step, np.linspace(-delta, 4 * (1 + delta) / (d + 0.5), 400)
+        ).any()
+    record_property("random", len(random))
+    record_property("extreme", len(extreme))
+    record_property("deviation", 1e-8)
+    assert len(random) >= 300
+    assert len(extreme) >= 60
 
 
 @pytest.mark.parametrize("d", DELAYS)

@@ -7,7 +7,8 @@ import math
 import mpmath as mp
 import numpy as np
 import pytest
-from independent import characteristic, stable_by_schur_cohn
+from independent import characteristic, random_loops, stable_by_schur_cohn
+from test_extent import EXTREME
 
 from pipeline.errors import ParameterError
 from pipeline.extent import (
@@ -60,6 +61,58 @@ def test_verdicts_of_random_loops_against_eigenvalues() -> None:
         kinds |= {(region(loop).first is None, bool(value)) for value in got[sure]}
     assert checked > 4000
     assert len(kinds) == 4  # stable and unstable points, of ordinary loops and of those that need all branches
+
+
+def shares_of_damping(loops: list[Loop], seed: int) -> list[float]:
+    """A random damping within the stable range of each loop."""
+    rng = np.random.default_rng(seed)
+    result = []
+    for loop in loops:
+        low, high = damping_range(loop)
+        result.append(low + (high - low) * float(rng.uniform(0.02, 0.98)))
+    return result
+
+
+def test_limits_are_met_to_1e_10_by_polynomials_in_many_digits(record_property) -> None:
+    random = [Loop(g, delta, p / q) for g, delta, p, q in random_loops(300, seed=14)]
+    loops, checked = random + EXTREME, 0
+    for loop, beta in zip(loops, shares_of_damping(loops, 15), strict=True):
+        limit = float(stiffness_limit(loop, beta)[0])
+        if limit == -math.inf:
+            assert region(loop).first is None  # regions of several parts have gaps
+            continue
+        # 3.28 solved for the limit: the error of the linear condition holds it as well
+        error, linear = float(linear_error(loop, beta)[0]), (beta + loop.delta) / (0.5 + loop.delay)
+        assert (linear - error * loop.gamma) / (1 + error) == pytest.approx(limit, rel=1e-9, abs=1e-9 * loop.gamma)
+        step = 1e-10 * (limit + loop.gamma)
+        for place, stable in ((limit - step, True), (limit + step, False)):
+            values = loop.gamma, loop.delta, loop.delay, place, beta
+            assert stable_by_schur_cohn(characteristic(*values)) == stable, values
+            assert is_inside(loop, place, beta)[0] == stable
+        checked += 1
+    assert checked >= len(loops) - 15
+    record_property("random", len(random))
+    record_property("extreme", len(EXTREME))
+    record_property("deviation", 1e-10)
+    assert len(EXTREME) >= 60
+    assert sum(loop.delay % 1 != 0 for loop in random) >= 100
+
+
+def test_verdicts_against_polynomials_in_many_digits(record_property) -> None:
+    rng = np.random.default_rng(16)
+    random = [Loop(g, delta, p / q) for g, delta, p, q in random_loops(300, seed=17)]
+    verdicts = {True: 0, False: 0}
+    for loop in random + EXTREME[:66]:
+        room = (1 + loop.delta) / (1 + loop.delay)
+        tiny = loop in EXTREME and rng.random() < 0.5
+        alpha = 1e-11 if tiny else float(rng.uniform(-0.3, 1) * room / (1 + loop.delay)) - loop.gamma * rng.integers(2)
+        beta = 1e-11 if tiny else float(rng.uniform(-0.2, 1.2) * room)
+        exact = stable_by_schur_cohn(characteristic(loop.gamma, loop.delta, loop.delay, alpha, beta))
+        assert is_inside(loop, alpha, beta)[0] == exact, (loop, alpha, beta)
+        verdicts[exact] += 1
+    record_property("random", len(random))
+    record_property("extreme", 66)
+    assert min(verdicts.values()) > 80
 
 
 @pytest.mark.parametrize("d", [0, 1, 2])

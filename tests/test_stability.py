@@ -9,7 +9,16 @@ from pathlib import Path
 import mpmath as mp
 import numpy as np
 import pytest
-from independent import characteristic, radius_by_polynomial, stable_by_schur_cohn
+from independent import (
+    characteristic,
+    extreme_cases,
+    radius_by_polynomial,
+    random_loops,
+    stable_by_schur_cohn,
+    stable_walls,
+    wall_of_radius,
+)
+from test_branches import exact_point
 
 from pipeline.errors import ParameterError
 from pipeline.loop import Loop
@@ -52,11 +61,37 @@ def random_points(count: int, seed: int, largest: float) -> list[tuple[float, fl
     return points
 
 
-def test_spectral_radius_of_random_points() -> None:
-    for gamma, delta, d, alpha, beta in random_points(100, seed=2, largest=4):
-        got = spectral_radius(Loop(gamma, delta, d), alpha, beta)[0]
+def check_radius(point: tuple[float, float, float, float, float], tolerance: float) -> None:
+    """All roots lie inside a circle that is a little larger, and not all inside one that is a little smaller."""
+    gamma, delta, d, alpha, beta = point
+    found, polynomial = float(spectral_radius(Loop(gamma, delta, d), alpha, beta)[0]), characteristic(*point)
+    assert stable_by_schur_cohn(polynomial, found * (1 + tolerance)), (point, found)
+    assert not stable_by_schur_cohn(polynomial, found * (1 - tolerance)), (point, found)
+
+
+def test_spectral_radius_of_random_points(record_property) -> None:
+    points = random_points(300, seed=2, largest=4)
+    for point in points:
         # 1e-7: on alpha = -gamma with gamma = delta = 0 a double pole at z = 1 splits by the root of rounding
-        assert got == pytest.approx(radius_by_polynomial(gamma, delta, d, alpha, beta), rel=1e-7), (gamma, delta, d)
+        check_radius(point, 1e-7)
+    for gamma, delta, p, q, alpha, beta in stable_walls(random_loops(60, seed=3), each=2, seed=4):
+        check_radius((gamma, delta, p / q, alpha, beta), 1e-9)
+    record_property("random", len(points) + 120)
+
+
+def test_spectral_radius_of_extreme_points(record_property) -> None:
+    cases = [(g, delta, p / q, a, b) for g, delta, p, q, a, b in extreme_cases() if p / q < 100]
+    for case in cases:
+        check_radius(case, 1e-7)  # walls of 1e-11 leave the plant's poles as close together as they are
+    count = len(cases)
+    for gamma, delta, delay in [(0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (1e-3, 0.02, 0.5), (0.0, 2.0, 1.5)]:
+        for k in range(1, 13):
+            wall = wall_of_radius(gamma, delay, delta, 1 - 10.0**-k)
+            radius = spectral_radius(Loop(gamma, delta, delay), *wall)[0]
+            assert radius == pytest.approx(1 - 10.0**-k, abs=2e-14), (gamma, delta, delay, k)
+            count += 1
+    record_property("extreme", count)
+    assert count >= 60
 
 
 def test_spectral_radius_is_exact_for_single_poles() -> None:
@@ -202,6 +237,23 @@ def test_the_linear_condition_is_the_tangent_at_the_origin(values: tuple[float, 
     assert abs(excess[0]) < (10 * loop.delta + 1e-4) * alpha[0]
     exact = float((mp.mpf(1) / 2 + loop.delay) * mp.mpf(0.01) - loop.delta)
     assert linear_condition(loop, 0.01)[0] == pytest.approx(exact, rel=1e-12)
+
+
+def test_the_linear_condition_is_the_start_of_the_boundary_in_many_digits(record_property) -> None:
+    rng = np.random.default_rng(61)
+    random = np.where(rng.random(300) < 0.3, rng.integers(0, 20, 300), rng.uniform(0, 20, 300)).tolist()
+    extreme = [*np.geomspace(1e-9, 256, 30).tolist(), *(n + e for n in (1, 2, 64) for e in np.geomspace(1e-9, 0.9, 10))]
+    worst = 0.0
+    for d in random + extreme:
+        # without spring and damping the boundary starts at the origin: its slope at an angle of 1e-8, exact to 1e-12
+        alpha, beta, _ = exact_point(Loop(0.0, 0.0, d), 1e-8)
+        found = float(linear_condition(Loop(0.0, 0.0, d), float(alpha))[0] / beta)
+        assert found == pytest.approx(1, abs=1e-10), d
+        worst = max(worst, abs(found - 1))
+    record_property("random", len(random))
+    record_property("extreme", len(extreme))
+    record_property("deviation", worst)
+    assert len(extreme) >= 60
 
 
 def test_too_few_points_are_refused() -> None:
