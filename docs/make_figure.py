@@ -17,6 +17,7 @@ from pipeline.devices import load_device
 from pipeline.figure_data import theory_curve
 from pipeline.maps import cost_maps
 from pipeline.models import Optimum
+from pipeline.onset import motion_onset, rounded
 from pipeline.optimum import optimal_point
 from pipeline.predictions import Theory
 from pipeline.response import find_response
@@ -75,7 +76,8 @@ def measured_map(course: Course) -> CostMap:
     batch = course.batch
     response = find_response(batch)
     verdicts = judge(batch, response)
-    delay = estimate_delay(first_change(batch, response).delay_samples)
+    first = first_change(batch, response)
+    delay = estimate_delay(rounded(first, motion_onset(batch, response, first)))
     assert delay.value is not None, delay.reason
     parts = energy(batch, response, verdicts, int(delay.value))
     column = WEIGHTS.index(WEIGHT)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pipeline.batch import Booleans, Floats, Integers
+from pipeline.combine import with_sign_warning
 from pipeline.damping import LimitDamping
 from pipeline.models import Estimate, Optimum
 
@@ -146,6 +147,8 @@ def estimate_mass(corrected: Floats, mass_momentum: Floats, unit: str = "kg") ->
 def estimate_damping(limit: LimitDamping, from_trials: Floats, unit: str = "Ns/m") -> Estimate:
     """Return the viscous damping of an experiment: by the limit at K = 0, else the median of the trials.
 
+    A value whose interval reaches zero or lies below it bears a ``warning``.
+
     Parameters
     ----------
     limit : LimitDamping
@@ -155,20 +158,24 @@ def estimate_damping(limit: LimitDamping, from_trials: Floats, unit: str = "Ns/m
 
     Source: Hulin 2017, eq. 3.25 and sec. 6.1.2.
     """
-    by_limit = Estimate(
-        value=limit.value,
-        low=limit.low,
-        high=limit.high,
-        unit=unit,
-        method="stability limit at K = 0, interpolated between its neighbours",
-        reason=limit.reason,
-        trials=limit.trials,
+    by_limit = with_sign_warning(
+        Estimate(
+            value=limit.value,
+            low=limit.low,
+            high=limit.high,
+            unit=unit,
+            method="stability limit at K = 0, interpolated between its neighbours",
+            reason=limit.reason,
+            trials=limit.trials,
+        )
     )
-    by_trials = estimate_median(
-        from_trials,
-        unit,
-        "least squares of the momentum balance, median of trials",
-        "no trial allows a momentum balance over its response",
+    by_trials = with_sign_warning(
+        estimate_median(
+            from_trials,
+            unit,
+            "least squares of the momentum balance, median of trials",
+            "no trial allows a momentum balance over its response",
+        )
     )
     best = by_limit if by_limit.value is not None or by_trials.value is None else by_trials
     return best.model_copy(update={"by_method": {"stability_limit": by_limit, "momentum_balance": by_trials}})

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,22 +12,38 @@ from pydantic import ValidationError
 
 from pipeline import __version__
 from pipeline import accuracy as measured_accuracy
+from pipeline.boundary_band import boundary_area
 from pipeline.figure_data import FigureBuilder, requests_of_delay_figure
-from pipeline.labels import UNITS
+from pipeline.implied_delay import implied_delay
+from pipeline.implied_slope import DeviceParameters
+from pipeline.labels import UNITS, Units
 from pipeline.models import CRITERIA, Estimate, Experiment, Motion, Optimum
 from pipeline.predictions import THEORY_CODE, Predictions, Theory
 from pipeline.provenance import code_digest, digest
 from pipeline.report import write as write_report
 from pipeline.results import ComparisonResult, ExperimentResult, ReportData, TheoryParameters
 from pipeline.scene import LEAVE_OUT, REUSE, RUN, PlannedStage, SceneData, needed_stages, open_scene, plan_measured
+from pipeline.stage_columns import standard_error
 from pipeline.stages import ExperimentStages
 from pipeline.summary import summarise, warnings_of
 from pipeline.tables import write_text
 from pipeline.tables_d import TableBuilder
 
 _REPORT_CODE = (
-    *("compare", "scene", "tables_d", "figure_data", "summary", "maps", "predictions", "published", "results"),
-    *("report", "report_tables", "figures", "panels", "labels", "style", "models", "accuracy"),
+    *(
+        "compare",
+        "implied_delay",
+        "implied_slope",
+        "scene",
+        "tables_d",
+        "figure_data",
+        "summary",
+        "maps",
+        "predictions",
+        "published",
+        "results",
+    ),
+    *("report", "report_tables", "report_estimates", "figures", "panels", "labels", "style", "models", "accuracy"),
     *THEORY_CODE,
     *("templates/report.html.j2", "templates/macros.html.j2", "templates/report.css"),
 )
@@ -271,7 +287,6 @@ def _experiment(data: SceneData, stages: ExperimentStages, theory: Theory | None
         else:
             missing[criterion] = stages.cost(criterion)[1] or "no stable trial has this cost"
     grips = sorted(set(stages.trials.column("grip").to_pylist()))
-    left_out = "left out: neither a criterion that was asked for nor a theory curve needs it"
     return ExperimentResult(
         experiment=stages.experiment,
         configuration=entry.configuration if entry else "",
@@ -279,16 +294,34 @@ def _experiment(data: SceneData, stages: ExperimentStages, theory: Theory | None
         simulated=any(stages.trials.column("simulated").to_pylist()),
         trials=stages.trials.num_rows,
         verdicts=dict(sorted(Counter(stages.verdicts.verdict.tolist()).items())),
-        estimates={
-            "delay_samples": stages.delay_estimate if "delay" in needed else _without("samples", left_out),
-            "mass": stages.mass_estimate if "mass" in needed else _without(units.mass, left_out),
-            "damping": stages.damping_estimate if "damping" in needed else _without(units.damping, left_out),
-        },
+        outcomes=dict(Counter(stages.texts("outcome", "outcome"))),
+        model_check=stages.model_check if "model" in needed else None,
+        estimates=_estimates(stages, needed, units),
         boundary=stages.boundary_points,
         optimum=optimum,
         missing=missing,
         theory=theory.parameters if theory else None,
     )
+
+
+def _estimates(stages: ExperimentStages, needed: Collection[str], units: Units) -> dict[str, Estimate]:
+    """Estimates of an experiment: delay, mass and damping, and what follows from its boundary."""
+    left_out = "left out: neither a criterion that was asked for nor a theory curve needs it"
+    found = {
+        "delay_samples": stages.delay_estimate if "delay" in needed else _without("samples", left_out),
+        "mass": stages.mass_estimate if "mass" in needed else _without(units.mass, left_out),
+        "damping": stages.damping_estimate if "damping" in needed else _without(units.damping, left_out),
+        "boundary_area": boundary_area(stages.boundary_points, f"{units.stiffness} {units.damping}"),
+    }
+    mass, damping = found["mass"], found["damping"]
+    if "model" in needed:
+        found["jitter_samples"] = stages.jitter_estimate
+    if mass.value is not None and damping.value is not None:
+        device = DeviceParameters(
+            mass.value, damping.value, stages.sampling_period_s, standard_error(mass), standard_error(damping)
+        )
+        found["implied_delay"] = implied_delay(stages.boundary_points, device)
+    return found
 
 
 def _without(unit: str, reason: str) -> Estimate:

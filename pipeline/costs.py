@@ -11,23 +11,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.batch import Booleans, Floats, Integers, TrialBatch
-from pipeline.errors import ParameterError
+from pipeline.batch import Floats, Integers, TrialBatch
+from pipeline.horizon import EndOfLog, cost_start, energy_terms
 from pipeline.models import SETTLING_BANDS
 from pipeline.response import Response
 from pipeline.verdict import Verdicts
 
 SETTLED_SAMPLES = 5
 """Samples inside the band at the end: fewer may be a mere passage of the band."""
-
-HORIZON_FACTOR = 2.0
-"""Distance, in amplitudes of the rest, above which the response stands: it leaves room for a beat."""
-
-REST_FLOORS = 8.0
-"""Amplitude at the end, in sensor floors, up to which it may be a limit cycle that only the sensor causes."""
-
-LASTING = 0.7
-"""Amplitude of the last fifth relative to the fifth before from which on an oscillation lasts."""
 
 UNSETTLED = 0.05
 """Lasting amplitude relative to the final displacement from which on a response never settles: the widest
@@ -123,7 +114,7 @@ def settling(
 
     Source: Hulin 2017, secs. 5.1.1 and 6.1.4 (discrete settling time, first d samples dropped).
     """
-    first, usable, why = _start(batch, response, verdicts, delay_samples)
+    first, usable, why = cost_start(batch, response, verdicts, delay_samples)
     final, travel = response.position_final_expected, batch.step / np.where(usable, batch.stiffness, 1.0)
     column = np.arange(batch.position.shape[1])[None, :]
     counted = batch.valid & (column >= first[:, None])
@@ -164,7 +155,7 @@ def overshoot(batch: TrialBatch, response: Response, verdicts: Verdicts) -> Over
 
     Source: Hulin 2017, sec. 5.1.1; footnote 4 of 5.2.2 for the tolerance 1e-12 of "no overshoot".
     """
-    first, usable, why = _start(batch, response, verdicts, 0)
+    first, usable, why = cost_start(batch, response, verdicts, 0)
     travel = np.where(usable, response.position_final_expected - response.position_start, 1.0)
     counted = batch.valid & (np.arange(batch.position.shape[1])[None, :] >= first[:, None])
     relative = (batch.position - response.position_final_expected[:, None]) / travel[:, None]
@@ -204,33 +195,21 @@ def energy(batch: TrialBatch, response: Response, verdicts: Verdicts, delay_samp
 
     A sum is a cost only where it is nearly the whole: a motion that lasts to the end of the log with more
     than `UNSETTLED` of the final displacement has no cost at all, and an exponent w for which more than
-    `LARGEST_TAIL` of the sum lies beyond the horizon has none while the others keep theirs.
+    `LARGEST_TAIL` of the sum lies beyond the horizon has none while the others keep theirs. `energy_intervals`
+    takes the bias by noise off, and carries the response on beyond the horizon.
 
     Source: Hulin 2017, eqs. 5.7 and 5.14 (sampled), sec. 6.1.4.
     """
-    first, usable, why = _start(batch, response, verdicts, delay_samples)
-    columns = batch.position.shape[1]
-    column = np.arange(columns)[None, :]
-    final = np.where(usable, response.position_final_expected, 0.0)
+    terms = energy_terms(batch, response, verdicts, delay_samples)
+    first, stop, usable, end = terms.first, terms.stop, terms.usable, terms.end
     stiffness = np.where(usable, batch.stiffness, 1.0)
-    counted = batch.valid & (column >= first[:, None]) & usable[:, None]
-    error = np.where(counted, batch.position - final[:, None], 0.0)
-    end = _end_of_log(batch, first, response.floor)
-    above = counted & (np.abs(error) > HORIZON_FACTOR * end.rest[:, None])
-    stop = np.where(above.any(axis=1), columns - np.argmax(above[:, ::-1], axis=1), first)
-    stop = np.where(response.floor > 0, stop, batch.rows)
-    counted &= column < stop[:, None]
-    change = np.diff(batch.position, axis=1, prepend=batch.position[:, :1])
-    # chi_{-1} = chi_0 (DEFINITIONS: the response is at rest at its index 0)
-    change = np.where(counted & (column > first[:, None]), change, 0.0)
-    k = np.where(counted, column - first[:, None], 0).astype(np.float64)
     start_energy = batch.step**2 / (2 * stiffness)
-    potential = np.where(counted, 0.5 * stiffness[:, None] * error**2, 0.0) / start_energy[:, None]
-    kinetic = 0.5 * (change / batch.sampling_period_s[:, None]) ** 2 / start_energy[:, None]
-    sums = [np.stack([(k**w * part).sum(axis=1) for w in WEIGHTS], axis=1) for part in (potential, kinetic)]
-    horizon = np.where(usable, stop - first, 0)
-    envelope = _envelope(error, np.where(usable, stop, 0), horizon)
-    decay = _decay_per_sample(batch, response, verdicts, end, envelope, error, stop)
+    k = terms.index
+    # 0^0 = 1 outside the horizon meets energies of 0
+    sums = [np.stack([(k**w * part).sum(axis=1) for w in WEIGHTS], axis=1) for part in (terms.potential, terms.kinetic)]
+    horizon = stop - first
+    envelope = _envelope(terms.error, stop, horizon)
+    decay = _decay_per_sample(batch, response, verdicts, end, envelope, terms.error, stop)
     tail = _tail(envelope, horizon, decay, 0.5 * stiffness / start_energy)
     lasting = end.amplitude / np.abs(batch.step / stiffness)
     settles = ~(end.lasts & (lasting > UNSETTLED))
@@ -241,7 +220,9 @@ def energy(batch: TrialBatch, response: Response, verdicts: Verdicts, delay_samp
         text
         or ("" if good else f"never settles: {size:.0%} of the final displacement lasts to the end of the log")
         or _tail_reason(beyond, total, count)
-        for text, good, size, beyond, total, count in zip(why, settles, lasting, tail, sums[0], horizon, strict=True)
+        for text, good, size, beyond, total, count in zip(
+            terms.reason, settles, lasting, tail, sums[0], horizon, strict=True
+        )
     )
     return Energy(
         potential=np.where(there, sums[0], np.nan),
@@ -249,42 +230,6 @@ def energy(batch: TrialBatch, response: Response, verdicts: Verdicts, delay_samp
         horizon_samples=horizon.astype(np.int64),
         reason=reason,
     )
-
-
-@dataclass(frozen=True, eq=False)
-class _End:
-    """Motion at the end of the log, shape (n,).
-
-    ``since`` is the first row of the last fifth, ``amplitude`` that of the last fifth, ``before`` that of the
-    fifth before, ``lasts`` whether it hardly decays, ``rest`` what is left when the response is over.
-    """
-
-    since: Floats
-    before: Floats
-    amplitude: Floats
-    lasts: Booleans
-    rest: Floats
-
-
-def _end_of_log(batch: TrialBatch, first: Integers, floor: Floats) -> _End:
-    since = first + 0.8 * (batch.rows - first)
-    before, amplitude = _amplitude(batch, first, 0.6, 0.8), _amplitude(batch, first, 0.8, 1.0)
-    lasts = (amplitude >= LASTING * before) & (amplitude > 0)
-    # the sensor floor, or the limit cycle that quanta keep up
-    limit_cycle = lasts & (amplitude <= REST_FLOORS * floor)
-    rest = np.maximum(floor, np.where(limit_cycle, amplitude, 0.0))
-    return _End(since, before, amplitude, lasts, rest)
-
-
-def _amplitude(batch: TrialBatch, first: Integers, since: float, until: float) -> Floats:
-    """Half the range of the positions in a part of the response, 0 where it has no samples, shape (n,)."""
-    column = np.arange(batch.position.shape[1])[None, :]
-    length = batch.rows - first
-    part = (column >= (first + since * length)[:, None]) & (column < (first + until * length)[:, None])
-    highest = np.max(np.where(part, batch.position, -np.inf), axis=1, initial=-np.inf)
-    amplitude = 0.5 * (highest - np.min(np.where(part, batch.position, np.inf), axis=1, initial=np.inf))
-    result: Floats = np.where(np.isfinite(amplitude), amplitude, 0.0)
-    return result
 
 
 def _envelope(error: Floats, stop: Integers, horizon: Integers) -> Floats:
@@ -299,7 +244,7 @@ def _decay_per_sample(
     batch: TrialBatch,
     response: Response,
     verdicts: Verdicts,
-    end: _End,
+    end: EndOfLog,
     envelope: Floats,
     error: Floats,
     stop: Integers,
@@ -355,28 +300,3 @@ def _tail_reason(tail: Floats, total: Floats, horizon: int) -> str:
     if lost:
         text += f"; above {LARGEST_TAIL:.0%} there is no value (w = {', '.join(lost)}): record longer"
     return text
-
-
-def _start(
-    batch: TrialBatch, response: Response, verdicts: Verdicts, delay_samples: int
-) -> tuple[Integers, Booleans, tuple[str, ...]]:
-    """Row of cost index 0, which trials have costs, and why the others have none."""
-    if delay_samples < 0:
-        raise ParameterError(f"delay of {delay_samples} samples: expected an integer >= 0.")
-    first = np.maximum(response.edge_row, 0) + delay_samples
-    reasons = []
-    for edge, edge_reason, k, verdict, start, rows in zip(
-        response.edge_row, response.edge_reason, batch.stiffness, verdicts.verdict, first, batch.rows, strict=True
-    ):
-        if verdict == "unstable":
-            reasons.append("unstable: no cost")
-        elif edge < 0:
-            reasons.append(f"no start of the response: {edge_reason}")
-        elif k <= 0:
-            reasons.append(f"no final position: x_0 + F_0/K needs K > 0, found K = {k:g}")
-        elif start >= rows:
-            reasons.append(f"the log of {rows} rows ends before the command takes effect in row {start}")
-        else:
-            reasons.append("")
-    usable = np.array([not text for text in reasons], dtype=np.bool_)
-    return first.astype(np.int64), usable, tuple(reasons)

@@ -1,4 +1,5 @@
-"""Viscous damping of the device: by the stability limit at K = 0, or by each trial's momentum balance."""
+"""Viscous damping of the device: by the stability limit at K = 0, by each trial's momentum balance, by the decay of
+its velocity at K = 0."""
 
 from __future__ import annotations
 
@@ -7,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.batch import Floats, TrialBatch
+from pipeline.errors import ParameterError
+from pipeline.intervals import student_95
 from pipeline.momentum import balance
 from pipeline.response import Response
 
@@ -41,6 +44,30 @@ class LimitDamping:
     low: float | None
     high: float | None
     trials: int
+    reason: str | None = None
+
+
+@dataclass(frozen=True)
+class DecayDamping:
+    """Viscous damping by the decay of the velocity at K = 0 [Ns/m, Nms/rad], with its 95 % interval.
+
+    Parameters
+    ----------
+    value : float or None
+    low, high : float or None
+        By the scatter of the trials, which tells no error that they share; None for a single one.
+    trials : int
+    significant : bool or None
+        Whether the interval leaves out 0; None where there is no interval.
+    reason : str or None
+        Why there is no value or no interval, or that the value is not significantly different from 0.
+    """
+
+    value: float | None
+    low: float | None
+    high: float | None
+    trials: int
+    significant: bool | None
     reason: str | None = None
 
 
@@ -110,6 +137,65 @@ def by_limit(damping: Floats, stiffness: Floats, growth_per_s: Floats) -> LimitD
     low, high = mean[levels == last_stable][0], mean[levels == first_unstable][0]
     crossing = last_stable + (first_unstable - last_stable) * low / (low - high)
     return LimitDamping(0.0 - float(crossing), 0.0 - float(last_stable), 0.0 - float(first_unstable), len(B))
+
+
+def by_decay(
+    damping: Floats,
+    stiffness: Floats,
+    growth_per_s: Floats,
+    mass: float,
+    *,
+    delay_samples: float,
+    sampling_period_s: float,
+) -> DecayDamping:
+    """Return b by how fast the velocity settles in the trials with K = 0.
+
+    Parameters
+    ----------
+    damping, stiffness : float64, shape (n,)
+        Virtual damping B [Ns/m, Nms/rad] and stiffness K of the trials; only those with K = 0 are used.
+    growth_per_s : float64, shape (n,)
+        Growth rate s of the acceleration, as `verdict.judge` returns it [1/s]; NaN where it is not known.
+    mass : float
+        [kg, kg m^2].
+    delay_samples : float
+        Delay of the virtual damping in sampling periods; hold and difference add one more.
+    sampling_period_s : float
+        T [s].
+
+    Returns
+    -------
+    DecayDamping
+
+    Raises
+    ------
+    ParameterError
+        If the mass is not positive.
+
+    Notes
+    -----
+    b = -m s - B exp(-s (d + 1) T): at B = 0 that is exact, else it neglects terms of (s T)^2/12. A negative
+    value is reported as it is: an interval that holds 0 says that the damping is not significant, one below 0
+    that the drive, not friction, acts. It is the trials at K = 0 that tell b: with K > 0 the decay of the
+    oscillation (the logarithmic decrement) is that of the loop, to which the delayed wall adds more than b; a
+    free device, without a wall, does not oscillate.
+
+    Source: Hulin 2017, eq. 3.25 for K = 0.
+    """
+    if not mass > 0:
+        raise ParameterError(f"mass of {mass:g}: expected more than 0.")
+    used = (stiffness == 0) & np.isfinite(growth_per_s)
+    s, B = growth_per_s[used], damping[used]
+    if not len(s):
+        return DecayDamping(None, None, None, 0, None, "no usable trial at K = 0: record some")
+    each = -mass * s - B * np.exp(-s * (delay_samples + 1) * sampling_period_s)
+    value, n = float(each.mean()), len(s)
+    if n == 1:
+        return DecayDamping(value, None, None, 1, None, "one trial at K = 0: no interval; record more of them")
+    half = float(student_95(n - 1) * each.std(ddof=1) / np.sqrt(n))
+    low, high = value - half, value + half
+    significant = not low <= 0 <= high
+    return DecayDamping(value, low, high, n, significant, None if significant else "not significantly different from 0")
 
 
 def from_trials(batch: TrialBatch, response: Response, delay_samples: int) -> TrialDamping:

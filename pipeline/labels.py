@@ -5,11 +5,18 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from pipeline.models import Motion
+from pipeline.models import Estimate, Motion
 
 MISSING = "–"
 KILO_ABOVE = 2000.0
 """Stiffness axes that reach further than this [N/m, Nm/rad] count in thousands: long ticks crowd the axis."""
+
+
+DIGITS = 3
+"""Least digits of an estimate; a narrow interval asks for more."""
+
+MOST_DIGITS = 6
+"""Most digits of an estimate."""
 
 
 @dataclass(frozen=True)
@@ -103,3 +110,14 @@ def percent_text(value: float) -> str:
     """Return a deviation with its sign and one decimal, as in Table D.6."""
     text = f"{value:+.1f}"
     return "0.0" if float(text) == 0 else text.replace("-", "\N{MINUS SIGN}")
+
+
+def estimate_texts(estimate: Estimate) -> tuple[str, str, str]:
+    """Return value and both ends of the interval with as many digits as tell them apart; empty where missing."""
+    given = (estimate.value, estimate.low, estimate.high)
+    known = {x for x in given if x is not None}
+    digits = DIGITS
+    while digits < MOST_DIGITS and len({significant(x, digits) for x in known}) < len(known):
+        digits += 1
+    value, low, high = ("" if x is None else significant(x, digits) for x in given)
+    return value, low, high

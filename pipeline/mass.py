@@ -1,4 +1,7 @@
-"""Apparent mass by the balance of linear momentum over the first milliseconds of the response."""
+"""Apparent mass by the balance of linear momentum over the first milliseconds of the response, as the thesis had it.
+
+It knows the device as a mass alone; `friction.fit_balance` corrects for damping, friction, offset and gravity.
+"""
 
 from __future__ import annotations
 
@@ -45,6 +48,9 @@ def by_momentum(
     *,
     window_s: float = WINDOW_S,
     smallest_signal: float = SMALLEST_SIGNAL,
+    force: Floats | None = None,
+    held: bool = True,
+    logged_times: bool = False,
 ) -> Masses:
     """Return the mass of each trial from impulse over change of velocity.
 
@@ -59,6 +65,9 @@ def by_momentum(
         Time from the command edge to t_2 [s]; t_1 is the rest before the first movement.
     smallest_signal : float
         Least velocity change, in standard errors of a velocity measured with this sensor.
+    force, held, logged_times
+        As in `momentum.balance`: another force than the command, whether it is held, and whether to integrate
+        with the logged times. Without those, rows that are not T apart give no mass.
 
     Returns
     -------
@@ -67,7 +76,7 @@ def by_momentum(
     Raises
     ------
     ParameterError
-        If the delay is negative.
+        If the delay is negative, or the force has another shape than the command.
 
     Notes
     -----
@@ -77,9 +86,14 @@ def by_momentum(
 
     Source: Hulin 2017, eq. 6.4 and sec. 6.1.2.
     """
-    momentum = balance(batch, response.edge_row, delay_samples)
+    momentum = balance(batch, response.edge_row, delay_samples, force=force, held=held, logged_times=logged_times)
     rows = np.arange(len(batch))
     window = np.round(window_s / batch.sampling_period_s).astype(np.int64)
+    if logged_times:
+        start = batch.time[rows, np.maximum(response.edge_row, 0)]
+        # a row less than a thousandth of T behind the end is the one that the window was meant to end with
+        limit = start + window_s + 1e-3 * batch.sampling_period_s
+        window = (np.nan_to_num(batch.time, nan=np.inf) <= limit[:, None]).sum(axis=1) - 1 - response.edge_row
     last = response.edge_row + window - 1
     fits = response.has_edge & (window > delay_samples + 1) & (last + 1 < batch.rows)
     pick = np.where(fits, last, 0)
@@ -87,7 +101,7 @@ def by_momentum(
     impulse, moved = momentum.impulse[rows, pick], momentum.displacement[rows, pick]
     noise = np.hypot(np.nan_to_num(response.sensor_noise), response.sensor_quantum / np.sqrt(12))
     least = smallest_signal * np.sqrt(2) * noise / batch.sampling_period_s
-    irregular = _irregularity(batch, response.edge_row, window)
+    irregular = np.zeros(len(batch)) if logged_times else _irregularity(batch, response.edge_row, window)
     with np.errstate(invalid="ignore", divide="ignore"):
         visible = np.abs(velocity) > least
         mass = impulse / velocity
@@ -116,6 +130,98 @@ def by_momentum(
                 "impulse and velocity change have opposite signs: no mass explains the motion with this delay"
             )
     return Masses(np.where(good, mass, np.nan), np.where(good, share, np.nan), tuple(reasons))
+
+
+@dataclass(frozen=True, eq=False)
+class WindowScan:
+    """Mass by (6.4) for several windows: n trials, w windows.
+
+    Parameters
+    ----------
+    window_s : float64, shape (w,)
+        Time from the command edge to t_2 [s].
+    mass : float64, shape (n, w)
+        [kg, kg m^2]; NaN where a trial has none with that window.
+    median, scatter : float64, shape (w,)
+        Median of the trials and their scatter, the interquartile range over 1.349 (the standard deviation of a
+        normal distribution) [kg, kg m^2]; NaN where fewer than two trials have a mass.
+    trials : int64, shape (w,)
+        Trials with a mass.
+    reason : tuple of str, length w
+        Why most trials without a mass have none; empty where all have one.
+    """
+
+    window_s: Floats
+    mass: Floats
+    median: Floats
+    scatter: Floats
+    trials: Integers
+    reason: tuple[str, ...]
+
+
+def window_scan(
+    batch: TrialBatch,
+    response: Response,
+    delay_samples: int,
+    windows_s: Floats,
+    *,
+    smallest_signal: float = SMALLEST_SIGNAL,
+    force: Floats | None = None,
+    held: bool = True,
+    logged_times: bool = False,
+) -> WindowScan:
+    """Return the mass of each trial for several windows: how much the choice of 15 ms matters.
+
+    Parameters
+    ----------
+    batch : TrialBatch
+    response : Response
+        Of the same trials.
+    delay_samples : int
+        Integer delay factor.
+    windows_s : float64, shape (w,)
+        Times from the command edge [s].
+    smallest_signal, force, held, logged_times
+        As in `by_momentum`.
+
+    Raises
+    ------
+    ParameterError
+        As `by_momentum`.
+
+    Notes
+    -----
+    Longer windows see damping, friction and the wall turn the motion back: the velocity change gets small, and
+    what (6.4) leaves out large beside it.
+
+    Source: Hulin 2017, eq. 6.4 and sec. 6.1.2 (longer windows were irregular).
+    """
+    found = [
+        by_momentum(
+            batch,
+            response,
+            delay_samples,
+            window_s=float(window),
+            smallest_signal=smallest_signal,
+            force=force,
+            held=held,
+            logged_times=logged_times,
+        )
+        for window in windows_s
+    ]
+    masses = np.reshape([f.mass_momentum for f in found], (len(found), len(batch))).T
+    trials = np.isfinite(masses).sum(axis=0)
+    median, scatter = np.full(len(found), np.nan), np.full(len(found), np.nan)
+    for i in np.flatnonzero(trials > 1):
+        low, median[i], high = np.nanquantile(masses[:, i], (0.25, 0.5, 0.75))
+        scatter[i] = (high - low) / 1.349
+    reasons = tuple(_commonest(f.reason) for f in found)
+    return WindowScan(np.asarray(windows_s, dtype=np.float64), masses, median, scatter, trials, reasons)
+
+
+def _commonest(reasons: tuple[str, ...]) -> str:
+    given = [reason for reason in reasons if reason]
+    return max(sorted(set(given)), key=given.count) if given else ""
 
 
 def correct(masses: Masses, viscous_damping: float | Floats) -> Floats:

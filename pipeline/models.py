@@ -151,8 +151,24 @@ class Trial(Record):
     package_version: str
 
 
+class Trend(Record):
+    """Slope of an estimate over the stiffness or damping of the trials with its 95 % interval."""
+
+    over: Literal["stiffness", "damping"]
+    slope: float
+    low: float
+    high: float
+    unit: str
+    significant: bool
+
+
 class Estimate(Record):
-    """A quantity with its 95 % interval and method, or no value and the reason for that."""
+    """A quantity with its 95 % interval and method, or no value and the reason for that.
+
+    ``spread`` is the standard deviation between trials beyond their own errors, ``within`` the median standard error of
+    one trial. ``trials`` were used; ``outliers`` are the ids of those that were not because they lie apart, ``refused``
+    is the number of those without an interval. ``warning`` says in words what is wrong with the value.
+    """
 
     value: float | None
     low: float | None = None
@@ -162,12 +178,34 @@ class Estimate(Record):
     reason: str | None = None
     trials: int = 0
     by_method: dict[str, Estimate] = Field(default_factory=dict)
+    spread: NonNegative | None = None
+    within: NonNegative | None = None
+    outliers: tuple[str, ...] = ()
+    refused: Annotated[int, Field(ge=0)] = 0
+    trend: tuple[Trend, ...] = ()
+    warning: str | None = None
 
     @model_validator(mode="after")
     def _a_missing_value_has_a_reason(self) -> Self:
         if self.value is None and not self.reason:
             raise ValueError("an estimate without a value needs a reason")
         return self
+
+
+class ModelCheck(Record):
+    """How well the fitted model explains the logs of an experiment.
+
+    ``explained`` of ``trials`` fits are right within what sensor and chance allow. Medians over trials: ``misfit`` of
+    the whitened errors (1 where the sensor explains them), ``whiteness`` (p-value), ``ghost`` (root mean square of
+    log minus simulated loop, relative to the final displacement). ``left`` trials leave the model's noise band.
+    """
+
+    trials: int
+    explained: int
+    left: int
+    misfit: float | None
+    whiteness: float | None
+    ghost: float | None
 
 
 class Cost(Record):
@@ -180,12 +218,19 @@ class Cost(Record):
 
 
 class BoundaryPoint(Record):
-    """Stability limit at one damping: largest stable stiffness below the smallest unstable one."""
+    """Stability limit at one damping: largest stable stiffness below the smallest unstable one.
+
+    ``estimate`` is the limit by the growth rates with its 95 % interval; a censored point has ``low`` alone.
+    """
 
     damping: float
     stable: float | None
     unstable: float | None
     censored: bool
+    estimate: float | None = None
+    low: float | None = None
+    high: float | None = None
+    trials: int = 0
 
 
 class Optimum(Record):
@@ -194,6 +239,8 @@ class Optimum(Record):
     stiffness: float
     damping: float
     cost: float
+    cost_low: float | None = None
+    cost_high: float | None = None
     trial_id: str | None = None
     ties: int = 1
     censored: bool = False

@@ -22,7 +22,7 @@ class Momentum:
     Parameters
     ----------
     impulse : float64
-        Integral of the delayed command from the edge to (the mean over) the interval [Ns, Nms].
+        Integral of the delayed force from the edge to (the mean over) the interval [Ns, Nms].
     velocity : float64
         Mean velocity of the interval [m/s, rad/s].
     displacement : float64
@@ -37,7 +37,15 @@ class Momentum:
     inside: Booleans
 
 
-def balance(batch: TrialBatch, edge: Integers, delay_samples: int) -> Momentum:
+def balance(
+    batch: TrialBatch,
+    edge: Integers,
+    delay_samples: int,
+    *,
+    force: Floats | None = None,
+    held: bool = True,
+    logged_times: bool = False,
+) -> Momentum:
     """Return impulse, velocity and displacement of each interval, with the command shifted by a delay.
 
     Parameters
@@ -46,26 +54,39 @@ def balance(batch: TrialBatch, edge: Integers, delay_samples: int) -> Momentum:
     edge : int64, shape (n,)
         Row of the command edge; a trial without one (-1) has nothing inside.
     delay_samples : int
-        Integer delay factor d.
+        Integer delay factor d: the force of row k acts from row k + d on.
+    force : float64, shape (n, N), optional
+        Force or torque in place of the command, as from a sensor [N, Nm].
+    held : bool
+        Whether the force is held from its row to the next, as a command is. A measured force is a reading of
+        something continuous: there the trapezoid between two readings is right.
+    logged_times : bool
+        Integrate with the logged time stamps, for logs whose rows are not T apart, in place of T.
 
     Raises
     ------
     ParameterError
-        If the delay is negative.
+        If the delay is negative, or the force has another shape than the command.
 
     Source: Hulin 2017, eq. 6.4.
     """
     if delay_samples < 0:
         raise ParameterError(f"delay of {delay_samples} samples: expected an integer >= 0.")
-    period = batch.sampling_period_s[:, None]
+    force = batch.command if force is None else force
+    if force.shape != batch.command.shape:
+        raise ParameterError(f"force of shape {force.shape}: expected that of the command, {batch.command.shape}.")
+    period = np.broadcast_to(batch.sampling_period_s[:, None], (len(batch), batch.command.shape[1] - 1))
+    if logged_times:
+        period = np.where(batch.valid[:, 1:], np.diff(batch.time, axis=1), 1.0)
     columns = batch.command.shape[1]
     interval = np.arange(columns - 1)[None, :]
     inside = (interval >= edge[:, None]) & (interval < (batch.rows - 1)[:, None]) & (edge[:, None] >= 0)
     arrived = np.arange(columns) - delay_samples
-    force = np.nan_to_num(batch.command[:, np.maximum(arrived, 0)])
+    acting = np.nan_to_num(force[:, np.maximum(arrived, 0)])
     # what the controller commanded before the edge is noise on a device at rest
-    force = np.where(arrived[None, :] >= edge[:, None], force, 0.0)
-    impulse = period * (np.cumsum(force, axis=1) - 0.5 * force)
+    acting = np.where(arrived[None, :] >= edge[:, None], acting, 0.0)
+    acting = acting[:, :-1] if held else 0.5 * (acting[:, :-1] + acting[:, 1:])
+    impulse = np.cumsum(acting * period, axis=1) - 0.5 * acting * period
     x = batch.displacement
     change = np.diff(x, axis=1)
     # mean of the interval: trapezoid corrected for the change of slope, needed from 0.2 rad a sample on
@@ -73,7 +94,7 @@ def balance(batch: TrialBatch, edge: Integers, delay_samples: int) -> Momentum:
     bend[:, 1:-1] = (change[:, 2:] - change[:, :-2]) / 24
     mean = 0.5 * (x[:, 1:] + x[:, :-1]) - np.nan_to_num(bend)
     return Momentum(
-        impulse=np.where(inside, impulse[:, :-1], np.nan),
+        impulse=np.where(inside, impulse, np.nan),
         velocity=np.where(inside, change / period, np.nan),
         displacement=np.where(inside, mean, np.nan),
         inside=inside,

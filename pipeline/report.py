@@ -11,7 +11,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
-from pipeline import report_tables, tables
+from pipeline import report_estimates, report_tables, tables
 from pipeline.accuracy import AccuracyReport, duration, error_text, own_rungs
 from pipeline.errors import PipelineError
 from pipeline.provenance import digest
@@ -101,8 +101,10 @@ def _tables(data: ReportData) -> dict[str, Any]:
     provenance = sorted(result.provenance.items())
     stages = ("stage", "what", "why")
     return {
-        "experiments": report_tables.experiment_table(result) if result.experiments else None,
-        "methods": report_tables.method_table(result),
+        "experiments": report_estimates.experiment_table(result) if result.experiments else None,
+        "outcomes": report_estimates.outcome_table(result),
+        "model": report_estimates.model_table(result),
+        "methods": report_estimates.method_table(result),
         "optima": optima,
         "measured_optima": report_tables.measured_optimum_table(result),
         "delay_tables": report_tables.delay_tables(result),

@@ -21,12 +21,10 @@ from pipeline.labels import (
     significant,
     stiffness_text,
 )
-from pipeline.models import ComparisonRow, Estimate, Motion
-from pipeline.results import ComparisonResult, ExperimentResult, TheoryParameters
+from pipeline.models import BoundaryPoint, ComparisonRow, Motion, Optimum
+from pipeline.results import ComparisonResult, ExperimentResult
 
 CENSORED = "At the edge of the tested range (censored): the true value may lie outside."
-DIGITS = 3
-"""Digits of an estimate; its interval is seldom narrower than one percent."""
 
 
 @dataclass(frozen=True)
@@ -108,53 +106,6 @@ def missing_cell(why: str) -> Cell:
     return Cell(MISSING, why=why)
 
 
-def experiment_table(result: ComparisonResult) -> Table:
-    """Return trials, verdicts, estimates with 95 % intervals, and theory parameters of each experiment."""
-    verdicts = list(dict.fromkeys(v for e in result.experiments for v in e.verdicts))
-    quantities = list(dict.fromkeys(q for e in result.experiments for q in e.estimates))
-    theory = any(e.theory for e in result.experiments)
-    units = {q: e.estimates[q].unit for e in reversed(result.experiments) for q in e.estimates}
-    heads = [Head("experiment", numeric=False), Head("set-up", numeric=False), Head("all", "trials")]
-    heads += [Head(v, "trials") for v in verdicts]
-    heads += [
-        Head(f"{_quantity(q)} [{units[q].replace('^2', '²')}]", "estimated, with 95 % interval") for q in quantities
-    ]
-    heads += [Head("theory uses", numeric=False)] if theory else []
-    table = Table("experiments", "Experiments, verdicts on stability and estimated parameters", tuple(heads))
-    for e in result.experiments:
-        setup = ", ".join(filter(None, [e.configuration, f"{e.grip} grip" if e.grip != "none" else "no operator"]))
-        cells = [text_cell(e.experiment), text_cell(setup), Cell(str(e.trials))]
-        cells += [Cell(str(e.verdicts.get(v, 0))) for v in verdicts]
-        cells += [_estimate_cell(table, e.estimates.get(q)) for q in quantities]
-        columns = ["experiment", "set-up", "trials", *verdicts, *quantities]
-        if theory:
-            cells.append(_theory_cell(e.theory, result.motion))
-            columns.append("theory")
-        table.add("", e.experiment, columns, cells)
-    return table
-
-
-def method_table(result: ComparisonResult) -> Table | None:
-    """Return the estimates by every method, or None where there is one method only."""
-    heads = (Head("method", numeric=False), Head("value"), Head("low"), Head("high"), Head("trials"))
-    table = Table("methods", "Estimates by method, with 95 % intervals", (*heads, Head("remark", numeric=False)))
-    columns = ("method", "value", "low", "high", "trials", "remark")
-    for e in result.experiments:
-        for quantity, best in e.estimates.items():
-            if not best.by_method:
-                continue
-            for name, value in {f"{best.method} (used)": best, **best.by_method}.items():
-                why = value.reason or "the method gives no interval"
-                numbers = [
-                    Cell(significant(x, DIGITS)) if x is not None else missing_cell(why)
-                    for x in (value.value, value.low, value.high)
-                ]
-                cells = [text_cell(name), *numbers, Cell(str(value.trials)), text_cell(value.reason or "")]
-                block = f"experiment {e.experiment}: {_quantity(quantity)} [{value.unit}]"
-                table.add(block, f"{e.experiment}/{quantity}/{name}", columns, cells)
-    return table if table.blocks else None
-
-
 def optimum_tables(result: ComparisonResult) -> list[Table]:
     """Return Tables D.1 to D.5 (or whatever the rows are named): optimal points beside the published ones."""
     names = dict.fromkeys(row.table for row in result.tables)
@@ -181,7 +132,7 @@ def is_delay_table(rows: Sequence[ComparisonRow]) -> bool:
 def measured_optimum_table(result: ComparisonResult) -> Table | None:
     """Return the best trial of each experiment by each criterion, or None where there is none."""
     units = UNITS[result.motion]
-    numbers = (f"stiffness [{units.stiffness}]", f"damping [{units.damping}]", "cost", "equal trials")
+    numbers = (f"stiffness [{units.stiffness}]", f"damping [{units.damping}]", "cost, 95 %", "equal trials")
     heads = (Head("criterion", numeric=False), *(Head(text) for text in numbers))
     table = Table("optima", "Trials with the least cost", heads)
     columns = ("criterion", "stiffness", "damping", "cost", "ties")
@@ -192,11 +143,17 @@ def measured_optimum_table(result: ComparisonResult) -> Table | None:
                 text_cell(criterion_label(criterion)),
                 Cell(stiffness_text(best.stiffness), marks=marks),
                 Cell(damping_text(best.damping)),
-                Cell(cost_text(criterion, best.cost)),
+                Cell(cost_text(criterion, best.cost), aside=_interval_text(criterion, best)),
                 Cell(str(best.ties)),
             ]
             table.add(f"experiment {e.experiment}", f"{e.experiment}/{criterion}", columns, cells)
     return table if table.blocks else None
+
+
+def _interval_text(criterion: str, best: Optimum) -> str:
+    if best.cost_low is None or best.cost_high is None:
+        return ""
+    return f"{cost_text(criterion, best.cost_low)} to {cost_text(criterion, best.cost_high)}"
 
 
 def boundary_table(result: ComparisonResult) -> Table | None:
@@ -208,9 +165,12 @@ def boundary_table(result: ComparisonResult) -> Table | None:
     heads = [Head(f"damping [{units.damping}]")]
     columns = ["damping"]
     for e in tested:
-        heads += [Head(name, f"experiment {e.experiment}") for name in ("stable", "unstable")]
-        columns += [f"{e.experiment}/stable", f"{e.experiment}/unstable"]
-    caption = f"Largest stable and smallest unstable stiffness [{units.stiffness}] at each damping"
+        heads += [Head(name, f"experiment {e.experiment}") for name in ("stable", "unstable", "limit, 95 %")]
+        columns += [f"{e.experiment}/{name}" for name in ("stable", "unstable", "limit")]
+    caption = (
+        f"Largest stable and smallest unstable stiffness [{units.stiffness}] at each damping, and the limit by the "
+        "growth rates of the trials around it"
+    )
     table = Table("boundary", caption, tuple(heads))
     for damping in sorted({p.damping for e in tested for p in e.boundary}):
         cells = [Cell(damping_text(damping))]
@@ -228,7 +188,7 @@ def missing_table(result: ComparisonResult) -> Table | None:
         for what, why in e.missing.items():
             cells = (
                 text_cell(e.experiment),
-                text_cell(CRITERION_NAMES.get(what, _quantity(what))),
+                text_cell(CRITERION_NAMES.get(what, what.replace("_", " "))),
                 text_cell(why),
             )
             table.add("", f"{e.experiment}/{what}", ("experiment", "result", "reason"), cells)
@@ -241,38 +201,6 @@ def word_table(identifier: str, caption: str, heads: Sequence[str], rows: Iterab
     for row in rows:
         table.add("", row[0], heads, [text_cell(text) for text in row])
     return table if table.blocks else None
-
-
-def _quantity(name: str) -> str:
-    return {"delay_samples": "delay d", "mass": "mass m", "damping": "damping b"}.get(name, name.replace("_", " "))
-
-
-def _estimate_cell(table: Table, value: Estimate | None) -> Cell:
-    if value is None:
-        return missing_cell("not asked for in this scene")
-    if value.value is None:
-        return Cell(MISSING, why=value.reason or "", marks=table.mark([value.reason]))
-    interval = ""
-    if value.low is not None and value.high is not None:
-        interval = f"{significant(value.low, DIGITS)} to {significant(value.high, DIGITS)}"
-    marks = table.mark([f"Method: {value.method}.", value.reason])
-    return Cell(significant(value.value, DIGITS), aside=interval, marks=marks)
-
-
-def _theory_cell(theory: TheoryParameters | None, motion: Motion) -> Cell:
-    if theory is None:
-        return missing_cell("no theory: its parameters could not be had")
-    units = UNITS[motion]
-    parts = [
-        f"m = {significant(theory.mass, 3)} {units.mass}",
-        f"b = {significant(theory.damping, 3)} {units.damping}",
-    ]
-    if theory.stiffness:
-        parts.append(f"k = {significant(theory.stiffness, 3)} {units.stiffness}")
-    parts.append(f"d = {significant(theory.delay_samples, 3)}")
-    # A value and its unit stay on one line.
-    text = ", ".join(part.replace(" ", "\N{NO-BREAK SPACE}") for part in parts)
-    return Cell(text, numeric=False, aside=theory.source)
 
 
 def _optimum_table(name: str, rows: Sequence[ComparisonRow], motion: Motion) -> Table:
@@ -368,9 +296,19 @@ def _cost_cell(table: Table, row: ComparisonRow | None) -> Cell:
 def _boundary_cells(table: Table, experiment: ExperimentResult, damping: float) -> list[Cell]:
     point = next((p for p in experiment.boundary if p.damping == damping), None)
     if point is None:
-        return [missing_cell("not tested at this damping")] * 2
+        return [missing_cell("not tested at this damping")] * 3
     note = "The tested range ended before an unstable trial." if point.censored else None
     stable = Cell(stiffness_text(point.stable)) if point.stable is not None else missing_cell("no stable trial")
-    if point.unstable is None:
-        return [stable, Cell(MISSING, why=note or "no unstable trial", marks=table.mark([note]))]
-    return [stable, Cell(stiffness_text(point.unstable), marks=table.mark([note]))]
+    unstable = Cell(MISSING, why=note or "no unstable trial", marks=table.mark([note]))
+    if point.unstable is not None:
+        unstable = Cell(stiffness_text(point.unstable), marks=table.mark([note]))
+    return [stable, unstable, _limit_cell(point)]
+
+
+def _limit_cell(point: BoundaryPoint) -> Cell:
+    if point.estimate is None or point.low is None or point.high is None:
+        if not point.low:
+            return missing_cell("no trial is surely stable or surely unstable")
+        return Cell(f"≥ {stiffness_text(point.low)}")
+    interval = f"{stiffness_text(point.low)} to {stiffness_text(point.high)}"
+    return Cell(stiffness_text(point.estimate), aside=interval)

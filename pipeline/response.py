@@ -7,11 +7,12 @@ in the log.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from pipeline.batch import Booleans, Floats, Integers, TrialBatch
+from pipeline.errors import ParameterError
 
 NO_ROW = -1
 """Edge row of a trial without an identifiable command edge."""
@@ -30,6 +31,19 @@ NOISE_FACTOR = 6.0
 
 GRID_TOLERANCE = 1e-3
 """Largest distance of a position change from a multiple of the quantum, relative to the quantum."""
+
+STORED_TOLERANCE = 0.15
+"""As `GRID_TOLERANCE` for positions that were stored in single precision or with few digits: six units of the
+last digit in one quantum still pass."""
+
+STORED_GAP = 4.0
+"""Ratio between neighbours of the sorted changes that parts one quantum from what the storing rounded."""
+
+STORED_MULTIPLES = 20.0
+"""Largest multiple that tests a grid in rounded positions: beyond, its own error reaches the tolerance."""
+
+FEWEST_ON_GRID = 12
+"""Changes that must lie on such a grid: those of a continuous signal all do with a chance of 0.3^12 = 5e-7."""
 
 ROUNDING_UNITS = 64.0
 """Changes below this many units of rounding are arithmetic, not the sensor."""
@@ -134,6 +148,45 @@ def find_response(batch: TrialBatch, *, edge_samples: int = EDGE_SAMPLES) -> Res
     )
 
 
+def declare_edge(batch: TrialBatch, response: Response, edge_row: int | Integers) -> Response:
+    """Return the response with the command edge where the trial's metadata say that it is.
+
+    Parameters
+    ----------
+    batch : TrialBatch
+    response : Response
+        Of the same trials.
+    edge_row : int or int64, shape (n,)
+        Row in which the command first holds the step, counted from 0; it replaces what the log shows. Row 0 is
+        legal: such a log has no baseline, so that its noise stays unknown. -1 leaves a trial as it is.
+
+    Returns
+    -------
+    Response
+
+    Raises
+    ------
+    ParameterError
+        If a row lies outside its log.
+    """
+    edge = np.broadcast_to(np.asarray(edge_row, dtype=np.int64), (len(batch),)).copy()
+    kept = edge == NO_ROW
+    outside = ~kept & ((edge < 0) | (edge >= batch.rows))
+    if outside.any():
+        i = int(np.argmax(outside))
+        raise ParameterError(
+            f"declared command edge of trial {batch.trial_id[i]!r}: row {edge[i]}; expected 0 to {batch.rows[i] - 1}. "
+            "Correct the declared row."
+        )
+    final = ("" if k > 0 else _no_final(k) for k in batch.stiffness)
+    return replace(
+        response,
+        edge_row=np.where(kept, response.edge_row, edge),
+        reason=tuple(old if same else new for same, old, new in zip(kept, response.reason, final, strict=True)),
+        edge_reason=tuple(old if same else "" for same, old in zip(kept, response.edge_reason, strict=True)),
+    )
+
+
 def external_force(batch: TrialBatch) -> Floats:
     """Return command plus wall force, shape (n, N) [N, Nm]: the external step as the controller added it.
 
@@ -175,19 +228,64 @@ def _no_final(stiffness: float) -> str:
 
 
 def _quantum(batch: TrialBatch) -> Floats:
-    """Smallest change of which all changes of the position are multiples, 0 where there is none."""
+    """Step of the sensor, shape (n,): of the coarsest grid on which the positions lie; 0 where there is none.
+
+    Single precision and printed digits put the positions on a finer grid of their own, whose step is not the
+    sensor's: a grid that is coarser, and on which they lie but for that rounding, goes first.
+    """
     change = np.abs(np.diff(batch.position, axis=1))
     # a fast motion never changes by one quantum a sample, but its changes differ by one
     second = np.abs(np.diff(batch.position, n=2, axis=1))
     largest = np.nanmax(np.abs(batch.position), axis=1, initial=0.0)
     rounding = ROUNDING_UNITS * np.finfo(np.float64).eps * largest
+    exact = _exact_grid(change, second, rounding)
+    stored = _stored_grid(change, second, rounding)
+    return np.where(stored > STORED_GAP * exact, stored, exact)
+
+
+def _stored_grid(change: Floats, second: Floats, rounding: Floats) -> Floats:
+    """Step of the grid on which the positions lie but for a rounding when they were stored, 0 where none."""
+    size = np.nan_to_num(np.concatenate([change, second], axis=1))
+    size = np.sort(np.where(size > rounding[:, None], size, np.inf), axis=1)
+    if size.shape[1] < FEWEST_ON_GRID:
+        return np.zeros(len(size))
+    with np.errstate(invalid="ignore"):
+        ratio = np.where(np.isfinite(size[:, 1:]), size[:, 1:] / size[:, :-1], 0.0)
+    gap = np.argmax(ratio, axis=1)
+    trial = np.arange(len(size))
+    # without a gap the smallest change is no candidate: those of a smooth motion have common measures of their own
+    smallest = np.where(ratio[trial, gap] > STORED_GAP, size[trial, gap + 1], np.inf)
+    finite = np.where(np.isfinite(size), size, 0.0)
+    result = np.zeros(len(size))
+    for parts in (1, 2, 3):  # as for an exact grid
+        grid = smallest / parts
+        # the smallest change carries the rounding of two readings, the mean of all hardly any: step by step, for
+        # an error of the grid is one of its multiples as many times over
+        for limit in (3.0 * parts, 8.0 * parts, STORED_MULTIPLES):
+            multiple = np.round(finite / grid[:, None])
+            tested = (multiple >= 1) & (multiple <= limit)
+            square = np.where(tested, multiple**2, 0.0).sum(axis=1)
+            with np.errstate(invalid="ignore", divide="ignore"):
+                mean = np.where(tested, multiple * finite, 0.0).sum(axis=1) / square
+            grid = np.where(square > 0, mean, np.inf)
+        multiple = np.round(finite / grid[:, None])
+        tested = (multiple >= 1) & (multiple <= STORED_MULTIPLES)
+        error = np.abs(finite / grid[:, None] - multiple)
+        worst = np.max(np.where(multiple <= STORED_MULTIPLES, error, 0.0), axis=1, initial=0.0)
+        found = np.isfinite(grid) & (worst < STORED_TOLERANCE) & (tested.sum(axis=1) >= FEWEST_ON_GRID)
+        result = np.where((result == 0) & found, grid, result)
+    return result
+
+
+def _exact_grid(change: Floats, second: Floats, rounding: Floats) -> Floats:
+    """Smallest change of which all changes of the position are multiples, 0 where there is none."""
     moved = np.nan_to_num(change) > rounding[:, None]
     bent = np.nan_to_num(second) > rounding[:, None]
     smallest = np.minimum(
         np.min(np.where(moved, change, np.inf), axis=1, initial=np.inf),
         np.min(np.where(bent, second, np.inf), axis=1, initial=np.inf),
     )
-    quantum = np.zeros(len(batch))
+    quantum = np.zeros(len(change))
     # no single change may have been one quantum: then the smallest is two or three of them
     for parts in (1, 2, 3):
         open_trials = np.flatnonzero(np.isfinite(smallest) & (quantum == 0))

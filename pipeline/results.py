@@ -11,7 +11,7 @@ from pydantic import Field
 
 from pipeline.accuracy import AccuracyReport
 from pipeline.batch import Floats
-from pipeline.models import BoundaryPoint, ComparisonRow, Estimate, Motion, Optimum, Record
+from pipeline.models import BoundaryPoint, ComparisonRow, Estimate, ModelCheck, Motion, Optimum, Record
 
 
 class TheoryParameters(Record):
@@ -34,6 +34,8 @@ class ExperimentResult(Record):
     simulated: bool
     trials: int
     verdicts: dict[str, int]
+    outcomes: dict[str, int] = Field(default_factory=dict)
+    model_check: ModelCheck | None = None
     estimates: dict[str, Estimate]
     boundary: tuple[BoundaryPoint, ...]
     optimum: dict[str, Optimum]

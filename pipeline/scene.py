@@ -107,11 +107,13 @@ def _wanted(criteria: Sequence[str]) -> set[str]:
 def needed_stages(data: SceneData) -> set[str]:
     """Return the stages of the measured branch that the scene needs."""
     needed = required(_wanted(data.scene.criteria))
+    needed |= {"outcome"}
     return needed | required(("delay", "mass", "damping")) if data.overlay else needed
 
 
 _LEFT_OUT = {
     "delay": "overshoot and the measured boundary need no delay",
+    "model": "neither mass nor damping is asked for",
     "damping": "damping enters no measured cost, and no theory is drawn from estimates",
     "mass": "only energy costs need the mass",
     "overshoot": "overshoot is not asked for",

@@ -99,6 +99,9 @@ class Setup:
         Largest absolute command [N, Nm].
     velocity_filter_s : float
         Time constant of the low-pass of the velocity [s], 0 for the plain difference.
+    stop : float
+        Distance of rigid stops from ``centre`` [m, rad]: the device stands there, without a rebound, until the
+        force turns inwards. A start at or beyond a stop moves it outwards as it does the travel limit.
     """
 
     plant: Plant
@@ -114,6 +117,7 @@ class Setup:
     noise: float = 0.0
     force_limit: float | None = None
     velocity_filter_s: float = 0.0
+    stop: float = inf
 
     def __post_init__(self) -> None:
         if self.delay_samples < 0 or any(d < 0 for d in self.jitter_samples):
@@ -168,6 +172,7 @@ def simulate(
     seed: int = 0,
     stream: str = "",
     repetition: int = 0,
+    disturbance: Floats | None = None,
 ) -> TrialBatch:
     """Simulate step responses, one per pair (K, B), from rest at ``centre - F_0/K`` (``centre`` for K = 0).
 
@@ -179,6 +184,9 @@ def simulate(
     seed, stream, repetition : int, str, int
         Name the random streams together with K and B: the same five give the same trial, whatever it is
         simulated together with, and a longer trial starts with the samples of the shorter one.
+    disturbance : float64, shape (rows, n), optional
+        Force on the device beside the command [N, Nm], such as the push of a hand, constant from one row to the
+        next. The controller knows nothing of it, and it acts without delay.
 
     Returns
     -------
@@ -188,7 +196,7 @@ def simulate(
     Raises
     ------
     ParameterError
-        If K is negative, or K or B is not finite, or the seed is negative.
+        If K is negative, or K or B is not finite, or the seed is negative, or the disturbance has another shape.
 
     Notes
     -----
@@ -204,9 +212,12 @@ def simulate(
         raise ParameterError(f"seed {seed}: expected 0 or a positive whole number.")
     trials, T = len(K), setup.sampling_period_s
     start = setup.centre - setup.step * np.divide(1.0, K, out=np.zeros(trials), where=K > 0)  # eq. 6.1
+    if disturbance is not None and disturbance.shape != (setup.rows, trials):
+        raise ParameterError(f"disturbance of shape {disturbance.shape}: expected (rows, n) = {(setup.rows, trials)}.")
     noise, delays = _draw(setup, K, B, seed, stream, repetition)
     route = _route(setup, delays)
-    travel = np.maximum(setup.travel, START_MARGIN * np.abs(start - setup.centre))
+    farthest = START_MARGIN * np.abs(start - setup.centre)
+    travel, stop = np.maximum(setup.travel, farthest), np.maximum(setup.stop, farthest)
     share = setup.filter_share
     filtered = share < 1
 
@@ -236,7 +247,13 @@ def simulate(
                 break
         for time_s, slot in route(k):
             force = command[slot] if isinstance(slot, int) else command[slot, everyone]
+            if disturbance is not None:
+                force = force + disturbance[k]
             state = setup.plant.advance(state, np.where(inside, force, 0.0), time_s)
+        if setup.stop < inf:
+            reached = np.clip(state[0], setup.centre - stop - start, setup.centre + stop - start)
+            state[1, state[0] != reached] = 0.0
+            state[0] = reached
     longest = int(rows.max(initial=0))
     padding = np.arange(longest)[None, :] >= rows[:, None]
     time = np.where(padding, np.nan, T * np.arange(longest))

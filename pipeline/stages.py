@@ -7,48 +7,59 @@ computes it, and of the values it takes from stages before it.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
-from pipeline import aggregate, boundary, costs, damping, delay, mass, response, verdict
+from pipeline import aggregate, estimates, response, verdict
 from pipeline.batch import Floats, TrialBatch
 from pipeline.errors import StoreError
-from pipeline.models import ENERGY_CRITERIA, SETTLING_BANDS, BoundaryPoint, Estimate, Optimum
+from pipeline.models import ENERGY_CRITERIA, SETTLING_BANDS, BoundaryPoint, Estimate, ModelCheck, Optimum
 from pipeline.provenance import code_digest, digest, stamp
+from pipeline.stage_columns import COMPUTE
 from pipeline.storage import load_batch, stage_file
 from pipeline.tables import read_metadata, read_table, to_arrow, write_table
 
-STAGES = ("response", "boundary", "delay", "damping", "mass", "overshoot", "settling", "energy")
+STAGES = (
+    *("response", "outcome", "boundary", "delay", "model", "damping", "mass"),
+    *("overshoot", "settling", "energy"),
+)
 """Stages in the order in which they can be computed."""
 
 NEEDS: dict[str, tuple[str, ...]] = {
     "response": (),
+    "outcome": ("response",),
     "boundary": ("response",),
     "delay": ("response",),
-    "damping": ("response", "delay"),
-    "mass": ("response", "delay", "damping"),
+    "model": ("response",),
+    "damping": ("response", "delay", "model"),
+    "mass": ("response", "delay", "model", "damping"),
     "overshoot": ("response",),
     "settling": ("response", "delay"),
-    "energy": ("response", "delay"),
+    "energy": ("response", "delay", "model", "damping", "mass"),
 }
 """Stages whose results a stage takes; the plan is made backwards along these."""
 
-_SHARED_CODE = ("batch", "stages", "aggregate")
+_SHARED_CODE = ("batch", "stages", "stage_columns", "aggregate", "estimates", "combine", "trend", "intervals")
+_MOTION = ("response", "verdict", "modes")
+_BALANCE = ("response", "momentum", "averaging", "correlated")
+_FIT = ("fit", "fit_filter", "fit_jitter", "fit_motion", "fit_noise", "fit_search", "fit_window", "ghost")
+_COSTS = ("response", "horizon", "costs", "reading_error", "cost_intervals")
 _CODE: dict[str, tuple[str, ...]] = {
-    "response": ("response", "verdict", "modes"),
-    "boundary": ("boundary",),
-    "delay": ("response", "delay"),
-    "damping": ("response", "momentum", "damping"),
-    "mass": ("response", "momentum", "mass"),
-    "overshoot": ("response", "costs"),
-    "settling": ("response", "costs"),
-    "energy": ("response", "costs"),
+    "response": _MOTION,
+    "outcome": (*_MOTION, "outcome", "events", "disturbance"),
+    "boundary": ("boundary", "boundary_band"),
+    "delay": ("response", "delay", "onset"),
+    "model": ("response", "delay", *_FIT),
+    "damping": (*_BALANCE, "damping"),
+    "mass": (*_BALANCE, "mass", "friction"),
+    "overshoot": _COSTS,
+    "settling": _COSTS,
+    "energy": (*_COSTS, "energy_intervals", "tail"),
 }
 
 
@@ -100,8 +111,11 @@ class ExperimentStages:
         return load_batch(self.processed, self.trials)
 
     @cached_property
-    def _found(self) -> response.Response:
-        return response.find_response(self.batch)
+    def found(self) -> response.Response:
+        """Edge and resolution of each trial; a declared step row stands for what the log does not show."""
+        found = response.find_response(self.batch)
+        declared = self.batch.step_row
+        return found if declared is None else response.declare_edge(self.batch, found, declared)
 
     def key(self, stage: str) -> str:
         """Return the key under which the result of a stage is valid."""
@@ -129,7 +143,7 @@ class ExperimentStages:
             if self.is_stored(stage):
                 self._tables[stage] = read_table(self._file(stage))
             else:
-                columns = _COMPUTE[stage](self)
+                columns = COMPUTE[stage](self)
                 metadata = stamp(
                     stage=stage,
                     key=self.key(stage),
@@ -172,33 +186,27 @@ class ExperimentStages:
     @cached_property
     def delay_estimate(self) -> Estimate:
         """Integer delay factor of the experiment."""
-        found = np.nan_to_num(self.column("delay", "delay_samples"), nan=response.NO_ROW).astype(np.int64)
-        return self._explained(aggregate.estimate_delay(found, sampling_period_s=self.sampling_period_s), "delay")
+        return estimates.delay_estimate(self)
 
     @cached_property
     def damping_estimate(self) -> Estimate:
         """Viscous damping of the experiment."""
-        limit = damping.by_limit(
-            self.column("response", "damping"), self.column("response", "stiffness"), self.verdicts.growth_per_s
-        )
-        from_trials = self.column("damping", "viscous_damping")
-        return aggregate.estimate_damping(limit, from_trials, self._unit("viscous_damping"))
+        return estimates.damping_estimate(self, estimates.model_mass(self), self.delay_estimate)
 
     @cached_property
     def mass_estimate(self) -> Estimate:
         """Mass of the experiment."""
-        corrected, plain = self.column("mass", "mass"), self.column("mass", "mass_momentum")
-        return self._explained(aggregate.estimate_mass(corrected, plain, self._unit("mass")), "mass")
+        return estimates.mass_estimate(self)
 
-    def _explained(self, estimate: Estimate, stage: str) -> Estimate:
-        """Return the estimate with the commonest reason of the trials, where it has no value."""
-        if estimate.value is not None:
-            return estimate
-        return estimate.model_copy(update={"reason": f"{estimate.reason}; most trials: {self._why(stage)}"})
+    @cached_property
+    def jitter_estimate(self) -> Estimate:
+        """Standard deviation of the delay within a trial."""
+        return estimates.jitter_estimate(self)
 
-    def _unit(self, column: str) -> str:
-        field_of_column = self.table("mass" if column == "mass" else "damping").schema.field(column)
-        return str(field_of_column.metadata[b"unit"].decode())
+    @cached_property
+    def model_check(self) -> ModelCheck:
+        """How well the fitted model explains the logs."""
+        return estimates.model_check(self)
 
     @cached_property
     def sampling_period_s(self) -> float:
@@ -224,36 +232,33 @@ class ExperimentStages:
         return tuple(BoundaryPoint(**row) for row in rows)
 
     def cost(self, criterion: str) -> tuple[Floats, str]:
-        """Return the cost of each trial by a criterion (NaN where there is none) and, if none has one, why.
+        """Return the cost of each trial by a criterion (NaN where there is none) and, if none has one, why."""
+        stage, column = cost_column(criterion)
+        return self.column(stage, column), estimates.commonest(self.texts(stage, "reason"))
 
-        Energy costs take the mass of the experiment: cost = potential part + m times kinetic part.
-        """
-        if criterion == "overshoot":
-            return self.column("overshoot", "overshoot"), self._why("overshoot")
-        if criterion in SETTLING_BANDS:
-            return self.column("settling", criterion), self._why("settling")
-        w = ENERGY_CRITERIA.index(criterion)
-        potential = self.column("energy", f"energy_potential_w{w}")
-        estimate = self.mass_estimate
-        if estimate.value is None:
-            return np.full(len(potential), np.nan), f"energy needs the mass: {estimate.reason}"
-        return potential + estimate.value * self.column("energy", f"energy_kinetic_w{w}"), self._why("energy")
-
-    def _why(self, stage: str) -> str:
-        reasons = [r for r in self.texts(stage, "reason") if r]
-        return max(set(reasons), key=reasons.count) if reasons else ""
+    def cost_interval(self, criterion: str) -> tuple[Floats, Floats]:
+        """Return lower and upper end of the 95 % interval of each trial's cost, NaN where there is none."""
+        stage, column = cost_column(criterion)
+        return self.column(stage, f"{column}_low"), self.column(stage, f"{column}_high")
 
     def optimum(self, criterion: str) -> Optimum | None:
         """Return the best trial by a criterion, or None where no trial has that cost."""
         cost, _ = self.cost(criterion)
         table = self.table("response")
-        return aggregate.choose_optimum(
+        best = aggregate.choose_optimum(
             cost,
             self.column("response", "stiffness"),
             self.column("response", "damping"),
             tuple(table.column("trial_id").to_pylist()),
             unstable=self.verdicts.verdict == "unstable",
             floor=self.column("overshoot", "overshoot_floor") if criterion == "overshoot" else None,
+        )
+        if best is None:
+            return None
+        trial = list(self.texts("response", "trial_id")).index(str(best.trial_id))
+        low, high = (float(ends[trial]) for ends in self.cost_interval(criterion))
+        return best.model_copy(
+            update={"cost_low": None if np.isnan(low) else low, "cost_high": None if np.isnan(high) else high}
         )
 
 
@@ -265,121 +270,10 @@ def required(stages: Iterable[str]) -> set[str]:
     return result
 
 
-def _conditions(of: ExperimentStages) -> dict[str, Any]:
-    return {"trial_id": list(of.batch.trial_id), "stiffness": of.batch.stiffness, "damping": of.batch.damping}
-
-
-def _texts(reasons: Iterable[str]) -> list[str | None]:
-    return [text or None for text in reasons]
-
-
-def _integer(values: Floats) -> pa.Array:
-    missing = ~np.isfinite(values)
-    return pa.array(np.where(missing, 0, values).astype(np.int64), mask=missing)
-
-
-def _response(of: ExperimentStages) -> dict[str, Any]:
-    found = of._found
-    judged = verdict.judge(of.batch, found)
-    reasons = ("; ".join(part for part in pair if part) for pair in zip(judged.reason, found.reason, strict=True))
-    edge = found.edge_row.astype(np.float64)
-    return _conditions(of) | {
-        "verdict": list(judged.verdict),
-        "reason": _texts(reasons),
-        "growth_per_s": judged.growth_per_s,
-        "edge_row": _integer(np.where(found.has_edge, edge, np.nan)),
-        **{name: getattr(found, name) for name in ("position_start", "position_final_expected")},
-        **{name: getattr(found, name) for name in ("position_final_measured", "sensor_quantum", "sensor_noise")},
-    }
-
-
-def _boundary(of: ExperimentStages) -> dict[str, Any]:
-    points = boundary.measured_boundary(
-        of.column("response", "stiffness"), of.column("response", "damping"), of.verdicts.verdict
-    )
-    return {name: [getattr(p, name) for p in points] for name in ("damping", "stable", "unstable", "censored")}
-
-
-def _delay(of: ExperimentStages) -> dict[str, Any]:
-    found = delay.first_change(of.batch, of._found)
-    samples = found.delay_samples.astype(np.float64)
-    return _conditions(of) | {
-        "delay_samples": _integer(np.where(samples >= 0, samples, np.nan)),
-        "reason": _texts(found.reason),
-    }
-
-
-def _with_delay(
-    of: ExperimentStages, compute: Callable[[int], dict[str, Any]], missing: tuple[str, ...]
-) -> dict[str, Any]:
-    """Columns of a stage that takes the delay of the experiment; nulls and the reason where there is none."""
-    estimate = of.delay_estimate
-    if estimate.value is None:
-        nothing = dict.fromkeys(missing, [None] * len(of.batch))
-        reason = {"reason": ["needs the delay, which is not known"] * len(of.batch)}
-        return _conditions(of) | nothing | reason
-    return _conditions(of) | compute(int(estimate.value))
-
-
-def _damping(of: ExperimentStages) -> dict[str, Any]:
-    def compute(samples: int) -> dict[str, Any]:
-        found = damping.from_trials(of.batch, of._found, samples)
-        return {"viscous_damping": found.viscous_damping, "reason": _texts(found.reason)}
-
-    return _with_delay(of, compute, ("viscous_damping",))
-
-
-def _mass(of: ExperimentStages) -> dict[str, Any]:
-    def compute(samples: int) -> dict[str, Any]:
-        found = mass.by_momentum(of.batch, of._found, samples)
-        b = of.damping_estimate.value
-        nothing = np.full(len(of.batch), np.nan)
-        return {
-            "mass_momentum": found.mass_momentum,
-            "mass": nothing if b is None else mass.correct(found, b),
-            "reason": _texts(found.reason),
-        }
-
-    return _with_delay(of, compute, ("mass_momentum", "mass"))
-
-
-def _overshoot(of: ExperimentStages) -> dict[str, Any]:
-    found = costs.overshoot(of.batch, of._found, of.verdicts)
-    return _conditions(of) | {
-        "overshoot": found.overshoot,
-        "overshoot_floor": found.floor,
-        "reason": _texts(found.reason),
-    }
-
-
-def _settling(of: ExperimentStages) -> dict[str, Any]:
-    def compute(samples: int) -> dict[str, Any]:
-        found = costs.settling(of.batch, of._found, of.verdicts, samples)
-        return {name: _integer(values) for name, values in found.samples.items()} | {"reason": _texts(found.reason)}
-
-    return _with_delay(of, compute, tuple(SETTLING_BANDS))
-
-
-def _energy(of: ExperimentStages) -> dict[str, Any]:
-    names = [(f"energy_potential_w{w}", f"energy_kinetic_w{w}") for w in range(3)]
-
-    def compute(samples: int) -> dict[str, Any]:
-        found = costs.energy(of.batch, of._found, of.verdicts, samples)
-        columns: dict[str, Any] = {"horizon_samples": found.horizon_samples, "reason": _texts(found.reason)}
-        for w, (potential, kinetic) in enumerate(names):
-            columns |= {potential: found.potential[:, w], kinetic: found.kinetic[:, w]}
-        return columns
-
-    return _with_delay(of, compute, (*(n for pair in names for n in pair), "horizon_samples"))
-
-
-_COMPUTE: dict[str, Callable[[ExperimentStages], dict[str, Any]]] = {
-    "response": _response,
-    "boundary": _boundary,
-    "delay": _delay,
-    "damping": _damping,
-    "mass": _mass,
-    "overshoot": _overshoot,
-    "settling": _settling,
-    "energy": _energy,
-}
+def cost_column(criterion: str) -> tuple[str, str]:
+    """Return stage and column that hold the cost by a criterion."""
+    if criterion == "overshoot":
+        return "overshoot", "overshoot"
+    if criterion in SETTLING_BANDS:
+        return "settling", criterion
+    return "energy", f"energy_w{ENERGY_CRITERIA.index(criterion)}"

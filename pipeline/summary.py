@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from math import isclose
 
-from pipeline.labels import CRITERION_NAMES, UNITS
+from pipeline.labels import CRITERION_NAMES, UNITS, estimate_texts
 from pipeline.models import ComparisonRow, Device
 from pipeline.predictions import Theory
 from pipeline.results import ExperimentResult
@@ -100,9 +100,10 @@ def _estimates(result: ExperimentResult) -> str:
         estimate = result.estimates[key]
         if estimate.value is None:
             continue
-        text = f"{name} {estimate.value:.3g} {estimate.unit.replace('^2', '²')}"
-        if estimate.low is not None and estimate.high is not None:
-            text += f" (95 %: {estimate.low:.3g} to {estimate.high:.3g})"
+        value, low, high = estimate_texts(estimate)
+        text = f"{name} {value} {estimate.unit.replace('^2', '²')}"
+        if low and high:
+            text += f" (95 %: {low} to {high})"
         parts.append(text)
     return ", ".join(parts)
 
@@ -133,8 +134,11 @@ def warnings_of(data: SceneData, results: Sequence[ExperimentResult], rows: Sequ
     for result in results:
         for name, estimate in result.estimates.items():
             if estimate.value is None and "left out" not in (estimate.reason or ""):
-                quantity = name.removesuffix("_samples")
+                quantity = name.removesuffix("_samples").replace("_", " ")
                 warnings.append(f"Experiment {result.experiment}: no {quantity} estimate ({estimate.reason}).")
+            elif estimate.warning:
+                quantity = name.removesuffix("_samples").replace("_", " ")
+                warnings.append(f"Experiment {result.experiment}, {quantity}: {estimate.warning}.")
     if data.device is not None:
         warnings += _conflicts(data, data.device)
     else:

@@ -42,7 +42,8 @@ _F, _I, _S, _B = pa.float64(), pa.int64(), pa.string(), pa.bool_()
 
 COLUMNS: dict[str, Column] = {
     # identity and conditions of a trial
-    "trial_id": _same(_S, "", "first 16 digits of the SHA-256 of the source log"),
+    "trial_id": _same(_S, "", "first 16 digits of the SHA-256 of the source log, or of that SHA-256 with the label"),
+    "label": _same(_S, "", "which trial of its source it is, where there are several", True),
     "device": _same(_S, "", "device name as in the log"),
     "experiment": _same(_S, "", "experiment name as in the log"),
     "motion": _same(_S, "", "translation or rotation; decides the units of the other columns"),
@@ -55,9 +56,11 @@ COLUMNS: dict[str, Column] = {
     "simulated": _same(_B, "", "true where the log says that it was simulated"),
     "rows": _same(_I, "", "number of samples"),
     "extra": _same(_S, "", "metadata of the log that has no column of its own, as JSON"),
+    "time_quality": _same(_S, "", "gaps, drops, jitter, and what was settled in the rows, as JSON"),
     # where it came from
     "source_path": _same(_S, "", "source log as found"),
     "source_sha256": _same(_S, "", "SHA-256 of the source log (of both files, in order, for a pair)"),
+    "source_trials": _same(_I, "", "number of trials that the source holds"),
     "source_size": _same(_I, "byte", "size of the source log"),
     "source_mtime_ns": _same(_I, "ns", "modification time of the source log"),
     "profile": _same(_S, "", "log profile that read it"),
@@ -71,6 +74,10 @@ COLUMNS: dict[str, Column] = {
     "position": Column(_F, "m", "rad", "measured position"),
     "force": Column(_F, "N", "Nm", "measured force, where the log has one", True),
     "velocity": Column(_F, "m/s", "rad/s", "velocity as logged; no cost or estimate uses it", True),
+    "raw_time": _same(
+        _F, "", "time stamp as it stands in the source, where it is no whole number and not time_s", True
+    ),
+    "raw_count": _same(_I, "", "time stamp as it stands in the source, where it is a whole number", True),
     # response stage
     "verdict": _same(_S, "", "stable, unstable or undecided, from the log alone"),
     "reason": _same(_S, "", "why a value is missing or uncertain; empty where it is neither", True),
@@ -81,38 +88,102 @@ COLUMNS: dict[str, Column] = {
     "position_final_measured": Column(_F, "m", "rad", "mean position over the last tenth of the log", True),
     "sensor_quantum": Column(_F, "m", "rad", "smallest change of the position seen in the log", True),
     "sensor_noise": Column(_F, "m", "rad", "standard deviation of the white noise of the position", True),
-    # delay, mass, damping stages
-    "delay_samples": _same(_I, "samples", "integer delay factor d = d_obs - 1 by the first position change", True),
+    # outcome stage
+    "outcome": _same(_S, "", "what happened in the trial, see `outcome.OUTCOMES`"),
+    "evidence": _same(_S, "", "the evidence for it, in words"),
+    "outcome_row": _same(_I, "", "first row of the evidence, counted from 0", True),
+    "band": Column(_F, "m", "rad", "half width of the band about the final position that was used", True),
+    "amplitude_end": Column(_F, "m", "rad", "half of peak to peak over the last fifth of the log", True),
+    # delay, mass, damping and model stages
+    "delay_samples": _same(_I, "samples", "integer delay factor: onset where sure, else first change", True),
+    "first_change_samples": _same(_I, "samples", "integer delay factor by the first position change (6.2, 6.3)", True),
+    "onset_samples": _same(_F, "samples", "delay to the onset of motion, by the motion that the quantum hid", True),
+    "onset_error": _same(_F, "samples", "its standard error", True),
+    "model_mass": Column(_F, "kg", "kg m^2", "mass by the model fitted to the response", True),
+    "model_mass_error": Column(_F, "kg", "kg m^2", "its standard error", True),
+    "model_damping": Column(_F, "Ns/m", "Nms/rad", "viscous damping b by the model fitted to the response", True),
+    "model_damping_error": Column(_F, "Ns/m", "Nms/rad", "its standard error", True),
+    "model_delay": _same(_F, "samples", "mean delay of the command in force by the model", True),
+    "model_delay_error": _same(_F, "samples", "its standard error", True),
+    "model_jitter": _same(_F, "samples", "standard deviation of the delay within the trial", True),
+    "model_jitter_error": _same(_F, "samples", "its standard error", True),
+    "model_start": Column(_F, "m", "rad", "position before the step by the model", True),
+    "misfit": _same(
+        _F, "1", "root mean square of the whitened errors of the model; 1 where the sensor explains them", True
+    ),
+    "whiteness": _same(_F, "1", "p-value of a test that these errors are not correlated", True),
+    "ghost_deviation": Column(_F, "m", "rad", "root mean square of log minus simulated loop (ghost)", True),
+    "ghost_relative": _same(_F, "1", "the same relative to the final displacement", True),
+    "ghost_row": _same(_I, "", "first row where the log leaves the noise band about the ghost", True),
+    "leaves_row": _same(_I, "", "first row where the log leaves the noise band of the model", True),
     "mass_momentum": Column(_F, "kg", "kg m^2", "mass by the momentum balance (6.4), biased by b", True),
     "mass": Column(_F, "kg", "kg m^2", "mass by the momentum balance corrected for viscous damping", True),
+    "balance_mass": Column(_F, "kg", "kg m^2", "mass by the momentum balance with damping and friction", True),
+    "balance_mass_error": Column(_F, "kg", "kg m^2", "its standard error", True),
+    "force_mass": Column(_F, "kg", "kg m^2", "as balance_mass, by the measured force", True),
+    "force_mass_error": Column(_F, "kg", "kg m^2", "its standard error", True),
     "viscous_damping": Column(_F, "Ns/m", "Nms/rad", "viscous damping b from the trial", True),
     # cost stages
     "overshoot": _same(_F, "1", "(max x - x_inf)/(x_inf - x_0), 0 where the position stays below", True),
     "overshoot_floor": _same(_F, "1", "overshoot that sensor and chatter alone can cause"),
+    "overshoot_low": _same(_F, "1", "lower end of its 95 % interval", True),
+    "overshoot_high": _same(_F, "1", "upper end of its 95 % interval", True),
     "settle_1pct": _same(_I, "samples", "discrete settling time, band 1 %", True),
     "settle_2pct": _same(_I, "samples", "discrete settling time, band 2 %", True),
     "settle_5pct": _same(_I, "samples", "discrete settling time, band 5 %", True),
-    "energy_potential_w0": _same(_F, "1", "potential part of the discrete energy cost, w = 0", True),
-    "energy_potential_w1": _same(_F, "1", "potential part of the discrete energy cost, w = 1", True),
-    "energy_potential_w2": _same(_F, "1", "potential part of the discrete energy cost, w = 2", True),
-    "energy_kinetic_w0": Column(_F, "1/kg", "1/(kg m^2)", "kinetic part per mass, w = 0", True),
-    "energy_kinetic_w1": Column(_F, "1/kg", "1/(kg m^2)", "kinetic part per mass, w = 1", True),
-    "energy_kinetic_w2": Column(_F, "1/kg", "1/(kg m^2)", "kinetic part per mass, w = 2", True),
+    **{
+        f"settle_{band}pct_{end}": _same(_I, "samples", f"{side} end of the 95 % interval, band {band} %", True)
+        for band in (1, 2, 5)
+        for end, side in (("low", "lower"), ("high", "upper"))
+    },
+    **{
+        name: column
+        for w in (0, 1, 2)
+        for name, column in {
+            f"energy_w{w}": _same(_F, "1", f"discrete energy cost, w = {w}: sum less its noise, plus the tail", True),
+            f"energy_w{w}_low": _same(_F, "1", "lower end of its 95 % interval", True),
+            f"energy_w{w}_high": _same(_F, "1", "upper end of its 95 % interval", True),
+            f"energy_w{w}_bias": _same(_F, "1", "what noise and quantum add to the sum, taken off", True),
+            f"energy_w{w}_tail": _same(_F, "1", "part of the cost that lies beyond the horizon, extrapolated", True),
+            f"energy_w{w}_half": _same(_F, "1", "plain sum up to half of the horizon", True),
+            f"energy_w{w}_full": _same(_F, "1", "plain sum up to the horizon", True),
+        }.items()
+    },
     "horizon_samples": _same(_I, "samples", "number of samples summed before the noise floor or the end", True),
     # boundary stage
     "stable": Column(_F, "N/m", "Nm/rad", "largest stable stiffness below the smallest unstable one", True),
     "unstable": Column(_F, "N/m", "Nm/rad", "smallest unstable stiffness", True),
     "censored": _same(_B, "", "true where the tested range ended before an unstable trial"),
+    "estimate": Column(_F, "N/m", "Nm/rad", "limit of the stiffness by the growth rates", True),
+    "low": Column(_F, "N/m", "Nm/rad", "lower end of its 95 % interval", True),
+    "high": Column(_F, "N/m", "Nm/rad", "upper end of its 95 % interval", True),
+    "trials": _same(_I, "", "trials with K > 0 at that damping"),
 }
 
-_ENERGY = tuple(f"energy_{part}_w{w}" for part in ("potential", "kinetic") for w in (0, 1, 2))
+_ENERGY = tuple(
+    f"energy_w{w}{part}" for w in (0, 1, 2) for part in ("", "_low", "_high", "_bias", "_tail", "_half", "_full")
+)
+_SETTLE = tuple(f"settle_{band}pct{end}" for band in (1, 2, 5) for end in ("", "_low", "_high"))
+_MODEL = (
+    *("model_mass", "model_mass_error", "model_damping", "model_damping_error", "model_delay", "model_delay_error"),
+    *("model_jitter", "model_jitter_error", "model_start", "misfit", "whiteness", "leaves_row"),
+    *("ghost_deviation", "ghost_relative", "ghost_row"),
+)
 
 TABLES: dict[str, tuple[str, ...]] = {
-    "samples": ("trial_id", "time_s", "command", "position", "force", "velocity"),
+    "samples": ("trial_id", "time_s", "command", "position", "force", "velocity", "raw_time", "raw_count"),
     "trials": (
-        *("trial_id", "device", "experiment", "motion", "stiffness", "damping", "step", "sampling_period_s"),
-        *("added_delay_samples", "grip", "simulated", "rows", "extra", "source_path", "source_sha256"),
-        *("source_size", "source_mtime_ns", "profile", "profile_sha256", "package_version"),
+        *("trial_id", "label", "device", "experiment", "motion", "stiffness", "damping", "step", "sampling_period_s"),
+        *("added_delay_samples", "grip", "simulated", "rows", "extra", "time_quality", "source_path"),
+        *(
+            "source_sha256",
+            "source_trials",
+            "source_size",
+            "source_mtime_ns",
+            "profile",
+            "profile_sha256",
+            "package_version",
+        ),
         *("sample_file", "first_row"),
     ),
     "response": (
@@ -128,13 +199,24 @@ TABLES: dict[str, tuple[str, ...]] = {
         ),
         *("position_final_expected", "position_final_measured", "sensor_quantum", "sensor_noise"),
     ),
-    "delay": ("trial_id", "stiffness", "damping", "delay_samples", "reason"),
-    "mass": ("trial_id", "stiffness", "damping", "mass_momentum", "mass", "reason"),
+    "outcome": ("trial_id", "stiffness", "damping", "outcome", "evidence", "outcome_row", "band", "amplitude_end"),
+    "delay": (
+        *("trial_id", "stiffness", "damping", "delay_samples", "first_change_samples", "onset_samples", "onset_error"),
+        "reason",
+    ),
+    "model": ("trial_id", "stiffness", "damping", *_MODEL, "reason"),
+    "mass": (
+        *("trial_id", "stiffness", "damping", "mass_momentum", "mass", "balance_mass", "balance_mass_error"),
+        *("force_mass", "force_mass_error", "reason"),
+    ),
     "damping": ("trial_id", "stiffness", "damping", "viscous_damping", "reason"),
-    "overshoot": ("trial_id", "stiffness", "damping", "overshoot", "overshoot_floor", "reason"),
-    "settling": ("trial_id", "stiffness", "damping", "settle_1pct", "settle_2pct", "settle_5pct", "reason"),
+    "overshoot": (
+        *("trial_id", "stiffness", "damping", "overshoot", "overshoot_floor", "overshoot_low", "overshoot_high"),
+        "reason",
+    ),
+    "settling": ("trial_id", "stiffness", "damping", *_SETTLE, "reason"),
     "energy": ("trial_id", "stiffness", "damping", *_ENERGY, "horizon_samples", "reason"),
-    "boundary": ("damping", "stable", "unstable", "censored"),
+    "boundary": ("damping", "stable", "unstable", "censored", "estimate", "low", "high", "trials"),
 }
 
 

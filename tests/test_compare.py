@@ -62,7 +62,7 @@ def nothing_is_computed(monkeypatch):
             raise AssertionError("was computed again")
 
         for stage in stages.STAGES:
-            monkeypatch.setitem(stages._COMPUTE, stage, refuse)
+            monkeypatch.setitem(stages.COMPUTE, stage, refuse)
         monkeypatch.setattr(stages, "load_batch", refuse)
         monkeypatch.setattr(predictions, "optimal_point", refuse)
         monkeypatch.setattr(comparison, "write_report", refuse)
@@ -200,11 +200,11 @@ def test_other_criteria_run_only_what_is_missing(lwr, tmp_path, plain_page):
     first = plan(["overshoot"])
     assert {s for s, a in first.items() if a == RUN} >= {"delay-4: response", "delay-4: overshoot", "report"}
     assert {s for s, a in first.items() if a == LEAVE_OUT} >= {
-        f"delay-4: {stage}" for stage in ("delay", "damping", "mass", "settling", "energy")
+        f"delay-4: {stage}" for stage in ("delay", "model", "damping", "mass", "settling", "energy")
     }
     second = plan(["overshoot", "energy_step_w0"])
     assert {s for s, a in second.items() if a == RUN and s.startswith("delay-4")} == {
-        f"delay-4: {stage}" for stage in ("delay", "damping", "mass", "energy")
+        f"delay-4: {stage}" for stage in ("delay", "model", "damping", "mass", "energy")
     }
     assert second["report"] == RUN
     third = plan(["overshoot"])  # all is stored, but the report shows other criteria
@@ -242,9 +242,11 @@ def test_a_lost_stage_file_is_made_again_though_the_report_stands(own):
 def test_left_out_estimates_say_so(own):
     result = run(own, criteria=["overshoot"]).result
     for experiment in result.experiments:
-        for estimate in experiment.estimates.values():
-            assert estimate.value is None
-            assert estimate.reason.startswith("left out")
+        assert experiment.estimates["boundary_area"].value > 0  # it needs nothing but verdicts
+        for name in ("delay_samples", "mass", "damping"):
+            assert experiment.estimates[name].value is None
+            assert experiment.estimates[name].reason.startswith("left out")
+        assert set(experiment.estimates) == {"boundary_area", "delay_samples", "mass", "damping"}
     assert not any("estimate" in text for text in result.warnings)
 
 

@@ -6,12 +6,13 @@ from pipeline.errors import DeviceError, StoreError, UsageError
 from pipeline.scene import LEAVE_OUT, REUSE, RUN, needed_stages, open_scene, plan_measured
 
 # What each quantity needs, from the definitions (6.1.4, 6.2.2): overshoot and boundary need neither delay nor mass,
-# settling needs the delay, energy delay and mass; the mass is corrected by the damping
+# settling needs the delay, energy delay and mass; the mass comes from the model or is corrected by the damping
+ALWAYS = {"response", "outcome", "boundary"}
 NEEDED = {
-    ("overshoot",): {"response", "boundary", "overshoot"},
-    ("settle_2pct",): {"response", "boundary", "delay", "settling"},
-    ("settle_1pct", "overshoot"): {"response", "boundary", "delay", "settling", "overshoot"},
-    ("energy_step_w1",): {"response", "boundary", "delay", "energy", "mass", "damping"},
+    ("overshoot",): ALWAYS | {"overshoot"},
+    ("settle_2pct",): ALWAYS | {"delay", "settling"},
+    ("settle_1pct", "overshoot"): ALWAYS | {"delay", "settling", "overshoot"},
+    ("energy_step_w1",): ALWAYS | {"delay", "model", "energy", "mass", "damping"},
 }
 
 
@@ -20,7 +21,7 @@ def test_known_device_needs_no_more_than_its_criteria(falcon, criteria):
     data = open_scene("falcon", falcon.processed, None, criteria)
     assert needed_stages(data) == NEEDED[criteria]
     left_out = {p.stage for p in plan_measured(data) if p.action == LEAVE_OUT}
-    everything = {"response", "boundary", "delay", "damping", "mass", "overshoot", "settling", "energy"}
+    everything = ALWAYS | {"delay", "model", "damping", "mass", "overshoot", "settling", "energy"}
     assert left_out == {f"1: {stage}" for stage in everything - NEEDED[criteria]}
     assert all(p.reason for p in plan_measured(data))
 
@@ -29,12 +30,12 @@ def test_unknown_device_needs_its_estimates_for_any_theory(unknown):
     data = open_scene("mydevice", unknown.processed, None, ("overshoot",))
     assert data.device is None
     assert data.overlay
-    assert needed_stages(data) == {"response", "boundary", "overshoot", "delay", "mass", "damping"}
+    assert needed_stages(data) == ALWAYS | {"overshoot", "delay", "model", "mass", "damping"}
 
 
 def test_all_criteria_need_all_stages(falcon):
     data = open_scene("falcon", falcon.processed, None, None)
-    assert len(needed_stages(data)) == 8
+    assert len(needed_stages(data)) == 10
     assert data.overlay
     assert len(data.scene.criteria) == 7
 

@@ -1,0 +1,211 @@
+"""Write `coverage.md`: how often the 95 % intervals of single trials hold the true delay, mass and damping.
+
+    python docs/make_coverage.py [trials]
+
+simulates 1,000 trials for each cell of the table (a few minutes) and writes the table beside this file.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.batch import Booleans, Floats, TrialBatch
+from pipeline.devices import find_experiment, load_device
+from pipeline.fit import Fit, fit_trials
+from pipeline.response import find_response
+from pipeline.simulate import MassSpringDamper, Setup, in_force, setup_of, simulate, spectral_radius
+
+TRIALS = 1000
+SEED = 5
+QUANTILE = 1.96
+"""Standard errors of a 95 % interval."""
+
+DEVICES = {"falcon": "1", "lwr": "delay-2"}
+"""Experiment that stands for each device."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One condition: sensor of the Falcon [m], jitter in samples about the delay, rows of a log."""
+
+    name: str
+    quantum: float = 10e-6
+    noise: float = 1e-6
+    jitter: int = 0
+    rows: int = 1000
+
+
+CELLS = (
+    Cell("base: quantum 10 um, noise 1 um, no jitter, 1,000 rows"),
+    Cell("quantum 2 um", quantum=2e-6),
+    Cell("quantum 60 um", quantum=60e-6),
+    Cell("noise 0.2 um", noise=0.2e-6),
+    Cell("noise 5 um", noise=5e-6),
+    Cell("jitter of one sample", jitter=1),
+    Cell("300 rows", rows=300),
+    Cell("3,000 rows", rows=3000),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """Simulated trials of a cell with the true values."""
+
+    batch: TrialBatch
+    truth: dict[str, float]
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """What the intervals of a sample came to; shares as fractions, errors in the units of the value."""
+
+    trials: int
+    refused: float
+    covered: dict[str, float]
+    bias: dict[str, float]
+    error: dict[str, float]
+    truth: dict[str, float]
+
+
+def sample(device: str, cell: Cell, trials: int = TRIALS, seed: int = SEED) -> Sample:
+    """Simulate a cell at (K, B) drawn uniformly over the stable part of the tested range.
+
+    Quantum and noise of another device than the Falcon are the same share of the displacement in the middle of
+    its range. The true delay under jitter is the mean one of the command in force, from a long random draw.
+    """
+    setup = _setup(device)
+    span = _middle_displacement(device) / _middle_displacement("falcon")
+    whole = int(setup.delay_samples)
+    delays = tuple(range(whole - cell.jitter, whole + cell.jitter + 1)) if cell.jitter else ()
+    setup = replace(setup, quantum=cell.quantum * span, noise=cell.noise * span, jitter_samples=delays, rows=cell.rows)
+    K, B = _draw(device, trials, seed)
+    batch = simulate(setup, K, B, seed=seed, stream=f"coverage/{device}/{cell.name}")
+    plant = _plant(setup)
+    return Sample(batch, {"delay": mean_delay(setup), "mass": plant.mass, "damping": plant.damping})
+
+
+def mean_delay(setup: Setup) -> float:
+    """Return the mean delay [samples] of the command in force."""
+    if not setup.jitter_samples:
+        return setup.delay_samples
+    rows, ahead = 200_000, 100
+    drawn = np.random.default_rng(1).choice(setup.jitter_samples, (rows, 1)).astype(np.int64)
+    behind = np.arange(rows) - in_force(drawn)[:, 0]
+    return float(behind[ahead:].mean())
+
+
+def judge(fit: Fit, truth: dict[str, float]) -> Coverage:
+    """Return coverage, bias and median standard error of a fit."""
+    known = np.isfinite(fit.delay_error)
+    covered, bias, error = {}, {}, {}
+    for name, true in truth.items():
+        value, spread = getattr(fit, name)[known], getattr(fit, f"{name}_error")[known]
+        covered[name] = float(np.mean(np.abs(value - true) <= QUANTILE * spread))
+        bias[name] = float(value.mean() - true)
+        error[name] = float(np.median(spread))
+    return Coverage(int(known.sum()), float(1 - known.mean()), covered, bias, error, truth)
+
+
+def measure(trials: int = TRIALS) -> Iterator[tuple[str, Cell, Coverage, float]]:
+    """Fit every cell of every device and yield what came out, with the seconds that the fit took."""
+    for device in DEVICES:
+        for cell in CELLS:
+            drawn = sample(device, cell, trials)
+            begin = time.perf_counter()
+            fit = fit_trials(drawn.batch, find_response(drawn.batch))
+            yield device, cell, judge(fit, drawn.truth), time.perf_counter() - begin
+
+
+def _setup(device: str) -> Setup:
+    description = load_device(device)
+    return setup_of(description, find_experiment(description, DEVICES[device]))
+
+
+def _plant(setup: Setup) -> MassSpringDamper:
+    assert isinstance(setup.plant, MassSpringDamper)
+    return setup.plant
+
+
+def _stable(setup: Setup, K: Floats, B: Floats) -> Booleans:
+    return spectral_radius(_plant(setup), setup, K, B) < 1
+
+
+def _range(device: str) -> tuple[float, float, float, float]:
+    """Return lowest and highest tested K that is stable, lowest and highest tested B."""
+    description = load_device(device)
+    experiment = find_experiment(description, DEVICES[device])
+    K = np.arange(experiment.stiffness_step, 40_000, experiment.stiffness_step)
+    B = np.arange(experiment.damping_first, experiment.damping_last + 1, experiment.damping_step)
+    grid_k, grid_b = (a.ravel() for a in np.meshgrid(K, B))
+    top = float(grid_k[_stable(_setup(device), grid_k, grid_b)].max())
+    return experiment.stiffness_step, top, experiment.damping_first, experiment.damping_last
+
+
+def _middle_displacement(device: str) -> float:
+    low, high, _, _ = _range(device)
+    return _setup(device).step / (0.5 * (low + high))
+
+
+def _draw(device: str, trials: int, seed: int) -> tuple[Floats, Floats]:
+    low, high, first, last = _range(device)
+    random = np.random.default_rng(seed)
+    K, B = random.uniform(low, high, 10 * trials), random.uniform(first, last, 10 * trials)
+    stable = np.flatnonzero(_stable(_setup(device), K, B))[:trials]
+    return K[stable], B[stable]
+
+
+def _row(cell: Cell, result: Coverage, seconds: float) -> str:
+    covered = " / ".join(f"{100 * result.covered[name]:.1f}" for name in ("delay", "mass", "damping"))
+    mass = result.truth["mass"]
+    bias = f"{result.bias['delay']:+.4f} / {100 * result.bias['mass'] / mass:+.3f} % / {result.bias['damping']:+.4f}"
+    error = f"{result.error['delay']:.4f} / {100 * result.error['mass'] / mass:.3f} % / {result.error['damping']:.4f}"
+    return (
+        f"| {cell.name} | {result.trials} | {100 * result.refused:.1f} | {covered} | {bias} | {error} | {seconds:.1f} |"
+    )
+
+
+HEAD = """# Coverage of the intervals of single trials
+
+Made by `python docs/make_coverage.py`. {trials} trials a cell, (K, B) drawn uniformly over the stable part of the
+tested range, one condition changed at a time. Method: model fitted to the whole response (`pipeline.fit`). A 95 %
+interval should hold the true value in 90 to 99 % of the trials. The true delay under jitter is the mean one of the
+command in force. LWR: quantum and noise are the same share of the displacement in the middle of the range as for
+the Falcon, {share:.2f} times those named.
+"""
+
+COLUMNS = """
+Coverage, bias and standard error stand for delay [samples] / mass [share of the truth] / damping [N s/m, N m s/rad].
+
+| cell | intervals | refused % | coverage % | bias | median standard error | s |
+|---|---|---|---|---|---|---|
+"""
+
+
+def main(trials: int) -> None:
+    """Measure all cells and write the page."""
+    begin = time.perf_counter()
+    share = _middle_displacement("lwr") / _middle_displacement("falcon")
+    text = HEAD.format(trials=trials, share=share)
+    named = ""
+    for device, cell, result, seconds in measure(trials):
+        if device != named:
+            values = ", ".join(f"{name} {value:.4g}" for name, value in result.truth.items())
+            text += f"\n## {device}, experiment {DEVICES[device]} ({values} without jitter)\n{COLUMNS}"
+            named = device
+        line = _row(cell, result, seconds)
+        print(device, line, flush=True)
+        text += line + "\n"
+    text += (
+        f"\nMade in {time.perf_counter() - begin:.0f} s on one core; the last column is the time of the fits alone.\n"
+    )
+    (Path(__file__).parent / "coverage.md").write_text(text, encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else TRIALS)

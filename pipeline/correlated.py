@@ -1,0 +1,85 @@
+"""Least squares of many trials whose residuals wander: what columns have in common, and what that does to errors."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pipeline.batch import Booleans, Floats, Integers
+
+
+def left_over(column: Floats, others: list[Floats]) -> Floats:
+    """Return the part of a column that is orthogonal to others, by modified Gram-Schmidt done twice.
+
+    Parameters
+    ----------
+    column : float64, shape (n, N)
+        One column for each of n fits.
+    others : list of float64, shape (n, N)
+        Columns that take their part away; one that depends on those before it takes nothing.
+    """
+    basis: list[Floats] = []
+    for other in [*others, column]:
+        rest = other
+        for _ in range(2):  # once loses the digits that the first projection took away
+            for unit in basis:
+                rest = rest - unit * (unit * rest).sum(axis=1, keepdims=True)
+        size = np.sqrt((rest**2).sum(axis=1, keepdims=True))
+        whole = np.sqrt((other**2).sum(axis=1, keepdims=True))
+        # what rounding leaves of a dependent column is no direction
+        basis.append(np.where(size > 1e-12 * whole, rest / np.where(size > 0, size, 1.0), 0.0))
+    return rest
+
+
+def score_covariance(
+    scaled: Floats, residual: Floats, valid: Booleans, unknowns: Integers, width: Integers, segments: int
+) -> Floats:
+    """Return the covariance of the scores, columns times residuals, of n fits of q unknowns, shape (n, q, q).
+
+    Parameters
+    ----------
+    scaled : float64, shape (n, N, q)
+        Columns of the fits.
+    residual : float64, shape (n, N)
+    valid : bool, shape (n, N)
+        Rows that were fitted.
+    unknowns : int64, shape (n,)
+        Unknowns that each fit had.
+    width : int64, shape (n,)
+        Rows over which neighbouring residuals share their errors.
+    segments : int
+        Parts whose errors count as independent.
+
+    Notes
+    -----
+    Between the inverse of two standard normal equations this is the sandwich estimate of the unknowns'
+    covariance. Two parts add up. Errors that die out: the scores of `segments` parts of the rows, taken as
+    independent. Errors that are integrated and never die out, a random walk: each of its steps stays in all
+    later residuals; its rate is read from how much farther apart residuals a segment apart lie than those
+    `width` rows apart. A walk is in both parts, so that the sum is up to 40 % too careful.
+    """
+    count = valid.sum(axis=1)
+    rank = np.cumsum(valid, axis=1) - 1
+    part = np.where(valid, rank * segments // np.maximum(count, 1)[:, None], -1)
+    meat = np.zeros((len(scaled), scaled.shape[2], scaled.shape[2]))
+    for s in range(segments):
+        score = np.einsum("nki,nk->ni", scaled, np.where(part == s, residual, 0.0))
+        meat += score[:, :, None] * score[:, None, :]
+    meat *= (segments / np.maximum(segments - unknowns, 1))[:, None, None]
+    near, far = width, np.maximum(count // segments, width + 1)
+    rate = (_squared_distance(residual, valid, far) - _squared_distance(residual, valid, near)) / (far - near)
+    # each step of the walk stays in all later residuals
+    later = np.cumsum(np.where(valid[:, :, None], scaled, 0.0)[:, ::-1], axis=1)[:, ::-1]
+    walk = np.einsum("nki,nkj->nij", later * valid[:, :, None], later)
+    result: Floats = meat + np.maximum(rate, 0.0)[:, None, None] * walk
+    return result
+
+
+def _squared_distance(residual: Floats, valid: Booleans, lag: Integers) -> Floats:
+    """Mean squared difference of residuals ``lag`` rows apart, shape (n,); 0 where there are none."""
+    column = np.arange(residual.shape[1])[None, :] + lag[:, None]
+    inside = column < residual.shape[1]
+    column = np.minimum(column, residual.shape[1] - 1)
+    both = valid & inside & np.take_along_axis(valid, column, axis=1)
+    square = np.where(both, (np.take_along_axis(residual, column, axis=1) - residual) ** 2, 0.0)
+    result: Floats = square.sum(axis=1) / np.maximum(both.sum(axis=1), 1)
+    return result

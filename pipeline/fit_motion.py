@@ -1,0 +1,152 @@
+"""Exact motion of a model between two rows of a log, with its derivatives, for all trials at once.
+
+Time is counted in samples, so that damping and stiffness are the normalised delta = b T/m and gamma = k T^2/m
+(Table 3.1). A model without mass, b x' + k x = F(t - t_d), has delta = k T/b instead and no gamma.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from pipeline.batch import Floats, Integers
+
+Order = Literal["second", "first"]
+"""Of the model: m x'' + b x' + k x = F(t - t_d), or b x' + k x = F(t - t_d)."""
+
+LARGEST_RATE = 3.0
+"""Largest |delta| and |gamma|: beyond it the motion changes by a factor of 20 within a sample and is not sampled.
+It also keeps the power series below exact to 1e-13."""
+
+SERIES_TERMS = 32
+"""Terms of the power series: with `LARGEST_RATE` the next one is below 1e-15 of the sum."""
+
+NEGLIGIBLE = 1e-19
+"""Coefficient of the power series below which the terms left change no digit: slow devices need ten terms."""
+
+DIFFERENCE = 1e-4
+"""Step in delta and gamma for the central differences of the coefficients: truncation and rounding are 1e-9."""
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """Coefficients of the motion over one sample, shape (n,) each.
+
+    Parameters
+    ----------
+    xx, xv, vx, vv : float64
+        Transition of position and velocity.
+    old_x, old_v : float64
+        Effect of the command that still acts at the row, until the switch.
+    new_x, new_v : float64
+        Effect of the command that acts from the switch on.
+    jump_x, jump_v : float64
+        Derivative of both effects by the delay, for a unit change of the command at the switch.
+    hold_x, hold_v : float64
+        Effect of a command over the whole sample.
+    """
+
+    xx: Floats
+    xv: Floats
+    vx: Floats
+    vv: Floats
+    old_x: Floats
+    old_v: Floats
+    new_x: Floats
+    new_v: Floats
+    jump_x: Floats
+    jump_v: Floats
+    hold_x: Floats
+    hold_v: Floats
+
+    def minus(self, other: Step, span: float) -> Step:
+        """Return the difference of all coefficients, divided by a span."""
+        names = self.__dataclass_fields__
+        return Step(*((getattr(self, name) - getattr(other, name)) / span for name in names))
+
+
+def step_of(delta: Floats, gamma: Floats, part: Floats, order: Order) -> Step:
+    """Return the motion over a sample in which the command switches after a part of it.
+
+    Parameters
+    ----------
+    delta, gamma : float64, shape (n,)
+        At most `LARGEST_RATE` in size, of any sign.
+    part : float64, shape (n,)
+        Fraction of the sample before the switch, in [0, 1).
+    order : {"second", "first"}
+
+    Notes
+    -----
+    The command of sample k acts on [k + d, k + 1 + d), so that a fractional d switches inside a sample.
+
+    Source: Hulin 2017, eqs. 3.3 to 3.8; fractional delay as in the modified z-transform (sec. 7.2).
+    """
+    if order == "first":
+        none = np.zeros_like(delta)
+        early, late, hold = (_impulse(delta, none, t)[0] for t in (part, 1 - part, np.ones_like(part)))
+        fade = np.exp(-delta * (1 - part))
+        return Step(np.exp(-delta), none, none, none, fade * early, none, late, none, fade, none, hold, none)
+    hold_v, slope, hold_x = _impulse(delta, gamma, np.ones_like(part))
+    late_v, late_slope, late_x = _impulse(delta, gamma, 1 - part)
+    early_v, _, early_x = _impulse(delta, gamma, part)
+    return Step(
+        xx=1 - gamma * hold_x,
+        xv=hold_v,
+        vx=-gamma * hold_v,
+        vv=slope,
+        old_x=(1 - gamma * late_x) * early_x + late_v * early_v,
+        old_v=-gamma * late_v * early_x + late_slope * early_v,
+        new_x=late_x,
+        new_v=late_v,
+        jump_x=late_v,
+        jump_v=late_slope,
+        hold_x=hold_x,
+        hold_v=hold_v,
+    )
+
+
+def step_changes(delta: Floats, gamma: Floats, part: Floats, order: Order) -> tuple[Step, Step]:
+    """Return the derivatives of all coefficients by delta and by gamma."""
+    h = DIFFERENCE
+    by_delta = step_of(delta + h, gamma, part, order).minus(step_of(delta - h, gamma, part, order), 2 * h)
+    by_gamma = step_of(delta, gamma + h, part, order).minus(step_of(delta, gamma - h, part, order), 2 * h)
+    return by_delta, by_gamma
+
+
+def arrived(force: Floats, whole: Integers) -> Floats:
+    """Return the command that arrives at each row, shifted by whole samples; 0 before the log, shape (N, n).
+
+    Parameters
+    ----------
+    force : float64, shape (N, n)
+        Command of each row, time along the first axis.
+    whole : int64, shape (n,)
+        Delay in whole samples, may be negative.
+    """
+    row = np.arange(len(force))[:, None] - whole
+    shifted = np.take_along_axis(force, np.clip(row, 0, len(force) - 1), axis=0)
+    shifted[row < 0] = 0.0
+    return shifted
+
+
+def _impulse(delta: Floats, gamma: Floats, time: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return impulse response h, its derivative and its integral at a time <= 1 [sample], by power series.
+
+    h = sum s_n t^n with s_1 = 1 and n (n + 1) s_{n+1} = -n delta s_n - gamma s_{n-1}, which holds for any sign and
+    needs no special case at zero.
+    """
+    before, now = np.zeros_like(delta), np.ones_like(delta)
+    power = np.ones_like(delta) * time
+    impulse, slope, gain = power.copy(), np.ones_like(delta), 0.5 * power * time
+    for n in range(1, SERIES_TERMS):
+        before, now = now, (-n * delta * now - gamma * before) / (n * (n + 1))
+        slope = slope + (n + 1) * now * power
+        power = power * time
+        impulse = impulse + now * power
+        gain = gain + now * power * time / (n + 2)
+        if max(np.abs(now).max(initial=0.0), np.abs(before).max(initial=0.0)) * (n + 1) < NEGLIGIBLE:
+            break
+    return impulse, slope, gain
