@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections import Counter
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,7 +21,14 @@ from pipeline.models import CRITERIA, Estimate, Experiment, Motion, Optimum
 from pipeline.predictions import THEORY_CODE, Predictions, Theory
 from pipeline.provenance import code_digest, digest
 from pipeline.report import write as write_report
-from pipeline.results import ComparisonResult, ExperimentResult, ReportData, TheoryParameters
+from pipeline.results import (
+    ComparisonResult,
+    ExperimentResult,
+    MassWindow,
+    OtherDefinitions,
+    ReportData,
+    TheoryParameters,
+)
 from pipeline.scene import LEAVE_OUT, REUSE, RUN, PlannedStage, SceneData, needed_stages, open_scene, plan_measured
 from pipeline.stage_columns import standard_error
 from pipeline.stages import ExperimentStages
@@ -295,6 +302,8 @@ def _experiment(data: SceneData, stages: ExperimentStages, theory: Theory | None
         trials=stages.trials.num_rows,
         verdicts=dict(sorted(Counter(stages.verdicts.verdict.tolist()).items())),
         outcomes=dict(Counter(stages.texts("outcome", "outcome"))),
+        mass_windows=_mass_windows(stages) if "windows" in needed else (),
+        other_definitions=_other_definitions(stages, optimum) if {"settling", "overshoot"} <= needed else (),
         model_check=stages.model_check if "model" in needed else None,
         estimates=_estimates(stages, needed, units),
         boundary=stages.boundary_points,
@@ -322,6 +331,26 @@ def _estimates(stages: ExperimentStages, needed: Collection[str], units: Units) 
         )
         found["implied_delay"] = implied_delay(stages.boundary_points, device)
     return found
+
+
+def _mass_windows(stages: ExperimentStages) -> tuple[MassWindow, ...]:
+    rows = stages.table("windows").to_pylist()
+    return tuple(
+        MassWindow(window_s=r["window_s"], mass=r["mass_median"], scatter=r["mass_scatter"], trials=r["trials"])
+        for r in rows
+    )
+
+
+def _other_definitions(stages: ExperimentStages, optimum: Mapping[str, Optimum]) -> tuple[OtherDefinitions, ...]:
+    """Settling time and overshoot of the best trials by the definitions of other tools."""
+    settling = {row["trial_id"]: row for row in stages.table("settling").to_pylist()}
+    overshoot = {row["trial_id"]: row for row in stages.table("overshoot").to_pylist()}
+    found = []
+    for criterion, best in optimum.items():
+        both = settling[str(best.trial_id)] | overshoot[str(best.trial_id)]
+        values = {name: both[name] for name in OtherDefinitions.model_fields if name in both}
+        found.append(OtherDefinitions(criterion=criterion, **values))
+    return tuple(found)
 
 
 def _without(unit: str, reason: str) -> Estimate:

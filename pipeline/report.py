@@ -104,6 +104,8 @@ def _tables(data: ReportData) -> dict[str, Any]:
         "experiments": report_estimates.experiment_table(result) if result.experiments else None,
         "outcomes": report_estimates.outcome_table(result),
         "model": report_estimates.model_table(result),
+        "windows": report_estimates.window_table(result),
+        "definitions": report_estimates.definition_table(result),
         "methods": report_estimates.method_table(result),
         "optima": optima,
         "measured_optima": report_tables.measured_optimum_table(result),

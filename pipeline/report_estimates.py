@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pipeline.labels import MISSING, UNITS, estimate_texts, significant
+from pipeline.labels import DIGITS, MISSING, UNITS, criterion_label, estimate_texts, significant
 from pipeline.models import Estimate, Motion
 from pipeline.report_tables import Cell, Head, Table, missing_cell, text_cell
 from pipeline.results import ComparisonResult, TheoryParameters
@@ -107,6 +107,66 @@ def method_table(result: ComparisonResult) -> Table | None:
                 block = f"experiment {e.experiment}: {_name(quantity)} [{_unit(value.unit)}]"
                 table.add(block, f"{e.experiment}/{quantity}/{name}", columns, _method_cells(name, value))
     return table if table.blocks else None
+
+
+def window_table(result: ComparisonResult) -> Table | None:
+    """Return the mass over the window of the momentum balance, or None where no mass was asked for."""
+    shown = [e for e in result.experiments if e.mass_windows]
+    if not shown:
+        return None
+    heads = [Head("window [ms]")]
+    columns = ["window"]
+    for e in shown:
+        heads += [Head(text, f"experiment {e.experiment}") for text in ("mass", "scatter", "trials")]
+        columns += [f"{e.experiment}/{name}" for name in ("mass", "scatter", "trials")]
+    unit = UNITS[result.motion].mass
+    caption = f"Mass [{unit}] by the momentum balance (6.4) over its window: median and scatter of the trials"
+    table = Table("windows", caption, tuple(heads))
+    for window in sorted({w.window_s for e in shown for w in e.mass_windows}):
+        cells = [Cell(f"{1e3 * window:g}")]
+        for e in shown:
+            found = next((w for w in e.mass_windows if w.window_s == window), None)
+            numbers = (None, None) if found is None else (found.mass, found.scatter)
+            cells += [
+                missing_cell("fewer than two trials allow it") if x is None else Cell(significant(x, DIGITS))
+                for x in numbers
+            ]
+            cells.append(Cell(str(found.trials if found else 0)))
+        table.add("", f"{1e3 * window:g}", columns, cells)
+    return table
+
+
+def definition_table(result: ComparisonResult) -> Table | None:
+    """Return the best trials by the definitions of other tools, or None where settling or overshoot is left out."""
+    groups = ("settling time, 2 % [samples]", "overshoot [%]")
+    heads = (
+        Head("best trial by", numeric=False),
+        *(Head(text, groups[0]) for text in ("this report", "MATLAB", "MATLAB, peak error", "python-control")),
+        *(Head(text, groups[1]) for text in ("this report", "about the last sample")),
+    )
+    table = Table("definitions", "The best trials by the definitions of other tools", heads)
+    names = (
+        *("settle_2pct", "settle_matlab_final_value", "settle_matlab_peak_error", "settle_python_control"),
+        *("overshoot", "overshoot_last_sample"),
+    )
+    for e in result.experiments:
+        for best in e.other_definitions:
+            cells = [text_cell(criterion_label(best.criterion))]
+            for name in names:
+                value = getattr(best, name)
+                percent = name.startswith("overshoot")
+                text = "" if value is None else f"{100 * value:.1f}" if percent else f"{value:.4g}"
+                cells.append(Cell(text) if text else missing_cell("not settled, or not told by this definition"))
+            table.add(f"experiment {e.experiment}", f"{e.experiment}/{best.criterion}", ("criterion", *names), cells)
+    if not table.blocks:
+        return None
+    table.mark(
+        [
+            "Other tools count from the command edge and take the last sample for the final value; this report counts "
+            "from the first sample that the command can move, and takes x_0 + F_0/K."
+        ]
+    )
+    return table
 
 
 def _methods(best: Estimate) -> dict[str, Estimate]:

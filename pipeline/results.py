@@ -25,6 +25,30 @@ class TheoryParameters(Record):
     source: str
 
 
+class MassWindow(Record):
+    """Mass by the momentum balance of the thesis for one window: median and scatter of the trials that have one."""
+
+    window_s: float
+    mass: float | None
+    scatter: float | None
+    trials: int
+
+
+class OtherDefinitions(Record):
+    """Settling time [samples] and overshoot [1] of one trial by this report and by other tools."""
+
+    criterion: str
+    trial_id: str
+    stiffness: float
+    damping: float
+    settle_2pct: float | None
+    settle_matlab_final_value: float | None
+    settle_matlab_peak_error: float | None
+    settle_python_control: float | None
+    overshoot: float | None
+    overshoot_last_sample: float | None
+
+
 class ExperimentResult(Record):
     """All that was found for one experiment."""
 
@@ -36,6 +60,8 @@ class ExperimentResult(Record):
     verdicts: dict[str, int]
     outcomes: dict[str, int] = Field(default_factory=dict)
     model_check: ModelCheck | None = None
+    mass_windows: tuple[MassWindow, ...] = ()
+    other_definitions: tuple[OtherDefinitions, ...] = ()
     estimates: dict[str, Estimate]
     boundary: tuple[BoundaryPoint, ...]
     optimum: dict[str, Optimum]

@@ -100,7 +100,7 @@ def _wanted(criteria: Sequence[str]) -> set[str]:
     if any(c in SETTLING_BANDS for c in criteria):
         wanted.add("settling")
     if any(c in ENERGY_CRITERIA for c in criteria):
-        wanted |= {"energy", "mass"}
+        wanted |= {"energy", "mass", "windows"}
     return wanted
 
 
@@ -119,6 +119,7 @@ _LEFT_OUT = {
     "overshoot": "overshoot is not asked for",
     "settling": "no settling time is asked for",
     "energy": "no energy cost is asked for",
+    "windows": "only energy costs need the mass",
 }
 
 

@@ -19,8 +19,12 @@ from pipeline.intervals import NORMAL_95
 from pipeline.models import SETTLING_BANDS, Estimate
 from pipeline.reading_error import ReadingError, reading_error
 from pipeline.response import NO_ROW, Response
+from pipeline.step_metrics import TOOLS, reconcile
 from pipeline.tables import TABLES
 from pipeline.verdict import Verdicts
+
+WINDOWS_S = (0.005, 0.010, 0.015, 0.020, 0.030, 0.040, 0.060, 0.080)
+"""Windows of the momentum balance [s] whose masses are compared; the thesis took 15 ms (6.1.2)."""
 
 BALANCE_TERMS = ("damping", "friction")
 """Forces that the corrected momentum balance allows for beside the inertia: those of every drive."""
@@ -215,6 +219,7 @@ def _overshoot(of: Trials) -> Columns:
         "overshoot_floor": found.floor,
         "overshoot_low": interval.low,
         "overshoot_high": interval.high,
+        "overshoot_last_sample": reconcile(of.batch, of.found, of.verdicts, 0).overshoot["matlab_final_value"].value,
         "reason": _texts(found.reason, interval.reason),
     }
 
@@ -227,6 +232,8 @@ def _settling(of: Trials) -> Columns:
             delay_range=delay_range(of.delay_estimate),
         )
         columns: Columns = {"reason": _texts(found.reason, interval.reason)}
+        others = reconcile(of.batch, of.found, of.verdicts, samples).settling
+        columns |= {f"settle_{tool}": others[tool].value for tool in TOOLS}
         for name in SETTLING_BANDS:
             columns[name] = _integer(found.samples[name])
             columns[f"{name}_low"], columns[f"{name}_high"] = (
@@ -267,6 +274,20 @@ def _energy(of: Trials) -> Columns:
     return _with_delay(of, "energy", compute)
 
 
+def _windows(of: Trials) -> Columns:
+    samples = of.delay_estimate.value
+    if samples is None:
+        return {name: [] for name in TABLES["windows"]}
+    scan = mass.window_scan(of.batch, of.found, int(samples), np.array(WINDOWS_S))
+    return {
+        "window_s": scan.window_s,
+        "mass_median": scan.median,
+        "mass_scatter": scan.scatter,
+        "trials": scan.trials,
+        "reason": _texts(scan.reason),
+    }
+
+
 COMPUTE: dict[str, Callable[[Trials], Columns]] = {
     "response": _response,
     "outcome": _outcome,
@@ -278,5 +299,6 @@ COMPUTE: dict[str, Callable[[Trials], Columns]] = {
     "overshoot": _overshoot,
     "settling": _settling,
     "energy": _energy,
+    "windows": _windows,
 }
 """What computes each stage."""

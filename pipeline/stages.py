@@ -26,7 +26,7 @@ from pipeline.tables import read_metadata, read_table, to_arrow, write_table
 
 STAGES = (
     *("response", "outcome", "boundary", "delay", "model", "damping", "mass"),
-    *("overshoot", "settling", "energy"),
+    *("overshoot", "settling", "energy", "windows"),
 )
 """Stages in the order in which they can be computed."""
 
@@ -41,6 +41,7 @@ NEEDS: dict[str, tuple[str, ...]] = {
     "overshoot": ("response",),
     "settling": ("response", "delay"),
     "energy": ("response", "delay", "model", "damping", "mass"),
+    "windows": ("response", "delay"),
 }
 """Stages whose results a stage takes; the plan is made backwards along these."""
 
@@ -48,7 +49,7 @@ _SHARED_CODE = ("batch", "stages", "stage_columns", "aggregate", "estimates", "c
 _MOTION = ("response", "verdict", "modes")
 _BALANCE = ("response", "momentum", "averaging", "correlated")
 _FIT = ("fit", "fit_filter", "fit_jitter", "fit_motion", "fit_noise", "fit_search", "fit_window", "ghost")
-_COSTS = ("response", "horizon", "costs", "reading_error", "cost_intervals")
+_COSTS = ("response", "horizon", "costs", "reading_error", "cost_intervals", "step_metrics")
 _CODE: dict[str, tuple[str, ...]] = {
     "response": _MOTION,
     "outcome": (*_MOTION, "outcome", "events", "disturbance"),
@@ -60,6 +61,7 @@ _CODE: dict[str, tuple[str, ...]] = {
     "overshoot": _COSTS,
     "settling": _COSTS,
     "energy": (*_COSTS, "energy_intervals", "tail"),
+    "windows": (*_BALANCE, "mass"),
 }
 
 

@@ -150,6 +150,19 @@ COLUMNS: dict[str, Column] = {
         }.items()
     },
     "horizon_samples": _same(_I, "samples", "number of samples summed before the noise floor or the end", True),
+    # definitions of other tools, beside the costs
+    "settle_matlab_final_value": _same(
+        _F, "samples", "settling time, 2 %, as MATLAB's stepinfo about the last sample", True
+    ),
+    "settle_matlab_peak_error": _same(
+        _F, "samples", "settling time, 2 % of the peak error, as MATLAB's stepinfo", True
+    ),
+    "settle_python_control": _same(_F, "samples", "settling time, 2 %, as python-control's step_info", True),
+    "overshoot_last_sample": _same(_F, "1", "overshoot about the last sample, as both tools take it", True),
+    # windows stage
+    "window_s": _same(_F, "s", "time from the command edge to the end of the momentum balance"),
+    "mass_median": Column(_F, "kg", "kg m^2", "median mass by (6.4) with that window", True),
+    "mass_scatter": Column(_F, "kg", "kg m^2", "scatter of the trials: interquartile range over 1.349", True),
     # boundary stage
     "stable": Column(_F, "N/m", "Nm/rad", "largest stable stiffness below the smallest unstable one", True),
     "unstable": Column(_F, "N/m", "Nm/rad", "smallest unstable stiffness", True),
@@ -212,9 +225,13 @@ TABLES: dict[str, tuple[str, ...]] = {
     "damping": ("trial_id", "stiffness", "damping", "viscous_damping", "reason"),
     "overshoot": (
         *("trial_id", "stiffness", "damping", "overshoot", "overshoot_floor", "overshoot_low", "overshoot_high"),
-        "reason",
+        *("overshoot_last_sample", "reason"),
     ),
-    "settling": ("trial_id", "stiffness", "damping", *_SETTLE, "reason"),
+    "settling": (
+        *("trial_id", "stiffness", "damping", *_SETTLE),
+        *("settle_matlab_final_value", "settle_matlab_peak_error", "settle_python_control", "reason"),
+    ),
+    "windows": ("window_s", "mass_median", "mass_scatter", "trials", "reason"),
     "energy": ("trial_id", "stiffness", "damping", *_ENERGY, "horizon_samples", "reason"),
     "boundary": ("damping", "stable", "unstable", "censored", "estimate", "low", "high", "trials"),
 }

@@ -12,7 +12,7 @@ NEEDED = {
     ("overshoot",): ALWAYS | {"overshoot"},
     ("settle_2pct",): ALWAYS | {"delay", "settling"},
     ("settle_1pct", "overshoot"): ALWAYS | {"delay", "settling", "overshoot"},
-    ("energy_step_w1",): ALWAYS | {"delay", "model", "energy", "mass", "damping"},
+    ("energy_step_w1",): ALWAYS | {"delay", "model", "energy", "mass", "damping", "windows"},
 }
 
 
@@ -21,7 +21,7 @@ def test_known_device_needs_no_more_than_its_criteria(falcon, criteria):
     data = open_scene("falcon", falcon.processed, None, criteria)
     assert needed_stages(data) == NEEDED[criteria]
     left_out = {p.stage for p in plan_measured(data) if p.action == LEAVE_OUT}
-    everything = ALWAYS | {"delay", "model", "damping", "mass", "overshoot", "settling", "energy"}
+    everything = ALWAYS | {"delay", "model", "damping", "mass", "overshoot", "settling", "energy", "windows"}
     assert left_out == {f"1: {stage}" for stage in everything - NEEDED[criteria]}
     assert all(p.reason for p in plan_measured(data))
 
@@ -35,7 +35,7 @@ def test_unknown_device_needs_its_estimates_for_any_theory(unknown):
 
 def test_all_criteria_need_all_stages(falcon):
     data = open_scene("falcon", falcon.processed, None, None)
-    assert len(needed_stages(data)) == 10
+    assert len(needed_stages(data)) == 11
     assert data.overlay
     assert len(data.scene.criteria) == 7
 
@@ -85,7 +85,7 @@ def test_plan_goes_from_run_to_reuse_and_follows_changes(falcon, noisy, tmp_path
     for stage in needed_stages(data):
         data.experiments[0].table(stage)
     _, plan = actions(("settle_2pct", "overshoot"))
-    assert {s for s, (action, _) in plan.items() if action == REUSE} == {"response", "boundary", "delay", "settling"}
+    assert {s for s, (action, _) in plan.items() if action == REUSE} == ALWAYS | {"delay", "settling"}
     assert {s for s, (action, _) in plan.items() if action == RUN} == {"overshoot"}
     # a stage of other logs under the same name
     (processed / "stages/falcon/1/settling.parquet").unlink()

@@ -204,8 +204,9 @@ COMPUTES = {
     "damping": {"response", "damping"},
     "mass": {"response", "mass", "friction"},
     "overshoot": {"response", "costs", "cost_intervals"},
-    "settling": {"response", "costs", "cost_intervals"},
+    "settling": {"response", "costs", "cost_intervals", "step_metrics"},
     "energy": {"energy_intervals"},
+    "windows": {"mass"},
 }
 
 
@@ -232,7 +233,7 @@ def test_key_changes_with_the_logs_and_the_code_but_not_with_time(falcon, monkey
     original = stages.code_digest
     monkeypatch.setattr(stages, "code_digest", lambda *m: original(*m) + ("!" if "delay" in m else ""))
     changed = {stage for stage, new in keys().items() if new != before[stage]}
-    assert changed == {"delay", "model", "damping", "mass", "settling", "energy"}
+    assert changed == {"delay", "model", "damping", "mass", "settling", "energy", "windows"}
 
 
 @pytest.fixture
