@@ -107,17 +107,16 @@ def mass_estimate(of: Stored) -> Estimate:
     corrected, plain = of.column("mass", "mass"), of.column("mass", "mass_momentum")
     thesis = aggregate.estimate_mass(corrected, plain, unit)
     if thesis.value is None:
-        thesis = thesis.model_copy(
-            update={"reason": f"{thesis.reason}; most trials: {commonest(of.texts('mass', 'reason'))}"}
-        )
+        why = f"{thesis.reason}; most trials: {commonest(of.texts('mass', 'reason'))}"
+        thesis = thesis.model_copy(update={"reason": why})
+    friction = _combined(
+        *(of, ("mass", "balance_mass", "balance_mass_error"), unit), "momentum balance with friction (and gravity)"
+    )
     model = model_mass(of)
     methods = {
         **thesis.by_method,
         "corrected_momentum_balance": thesis.model_copy(update={"by_method": {}}),
-        "friction_momentum_balance": _combined(
-            *(of, ("mass", "balance_mass", "balance_mass_error"), unit),
-            "momentum balance with viscous damping and Coulomb friction",
-        ),
+        "friction_momentum_balance": friction,
         "model": model,
     }
     if np.isfinite(of.column("mass", "force_mass")).any():
@@ -125,7 +124,8 @@ def mass_estimate(of: Stored) -> Estimate:
             *(of, ("mass", "force_mass", "force_mass_error"), unit),
             "momentum balance by the measured force, with viscous damping and Coulomb friction",
         )
-    return _recommended(model, thesis, methods)
+    # where the model does not hold, friction is the commonest cause
+    return _recommended(model, thesis if friction.value is None else friction, methods)
 
 
 def model_mass(of: Stored) -> Estimate:

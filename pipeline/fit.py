@@ -14,7 +14,7 @@ import numpy as np
 from pipeline.batch import Floats, Integers, TrialBatch
 from pipeline.delay import NO_DELAY, first_change
 from pipeline.errors import ParameterError
-from pipeline.fit_filter import DAMPING, DELAY, GAIN, START, STIFFNESS, Gains, predict
+from pipeline.fit_filter import DAMPING, DELAY, GAIN, START, STIFFNESS, open_loop, predict
 from pipeline.fit_jitter import JitterFit, fit_window
 from pipeline.fit_motion import LARGEST_RATE, Order
 from pipeline.fit_noise import portmanteau
@@ -230,14 +230,13 @@ def model_position(
     k = np.zeros(n) if stiffness is None else stiffness
     known = np.isfinite(mass) & np.isfinite(damping) & np.isfinite(delay) & np.isfinite(start) & np.isfinite(k)
     m = np.where(known, mass, 1.0)
-    parameters = np.stack([T**2 / m, 0 * T, delay, damping * T / m, k * T**2 / m])
+    parameters = np.stack([0 * T, T**2 / m, delay, damping * T / m, k * T**2 / m])
     parameters = np.where(known, parameters, 0.0)
     still = np.zeros(batch.position.shape[::-1])
-    ones = np.ones_like(still)
     force = np.where(batch.valid, batch.command, 0.0).T
-    run = predict(still, force, ones, ones, Gains(None, None, ones), parameters, derivatives=False)
+    run = predict(still, force, open_loop(np.ones_like(still)), parameters, derivatives=False)
     shown = batch.valid & known[:, None]
-    return np.where(shown, start[:, None] - run.columns[:, 0].T, np.nan)
+    return np.where(shown, start[:, None] - run[:, 0].T, np.nan)
 
 
 def response_of(response: Response, which: Integers) -> Response:

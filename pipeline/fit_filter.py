@@ -14,55 +14,43 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.batch import Booleans, Floats, Integers
-from pipeline.fit_motion import Order, Step, arrived, step_changes, step_of
+from pipeline.fit_motion import Order, Step, acting, step_changes, step_of
 
-GAIN, START, DELAY, DAMPING, STIFFNESS = range(5)
-"""Rows of the parameter array: 1/m (1/b for the first order), x_0, delay, delta, gamma, all normalised."""
+START, GAIN, DELAY, DAMPING, STIFFNESS = range(5)
+"""Rows of the parameter array: x_0, 1/m (1/b for the first order), delay, delta, gamma, all normalised."""
+
+TRIALS_AT_ONCE = 512
+"""Trials whose states are carried on together: they stay in a processor's cache, and the calls for a row are few."""
 
 SMALLEST_SHARE = 0.3
 """Share of commands that are in time below which a jitter is spread over more samples, so that none is negative."""
 
 
 @dataclass(frozen=True, eq=False)
-class Prediction:
-    """Errors of the prediction and its derivatives, divided by the standard deviation of the error.
+class Gains:
+    """What the filter takes over from each reading, and how it weighs the errors of its predictions.
 
     Parameters
     ----------
-    columns : float64, shape (N, 1 + P, n)
-        Error, then the derivative of the predicted reading by each parameter; 0 in rows without a reading.
+    correction : float64, shape (N, 2, n), or None
+        Share of the error of a prediction by which position and velocity are corrected; None where all are 0.
+    weight : float64, shape (N, n)
+        One over the standard deviation of the error; 0 where there is no reading.
     log_variance : float64, shape (n,)
-        Sum of the logarithms of the expected variances.
+        Sum of the logarithms of the errors' expected variances.
     information : float64, shape (n,)
         Number of independent readings: a run of equal readings counts once.
     """
 
-    columns: Floats
+    correction: Floats | None
+    weight: Floats
     log_variance: Floats
     information: Floats
 
-
-@dataclass(frozen=True, eq=False)
-class Gains:
-    """What the filter takes over from each reading, shape (N, n).
-
-    Parameters
-    ----------
-    to_position, to_velocity : float64 or None
-        Share of the error of a prediction by which the state is corrected; None where all are 0.
-    spread : float64
-        Expected variance of the error; infinite where there is no reading.
-    """
-
-    to_position: Floats | None
-    to_velocity: Floats | None
-    spread: Floats
-
-    def select(self, which: Booleans | Integers) -> Gains:
-        """Return the trials picked by a mask or by indices."""
-        if self.to_position is None or self.to_velocity is None:
-            return Gains(None, None, self.spread[:, which])
-        return Gains(self.to_position[:, which], self.to_velocity[:, which], self.spread[:, which])
+    def select(self, which: Booleans | Integers | slice) -> Gains:
+        """Return the trials picked by a mask, by indices or by a slice."""
+        correction = None if self.correction is None else self.correction[:, :, which]
+        return Gains(correction, self.weight[:, which], self.log_variance[which], self.information[which])
 
 
 def jitter_force(force: Floats, delay: Floats) -> Floats:
@@ -73,7 +61,7 @@ def jitter_force(force: Floats, delay: Floats) -> Floats:
     """
     whole = np.floor(delay).astype(np.int64)
     part = delay - whole
-    now = arrived(np.diff(force, axis=0, prepend=0.0) ** 2, whole)
+    now = acting(np.diff(force, axis=0, prepend=0.0) ** 2, whole)[1:]
     early, late = np.zeros_like(now), np.zeros_like(now)
     early[:-1], late[1:] = now[1:], now[:-1]
     variance: Floats = 0.5 * ((1 - part) * early + now + part * late)
@@ -99,112 +87,129 @@ def spread_force(force: Floats, jitter: Floats) -> Floats:
 def predict(
     position: Floats,
     force: Floats,
-    weighed: Floats,
-    run: Floats,
     gains: Gains,
     parameters: Floats,
     *,
     order: Order = "second",
     derivatives: bool = True,
-) -> Prediction:
-    """Return the errors of the one-step prediction, whitened, and their derivatives.
+) -> Floats:
+    """Return the errors of the one-step prediction, whitened, and their derivatives, shape (N, 1 + P, n).
+
+    First the error, then the derivative of the predicted reading by each parameter, all divided by the standard
+    deviation of the error; 0 in rows without a reading.
 
     Parameters
     ----------
     position, force : float64, shape (N, n)
         Readings and commands, finite everywhere, time along the first axis.
-    weighed : float64, shape (N, n)
-        Variance of each reading times the length of its run; infinite where there is no reading.
-    run : float64, shape (N, n)
-        Length of the run of equal readings that each reading belongs to.
     gains : Gains
         Of the filter for the same readings.
     parameters : float64, shape (P, n)
     order : {"second", "first"}
     derivatives : bool
-        Without, ``columns`` holds the errors only.
+        Without, there is the column of errors only.
     """
     P, n = parameters.shape if derivatives else (0, parameters.shape[1])
-    inside = np.isfinite(weighed)
-    whole = np.floor(parameters[DELAY]).astype(np.int64)
-    part = parameters[DELAY] - whole
-    new = arrived(force, whole)
-    old = arrived(force, whole + 1)
-    gamma = parameters[STIFFNESS] if len(parameters) > STIFFNESS else np.zeros(n)
-    step = step_of(parameters[DAMPING], gamma, part, order)
-    by_old, by_new, changes = _drives(step, parameters, gamma, part, order, P)
-    to_x, to_v = gains.to_position, gains.to_velocity
     columns = np.empty((len(position), 1 + P, n))
-    x, v = np.zeros((1 + P, n)), np.zeros((1 + P, n))
-    drive, work = np.empty((2, 1 + P, n)), np.empty((2, 1 + P, n))
-    error = position - parameters[START]
+    for first in range(0, n, TRIALS_AT_ONCE):
+        some = slice(first, first + TRIALS_AT_ONCE)
+        _predict(columns[:, :, some], position[:, some], force[:, some], gains.select(some), parameters[:, some], order)
+    return columns
+
+
+def _predict(
+    columns: Floats, position: Floats, force: Floats, gains: Gains, parameters: Floats, order: Order
+) -> None:
+    """Fill the columns.
+
+    Errors and readings differ by what does not depend on the gain: the first column is that of the readings alone,
+    and the answer to the command, which is the derivative by the gain, times the gain is taken off at the end.
+    """
+    C, n = columns.shape[1:]
+    gain, delay = parameters[GAIN], parameters[DELAY]
+    whole = np.floor(delay).astype(np.int64)
+    commands = acting(force, whole)
+    stiff = order == "first" or len(parameters) > STIFFNESS
+    gamma = parameters[STIFFNESS] if len(parameters) > STIFFNESS else np.zeros(n)
+    step = step_of(parameters[DAMPING], gamma, delay - whole, order)
+    changes = step_changes(parameters[DAMPING], gamma, delay - whole, order, C - 1 - DAMPING)
+    driven_from = 1 + GAIN if C > 1 else 0
+    # without corrections the columns that no command drives have no state
+    state_from = driven_from if gains.correction is None else 0
+    drive = _drive(step, changes, gain) if C > 1 else -gain * _effect(step)[:, :, None]
+    coupling = _coupling(changes)
+    x, v = state = np.zeros((2, C - state_from, n))
+    driven, coupled = state[:, driven_from - state_from :], state[:, 1 + DAMPING - state_from :]
+    work, pushed = np.empty_like(state), np.empty((2, *driven.shape))
+    motion, answer = np.empty((2, n)), np.empty(coupling.shape[1:])
+    # without stiffness the position by itself changes nothing
+    pairs = list(zip(coupling, motion, strict=True))[0 if stiff else 1 :] if C > 1 else []
+    readings = position - parameters[START]
     for k in range(len(position)):
         now = columns[k]
-        np.copyto(now, x)
-        np.subtract(error[k], x[0], out=now[0])
-        if P:
-            now[1 + START] += 1.0
-        if to_x is not None and to_v is not None:
-            _correct(x, v, now, to_x[k], to_v[k])
-        np.multiply(by_old, old[k], out=drive)
-        np.multiply(by_new, new[k], out=work)
-        drive += work
-        for column, change in changes:
-            drive[0, column] += change.xx * x[0] + change.xv * v[0]
-            drive[1, column] += change.vx * x[0] + change.vv * v[0]
+        if state_from:
+            now[0], now[1 + START] = readings[k], 1.0
+            now[driven_from:] = x
+        else:
+            np.copyto(now, x)
+            now[0] += readings[k]
+            if C > 1:
+                now[1 + START] += 1.0
+        if gains.correction is not None:
+            np.multiply(gains.correction[k][:, None, :], now, out=work)
+            state -= work
+        if C > 1:
+            np.multiply(gain, state[:, 1 + GAIN - state_from], out=motion)
+            if not state_from:
+                motion -= state[:, 0]
+            now[0] -= gain * now[1 + GAIN]
+        now *= gains.weight[k]
         np.multiply(step.xv, v, out=work[0])
-        np.multiply(step.vx, x, out=work[1])
-        x *= step.xx
+        if stiff:
+            np.multiply(step.vx, x, out=work[1])
+            x *= step.xx
         v *= step.vv
         x += work[0]
-        v += work[1]
-        x += drive[0]
-        v += drive[1]
-    spread = np.where(inside, gains.spread, 1.0)
-    columns *= np.where(inside, 1 / np.sqrt(spread), 0.0)[:, None, :]
-    logarithm = np.log(spread).sum(axis=0)
-    # of the variance of an error, the reading's part counts once a run
-    reading = np.where(inside, weighed, 0.0) / spread
-    information = np.where(inside, 1 - reading * (1 - 1 / run), 0.0).sum(axis=0)
-    return Prediction(columns, logarithm, information)
+        if stiff:
+            v += work[1]
+        np.multiply(drive, commands[k : k + 2, None, None, :], out=pushed)
+        driven += pushed[0]
+        driven += pushed[1]
+        for part, cause in pairs:
+            np.multiply(part, cause, out=answer)
+            coupled += answer
 
 
-def _correct(x: Floats, v: Floats, now: Floats, to_x: Floats, to_v: Floats) -> None:
-    """Correct the state by an error, and its derivatives by those of the error, which have the other sign."""
-    x[0] += to_x * now[0]
-    v[0] += to_v * now[0]
-    x[1:] -= to_x * now[1:]
-    v[1:] -= to_v * now[1:]
+def _effect(step: Step) -> Floats:
+    """Return what the old and the new command add to position and velocity, shape (2, 2, n)."""
+    return np.array([[step.old_x, step.old_v], [step.new_x, step.new_v]])
 
 
-def _drives(
-    step: Step, parameters: Floats, gamma: Floats, part: Floats, order: Order, count: int
-) -> tuple[Floats, Floats, list[tuple[int, Step]]]:
-    """Return what old and new command add to position and velocity of each column, shape (2, 1 + P, n)."""
-    n = parameters.shape[1]
-    by_old, by_new = np.zeros((2, 1 + count, n)), np.zeros((2, 1 + count, n))
-    gain = parameters[GAIN]
-    by_old[:, 0], by_new[:, 0] = gain * np.stack([step.old_x, step.old_v]), gain * np.stack([step.new_x, step.new_v])
-    changes: list[tuple[int, Step]] = []
-    if count:
-        by_old[:, 1 + GAIN], by_new[:, 1 + GAIN] = (step.old_x, step.old_v), (step.new_x, step.new_v)
-        jump = gain * np.stack([step.jump_x, step.jump_v])
-        by_old[:, 1 + DELAY], by_new[:, 1 + DELAY] = jump, -jump
-        both = step_changes(parameters[DAMPING], gamma, part, order)
-        for column, change in zip(range(1 + DAMPING, 1 + count), both, strict=False):
-            by_old[:, column] = gain * np.stack([change.old_x, change.old_v])
-            by_new[:, column] = gain * np.stack([change.new_x, change.new_v])
-            changes.append((column, change))
-    return by_old, by_new, changes
+def _drive(step: Step, changes: list[Step], gain: Floats) -> Floats:
+    """Return what old and new command add to position and velocity of the driven columns, shape (2, 2, D, n)."""
+    jump = gain * np.array([step.jump_x, step.jump_v])
+    return np.stack([_effect(step), np.array([jump, -jump]), *(gain * _effect(change) for change in changes)], axis=2)
 
 
-def filter_gains(weighed: Floats, shock: Floats, parameters: Floats, order: Order) -> Gains:
+def _coupling(changes: list[Step]) -> Floats:
+    """Return what position and velocity add to those of the derivatives by damping and stiffness, (2, 2, Q, n)."""
+    return np.array([[[c.xx for c in changes], [c.vx for c in changes]], [[c.xv for c in changes], [c.vv for c in changes]]])
+
+
+def open_loop(weight: Floats) -> Gains:
+    """Return the gains of a model that no reading corrects, for given weights of its errors, shape (N, n)."""
+    return Gains(None, weight, np.zeros(weight.shape[1]), np.count_nonzero(weight, axis=0).astype(np.float64))
+
+
+def filter_gains(weighed: Floats, run: Floats, shock: Floats, parameters: Floats, order: Order) -> Gains:
     """Return the gains of the Kalman filter for a model.
 
     Parameters
     ----------
     weighed : float64, shape (N, n)
-        As for `predict`.
+        Variance of each reading times the length of its run; infinite where there is no reading.
+    run : float64, shape (N, n)
+        Length of the run of equal readings that each reading belongs to.
     shock : float64, shape (N, n)
         Variance of the acceleration error (of the rate for the first order) over the sample from each row; all 0
         for an open-loop model.
@@ -213,25 +218,46 @@ def filter_gains(weighed: Floats, shock: Floats, parameters: Floats, order: Orde
         a small error that grew.
     order : {"second", "first"}
     """
+    inside = np.isfinite(weighed)
     if not shock.any():
-        return Gains(None, None, weighed)
-    n = weighed.shape[1]
-    zero = np.zeros(n)
-    gamma = np.maximum(parameters[STIFFNESS], 0.0) if len(parameters) > STIFFNESS else zero
-    s = step_of(np.maximum(parameters[DAMPING], 0.0), gamma, zero, order)
-    share_xx, share_xv, share_vv = s.hold_x**2, s.hold_x * s.hold_v, s.hold_v**2
-    xx, xv, vv = zero, zero, zero
-    spread, to_x, to_v = (np.empty(weighed.shape) for _ in range(3))
-    for k in range(len(weighed)):
-        np.add(xx, weighed[k], out=spread[k])
-        np.divide(xx, spread[k], out=to_x[k])
-        np.divide(xv, spread[k], out=to_v[k])
-        vv = vv - to_v[k] * xv
-        left = 1 - to_x[k]
-        xv, xx = left * xv, left * xx
-        a, b = s.xx * xx + s.xv * xv, s.xx * xv + s.xv * vv
-        c, d = s.vx * xx + s.vv * xv, s.vx * xv + s.vv * vv
-        xx = s.xx * a + s.xv * b + share_xx * shock[k]
-        xv = s.vx * a + s.vv * b + share_xv * shock[k]
-        vv = s.vx * c + s.vv * d + share_vv * shock[k]
-    return Gains(to_x, to_v, spread)
+        spread = np.where(inside, weighed, 1.0)
+        correction = None
+        information = np.where(inside, 1 / run, 0.0).sum(axis=0)
+    else:
+        correction, spread = _kalman(weighed, shock, parameters, order)
+        spread = np.where(inside, spread, 1.0)
+        # of the variance of an error, the reading's part counts once a run
+        reading = np.where(inside, weighed, 0.0) / spread
+        information = np.where(inside, 1 - reading * (1 - 1 / run), 0.0).sum(axis=0)
+    weight = np.where(inside, 1 / np.sqrt(spread), 0.0)
+    return Gains(correction, weight, np.log(spread).sum(axis=0), information)
+
+
+def _kalman(weighed: Floats, shock: Floats, parameters: Floats, order: Order) -> tuple[Floats, Floats]:
+    """Return the corrections, shape (N, 2, n), and the variance of each prediction's error, shape (N, n)."""
+    N, n = weighed.shape
+    gamma = np.maximum(parameters[STIFFNESS], 0.0) if len(parameters) > STIFFNESS else np.zeros(n)
+    s = step_of(np.maximum(parameters[DAMPING], 0.0), gamma, np.zeros(n), order)
+    share = np.array([s.hold_x**2, s.hold_x * s.hold_v, s.hold_v**2])
+    # of the covariance xx, xv, vv from one row to the next
+    transition = np.array(
+        [
+            [s.xx * s.xx, 2 * s.xx * s.xv, s.xv * s.xv],
+            [s.xx * s.vx, s.xx * s.vv + s.xv * s.vx, s.xv * s.vv],
+            [s.vx * s.vx, 2 * s.vx * s.vv, s.vv * s.vv],
+        ]
+    )
+    correction, spread = np.empty((N, 2, n)), np.empty((N, n))
+    covariance, work, moved = np.zeros((3, n)), np.empty((3, n)), np.empty((3, 3, n))
+    for k in range(N):
+        np.add(covariance[0], weighed[k], out=spread[k])
+        np.divide(covariance[:2], spread[k], out=correction[k])
+        np.multiply(correction[k], covariance[1], out=work[1:])
+        covariance[1:] -= work[1:]
+        np.multiply(correction[k, 0], covariance[0], out=work[0])
+        covariance[0] -= work[0]
+        np.multiply(transition, covariance, out=moved)
+        np.add.reduce(moved, axis=1, out=covariance)
+        np.multiply(share, shock[k], out=work)
+        covariance += work
+    return correction, spread

@@ -148,7 +148,7 @@ def fit_window(window: Window, start: Floats, lag: Integers, *, order: Order) ->
     plain = predicted(
         window, solution.parameters, gains_at(window, solution.parameters, none, order), none, order, derivatives=False
     )
-    correlated = portmanteau(plain.columns[:, 0], window.independent) < SUSPICIOUS_WHITENESS
+    correlated = portmanteau(plain[:, 0], window.independent) < SUSPICIOUS_WHITENESS
     look = (solution.scale > SUSPICIOUS) | ~solution.converged | (correlated & window.noise_known)
     # a rig without a mass moves as slowly as its time constant says: all of its log is response
     longest = rows - SEARCH_ROWS + LONGEST_WITH_JITTER if order == "second" else len(window.position)
@@ -190,11 +190,11 @@ def fit_window(window: Window, start: Floats, lag: Integers, *, order: Order) ->
                 part = part.head(longest)
             error[which] = describe(part, p, s, order)
             run = predicted(part, p, gains_at(part, p, s, order), s, order)
-            white[: len(part.position), which] = run.columns[:, 0]
+            white[: len(part.position), which] = run[:, 0]
             if describe is _jitter_error:
                 steady[which] = steady_force_gain(part, p, s, order)
                 model = inverse(solution.normal[which]) * scale[which, None, None]
-                inflation[:, which] = _inflation(run.columns, solution.normal[which], model)
+                inflation[:, which] = _inflation(run, solution.normal[which], model)
     return JitterFit(window, solution, jitter, error, white, scale, inflation, steady)
 
 
@@ -239,13 +239,13 @@ def deviance(window: Window, parameters: Floats, jitter: Floats, order: Order) -
 
 
 def _deviance(window: Window, parameters: Floats, gains: Gains, jitter: Floats, order: Order) -> Floats:
-    white = predicted(window, parameters, gains, jitter, order, derivatives=False)
-    cost = np.einsum("kn,kn->n", white.columns[:, 0], white.columns[:, 0])
-    mean = cost / np.maximum(white.information - len(parameters), 1.0)
+    white = predicted(window, parameters, gains, jitter, order, derivatives=False)[:, 0]
+    cost = np.einsum("kn,kn->n", white, white)
+    mean = cost / np.maximum(gains.information - len(parameters), 1.0)
     lowest = np.where(window.noise_known, smallest_scale(window), 1e-300)
     highest = np.where(window.noise_known, LARGEST_SCALE, np.inf)
     scale = np.clip(mean, lowest, highest)
-    result: Floats = window.inside.sum(axis=0) * np.log(scale) + cost / scale + white.log_variance
+    result: Floats = window.inside.sum(axis=0) * np.log(scale) + cost / scale + gains.log_variance
     return result
 
 
@@ -259,7 +259,7 @@ def steady_force_gain(window: Window, parameters: Floats, jitter: Floats, order:
     best = np.full(len(jitter), np.inf)
     for share in STEADY_SHARES:
         shock = np.broadcast_to(share * mean, window.force.shape)
-        gains = filter_gains(window.variance * window.run, shock, parameters, order)
+        gains = filter_gains(window.variance * window.run, window.run, shock, parameters, order)
         value = _deviance(window, parameters, gains, np.zeros_like(jitter), order)
         best = np.fmin(best, value)
     gain: Floats = deviance(window, parameters, jitter, order) - best

@@ -72,7 +72,7 @@ def step_of(delta: Floats, gamma: Floats, part: Floats, order: Order) -> Step:
 
     Parameters
     ----------
-    delta, gamma : float64, shape (n,)
+    delta, gamma : float64, shape (..., n)
         At most `LARGEST_RATE` in size, of any sign.
     part : float64, shape (n,)
         Fraction of the sample before the switch, in [0, 1).
@@ -84,14 +84,14 @@ def step_of(delta: Floats, gamma: Floats, part: Floats, order: Order) -> Step:
 
     Source: Hulin 2017, eqs. 3.3 to 3.8; fractional delay as in the modified z-transform (sec. 7.2).
     """
+    times = np.stack([part, 1 - part, np.ones_like(part)])
     if order == "first":
         none = np.zeros_like(delta)
-        early, late, hold = (_impulse(delta, none, t)[0] for t in (part, 1 - part, np.ones_like(part)))
+        early, late, hold = np.moveaxis(_impulse(delta, none, times)[0], -2, 0)
         fade = np.exp(-delta * (1 - part))
         return Step(np.exp(-delta), none, none, none, fade * early, none, late, none, fade, none, hold, none)
-    hold_v, slope, hold_x = _impulse(delta, gamma, np.ones_like(part))
-    late_v, late_slope, late_x = _impulse(delta, gamma, 1 - part)
-    early_v, _, early_x = _impulse(delta, gamma, part)
+    impulse, derivative, integral = (np.moveaxis(values, -2, 0) for values in _impulse(delta, gamma, times))
+    (early_v, late_v, hold_v), (_, late_slope, slope), (early_x, late_x, hold_x) = impulse, derivative, integral
     return Step(
         xx=1 - gamma * hold_x,
         xv=hold_v,
@@ -108,45 +108,53 @@ def step_of(delta: Floats, gamma: Floats, part: Floats, order: Order) -> Step:
     )
 
 
-def step_changes(delta: Floats, gamma: Floats, part: Floats, order: Order) -> tuple[Step, Step]:
-    """Return the derivatives of all coefficients by delta and by gamma."""
-    h = DIFFERENCE
-    by_delta = step_of(delta + h, gamma, part, order).minus(step_of(delta - h, gamma, part, order), 2 * h)
-    by_gamma = step_of(delta, gamma + h, part, order).minus(step_of(delta, gamma - h, part, order), 2 * h)
-    return by_delta, by_gamma
+def step_changes(delta: Floats, gamma: Floats, part: Floats, order: Order, count: int) -> list[Step]:
+    """Return the derivatives of all coefficients by the first ``count`` of delta and gamma (none for less than 1)."""
+    h, changes = DIFFERENCE, []
+    for shift in ((h, 0.0), (0.0, h))[: max(count, 0)]:
+        above, below = (step_of(delta + side * shift[0], gamma + side * shift[1], part, order) for side in (1, -1))
+        changes.append(above.minus(below, 2 * h))
+    return changes
 
 
-def arrived(force: Floats, whole: Integers) -> Floats:
-    """Return the command that arrives at each row, shifted by whole samples; 0 before the log, shape (N, n).
+def acting(force: Floats, whole: Integers) -> Floats:
+    """Return the command that acts before row 0 and from each row on, 0 where it was sent before the log, (N + 1, n).
 
     Parameters
     ----------
     force : float64, shape (N, n)
         Command of each row, time along the first axis.
     whole : int64, shape (n,)
-        Delay in whole samples, may be negative.
+        Delay in whole samples, may be negative: then the last command holds on.
     """
-    row = np.arange(len(force))[:, None] - whole
-    shifted = np.take_along_axis(force, np.clip(row, 0, len(force) - 1), axis=0)
-    shifted[row < 0] = 0.0
-    return shifted
+    N, n = force.shape
+    sent = np.concatenate([np.zeros((1, n)), force])
+    row = np.clip(np.arange(N + 1)[:, None] - whole, 0, N)
+    row *= n
+    row += np.arange(n)
+    result: Floats = sent.ravel().take(row)
+    return result
 
 
-def _impulse(delta: Floats, gamma: Floats, time: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return impulse response h, its derivative and its integral at a time <= 1 [sample], by power series.
+def _impulse(delta: Floats, gamma: Floats, times: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return impulse response h, its derivative and its integral at some times <= 1 [sample], by power series.
+
+    Shape (..., n) of delta and gamma, (t, n) of the times, (..., t, n) of the results.
 
     h = sum s_n t^n with s_1 = 1 and n (n + 1) s_{n+1} = -n delta s_n - gamma s_{n-1}, which holds for any sign and
     needs no special case at zero.
     """
     before, now = np.zeros_like(delta), np.ones_like(delta)
-    power = np.ones_like(delta) * time
-    impulse, slope, gain = power.copy(), np.ones_like(delta), 0.5 * power * time
+    power = times
+    impulse, slope, gain = power.copy(), np.ones_like(power), 0.5 * power * times
     for n in range(1, SERIES_TERMS):
         before, now = now, (-n * delta * now - gamma * before) / (n * (n + 1))
-        slope = slope + (n + 1) * now * power
-        power = power * time
-        impulse = impulse + now * power
-        gain = gain + now * power * time / (n + 2)
+        term = now[..., None, :] * power
+        slope = slope + (n + 1) * term
+        power = power * times
+        term = term * times
+        impulse = impulse + term
+        gain = gain + term * times / (n + 2)
         if max(np.abs(now).max(initial=0.0), np.abs(before).max(initial=0.0)) * (n + 1) < NEGLIGIBLE:
             break
     return impulse, slope, gain

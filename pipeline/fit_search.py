@@ -12,10 +12,11 @@ from pipeline.fit_filter import (
     DELAY,
     GAIN,
     STIFFNESS,
+    TRIALS_AT_ONCE,
     Gains,
-    Prediction,
     filter_gains,
     jitter_force,
+    open_loop,
     predict,
     spread_force,
 )
@@ -124,11 +125,9 @@ def starting_values(window: Window, lag: Integers, *, stiffness: bool, order: Or
     z, inside = window.position[:rows], window.inside[:rows]
     weight = np.where(inside, 1.0, 0.0)
     zero = np.zeros(n)
-    undamped = np.stack([zero + 1.0, zero, base + zero, zero])
-    still = np.zeros((rows, n))
-    ones = np.ones((rows, n))
-    motion = predict(still, window.force[:rows], ones, ones, Gains(None, None, ones), undamped, order=order)
-    sources = (-motion.columns[:, 0], motion.columns[:, 1 + DAMPING])
+    undamped = np.stack([zero, zero + 1.0, base + zero, zero])
+    motion = predict(np.zeros((rows, n)), window.force[:rows], open_loop(np.ones((rows, n))), undamped, order=order)
+    sources = (-motion[:, 0], motion[:, 1 + DAMPING])
     best, cost = np.zeros((5, n)), np.full(n, np.inf)
     for shift in range(2 * SEARCH_REACH + 1):
         columns = np.ones((3, rows, n))
@@ -142,7 +141,7 @@ def starting_values(window: Window, lag: Integers, *, stiffness: bool, order: Or
         with np.errstate(divide="ignore", invalid="ignore"):
             delta = np.clip(np.nan_to_num(solved[:, 1] / solved[:, 0]), 0.0, 0.3 * LARGEST_RATE)
         better = (residual < cost) & (solved[:, 0] > 0)
-        found = np.stack([solved[:, 0], solved[:, 2], base + float(shift), delta, zero])
+        found = np.stack([solved[:, 2], solved[:, 0], base + float(shift), delta, zero])
         best = np.where(better, found, best)
         cost = np.where(better, residual, cost)
     best[GAIN] = np.where(best[GAIN] > 0, best[GAIN], 1e-6)
@@ -166,11 +165,12 @@ def search(window: Window, start: Floats, jitter: Floats, *, order: Order, most_
     The weights are those of the start and stay while the search goes on.
     """
     gains = gains_at(window, start, jitter, order)
-    now = reduce(predicted(window, start, gains, jitter, order), start)
+    position, force = window.position, spread_force(window.force, jitter)
+    now = _solution(position, force, gains, start, order)
     final = now.select(np.arange(start.shape[1]))
     active = np.arange(start.shape[1])
     factor = np.full(start.shape[1], FIRST_FACTOR)
-    smallest = ROUNDING**2 / window.variance[0]
+    smallest, smallest_delay = ROUNDING**2 / window.variance[0], np.maximum(-window.edge, SMALLEST_DELAY)
     for _ in range(most_steps):
         step = _solve(now.normal, now.right, factor)
         left = np.einsum("np,np->n", step, now.right) / np.maximum(now.scale, smallest)
@@ -182,10 +182,11 @@ def search(window: Window, start: Floats, jitter: Floats, *, order: Order, most_
             keep = ~done
             if not keep.any():
                 return final
-            window, now, gains, jitter = window.select(keep), now.select(keep), gains.select(keep), jitter[keep]
-            active, factor, smallest, step = active[keep], factor[keep], smallest[keep], step[keep]
-        parameters = _limited(now.parameters, step.T, np.maximum(-window.edge, SMALLEST_DELAY))
-        tried = reduce(predicted(window, parameters, gains, jitter, order), parameters)
+            position, force, gains, now = position[:, keep], force[:, keep], gains.select(keep), now.select(keep)
+            active, factor, step = active[keep], factor[keep], step[keep]
+            smallest, smallest_delay = smallest[keep], smallest_delay[keep]
+        parameters = _limited(now.parameters, step.T, smallest_delay)
+        tried = _solution(position, force, gains, parameters, order)
         better = tried.cost < now.cost
         factor = np.where(better, factor * 0.1, factor * 10.0)
         now.put(better, tried.select(better))
@@ -196,7 +197,8 @@ def search(window: Window, start: Floats, jitter: Floats, *, order: Order, most_
 
 def gains_at(window: Window, parameters: Floats, jitter: Floats, order: Order) -> Gains:
     """Return the filter's gains for given parameters and jitter [samples]."""
-    return filter_gains(window.variance * window.run, shock_at(window, parameters, jitter), parameters, order)
+    shock = shock_at(window, parameters, jitter)
+    return filter_gains(window.variance * window.run, window.run, shock, parameters, order)
 
 
 def shock_at(window: Window, parameters: Floats, jitter: Floats) -> Floats:
@@ -209,35 +211,29 @@ def shock_at(window: Window, parameters: Floats, jitter: Floats) -> Floats:
 
 def predicted(
     window: Window, parameters: Floats, gains: Gains, jitter: Floats, order: Order, *, derivatives: bool = True
-) -> Prediction:
-    """Return whitened errors of the prediction of a window, and their derivatives."""
-    return predict(
-        window.position,
-        spread_force(window.force, jitter),
-        window.variance * window.run,
-        window.run,
-        gains,
-        parameters,
-        order=order,
-        derivatives=derivatives,
-    )
+) -> Floats:
+    """Return whitened errors of the prediction of a window, and their derivatives, shape (N, 1 + P, n)."""
+    force = spread_force(window.force, jitter)
+    return predict(window.position, force, gains, parameters, order=order, derivatives=derivatives)
 
 
-def reduce(white: Prediction, parameters: Floats) -> Solution:
-    """Return the normal equations of a prediction."""
+def _solution(position: Floats, force: Floats, gains: Gains, parameters: Floats, order: Order) -> Solution:
+    """Return the normal equations at given parameters."""
     P, n = parameters.shape
-    columns = white.columns
     product = np.empty((n, 1 + P, 1 + P))
-    for i in range(1 + P):
-        for j in range(i + 1):
-            product[:, i, j] = product[:, j, i] = np.einsum("kn,kn->n", columns[:, i], columns[:, j])
+    for first in range(0, n, TRIALS_AT_ONCE):
+        some = slice(first, first + TRIALS_AT_ONCE)
+        columns = predict(position[:, some], force[:, some], gains.select(some), parameters[:, some], order=order)
+        for i in range(1 + P):
+            for j in range(i + 1):
+                product[some, i, j] = product[some, j, i] = np.einsum("kn,kn->n", columns[:, i], columns[:, j])
     return Solution(
         parameters=parameters.copy(),
         normal=product[:, 1:, 1:],
         right=product[:, 1:, 0],
         cost=product[:, 0, 0],
-        log_variance=white.log_variance,
-        information=white.information,
+        log_variance=gains.log_variance,
+        information=gains.information,
         converged=np.zeros(n, dtype=np.bool_),
     )
 

@@ -27,8 +27,11 @@ quantum rules it (0.18 for 0.36 at 60 um), so that 98 of 100 such delays are rou
 ITERATIONS = 12
 """Gauss-Newton steps: the response is a parabola in the onset, which half of them settle to rounding."""
 
+SETTLED = 1e-11
+"""Step of the onset [samples] below which it is settled: rounding of the time stamps is as large."""
+
 CHUNK = 256
-"""Trials fitted at once: bounds the memory of rows times commands to some 10 MB."""
+"""Trials fitted at once: bounds the memory of rows times commands to some 2 MB."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,7 +155,6 @@ def _fit(
     edge, period = response.edge_row[index], batch.sampling_period_s
     longest = int((first - edge).max()) + max(windows)
     row = edge[:, None] + np.arange(longest + 1)[None, :]
-    logged = row < batch.rows[:, None]
     at = np.minimum(row, batch.rows[:, None] - 1)
     time = np.take_along_axis(batch.time, at, axis=1)
     time = (time - time[:, :1]) / period[:, None]
@@ -170,67 +172,114 @@ def _fit(
     smallest = 1e-9 * np.max(np.abs(away), axis=1, initial=0.0)
     reading = np.maximum(np.hypot(noise, step), smallest)
     rest = np.maximum(np.hypot(noise / np.sqrt(edge + 1), step), smallest)
-    seen = (first - edge)[:, None]
+    seen = first - edge
     best = [np.full(len(index), np.nan), np.full(len(index), np.inf), np.full(len(index), np.nan)]
     used = np.zeros(len(index), dtype=np.int64)
     for window in windows:
-        column = np.arange(longest + 1)[None, :]
-        where = logged & (column >= seen) & (column < seen + window)
-        complete = where.sum(axis=1) == window
-        guess = time[np.arange(len(index)), first - edge - 1]
-        tau, error, mobility = _gauss_newton(time, change, away, where, reading, rest, guess, decay * period)
-        better = complete & np.isfinite(error) & (error < best[1]) & (mobility > 0)
+        t = np.flatnonzero(first + window <= batch.rows)
+        if not len(t):
+            continue
+        in_window = seen[t, None] + np.arange(window)[None, :]
+        motion = _Motion(
+            time=np.take_along_axis(time[t], in_window, axis=1),
+            away=np.take_along_axis(away[t], in_window, axis=1),
+            # a command behind the window moves nothing in it
+            arrival=time[t, : in_window.max() + 1],
+            change=change[t, : in_window.max() + 1],
+            weight=1 / reading[t],
+            rest=rest[t],
+        )
+        guess = time[t, seen[t] - 1]
+        tau, error, mobility = _gauss_newton(motion, guess, (decay * period)[t])
+        better = np.isfinite(error) & (error < best[1][t]) & (mobility > 0)
         for kept, new in zip(best, (tau, error, mobility), strict=True):
-            kept[better] = new[better]
-        used[better] = window
+            kept[t[better]] = new[better]
+        used[t[better]] = window
     return best[0], best[1], best[2], used
 
 
-def _gauss_newton(
-    time: Floats,
-    change: Floats,
-    away: Floats,
-    where: Booleans,
-    reading: Floats,
-    rest: Floats,
-    tau: Floats,
-    decay: Floats,
-) -> tuple[Floats, Floats, Floats]:
+@dataclass(frozen=True, eq=False)
+class _Motion:
+    """Readings of a window, r rows of n trials, and the commands that move the device in it, c of each.
+
+    ``time`` (n, r) and ``arrival`` (n, c) in samples from the edge, ``change`` of the command (n, c), ``away`` from rest
+    (n, r); ``weight`` (n,) is one over the error of a reading, ``rest`` (n,) the error of the rest.
+    """
+
+    time: Floats
+    away: Floats
+    arrival: Floats
+    change: Floats
+    weight: Floats
+    rest: Floats
+
+    def select(self, which: Booleans) -> _Motion:
+        return _Motion(*(getattr(self, name)[which] for name in self.__dataclass_fields__))
+
+
+@dataclass(frozen=True, eq=False)
+class _Linear:
+    """Least squares about an onset: rest, 1/m times ``scale``, and that times the step of the onset (n, 3)."""
+
+    since: Floats
+    columns: Floats
+    inverse: Floats
+    regular: Booleans
+    found: Floats
+    scale: Floats
+    tau: Floats
+
+
+def _gauss_newton(motion: _Motion, tau: Floats, decay: Floats) -> tuple[Floats, Floats, Floats]:
     """Onset [samples], its standard error, and 1/m of the weighted least squares of each trial.
 
     ``decay`` is the neglected b/m times T.
     """
-    weight = where / reading[:, None]
-    latest = np.max(np.where(where, time, 0.0), axis=1)
-    for _ in range(ITERATIONS):
-        since = np.maximum(time[:, :, None] - time[:, None, :] - tau[:, None, None], 0.0)
-        shape = 0.5 * np.einsum("nrc,nc->nr", since**2, change)
-        slope = np.einsum("nrc,nc->nr", since, change)
-        # linear in rest and 1/m once the onset is fixed, and in the onset for a small step
-        scale = np.sqrt(np.sum((weight * shape) ** 2, axis=1)) * reading
-        scale = np.where(scale > 0, scale, 1.0)
-        columns = np.stack([weight, weight * shape / scale[:, None], -weight * slope / scale[:, None]], axis=2)
-        normal = np.einsum("nri,nrj->nij", columns, columns)
-        normal[:, 0, 0] += rest**-2
-        right = np.einsum("nri,nr->ni", columns, weight * away)
-        inverse, regular = _inverse(normal)
-        found = np.einsum("nij,nj->ni", inverse, right)
-        mobility = found[:, 1] / scale
-        with np.errstate(divide="ignore", invalid="ignore"):
-            move = np.where(regular & (found[:, 1] > 0), found[:, 2] / found[:, 1], 0.0)
-            # a step beyond one sample leaves the range in which the shape is a parabola about the onset
-            tau = np.clip(tau + np.clip(move, -1.0, 1.0), 0.0, latest)
+    tau = tau.copy()
+    active, still = np.arange(len(tau)), motion
+    for _ in range(ITERATIONS - 1):
+        after = _linear(still, tau[active]).tau
+        moving = np.abs(after - tau[active]) > SETTLED
+        tau[active] = after
+        if not moving.any():
+            break
+        if not moving.all():
+            active, still = active[moving], still.select(moving)
+    at = _linear(motion, tau)
+    found, inverse, columns, weight = at.found, at.inverse, at.columns, motion.weight[:, None]
     with np.errstate(divide="ignore", invalid="ignore"):
         per_onset = 1 / found[:, 1]
-        residual = weight * (away - found[:, :1]) - columns[:, :, 1] * found[:, 1:2] - columns[:, :, 2] * found[:, 2:]
-        freedom = np.maximum(where.sum(axis=1) - 2, 1)
-        chi = (np.sum(residual**2, axis=1) + (found[:, 0] / rest) ** 2) / freedom
+        residual = weight * motion.away - np.einsum("nri,ni->nr", columns, found)
+        freedom = max(motion.time.shape[1] - 2, 1)
+        chi = (np.sum(residual**2, axis=1) + (found[:, 0] / motion.rest) ** 2) / freedom
         scatter = np.sqrt(np.maximum(inverse[:, 2, 2] * np.maximum(chi, 1.0), 0.0)) * np.abs(per_onset)
         # the damping that was left out shifts the shape by its third integral
-        third = -np.einsum("nrc,nc->nr", since**3, change) / 6 * (found[:, 1] / scale * decay)[:, None]
+        third = -np.einsum("nrc,nc->nr", at.since**3, motion.change) / 6 * (found[:, 1] / at.scale * decay)[:, None]
         shift = np.einsum("nj,nj->n", inverse[:, 2, :], np.einsum("nri,nr->ni", columns, weight * third))
         error = np.hypot(scatter, shift * per_onset)
-    return tau, np.where(regular, error, np.nan), mobility
+    return at.tau, np.where(at.regular, error, np.nan), found[:, 1] / at.scale
+
+
+def _linear(motion: _Motion, tau: Floats) -> _Linear:
+    """Solve for rest, 1/m and a step of the onset, and take the step."""
+    since = np.maximum((motion.time - tau[:, None])[:, :, None] - motion.arrival[:, None, :], 0.0)
+    pushed = since * motion.change[:, None, :]
+    slope, shape = pushed.sum(axis=2), 0.5 * np.einsum("nrc,nrc->nr", pushed, since)
+    # linear in rest and 1/m once the onset is fixed, and in the onset for a small step
+    scale = np.sqrt(np.sum(shape**2, axis=1))
+    scale = np.where(scale > 0, scale, 1.0)
+    columns = np.stack([np.ones_like(shape), shape / scale[:, None], -slope / scale[:, None]], axis=2)
+    columns *= motion.weight[:, None, None]
+    normal = np.swapaxes(columns, 1, 2) @ columns
+    normal[:, 0, 0] += motion.rest**-2
+    inverse, regular = _inverse(normal)
+    right = np.einsum("nri,nr->ni", columns, motion.weight[:, None] * motion.away)
+    found = np.einsum("nij,nj->ni", inverse, right)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        move = np.where(regular & (found[:, 1] > 0), found[:, 2] / found[:, 1], 0.0)
+    # a step beyond one sample leaves the range in which the shape is a parabola about the onset
+    tau = np.clip(tau + np.clip(move, -1.0, 1.0), 0.0, motion.time.max(axis=1))
+    return _Linear(since, columns, inverse, regular, found, scale, tau)
 
 
 def _inverse(normal: Floats) -> tuple[Floats, Booleans]:

@@ -29,11 +29,19 @@ WINDOWS_S = (0.005, 0.010, 0.015, 0.020, 0.030, 0.040, 0.060, 0.080)
 BALANCE_TERMS = ("damping", "friction")
 """Forces that the corrected momentum balance allows for beside the inertia: those of every drive."""
 
+OPEN_LOOP_TERMS = ("damping", "friction", "start")
+"""As `BALANCE_TERMS` for logs without a wall: their delay is uncertain, so that momentum may be missing at the start.
+A rotating device in the open loop may be a pendulum, for which gravity is added."""
+
 Columns = dict[str, Any]
 
 
 class Trials(Protocol):
     """What a stage computes from: the samples of an experiment, and what the stages before it found."""
+
+    @property
+    def rotation(self) -> bool:
+        """Whether units are rotational."""
 
     @property
     def batch(self) -> TrialBatch:
@@ -175,7 +183,11 @@ def _mass(of: Trials) -> Columns:
     def compute(samples: int) -> Columns:
         found = mass.by_momentum(of.batch, of.found, samples)
         b = of.damping_estimate.value
-        balance = friction.fit_balance(of.batch, of.found, samples, terms=BALANCE_TERMS)
+        terms: tuple[str, ...] = BALANCE_TERMS
+        if not (of.batch.stiffness.any() or of.batch.damping.any()):
+            terms = (*OPEN_LOOP_TERMS, "gravity") if of.rotation else OPEN_LOOP_TERMS
+            samples = 0  # the start term stands for the delay, which friction hides
+        balance = friction.fit_balance(of.batch, of.found, samples, terms=terms)
         columns = {
             "mass_momentum": found.mass_momentum,
             "mass": nothing if b is None else mass.correct(found, b),
@@ -187,7 +199,7 @@ def _mass(of: Trials) -> Columns:
         }
         if of.batch.force is not None:
             # a force measured at the device has passed the delay already
-            force = friction.fit_balance(of.batch, of.found, 0, terms=BALANCE_TERMS, force=of.batch.force, held=False)
+            force = friction.fit_balance(of.batch, of.found, 0, terms=terms, force=of.batch.force, held=False)
             columns |= {"force_mass": force.mass, "force_mass_error": force.mass_error}
         return columns
 

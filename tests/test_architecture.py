@@ -10,7 +10,7 @@ LONGEST_MODULE = 400
 
 LAYERS: dict[str, set[str]] = {
     "ground": {"__init__", "errors", "provenance", "units"},
-    "records": {"models", "theory_panels", "tables", "batch", "native", "accuracy", "accuracy_advice", "results"},
+    "records": {"models", "theory_panels", "tables", "batch", "native", "accuracy", "accuracy_advice", "accuracy_measured_advice", "results"},
     "store": {
         "storage",
         "profile_text",
@@ -35,6 +35,21 @@ LAYERS: dict[str, set[str]] = {
         "readers.rows",
         "readers.conditions",
         "readers.mapping",
+        "readers.safety",
+        "readers.isolation",
+        "readers.arrays",
+        "readers.json_records",
+        "readers.arrow_tables",
+        "readers.matlab",
+        "readers.matlab5",
+        "readers.matlab73",
+        "readers.hdf5",
+        "readers.tdms",
+        "readers.recording",
+        "readers.ros_types",
+        "readers.topics",
+        "readers.rosbag",
+        "readers.mcap",
     },
     "ingest": {"ingest"},
     "measured": {
@@ -121,6 +136,15 @@ LAYERS: dict[str, set[str]] = {
         "accuracy_run",
     },
     "simulation": {"simulate", "procedure", "course"},
+    "accuracy_measured": {
+        "accuracy_measured_truth",
+        "accuracy_measured_jitter",
+        "accuracy_measured_rungs",
+        "accuracy_measured_trials",
+        "accuracy_measured_costs",
+        "accuracy_measured_courses",
+        "accuracy_measured_run",
+    },
     "rendering": {
         "style",
         "theory_drawings",
@@ -131,6 +155,7 @@ LAYERS: dict[str, set[str]] = {
         "report_estimates",
         "report",
         "accuracy_figures",
+        "accuracy_measured_report",
         "accuracy_report",
     },
     "meeting": {
@@ -162,6 +187,8 @@ MAY_IMPORT: dict[str, set[str]] = {
     "theory": {"ground", "records", "theory"},
     "accuracy": {"ground", "records", "theory", "accuracy"},
     "simulation": {"ground", "records", "store", "simulation"},
+    # it holds estimators against simulated truth, whose exact costs and limits are those of theory
+    "accuracy_measured": {"ground", "records", "store", "measured", "theory", "simulation", "accuracy_measured"},
     "rendering": {"ground", "records", "rendering"},
     "meeting": {"ground", "records", "store", "measured", "theory", "rendering", "meeting"},
     "shell": set(LAYERS),

@@ -2,9 +2,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.stats import t as student
 from simulated import FALCON, LWR, simulate, spectral_radius
 
-from pipeline.damping import by_limit, from_trials
+from pipeline.damping import by_decay, by_limit, from_trials
+from pipeline.errors import ParameterError
 from pipeline.response import find_response
 from pipeline.verdict import judge
 
@@ -89,3 +91,50 @@ def test_from_trials_gives_reasons():
     assert "no baseline" in from_trials(no_edge, find_response(no_edge), 4).reason[0]
     short = simulate([3000.0], [50.0], **FALCON, rows=35)
     assert "samples after the edge" in from_trials(short, find_response(short), 4).reason[0]
+
+
+def decay(dev, B, **sensor):
+    batch = simulate(np.zeros_like(B), B, **dev, **sensor)
+    growth = judge(batch).growth_per_s
+    return by_decay(
+        batch.damping, batch.stiffness, growth, dev["mass"], delay_samples=dev["delay"], sampling_period_s=1e-3
+    )
+
+
+@pytest.mark.parametrize("dev", [FALCON, FIRM, {**FALCON, "b": 2.0, "delay": 0}])
+@pytest.mark.parametrize("B", [0.0, -1.5, 4.0])
+def test_decay_of_the_velocity_on_ideal_logs(dev, B):
+    found = decay(dev, np.full(3, B))
+    # at B = 0 exact but for the fit of the rate; else (s T)^2/12 of B, at s = 38/s 1e-4
+    assert found.value == pytest.approx(dev["b"], rel=1e-3)
+    assert found.significant
+
+
+def test_decay_with_a_sensor_holds_the_truth_in_its_interval():
+    found = decay(FALCON, np.repeat([0.0, -1.0, -2.0], 5), quantum=2e-6, noise=5e-7)
+    assert found.low < 4.0 < found.high
+    assert found.high - found.low < 0.05
+    assert found.trials == 15
+
+
+def test_no_damping_is_not_significant_and_negative_damping_is_said():
+    # other B from trial to trial: ten alike would share the rounding of one and the same motion
+    zero = decay(LWR, np.linspace(-0.1, 0.1, 12), quantum=5e-6, noise=1e-6)
+    assert zero.significant is False
+    assert zero.low <= 0 <= zero.high
+    assert zero.reason == "not significantly different from 0"
+    driven = by_decay(np.zeros(3), np.zeros(3), np.array([1.0, 1.1, 0.9]), 2.0, delay_samples=2, sampling_period_s=1e-3)
+    assert driven.value == pytest.approx(-2.0)
+    assert driven.significant
+    # Student's t with two degrees of freedom on a standard error of 0.2/sqrt 3
+    assert driven.high == pytest.approx(-2.0 + student.ppf(0.975, 2) * 0.2 / np.sqrt(3), rel=1e-6)
+
+
+def test_decay_reasons():
+    options = {"delay_samples": 4, "sampling_period_s": 1e-3}
+    one = by_decay(np.zeros(2), np.array([0.0, 200.0]), np.array([-7.0, -9.0]), 0.58, **options)
+    assert (one.value, one.low, one.trials) == (pytest.approx(4.06), None, 1)
+    assert "no interval" in one.reason
+    assert "no usable trial" in by_decay(np.zeros(1), np.ones(1), np.zeros(1), 0.58, **options).reason
+    with pytest.raises(ParameterError, match="mass"):
+        by_decay(np.zeros(1), np.zeros(1), np.zeros(1), 0.0, **options)

@@ -39,6 +39,32 @@ def test_quantum_of_a_motion_that_always_changes_by_many_quanta():
     np.testing.assert_allclose(found.sensor_quantum, 5e-6, rtol=1e-6)
 
 
+@pytest.mark.parametrize("quantum", [2e-6, 1e-5, 6e-5])
+@pytest.mark.parametrize("stored", [
+    lambda x: x.astype(np.float32).astype(np.float64),
+    lambda x: np.round(x, 7),
+    lambda x: np.round(57.295779513 * x, 5) / 57.295779513,
+], ids=["single precision", "seven digits", "other unit, five digits"])  # fmt: skip
+def test_quantum_of_positions_that_were_rounded_when_they_were_stored(quantum, stored):
+    # 1.7 quanta a count: the grid of the sensor is none of the decimal one. The trial with K = 0 runs away within
+    # 90 rows and shows no readings of the same place, which would tell how coarsely they were stored
+    moving = K > 0
+    batch = simulate(K[moving], B[moving], **FALCON, quantum=1.7 * quantum, noise=5e-7)
+    found = find_response(dataclasses.replace(batch, position=stored(batch.position)))
+    # a change carries up to 5 % of a quantum from the storing (2e-6, five digits), the mean over dozens 0.5 %
+    np.testing.assert_allclose(found.sensor_quantum, 1.7 * quantum, rtol=5e-3)
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-7, 1e-6, 1e-5])
+def test_a_continuous_signal_has_no_quantum(noise):
+    many = np.linspace(300, 9000, 300)
+    batch = simulate(many, many / 100, **FALCON, noise=noise, rows=200)
+    assert not find_response(batch).sensor_quantum.any()
+    # nor where it was stored in single precision, whose own grid is not even: its step changes with the value
+    single = dataclasses.replace(batch, position=batch.position.astype(np.float32).astype(np.float64))
+    assert (find_response(single).sensor_quantum < 1.2e-7 * 0.25).all()
+
+
 def test_noise_is_that_of_the_sensor():
     batch = simulate(np.full(40, 400.0), np.full(40, 4.0), **FALCON, noise=1e-6, baseline=100)
     found = find_response(batch)
