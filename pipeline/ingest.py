@@ -22,8 +22,8 @@ from pipeline.profiles import Profile, load_profile, shipped_profiles
 from pipeline.quarantine import QuarantineRecord, list_quarantine, refuse, release
 from pipeline.readers import Log, RawLog, reader_of
 from pipeline.sources import Source, find_sources
-from pipeline.storage import folder_name, read_trials
-from pipeline.trialstore import Accepted, TrialWriter, drop_superseded
+from pipeline.storage import folder_name
+from pipeline.trialstore import Accepted, TrialWriter, drop_superseded, stored_sources, trial_id
 
 BATCH_LOGS = 256
 BATCH_BYTES = 16 << 20
@@ -47,30 +47,34 @@ class Refusal(Record):
     row: int | None
 
 
+class LogWarning(Record):
+    """What was accepted in a source and should be known."""
+
+    path: str
+    warning: str
+
+
 class IngestReport(Record):
-    """Number of logs by what became of them; ``found = ingested + skipped + len(quarantined)``."""
+    """Number of logs by what became of them; ``found = ingested + skipped + len(quarantined)``.
+
+    A log is a source file (or pair of files), also where it holds several trials. ``warnings`` tell of logs that were
+    ingested now although something in them is not as it should be.
+    """
 
     found: int
     ingested: int
     skipped: int
     quarantined: tuple[Refusal, ...]
+    warnings: tuple[LogWarning, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
 class _Read:
-    """A source after reading: the log, a refusal, or neither where its content is stored already."""
+    """A source after reading: its logs, a refusal, or neither where its content is stored already."""
 
     source: Source
     sha256: str | None
-    result: Log | LogError | None
-
-
-@dataclass(frozen=True)
-class _Stored:
-    trial_id: str
-    size: int
-    mtime_ns: int
-    profile_sha256: str
+    result: tuple[Log, ...] | LogError | None
 
 
 def ingest(
@@ -145,15 +149,13 @@ class _Ingest:
         self.found, self.progress = found, progress
         self.ingested = self.skipped = 0
         self.refusals: list[Refusal] = []
+        self.warnings: list[LogWarning] = []
         self.writer = TrialWriter(processed, PENDING_BYTES)
         self.motions = {name: device.motion for name, device in known_devices().items()}
-        columns = ("source_path", "trial_id", "source_size", "source_mtime_ns", "profile_sha256")
-        table = read_trials(processed).select(columns)
-        rows = zip(*(table.column(name).to_pylist() for name in columns), strict=True)
-        self.stored = {path: _Stored(*values) for path, *values in rows}
+        self.stored = stored_sources(processed)
         self.refused = {record.path: record for record in list_quarantine(processed)}
         self.replaced: set[tuple[str, str, str]] = set()
-        # trial id -> hash of the profile that read it; a source that is looked at again enters after that
+        # hash of a content -> hash of the profile that read it; a source that is looked at again enters after that
         self.known: dict[str, str] = {}
 
     def process(self, sources: list[Source], jobs: int) -> None:
@@ -163,7 +165,7 @@ class _Ingest:
             if not self._settled_unread(source):
                 waiting.append(source)
         again = {source.key for source in waiting}
-        self.known = {s.trial_id: s.profile_sha256 for path, s in self.stored.items() if path not in again}
+        self.known = {s.sha256: s.profile_sha256 for path, s in self.stored.items() if path not in again and s.whole}
         # stored sources come first: a log that was copied and touched is recognised at its old place
         waiting.sort(key=lambda source: (source.key not in self.stored, source.key))
         for batch in _in_order(partial(self._read_batch, use_threads=jobs > 1), _batches(waiting), jobs):
@@ -175,7 +177,13 @@ class _Ingest:
     def report(self) -> IngestReport:
         """Return the counts."""
         refusals = tuple(sorted(self.refusals, key=lambda refusal: refusal.path))
-        return IngestReport(found=self.found, ingested=self.ingested, skipped=self.skipped, quarantined=refusals)
+        return IngestReport(
+            found=self.found,
+            ingested=self.ingested,
+            skipped=self.skipped,
+            quarantined=refusals,
+            warnings=tuple(sorted(self.warnings, key=lambda warning: warning.path)),
+        )
 
     def _settled_unread(self, source: Source) -> bool:
         if self.rehash:
@@ -186,7 +194,7 @@ class _Ingest:
         readable = refused is not None and refused.sha256 is not None
         if refused and readable and sign == (refused.size, refused.mtime_ns, refused.profile_sha256):
             self.refusals.append(Refusal(path=str(source.path), reason=refused.reason, row=refused.row))
-        elif stored and sign == (stored.size, stored.mtime_ns, stored.profile_sha256):
+        elif stored and stored.whole and sign == (stored.size, stored.mtime_ns, stored.profile_sha256):
             self.skipped += 1
             self._release(source)
         else:
@@ -208,15 +216,15 @@ class _Ingest:
             except LogError as error:
                 reads[index] = _Read(source, sha256, error)
                 continue
-            if self.known.get(sha256[:16]) == self._digest(source):
+            if self.known.get(sha256) == self._digest(source):
                 reads[index] = _Read(source, sha256, None)
             else:
                 raws[index] = (raw, sha256)
         profile = sources[0].profile
         if raws and profile:
-            logs = reader_of(profile)(profile, [raw for raw, _ in raws.values()], use_threads)
-            for (index, (_, sha256)), log in zip(raws.items(), logs, strict=True):
-                reads[index] = _Read(sources[index], sha256, log)
+            outcomes = reader_of(profile)(profile, [raw for raw, _ in raws.values()], use_threads)
+            for (index, (_, sha256)), outcome in zip(raws.items(), outcomes, strict=True):
+                reads[index] = _Read(sources[index], sha256, outcome)
         return [read for read in reads if read is not None]
 
     def _settle(self, read: _Read) -> None:
@@ -231,35 +239,48 @@ class _Ingest:
             self._refuse(read, error)
         self._advance()
 
-    def _accept(self, source: Source, profile: Profile, sha256: str, log: Log | None) -> None:
-        trial_id, profile_sha256 = sha256[:16], self.digests[profile]
+    def _accept(self, source: Source, profile: Profile, sha256: str, logs: tuple[Log, ...] | None) -> None:
+        profile_sha256 = self.digests[profile]
         former = self.stored.get(source.key)
-        stored_here = former is not None and (former.trial_id, former.profile_sha256) == (
-            trial_id,
-            profile_sha256,
-        )
-        if log is None or stored_here or (trial_id in self.known and not self._reprofiled(source, trial_id)):
-            self.known.setdefault(trial_id, profile_sha256)
+        same = former is not None and (former.sha256, former.profile_sha256) == (sha256, profile_sha256)
+        stored_here = same and former is not None and former.whole
+        known = self.known.get(sha256)
+        if logs is None or stored_here or known == profile_sha256 or (known and not self._reprofiled(source, sha256)):
+            self.known.setdefault(sha256, profile_sha256)
             self.skipped += 1
             self._release(source)
+            if former is not None and not same and not self.dry_run:
+                # the content that stood here is gone, what stands here now is stored at another place
+                self.replaced |= former.keys(source.key)
             return
-        motion = self._motion(log)
+        accepted = [
+            Accepted(trial_id(sha256, log.label), sha256, source, log, motion, profile.name, profile_sha256, len(logs))
+            for log, motion in [(log, self._checked(log)) for log in logs]
+        ]
+        self.known[sha256] = profile_sha256
+        self.ingested += 1
+        texts = dict.fromkeys(text for log in logs for text in log.warnings)
+        self.warnings += [LogWarning(path=str(source.path), warning=text) for text in texts]
+        if self.dry_run:
+            return
+        if former is not None and not same:
+            self.replaced |= former.keys(source.key)
+        # an interrupted run may have stored some trials of this source
+        present = former.trials if former is not None and same else frozenset[str]()
+        self._written(self.writer.add([a for a in accepted if a.trial_id not in present]))
+
+    def _reprofiled(self, source: Source, sha256: str) -> bool:
+        """Return whether this is the stored source of a content, now read by another profile, or stored in part."""
+        former = self.stored.get(source.key)
+        return former is not None and former.sha256 == sha256
+
+    def _checked(self, log: Log) -> Motion:
+        """Return the motion of a log whose names can be stored."""
         for key in ("device", "experiment"):
             name = getattr(log.header, key)
             if len(folder_name(name)) > LONGEST_FOLDER:
                 raise LogError(f"{key} {name!r} is too long for a folder name; shorten it or use ASCII letters.")
-        self.known[trial_id] = profile_sha256
-        self.ingested += 1
-        if self.dry_run:
-            return
-        if former is not None:
-            self.replaced.add((former.trial_id, former.profile_sha256, source.key))
-        self._written(self.writer.add(Accepted(trial_id, sha256, source, log, motion, profile.name, profile_sha256)))
-
-    def _reprofiled(self, source: Source, trial_id: str) -> bool:
-        """Return whether this is the stored source of a trial, now read by another profile."""
-        former = self.stored.get(source.key)
-        return former is not None and former.trial_id == trial_id
+        return self._motion(log)
 
     def _motion(self, log: Log) -> Motion:
         header = log.header

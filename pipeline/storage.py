@@ -87,7 +87,7 @@ def natural_key(name: str) -> tuple[tuple[int, int | str], ...]:
 def read_trials(processed: Path, device: str | None = None, experiment: str | None = None) -> pa.Table:
     """Return the trials table: of everything, of a device, or of one experiment; in order of file name.
 
-    Where one source path was stored in several versions, only the newest version is returned.
+    Where one source path was stored in several versions, only the trials of the newest version are returned.
     """
     root = processed / "trials"
     if device is not None:
@@ -104,13 +104,16 @@ def read_trials(processed: Path, device: str | None = None, experiment: str | No
 
 
 def _newest_versions(table: pa.Table) -> pa.Table:
-    paths = table.column("source_path").to_numpy(zero_copy_only=False)
+    paths, trials, sources, profiles = (
+        table.column(name).to_pylist() for name in ("source_path", "trial_id", "source_sha256", "profile_sha256")
+    )
     stamps = table.column("source_mtime_ns").to_numpy()
-    order = np.lexsort((np.arange(len(paths)), stamps))
-    newest = dict(zip(paths[order], order, strict=True))
-    if len(newest) == len(paths):
+    order = np.lexsort((np.arange(len(paths)), stamps)).tolist()
+    newest = {paths[row]: (sources[row], profiles[row]) for row in order}
+    kept = {(paths[row], trials[row]): row for row in order if newest[paths[row]] == (sources[row], profiles[row])}
+    if len(kept) == len(paths):
         return table
-    return table.take(pa.array(sorted(newest.values())))
+    return table.take(pa.array(sorted(kept.values())))
 
 
 def load_batch(processed: Path, trials: pa.Table) -> TrialBatch:

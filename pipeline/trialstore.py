@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import defaultdict
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -16,15 +16,20 @@ from pipeline import __version__
 from pipeline.batch import Floats, Integers
 from pipeline.models import Motion
 from pipeline.provenance import digest, stamp
+from pipeline.provenance import sha256 as hash_of
 from pipeline.readers import Log
+from pipeline.readers.time_axis import step_flags
 from pipeline.sources import Source
-from pipeline.storage import samples_folder, trials_folder
+from pipeline.storage import read_trials, samples_folder, trials_folder
 from pipeline.tables import read_table, to_arrow, write_table
 
 
 @dataclass(frozen=True, eq=False)
 class Accepted:
-    """A checked log with its identity, its motion, and the hash of the profile that read it."""
+    """A checked log with its identity, its motion, and the hash of the profile that read it.
+
+    ``siblings`` is the number of trials that its source holds, this one included.
+    """
 
     trial_id: str
     sha256: str
@@ -33,12 +38,13 @@ class Accepted:
     motion: Motion
     profile: str
     profile_sha256: str
+    siblings: int = 1
 
     @property
     def bytes(self) -> int:
         """Memory of the samples [byte]."""
         log = self.log
-        columns = (log.time, log.command, log.position, log.force, log.velocity)
+        columns = (log.time, log.command, log.position, log.force, log.velocity, log.raw_time)
         return sum(values.nbytes for values in columns if values is not None)
 
 
@@ -58,10 +64,10 @@ class TrialWriter:
     _pending: list[Accepted] = field(default_factory=list)
     _bytes: int = 0
 
-    def add(self, accepted: Accepted) -> list[Accepted]:
-        """Take one more log; return those that were written because the limit was reached."""
-        self._pending.append(accepted)
-        self._bytes += accepted.bytes
+    def add(self, accepted: Sequence[Accepted]) -> list[Accepted]:
+        """Take the logs of one more source; return those that were written because the limit was reached."""
+        self._pending += accepted
+        self._bytes += sum(log.bytes for log in accepted)
         return self.flush() if self._bytes >= self.limit else []
 
     def flush(self) -> list[Accepted]:
@@ -91,9 +97,14 @@ def _write_batch(processed: Path, device: str, experiment: str, motion: Motion, 
         "time_s": np.concatenate([m.log.time for m in members]),
         "command": np.concatenate([m.log.command for m in members]),
         "position": np.concatenate([m.log.position for m in members]),
-        "force": _optional([m.log.force for m in members], rows),
-        "velocity": _optional([m.log.velocity for m in members], rows),
+        "force": _optional([m.log.force for m in members], rows, pa.float64()),
+        "velocity": _optional([m.log.velocity for m in members], rows, pa.float64()),
+        "raw_time": _optional([_raw(m.log, "f") for m in members], rows, pa.float64()),
+        "raw_count": _optional([_raw(m.log, "i") for m in members], rows, pa.int64()),
     }
+    flags = step_flags(
+        samples["time_s"], rows, np.array([m.log.header.sampling_period_s for m in members], dtype=np.float64)
+    )
     headers = [m.log.header for m in members]
     plain = ("device", "experiment", "stiffness", "damping", "step", "sampling_period_s")
     trials: dict[str, object] = {
@@ -101,11 +112,14 @@ def _write_batch(processed: Path, device: str, experiment: str, motion: Motion, 
     }
     trials |= {
         "trial_id": [m.trial_id for m in members],
+        "label": [m.log.label for m in members],
         "motion": [motion] * len(members),
         "rows": rows,
         "extra": [json.dumps(h.extra, sort_keys=True, ensure_ascii=False) for h in headers],
+        "time_quality": [json.dumps({**f, **m.log.counts}) for f, m in zip(flags, members, strict=True)],
         "source_path": [m.source.key for m in members],
         "source_sha256": [m.sha256 for m in members],
+        "source_trials": [m.siblings for m in members],
         "source_size": [m.source.size for m in members],
         "source_mtime_ns": [m.source.mtime_ns for m in members],
         "profile": [m.profile for m in members],
@@ -121,13 +135,74 @@ def _write_batch(processed: Path, device: str, experiment: str, motion: Motion, 
     )
 
 
-def _optional(columns: list[Floats | None], rows: Integers) -> pa.ChunkedArray:
+def _raw(log: Log, kind: str) -> Floats | Integers | None:
+    """Return the time stamps of the file where they are numbers of a kind: "f" with a fraction, "i" whole."""
+    return log.raw_time if log.raw_time is not None and log.raw_time.dtype.kind == kind else None
+
+
+def _optional(columns: Sequence[Floats | Integers | None], rows: Integers, dtype: pa.DataType) -> pa.ChunkedArray:
     """Return a column that some logs lack; null where they do."""
+    if all(values is None for values in columns):
+        return pa.chunked_array([pa.nulls(int(rows.sum()), dtype)])
     parts = [
-        pa.nulls(int(count), pa.float64()) if values is None else pa.array(values)
+        pa.nulls(int(count), dtype) if values is None else pa.array(values)
         for values, count in zip(columns, rows, strict=True)
     ]
-    return pa.chunked_array(parts, type=pa.float64())
+    return pa.chunked_array(parts, type=dtype)
+
+
+@dataclass(frozen=True)
+class StoredSource:
+    """What is stored of a source.
+
+    Parameters
+    ----------
+    sha256, size, mtime_ns, profile_sha256
+        Content, size [byte], modification time [ns] and profile when it was read.
+    trials : frozenset of str
+        Ids of its trials.
+    whole : bool
+        Whether these are all that the source holds: an interrupted run may have written some of them.
+    """
+
+    sha256: str
+    size: int
+    mtime_ns: int
+    profile_sha256: str
+    trials: frozenset[str]
+    whole: bool
+
+    def keys(self, path: str) -> set[tuple[str, str, str]]:
+        """Return its trials as `drop_superseded` takes them."""
+        return {(trial, self.profile_sha256, path) for trial in self.trials}
+
+
+def trial_id(sha256: str, label: str | None) -> str:
+    """Return the id of a trial: of its source, or of source and label where the source holds several.
+
+    Parameters
+    ----------
+    sha256 : str
+        Of the source, 64 hexadecimal digits.
+    label : str or None
+        Which trial of the source it is.
+    """
+    return sha256[:16] if label is None else hash_of((sha256 + label).encode())[:16]
+
+
+def stored_sources(processed: Path) -> dict[str, StoredSource]:
+    """Return what is stored of each source, by its path."""
+    of_source = ("source_sha256", "source_size", "source_mtime_ns", "profile_sha256", "source_trials")
+    table = read_trials(processed).select(["source_path", "trial_id", *of_source])
+    trials: dict[str, set[str]] = defaultdict(set)
+    values: dict[str, tuple[str, int, int, str, int]] = {}
+    for path, trial, *rest in zip(*(column.to_pylist() for column in table.columns), strict=True):
+        trials[path].add(trial)
+        values[path] = tuple(rest)
+    return {
+        path: StoredSource(sha256, size, mtime_ns, profile, frozenset(trials[path]), len(trials[path]) >= count)
+        for path, (sha256, size, mtime_ns, profile, count) in values.items()
+    }
 
 
 def drop_superseded(processed: Path, replaced: Collection[tuple[str, str, str]]) -> None:

@@ -2,12 +2,15 @@
 
 import csv
 import math
+import re
+import tomllib
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from pipeline.errors import LogError, ParameterError, ProfileError
+from pipeline.profile_lines import key_lines
 from pipeline.profiles import Profile, claim, load_profile, read_profile, shipped_profiles
 from pipeline.readers import Log, RawLog, reader_of
 from pipeline.units import UNITS, factor_to_si
@@ -54,7 +57,10 @@ def profile_file(tmp_path):
 
 def read_one(profile, *data: str, names=("run_K300.txt", "partner")):
     (outcome,) = reader_of(profile)(profile, [RawLog(tuple(names), tuple(d.encode() for d in data))], False)
-    return outcome
+    if isinstance(outcome, LogError):
+        return outcome
+    (log,) = outcome
+    return log
 
 
 def test_units_are_converted_by_definition():
@@ -98,7 +104,7 @@ def test_delimited_log_is_converted_to_si(profile_file):
         (TEXT.replace("ignored", "x"), 2, "found it 2 times"),
         (TEXT.replace("2,5", "much"), 4, "command must be a number .*found 'much'"),
         (TEXT.replace("1;b;", "1;"), 4, "expected 4 values, found 3"),
-        (TEXT.replace("1e3", "nan"), 5, "position is nan"),
+        (TEXT.replace("1e3", "nan"), 5, "position has no value: column 'x' is blank, or no number"),
         (TEXT.replace("2;c", "1;c"), 5, "expected it to increase"),
         ("made by lab\n", 1, "is empty"),
         ("made by lab\nt;ignored;x;F\n", 3, "0 samples"),
@@ -130,30 +136,158 @@ def test_files_of_a_pair_need_the_same_rows(profile_file):
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "words"),
+    ("old", "new", "line", "words"),
     [
-        ("decimal", "decimals", "key 'decimals' is not known; expected one of .*'decimal'"),
-        ('unit = "ms"', 'units = "ms"', "key 'columns.time.units' is not known; expected one of .*'unit'"),
-        ('unit = "ms"', 'unit = "mm"', "columns.time.unit: unit 'mm' measures length; expected time"),
-        ('unit = "mN"', 'unit = "lbf"', "columns.command.unit: unit 'lbf' is not known; expected force"),
-        ("step = 8", "", r"\[constants\] has no \['step'\]"),
-        ("step = 8", 'step = "x"', "key 'constants.step'.*found 'x'"),
-        ("sampling_period_s = 0.001", "sampling_period_s = 0", "key 'constants.sampling_period_s'"),
-        ("sign = -1", "sign = 2", "key 'columns.command.sign'"),
-        ("sign = -1", 'file = "partner"', r"no \[partner\]"),
-        ('format = "delimited"', "", "key 'format' is missing"),
-        ('format = "delimited"', 'format = "native"', "remove .*'columns'"),
-        ("(?P<stiffness>", "(?P<mass>", "unknown groups"),
-        ("(?P<stiffness>", "(?P<stiffness>(", "no regular expression"),
-        ('decimal = ","', 'decimal = ";"', "key 'decimal'"),
-        ('name = "lab"', "name = lab", "no valid TOML"),
+        ("decimal", "decimals", 6, "key 'decimals': not known; did you mean 'decimal'"),
+        ("decimal", "origin", 6, "key 'origin': not known; expected one of .*'decimal'"),
+        ('unit = "ms"', 'units = "ms"', 11, "key 'columns.time.units': not known; did you mean 'unit'"),
+        ('unit = "ms"', "", 9, "key 'columns.time.unit': missing; a unit is never guessed. Add unit = \"ms\".*'t'"),
+        ('unit = "ms"', 'unit = "mm"', 11, "key 'columns.time.unit': unit 'mm' measures length; expected time"),
+        ('unit = "mN"', 'unit = "lbf"', 14, "'columns.command.unit': unit 'lbf' is not known; expected force"),
+        ('unit = "mN"', 'unit = "count"', 14, "unit 'count' is not known.*give counts_per_unit and the unit"),
+        ("step = 8", "", 19, "key 'constants.step': missing. Add step = <number> to .constants., or"),
+        ("step = 8", 'step = "x"', 23, "key 'constants.step'.*found 'x'"),
+        ("sampling_period_s = 0.001", "sampling_period_s = 0", 24, "key 'constants.sampling_period_s'"),
+        ("sign = -1", "sign = 2", 15, "key 'columns.command.sign'"),
+        ("sign = -1", 'file = "partner"', 1, r"key 'partner': missing, but columns.command"),
+        ("sign = -1", "column = 3", 15, "'columns.command.column': given beside name"),
+        ("sign = -1", "counts_per_unit = 0", 15, "counts_per_unit.*greater than 0, found 0"),
+        ('name = "F"', "", 12, "'columns.command.name': missing. Add name = "),
+        ("skip_rows = 1", "header = false", 10, "'columns.time.name': the table has no names"),
+        ("skip_rows = 1", 'header_at = "["', 7, "'header_at': no regular expression"),
+        ("skip_rows = 1", 'records = "x"', 7, "'records': for format json"),
+        ("skip_rows = 1", 'step_row = 1\nstep_at = "first row"', 8, "'step_at': given beside step_row"),
+        ("skip_rows = 1", "window = { from_s = 2, to_s = 1 }", 7, "'window.to_s': 1.0 is not above from_s = 2.0"),
+        ("skip_rows = 1", "window = { from_s = 2, to_row = 9 }", 7, "limits by row stand beside limits by time"),
+        (
+            "skip_rows = 1",
+            'units.stiffness = "Nm/rad"',
+            7,
+            "'units.stiffness'.*rotational stiffness; expected stiffness",
+        ),
+        ("skip_rows = 1", 'file = [{ match = "a", matc = "b" }]', 7, "'file.0.matc': not known; did you mean 'match'"),
+        ("skip_rows = 1", 'attributes = { stifness = "K" }', 7, "'attributes.stifness'.*'stiffness'"),
+        ('unit = "ms"', 'unit = "ms"\nwrap = 65536', 12, "'columns.time.wrap': for kind = \"counter\""),
+        ('unit = "ms"', 'unit = "ms"\nblanks = "hold"', 12, "'columns.time.blanks': a time stamp cannot hold on"),
+        ('unit = "ms"', 'unit = "ms"\nkind = "steps"\norder = "sort"', 13, "'columns.time.order'"),
+        ('format = "delimited"', "", 1, "key 'format': missing"),
+        ('format = "delimited"', 'format = "parquet"', 5, "'delimiter': for format delimited, found parquet"),
+        ('format = "delimited"', 'format = "native"', 3, "'format': a native log brings all of .*'columns'"),
+        ("(?P<stiffness>", "(?P<mass>", 8, "unknown groups"),
+        ("(?P<stiffness>", "(?P<stiffness>(", 8, "no regular expression"),
+        ('decimal = ","', 'decimal = ";"', 6, "key 'decimal'"),
+        ('name = "lab"', "name = lab", None, "no valid TOML.*line 2"),
     ],
 )
-def test_a_wrong_profile_is_explained(profile_file, old, new, words):
+def test_a_wrong_profile_is_explained(profile_file, old, new, line, words):
     path = profile_file(TOML.replace(old, new, 1))
     with pytest.raises(ProfileError, match=words) as error:
         read_profile(path)
     assert str(path) in str(error.value)
+    if line is not None:
+        lines = [text for text in str(error.value).splitlines() if re.search(words, text)]
+        assert [text.startswith(f"{path}:{line}: ") for text in lines] == [True], str(error.value)
+
+
+def test_a_misspelt_key_is_one_mistake_and_not_missing_too(profile_file):
+    with pytest.raises(ProfileError) as error:
+        read_profile(profile_file(TOML.replace('unit = "ms"', 'units = "ms"')))
+    assert len(str(error.value).splitlines()) == 1
+
+
+FIVE = """name = "lab"
+format = "delimited"
+files = ["run_*.txt"]
+decimals = ","
+
+[columns]
+time = { name = "t", unit = "ms" }
+command = { name = "F", unit = "N", sentinels = [
+    -3276.8,
+] }
+
+[columns.position]
+name = "x"
+sign = 3
+
+[constants]
+device = "bench"
+experiment = "1"
+damping = 2
+stiffness = 300
+sampling_period_s = "soon"
+
+[[file]]
+match = "a*"
+step = 8
+
+[[file]]
+match = "b*"
+step_row = 2
+step_time_s = 0.1
+"""
+
+
+def test_all_mistakes_of_a_profile_are_told_at_once(profile_file):
+    path = profile_file(FIVE)
+    with pytest.raises(ProfileError) as error:
+        read_profile(path)
+    head, *lines = str(error.value).splitlines()
+    assert head == "5 mistakes in this profile:"
+    found = [re.match(r".*lab\.toml:(\d+): key '(.*?)'", line).groups() for line in lines]
+    assert found == [
+        ("4", "decimals"),
+        ("12", "columns.position.unit"),
+        ("14", "columns.position.sign"),
+        ("21", "constants.sampling_period_s"),
+        ("30", "file.1.step_time_s"),
+    ]
+    path.write_text(
+        FIVE.replace("decimals", "decimal")
+        .replace("sign = 3", 'unit = "mm"')
+        .replace('"soon"', "0.001")
+        .replace("step_time_s = 0.1", "step = 8")
+        .replace('decimal = ","', 'delimiter = ";"'),
+        encoding="utf-8",
+    )
+    assert read_profile(path).file[1].step == 8
+
+
+def test_lines_of_keys_are_found_in_any_style_of_toml():
+    text = '''a = 1
+[t]
+"b c" = """
+x = 1
+"""
+d.e = [
+  { f = 1 },
+  { f = 2 },
+]
+[[s]]
+g = 1 # [no]
+[[s]]
+  [s.u]
+  h = 2
+'''
+    assert tomllib.loads(text)["s"][1]["u"]["h"] == 2
+    lines = key_lines(text)
+    assert {place: lines[place] for place in lines if place} == {
+        ("a",): 1,
+        ("t",): 2,
+        ("t", "b c"): 3,
+        ("t", "d"): 6,
+        ("t", "d", "e"): 6,
+        ("t", "d", "e", 0): 6,
+        ("t", "d", "e", 0, "f"): 6,
+        ("t", "d", "e", 1): 6,
+        ("t", "d", "e", 1, "f"): 6,
+        ("s",): 10,
+        ("s", 0): 10,
+        ("s", 0, "g"): 11,
+        ("s", 1): 12,
+        ("s", 1, "u"): 13,
+        ("s", 1, "u", "h"): 14,
+    }
 
 
 def test_an_unknown_profile_lists_the_shipped_ones():
@@ -193,3 +327,48 @@ def test_pendulum_equals_a_reading_with_the_csv_module():
     assert log.command.tolist() == [float(row["torque"]) for row in commands]
     assert len(log.time) == 8000
     assert log.header.extra == {"step_row": "0"}
+
+
+TCLAB = PENDULUM.parent / "tclab" / "step_test_data.csv"
+
+
+@pytest.mark.skipif(not TCLAB.is_file(), reason="recorded logs in ../shared are not there")
+def test_tclab_equals_a_reading_with_the_csv_module():
+    rows = list(csv.DictReader(TCLAB.read_text().splitlines()))
+    log = read_one(load_profile("tclab"), TCLAB.read_text(), names=(TCLAB.name,))
+    assert log.time.tolist() == [float(row["Time"]) for row in rows]
+    assert log.command.tolist() == [float(row["Q1"]) for row in rows]
+    assert log.position.tolist() == [float(row["T1"]) for row in rows]
+    assert log.header.extra["step_row"] == "0"
+    assert log.header.extra["stands_for.position"] == "1 degC stands for 1 m"
+
+
+def test_long_form_holds_many_trials():
+    names = "device,experiment,trial,stiffness,damping,step,sampling_period_s,time_s,command,position"
+    rows = [
+        f"bench,{e},{t},{t * 100},2.5,8,0.001,{k / 1000},{8 * k},{k * t / 1e3}"
+        for e, t in (("1", 1), ("1", 2), ("x", 3))
+        for k in range(3)
+    ]
+    profile = load_profile("long_form")
+    assert claim("june.trials.csv", shipped_profiles()) is profile
+    raw = RawLog(("june.trials.csv",), ("\n".join([names, *rows, ""]).encode(),))
+    (logs,) = reader_of(profile)(profile, [raw], False)
+    assert [(log.label, log.header.experiment, log.header.stiffness) for log in logs] == [
+        ("1", "1", 100),
+        ("2", "1", 200),
+        ("3", "x", 300),
+    ]
+    assert logs[1].position.tolist() == [0, 0.002, 0.004]
+
+
+def test_a_joint_log_is_read_by_position():
+    width = 4 + 4 * 7
+    header = ",".join(f"column {i}" for i in range(1, width + 1))
+    lines = [",".join(str(1000 * row + column) for column in range(1, width + 1)) for row in range(3)]
+    profile = load_profile("kuka_fri")
+    log = read_one(profile, "\n".join([header, *lines, ""]), names=("fri_K300_B2.5_F5_a.csv",))
+    assert (log.header.stiffness, log.header.damping, log.header.step) == (300, 2.5, 5)
+    assert read_one(profile, "\n".join([header, *lines, ""]), names=("fri_K3_B-1_F5.5.csv",)).header.step == 5.5
+    for column, at in ((log.time, 2), (log.position, 5), (log.force, 19), (log.command, 26)):
+        assert column.tolist() == [at, 1000 + at, 2000 + at]

@@ -103,6 +103,7 @@ def test_missing_and_damaged_files_are_named(processed):
 
 def test_a_table_of_other_columns_is_not_written(tmp_path):
     columns = {"time_s": [0.0], "command": [0.0], "position": [0.0], "force": [None], "velocity": [None]}
+    columns |= {"raw_time": [None], "raw_count": [None]}
     table = to_arrow("samples", {"trial_id": ["a"], **columns})
     with pytest.raises(StoreError, match="columns differ"):
         write_table(tmp_path / "a.parquet", table.drop_columns(["command"]))

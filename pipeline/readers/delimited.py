@@ -1,157 +1,321 @@
-"""Reads delimited text (CSV, TSV, ...) with a line of column names, as a profile describes it."""
+"""Reads delimited text (CSV, TSV, semicolons, runs of blanks, terminal logs; gzip, zstd), as a profile lays it out."""
 
 from __future__ import annotations
 
 import csv
 import re
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.csv as pacsv
+from numpy.typing import NDArray
 
-from pipeline.batch import Floats
-from pipeline.errors import LogError, ProfileError
-from pipeline.native import NativeHeader, parse_header
+from pipeline.batch import Integers
+from pipeline.errors import LogError
+from pipeline.profile_text import BLANKS, TextLayout
 from pipeline.profiles import Profile
-from pipeline.readers import Log, Outcome, RawLog, check_samples
+from pipeline.readers.frame import ColumnInfo, Frame, Scalar
+from pipeline.readers.plain_text import plain_text
+
+LONGEST_BANNER = 10_000
+"""Lines that are searched for the beginning of the table; terminal banners have some dozens."""
+
+SHOWN_VALUES = 3
+"""First values of a column that `list_columns` gives."""
+
+_INTEGER = r"^[+-]?[0-9]{1,19}$"
+_LABEL_BEGINS = re.compile(r"\s*[^\W\d]")
+"""A label begins with a letter: "12:30" is a time of day."""
 
 
-def read(profile: Profile, raws: Sequence[RawLog], use_threads: bool) -> list[Outcome]:
-    """Read logs of one or two delimited files each.
+@dataclass(frozen=True, eq=False)
+class _Table:
+    """The rows of the table as text, one a line.
 
-    Parameters
-    ----------
-    profile : Profile
-        A profile of format ``delimited``.
-    raws : sequence of RawLog
-    use_threads : bool
-        Whether parsing may use several processors.
-
-    Returns
-    -------
-    list of Log or LogError
-        In the order given.
+    ``top`` is the number of the line of names (of the first row without one), ``line`` that of the first row where all
+    follow each other, else of each row. ``whole`` says whether the last line has a line end.
     """
-    outcomes: list[Outcome] = []
-    for raw in raws:
-        try:
-            outcomes.append(_read_log(profile, raw, use_threads))
-        except LogError as error:
-            outcomes.append(error)
-        except ProfileError as error:
-            # one file that does not fit must not stop the others
-            outcomes.append(LogError(str(error), profile.skip_rows + 1))
-    return outcomes
+
+    top: int
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    body: str
+    line: int | Integers
+    whole: bool
+    attributes: dict[str, Scalar]
+
+    def row(self, count: int) -> Integers:
+        """Return the line numbers of the first rows."""
+        return np.arange(self.line, self.line + count) if isinstance(self.line, int) else self.line[:count]
 
 
-def _read_log(profile: Profile, raw: RawLog, use_threads: bool) -> Log:
-    header = header_of(profile, raw.names[0])
-    sources = profile.column_sources()
-    columns: dict[str, Floats] = {}
-    for which, name, data in zip(("source", "partner"), raw.names, raw.data, strict=False):
-        wanted = {key: source.name for key, source in sources.items() if source.file == which}
-        if wanted:
-            columns |= _read_columns(profile, name, data, wanted, use_threads)
-    lengths = {key: len(values) for key, values in columns.items()}
-    if len(set(lengths.values())) > 1:
-        raise LogError(
-            f"the files {' and '.join(raw.names)} have different numbers of rows ({lengths}); expected "
-            "the same, row for row. Were they recorded together?",
-            profile.skip_rows + 2 + min(lengths.values()),
-        )
-    for key, factor in profile.factors().items():
-        if factor != 1.0:
-            columns[key] = columns[key] * factor
-    return check_samples(header, first_row=profile.skip_rows + 2, **columns)
+def read_frame(profile: Profile, name: str, data: bytes, wanted: Sequence[str]) -> Frame:
+    """Read the wanted columns (all where none is named) of a delimited file.
 
-
-def header_of(profile: Profile, name: str) -> NativeHeader:
-    """Return the conditions of a log from the profile's constants and the file name.
+    A last row that is cut (fewer cells than the others, or without line end and with a cell that is no number) is left
+    out with a warning and kept verbatim as the attribute ``cut_last_row``.
 
     Raises
     ------
     LogError
-        If the file name does not fit the profile's `name_pattern`, or a condition is not legal.
+        If the table is not found, a column is missing or named twice, or a row has another number of cells.
     """
-    given = {key: value for key, value in profile.constants.model_dump().items() if value is not None}
-    if profile.name_pattern is not None:
-        match = re.search(profile.name_pattern, name)
-        if match is None:
-            raise LogError(
-                f"file name {name!r} does not fit name_pattern {profile.name_pattern!r} of {profile.name}. "
-                "Rename the file or correct the profile."
-            )
-        given |= {key: value for key, value in match.groupdict().items() if value is not None}
-    try:
-        # as native header lines, so that the conditions of every format pass the same checks
-        header = parse_header(f"# {key}: {value}" for key, value in given.items())
-    except LogError as error:
-        raise LogError(f"{name}: by the constants and name_pattern of {profile.name}, {error.reason}") from error
-    if (header.device, header.experiment) != (given["device"], given["experiment"]):
-        raise LogError(
-            f"{name}: device {given['device']!r} or experiment {given['experiment']!r} would be stored as "
-            f"{header.device!r}, {header.experiment!r}. Choose names without brackets."
+    table = _find_table(profile, name, data)
+    places = _places(profile, name, table, wanted)
+    rows = table.row(table.body.count("\n"))
+    if not len(rows):
+        text = f"{name} has 0 samples; expected at least 2. Was the recording cut off? Record it again."
+        raise LogError(text, table.top + 1)
+    cells, dropped = _cells(profile, name, table, sorted(set(places.values())))
+    warnings = []
+    last = table.body[table.body.rfind("\n", 0, -1) + 1 : -1]
+    cut = len(rows) - 1 in dropped
+    columns = {place: _values(profile, values) for place, values in cells.items()}
+    if not cut and not table.whole and len(rows) > 1 and _last_is_cut(profile, cells, columns):
+        cells = {place: values[:-1] for place, values in cells.items()}
+        columns = {place: _values(profile, values) for place, values in cells.items()}
+        cut, dropped = True, {*dropped, len(rows) - 1}
+    attributes = dict(table.attributes)
+    if cut:
+        attributes["cut_last_row"] = last
+        warnings.append(f"last row is cut: {last[:200]!r} (line {rows[-1]}) was left out and is kept verbatim")
+    elif not table.whole:
+        warnings.append(f"line {rows[-1]} is the last one and has no line end: its last value may be cut")
+    return Frame(
+        columns={key: columns[place] for key, place in places.items()},
+        row=np.delete(rows, sorted(dropped)),
+        row_name="line",
+        attributes=attributes,
+        warnings=tuple(warnings),
+    )
+
+
+def list_columns(name: str, data: bytes, profile: Profile | None = None) -> list[ColumnInfo]:
+    """Return the columns of a delimited file, laid out as the profile says (commas and decimal points without one).
+
+    Raises
+    ------
+    LogError
+        As `read_frame`.
+    """
+    if profile is None:
+        profile = Profile.model_construct(name="none", format="delimited", files=("*",))
+    units = _find_table(profile, name, data).units
+    frame = read_frame(profile, name, data, ())
+    kinds = {"i": "integer", "f": "number"}
+    return [
+        ColumnInfo(
+            column,
+            kinds.get(values.dtype.kind, "text"),
+            len(values),
+            tuple(str(value) for value in values[:SHOWN_VALUES]),
+            units[index] if index < len(units) else "",
         )
-    return header if profile.step_row is None else replace(header, extra={"step_row": str(profile.step_row)})
+        for index, (column, values) in enumerate(frame.columns.items())
+    ]
 
 
-def _read_columns(
-    profile: Profile, name: str, data: bytes, wanted: dict[str, str], use_threads: bool
-) -> dict[str, Floats]:
-    text = data.removeprefix(b"\xef\xbb\xbf").rstrip() + b"\n"
-    lines = text.split(b"\n", profile.skip_rows + 1)
-    if len(lines) < profile.skip_rows + 2:
-        raise LogError(f"{name} is empty; expected a line of column names and samples.", 1)
-    try:
-        names = [n.strip() for n in next(csv.reader([lines[-2].decode()], delimiter=profile.delimiter), [])]
-    except UnicodeDecodeError as error:
-        raise LogError(f"{name} is no UTF-8 text ({error.reason}).", profile.skip_rows + 1) from error
-    for key, column in wanted.items():
-        if names.count(column) != 1:
-            raise ProfileError(
-                f"{name}: profile {profile.name} wants column {column!r} for columns.{key} once, "
-                f"found it {names.count(column)} times among {names}. Correct the profile or the file."
+def _find_table(layout: TextLayout, name: str, data: bytes) -> _Table:
+    """Return the table: what stands above it is skipped, or read as labels."""
+    text, whole = plain_text(layout, name, data)
+    attributes: dict[str, Scalar] = {}
+    below = re.compile(layout.header_after) if layout.header_after is not None else None
+    at = re.compile(layout.header_at) if layout.header_at is not None else None
+    start, number, top = 0, 0, 1
+    names: tuple[str, ...] = ()
+    while start < len(text) and number < layout.skip_rows + LONGEST_BANNER:
+        number += 1
+        end = text.find("\n", start) + 1
+        line = text[start:end].rstrip("\n")
+        before, start = start, end
+        if at is not None and number > layout.skip_rows and at.search(line):
+            at = None
+        elif number <= layout.skip_rows or at is not None or below is not None or _is_comment(layout, line):
+            _take_label(layout, line, attributes)
+            if below is not None and number > layout.skip_rows and below.search(line):
+                below = None
+            continue
+        elif layout.labels is not None and (not line.strip() or _take_label(layout, line, attributes)):
+            continue
+        top = number
+        if layout.header:
+            names = _split(layout, line)
+            break
+        start, number = before, number - 1
+        names = tuple(str(i + 1) for i in range(len(_split(layout, line))))
+        break
+    if not names:
+        raise LogError(f"{name} is empty{_looked_for(layout)}; expected a line of column names and samples.", 1)
+    units: tuple[str, ...] = ()
+    if layout.unit_line:
+        number += 1
+        end = text.find("\n", start) + 1
+        units, start = _split(layout, text[start:end]), end
+    body, line_numbers = _rows(layout, name, text[start:], number + 1)
+    return _Table(top, names, units, body, line_numbers, whole, attributes)
+
+
+def _looked_for(layout: TextLayout) -> str:
+    """Say in a message what marks the table."""
+    for key in ("header_at", "header_after"):
+        pattern = getattr(layout, key)
+        if pattern is not None:
+            return f" or has no line that fits {key} = {pattern!r}"
+    return f" below skip_rows = {layout.skip_rows}" if layout.skip_rows else ""
+
+
+def _is_comment(layout: TextLayout, line: str) -> bool:
+    return layout.comment is not None and line.lstrip().startswith(layout.comment)
+
+
+def _take_label(layout: TextLayout, line: str, attributes: dict[str, Scalar]) -> bool:
+    """Keep a line "label: value" as an attribute; return whether it is one."""
+    if layout.labels is None:
+        return False
+    if _is_comment(layout, line):
+        line = line.lstrip()[len(layout.comment or "") :]
+    label, sign, value = line.partition(layout.labels)
+    if not sign or not _LABEL_BEGINS.match(label):
+        return False
+    attributes[label.strip()] = value.strip()
+    return True
+
+
+def _split(layout: TextLayout, line: str) -> tuple[str, ...]:
+    """Return the cells of a line of names or units."""
+    if layout.delimiter == BLANKS:
+        return tuple(line.split())
+    cells = [cell.strip() for cell in next(csv.reader([line.rstrip("\n")], delimiter=layout.delimiter), [])]
+    if layout.trailing_delimiter and cells and not cells[-1]:
+        cells.pop()
+    return tuple(cells)
+
+
+def _rows(layout: TextLayout, name: str, body: str, first: int) -> tuple[str, int | Integers]:
+    """Return the text of the table with one delimiter between cells and none behind, and the line numbers."""
+    numbers: int | Integers = first
+    blank = re.search(r"^[ \t]*\n", body, re.MULTILINE)
+    if blank and layout.blank_lines == "refuse":
+        raise LogError(
+            f'{name}: found a blank line between rows; expected a row. Remove it, or add blank_lines = "skip".',
+            first + body.count("\n", 0, blank.start()),
+        )
+    if blank or layout.comment is not None:
+        lines = body.split("\n")[:-1]
+        kept = [i for i, line in enumerate(lines) if line.strip() and not _is_comment(layout, line)]
+        numbers = first + np.array(kept, dtype=np.int64)
+        body = "".join(f"{lines[i]}\n" for i in kept)
+    if layout.delimiter == BLANKS:
+        body = re.sub(r"[ \t]+", "\t", re.sub(r"^[ \t]+|[ \t]+$", "", body, flags=re.MULTILINE))
+    elif layout.trailing_delimiter:
+        body = re.sub(f"{re.escape(layout.delimiter)}[ \t]*$", "", body, flags=re.MULTILINE)
+    return body, numbers
+
+
+def _places(profile: Profile, name: str, table: _Table, wanted: Sequence[str]) -> dict[str, int]:
+    """Return the position of each wanted column, counted from 0; where none is wanted, of all that have a name."""
+    names = table.names
+    if not wanted:
+        return {label if names.index(label) == i else f"{label} ({i + 1})": i for i, label in enumerate(names)}
+    by_position = {str(source.column) for source in profile.column_sources().values() if source.column is not None}
+    keys = {column: key for file in ("source", "partner") for key, column in profile.wanted(file).items()}
+    places = {}
+    for column in wanted:
+        if column in by_position or not profile.header:
+            if not column.isdecimal() or not 1 <= int(column) <= len(names):
+                raise LogError(
+                    f"{name}: profile {profile.name} wants column {column} for {keys.get(column, column)}, found "
+                    f"{len(names)} columns. Correct it, or the delimiter ({profile.delimiter!r}).",
+                    table.top,
+                )
+            places[column] = int(column) - 1
+        elif names.count(column) != 1:
+            raise LogError(
+                f"{name}: profile {profile.name} wants column {column!r} for {keys.get(column, column)} once, found it "
+                f"{names.count(column)} times among {list(names)}. Correct the name, give column = <position>, or "
+                f"correct the delimiter ({profile.delimiter!r}).",
+                table.top,
             )
-    positions = {key: names.index(column) for key, column in wanted.items()}
-    body = lines[-1]
-    if not body.strip():
-        return {key: np.empty(0) for key in wanted}
-    labels = [str(i) for i in range(len(names))]
-    taken = [labels[i] for i in positions.values()]
+        else:
+            places[column] = names.index(column)
+    return places
+
+
+def _cells(
+    layout: TextLayout, name: str, table: _Table, places: list[int]
+) -> tuple[dict[int, pa.ChunkedArray], set[int]]:
+    """Return the cells of columns as text, and the rows (counted from 0) that were left out."""
+    width, count = len(table.names), table.body.count("\n")
+    bad: list[tuple[int, int, str]] = []
+
+    def take(row: pacsv.InvalidRow) -> str:
+        bad.append((row.number - 1, row.actual_columns, row.text))
+        return "skip"
+
+    labels = [str(i) for i in range(width)]
     try:
-        table = pacsv.read_csv(
-            pa.BufferReader(body),
-            read_options=pacsv.ReadOptions(column_names=labels, use_threads=use_threads),
-            parse_options=pacsv.ParseOptions(delimiter=profile.delimiter, ignore_empty_lines=False),
+        data = pacsv.read_csv(
+            pa.BufferReader(table.body.encode()),
+            # rows are numbered in the order of the file by one thread only
+            read_options=pacsv.ReadOptions(column_names=labels, use_threads=False),
+            parse_options=pacsv.ParseOptions(
+                delimiter="\t" if layout.delimiter == BLANKS else layout.delimiter,
+                ignore_empty_lines=False,
+                invalid_row_handler=take,
+            ),
             convert_options=pacsv.ConvertOptions(
-                column_types=dict.fromkeys(taken, pa.float64()),
-                include_columns=sorted(set(taken)),
+                column_types=dict.fromkeys(labels, pa.string()),
+                include_columns=[labels[i] for i in places],
                 null_values=[],
                 strings_can_be_null=False,
-                decimal_point=profile.decimal,
             ),
         )
     except pa.ArrowInvalid as error:
-        raise _fault(profile, name, body, positions, len(names), str(error)) from error
-    return {key: table.column(labels[i]).to_numpy() for key, i in positions.items()}
+        raise LogError(f"{name} cannot be read as delimited text: {error}.", int(table.row(1)[0])) from error
+    for row, found, text in bad:
+        last_is_cut = row == count - 1 and found < width and row > 0
+        if not last_is_cut and not _take_label(layout, text, table.attributes):
+            one_more = found == width + 1 and text.rstrip().endswith(layout.delimiter)
+            hint = ", or add trailing_delimiter = true" if one_more else ""
+            decimal = ', or is decimal = "," missing?' if layout.delimiter == "," and found > width else "."
+            raise LogError(
+                f"{name}: expected {width} values, found {found} ({text[:200]!r}). Repair the row{hint}{decimal}",
+                int(table.row(count)[row]),
+            )
+    return {i: data.column(labels[i]) for i in places}, {row for row, _, _ in bad}
 
 
-def _fault(profile: Profile, name: str, body: bytes, positions: dict[str, int], width: int, message: str) -> LogError:
-    """Return the error that names the row and cell at which a file cannot be read."""
-    first = profile.skip_rows + 2
-    reader = csv.reader(body.decode("utf-8", "replace").splitlines(), delimiter=profile.delimiter)
-    for row, cells in enumerate(reader, start=first):
-        if len(cells) != width:
-            return LogError(f"{name}: expected {width} values, found {len(cells)}. Repair the row.", row)
-        for key, index in positions.items():
-            try:
-                float(cells[index].replace(profile.decimal, ".").replace("_", "?"))
-            except ValueError:
-                return LogError(
-                    f"{name}: {key} must be a number (decimal sign {profile.decimal!r}), found "
-                    f"{cells[index][:200]!r}. Repair the row, or leave this log out.",
-                    row,
-                )
-    return LogError(f"{name} cannot be read as delimited text: {message}.", first)
+def _last_is_cut(layout: TextLayout, cells: dict[int, pa.ChunkedArray], columns: dict[int, NDArray[Any]]) -> bool:
+    """Return whether a column is of numbers, none of them missing, but for its last cell."""
+    for place, values in columns.items():
+        if values.dtype.kind == "U" and _values(layout, cells[place][:-1]).dtype.kind != "U":
+            return True
+        if values.dtype.kind == "f" and np.isnan(values[-1]) and not np.isnan(values[:-1]).any():
+            return True
+    return False
+
+
+def _values(layout: TextLayout, column: pa.ChunkedArray) -> NDArray[Any]:
+    """Return cells as integers where all are whole numbers, as float64 where all are numbers or blank, else as text."""
+    text = pc.utf8_trim_whitespace(column.combine_chunks())
+    blank = pc.is_in(text, value_set=pa.array(["", *layout.missing], pa.string()))
+    number = pc.if_else(blank, None, text)
+    if layout.decimal == ",":
+        if pc.any(pc.match_substring(number, ".")).as_py():
+            return np.array(text.to_pylist(), dtype=np.str_)
+        number = pc.replace_substring(number, ",", ".")
+    try:
+        if not pc.any(blank).as_py() and pc.all(pc.match_substring_regex(number, _INTEGER)).as_py():
+            integers: NDArray[Any] = pc.cast(pc.utf8_ltrim(number, "+"), pa.int64()).to_numpy(zero_copy_only=False)
+            return integers
+    except pa.ArrowInvalid:  # beyond 64 bits
+        pass
+    try:
+        floats: NDArray[Any] = pc.cast(number, pa.float64()).to_numpy(zero_copy_only=False)
+        return floats
+    except pa.ArrowInvalid:
+        return np.array(pc.if_else(blank, "", text).to_pylist(), dtype=np.str_)

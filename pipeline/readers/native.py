@@ -17,7 +17,7 @@ from pipeline.batch import Floats
 from pipeline.errors import LogError
 from pipeline.native import COLUMN_LINE, NativeHeader, parse_header
 from pipeline.profiles import Profile
-from pipeline.readers import Outcome, RawLog, check_samples
+from pipeline.readers.log import Log, RawLog, check_samples
 
 _NAMES = COLUMN_LINE.split(",")
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
@@ -37,7 +37,7 @@ class _Body:
         self.lines = self.text.count(b"\n") if len(self.text) > 1 else 0
 
 
-def read(profile: Profile, raws: Sequence[RawLog], use_threads: bool) -> list[Outcome]:
+def read(profile: Profile, raws: Sequence[RawLog], use_threads: bool) -> list[tuple[Log, ...] | LogError]:
     """Read native logs.
 
     Parameters
@@ -50,10 +50,10 @@ def read(profile: Profile, raws: Sequence[RawLog], use_threads: bool) -> list[Ou
 
     Returns
     -------
-    list of Log or LogError
+    list of tuple of Log (one each), or LogError
         In the order given.
     """
-    outcomes: list[Outcome | None] = [None] * len(raws)
+    outcomes: list[tuple[Log, ...] | LogError | None] = [None] * len(raws)
     bodies: dict[int, _Body] = {}
     for index, raw in enumerate(raws):
         try:
@@ -67,7 +67,7 @@ def read(profile: Profile, raws: Sequence[RawLog], use_threads: bool) -> list[Ou
         start, end = end, end + body.lines
         try:
             time, command, position = _parse_alone(body) if columns is None else (c[start:end] for c in columns)
-            outcomes[index] = check_samples(body.header, time, command, position, body.first_row)
+            outcomes[index] = (check_samples(body.header, time, command, position, body.first_row),)
         except LogError as error:
             outcomes[index] = error
     return [outcome for outcome in outcomes if outcome is not None]

@@ -1,0 +1,174 @@
+"""Conditions of a foreign log (stiffness, damping, step, ...) from all places that a profile names, in SI."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from fnmatch import fnmatchcase
+from typing import Any
+
+import numpy as np
+
+from pipeline.batch import Integers
+from pipeline.errors import LogError, ParameterError
+from pipeline.native import NativeHeader, parse_header
+from pipeline.profile_model import CONDITION_QUANTITIES, REQUIRED_CONDITIONS, FileEntry
+from pipeline.profiles import Profile
+from pipeline.readers.frame import Frame, Scalar
+from pipeline.units import factor_to_si
+
+_QUANTITY = re.compile(r"([^\s\[\]()]+)\s*[\[(]?\s*([^\d\s\[\]()][^\[\]()]*?)?\s*[\])]?")
+"""A number and, behind it, a unit, which may stand in brackets."""
+
+
+def entry_of(profile: Profile, name: str) -> FileEntry | None:
+    """Return what the profile says of a single file, or None where it says nothing.
+
+    Raises
+    ------
+    LogError
+        If two entries fit the file.
+    """
+    entries = [entry for entry in profile.file if fnmatchcase(name.lower(), entry.match.lower())]
+    if len(entries) > 1:
+        raise LogError(
+            f"{name}: fits {len(entries)} entries [[file]] of profile {profile.name}, match = "
+            f"{[entry.match for entry in entries]}; expected one. Narrow the patterns."
+        )
+    return entries[0] if entries else None
+
+
+def conditions_of(
+    profile: Profile,
+    name: str,
+    where: str,
+    frame: Frame,
+    rows: Integers,
+    special: Mapping[str, Any],
+    required: Sequence[str] = REQUIRED_CONDITIONS,
+) -> dict[str, Any]:
+    """Return the conditions of a trial in SI, from the most special place that gives each.
+
+    Parameters
+    ----------
+    profile : Profile
+    name, where : str
+        File name; and file with trial, for messages.
+    frame : Frame
+    rows : int64
+        Rows of the trial, for conditions that stand in a column.
+    special : mapping
+        What holds for this file or step and goes before all else.
+    required : sequence of str
+        Conditions without which the trial is refused.
+
+    Raises
+    ------
+    LogError
+        If the file name, an attribute or a column does not give what the profile takes from it, or a condition is
+        missing.
+    """
+    given: dict[str, Any] = dict(profile.constants.given()) | _of_name(profile, name)
+    for key, attribute in profile.attributes.items():
+        if key in special or key in profile.condition_columns:
+            continue
+        if attribute not in frame.attributes:
+            raise LogError(
+                f"{where}: has no attribute {attribute!r}, which profile {profile.name} takes the {key} from "
+                f"(attributes.{key}); found {sorted(frame.attributes)[:40]}. Correct the profile, or the file."
+            )
+        given[key] = frame.attributes[attribute]
+    for key, column in profile.condition_columns.items():
+        if key not in special:
+            given[key] = _of_column(where, frame, rows, key, column)
+    given |= special
+    for condition in required:
+        if condition not in given:
+            raise LogError(
+                f"{where}: profile {profile.name} does not give the {condition} of this file. Add to it:\n"
+                f'[[file]]\nmatch = "{name}"\n{condition} = <value>'
+            )
+    return {key: _in_si(profile, where, key, value) for key, value in given.items()}
+
+
+def header_of(profile: Profile, where: str, given: Mapping[str, Any], extra: dict[str, str]) -> NativeHeader:
+    """Return the conditions as a header: as lines of a native log, so that those of every format pass the same checks.
+
+    Raises
+    ------
+    LogError
+        If a condition is not legal.
+    """
+    lines = (f"# {key}: {value}" for key, value in {**given, "motion": profile.constants.motion}.items())
+    try:
+        header = parse_header(lines)
+    except LogError as error:
+        raise LogError(f"{where}: by the conditions that profile {profile.name} gives, {error.reason}") from error
+    if (header.device, header.experiment) != (str(given["device"]), str(given["experiment"])):
+        raise LogError(
+            f"{where}: device {given['device']!r} or experiment {given['experiment']!r} would be stored as "
+            f"{header.device!r}, {header.experiment!r}. Choose names without brackets."
+        )
+    return replace(header, extra=extra)
+
+
+def _of_name(profile: Profile, name: str) -> dict[str, str]:
+    if profile.name_pattern is None:
+        return {}
+    match = re.search(profile.name_pattern, name)
+    if match is None:
+        raise LogError(
+            f"file name {name!r} does not fit name_pattern {profile.name_pattern!r} of {profile.name}. "
+            "Rename the file or correct the profile."
+        )
+    return {key: value for key, value in match.groupdict().items() if value is not None}
+
+
+def _of_column(where: str, frame: Frame, rows: Integers, key: str, column: str) -> Scalar:
+    values = frame.columns[column][rows]
+    if not len(values):
+        raise LogError(f"{where}: column {column!r}, which gives the {key}, has no rows.")
+    other = values != values[0]
+    if other.any():
+        at = int(np.argmax(other))
+        raise LogError(
+            f"{where}: column {column!r} gives the {key} and changes from {values[0]} to {values[at]}; expected one "
+            "value for a trial. Give trial_column to tell trials apart, or correct condition_columns.",
+            int(frame.row[rows[at]]),
+        )
+    value: Scalar = values[0].item()
+    return value
+
+
+def _in_si(profile: Profile, where: str, key: str, value: Scalar) -> Scalar:
+    """Return a condition in SI; a unit that stands behind the value in the file counts."""
+    if key not in CONDITION_QUANTITIES:
+        # 1.0 of a column of floats is the experiment "1"
+        return int(value) if isinstance(value, float) and value.is_integer() else value
+    factor = profile.condition_factor(key)
+    if not isinstance(value, str):
+        return value * factor
+    text = value.strip()
+    match = _QUANTITY.fullmatch(text)
+    number, unit = match.groups() if match else (text, None)
+    try:
+        magnitude = float(number.replace(profile.decimal, ".").replace("_", "?"))
+    except ValueError:
+        decimal = f" (decimal sign {profile.decimal!r})"
+        raise LogError(
+            f"{where}: the {key} is {text[:200]!r}; expected a number{decimal}, with or without its unit. Correct the "
+            "profile (name_pattern, attributes, condition_columns) or the file."
+        ) from None
+    if unit:
+        try:
+            stated = factor_to_si(unit, (CONDITION_QUANTITIES[key][profile.constants.motion],))
+        except ParameterError as error:
+            raise LogError(f"{where}: the {key} is {text[:200]!r}: {error}.") from error
+        if getattr(profile.units, key) is not None and stated != factor:
+            raise LogError(
+                f"{where}: the {key} is {text[:200]!r}, but units.{key} of profile {profile.name} is "
+                f"{getattr(profile.units, key)!r}. Correct one of both."
+            )
+        factor = stated
+    return magnitude * factor

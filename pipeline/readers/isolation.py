@@ -1,0 +1,204 @@
+"""Runs a library that damaged files can crash or hang in a process of its own, with bounded time and memory.
+
+libhdf5 loops for ever on some changed bytes, and the Arrow IPC reader is killed by the operating system on others (seen
+with h5py 3.16 and pyarrow 26.0); no exception can be caught then. A bag brings definitions that its library turns into
+code, and a TDMS file may repeat its lists of objects without end. A worker reads many files; one that dies costs only
+its file.
+"""
+
+from __future__ import annotations
+
+import atexit
+import contextlib
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import threading
+from importlib import import_module
+from typing import Any, BinaryIO
+
+from pipeline.errors import LogError
+from pipeline.readers.safety import LARGEST_FRAME
+
+CPU_SECONDS = 0.6
+"""Processor time for any file: a hundred times what reading a log of 1 MB takes."""
+
+CPU_SECONDS_PER_BYTE = 2e-7
+"""More for larger files: reading takes 3e-9, unpacking ten times the size 3e-8; other machines are six times slower."""
+
+WALL_FACTOR = 30
+"""Longest wait in multiples of the processor time, for machines that are busy with other things."""
+
+MEMORY = 4 * LARGEST_FRAME
+"""Address space of a worker [byte]: file, unpacked arrays, their columns and the libraries themselves."""
+
+GRACE_SECONDS = 2.0
+"""Wait for a worker to end by itself once its pipes are closed; ending takes some milliseconds."""
+
+_SERVE = "from pipeline.readers.isolation import serve; serve()"
+
+
+def isolated(
+    place: str,
+    name: str,
+    kind: str,
+    data: bytes,
+    *more: Any,
+    imports: tuple[str, ...],
+    seconds_per_byte: float = CPU_SECONDS_PER_BYTE,
+) -> Any:
+    """Return what the function at a place makes of a file, called in a worker process.
+
+    Parameters
+    ----------
+    place : str
+        The function, as ``module:function``; it is called with ``name, data, *more``.
+    name : str
+        The file.
+    kind : str
+        What it was expected to be, such as "an HDF5 file".
+    data : bytes
+        Content of the file.
+    *more
+        Further arguments, such as wanted columns.
+    imports : tuple of str
+        Modules that the function imports; the time to do so does not count.
+    seconds_per_byte : float
+        Processor time allowed above `CPU_SECONDS`.
+
+    Returns
+    -------
+    object
+        Whatever it returns; arguments and result are pickled.
+
+    Raises
+    ------
+    LogError
+        What the function raises, or that the file crashed the library or took more than the time allowed.
+    """
+    seconds = CPU_SECONDS + seconds_per_byte * len(data)
+    worker = _take()
+    outcome = worker.call((place, imports, (name, data, *more), seconds), WALL_FACTOR * seconds)
+    if outcome is None:
+        raise LogError(
+            f"{name} cannot be read as {kind}: the library that reads it {worker.end()}. The file is damaged. "
+            "Copy or export it again."
+        )
+    _IDLE.append(worker)
+    succeeded, value = outcome
+    if not succeeded:
+        raise LogError(*value)
+    return value
+
+
+def serve() -> None:
+    """Work on calls from standard input until it ends; the main loop of a worker process."""
+    _bound_memory()
+    calls, results = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
+    # whatever a library prints must not get between the results
+    os.dup2(2, 1)
+    while True:
+        try:
+            place, imports, arguments, seconds = pickle.load(calls)
+        except EOFError:
+            return
+        module, _, function = place.partition(":")
+        work = getattr(import_module(module), function)
+        for needed in imports:
+            # the function itself says what is missing and how to install it
+            with contextlib.suppress(ImportError):
+                import_module(needed)
+        _alarm(seconds)
+        try:
+            outcome: tuple[bool, Any] = (True, work(*arguments))
+        except LogError as error:
+            outcome = (False, (error.reason, error.row))
+        _alarm(0.0)
+        pickle.dump(outcome, results, pickle.HIGHEST_PROTOCOL)
+        results.flush()
+
+
+def _alarm(seconds: float) -> None:
+    """Let the operating system end this process after so much processor time; 0 calls that off."""
+    if hasattr(signal, "setitimer"):
+        signal.setitimer(signal.ITIMER_PROF, seconds)
+
+
+def _bound_memory() -> None:
+    with contextlib.suppress(ImportError, OSError, ValueError):
+        resource = import_module("resource")
+        resource.setrlimit(resource.RLIMIT_AS, (MEMORY, resource.getrlimit(resource.RLIMIT_AS)[1]))
+        # a crash is expected here and its image of no use
+        resource.setrlimit(resource.RLIMIT_CORE, (0, resource.getrlimit(resource.RLIMIT_CORE)[1]))
+
+
+class _Worker:
+    """A process that waits for calls."""
+
+    def __init__(self) -> None:
+        # threads for linear algebra would only reserve address space
+        environment = os.environ | {"PYTHONPATH": os.pathsep.join(sys.path), "OPENBLAS_NUM_THREADS": "1"}
+        self.process = subprocess.Popen(
+            [sys.executable, "-c", _SERVE],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            env=environment,
+        )
+        assert self.process.stdin is not None
+        assert self.process.stdout is not None
+        self.calls: BinaryIO = self.process.stdin  # type: ignore[assignment]
+        self.results: BinaryIO = self.process.stdout  # type: ignore[assignment]
+
+    def call(self, call: tuple[str, tuple[str, ...], tuple[Any, ...], float], wait: float) -> tuple[bool, Any] | None:
+        """Return what a call gives, or None where the process died of it."""
+        watch = threading.Timer(wait, self.process.kill)
+        watch.daemon = True
+        watch.start()
+        try:
+            pickle.dump(call, self.calls, pickle.HIGHEST_PROTOCOL)
+            self.calls.flush()
+            outcome: tuple[bool, Any] = pickle.load(self.results)
+        except (EOFError, OSError, pickle.UnpicklingError):
+            return None
+        except BaseException:
+            # an interrupted call would leave its result to the next one
+            self.process.kill()
+            self.end()
+            raise
+        finally:
+            watch.cancel()
+        return outcome
+
+    def end(self) -> str:
+        """Stop the process and return how it ended."""
+        for pipe in (self.calls, self.results):
+            with contextlib.suppress(OSError):
+                pipe.close()
+        try:
+            status = self.process.wait(GRACE_SECONDS)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            status = self.process.wait()
+        if status == -getattr(signal, "SIGPROF", 0) or status == -getattr(signal, "SIGKILL", 0):
+            return "does not come to an end"
+        return f"crashes (status {status})"
+
+
+_IDLE: list[_Worker] = []
+"""Workers without a call; as many were made as threads read at a time."""
+
+
+def _take() -> _Worker:
+    try:
+        return _IDLE.pop()
+    except IndexError:
+        return _Worker()
+
+
+@atexit.register
+def _end_all() -> None:
+    while _IDLE:
+        _IDLE.pop().end()

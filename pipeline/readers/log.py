@@ -1,0 +1,115 @@
+"""What every reader hands on: a log in SI that was checked."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from pipeline.batch import Floats, Integers
+from pipeline.errors import LogError
+from pipeline.native import NativeHeader
+
+
+@dataclass(frozen=True)
+class RawLog:
+    """The bytes of a log: of one file, or of both files of a pair."""
+
+    names: tuple[str, ...]
+    data: tuple[bytes, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Log:
+    """One step response: conditions, and time [s], command [N, Nm], position [m, rad] of shape (rows,).
+
+    Parameters
+    ----------
+    header : NativeHeader
+    time, command, position : float64, shape (rows,)
+    force, velocity : float64, shape (rows,), optional
+        Measured force [N, Nm] and logged velocity [m/s, rad/s], where the log has them.
+    raw_time : float64 or int64, shape (rows,), optional
+        Time stamps as they stand in the file; None where they are ``time`` itself.
+    counts : mapping of str to int
+        What was found and settled in the rows: wraps of the counter, rows out of order, ...
+    warnings : tuple of str
+        What was accepted and should be known.
+    label : str, optional
+        Which trial of its file it is, where the file holds several.
+    """
+
+    header: NativeHeader
+    time: Floats
+    command: Floats
+    position: Floats
+    force: Floats | None = None
+    velocity: Floats | None = None
+    raw_time: Floats | Integers | None = None
+    counts: Mapping[str, int] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+    label: str | None = None
+
+
+def check_samples(
+    header: NativeHeader,
+    time: Floats,
+    command: Floats,
+    position: Floats,
+    row: int | Integers,
+    force: Floats | None = None,
+    velocity: Floats | None = None,
+) -> Log:
+    """Return the log if its samples can be a step response.
+
+    Parameters
+    ----------
+    header : NativeHeader
+    time, command, position : float64, shape (rows,)
+    row : int or int64, shape (rows,)
+        Where each sample stands in the file, counted from 1; one number where each sample is one line, of the first.
+    force, velocity : float64, shape (rows,), optional
+
+    Raises
+    ------
+    LogError
+        If there are fewer than two samples, a value is not finite, or time does not increase strictly.
+    """
+
+    def place(at: int) -> int | None:
+        if isinstance(row, int):
+            return row + at
+        return int(row[at]) if at < len(row) else None
+
+    if len(time) < 2:
+        raise LogError(
+            f"log has {len(time)} samples; expected at least 2. Was the recording cut off? Record it again.",
+            place(0),
+        )
+    step_row = int(header.extra.get("step_row", 0))
+    if step_row >= len(time):
+        raise LogError(
+            f"step_row is {step_row}, but the log has {len(time)} samples. Count from 0; correct header or profile.",
+            place(0),
+        )
+    columns = {"time": time, "command": command, "position": position, "force": force, "velocity": velocity}
+    for name, values in columns.items():
+        if values is None:
+            continue
+        finite = np.isfinite(values)
+        if not finite.all():
+            at = int(np.argmin(finite))
+            raise LogError(
+                f"{name} is {values[at]}; expected a finite number. Repair the row, or leave this log out.",
+                place(at),
+            )
+    increasing = time[1:] > time[:-1]
+    if not increasing.all():
+        at = int(np.argmin(increasing)) + 1
+        raise LogError(
+            f"time is {time[at]:.17g} s after {time[at - 1]:.17g} s; expected it to increase row by row. "
+            "Sort out doubled or swapped rows, or leave this log out.",
+            place(at),
+        )
+    return Log(header, time, command, position, force, velocity)

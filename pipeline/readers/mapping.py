@@ -1,0 +1,263 @@
+"""Turns the frames of a foreign log into logs in SI: columns, missing values, time, trials, windows, step, conditions.
+
+The order is: rows of a trial, missing cells, stamps to seconds, order of time, doubled stamps, windows. Nothing is
+interpolated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from importlib import import_module
+from typing import Any, Literal
+
+import numpy as np
+
+from pipeline.batch import Booleans, Floats, Integers
+from pipeline.errors import LogError, ProfileError
+from pipeline.profile_columns import ColumnSource
+from pipeline.profile_model import REQUIRED_CONDITIONS, StepTime, Window
+from pipeline.profiles import Profile
+from pipeline.readers.conditions import conditions_of, entry_of, header_of
+from pipeline.readers.frame import Frame
+from pipeline.readers.log import Log, RawLog, check_samples
+from pipeline.readers.rows import Rows, rows_of
+
+MODULES = {
+    "json": "json_records",
+    "parquet": "arrow_tables",
+    "feather": "arrow_tables",
+}
+"""Format modules whose name is not that of the format."""
+
+WINDOW_TOLERANCE = 1e-6
+"""Part of a sampling period by which a stamp may lie outside a limit: 3 x 0.1 s is above 0.3 s by rounding alone."""
+
+KEPT_ATTRIBUTES = 100
+"""Attributes of a file that are kept beside each of its trials; a workspace dump may hold thousands."""
+
+LONGEST_ATTRIBUTE = 10_000
+"""Characters of an attribute that are kept; a remark or a cut row is far shorter, an attribute may be a whole file."""
+
+LISTED_NAMES = 40
+"""Names of columns that a message lists."""
+
+
+def read(profile: Profile, raws: Sequence[RawLog], use_threads: bool) -> list[tuple[Log, ...] | LogError]:
+    """Read logs of one or two files each.
+
+    Parameters
+    ----------
+    profile : Profile
+        A profile of any format but ``native``.
+    raws : sequence of RawLog
+    use_threads : bool
+        Not used: one file at a time is read.
+
+    Returns
+    -------
+    list of tuple of Log, or LogError
+        In the order given; one trial that is refused refuses its file.
+    """
+    outcomes: list[tuple[Log, ...] | LogError] = []
+    for raw in raws:
+        try:
+            outcomes.append(tuple(logs_of(profile, raw.names, read_frames(profile, raw))))
+        except LogError as error:
+            outcomes.append(error)
+        except ProfileError as error:
+            # one file that does not fit must not stop the others
+            outcomes.append(LogError(str(error)))
+    return outcomes
+
+
+def format_module(profile: Profile) -> Any:
+    """Return the module that reads a profile's format, with ``read_frame`` and ``list_columns``."""
+    return import_module(f"pipeline.readers.{MODULES.get(profile.format, profile.format)}")
+
+
+def read_frames(profile: Profile, raw: RawLog) -> list[Frame]:
+    """Read what a profile asks for of each file of a log.
+
+    Raises
+    ------
+    LogError
+        If a file cannot be read or lacks a column.
+    """
+    module = format_module(profile)
+    frames = []
+    roles: tuple[Literal["source", "partner"], ...] = ("source", "partner")
+    for role, name, data in zip(roles, raw.names, raw.data, strict=False):
+        wanted = profile.wanted(role)
+        frame: Frame = module.read_frame(profile, name, data, tuple(dict.fromkeys(wanted.values())))
+        for key, column in wanted.items():
+            if column not in frame.columns:
+                found = list(frame.columns)[:LISTED_NAMES]
+                raise LogError(
+                    f"{name}: profile {profile.name} wants column {column!r} for {key}, found {found}. "
+                    "Correct the name in the profile, or the file."
+                )
+        frames.append(frame)
+    return frames
+
+
+def logs_of(profile: Profile, names: Sequence[str], frames: Sequence[Frame]) -> list[Log]:
+    """Return the logs that the file, or pair of files, of one recording holds.
+
+    Parameters
+    ----------
+    profile : Profile
+    names : sequence of str
+        File names.
+    frames : sequence of Frame
+        What was read of each file.
+
+    Raises
+    ------
+    LogError
+        If anything in the file is not as the profile says; with the row, and the line of the profile that would help.
+    """
+    frame, name = frames[0], names[0]
+    for other, other_name in zip(frames[1:], names[1:], strict=False):
+        if len(other) != len(frame):
+            row = frame.row if len(frame) > len(other) else other.row
+            raise LogError(
+                f"the files {' and '.join(names)} have different numbers of rows ({len(frame)} in {name}, {len(other)} "
+                f"in {other_name}); expected the same, row for row. Were they recorded together?",
+                int(row[min(len(frame), len(other))]),
+            )
+    entry = entry_of(profile, name)
+    special = entry.given() if entry else {}
+    step: StepTime = entry if entry is not None and entry.declared else profile
+    window = entry.window if entry is not None and entry.window is not None else profile.window
+    logs = []
+    for label, index in _trials(profile, name, frame):
+        where = name if label is None else f"{name}, trial {label!r}"
+        # what several steps differ in is asked for step by step
+        required = ("sampling_period_s",) if profile.steps else REQUIRED_CONDITIONS
+        given = conditions_of(profile, name, where, frame, index, special, required)
+        rows = rows_of(profile, where, names, frames, index, _period(where, given))
+        if not profile.steps:
+            logs.append(_log(profile, where, frame, rows, given, step, window, label))
+        for part in profile.steps:
+            special_part = special | part.given()
+            place = f"{where}, step {part.label!r}"
+            of_part = conditions_of(profile, name, place, frame, index, special_part)
+            logs.append(_log(profile, place, frame, rows, of_part, part if part.declared else step, part, part.label))
+    return logs
+
+
+def _period(where: str, given: dict[str, Any]) -> float:
+    """Return the sampling period [s], which time may be counted by before the conditions are checked."""
+    period = float(given["sampling_period_s"])
+    if not 0 < period < np.inf:
+        raise LogError(f"{where}: sampling_period_s is {period:g}; expected a time above 0 s. Correct the profile.")
+    return period
+
+
+def _trials(profile: Profile, name: str, frame: Frame) -> Iterator[tuple[str | None, Integers]]:
+    """Yield label and rows of each trial, in the order in which they begin."""
+    if profile.trial_column is None:
+        yield None, np.arange(len(frame))
+        return
+    values = frame.columns[profile.trial_column]
+    blank = np.isnan(values) if values.dtype.kind == "f" else np.char.strip(values.astype(np.str_)) == ""
+    if blank.any():
+        raise LogError(
+            f"{name}: column {profile.trial_column!r} (trial_column) is blank; expected the label of the trial in each "
+            "row. Fill it in, or correct trial_column.",
+            int(frame.row[int(np.argmax(blank))]),
+        )
+    labels, first, which = np.unique(values, return_index=True, return_inverse=True)
+    order = np.argsort(which, kind="stable")
+    parts = np.split(order, np.cumsum(np.bincount(which))[:-1])
+    for at in np.argsort(first):
+        label = labels[at].item()
+        yield str(int(label)) if isinstance(label, float) and label.is_integer() else str(label), parts[at]
+
+
+def _log(
+    profile: Profile,
+    where: str,
+    frame: Frame,
+    rows: Rows,
+    given: dict[str, Any],
+    step: StepTime,
+    window: Window | None,
+    label: str | None,
+) -> Log:
+    """Return the part of a trial inside a window as a log."""
+    period = _period(where, given)
+    inside = slice(None) if window is None else _inside(window, rows, period)
+    time, number, row = rows.time[inside], rows.number[inside], rows.row[inside]
+    if len(time) < 2:
+        limits = "" if window is None else " inside its window"
+        at = int(frame.row[0]) if len(frame) else None
+        text = f"{where} has {len(time)} samples{limits}; expected at least 2."
+        raise LogError(f"{text} Correct the window in the profile, or leave this log out.", at)
+    factors = profile.factors()
+    columns = {key: values[inside] * factors[key] for key, values in rows.columns.items()}
+    header = header_of(profile, where, given, _extra(profile, frame, _step_row(where, step, time, number, row)))
+    try:
+        log = check_samples(header, time=time, row=row, **columns)
+    except LogError as error:
+        raise LogError(f"{where}: {error.reason}", error.row) from error
+    counts = dict(rows.counts)
+    if len(time) < len(rows.time):
+        counts["outside_window"] = len(rows.time) - len(time)
+    raw = None if rows.raw_time is None else rows.raw_time[inside]
+    return replace(log, raw_time=raw, counts=counts, warnings=frame.warnings, label=label)
+
+
+def _inside(window: Window, rows: Rows, period: float) -> Booleans:
+    """Return which rows lie inside, both ends included."""
+    slack = WINDOW_TOLERANCE * period
+    inside = np.ones(len(rows.time), dtype=np.bool_)
+    if window.from_s is not None:
+        inside &= rows.time >= window.from_s - slack
+    if window.to_s is not None:
+        inside &= rows.time <= window.to_s + slack
+    if window.from_row is not None:
+        inside &= rows.number >= window.from_row
+    if window.to_row is not None:
+        inside &= rows.number <= window.to_row
+    return inside
+
+
+def _step_row(where: str, step: StepTime, time: Floats, number: Integers, row: Integers) -> int | None:
+    """Return the declared row of the step among the stored ones, or None where it is to be found in the command."""
+    if step.step_at == "first row":
+        return 0
+    if step.step_row is not None:
+        found = np.flatnonzero(number == step.step_row)
+        if not len(found):
+            raise LogError(
+                f"{where}: step_row is {step.step_row}, which is not among the {len(time)} samples (rows {number[0]} "
+                f"to {number[-1]}, counted from 0, without those left out). Correct it, or the window.",
+                int(row[0]),
+            )
+        return int(found[0])
+    if step.step_time_s is not None:
+        if not time[0] <= step.step_time_s <= time[-1]:
+            raise LogError(
+                f"{where}: step_time_s is {step.step_time_s:g}, outside the samples ({time[0]:.9g} to {time[-1]:.9g} "
+                "s). Correct it, or the window.",
+                int(row[0]),
+            )
+        return int(np.searchsorted(time, step.step_time_s))
+    return None
+
+
+def _extra(profile: Profile, frame: Frame, step_row: int | None) -> dict[str, str]:
+    """Return what is kept beside a trial: declared step, where columns come from, attributes of the file, warnings."""
+    extra = {} if step_row is None else {"step_row": str(step_row)}
+    for key, source in profile.column_sources().items():
+        if source.provenance:
+            extra[f"provenance.{key}"] = source.provenance
+        if isinstance(source, ColumnSource) and source.stands_for is not None:
+            extra[f"stands_for.{key}"] = f"1 {source.unit} stands for 1 {source.stands_for}"
+    attributes = list(frame.attributes.items())
+    extra |= {f"file.{key}": str(value)[:LONGEST_ATTRIBUTE] for key, value in attributes[:KEPT_ATTRIBUTES]}
+    if frame.warnings:
+        extra["warnings"] = "; ".join(frame.warnings)
+    return extra

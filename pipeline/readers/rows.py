@@ -1,0 +1,212 @@
+"""Rows of one trial of a foreign file: numbers, missing cells, order of time, doubled stamps, as the profile says.
+
+Rows are left out only where the profile says so, and each kind is counted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.batch import Booleans, Floats, Integers
+from pipeline.errors import LogError
+from pipeline.profile_columns import Source, TimeSource
+from pipeline.profiles import Profile
+from pipeline.readers.frame import Frame
+from pipeline.readers.time_axis import distinct, in_order, read_stamps
+
+SENTINEL_TOLERANCE = 1e-6
+"""Relative distance at which a number is the sentinel: single precision rounds by 6e-8, the next sensor reading lies
+farther away (a count of 16 bits by 1.5e-5)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Rows of a trial that are kept, in order of time.
+
+    Parameters
+    ----------
+    time : float64, shape (rows,)
+        Seconds.
+    raw_time : float64 or int64, shape (rows,), or None
+        Stamps as in the file.
+    columns : dict of float64 or int64 arrays, shape (rows,)
+        The other columns, as numbers of the file.
+    number : int64, shape (rows,)
+        Row of the trial as read, counted from 0.
+    row : int64, shape (rows,)
+        Row of the file, counted from 1.
+    counts : dict of str to int
+        What was found and settled; nothing where it is zero.
+    """
+
+    time: Floats
+    raw_time: Floats | Integers | None
+    columns: dict[str, NDArray[Any]]
+    number: Integers
+    row: Integers
+    counts: dict[str, int]
+
+
+@dataclass(frozen=True, eq=False)
+class _Column:
+    """A column of the trial: file, source in the profile, numbers, and where there is none."""
+
+    where: str
+    frame: Frame
+    source: Source
+    values: NDArray[Any]
+    missing: Booleans
+
+    @property
+    def name(self) -> str:
+        return f"column {self.source.key!r}"
+
+
+def rows_of(
+    profile: Profile, where: str, names: Sequence[str], frames: Sequence[Frame], index: Integers, period: float
+) -> Rows:
+    """Return the rows of a trial with time in seconds, in its order, without missing values.
+
+    Parameters
+    ----------
+    profile : Profile
+    where : str
+        File and trial, for messages.
+    names, frames : sequence of str and Frame
+        Files of the log and what was read of them.
+    index : int64, shape (rows,)
+        Rows of the trial in the frames.
+    period : float
+        Sampling period [s].
+
+    Raises
+    ------
+    LogError
+        If a cell is no number or has no value, or time is not as the profile says.
+    """
+    source = profile.column_sources()["time"]
+    assert isinstance(source, TimeSource), "the record says so"
+    columns = _columns(profile, where, names, frames, index)
+    stamps_column = columns.pop("time", None)
+    row, counts = frames[0].row[index], dict[str, int]()
+    keep = np.ones(len(index), dtype=np.bool_)
+    everything = columns if stamps_column is None else {"time": stamps_column, **columns}
+    for key, column in everything.items():
+        if column.source.blanks == "skip" and column.missing.any():
+            counts[f"skipped_{key}"] = int(column.missing.sum())
+            keep &= ~column.missing
+    for key, column in everything.items():
+        if column.source.blanks == "refuse" and (column.missing & keep).any():
+            raise _no_value(profile, key, column, row, int(np.argmax(column.missing & keep)))
+
+    # a row without a stamp is nowhere in time; other rows that are left out still tell what holds on
+    stamped = np.arange(len(index)) if stamps_column is None else np.flatnonzero(~stamps_column.missing)
+    place = f"{where}, column {source.key!r} (columns.time)"
+    fraction = None
+    if source.fraction is not None:
+        fraction = frames[0 if source.file == "source" else 1].columns[source.fraction.name][index][stamped]
+    values = None if stamps_column is None else stamps_column.values[stamped]
+    stamps = read_stamps(source, values, fraction, period, place, row[stamped])
+    order, late = in_order(source, stamps.time, place, row[stamped])
+    counts |= {"wraps": stamps.wraps, "out_of_order": late}
+
+    number, keep = stamped[order], keep[stamped[order]]
+    numbers = {}
+    for key, column in columns.items():
+        numbers[key] = column.values[number]
+        if column.source.blanks == "hold" and column.missing.any():
+            numbers[key], known = _held(numbers[key], column.missing[number])
+            counts[f"held_{key}"] = int((column.missing[number] & known).sum())
+            counts[f"before_first_{key}"] = int((~known & keep).sum())
+            keep &= known
+    kept = np.flatnonzero(keep)
+    alone = distinct(source, stamps.time[order[kept]], place, row[number[kept]])
+    counts["duplicates"] = int((~alone).sum())
+    kept = kept[alone]
+    return Rows(
+        stamps.time[order[kept]],
+        None if stamps.raw is None else stamps.raw[order[kept]],
+        {key: values[kept] for key, values in numbers.items()},
+        number[kept],
+        row[number[kept]],
+        {key: count for key, count in counts.items() if count},
+    )
+
+
+def _columns(
+    profile: Profile, where: str, names: Sequence[str], frames: Sequence[Frame], index: Integers
+) -> dict[str, _Column]:
+    """Return the columns of the trial by SI name, without the time where there are no stamps."""
+    columns = {}
+    for key, source in profile.column_sources().items():
+        if isinstance(source, TimeSource) and not source.has_stamps:
+            continue
+        file = 0 if source.file == "source" else 1
+        place, frame = where if file == 0 else names[1], frames[file]
+        values = frame.columns[source.key][index]
+        if values.dtype.kind not in "iufb":
+            raise _no_number(profile, place, frame, values, index, key, source)
+        # 64 bits without sign may hold more than 64 bits with one
+        whole = values.dtype.kind in "iub" and not (values > np.iinfo(np.int64).max).any()
+        values = values.astype(np.int64) if whole else values.astype(np.float64)
+        missing = np.zeros(len(values), dtype=np.bool_) if whole else np.isnan(values)
+        for sentinel in source.sentinels:
+            missing |= np.abs(values - sentinel) <= SENTINEL_TOLERANCE * abs(sentinel)
+        columns[key] = _Column(place, frame, source, values, missing)
+    return columns
+
+
+def _held(values: NDArray[Any], missing: Booleans) -> tuple[NDArray[Any], Booleans]:
+    """Return values with the one before it in place of each missing one, and where there is one."""
+    last = np.maximum.accumulate(np.where(missing, -1, np.arange(len(values))))
+    return values[np.maximum(last, 0)], last >= 0
+
+
+def _no_number(
+    profile: Profile, where: str, frame: Frame, values: NDArray[Any], index: Integers, key: str, source: Source
+) -> LogError:
+    """Return the refusal that names the first cell of a text column that is no number."""
+    at, cell = 0, ""
+    for number, value in enumerate(values.tolist()):
+        at, cell = number, str(value).strip()
+        try:
+            float(cell.replace(profile.decimal, ".").replace("_", "?") or "nan")
+        except ValueError:
+            break
+        if "." in cell and profile.decimal == ",":
+            break
+    other = "," if profile.decimal == "." else "."
+    text = profile.format == "delimited"
+    sign = f", decimal sign {profile.decimal!r}" if text else ""
+    hint = f'Add decimal = "{other}" to profile {profile.name} if that is its decimal sign. ' if other in cell else ""
+    listed = f'If it means "no value", add missing = ["{cell[:40]}"]. ' if not hint else ""
+    row = int(frame.row[index[at]])
+    return LogError(
+        f"{where}: {key} must be a number (column {source.key!r}{sign}), found {cell[:200]!r}{_called(frame, row)}. "
+        f"{hint + listed if text else ''}Repair the row, or leave this log out.",
+        row,
+    )
+
+
+def _no_value(profile: Profile, key: str, column: _Column, row: Integers, at: int) -> LogError:
+    """Return the refusal that names the first cell that is blank or a sentinel."""
+    found = column.values[at]
+    what = "is blank, or no number" if np.isnan(found) else f"is {found}, a sentinel"
+    choices = 'blanks = "skip" (such rows are left out)'
+    if key != "time":
+        choices += ' or blanks = "hold" (the value before it holds on)'
+    return LogError(
+        f"{column.where}: {key} has no value: {column.name} {what}{_called(column.frame, int(row[at]))}; expected a "
+        f"number. Repair the row, or add {choices} to [columns.{key}] of profile {profile.name}.",
+        int(row[at]),
+    )
+
+
+def _called(frame: Frame, row: int) -> str:
+    """Return the place of a row in words, where it is not a line."""
+    return "" if frame.row_name == "line" else f" ({frame.row_name} {row})"
