@@ -1,0 +1,29 @@
+"""Readers as a damaged file may make them; called in worker processes by the tests of isolation."""
+
+import os
+import signal
+
+from pipeline.errors import LogError
+
+
+def hang(name: str, data: bytes) -> None:
+    while True:
+        pass
+
+
+def crash(name: str, data: bytes) -> None:
+    os.kill(os.getpid(), signal.SIGSEGV)
+
+
+def starve(name: str, data: bytes) -> int:
+    return len(bytes(6 << 30))
+
+
+def shout(name: str, data: bytes, more: str) -> str:
+    print("noise of a library")
+    os.write(1, b"noise of a library in C")
+    return data.decode() + more
+
+
+def refuse(name: str, data: bytes) -> None:
+    raise LogError("wrong in row 7", 7)

@@ -1,0 +1,164 @@
+"""Time stamps: each way of counting gives the seconds that were simulated; gaps, drops and jitter are those put in."""
+
+import numpy as np
+import pytest
+
+from pipeline.errors import LogError
+from pipeline.profile_columns import Fraction, TimeSource
+from pipeline.readers.time_axis import distinct, in_order, read_stamps, step_flags
+
+PERIOD = 1e-3
+
+
+def source(**keys) -> TimeSource:
+    return TimeSource.model_validate({"name": "t", "unit": "ms"} | keys)
+
+
+def stamps(values, **keys):
+    values = np.asarray(values)
+    rows = np.arange(len(values)) + 10
+    return read_stamps(source(**keys), values, None, PERIOD, "a.csv, column 't' (columns.time)", rows)
+
+
+def test_absolute_stamps_keep_their_origin():
+    found = stamps([5.0, 6.5, 8.0])
+    np.testing.assert_allclose(found.time, [0.005, 0.0065, 0.008], rtol=1e-15)
+    assert found.raw.tolist() == [5.0, 6.5, 8.0]
+
+
+def test_steps_are_summed_from_the_row_before():
+    np.testing.assert_allclose(stamps([9.0, 1.0, 2.0, 1.0], kind="steps").time, [0, 1e-3, 3e-3, 4e-3], rtol=1e-15)
+
+
+def test_a_counter_counts_from_the_first_row_without_rounding():
+    ticks = 1_700_000_000_123_456_789 + np.array([0, 1_000_001, 3_000_003])
+    found = stamps(ticks, kind="counter", unit="ns")
+    assert found.time.tolist() == [0.0, 1_000_001 * 1e-9, 3_000_003 * 1e-9]
+    assert found.raw.tolist() == ticks.tolist()
+    clock = stamps([100, 350, 600], kind="counter", unit="s", counts_per_unit=250_000)
+    np.testing.assert_allclose(clock.time, [0, 1e-3, 2e-3], rtol=1e-15)
+
+
+@pytest.mark.parametrize("dtype", [np.int64, np.float64])
+@pytest.mark.parametrize("wrap", [2**16, 2**32])
+def test_a_wrapped_counter_equals_one_that_goes_on(wrap, dtype):
+    rng = np.random.default_rng(3)
+    truth = wrap - 5000 + np.concatenate(([0], np.cumsum(rng.integers(1, wrap // 3, size=40))))
+    found = stamps((truth % wrap).astype(dtype), kind="counter", unit="us", wrap=wrap)
+    assert found.wraps == int(truth[-1] // wrap) - int(truth[0] // wrap) > 3
+    np.testing.assert_allclose(found.time, (truth - truth[0]) * 1e-6, rtol=1e-15)
+    assert found.raw.tolist() == (truth % wrap).tolist()
+
+
+def test_a_counter_above_its_wrap_is_refused():
+    with pytest.raises(LogError, match=r"the counter is 65536; expected 0 to 65536.*Correct wrap") as error:
+        stamps([65535, 65536], kind="counter", wrap=65536)
+    assert error.value.row == 11
+
+
+def test_seconds_and_nanoseconds_are_joined_without_rounding():
+    seconds, rest = np.array([1_700_000_000, 1_700_000_001]), np.array([999_999_999, 1])
+    fraction = Fraction(name="ns", unit="ns")
+    joined = read_stamps(
+        source(unit="s", kind="counter", fraction=fraction), seconds, rest, PERIOD, "a", np.array([1, 2])
+    )
+    assert joined.raw.tolist() == [1_700_000_000_999_999_999, 1_700_000_001_000_000_001]
+    assert joined.time.tolist() == [0.0, 2e-9]
+    with pytest.raises(LogError, match=r"0.5 is no whole number; expected whole numbers of s and ns"):
+        read_stamps(source(unit="s", fraction=fraction), np.array([0.5, 1.0]), rest, PERIOD, "a", np.array([1, 2]))
+
+
+def test_sampled_time_needs_no_stamps_and_agrees_with_coarse_ones():
+    without = read_stamps(TimeSource(kind="sampled"), None, None, PERIOD, "a", np.arange(4))
+    assert without.raw is None
+    np.testing.assert_allclose(without.time, [0, 1e-3, 2e-3, 3e-3], rtol=1e-15)
+    coarse = np.floor(np.arange(100) * 1.0 / 10) * 10 + 500  # 1 ms samples, stamps printed to 10 ms
+    found = stamps(coarse, kind="sampled")
+    np.testing.assert_allclose(found.time, np.arange(100) * 1e-3, rtol=1e-15)
+    assert found.raw.tolist() == coarse.tolist()
+    late = coarse.copy()
+    late[60:] += 20  # twenty samples were lost
+    with pytest.raises(LogError, match=r"row 60 lies at 0.06 s by the sampling period 0.001 s.*samples may be missing"):
+        stamps(late, kind="sampled")
+
+
+def test_rows_out_of_order_are_refused_or_sorted():
+    time, rows = np.array([0.3, 0.4, 0.1, 0.2, 0.5]), np.arange(5) + 2
+    with pytest.raises(
+        LogError, match=r"0.1\d* s after 0.4\d* s.*kind = \"counter\" and wrap.*order = \"sort\""
+    ) as error:
+        in_order(source(), time, "a", rows)
+    assert error.value.row == 4
+    order, late = in_order(source(order="sort"), time, "a", rows)
+    assert (time[order].tolist(), late) == (sorted(time), 2)
+    assert in_order(source(), np.sort(time), "a", rows)[1] == 0
+
+
+def test_rows_with_one_stamp_keep_their_order_when_sorted():
+    time = np.random.default_rng(2).integers(0, 5, size=400).astype(float)
+    order, _ = in_order(source(order="sort"), time, "a", np.arange(400))
+    assert all((np.diff(order[time[order] == stamp]) > 0).all() for stamp in range(5))
+
+
+def test_doubled_stamps_are_refused_or_thinned():
+    time = np.array([0.0, 1.0, 1.0, 1.0, 2.0])
+    with pytest.raises(
+        LogError, match=r"time is 1 s in two rows.*kind = \"sampled\".*duplicates = \"keep first\""
+    ) as error:
+        distinct(source(), time, "a", np.arange(5))
+    assert error.value.row == 2
+    assert distinct(source(duplicates="keep first"), time, "a", np.arange(5)).tolist() == [
+        True,
+        True,
+        False,
+        False,
+        True,
+    ]
+    assert distinct(source(duplicates="keep last"), time, "a", np.arange(5)).tolist() == [
+        True,
+        False,
+        False,
+        True,
+        True,
+    ]
+    assert distinct(source(), time[:0], "a", np.arange(0)).tolist() == []
+
+
+def test_flags_are_those_put_into_the_time():
+    rng = np.random.default_rng(7)
+    full = np.arange(1000) * PERIOD
+    kept = np.sort(rng.permutation(999)[:600])  # 40 % dropped
+    jittered = full + np.where(np.arange(1000) % 2, 0.2, -0.2) * PERIOD
+    far = np.array([0.0, 0.5, 1.0])
+    trials = [full, full[np.concatenate(([0], kept[kept > 0]))], jittered, far]
+    time, rows = np.concatenate(trials), np.array([len(trial) for trial in trials])
+    ideal, dropped, shaken, sparse = step_flags(time, rows, np.full(4, PERIOD))
+    assert (ideal["gaps"], ideal["dropped"], ideal["dropped_fraction"]) == (0, 0, 0.0)
+    # rounding of k T: a few units of 1e-16 of 1 s
+    assert ideal["jitter_max_s"] < 1e-15
+    assert ideal["mean_step_s"] == pytest.approx(PERIOD, rel=1e-12)
+    present = trials[1]
+    missing = round((present[-1] - present[0]) / PERIOD) + 1 - len(present)
+    assert dropped["dropped"] == missing
+    assert dropped["gaps"] == sum(step > 1.5 * PERIOD for step in np.diff(present).tolist())
+    assert dropped["dropped_fraction"] == pytest.approx(missing / (missing + len(present)))
+    assert dropped["longest_step_s"] == pytest.approx(max(np.diff(present).tolist()))
+    assert shaken["jitter_rms_s"] == pytest.approx(0.4 * PERIOD, rel=1e-9)
+    assert shaken["jitter_max_s"] == pytest.approx(0.4 * PERIOD, rel=1e-9)
+    assert sparse == {
+        "gaps": 2,
+        "dropped": 998,
+        "dropped_fraction": pytest.approx(998 / 1001),
+        "longest_step_s": 0.5,
+        "mean_step_s": None,
+        "jitter_rms_s": None,
+        "jitter_max_s": None,
+    }
+
+
+def test_flags_of_one_trial_do_not_depend_on_its_neighbours():
+    rng = np.random.default_rng(9)
+    trials = [np.cumsum(rng.uniform(0.2e-3, 3e-3, size=n)) for n in (2, 57, 9)]
+    together = step_flags(np.concatenate(trials), np.array([2, 57, 9]), np.full(3, PERIOD))
+    alone = [step_flags(trial, np.array([len(trial)]), np.array([PERIOD]))[0] for trial in trials]
+    assert together == alone
