@@ -6,6 +6,7 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from pipeline.compare import Outcome, compare
@@ -106,3 +107,13 @@ def lwr_outcome(lwr, one_process) -> Outcome:
 @pytest.fixture(scope="session")
 def unknown_outcome(unknown, one_process) -> Outcome:
     return unknown.compare(report=unknown.raw.parent / "unknown.html")
+
+
+@pytest.fixture
+def record_property(record_property):
+    """As pytest's own, for numpy's numbers too: parallel runs cannot send these from worker to worker and crash."""
+
+    def record(name, value):
+        record_property(name, value.item() if isinstance(value, np.generic) else value)
+
+    return record
