@@ -116,8 +116,7 @@ def estimate_texts(estimate: Estimate) -> tuple[str, str, str]:
     """Return value and both ends of the interval with as many digits as tell them apart; empty where missing."""
     given = (estimate.value, estimate.low, estimate.high)
     known = {x for x in given if x is not None}
-    digits = DIGITS
-    while digits < MOST_DIGITS and len({significant(x, digits) for x in known}) < len(known):
-        digits += 1
+    apart = (n for n in range(DIGITS, MOST_DIGITS + 1) if len({significant(x, n) for x in known}) == len(known))
+    digits = next(apart, DIGITS)  # what most digits do not tell apart is rounding
     value, low, high = ("" if x is None else significant(x, digits) for x in given)
     return value, low, high
