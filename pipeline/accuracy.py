@@ -43,7 +43,9 @@ _T = TypeVar("_T")
 class Rung(Record):
     """One method at one setting: its largest error, and the least time [s] of repeated runs.
 
-    ``error`` is None where the method gave no number at all (division by zero, no convergence).
+    ``error`` is None where the method gave no number at all (division by zero, no convergence). Rungs of the measured
+    branch also have ``missing``, the share of trials without a value; those of courses the number of ``trials`` and
+    ``device_seconds``, the measuring time on the device [s].
     """
 
     quantity: str
@@ -51,6 +53,9 @@ class Rung(Record):
     setting: str
     error: float | None
     seconds: float
+    missing: float | None = None
+    trials: int | None = None
+    device_seconds: float | None = None
 
 
 class LeftOut(Record):
@@ -83,8 +88,26 @@ class Advice(Record):
     text: str
 
 
+class MeasuredAccuracy(Record):
+    """The part of the measured branch: its rungs, what they come to, and what was simulated.
+
+    ``course_length`` says how long a course of experiments must be, one sentence for each simulated device.
+    """
+
+    rungs: tuple[Rung, ...]
+    advice: tuple[Advice, ...]
+    course_length: tuple[str, ...]
+    summary: tuple[str, ...]
+    conditions: tuple[str, ...]
+    seconds: float
+
+
 class AccuracyReport(Record):
-    """All that `pipeline accuracy` found; ``key`` says for which code and machine it holds."""
+    """All that `pipeline accuracy` found; ``key`` says for which code and machine it holds.
+
+    ``rungs``, ``sweeps`` and what is made of them concern the theory, and are empty where it was left out;
+    ``measured_branch`` is None where that was.
+    """
 
     key: str
     quick: bool
@@ -97,6 +120,7 @@ class AccuracyReport(Record):
     seconds: float
     summary: tuple[str, ...]
     distrusted: tuple[str, ...]
+    measured_branch: MeasuredAccuracy | None = None
 
 
 def best_time(run: Callable[[], _T], budget: float) -> tuple[_T, float]:
@@ -168,6 +192,23 @@ def reference_file() -> Path:
 def now() -> str:
     """Return the time of day as a reader of a report wants it."""
     return datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
+
+
+def without_theory(quick: bool) -> AccuracyReport:
+    """Return a report in which nothing of the theory was measured."""
+    return AccuracyReport(
+        key=key(),
+        quick=quick,
+        measured=now(),
+        machine=machine(),
+        rungs=(),
+        sweeps=(),
+        left_out=(),
+        advice=(),
+        seconds=0.0,
+        summary=(),
+        distrusted=(),
+    )
 
 
 def store(report: AccuracyReport, processed: Path) -> None:

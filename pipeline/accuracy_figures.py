@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import matplotlib
@@ -21,9 +22,38 @@ LARGEST = 10.0
 """Error at the upper end of the axis of a sweep; what is beyond, or no number at all, is drawn there."""
 
 
+@dataclass(frozen=True)
+class Look:
+    """What a ladder shows on its axes, and which methods stand out.
+
+    Parameters
+    ----------
+    error, time : str
+        Labels of abscissa and ordinate.
+    seconds : callable
+        Ordinate of a rung.
+    leading : collection of str
+        Methods that stand out; at most one in a panel.
+    smallest : float
+        Error at which smaller ones, and 0, are drawn.
+    most_missing : float
+        Share of trials without a value from which on a marker is hollow.
+    wanted : float, optional
+        Error that is marked by a line.
+    """
+
+    error: str = "largest error"
+    time: str = "run time [s]"
+    seconds: Callable[[Rung], float] = lambda rung: rung.seconds
+    leading: Collection[str] = (OURS,)
+    smallest: float = SMALLEST
+    most_missing: float = 1.0
+    wanted: float | None = None
+
+
 def look_of(method: str, others: Sequence[str]) -> dict[str, Any]:
-    """Return colour, marker and line of a method; ours stands out in every panel."""
-    if method == OURS:
+    """Return colour, marker and line of a method; one that is not among the others stands out."""
+    if method not in others:
         return {"color": style.INK, "marker": "*", "markersize": 13, "linestyle": "-", "linewidth": 2.2, "zorder": 5}
     i = others.index(method)
     colours = [c for c in style.SERIES if c != style.INK]
@@ -38,30 +68,42 @@ def look_of(method: str, others: Sequence[str]) -> dict[str, Any]:
     }
 
 
-def ladder(quantity: str, rungs: Sequence[Rung], identifier: str) -> str:
+def ladder(quantity: str, rungs: Sequence[Rung], identifier: str, look: Look | None = None) -> str:
     """Draw error (abscissa) against run time (ordinate) for one quantity, one line a method.
 
     A method without any number is left out; the table beside the figure says so.
     """
+    look = look or Look()
     known = [r for r in rungs if r.error is not None]
     names = list(dict.fromkeys(r.method for r in known))
-    others = [n for n in names if n != OURS]
+    others = [n for n in names if n not in look.leading]
     with matplotlib.rc_context(style.RC):
         figure, axes = _axes(len(names))
         for name in names:
             line = [r for r in known if r.method == name]
-            error = np.maximum([r.error or 0.0 for r in line], SMALLEST)
-            axes.plot(error, [r.seconds for r in line], label=name, **look_of(name, others))
+            error = np.maximum([r.error or 0.0 for r in line], look.smallest)
+            drawn = look_of(name, others)
+            axes.plot(error, [look.seconds(r) for r in line], label=name, **drawn)
+            hollow = [i for i, r in enumerate(line) if (r.missing or 0.0) > look.most_missing]
+            empty = drawn | {"linestyle": "none", "markerfacecolor": style.PAPER}
+            axes.plot(error[hollow], [look.seconds(line[i]) for i in hollow], **empty)
         axes.set_xscale("log")
         axes.set_yscale("log")
         _decades(axes)
-        axes.set_xlabel("largest error")
-        axes.set_ylabel("run time [s]")
+        axes.set_xlabel(look.error)
+        axes.set_ylabel(look.time)
         axes.annotate("better", (0.02, 0.03), xycoords="axes fraction", fontsize=9.5, style="italic")
-        times = np.log10([r.seconds for r in known])
+        times = np.log10([look.seconds(r) for r in known])
         axes.set_ylim(10 ** (np.floor(times.min()) - 0.1), 10 ** (np.ceil(times.max()) + 0.1))
-        axes.set_xlim(right=max(axes.get_xlim()[1], 1e-15), left=min(axes.get_xlim()[0], SMALLEST))
-        return _svg(figure, axes, identifier, f"{quantity}: error against run time", [_words(r) for r in known])
+        if look.smallest == SMALLEST:
+            axes.set_xlim(right=max(axes.get_xlim()[1], 1e-15), left=min(axes.get_xlim()[0], SMALLEST))
+        else:
+            errors = np.log10([max(r.error or 0.0, look.smallest) for r in known])
+            axes.set_xlim(10 ** (np.floor(errors.min()) - 0.1), 10 ** (np.ceil(errors.max()) + 0.1))
+        if look.wanted is not None:
+            axes.axvline(look.wanted, color=style.INK, linewidth=0.8, linestyle=(0, (2, 2)))
+        title = f"{quantity}: error against {look.time.split(' [')[0]}"
+        return _svg(figure, axes, identifier, title, [_words(r, look) for r in known])
 
 
 def sweep(title: str, abscissa: str, sweeps: Sequence[Sweep], identifier: str, *, rising: bool) -> str:
@@ -138,8 +180,9 @@ def _svg(figure: Figure, axes: Axes, identifier: str, title: str, words: Sequenc
     return style.svg(figure, identifier, title, "; ".join(words))
 
 
-def _words(rung: Rung) -> str:
-    return f"{rung.method}, {rung.setting}: error {rung.error:.1e} in {rung.seconds:.1e} s"
+def _words(rung: Rung, look: Look) -> str:
+    unit = look.time.rpartition("[")[2].removesuffix("]")
+    return f"{rung.method}, {rung.setting}: error {rung.error:.1e} in {look.seconds(rung):.1e} {unit}"
 
 
 def _course(s: Sweep) -> str:

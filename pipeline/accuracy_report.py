@@ -63,7 +63,7 @@ def render(report: AccuracyReport) -> str:
     """Return the page as one HTML document."""
     from jinja2 import Environment, FileSystemLoader, StrictUndefined  # as matplotlib, only needed here
 
-    from pipeline import accuracy_figures
+    from pipeline import accuracy_figures, accuracy_measured_report
 
     quantities = list(dict.fromkeys(r.quantity for r in report.rungs))
     ladders = []
@@ -91,8 +91,15 @@ def render(report: AccuracyReport) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    measured = report.measured_branch
     return environment.get_template("accuracy.html.j2").render(
-        report=report, ladders=ladders, paths=paths, ours=OURS, wrong=error_text(WRONG), summary=summary_rows(report)
+        report=report,
+        ladders=ladders,
+        paths=paths,
+        ours=OURS,
+        wrong=error_text(WRONG),
+        summary=summary_rows(report),
+        measured_groups=accuracy_measured_report.groups_of(measured) if measured else [],
     )
 
 

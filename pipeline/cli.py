@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pipeline import __version__, cli_theory, console
+from pipeline import __version__, cli_profiles, cli_theory, console
 from pipeline.errors import EXIT_QUARANTINED, UsageError
 
 if TYPE_CHECKING:
@@ -26,6 +26,8 @@ app = typer.Typer(
     help="From logs of step responses against virtual walls to stability, costs and their comparison with theory.",
 )
 app.add_typer(cli_theory.app, name="theory")
+app.add_typer(cli_profiles.profile_app, name="profile")
+app.add_typer(cli_profiles.quarantine_app, name="quarantine")
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout, nothing else there.")]
 Processed = Annotated[Path, typer.Option("--processed", help="Folder of the stored tables.")]
@@ -40,6 +42,13 @@ class DampingRange(StrEnum):
 
     tested = "tested"
     full = "full"
+
+
+class AccuracyPart(StrEnum):
+    """Which part of the accuracy page is measured."""
+
+    theory = "theory"
+    measured = "measured"
 
 
 def _version(asked: bool) -> None:
@@ -180,7 +189,7 @@ def ingest(
     with console.progress("ingest", "logs", as_json) as advance:
         report = ingest_logs(paths, processed, profile, jobs, dry_run, rehash, advance)
     if as_json:
-        console.print_json(report.model_dump(mode="json"))
+        console.print_json(report.model_dump(mode="json", exclude=None if report.warnings else {"warnings"}))
     else:
         counts = {
             "found": report.found,
@@ -193,6 +202,8 @@ def ingest(
         for refusal in report.quarantined:
             row = "" if refusal.row is None else f", row {refusal.row}"
             console.say(f"{refusal.path}{row}: {refusal.reason}")
+        for warning in report.warnings:
+            console.say(f"{warning.path}: accepted, but {warning.warning}")
     if report.quarantined:
         raise typer.Exit(EXIT_QUARANTINED)
 
@@ -251,35 +262,48 @@ def accuracy(
     out: Annotated[Path, typer.Option("--out", help="HTML file to write, with the JSON document beside it.")] = Path(
         "reports/accuracy.html"
     ),
+    only: Annotated[
+        AccuracyPart | None, typer.Option("--only", help="This part alone; the page then has no other.")
+    ] = None,
     quick: Annotated[
-        bool, typer.Option("--quick", help="Fewer settings and repetitions: seconds, not a minute.")
+        bool, typer.Option("--quick", help="Fewer settings and repetitions: seconds, not two minutes.")
     ] = False,
     processed: Processed = Path("processed"),
     as_json: Json = False,
 ) -> None:
-    """Measure error against run time of every method for every quantity of the theory, and write a page.
+    """Measure error against run time of every method of theory and measured branch, and write a page.
 
-    Reports of comparisons show the result while code and machine are unchanged.
+    The part on the measured branch says how long a course of experiments must be. Reports of comparisons show the
+    part on the theory while code and machine are unchanged.
 
     Example: pipeline accuracy --quick
     """
     from pipeline import accuracy as results
     from pipeline import accuracy_report
+    from pipeline.accuracy_measured_run import measure_measured
     from pipeline.accuracy_run import measure
     from pipeline.tables import write_text
 
-    report = measure(quick, None if as_json else console.note)
+    progress = None if as_json else console.note
+    report = results.without_theory(quick) if only == AccuracyPart.measured else measure(quick, progress)
+    if only != AccuracyPart.theory:
+        report = report.model_copy(update={"measured_branch": measure_measured(quick, progress)})
     accuracy_report.write(report, out)
     write_text(out.with_suffix(".json"), report.model_dump_json(indent=1) + "\n")
-    results.store(report, processed)
+    if report.rungs:
+        results.store(report, processed)
     if as_json:
         console.print_json(report.model_dump(mode="json"))
         return
     columns = ("quantity", "error", "time", "other", "compared")
-    for line in console.table(accuracy_report.summary_rows(report), columns):
-        console.say(line)
+    if report.rungs:
+        for line in console.table(accuracy_report.summary_rows(report), columns):
+            console.say(line)
     for text in (*report.summary, *report.distrusted):
         console.say(text)
+    if report.measured_branch is not None:
+        for text in (*report.measured_branch.course_length, *report.measured_branch.summary):
+            console.say(text)
     console.say(f"{report.machine['processor']}, Python {report.machine['python']}, numpy {report.machine['numpy']}")
     console.say(f"report: {out}")
 

@@ -343,7 +343,7 @@ def test_command_writes_page_and_json(tmp_path: Path, monkeypatch: pytest.Monkey
 
     monkeypatch.setattr(accuracy_run, "measure", lambda quick, progress: report)
     out, processed = tmp_path / "page.html", tmp_path / "processed"
-    arguments = ["accuracy", "--quick", "--json", "--out", str(out), "--processed", str(processed)]
+    arguments = ["accuracy", "--only", "theory", "--quick", "--json", "--out", str(out), "--processed", str(processed)]
     result = CliRunner().invoke(cli.app, arguments)
     assert result.exit_code == 0
     assert AccuracyReport.model_validate(json.loads(result.stdout)) == report

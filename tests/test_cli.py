@@ -27,7 +27,7 @@ COMMANDS = {
     "theory optimum": ["--criterion", "--delay", "--gamma", "--delta", "--signal", "--json"],
     "theory tables": ["--table", "--json"],
     "theory figures": ["--figure", "--out", "--json"],
-    "accuracy": ["--quick", "--out", "--processed", "--json"],
+    "accuracy": ["--only", "--quick", "--out", "--processed", "--json"],
     "theory map": ["--delay", "--gamma", "--delta", "--size", "--criteria", "--out", "--json"],
 }
 
