@@ -22,7 +22,7 @@ def result(falcon_outcome):
 def test_summary_tells_the_numbers_of_the_result(result):
     text = " ".join(result.summary)
     experiment = result.experiments[0]
-    assert "delay d 4 samples (95 %: 4 to 5), mass 0.58 kg" in text
+    assert "delay d 4 samples (95 %: 4 to 5), mass 0.580 kg" in text
     stable = max(p.stable for p in experiment.boundary if p.stable is not None)
     measured, at, predicted, where, percent = re.search(
         r"stiffness measured is (\d+) N/m \(at B = (\d+) Ns/m\), theory says (\d+) N/m at (\d+) Ns/m \(([+-]\d+) %\)",
