@@ -65,39 +65,37 @@ def averaged_balance(
     AveragedBalance
     """
     widths = WIDTHS if width_rows is None else (width_rows,)
+    n, rows, terms = columns.shape
     count = (weight > 0).sum(axis=1)
-    chosen = np.zeros(len(columns), dtype=np.int64)
-    attenuation = np.full(len(columns), np.inf)
-    best_columns, best_impulse = np.zeros_like(columns), np.zeros_like(impulse)
-    best_valid = np.zeros(impulse.shape, dtype=bool)
+    chosen = np.zeros(n, dtype=np.int64)
+    attenuation = np.full(n, np.inf)
+    # time last in memory: neighbours in time are neighbours there
+    best, best_valid = np.zeros((n, terms + 1, rows)), np.zeros((n, rows), dtype=bool)
+    # integrals from the first row on of all terms, the impulse and the duration, shared by all widths
+    integrals = np.zeros((n, terms + 2, rows + 1))
+    for j in range(terms):
+        np.cumsum(columns[:, :, j] * weight, axis=1, out=integrals[:, j, 1:])
+    np.cumsum(impulse * weight, axis=1, out=integrals[:, terms, 1:])
+    np.cumsum(weight, axis=1, out=integrals[:, terms + 1, 1:])
+    inside = np.zeros((n, rows + 1), dtype=np.int64)
+    np.cumsum(weight > 0, axis=1, out=inside[:, 1:])
     for width in widths:
         open_trials = (attenuation > ATTENUATION) & ((width * FEWEST_WIDTHS <= count) | (chosen == 0))
         if not open_trials.any():
             break
-        t = np.flatnonzero(open_trials)
-        total = _running_sum(weight[t], width)
-        valid = _running_sum((weight[t] > 0).astype(np.float64), width) > width - 0.5
-        divisor = np.where(valid, total, 1.0)
-        mean = _running_sum(columns[t] * weight[t][:, :, None], width) / divisor[:, :, None]
-        mean = np.where(valid[:, :, None], mean, 0.0)
-        pushed = np.where(valid, _running_sum(impulse[t] * weight[t], width) / divisor, 0.0)
+        t = slice(None) if open_trials.all() else np.flatnonzero(open_trials)
+        whole, several = integrals[t], inside[t]
+        sums = whole[:, :, width:] - whole[:, :, : rows + 1 - width]
+        valid = several[:, width:] - several[:, : rows + 1 - width] == width
+        divisor = np.where(valid, sums[:, -1], 1.0)
+        means = np.where(valid, 1 / divisor, 0.0)[:, None, :] * sums[:, :-1]
         number = np.maximum(valid.sum(axis=1), 1)
-        left = left_over(mean[:, :, 0], [mean[:, :, j] for j in range(1, mean.shape[2])])
-        error = np.where(valid, (velocity_error[t][:, None] / divisor) ** 2, 0.0).sum(axis=1) / number
+        left = left_over(means[:, 0], [means[:, j] for j in range(1, terms)])
+        error = np.where(valid, (velocity_error[t, None] / divisor) ** 2, 0.0).sum(axis=1) / number
         with np.errstate(divide="ignore", invalid="ignore"):
-            share = np.nan_to_num(error / ((left**2).sum(axis=1) / number), nan=0.0, posinf=1.0)
-        span = mean.shape[1]
-        best_columns[t], best_impulse[t], best_valid[t] = 0.0, 0.0, False
-        best_columns[t, :span], best_impulse[t, :span], best_valid[t, :span] = mean, pushed, valid
+            share = np.nan_to_num(error / (np.einsum("nk,nk->n", left, left) / number), nan=0.0, posinf=1.0)
+        span = valid.shape[1]
+        best[t, :, :span], best[t, :, span:] = means, 0.0
+        best_valid[t, :span], best_valid[t, span:] = valid, False
         attenuation[t], chosen[t] = np.minimum(share, 1.0), width
-    return AveragedBalance(best_columns, best_impulse, best_valid, attenuation, chosen)
-
-
-def _running_sum(values: Floats, width: int) -> Floats:
-    """Sum over ``width`` neighbours along axis 1, as many fewer entries."""
-    if values.shape[1] < width:
-        return np.zeros((values.shape[0], 0, *values.shape[2:]))
-    total = np.cumsum(values, axis=1)
-    before = np.concatenate([np.zeros_like(total[:, :1]), total[:, :-width]], axis=1)
-    result: Floats = total[:, width - 1 :] - before
-    return result
+    return AveragedBalance(np.moveaxis(best[:, :-1], 1, 2), best[:, -1], best_valid, attenuation, chosen)

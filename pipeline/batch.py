@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -62,13 +63,25 @@ class TrialBatch:
 
     def select(self, which: Booleans | Integers) -> TrialBatch:
         """Return the trials picked by a mask or by indices, in that order."""
-        index = np.flatnonzero(which) if which.dtype == np.bool_ else which
+        index = np.arange(len(self))[which]
+        return self._taken(tuple(self.trial_id[i] for i in index), index)
+
+    def portions(self, trials: int) -> Iterator[tuple[slice, TrialBatch]]:
+        """Cut the batch into portions of at most so many trials, which share its arrays; each with its place.
+
+        What is computed of some trials stays in a processor's cache, where that of all of them would not.
+        """
+        for first in range(0, max(len(self), 1), trials):
+            some = slice(first, min(first + trials, len(self)))
+            yield some, self._taken(self.trial_id[some], some)
+
+    def _taken(self, trial_id: tuple[str, ...], which: Integers | slice) -> TrialBatch:
         return TrialBatch(
-            tuple(self.trial_id[i] for i in index),
-            *(getattr(self, name)[index] for name in ("stiffness", "damping", "step", "sampling_period_s", "rows")),
-            *(getattr(self, name)[index] for name in ("time", "command", "position")),
+            trial_id,
+            *(getattr(self, name)[which] for name in ("stiffness", "damping", "step", "sampling_period_s", "rows")),
+            *(getattr(self, name)[which] for name in ("time", "command", "position")),
             *(
-                None if (values := getattr(self, name)) is None else values[index]
+                None if (values := getattr(self, name)) is None else values[which]
                 for name in ("force", "velocity", "step_row")
             ),
         )

@@ -203,7 +203,8 @@ def energy(batch: TrialBatch, response: Response, verdicts: Verdicts, delay_samp
     terms = energy_terms(batch, response, verdicts, delay_samples)
     first, stop, usable, end = terms.first, terms.stop, terms.usable, terms.end
     stiffness = np.where(usable, batch.stiffness, 1.0)
-    start_energy = batch.step**2 / (2 * stiffness)
+    step = np.where(usable, batch.step, 1.0)
+    start_energy = step**2 / (2 * stiffness)
     k = terms.index
     # 0^0 = 1 outside the horizon meets energies of 0
     sums = [np.stack([(k**w * part).sum(axis=1) for w in WEIGHTS], axis=1) for part in (terms.potential, terms.kinetic)]
@@ -211,7 +212,7 @@ def energy(batch: TrialBatch, response: Response, verdicts: Verdicts, delay_samp
     envelope = _envelope(terms.error, stop, horizon)
     decay = _decay_per_sample(batch, response, verdicts, end, envelope, terms.error, stop)
     tail = _tail(envelope, horizon, decay, 0.5 * stiffness / start_energy)
-    lasting = end.amplitude / np.abs(batch.step / stiffness)
+    lasting = end.amplitude / np.abs(step / stiffness)
     settles = ~(end.lasts & (lasting > UNSETTLED))
     # a sum of zero has no tail to be compared with
     trusted = ~(tail > LARGEST_TAIL * sums[0])

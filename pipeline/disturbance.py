@@ -58,8 +58,8 @@ TYPICAL_FACTOR = 3.0
 FEWEST_TRIALS = 8
 """Fewest trials of which the middle one says what is typical of the device."""
 
-CHUNK = 256
-"""Trials searched at once: bounds the memory to some MB an array."""
+CHUNK = 128
+"""Trials searched at once: bounds the memory to 1 MB an array at 1,000 rows."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +85,11 @@ class Disturbance:
     span: int
     force: Floats
     reason: tuple[str, ...]
+
+    def select(self, some: slice) -> Disturbance:
+        """Return what was found in the trials of a slice."""
+        arrays = (self.first_row[some], self.largest_row[some])
+        return Disturbance(*arrays, self.span, self.force[some], self.reason[some])
 
 
 @dataclass(frozen=True)
@@ -175,8 +180,8 @@ def _fit(batch: TrialBatch, response: Response, usable: Integers) -> _Motion | N
     errors, late, solutions = [], [], []
     for delay in range(min(LONGEST_DELAY, command.shape[1] - 1) + 1):
         u = (_triangle(_held(_late(command, delay)), FIT_SPAN) / scale)[inside]
-        plain, error = _least_absolute(np.stack([u, v], axis=1), y)
-        sprung, sprung_error = _least_absolute(np.stack([u, v, x], axis=1), y)
+        plain, error = _least_absolute(np.stack([u, v]), y)
+        sprung, sprung_error = _least_absolute(np.stack([u, v, x]), y)
         solutions.append(np.append(plain, 0.0) if sprung_error > (1 - SPRING_GAIN) * error else sprung)
         errors.append(min(error, sprung_error))
         late.append(u)
@@ -188,9 +193,7 @@ def _fit(batch: TrialBatch, response: Response, usable: Integers) -> _Motion | N
     beside = [delay for delay in (best - 1, best + 1) if 0 <= delay < len(late)]
     change = np.abs(late[beside[0]] - late[beside[-1]])
     lively = change >= np.percentile(change, UPPER)
-    at, *next_to = (
-        np.median(np.abs(y - np.stack([late[d], v, x], axis=1) @ solutions[d])[lively]) for d in (best, *beside)
-    )
+    at, *next_to = (np.median(np.abs(y - solutions[d] @ np.stack([late[d], v, x]))[lively]) for d in (best, *beside))
     sharp = min(next_to) > SHARP_DELAY * at
     # the smallest jitter that leaves nothing over in the middle trial
     for jitter in range(0 if sharp else 1, WIDEST_JITTER + 1):
@@ -229,16 +232,16 @@ def _sensor_force(trials: TrialBatch, device: _Motion, span: int, floor: Floats)
 
 
 def _least_absolute(design: Floats, values: Floats) -> tuple[Floats, float]:
-    """Coefficients of the least absolute error, by reweighting, and that error."""
-    size = np.sqrt((design * design).sum(axis=0))
+    """Coefficients of a design, shape (q, m), for the least absolute error, by reweighting, and that error."""
+    size = np.sqrt((design * design).sum(axis=1))
     size = np.where(size > 0, size, 1.0)
-    scaled, weight = design / size, np.ones(len(values))
-    solution: Floats = np.zeros(design.shape[1])
+    scaled, weight = design / size[:, None], np.ones(len(values))
+    solution: Floats = np.zeros(len(design))
     error = values
     for _ in range(FIT_ROUNDS):
-        weighted = scaled * weight[:, None]
-        solution = np.asarray(np.linalg.lstsq(weighted.T @ scaled, weighted.T @ values, rcond=None)[0], np.float64)
-        error = np.abs(values - scaled @ solution)
+        weighted = scaled * weight
+        solution = np.asarray(np.linalg.lstsq(weighted @ scaled.T, weighted @ values, rcond=None)[0], np.float64)
+        error = np.abs(values - solution @ scaled)
         typical = float(np.median(error))
         weight = 1 / np.maximum(error, max(typical, np.finfo(np.float64).tiny))
         weight = weight / weight.max(initial=np.finfo(np.float64).tiny)

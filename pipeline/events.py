@@ -53,6 +53,9 @@ CLIPPED_ROWS = 2
 EQUAL = 1e-9
 """Commands within this part of the largest one are equal to it."""
 
+CHUNK = 64
+"""Trials that are looked at together: an array of theirs, 0.5 MB at 1,000 rows, stays in a processor's cache."""
+
 
 def left_travel(batch: TrialBatch, response: Response) -> Integers:
     """Return the last row of logs that ended because the device left its travel, -1 for others, shape (n,).
@@ -100,6 +103,13 @@ def first_stop(batch: TrialBatch, response: Response, outside: Disturbance) -> I
     several times, each time faster on the way there than on the way back, where a free oscillation is as fast. A
     stop that is touched gently is not seen, nor is a soft one.
     """
+    first = np.full(len(batch), NO_ROW, dtype=np.int64)
+    for some, part in batch.portions(CHUNK):
+        first[some] = _first_stop(part, response.select(some), outside.select(some))
+    return first
+
+
+def _first_stop(batch: TrialBatch, response: Response, outside: Disturbance) -> Integers:
     x = batch.position
     column = np.arange(x.shape[1])[None, :]
     after = batch.valid & (column >= np.maximum(response.edge_row, 0)[:, None])
@@ -146,6 +156,13 @@ def first_clipped(batch: TrialBatch) -> tuple[Integers, Floats]:
     A clipped command equals the largest one of the log and is not what the wall law asks for: nearer to zero by
     more than rounding. A velocity filter departs from the wall law too, but its extremes are not equal.
     """
+    first, largest = np.full(len(batch), NO_ROW, dtype=np.int64), np.zeros(len(batch))
+    for some, part in batch.portions(CHUNK):
+        first[some], largest[some] = _first_clipped(part)
+    return first, largest
+
+
+def _first_clipped(batch: TrialBatch) -> tuple[Integers, Floats]:
     size = np.where(batch.valid, np.abs(batch.command), 0.0)
     largest = size.max(axis=1, initial=0.0)
     departure = external_force(batch)

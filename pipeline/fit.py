@@ -175,7 +175,7 @@ def fit_trials(
     index = np.flatnonzero(usable)
     index = index[np.argsort((last - first)[index], kind="stable")]
     for some in _portions(index, (last - first)[index] + 1):
-        window = cut(batch.select(some), response_of(response, some), edge[some], first[some], last[some])
+        window = cut(batch.select(some), response.select(some), edge[some], first[some], last[some])
         start = starting_values(window, lag[some], stiffness=stiff and order == "second", order=order)
         fit = fit_window(window, start, lag[some], order=order)
         found, why = _describe(fit.window, fit, batch.sampling_period_s[some], order)
@@ -237,17 +237,6 @@ def model_position(
     run = predict(still, force, open_loop(np.ones_like(still)), parameters, derivatives=False)
     shown = batch.valid & known[:, None]
     return np.where(shown, start[:, None] - run[:, 0].T, np.nan)
-
-
-def response_of(response: Response, which: Integers) -> Response:
-    """Return the response of some trials."""
-    arrays = {name: value[which] for name, value in vars(response).items() if isinstance(value, np.ndarray)}
-    return replace(
-        response,
-        **arrays,
-        reason=tuple(response.reason[i] for i in which),
-        edge_reason=tuple(response.edge_reason[i] for i in which),
-    )
 
 
 def _problems(batch: TrialBatch, response: Response, edge: Integers, first: Integers, last: Integers) -> list[str]:

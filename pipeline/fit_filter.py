@@ -19,9 +19,6 @@ from pipeline.fit_motion import Order, Step, acting, step_changes, step_of
 START, GAIN, DELAY, DAMPING, STIFFNESS = range(5)
 """Rows of the parameter array: x_0, 1/m (1/b for the first order), delay, delta, gamma, all normalised."""
 
-TRIALS_AT_ONCE = 512
-"""Trials whose states are carried on together: they stay in a processor's cache, and the calls for a row are few."""
-
 SMALLEST_SHARE = 0.3
 """Share of commands that are in time below which a jitter is spread over more samples, so that none is negative."""
 
@@ -47,8 +44,8 @@ class Gains:
     log_variance: Floats
     information: Floats
 
-    def select(self, which: Booleans | Integers | slice) -> Gains:
-        """Return the trials picked by a mask, by indices or by a slice."""
+    def select(self, which: Booleans | Integers) -> Gains:
+        """Return the trials picked by a mask or by indices."""
         correction = None if self.correction is None else self.correction[:, :, which]
         return Gains(correction, self.weight[:, which], self.log_variance[which], self.information[which])
 
@@ -108,24 +105,13 @@ def predict(
     order : {"second", "first"}
     derivatives : bool
         Without, there is the column of errors only.
-    """
-    P, n = parameters.shape if derivatives else (0, parameters.shape[1])
-    columns = np.empty((len(position), 1 + P, n))
-    for first in range(0, n, TRIALS_AT_ONCE):
-        some = slice(first, first + TRIALS_AT_ONCE)
-        _predict(columns[:, :, some], position[:, some], force[:, some], gains.select(some), parameters[:, some], order)
-    return columns
 
-
-def _predict(
-    columns: Floats, position: Floats, force: Floats, gains: Gains, parameters: Floats, order: Order
-) -> None:
-    """Fill the columns.
-
+    Notes
+    -----
     Errors and readings differ by what does not depend on the gain: the first column is that of the readings alone,
-    and the answer to the command, which is the derivative by the gain, times the gain is taken off at the end.
+    from which the answer to the command, the derivative by the gain, times the gain is taken off in the end.
     """
-    C, n = columns.shape[1:]
+    C, n = 1 + (len(parameters) if derivatives else 0), parameters.shape[1]
     gain, delay = parameters[GAIN], parameters[DELAY]
     whole = np.floor(delay).astype(np.int64)
     commands = acting(force, whole)
@@ -138,6 +124,7 @@ def _predict(
     state_from = driven_from if gains.correction is None else 0
     drive = _drive(step, changes, gain) if C > 1 else -gain * _effect(step)[:, :, None]
     coupling = _coupling(changes)
+    columns = np.empty((len(position), C, n))
     x, v = state = np.zeros((2, C - state_from, n))
     driven, coupled = state[:, driven_from - state_from :], state[:, 1 + DAMPING - state_from :]
     work, pushed = np.empty_like(state), np.empty((2, *driven.shape))
@@ -178,6 +165,7 @@ def _predict(
         for part, cause in pairs:
             np.multiply(part, cause, out=answer)
             coupled += answer
+    return columns
 
 
 def _effect(step: Step) -> Floats:
@@ -193,7 +181,9 @@ def _drive(step: Step, changes: list[Step], gain: Floats) -> Floats:
 
 def _coupling(changes: list[Step]) -> Floats:
     """Return what position and velocity add to those of the derivatives by damping and stiffness, (2, 2, Q, n)."""
-    return np.array([[[c.xx for c in changes], [c.vx for c in changes]], [[c.xv for c in changes], [c.vv for c in changes]]])
+    by_position = [[change.xx for change in changes], [change.vx for change in changes]]
+    by_velocity = [[change.xv for change in changes], [change.vv for change in changes]]
+    return np.array([by_position, by_velocity])
 
 
 def open_loop(weight: Floats) -> Gains:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,6 +27,9 @@ from pipeline.fit_window import Window
 JITTERS = (0.05, 0.1, 0.2, 0.35, 0.6, 1.0, 1.6, 2.5)
 """Standard deviations of the delay [samples] that are tried; between them the likelihood is a parabola."""
 
+LIKELY_JITTER = 1.0
+"""Value of `JITTERS` that is tried first, with its neighbours: delays that scatter by a sample have 0.7."""
+
 FIRST_JITTER = 0.5
 """Jitter to begin with: it carries a search through any jitter of the ladder, at some loss of precision."""
 
@@ -38,9 +42,9 @@ ASTRAY = 25.0
 JITTER_ROWS = 200
 """Rows beyond the first ones from which the strength of the jitter is read: some 300 arrivals tell it to 6 %."""
 
-LONGEST_WITH_JITTER = 300
+LONGEST_WITH_JITTER = 600
 """Rows behind the first movement that are used of a trial with jitter: the response is over, and what goes on is
-chatter, which tells little of the parameters and takes three times as long."""
+chatter, which tells little of the parameters and takes twice as long."""
 
 STEPS_WITH_JITTER = 12
 """Steps of the last search with jitter, which starts from a search over most of the information."""
@@ -144,12 +148,13 @@ def fit_window(window: Window, start: Floats, lag: Integers, *, order: Order) ->
     if calm.any():
         solution.put(calm, search(window.select(calm), solution.parameters[:, calm], none[calm], order=order))
     solution.converged[~calm] = False
-    jitter = np.zeros(n)
-    plain = predicted(
-        window, solution.parameters, gains_at(window, solution.parameters, none, order), none, order, derivatives=False
-    )
-    correlated = portmanteau(plain[:, 0], window.independent) < SUSPICIOUS_WHITENESS
-    look = (solution.scale > SUSPICIOUS) | ~solution.converged | (correlated & window.noise_known)
+    jitter, lowest = np.zeros(n), np.full(n, np.inf)
+    look = (solution.scale > SUSPICIOUS) | ~solution.converged
+    unsure = ~look & window.noise_known
+    if unsure.any():
+        part, p = window.select(unsure), solution.parameters[:, unsure]
+        plain = predicted(part, p, gains_at(part, p, none[unsure], order), none[unsure], order, derivatives=False)
+        look[unsure] = portmanteau(plain[:, 0], part.independent) < SUSPICIOUS_WHITENESS
     # a rig without a mass moves as slowly as its time constant says: all of its log is response
     longest = rows - SEARCH_ROWS + LONGEST_WITH_JITTER if order == "second" else len(window.position)
     if look.any():
@@ -173,8 +178,10 @@ def fit_window(window: Window, start: Floats, lag: Integers, *, order: Order) ->
             strength[where] = other_strength[won]
         without = deviance(part, solution.parameters[:, look], np.zeros_like(strength), order)
         least = np.maximum(LEAST_GAIN, LEAST_GAIN_PER_ROW * part.inside.sum(axis=0))
-        better = without > deviance(part, found.parameters, strength, order) + least
+        with_it = deviance(part, found.parameters, strength, order)
+        better = without > with_it + least
         where = np.flatnonzero(look)[better]
+        lowest[where] = with_it[better]
         solution.put(where, found.select(better))
         jitter[where] = strength[better]
     jittery = jitter > 0
@@ -183,18 +190,21 @@ def fit_window(window: Window, start: Floats, lag: Integers, *, order: Order) ->
     inflation, steady = np.ones(start.shape), np.full(n, -np.inf)
     white = np.zeros(window.position.shape)
     scale = np.maximum(solution.scale, smallest_scale(window))
-    for which, describe in ((jittery, _jitter_error), (~jittery, _unseen)):
-        if which.any():
-            part, p, s = window.select(which), solution.parameters[:, which], jitter[which]
-            if which is jittery:
-                part = part.head(longest)
-            error[which] = describe(part, p, s, order)
-            run = predicted(part, p, gains_at(part, p, s, order), s, order)
-            white[: len(part.position), which] = run[:, 0]
-            if describe is _jitter_error:
-                steady[which] = steady_force_gain(part, p, s, order)
-                model = inverse(solution.normal[which]) * scale[which, None, None]
-                inflation[:, which] = _inflation(run, solution.normal[which], model)
+    for which in (jittery, ~jittery):
+        if not which.any():
+            continue
+        part, p, s = window.select(which), solution.parameters[:, which], jitter[which]
+        if which is jittery:
+            part = part.head(longest)
+        run = predicted(part, p, gains_at(part, p, s, order), s, order, derivatives=which is jittery)
+        white[: len(part.position), which] = run[:, 0]
+        if which is jittery:
+            error[which] = _jitter_error(part, p, s, lowest[which], order)
+            steady[which] = lowest[which] - steady_force_deviance(part, p, s, order)
+            model = inverse(solution.normal[which]) * scale[which, None, None]
+            inflation[:, which] = _inflation(run, solution.normal[which], model)
+        else:
+            error[which] = _unseen(part, p, order)
     return JitterFit(window, solution, jitter, error, white, scale, inflation, steady)
 
 
@@ -249,35 +259,40 @@ def _deviance(window: Window, parameters: Floats, gains: Gains, jitter: Floats, 
     return result
 
 
-def steady_force_gain(window: Window, parameters: Floats, jitter: Floats, order: Order) -> Floats:
-    """Return by how much a force error that does not follow the command explains the readings better, shape (n,).
+def steady_force_deviance(window: Window, parameters: Floats, jitter: Floats, order: Order) -> Floats:
+    """Return the least deviance with a force error that does not follow the command, shape (n,).
 
-    The fall of the deviance from the jitter to an unknown force of the same variance in every row: jitter acts
-    only where the command changes, friction and resonances act all the time.
+    In place of the jitter there is an unknown force of the same variance in every row: jitter acts only where the
+    command changes, friction and resonances act all the time.
     """
     mean = (shock_at(window, parameters, jitter) * window.inside).sum(axis=0) / window.inside.sum(axis=0)
-    best = np.full(len(jitter), np.inf)
-    for share in STEADY_SHARES:
-        shock = np.broadcast_to(share * mean, window.force.shape)
-        gains = filter_gains(window.variance * window.run, window.run, shock, parameters, order)
-        value = _deviance(window, parameters, gains, np.zeros_like(jitter), order)
-        best = np.fmin(best, value)
-    gain: Floats = deviance(window, parameters, jitter, order) - best
-    return gain
+    shares = np.array(STEADY_SHARES)
+
+    def at(trials: Integers, rung: Integers) -> Floats:
+        part, p = window.select(trials), parameters[:, trials]
+        shock = np.broadcast_to(shares[rung] * mean[trials], part.force.shape)
+        gains = filter_gains(part.variance * part.run, part.run, shock, p, order)
+        return _deviance(part, p, gains, np.zeros(len(trials)), order)
+
+    lowest: Floats = _down_the_ladder(at, len(jitter), len(shares), len(shares) - 2).min(axis=0)
+    return lowest
 
 
 def strongest(window: Window, parameters: Floats, order: Order) -> Floats:
     """Return the most likely jitter [samples] at given parameters, within the ladder."""
     ladder = np.array(JITTERS)
-    values = np.stack([deviance(window, parameters, np.full(parameters.shape[1], s), order) for s in ladder])
-    values = np.where(np.isfinite(values), values, np.inf)
+
+    def at(trials: Integers, rung: Integers) -> Floats:
+        return deviance(window.select(trials), parameters[:, trials], ladder[rung], order)
+
+    trial = np.arange(parameters.shape[1])
+    values = _down_the_ladder(at, len(trial), len(ladder), JITTERS.index(LIKELY_JITTER))
     best = np.argmin(values, axis=0)
     inner = (best > 0) & (best < len(ladder) - 1)
-    at = np.clip(best, 1, len(ladder) - 2)
-    trial = np.arange(parameters.shape[1])
+    at_least = np.clip(best, 1, len(ladder) - 2)
     x = np.log(ladder)
-    x0, x1, x2 = (x[at + offset] for offset in (-1, 0, 1))
-    y0, y1, y2 = (values[at + offset, trial] for offset in (-1, 0, 1))
+    x0, x1, x2 = (x[at_least + offset] for offset in (-1, 0, 1))
+    y0, y1, y2 = (values[at_least + offset, trial] for offset in (-1, 0, 1))
     with np.errstate(invalid="ignore", divide="ignore"):
         left, right = (y1 - y0) / (x1 - x0), (y2 - y1) / (x2 - x1)
         bend = (right - left) / (x2 - x0)
@@ -287,19 +302,52 @@ def strongest(window: Window, parameters: Floats, order: Order) -> Floats:
     return result
 
 
-def _jitter_error(window: Window, parameters: Floats, jitter: Floats, order: Order) -> Floats:
-    """Return the standard error of a jitter by the bend of the deviance, infinite where it has none, shape (n,)."""
+def _down_the_ladder(
+    deviance_at: Callable[[Integers, Integers], Floats], trials: int, rungs: int, middle: int
+) -> Floats:
+    """Return the deviances about the least one on a ladder, shape (rungs, trials), infinite where not needed.
+
+    Each trial begins with the ``middle`` rung and the two beside it, and goes on to the side that is lower until both
+    neighbours of the lowest are known: a likelihood has one peak.
+    """
+    values, known = np.full((rungs, trials), np.inf), np.zeros((rungs, trials), dtype=np.bool_)
+    every = np.arange(trials)
+    for rung in (middle - 1, middle, middle + 1):
+        values[rung] = _finite(deviance_at(every, np.full(trials, rung)))
+        known[rung] = True
+    while True:
+        best = np.argmin(values, axis=0)
+        below, above = np.maximum(best - 1, 0), np.minimum(best + 1, rungs - 1)
+        rung = np.where(known[below, every], above, below)
+        open_trials = np.flatnonzero(~known[rung, every])
+        if not len(open_trials):
+            return values
+        at = rung[open_trials]
+        values[at, open_trials] = _finite(deviance_at(open_trials, at))
+        known[at, open_trials] = True
+
+
+def _finite(values: Floats) -> Floats:
+    return np.where(np.isfinite(values), values, np.inf)
+
+
+def _jitter_error(window: Window, parameters: Floats, jitter: Floats, middle: Floats, order: Order) -> Floats:
+    """Return the standard error of a jitter by the bend of the deviance, infinite where it has none, shape (n,).
+
+    ``middle`` is the deviance at that jitter.
+    """
     span = 0.2 * jitter
-    low, middle, high = (deviance(window, parameters, jitter + sign * span, order) for sign in (-1, 0, 1))
+    low, high = (deviance(window, parameters, jitter + sign * span, order) for sign in (-1, 1))
     # the deviance rises by (change/error)^2
     with np.errstate(divide="ignore"):
         result: Floats = span / np.sqrt(np.maximum(0.5 * (low + high) - middle, 0.0))
     return result
 
 
-def _unseen(window: Window, parameters: Floats, jitter: Floats, order: Order) -> Floats:
+def _unseen(window: Window, parameters: Floats, order: Order) -> Floats:
     """Return the standard error of a jitter of 0: the one at which the deviance has risen by 1, shape (n,)."""
-    rise = deviance(window, parameters, jitter + MEASURE, order) - deviance(window, parameters, jitter, order)
+    none = np.zeros(parameters.shape[1])
+    rise = deviance(window, parameters, none + MEASURE, order) - deviance(window, parameters, none, order)
     with np.errstate(divide="ignore"):
         result: Floats = MEASURE / np.sqrt(np.maximum(rise, 0.0))
     return result

@@ -42,6 +42,8 @@ def portmanteau(white: Floats, counted: Booleans, *, lags: int = PORTMANTEAU_LAG
     Sum over the lags of (sum of products)^2/(pairs sigma^4), Box and Pierce's statistic for rows that may be missing,
     against chi-square with as many degrees of freedom as lags: the few fitted parameters make it a little mild.
     """
+    rows = np.flatnonzero(counted.any(axis=1))[-1:].sum() + 1
+    white, counted = white[:rows], counted[:rows]
     used = np.where(counted, white, 0.0)
     ones = counted.astype(np.float64)
     count = counted.sum(axis=0)

@@ -12,7 +12,6 @@ from pipeline.fit_filter import (
     DELAY,
     GAIN,
     STIFFNESS,
-    TRIALS_AT_ONCE,
     Gains,
     filter_gains,
     jitter_force,
@@ -221,12 +220,10 @@ def _solution(position: Floats, force: Floats, gains: Gains, parameters: Floats,
     """Return the normal equations at given parameters."""
     P, n = parameters.shape
     product = np.empty((n, 1 + P, 1 + P))
-    for first in range(0, n, TRIALS_AT_ONCE):
-        some = slice(first, first + TRIALS_AT_ONCE)
-        columns = predict(position[:, some], force[:, some], gains.select(some), parameters[:, some], order=order)
-        for i in range(1 + P):
-            for j in range(i + 1):
-                product[some, i, j] = product[some, j, i] = np.einsum("kn,kn->n", columns[:, i], columns[:, j])
+    columns = predict(position, force, gains, parameters, order=order)
+    for i in range(1 + P):
+        for j in range(i + 1):
+            product[:, i, j] = product[:, j, i] = np.einsum("kn,kn->n", columns[:, i], columns[:, j])
     return Solution(
         parameters=parameters.copy(),
         normal=product[:, 1:, 1:],

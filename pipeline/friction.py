@@ -8,7 +8,7 @@ import numpy as np
 
 from pipeline.averaging import AveragedBalance, averaged_balance
 from pipeline.batch import Booleans, Floats, Integers, TrialBatch
-from pipeline.correlated import left_over, score_covariance
+from pipeline.correlated import direction, score_covariance, without
 from pipeline.errors import ParameterError
 from pipeline.momentum import balance
 from pipeline.response import Response
@@ -38,8 +38,8 @@ DIRECTION_FLOORS = 2.0
 LARGEST_HALF_WIDTH = 25
 """Rows on either side over which a direction may be looked for: beyond, turning points are blurred."""
 
-CHUNK = 256
-"""Trials fitted at once: bounds the memory to about 16 MB per term at 1000 rows."""
+CHUNK = 128
+"""Trials fitted at once: bounds the memory to a few MB per term at 1,000 rows."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,9 +226,10 @@ def _columns(
             return integral(np.sin(middle - gravity_zero))
         return integral(momentum.displacement)
 
-    columns = np.stack([momentum.velocity, *(made(term) for term in terms)], axis=2)
+    columns = np.stack([np.where(inside, part, 0.0) for part in (momentum.velocity, *map(made, terms))], axis=1)
     return (
-        np.where(inside[:, :, None], columns, 0.0),
+        # time last in memory: neighbours in time are neighbours there
+        np.moveaxis(columns, 1, 2),
         np.where(inside, momentum.impulse, 0.0),
         np.where(inside, duration, 0.0),
         np.sqrt(2) * reading,
@@ -261,23 +262,28 @@ def _kept(columns: Floats, impulse: Floats, valid: Booleans, terms: tuple[str, .
     """Which columns (n, p+1) a trial carries, velocity first, and why others were dropped."""
     kept = np.ones((len(columns), columns.shape[2]), dtype=bool)
     texts: list[list[str]] = [[] for _ in range(len(columns))]
-    ones = valid.astype(np.float64)
+    basis, steady = [direction(columns[:, :, 0], [])], direction(valid.astype(np.float64), [])
     for j, term in enumerate(terms, start=1):
         column = columns[:, :, j]
-        size = np.sqrt((column**2).sum(axis=1))
-        others = [columns[:, :, i] * kept[:, i, None] for i in range(j)]
-        left = np.sqrt((left_over(column, others) ** 2).sum(axis=1))
-        kept[:, j] = left > LEAST_SHARE * size
+        size = _length(column)
+        kept[:, j] = _length(without(column, basis)) > LEAST_SHARE * size
         why = np.where(size > 0, f"{term} is not told from the mass and the terms before it", f"no {term} acts")
         if term in ("offset", "friction"):
-            changing = np.sqrt((left_over(impulse, [ones]) ** 2).sum(axis=1))
-            varying = np.sqrt((left_over(impulse, [ones, column]) ** 2).sum(axis=1))
+            changing = _length(without(impulse, [steady]))
+            varying = _length(without(impulse, [steady, direction(column, [steady])]))
             constant = kept[:, j] & ~(varying > LEAST_VARIATION * changing)
             why = np.where(constant, f"{term} is not told from a force that is nearly constant", why)
             kept[:, j] &= ~constant
         for i in np.flatnonzero(~kept[:, j]):
             texts[i].append(str(why[i]))
+        if j < len(terms):
+            basis.append(direction(column * kept[:, j, None], basis))
     return kept, ["; ".join(text) for text in texts]
+
+
+def _length(column: Floats) -> Floats:
+    result: Floats = np.sqrt(np.einsum("nk,nk->n", column, column))
+    return result
 
 
 def _solve(
@@ -292,16 +298,16 @@ def _solve(
     scale = np.where(scale > 0, scale, 1.0)
     scaled = columns / scale[:, None, :]
     unused = np.eye(columns.shape[2]) * ~kept[:, None, :]
-    normal = np.einsum("nki,nkj->nij", scaled, scaled) + unused
+    normal = np.swapaxes(scaled, 1, 2) @ scaled + unused
     # a velocity that the terms explain altogether leaves no mass; its normal equations are singular
     eigenvalue = np.linalg.eigvalsh(normal)
     regular = eigenvalue[:, 0] > LEAST_SHARE**4
     inverse = np.linalg.inv(np.where(regular[:, None, None], normal, np.eye(columns.shape[2])))
-    found = np.einsum("nij,nj->ni", inverse, np.einsum("nki,nk->ni", scaled, impulse))
-    residual = impulse - np.einsum("nki,ni->nk", scaled, found)
+    found = (inverse @ (np.swapaxes(scaled, 1, 2) @ impulse[:, :, None]))[:, :, 0]
+    residual = impulse - (scaled @ found[:, :, None])[:, :, 0]
     count = valid.sum(axis=1)
     meat = score_covariance(scaled, residual, valid, kept.sum(axis=1), width, segments)
-    variance = np.einsum("nij,njk,nkl->nil", inverse, meat, inverse)
+    variance = inverse @ meat @ inverse
     value = found / scale
     error = np.sqrt(np.maximum(np.einsum("nii->ni", variance), 0.0)) / scale
     error[:, 0] = np.hypot(error[:, 0], attenuation * value[:, 0])

@@ -99,7 +99,7 @@ def _beside(batch: TrialBatch, response: Response, simulated: Floats, known: Boo
     outside = np.abs(error) > np.maximum(BAND_SIGMAS * reading, rounding)[:, None]
     leaves = np.where(outside.any(axis=1), np.argmax(outside, axis=1), NO_ROW).astype(np.int64)
     with np.errstate(divide="ignore", invalid="ignore"):
-        travel = np.where(batch.stiffness > 0, np.abs(batch.step / batch.stiffness), np.nan)
+        travel = np.where((batch.stiffness > 0) & (batch.step != 0), np.abs(batch.step / batch.stiffness), np.nan)
     return Ghost(
         position=simulated,
         deviation=np.where(known, rms, np.nan),

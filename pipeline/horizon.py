@@ -168,7 +168,8 @@ def energy_terms(
     change = np.diff(batch.position, axis=1, prepend=batch.position[:, :1])
     # chi_{-1} = chi_0 (DEFINITIONS: the response is at rest at its index 0)
     change = np.where(counted & (column > first[:, None]), change, 0.0)
-    start_energy = (batch.step**2 / (2 * stiffness))[:, None]
+    # a trial without a step is not usable, as one without a wall
+    start_energy = (np.where(usable, batch.step, 1.0) ** 2 / (2 * stiffness))[:, None]
     return EnergyTerms(
         first=first,
         stop=stop.astype(np.int64),

@@ -5,12 +5,12 @@ It knows the device as a mass alone; `friction.fit_balance` corrects for damping
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from pipeline.batch import Floats, Integers, TrialBatch
-from pipeline.momentum import balance
+from pipeline.momentum import acting_force, balance
 from pipeline.response import Response
 
 WINDOW_S = 0.015
@@ -86,7 +86,6 @@ def by_momentum(
 
     Source: Hulin 2017, eq. 6.4 and sec. 6.1.2.
     """
-    momentum = balance(batch, response.edge_row, delay_samples, force=force, held=held, logged_times=logged_times)
     rows = np.arange(len(batch))
     window = np.round(window_s / batch.sampling_period_s).astype(np.int64)
     if logged_times:
@@ -97,6 +96,11 @@ def by_momentum(
     last = response.edge_row + window - 1
     fits = response.has_edge & (window > delay_samples + 1) & (last + 1 < batch.rows)
     pick = np.where(fits, last, 0)
+    # what lies behind the last interval, and the two that its mean position needs, is not read
+    columns = min(int(pick.max(initial=0)) + 4, batch.position.shape[1])
+    force = acting_force(batch, force)[:, :columns]
+    batch = replace(batch, **{name: getattr(batch, name)[:, :columns] for name in ("time", "command", "position")})
+    momentum = balance(batch, response.edge_row, delay_samples, force=force, held=held, logged_times=logged_times)
     velocity = momentum.velocity[rows, pick]
     impulse, moved = momentum.impulse[rows, pick], momentum.displacement[rows, pick]
     noise = np.hypot(np.nan_to_num(response.sensor_noise), response.sensor_quantum / np.sqrt(12))

@@ -110,9 +110,10 @@ def _grow(
     windows = -(-rows // hop)
     row = np.arange(int(windows.max()))[None, :] * hop[:, None]
     inside = row < rows[:, None]
-    column = row[:, :, None] + stride[:, None, None] * np.arange(points)[None, None, :]
-    take = np.minimum(column, signal.shape[1] - 1)
-    hankel = np.where(inside[:, :, None], signal[np.arange(len(signal))[:, None, None], take], 0.0)
+    begin = row + signal.shape[1] * np.arange(len(signal))[:, None]
+    # a window beyond the motion may reach into another trial's: it is set to 0
+    hankel = signal.ravel().take(begin[:, :, None] + (stride[:, None] * np.arange(points))[:, None, :], mode="clip")
+    hankel *= inside[:, :, None]
     _, values, right = np.linalg.svd(np.linalg.qr(hankel, mode="r"))
     # of a noise matrix: largest singular value is sigma (sqrt(windows) + sqrt(points)), smallest sigma sqrt(windows)
     spread = np.sqrt(windows) + np.sqrt(points)
@@ -133,11 +134,14 @@ def _grow(
         basis = np.swapaxes(right[index, :r, :], 1, 2)
         shifted = np.linalg.pinv(basis[:, :-1]) @ basis[:, 1:]
         poles, vectors = np.linalg.eig(shifted)
-        course = hankel[index] @ basis
+        late = last_quarter[index]
+        since = int(np.argmax(late.any(axis=0)))
+        late = late[:, since:]
+        course = hankel[index, since:] @ basis
         parts = np.swapaxes(np.linalg.solve(vectors, np.swapaxes(course, 1, 2).astype(np.complex128)), 1, 2)
         first_point = (basis[:, :1] @ vectors)[:, 0, :]
-        squares = np.where(last_quarter[index][:, :, None], np.abs(parts * first_point[:, None, :]) ** 2, 0.0)
-        at_row = np.sqrt(squares.sum(axis=1) / last_quarter[index].sum(axis=1)[:, None])
+        squares = np.where(late[:, :, None], np.abs(parts * first_point[:, None, :]) ** 2, 0.0)
+        at_row = np.sqrt(squares.sum(axis=1) / late.sum(axis=1)[:, None])
         modulus = np.maximum(np.abs(poles), np.finfo(np.float64).tiny)
         size = at_row * modulus ** (points - 1)
         growth = np.where(size > visible[index][:, None], np.log(modulus) / stride[index][:, None], -np.inf)

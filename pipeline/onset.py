@@ -202,8 +202,8 @@ def _fit(
 class _Motion:
     """Readings of a window, r rows of n trials, and the commands that move the device in it, c of each.
 
-    ``time`` (n, r) and ``arrival`` (n, c) in samples from the edge, ``change`` of the command (n, c), ``away`` from rest
-    (n, r); ``weight`` (n,) is one over the error of a reading, ``rest`` (n,) the error of the rest.
+    ``time`` (n, r) and ``arrival`` (n, c) are in samples from the edge; ``change`` (n, c) is that of the command,
+    ``away`` (n, r) from rest; ``weight`` (n,) is one over the error of a reading, ``rest`` (n,) the error of the rest.
     """
 
     time: Floats

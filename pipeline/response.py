@@ -97,6 +97,13 @@ class Response:
         """Where a command edge was found, shape (n,)."""
         return self.edge_row >= 0
 
+    def select(self, which: Integers | slice) -> Response:
+        """Return the response of the trials at indices or in a slice."""
+        arrays = {name: value[which] for name, value in vars(self).items() if isinstance(value, np.ndarray)}
+        index = range(len(self.reason))[which] if isinstance(which, slice) else which
+        texts = {name: tuple(getattr(self, name)[i] for i in index) for name in ("reason", "edge_reason")}
+        return replace(self, **arrays, **texts)  # type: ignore[arg-type]
+
 
 def find_response(batch: TrialBatch, *, edge_samples: int = EDGE_SAMPLES) -> Response:
     """Find the command edge and the resolution of each trial.
@@ -211,7 +218,9 @@ def _edge(batch: TrialBatch, samples: int) -> tuple[Integers, list[str]]:
     found = stays.any(axis=1)
     reasons = []
     for k, has, step in zip(first, np.atleast_1d(found), batch.step, strict=True):
-        if not has:
+        if step == 0:
+            reasons.append("no step was commanded (step is 0)")
+        elif not has:
             reasons.append(
                 f"no command edge: command plus wall force never stays above half the step ({step:g}) "
                 f"for {samples} rows; check step, stiffness and damping in the log's header"

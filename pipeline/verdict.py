@@ -15,8 +15,8 @@ from pipeline.batch import Booleans, Floats, Integers, TrialBatch
 from pipeline.modes import FEWEST_SAMPLES, NARROW, Growth, fastest_growth
 from pipeline.response import NOISE_FACTOR, Response, find_response
 
-CHUNK = 256
-"""Trials judged at once: bounds the memory of the windows to about 16 MB."""
+CHUNK = 128
+"""Trials judged at once: bounds the memory of the windows to about 8 MB."""
 
 FLOOR_FACTOR = 2.0
 """Motion below this many sensor floors at the end is a rest or a limit cycle that only the sensor causes."""
@@ -59,6 +59,10 @@ class Verdicts:
     growth_per_s: Floats
     reason: tuple[str, ...]
 
+    def select(self, some: slice) -> Verdicts:
+        """Return the verdicts of the trials in a slice."""
+        return Verdicts(self.verdict[some], self.growth_per_s[some], self.reason[some])
+
 
 def judge(batch: TrialBatch, response: Response | None = None) -> Verdicts:
     """Judge the stability of each trial from its log.
@@ -95,6 +99,9 @@ def judge(batch: TrialBatch, response: Response | None = None) -> Verdicts:
             verdict[index], growth[index] = found.verdict, found.growth_per_s
             for i, text in zip(index, found.reason, strict=True):
                 reason[i] = text
+    # what moves a device without a step says nothing of the loop: a hand, a trajectory
+    for i in np.flatnonzero(batch.step == 0):
+        verdict[i], growth[i], reason[i] = "undecided", np.nan, "no step was commanded (step is 0)"
     return Verdicts(verdict, growth, tuple(reason))
 
 
