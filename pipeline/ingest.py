@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
@@ -212,7 +212,7 @@ class _Ingest:
         for index, source in enumerate(sources):
             sha256 = None
             try:
-                raw, sha256 = _load(source)
+                raw, sha256 = load_source(source)
             except LogError as error:
                 reads[index] = _Read(source, sha256, error)
                 continue
@@ -255,7 +255,7 @@ class _Ingest:
             return
         accepted = [
             Accepted(trial_id(sha256, log.label), sha256, source, log, motion, profile.name, profile_sha256, len(logs))
-            for log, motion in [(log, self._checked(log)) for log in logs]
+            for log, motion in [(log, motion_of(log, self.motions)) for log in logs]
         ]
         self.known[sha256] = profile_sha256
         self.ingested += 1
@@ -273,24 +273,6 @@ class _Ingest:
         """Return whether this is the stored source of a content, now read by another profile, or stored in part."""
         former = self.stored.get(source.key)
         return former is not None and former.sha256 == sha256
-
-    def _checked(self, log: Log) -> Motion:
-        """Return the motion of a log whose names can be stored."""
-        for key in ("device", "experiment"):
-            name = getattr(log.header, key)
-            if len(folder_name(name)) > LONGEST_FOLDER:
-                raise LogError(f"{key} {name!r} is too long for a folder name; shorten it or use ASCII letters.")
-        return self._motion(log)
-
-    def _motion(self, log: Log) -> Motion:
-        header = log.header
-        known = self.motions.get(header.device)
-        if known and header.motion and known != header.motion:
-            raise LogError(
-                f"motion is {header.motion}, but the device {header.device!r} has {known}. "
-                "Correct the log, or give its device another name."
-            )
-        return header.motion or known or "translation"
 
     def _refuse(self, read: _Read, error: LogError) -> None:
         source = read.source
@@ -324,8 +306,42 @@ class _Ingest:
             self.progress(self.ingested + self.skipped + len(self.refusals), self.found)
 
 
-def _load(source: Source) -> tuple[RawLog, str]:
-    """Return the bytes and the SHA-256 of a source."""
+def motion_of(log: Log, known: Mapping[str, Motion]) -> Motion:
+    """Return the motion of a log whose names can be stored.
+
+    Parameters
+    ----------
+    log : Log
+    known : mapping of str to {"translation", "rotation"}
+        Motion of each device that has a device file.
+
+    Raises
+    ------
+    LogError
+        If a name is too long for a folder, or the log contradicts the device file.
+    """
+    header = log.header
+    for key in ("device", "experiment"):
+        name = getattr(header, key)
+        if len(folder_name(name)) > LONGEST_FOLDER:
+            raise LogError(f"{key} {name!r} is too long for a folder name; shorten it or use ASCII letters.")
+    device = known.get(header.device)
+    if device and header.motion and device != header.motion:
+        raise LogError(
+            f"motion is {header.motion}, but the device {header.device!r} has {device}. "
+            "Correct the log, or give its device another name."
+        )
+    return header.motion or device or "translation"
+
+
+def load_source(source: Source) -> tuple[RawLog, str]:
+    """Return the bytes and the SHA-256 of a source.
+
+    Raises
+    ------
+    LogError
+        If it is too large, cannot be read, or no profile claims it.
+    """
     if source.size > LARGEST_LOG:
         raise LogError(
             f"file has {source.size} bytes; expected a log of one step response, at most {LARGEST_LOG}. "

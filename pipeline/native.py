@@ -31,7 +31,7 @@ _REQUIRED = {
     "experiment": "the name of the experiment, such as delay-2",
     "stiffness": "the virtual stiffness K in N/m (Nm/rad for a rotational device)",
     "damping": "the virtual damping B in Ns/m (Nms/rad for a rotational device)",
-    "step": "the size of the external force step in N (Nm for a rotational device)",
+    "step": "the size of the external force step in N (Nm for a rotational device), 0 where none was commanded",
     "sampling_period_s": "the sampling period T in s",
 }
 _OPTIONAL = ("added_delay_samples", "grip", "motion")
@@ -52,7 +52,7 @@ class NativeHeader:
     damping : float
         Virtual damping B [Ns/m, Nms/rad].
     step : float
-        External force step F_0 [N, Nm].
+        External force step F_0 [N, Nm]; 0 says that no step was commanded: such a trial has no response to judge.
     sampling_period_s : float
         Sampling period T [s].
     added_delay_samples : int
@@ -174,7 +174,7 @@ def parse_header(lines: Iterable[str]) -> NativeHeader:
         experiment=_name("experiment", *values["experiment"]),
         stiffness=_number("stiffness", *values["stiffness"]),
         damping=_number("damping", *values["damping"]),
-        step=_step(*values["step"]),
+        step=_number("step", *values["step"]),
         sampling_period_s=_period(*values["sampling_period_s"]),
         added_delay_samples=_count("added_delay_samples", *values.get("added_delay_samples", ("0", 0))),
         grip=cast(Grip, _choice("grip", get_args(Grip), *values.get("grip", ("none", 0)))),
@@ -217,15 +217,6 @@ def _number(key: str, value: str, row: int) -> float:
             row,
         )
     return number
-
-
-def _step(value: str, row: int) -> float:
-    step = _number("step", value, row)
-    if step == 0:
-        raise LogError(
-            "step is 0, expected the size of the external force step: without one there is no response.", row
-        )
-    return step
 
 
 def _period(value: str, row: int) -> float:

@@ -18,6 +18,9 @@ Place = tuple[str | int, ...]
 _PLACEHOLDERS: dict[str, Any] = {"name": "unnamed", "format": "delimited", "files": ["*"]}
 """Values for keys that every profile needs, so that a profile without them is searched for further mistakes."""
 
+QUESTION = "# QUESTION:"
+"""Beginning of the lines of a draft in which something is asked that must not be guessed."""
+
 _ROUNDS = 5
 """Times a profile is checked again without its mistakes; each round removes what the one before found, and nothing in a
 profile is nested deeper."""
@@ -67,6 +70,19 @@ def find_mistakes(values: dict[str, Any], text: str) -> list[Mistake]:
                 _remove(rest, place)
     mistakes = [Mistake(_line(lines, place), place, what) for place, what in found.items() if what]
     return sorted(mistakes, key=lambda mistake: (mistake.line, str(mistake.place)))
+
+
+def find_questions(text: str) -> list[Mistake]:
+    """Return the questions of a draft that nobody has answered: its lines ``# QUESTION: key: words``."""
+    found = []
+    for number, line in enumerate(text.splitlines(), start=1):
+        if not line.lstrip().startswith(QUESTION):
+            continue
+        key, _, words = line.lstrip().removeprefix(QUESTION).strip().partition(":")
+        place: Place = tuple(int(part) if part.isdecimal() else part for part in key.split("."))
+        hint = "Set the key below, and remove this line."
+        found.append(Mistake(number, place, f"{_key(place)}: open question: {words.strip()} {hint}"))
+    return found
 
 
 def _explain(error: dict[str, Any]) -> Iterator[tuple[Place, str]]:

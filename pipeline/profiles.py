@@ -12,7 +12,7 @@ from functools import cache
 from pathlib import Path
 
 from pipeline.errors import ProfileError
-from pipeline.profile_lines import find_mistakes
+from pipeline.profile_lines import find_mistakes, find_questions
 from pipeline.profile_model import Profile
 from pipeline.provenance import schema_folder
 
@@ -25,8 +25,8 @@ def read_profile(path: Path) -> Profile:
     Raises
     ------
     ProfileError
-        If the file cannot be read, is no TOML, or has wrong, missing or unknown keys: all of them, each with file, line
-        and key.
+        If the file cannot be read, is no TOML, has wrong, missing or unknown keys, or questions of a draft that are
+        still open: all of them, each with file, line and key.
     """
     try:
         text = path.read_text(encoding="utf-8-sig")
@@ -35,10 +35,15 @@ def read_profile(path: Path) -> Profile:
         raise ProfileError(f"{path}: profile cannot be read: {error.strerror}.") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise ProfileError(f"{path}: profile is no valid TOML (UTF-8): {error}.") from error
-    mistakes = find_mistakes(values, text)
-    if mistakes:
-        count = f"{len(mistakes)} mistakes in this profile:\n" if len(mistakes) > 1 else ""
-        raise ProfileError(count + "\n".join(f"{path}:{mistake.line}: {mistake.text}" for mistake in mistakes))
+    questions = find_questions(text)
+    asked = {question.place for question in questions}
+    # a key that is asked for is not missing, too
+    wrong = [mistake for mistake in find_mistakes(values, text) if mistake.place not in asked]
+    found = sorted((*questions, *wrong), key=lambda mistake: mistake.line)
+    if found:
+        kinds = " and ".join(kind for kind, some in (("mistakes", wrong), ("open questions", questions)) if some)
+        count = f"{len(found)} {kinds} in this profile:\n" if len(found) > 1 else ""
+        raise ProfileError(count + "\n".join(f"{path}:{mistake.line}: {mistake.text}" for mistake in found))
     return Profile.model_validate(values)
 
 

@@ -13,15 +13,27 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from pipeline.errors import StoreError
+from pipeline.errors import LogError, StoreError, UsageError
 from pipeline.models import Record
+from pipeline.profile_layout import format_of
+from pipeline.profile_text import TextLayout
 from pipeline.provenance import digest
+from pipeline.readers.plain_text import plain_text
 from pipeline.tables import replacing, write_text
 
 LARGEST_COPY = 64 << 20
 """Bytes up to which a refused file is copied; a log is well below 1 MB, what is larger was hardly one."""
 
 RECORD_FILE = "reason.json"
+
+EXCERPT_ROWS = 3
+"""Lines shown before and behind the row at fault."""
+
+NO_JSON = "is no JSON"
+"""Words of a refusal whose row is a line of a JSON file, not a record."""
+
+LONGEST_LINE = 500
+"""Characters of a line that are shown."""
 
 
 class QuarantineRecord(Record):
@@ -74,6 +86,70 @@ def list_quarantine(processed: Path) -> list[QuarantineRecord]:
                 f"{file}: is no quarantine record ({error.error_count()} errors). Remove its folder and ingest again."
             ) from error
     return sorted(records, key=lambda record: record.path)
+
+
+def record_id(record: QuarantineRecord) -> str:
+    """Return the id of a record: the name of its folder."""
+    return digest(record.path)
+
+
+def find_record(processed: Path, wanted: str) -> QuarantineRecord:
+    """Return the record of a source by its id or path.
+
+    Parameters
+    ----------
+    processed : Path
+    wanted : str
+        Id, or path of the source: absolute, or from the current folder.
+
+    Raises
+    ------
+    UsageError
+        If nothing of this id or path is in quarantine.
+    """
+    path = os.path.abspath(wanted)
+    for record in list_quarantine(processed):
+        if wanted == record_id(record) or path == record.path:
+            return record
+    raise UsageError(f"{wanted}: is not in quarantine. `pipeline quarantine list` shows ids and paths of what is.")
+
+
+def excerpt(processed: Path, record: QuarantineRecord, around: int = EXCERPT_ROWS) -> list[tuple[int, str]]:
+    """Return the lines of a refused text file around the row at fault (its first ones where there is none).
+
+    Parameters
+    ----------
+    processed : Path
+    record : QuarantineRecord
+    around : int
+        Lines before and behind.
+
+    Returns
+    -------
+    list of (int, str)
+        Line number, counted from 1, and text; empty where no copy was kept or rows of the file are no lines.
+    """
+    folder, name = _folder_of(processed, record.path), Path(record.path).name
+    copy = next((folder / kept for kept in (f"{name}.refused", name) if (folder / kept).is_file()), None)
+    if copy is None:
+        return []
+    data = copy.read_bytes()
+    kind = format_of(name, data)
+    # elsewhere a row is a record, a sample or a message
+    if kind not in ("delimited", "native") and not (kind == "json" and NO_JSON in record.reason):
+        return []
+    encoding = "utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8"
+    try:
+        text, _ = plain_text(TextLayout(encoding=encoding), name, data)
+    except LogError:
+        text = data.decode("latin-1")
+    if "\0" in text:
+        return []
+    lines = text.split("\n")
+    lines = lines[:-1] if text.endswith("\n") else lines
+    row = record.row or 1
+    first = max(row - around, 1)
+    return [(number, lines[number - 1][:LONGEST_LINE]) for number in range(first, min(row + around, len(lines)) + 1)]
 
 
 def refuse(processed: Path, record: QuarantineRecord, files: Iterable[Path]) -> None:

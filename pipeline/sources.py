@@ -11,8 +11,8 @@ from pathlib import Path
 from pipeline.errors import UsageError
 from pipeline.profiles import Profile, claim
 
-UNCOUNTED = "truth.json"
-"""File that the simulator writes beside its logs; it is no log and not counted."""
+UNCOUNTED = frozenset({"truth.json", "readme", "readme.md", "readme.txt", "license", "license.md", "license.txt"})
+"""Files that stand beside logs and are none (the first by the simulator), in small letters; not counted in folders."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class Source:
     problem: str | None = None
 
 
-def find_sources(paths: Sequence[Path], profiles: tuple[Profile, ...], exclude: Path) -> list[Source]:
+def find_sources(paths: Sequence[Path], profiles: tuple[Profile, ...], exclude: Path | None = None) -> list[Source]:
     """Return every log below the given folders and files, each once, in order of path.
 
     Parameters
@@ -53,7 +53,7 @@ def find_sources(paths: Sequence[Path], profiles: tuple[Profile, ...], exclude: 
         Folders, searched with all folders below, and files.
     profiles : tuple of Profile
         Profiles that may claim a file.
-    exclude : Path
+    exclude : Path, optional
         Folder that is left out (`processed/`, which may lie inside a searched folder).
 
     Raises
@@ -64,7 +64,7 @@ def find_sources(paths: Sequence[Path], profiles: tuple[Profile, ...], exclude: 
         If two profiles claim one file.
     """
     found: dict[str, Source] = {}
-    excluded = Path(os.path.abspath(exclude))
+    excluded = None if exclude is None else Path(os.path.abspath(exclude))
     for path in paths:
         if not path.exists():
             raise UsageError(f"{path}: no such file or folder. Give folders with logs, or single logs.")
@@ -76,11 +76,11 @@ def find_sources(paths: Sequence[Path], profiles: tuple[Profile, ...], exclude: 
     return [found[key] for key in sorted(found)]
 
 
-def _walk(folder: Path, exclude: Path) -> Iterator[Path]:
+def _walk(folder: Path, exclude: Path | None) -> Iterator[Path]:
     for here, folders, files in os.walk(folder):
         folders[:] = [f for f in folders if not f.startswith(".") and Path(os.path.abspath(here), f) != exclude]
         for name in files:
-            if not name.startswith(".") and name != UNCOUNTED:
+            if not name.startswith(".") and name.lower() not in UNCOUNTED:
                 yield Path(here, name)
 
 

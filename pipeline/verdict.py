@@ -81,7 +81,8 @@ def judge(batch: TrialBatch, response: Response | None = None) -> Verdicts:
     -----
     In a log without noise and quantum a mode that grows at all makes the trial unstable. With a sensor floor
     the growth must add more than the floor over the log, so that a bounded limit cycle of quantum size is
-    stable. A mode that is too small to be seen, and a motion shorter than `FEWEST_SAMPLES`, cannot be judged.
+    stable. A mode that is too small to be seen, a motion shorter than `FEWEST_SAMPLES`, and a trial without a step
+    (F_0 = 0) cannot be judged.
 
     Source: Hulin 2017, sec. 3.3 (stability), eq. 3.25 (K = 0) and sec. 6.1.1 (procedure).
     """

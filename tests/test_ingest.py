@@ -414,7 +414,7 @@ def test_a_declared_step_outside_the_log_is_refused(tmp_path, run):
 def test_pendulum_is_one_trial(run, processed, profile):
     assert counts(run(PENDULUM, profile=profile)) == (1, 1, 0, 0)
     (row,) = read_trials(processed, "dfki_pendulum", "torque-step").to_pylist()
-    assert (row["motion"], row["step"], row["stiffness"], row["rows"]) == ("rotation", 0.9, 0.0, 8000)
+    assert (row["motion"], row["step"], row["stiffness"], row["rows"]) == ("rotation", 0.9, 0.0, 797)  # up to 4 s
     batch = load_batch(processed, read_trials(processed))
     assert batch.command[0, 0] == 0.9
     assert batch.time[0, 1] == 2.349305152893066406e-02

@@ -13,7 +13,7 @@ import numpy as np
 from pipeline.batch import Integers
 from pipeline.errors import LogError, ParameterError
 from pipeline.native import NativeHeader, parse_header
-from pipeline.profile_model import CONDITION_QUANTITIES, REQUIRED_CONDITIONS, FileEntry
+from pipeline.profile_model import CONDITION_QUANTITIES, REQUIRED_CONDITIONS, FileEntry, StepEntry
 from pipeline.profiles import Profile
 from pipeline.readers.frame import Frame, Scalar
 from pipeline.units import factor_to_si
@@ -90,6 +90,33 @@ def conditions_of(
                 f'[[file]]\nmatch = "{name}"\n{condition} = <value>'
             )
     return {key: _in_si(profile, where, key, value) for key, value in given.items()}
+
+
+def places_of(profile: Profile, name: str, entry: FileEntry | None, step: StepEntry | None) -> dict[str, str]:
+    """Return the key of the profile that gives each condition of a trial, in the order of `conditions_of`.
+
+    Parameters
+    ----------
+    profile : Profile
+    name : str
+        File name.
+    entry, step : FileEntry, StepEntry, optional
+        What the profile says of the file and of the step.
+
+    Raises
+    ------
+    LogError
+        If the file name does not fit the profile.
+    """
+    places = dict.fromkeys(profile.constants.given(), "constants")
+    places |= dict.fromkeys(_of_name(profile, name), "name_pattern")
+    places |= {key: f"attributes: {attribute!r}" for key, attribute in profile.attributes.items()}
+    places |= {key: f"condition_columns: {column!r}" for key, column in profile.condition_columns.items()}
+    if entry is not None:
+        places |= dict.fromkeys(entry.given(), f"file, match = {entry.match!r}")
+    if step is not None:
+        places |= dict.fromkeys(step.given(), f"steps, label = {step.label!r}")
+    return places
 
 
 def header_of(profile: Profile, where: str, given: Mapping[str, Any], extra: dict[str, str]) -> NativeHeader:

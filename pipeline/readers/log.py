@@ -74,7 +74,8 @@ def check_samples(
     Raises
     ------
     LogError
-        If there are fewer than two samples, a value is not finite, or time does not increase strictly.
+        If there are fewer than two samples, a step of 0 is said to be in some row, a value is not finite, or time does
+        not increase strictly.
     """
 
     def place(at: int) -> int | None:
@@ -92,6 +93,11 @@ def check_samples(
         raise LogError(
             f"step_row is {step_row}, but the log has {len(time)} samples. Count from 0; correct header or profile.",
             place(0),
+        )
+    if header.step == 0 and "step_row" in header.extra:
+        raise LogError(
+            f"step is 0 (none was commanded), but the step is declared in row {step_row}. Give the size of the step, "
+            "or declare no row."
         )
     columns = {"time": time, "command": command, "position": position, "force": force, "velocity": velocity}
     for name, values in columns.items():
