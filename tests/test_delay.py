@@ -90,7 +90,9 @@ def test_a_declared_step_row_replaces_the_baseline():
     batch = simulate([3000.0], [50.0], **FALCON, baseline=0)
     response = declare_edge(batch, find_response(batch), 0)
     assert first_change(batch, response).delay_samples.tolist() == [4]
-    for row in (-1, 400):
+    kept = declare_edge(batch, find_response(batch), -1)  # -1 leaves a trial as its log shows it
+    assert kept.edge_reason == find_response(batch).edge_reason
+    for row in (-2, 400):
         with pytest.raises(ParameterError, match="expected 0 to 399"):
             declare_edge(batch, response, row)
 
