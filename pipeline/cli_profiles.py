@@ -58,11 +58,13 @@ def draft(
         Path | None, typer.Option("--out", help="Profile file to write; printed where not given.", show_default=False)
     ] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the profile file.")] = False,
+    as_json: Json = False,
 ) -> None:
     """Write a first profile for a sample: what is sure is filled in, the rest is asked.
 
     Lines "# QUESTION: key: ..." stand where units, signs, conditions and the like must not be guessed. Set the key
-    below and remove the line; `pipeline profile check` lists what is open.
+    below and remove the line; `pipeline profile check` lists what is open. With --json: the profile's text, the file
+    that was written (null where none), and the questions with line and key.
 
     Example: pipeline profile draft run_01.csv --out lab.toml
     """
@@ -73,16 +75,24 @@ def draft(
     if out is not None and out.exists() and not overwrite:
         raise UsageError(f"{out}: exists. Give another file, or --overwrite.")
     text = draft_profile(sample)
-    if out is None:
+    questions = find_questions(text)
+    if out is not None:
+        write_text(out, text)
+    if as_json:
+        asked = [{"line": q.line, "key": ".".join(map(str, q.place)), "question": q.text} for q in questions]
+        document = {"sample": str(sample), "out": None if out is None else str(out), "profile": text}
+        console.print_json({**document, "questions": asked})
+    elif out is None:
         console.say(text.rstrip("\n"))
-        return
-    write_text(out, text)
-    console.say(f"{out}: {len(find_questions(text))} questions are open")
+    else:
+        console.say(f"{out}: {len(questions)} questions are open")
 
 
 @quarantine_app.command("list")
 def list_(processed: Processed = Path("processed"), as_json: Json = False) -> None:
-    """List the logs in quarantine with id, path, row and reason.
+    """List the logs in quarantine with id, path, row, code and reason, and a line of a profile that might help.
+
+    Codes are explained in docs/logs.md.
 
     Example: pipeline quarantine list
     """
@@ -94,7 +104,10 @@ def list_(processed: Processed = Path("processed"), as_json: Json = False) -> No
         return
     for record in records:
         row = "" if record.row is None else f", row {record.row}"
-        console.say(f"{record_id(record)}  {record.path}{row}: {record.reason}")
+        code = "" if record.code is None else f" [{record.code}]"
+        console.say(f"{record_id(record)}  {record.path}{row}{code}: {record.reason}")
+        if record.profile_line is not None:
+            console.say(f"{'':16}  profile: {'; '.join(record.profile_line.splitlines())}")
     console.say(f"{len(records)} in quarantine")
 
 
@@ -108,20 +121,22 @@ def show(
 
     Example: pipeline quarantine show logs/run_01.csv
     """
-    from pipeline.quarantine import excerpt, find_record, record_id
+    from pipeline.quarantine import find_record, record_id
 
     record = find_record(processed, wanted)
-    lines = excerpt(processed, record)
     if as_json:
-        document = {"id": record_id(record), **record.model_dump(mode="json"), "excerpt": lines}
-        console.print_json(document)
+        console.print_json({"id": record_id(record), **record.model_dump(mode="json")})
         return
-    for key in ("path", "profile", "size", "row", "reason"):
+    for key in ("path", "profile", "size", "row", "byte", "code", "reason"):
         value = getattr(record, key)
         console.say(f"{key:<8} {'–' if value is None else value}")
-    if not lines:
+    if record.profile_line is not None:
+        console.say("this might help in the profile:")
+        for line in record.profile_line.splitlines():
+            console.say(f"    {line}")
+    if not record.excerpt:
         console.say("no excerpt: the file has no lines, could not be read, or was too large to be copied")
-    for number, line in lines:
+    for number, line in record.excerpt:
         console.say(f"{'>' if number == record.row else ' '} {number:>6}  {line}")
 
 
@@ -142,12 +157,14 @@ def retry(
 
     Example: pipeline quarantine retry --profile lab.toml
     """
+    from pipeline.file_names import path_of_text
     from pipeline.ingest import ingest
     from pipeline.quarantine import find_record, list_quarantine
 
     records = [find_record(processed, path) for path in paths] if paths else list_quarantine(processed)
-    present = [Path(record.path) for record in records if Path(record.path).exists()]
-    gone = [record.path for record in records if not Path(record.path).exists()]
+    sources = {record.path: path_of_text(record.path) for record in records}
+    present = [source for source in sources.values() if source.exists()]
+    gone = [path for path, source in sources.items() if not source.exists()]
     report = ingest(present, processed, profile, rehash=True)
     if as_json:
         console.print_json({**report.model_dump(mode="json"), "gone": gone})

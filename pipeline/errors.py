@@ -5,6 +5,42 @@ Every message says what is wrong, where, what was expected and found, and what t
 
 from __future__ import annotations
 
+from typing import Literal, Self
+
+Code = Literal[
+    "empty",
+    "too-short",
+    "encoding",
+    "header-missing",
+    "column-missing",
+    "row-length",
+    "not-a-number",
+    "no-value",
+    "not-finite",
+    "time-backwards",
+    "time-wrong",
+    "condition-missing",
+    "condition-wrong",
+    "profile-wrong",
+    "no-profile",
+    "lengths-differ",
+    "partner-missing",
+    "too-large",
+    "too-long-line",
+    "too-many-columns",
+    "too-deep",
+    "unpacks-too-large",
+    "unreadable",
+    "not-regular",
+    "changed-while-read",
+    "syntax",
+    "damaged",
+    "unsupported",
+    "library-missing",
+    "invalid",
+]
+"""Why a log is refused, for programs: a closed list, explained in docs/logs.md. The words of reasons may change."""
+
 EXIT_OK = 0
 EXIT_ERROR = 1
 EXIT_USAGE = 2
@@ -31,13 +67,25 @@ class LogError(PipelineError):
     reason : str
         What is wrong, expected, found and what to do.
     row : int, optional
-        Line number in the source file, counted from 1.
+        Row of the source file, counted from 1: its line, where the format has lines, else record, sample or message.
+    code : str
+        One of `Code`.
+    profile_line : str, optional
+        Line (or lines) of a profile by which the log might be read.
     """
 
-    def __init__(self, reason: str, row: int | None = None) -> None:
+    def __init__(
+        self, reason: str, row: int | None = None, *, code: Code = "invalid", profile_line: str | None = None
+    ) -> None:
         super().__init__(reason)
         self.reason = reason
         self.row = row
+        self.code = code
+        self.profile_line = profile_line
+
+    def reworded(self, reason: str) -> Self:
+        """Return the same refusal in other words, such as with the file in front."""
+        return type(self)(reason, self.row, code=self.code, profile_line=self.profile_line)
 
 
 class ProfileError(PipelineError):

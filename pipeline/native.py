@@ -35,9 +35,10 @@ _REQUIRED = {
     "sampling_period_s": "the sampling period T in s",
 }
 _OPTIONAL = ("added_delay_samples", "grip", "motion")
-_KEY_LINE = re.compile(r"#\s*([A-Za-z_][\w .\-/]*?)\s*:\s*(.*)")
+# in each pattern a run of blanks can be taken in one way only: others take minutes for a line of 10^4 blanks
+_KEY_LINE = re.compile(r"#\s*([A-Za-z_][\w\s.\-/]*):\s*(.*)")
 _NOTE_BEHIND_TEXT = re.compile(r"(?:^|\s)\[.*$")
-_OPTIONAL_NOTE = re.compile(r"\s{2,}optional\b.*$")
+_OPTIONAL_NOTE = re.compile(r"(?<!\s)\s{2,}optional\b.*$")
 
 
 @dataclass(frozen=True)
@@ -143,13 +144,14 @@ def parse_header(lines: Iterable[str]) -> NativeHeader:
         match = _KEY_LINE.fullmatch(text)
         if match is None:
             continue
-        key, value = match.groups()
+        key, value = match[1].rstrip(), match[2]
         if key in _REQUIRED or key in _OPTIONAL:
             if key in values:
                 raise LogError(
                     f"header gives {key!r} twice, first in line {values[key][1]}; expected it once. "
                     "Remove the wrong line.",
                     row,
+                    code="condition-wrong",
                 )
             values[key] = (value, row)
         else:
@@ -163,6 +165,7 @@ def parse_header(lines: Iterable[str]) -> NativeHeader:
             f"header has no {' and no '.join(repr(key) for key in missing)}; found {found}. "
             + " ".join(f"Add a line `# {key}: <value>` with {_REQUIRED[key]}." for key in missing),
             1,
+            code="condition-missing",
         )
     if "step_row" in extra:
         _count("step_row", extra["step_row"], 1)
@@ -191,6 +194,7 @@ def _name(key: str, value: str, row: int) -> str:
             f"{key} must be a printable name of 1 to {LONGEST_NAME} characters, found {name!r}. "
             f"Write {_REQUIRED[key]}.",
             row,
+            code="condition-wrong",
         )
     return name
 
@@ -205,9 +209,11 @@ def _number(key: str, value: str, row: int) -> float:
             f"{key} is given in {unit}; native logs are SI (N, m, rad, s). Multiply the value by "
             f"{known.factor:.9g} and correct the note, or describe the file by a profile.",
             row,
+            code="condition-wrong",
         )
     try:
-        number = float(text.replace("_", "?"))  # float() would take 1_000, which no other reader does
+        # float() would take 1_000 and digits of every script, which no other reader does
+        number = float(text.replace("_", "?")) if text.isascii() else math.nan
     except ValueError:
         number = math.nan
     if not math.isfinite(number):
@@ -215,6 +221,7 @@ def _number(key: str, value: str, row: int) -> float:
             f"{key} must be a finite number with a decimal point, found {text!r}. Write `# {key}: <number>`; "
             "a remark belongs into square brackets behind it.",
             row,
+            code="condition-wrong",
         )
     return number
 
@@ -222,19 +229,23 @@ def _number(key: str, value: str, row: int) -> float:
 def _period(value: str, row: int) -> float:
     period = _number("sampling_period_s", value, row)
     if period <= 0:
-        raise LogError(f"sampling_period_s must be above 0 s, found {period:g}. Write the period, such as 0.001.", row)
+        raise LogError(
+            f"sampling_period_s must be above 0 s, found {period:g}. Write the period, such as 0.001.",
+            row,
+            code="condition-wrong",
+        )
     return period
 
 
 def _count(key: str, value: str, row: int) -> int:
     number = _number(key, _OPTIONAL_NOTE.sub("", value), row)
     if number < 0 or number != int(number):
-        raise LogError(f"{key} must be a whole number of samples >= 0, found {number:g}.", row)
+        raise LogError(f"{key} must be a whole number of samples >= 0, found {number:g}.", row, code="condition-wrong")
     return int(number)
 
 
 def _choice(key: str, allowed: tuple[str, ...], value: str, row: int) -> str:
     word = _OPTIONAL_NOTE.sub("", value.partition("[")[0]).strip()
     if word not in allowed:
-        raise LogError(f"{key} must be one of {', '.join(allowed)}; found {word!r}.", row)
+        raise LogError(f"{key} must be one of {', '.join(allowed)}; found {word!r}.", row, code="condition-wrong")
     return word

@@ -14,7 +14,6 @@ import numpy as np
 from pipeline.batch import TrialBatch
 from pipeline.devices import known_devices
 from pipeline.errors import LogError
-from pipeline.ingest import load_source, motion_of
 from pipeline.models import Motion, Record
 from pipeline.profile_columns import QUANTITIES, ColumnSource, TimeSource
 from pipeline.profile_model import CONDITION_QUANTITIES, CONDITIONS
@@ -24,6 +23,7 @@ from pipeline.readers.conditions import entry_of, places_of
 from pipeline.readers.frame import ColumnInfo
 from pipeline.readers.mapping import format_module
 from pipeline.readers.time_axis import step_flags
+from pipeline.reading import load_source, motion_of
 from pipeline.response import NO_ROW, find_response
 from pipeline.sources import find_sources
 from pipeline.units import UNITS
@@ -99,12 +99,14 @@ def check_samples(profile: Profile, samples: Sequence[Path]) -> list[CheckedSamp
     checked = []
     for source in find_sources(samples, (profile,)):
         try:
-            if not profile.claims(source.path.name) and profile.log_of_partner(source.path) is None:
+            name = source.files[0].name if source.files else source.path.name
+            if not profile.claims(name) and profile.log_of_partner(source.path) is None:
                 raise LogError(
                     f"the name fits none of files = {list(profile.files)} of profile {profile.name}, so that "
-                    "`pipeline ingest` would not read it so. Correct `files`, or rename the log."
+                    "`pipeline ingest` would not read it so. Correct `files`, or rename the log.",
+                    code="no-profile",
                 )
-            raw, _ = load_source(source)
+            raw, _, _ = load_source(source)
             (outcome,) = reader_of(profile)(profile, [raw], False)
             if isinstance(outcome, LogError):
                 raise outcome

@@ -24,6 +24,15 @@ EXAMPLE_UNITS = {"time": "ms", "force": "N", "torque": "Nm", "length": "mm", "an
 """Units that messages show; `angular velocity` takes deg/s."""
 
 
+_NEGATED = {
+    "command": "a positive number pushes towards smaller positions",
+    "position": "its numbers fall as the device moves in the direction that counts as positive",
+    "force": "it counts against the command",
+    "velocity": "it counts against the position",
+}
+"""Where the sign of each column is -1."""
+
+
 class Source(Record):
     """A column of a file, with the unit of its numbers.
 
@@ -69,13 +78,13 @@ class ColumnSource(Source):
     Parameters
     ----------
     sign : {1, -1}
-        -1 where the axis of the column points against the axis of the position or the command.
+        -1 where the axis of the column points the other way; there is no default, because a sign is never guessed.
     stands_for : str, optional
         SI-like unit that one `unit` stands for, in logs of another kind: a heater's ``%`` that stands for ``N``. It is
         kept with each trial.
     """
 
-    sign: Literal[1, -1] = 1
+    sign: Literal[1, -1] | None = None
     stands_for: Name | None = None
 
 
@@ -140,7 +149,8 @@ def factor(key: str, source: Source, motion: Motion) -> float:
         If the unit is not known or does not fit the column.
     """
     if isinstance(source, ColumnSource):
-        sign, unit = source.sign, source.stands_for or source.unit
+        # a sign that is missing is a mistake of its own; here the unit is looked at
+        sign, unit = source.sign or 1, source.stands_for or source.unit
     else:
         sign, unit = 1, source.unit
     if unit is None:
@@ -165,6 +175,9 @@ def _source_problems(key: str, source: Source, motion: Motion, position_allowed:
     place = ("columns", key)
     problems: list[Problem] = []
     sampled = isinstance(source, TimeSource) and source.kind == "sampled"
+    if isinstance(source, ColumnSource) and source.sign is None:
+        text = f"missing; add the line sign = 1 or sign = -1 (-1 where {_NEGATED[key]})"
+        problems.append(((*place, "sign"), text))
     if source.name is not None and source.column is not None:
         problems.append(((*place, "column"), "given beside name; expected one of them"))
     if source.name is None and source.column is None and not sampled:

@@ -38,6 +38,11 @@ _ROLES = {
 }
 """Names that say beyond doubt what a column is, without their unit; symbols such as x or F do not."""
 
+_SIGN_QUESTIONS = {
+    "command": "does a positive command push towards greater positions (1), or against them (-1)?",
+    "position": "do its numbers rise in the direction that counts as positive (1), or fall (-1)?",
+}
+
 _UNIT_BEHIND = re.compile(r"(.*?)\s*(?:[\[(]([^\])]*)[\])]|_(s|ms|us|ns|m|mm|um|rad|deg|n|nm))?\s*", re.IGNORECASE)
 
 
@@ -75,7 +80,8 @@ def _lines(name: str, data: bytes, kind: Format) -> Iterator[str]:
         infos = [replace(info, hint="") for info in infos]
     if all(info.dtype == "text" for info in infos):
         raise LogError(
-            "it holds no columns of numbers with several rows. Export the recorded signals as plain columns."
+            "it holds no columns of numbers with several rows. Export the recorded signals as plain columns.",
+            code="empty",
         )
     packed = name.lower().endswith((".gz", ".zst"))
     suffix = "".join(Path(name).suffixes[-2 if packed else -1 :])
@@ -189,9 +195,8 @@ def _column(
     counts = " For counts give counts_per_unit, too." if key == "position" else ""
     answer = stated if fits else known[0]
     yield from _question(f"columns.{key}.unit", f"{said}One of {', '.join(known)}.{counts}", f"unit = {_toml(answer)}")
-    if key == "command":
-        words = "does a positive command push towards greater positions (1), or against them (-1)?"
-        yield from _question("columns.command.sign", words, "sign = 1")
+    if key in _SIGN_QUESTIONS:
+        yield from _question(f"columns.{key}.sign", _SIGN_QUESTIONS[key], "sign = 1")
     if key == "time":
         yield from _time_questions(info, frame)
 

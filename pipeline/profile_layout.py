@@ -159,14 +159,16 @@ def _table(lines: list[str], name: str) -> tuple[str, list[int]]:
     if len(best[1]) < FEWEST_ROWS:
         raise LogError(
             f"{name}: no table of numbers was found among the first {len(lines)} lines. Expected rows of the same "
-            "number of cells, parted by semicolons, tabs, commas or blanks. Export other formats as CSV."
+            "number of cells, parted by semicolons, tabs, commas or blanks. Export other formats as CSV.",
+            code="header-missing",
         )
     return best
 
 
 def _decimal(cells: list[str], delimiter: str, layout: Layout) -> None:
-    """Put the decimal sign into the layout, or ask where it could part thousands as well."""
+    """Put the decimal sign into the layout, or ask where none is seen or it could part thousands as well."""
     if delimiter == ",":
+        layout.keys["decimal"] = "."
         return
     numbers = [cell for cell in cells if _is_number(cell)]
     points, commas = [n for n in numbers if "." in n], [n for n in numbers if "," in n]
@@ -176,8 +178,12 @@ def _decimal(cells: list[str], delimiter: str, layout: Layout) -> None:
     elif (points or commas) and all(_GROUPED.fullmatch(number) for number in points or commas):
         shown = repr((points or commas)[0])
         layout.questions["decimal"] = f'is the sign in {shown} decimal ("." or ","), or does it part thousands?'
-    elif commas:
-        layout.keys["decimal"] = ","
+    elif points or commas:
+        layout.keys["decimal"] = "." if points else ","
+    else:
+        layout.questions["decimal"] = (
+            'the first rows have whole numbers only. Which decimal sign do its logs have: "." or ","?'
+        )
 
 
 def _head(above: list[str], width: int, delimiter: str, layout: Layout) -> None:

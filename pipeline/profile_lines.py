@@ -21,6 +21,14 @@ _PLACEHOLDERS: dict[str, Any] = {"name": "unnamed", "format": "delimited", "file
 QUESTION = "# QUESTION:"
 """Beginning of the lines of a draft in which something is asked that must not be guessed."""
 
+_NOT_ASKED: dict[str, tuple[str, ...]] = {
+    "step_row": ("step_at",),
+    "step_time_s": ("step_at",),
+    "column": ("name",),
+    "format": ("decimal",),
+}
+"""Keys beside a wrong one that are missing only because the wrong one was taken out."""
+
 _ROUNDS = 5
 """Times a profile is checked again without its mistakes; each round removes what the one before found, and nothing in a
 profile is nested deeper."""
@@ -65,7 +73,10 @@ def find_mistakes(values: dict[str, Any], text: str) -> list[Mistake]:
                 break
             # a key that was meant is not missing, too
             found |= new
-            found |= {(*place[:-1], meant): "" for place in new if (meant := _meant(place, new[place]))}
+            meant = [(*place[:-1], key) for place in new if (key := _meant(place, new[place]))]
+            found |= dict.fromkeys(meant, "")
+            beside = [(*p[:-1], key) for p in (*new, *meant) if p for key in _NOT_ASKED.get(str(p[-1]), ())]
+            found |= {place: "" for place in beside if place not in found}
             for place in new:
                 _remove(rest, place)
     mistakes = [Mistake(_line(lines, place), place, what) for place, what in found.items() if what]

@@ -114,6 +114,14 @@ class StepTime(Record):
         """Whether something is said about the step."""
         return (self.step_row, self.step_time_s, self.step_at) != (None, None, None)
 
+    def step_missing(self, place: tuple[str | int, ...]) -> Problem:
+        """Return what to add where nothing is said about the step."""
+        return (
+            (*place, "step_at"),
+            'missing; add the line step_at = "command edge" (the step is found in the command, and rows before it are '
+            'recorded), step_at = "first row", step_row = <row, counted from 0> or step_time_s = <seconds>',
+        )
+
     def step_problems(self, place: tuple[str | int, ...]) -> list[Problem]:
         """Return whether the step is declared twice."""
         given = [key for key in ("step_row", "step_time_s", "step_at") if getattr(self, key) is not None]
@@ -163,7 +171,8 @@ class Profile(TextLayout, StepTime):
     window : Window, optional
         Rows outside are not stored.
     step_row, step_time_s, step_at
-        See `StepTime`; by default the step is found in the command.
+        See `StepTime`. One of them is needed, here or in every entry of file or steps, but where the step is the
+        constant 0.
 
     Notes
     -----
@@ -236,9 +245,12 @@ class Profile(TextLayout, StepTime):
         elif self.partner.replace in self.partner.by or self.partner.by in self.partner.replace:
             found = f"found {self.partner.replace!r}, {self.partner.by!r}"
             yield ("partner", "by"), f"'replace' and 'by' must not contain each other, {found}"
+        elif any(sign in self.partner.by for sign in "/\\\0"):
+            yield ("partner", "by"), f"must be part of a file name in the same folder, found {self.partner.by!r}"
 
     def _part_problems(self) -> Iterator[Problem]:
         yield from self.step_problems(())
+        yield from self._undeclared_steps()
         if self.window is not None:
             yield from self.window.window_problems(("window",))
         for index, entry in enumerate(self.file):
@@ -259,6 +271,26 @@ class Profile(TextLayout, StepTime):
         windows = self.window is not None or any(entry.window for entry in self.file)
         if self.steps and (self.trial_column is not None or windows):
             yield ("steps",), "given beside trial_column or a window; expected one of them"
+
+    def _undeclared_steps(self) -> Iterator[Problem]:
+        """Yield where it is not said when the step happens: at the top, or in entries of [[steps]] or [[file]]."""
+        groups = frozenset[str]() if pattern_problem(self.name_pattern) else self.name_groups()
+        varies = "step" in groups | set(self.attributes) | set(self.condition_columns)
+        constant = None if varies else self.constants.step
+
+        def silent(entry: FileEntry | StepEntry) -> bool:
+            return not entry.declared and (constant if entry.step is None else entry.step) != 0
+
+        entries: dict[str, tuple[FileEntry | StepEntry, ...]] = {"steps": self.steps, "file": self.file}
+        if self.declared or (constant == 0 and not any(silent(entry) for part in entries.values() for entry in part)):
+            return
+        told = {key: part for key, part in entries.items() if any(entry.declared for entry in part)}
+        if not told:
+            yield self.step_missing(())
+        # steps whose file says it need not say it again, nor the other way round
+        elif all(any(silent(entry) for entry in part) for part in told.values()):
+            for key, part in told.items():
+                yield from (self.step_missing((key, index)) for index, entry in enumerate(part) if silent(entry))
 
     def _condition_problems(self) -> Iterator[Problem]:
         for key, quantities in CONDITION_QUANTITIES.items():

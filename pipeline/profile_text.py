@@ -24,6 +24,7 @@ class TextLayout(Record):
     delimiter : str
         One character, or ``"blanks"`` for runs of blanks and tabs.
     decimal : {".", ","}
+        Needed, because "1,234" is two numbers: there is no default.
     encoding : {"utf-8", "utf-16", "latin-1", "cp1252"}
         A byte order mark is legal in UTF-8 and UTF-16.
     skip_rows : int
@@ -47,7 +48,7 @@ class TextLayout(Record):
     """
 
     delimiter: Annotated[str, Field(min_length=1)] = ","
-    decimal: Literal[".", ","] = "."
+    decimal: Literal[".", ","] | None = None
     encoding: Literal["utf-8", "utf-16", "latin-1", "cp1252"] = "utf-8"
     skip_rows: Annotated[int, Field(ge=0)] = 0
     header: bool = True
@@ -60,12 +61,21 @@ class TextLayout(Record):
     blank_lines: Literal["refuse", "skip"] = "refuse"
     missing: tuple[str, ...] = ()
 
+    @property
+    def decimal_sign(self) -> str:
+        """Decimal sign of numbers in texts; a point in formats that keep numbers as such, where none is stated."""
+        return self.decimal or "."
+
     def layout_problems(self) -> list[Problem]:
         """Return what does not fit together in the layout."""
         problems: list[Problem] = []
         if len(self.delimiter) != 1 and self.delimiter != BLANKS:
             found = f"found {self.delimiter!r}"
             problems.append((("delimiter",), f"expected one character or {BLANKS!r}, {found}"))
+        if self.decimal is None:
+            problems.append(
+                (("decimal",), """missing; add the line decimal = "." or decimal = ",", as the file has it""")
+            )
         if self.delimiter == self.decimal:
             problems.append((("decimal",), f"{self.decimal!r} as the delimiter is; expected different characters"))
         for key in ("header_after", "header_at"):

@@ -19,10 +19,13 @@ CONDITIONS = {"device": "bench", "experiment": "1", "stiffness": 1, "damping": 1
 
 def profile(header=True, names=("t", "x", "F"), **layout) -> Profile:
     columns = {
-        key: {"unit": unit} | ({"name": name} if header else {"column": column})
+        key: {"unit": unit}
+        | ({} if key == "time" else {"sign": 1})
+        | ({"name": name} if header else {"column": column})
         for (key, (column, unit)), name in zip(POSITIONS.items(), names, strict=True)
     }
     values = {"name": "lab", "format": "delimited", "files": ["*"], "columns": columns, "constants": CONDITIONS}
+    values |= {"decimal": ".", "step_at": "command edge"}
     return Profile.model_validate(values | {"header": header} | layout)
 
 
@@ -104,7 +107,7 @@ def test_packed_files_hold_the_same_values(pack):
 
 def test_a_file_that_unpacks_to_too_much_is_refused(monkeypatch):
     monkeypatch.setattr(plain_text_module, "LARGEST_TEXT", 1000)
-    with pytest.raises(LogError, match="holds more than 1000 bytes"):
+    with pytest.raises(LogError, match=r"claims \d+ bytes in a file of \d+; expected at most 1000"):
         read(gzip.compress(PLAIN.encode() + b"3,0,0\n" * 200))
 
 

@@ -102,7 +102,7 @@ def test_the_foreign_course_gives_the_same_trials_as_the_simulated_logs(capsys):
         assert abs(a[4][:rows] - b[4][:rows]).max() < 1e-6
 
 
-FAMILIES = re.findall(r"^### (.*)$", PAGE, re.MULTILINE)
+FAMILIES = re.findall(r"^### (.*)$", section("## One example for each kind of file"), re.MULTILINE)
 
 
 @pytest.mark.parametrize("title", FAMILIES)

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from native_logs import log_text
 
+from pipeline import disk
 from pipeline import ingest as ingest_module
-from pipeline import trialstore
 from pipeline.ingest import ingest
 from pipeline.storage import load_batch, read_trials
 from pipeline.tables import read_table
@@ -19,7 +19,10 @@ HEAD = """
 name = "lab"
 format = "delimited"
 files = ["*.txt"]
+decimal = "."
+step_at = "command edge"
 """
+EDGE = 'step_at = "command edge"\n'
 CONSTANTS = """
 [constants]
 device = "bench"
@@ -32,8 +35,8 @@ sampling_period_s = 0.001
 COLUMNS = """
 [columns]
 time = { name = "t", unit = "ms" }
-command = { name = "F", unit = "N" }
-position = { name = "x", unit = "mm" }
+command = { name = "F", unit = "N", sign = 1 }
+position = { name = "x", unit = "mm", sign = 1 }
 """
 
 
@@ -92,8 +95,10 @@ def close(found, expected):
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "latin-1"])
 def test_semicolons_decimal_commas_umlauts_and_a_trailing_delimiter(lab, encoding):
-    toml = HEAD + COLUMNS.replace('"F"', '"Kraft für Größe"').replace('"x", unit = "mm"', '"Weg [µm]", unit = "µm"')
-    layout = 'delimiter = ";"\ndecimal = ","\ntrailing_delimiter = true\nunit_line = true\n'
+    toml = HEAD.replace('"."', '","') + COLUMNS.replace('"F"', '"Kraft für Größe"').replace(
+        '"x", unit = "mm"', '"Weg [µm]", unit = "µm"'
+    )
+    layout = 'delimiter = ";"\ntrailing_delimiter = true\nunit_line = true\n'
     layout += f'encoding = "{encoding.removesuffix("-sig")}"\n'
     text = "Kraft für Größe;t;Weg [µm];\nN;ms;µm;\n0,5;0;-1,25;\n8,0;1;2;\n8,0;2,5;1e3;\n"
     trial, samples, warnings = lab.one(
@@ -113,11 +118,13 @@ format = "delimited"
 files = ["*_enc.txt"]
 header = false
 delimiter = "blanks"
+decimal = "."
+step_at = "command edge"
 partner = { replace = "_enc", by = "_cmd" }
 [columns]
 time = { column = 2, unit = "us" }
 position = { column = 1, unit = "rev", counts_per_unit = 4096, sign = -1, provenance = "quadrature encoder" }
-command = { column = 2, unit = "mNm", file = "partner" }
+command = { column = 2, unit = "mNm", sign = 1, file = "partner" }
 [constants]
 device = "lever"
 experiment = "1"
@@ -248,7 +255,7 @@ def test_rows_before_the_first_value_that_holds_are_left_out(lab):
 
 
 def test_a_command_at_its_target_in_the_first_row_after_a_long_first_step(lab):
-    toml = HEAD + 'step_at = "first row"\n' + COLUMNS + CONSTANTS.replace("0.001", "0.005")
+    toml = HEAD.replace("command edge", "first row") + COLUMNS + CONSTANTS.replace("0.001", "0.005")
     text = "t,F,x\n0,8,0\n23.5,8,0\n28.5,8,1\n33.5,8,2\n"
     trial, samples, _ = lab.one(toml, text)
     close(samples["time_s"], [0, 0.0235, 0.0285, 0.0335])
@@ -268,15 +275,20 @@ def test_one_clean_step_and_then_disturbances_with_and_without_a_window(lab):
         (trial,) = lab.trials
         close(lab.samples(trial)["position"], np.arange(10) * 1e-3)
         assert trial["time_quality"]["outside_window"] == 10
-    lab.ingest(HEAD + "window = { from_s = 0.0002, to_s = 0.0009 }\nstep_row = 4\n" + COLUMNS + constants, {})
+    lab.ingest(
+        HEAD.replace(EDGE, "window = { from_s = 0.0002, to_s = 0.0009 }\nstep_row = 4\n") + COLUMNS + constants, {}
+    )
     (trial,) = lab.trials
     assert (trial["rows"], trial["extra"]["step_row"]) == (8, "2"), "row 4 of the file is row 2 of the window"
-    (refusal,) = lab.ingest(HEAD + "window = { to_s = 0.0009 }\nstep_row = 12\n" + COLUMNS + constants, {}).quarantined
+    late = HEAD.replace(EDGE, "window = { to_s = 0.0009 }\nstep_row = 12\n")
+    (refusal,) = lab.ingest(late + COLUMNS + constants, {}).quarantined
     assert "step_row is 12, which is not among the 10 samples" in refusal.reason
 
 
 def test_negated_degrees_and_a_sentinel(lab):
-    columns = COLUMNS.replace('"mm"', '"deg", sign = -1, sentinels = [-3276.8]').replace('unit = "N"', 'unit = "Nm"')
+    columns = COLUMNS.replace('"mm", sign = 1', '"deg", sign = -1, sentinels = [-3276.8]').replace(
+        'unit = "N"', 'unit = "Nm"'
+    )
     toml = HEAD + columns + CONSTANTS + 'motion = "rotation"\n'
     text = "t,F,x\n0,0,0\n1,8,90\n2,8,-3276.8\n3,8,-45\n"
     row, reason = lab.refused(toml, text)
@@ -290,7 +302,7 @@ def test_negated_degrees_and_a_sentinel(lab):
 
 
 def test_a_measured_step_of_two_thirds_of_the_commanded_one_is_kept_beside_it(lab):
-    columns = COLUMNS + 'force = { name = "G", unit = "N", provenance = "motor current" }\n'
+    columns = COLUMNS + 'force = { name = "G", unit = "N", sign = 1, provenance = "motor current" }\n'
     trial, samples, _ = lab.one(HEAD + columns + CONSTANTS, "t,F,x,G\n0,0,0,0\n1,8,0,5.36\n2,8,1,5.36\n")
     assert (trial["step"], samples["command"], samples["force"]) == (8, [0, 8, 8], [0, 5.36, 5.36])
     assert trial["extra"]["provenance.force"] == "motor current"
@@ -364,15 +376,16 @@ def test_an_interrupted_source_is_completed(lab, monkeypatch, call):
     toml = LONG_TOML.replace('stiffness = "K" }', 'stiffness = "K", experiment = "run" }').replace(
         'experiment = "1"\n', ""
     )
-    original, calls = trialstore.write_table, []
+    calls = []
 
-    def write_or_fail(path, table):
-        calls.append(path)
+    def publish_or_fail(file, name):
+        calls.append(name)
         if len(calls) == call:
             raise OSError(28, "No space left on device")
-        original(path, table)
+        return original(file, name)
 
-    monkeypatch.setattr(trialstore, "write_table", write_or_fail)
+    original = disk.NewFile.publish
+    monkeypatch.setattr(disk.NewFile, "publish", publish_or_fail)
     with pytest.raises(Exception, match="No space left"):
         lab.ingest(toml, {"long.txt": LONG})
     monkeypatch.undo()
@@ -411,15 +424,28 @@ step_at = "first row"
     assert down["time_quality"]["outside_window"] == 6
 
 
+def test_a_file_whose_step_nobody_declared_is_refused(lab):
+    toml = HEAD.replace(EDGE, "") + COLUMNS + CONSTANTS + '[[file]]\nmatch = "a*"\nstep_row = 1\n'
+    text = "t,F,x\n0,0,0\n1,8,0\n"
+    report = lab.ingest(toml, {"a.txt": text, "b.txt": text + "2,8,1\n"})
+    assert [trial["extra"]["step_row"] for trial in lab.trials] == ["1"]
+    (refusal,) = report.quarantined
+    assert refusal.path.endswith("b.txt")
+    assert 'does not say when the step of this file happens. Add to it step_at = "command edge"' in refusal.reason
+    # where none was commanded there is nothing to declare
+    lab.ingest(toml.replace("step = 8", "step = 0").replace("step_row = 1", "step = 8\nstep_row = 1"), {})
+    assert len(lab.trials) == 2
+
+
 def test_conditions_come_from_the_most_special_place(lab):
     toml = (
-        HEAD
-        + 'name_pattern = "B(?P<damping>[0-9,]+)"\ndecimal = ","\ndelimiter = ";"\n'
+        HEAD.replace('"."', '","').replace(EDGE, "")
+        + 'name_pattern = "B(?P<damping>[0-9,]+)"\ndelimiter = ";"\n'
         + 'units = { damping = "Ns/mm", sampling_period_s = "ms" }\n'
         + COLUMNS
         + CONSTANTS.replace("sampling_period_s = 0.001", "sampling_period_s = 1").replace("step = 8\n", "")
         + '[[file]]\nmatch = "B2,5_*"\nstep = 8\nstiffness = 77\nstep_row = 1\n'
-        + '[[file]]\nmatch = "B2,5_odd*"\nstep = 4\n'
+        + '[[file]]\nmatch = "B2,5_odd*"\nstep = 4\nstep_at = "first row"\n'
     )
     text = "t;F;x\n0;0;0\n1;8;0\n"
     report = lab.ingest(toml, {"B2,5_a.txt": text, "B2,5_odd.txt": text + "2;8;1\n", "B3_a.txt": text + "3;8;1\n"})
@@ -472,7 +498,7 @@ def test_a_log_of_another_kind_says_what_its_units_stand_for(lab):
             "position must be a number (column 'x', decimal sign '.'), found 'much'",
         ),
         ("t,F,x\n0,0,0\n1,8,inf\n2,8,1\n", 3, "run.txt: position is inf"),
-        ('t,F,x\n0,0,0\n1,8,"1,5"\n2,8,1\n', 3, 'Add decimal = "," to profile lab if that is its decimal sign'),
+        ('t,F,x\n0,0,0\n1,8,"1,5"\n2,8,1\n', 3, 'Write decimal = "," in profile lab if that is its decimal sign'),
         ("t,F,x\n0,0,0\n", 2, "has 1 samples"),
     ],
 )
@@ -522,9 +548,11 @@ fraction = { name = "ns", unit = "ns" }
 [columns.command]
 name = "ns"
 unit = "N"
+sign = 1
 [columns.position]
 name = "x"
 unit = "m"
+sign = 1
 """
     report = lab.ingest(toml, {"1_a.txt": "ns,x\n0,0\n8,1\n", "1_b.txt": "s,ns\n3,999999000\n4,1000000\n"})
     assert not report.quarantined, report.quarantined[0].reason

@@ -20,7 +20,7 @@ from pipeline.profiles import read_profile, shipped_profiles
 
 COMMANDS = {
     "profile check": ["--json"],
-    "profile draft": ["--out", "--overwrite"],
+    "profile draft": ["--out", "--overwrite", "--json"],
     "quarantine list": ["--processed", "--json"],
     "quarantine show": ["--processed", "--json"],
     "quarantine retry": ["--profile", "--processed", "--json"],
@@ -32,6 +32,7 @@ files = ["K*.csv"]
 delimiter = ";"
 decimal = ","
 name_pattern = "K(?P<stiffness>[0-9.]+)"
+step_at = "command edge"
 
 [columns.time]
 name = "t"
@@ -40,10 +41,12 @@ unit = "ms"
 [columns.command]
 name = "F"
 unit = "N"
+sign = 1
 
 [columns.position]
 name = "x"
 unit = "mm"
+sign = 1
 
 [constants]
 device = "bench"
@@ -147,7 +150,7 @@ def test_check_shows_what_ingest_stores(call, lab):
 @pytest.mark.parametrize(
     ("name", "text", "row", "words"),
     [
-        ("K300.csv", LOG.replace("8;0,25", "8;0.25"), 5, 'Add decimal = "."'),
+        ("K300.csv", LOG.replace("8;0,25", "8;0.25"), 5, 'Write decimal = "."'),
         ("K300.csv", LOG.replace("8;0,25", ";0,25"), 5, 'blanks = "skip"'),
         ("run.csv", LOG, None, "fits none of files = ['K*.csv']"),
         ("Kx.csv", LOG, None, "does not fit name_pattern"),
@@ -179,8 +182,8 @@ def test_a_wrong_profile_leaves_with_1_and_all_of_its_mistakes(call, lab):
     lines = [line for line in err.splitlines() if line.startswith("lab.toml:")]
     assert [re.match(r"lab\.toml:(\d+): key '(.*?)'", line).groups() for line in lines] == [
         ("5", "decimals"),
-        ("18", "columns.position.unit"),
-        ("20", "constants.step"),
+        ("20", "columns.position.unit"),
+        ("23", "constants.step"),
     ]
 
 
@@ -206,6 +209,8 @@ ANSWERS = {
     "constants.step": "8",
     "constants.sampling_period_s": "0.001",
     "columns.command.sign": "1",
+    "columns.position.sign": "1",
+    "decimal": '"."',
 }
 
 
@@ -255,13 +260,20 @@ def test_layout_of_a_text_is_found(name):
 
 @pytest.mark.parametrize(
     ("cells", "asked"),
-    [("1,234 2,345", True), ("0,234 2,345", False), ("1.5 1,234", True), ("12,34 1,5", False), ("1 2", False)],
+    [
+        ("1,234 2,345", True),
+        ("0,234 2,345", False),
+        ("1.5 1,234", True),
+        ("12,34 1,5", False),
+        ("1 2", True),
+        ("0.5 1", False),
+    ],
 )
 def test_a_decimal_mark_that_could_part_thousands_is_asked(cells, asked):
     first, second = cells.split()
     layout = text_layout("x", f"a;b\n{first};{second}\n{first};{second}\n{first};{second}\n".encode())
     assert ("decimal" in layout.questions) == asked
-    assert ("decimal" in layout.keys) == (not asked and "," in cells)
+    assert layout.keys.get("decimal") == (None if asked else "," if "," in cells else ".")
 
 
 @pytest.mark.parametrize("text", ["", "hello\n", "a;b\nc;d\ne;f\n", "1\n2\n3\n"])
@@ -272,7 +284,7 @@ def test_a_text_without_a_table_is_refused(text):
 
 def test_a_draft_asks_and_is_refused_until_it_is_answered(call, tmp_path):
     (tmp_path / "K300.csv").write_bytes(GERMAN.encode("latin-1"))
-    assert call("profile", "draft", "K300.csv", "--out", "lab.toml") == (0, "lab.toml: 14 questions are open\n", "")
+    assert call("profile", "draft", "K300.csv", "--out", "lab.toml") == (0, "lab.toml: 15 questions are open\n", "")
     text = (tmp_path / "lab.toml").read_text(encoding="utf-8")
     assert call("profile", "draft", "K300.csv")[1] == text
     # nothing that must not be guessed is set
@@ -282,7 +294,7 @@ def test_a_draft_asks_and_is_refused_until_it_is_answered(call, tmp_path):
     for command in (("profile", "check", "lab.toml", "K300.csv"), ("ingest", ".", "--profile", "lab.toml")):
         status, out, err = call(*command)
         assert (status, out) == (1, "")
-        assert "14 open questions in this profile" in err
+        assert "15 open questions in this profile" in err
         told = re.findall(r"^lab\.toml:(\d+): key '(.*?)': open question", err, re.MULTILINE)
         assert told == [(str(q.line), ".".join(map(str, q.place))) for q in find_questions(text)]
     status, _, err = call("profile", "draft", "K300.csv", "--out", "lab.toml")
@@ -307,10 +319,26 @@ def test_a_draft_asks_and_is_refused_until_it_is_answered(call, tmp_path):
     }
 
 
+def test_a_draft_as_one_json_document(call, tmp_path):
+    (tmp_path / "K300.csv").write_bytes(GERMAN.encode("latin-1"))
+    status, out, err = call("profile", "draft", "K300.csv", "--json")
+    document = json.loads(out)
+    assert (status, err, document["sample"], document["out"]) == (0, "", "K300.csv", None)
+    assert document["profile"] == call("profile", "draft", "K300.csv")[1]
+    asked = [(q.line, ".".join(map(str, q.place))) for q in find_questions(document["profile"])]
+    assert [(q["line"], q["key"]) for q in document["questions"]] == asked
+    assert {"step_at", "columns.command.sign", "columns.position.sign"} <= {key for _, key in asked}
+    _, out, _ = call("profile", "draft", "K300.csv", "--out", "lab.toml", "--json")
+    assert json.loads(out) == document | {"out": "lab.toml"}
+    assert (tmp_path / "lab.toml").read_text(encoding="utf-8") == document["profile"]
+
+
 def test_one_open_question_is_enough_to_refuse(tmp_path):
     path = tmp_path / "lab.toml"
-    path.write_text(TOML.replace('unit = "N"', 'unit = "N"\n# QUESTION: columns.command.sign: 1 or -1?\n# sign = 1'))
-    with pytest.raises(ProfileError, match=r"lab\.toml:15: key 'columns\.command\.sign': open question: 1 or -1\?"):
+    path.write_text(
+        TOML.replace('unit = "N"\nsign = 1', 'unit = "N"\n# QUESTION: columns.command.sign: 1 or -1?\n# sign = 1')
+    )
+    with pytest.raises(ProfileError, match=r"lab\.toml:16: key 'columns\.command\.sign': open question: 1 or -1\?"):
         read_profile(path)
 
 
@@ -405,7 +433,8 @@ def test_quarantine_is_listed_and_shown(call, refused, tmp_path):
     assert (tmp_path / "processed" / "quarantine" / record["id"]).is_dir()
     status, out, _ = call("quarantine", "list")
     assert status == 0
-    assert out.splitlines() == [f"{record['id']}  {record['path']}, row {row}: {record['reason']}", "1 in quarantine"]
+    line = f"{record['id']}  {record['path']}, row {row} [{record['code']}]: {record['reason']}"
+    assert out.splitlines() == [line, "1 in quarantine"]
     by_path = call("quarantine", "show", "logs/bad.csv")
     assert by_path == call("quarantine", "show", record["id"])
     lines = text.splitlines()

@@ -25,6 +25,7 @@ delimiter = ";"
 decimal = ","
 skip_rows = 1
 name_pattern = "K(?P<stiffness>[0-9.]+)"
+step_at = "command edge"
 [columns.time]
 name = "t"
 unit = "ms"
@@ -35,6 +36,7 @@ sign = -1
 [columns.position]
 name = "x"
 unit = "µm"
+sign = 1
 [constants]
 device = "bench"
 experiment = "1"
@@ -125,7 +127,7 @@ def test_a_file_name_without_its_constants_is_refused(profile_file):
 
 def test_files_of_a_pair_need_the_same_rows(profile_file):
     toml = TOML.replace('name = "F"', 'file = "partner"\nname = "F"')
-    toml = toml.replace("skip_rows = 1", '[partner]\nreplace = "_m"\nby = "_d"').replace(
+    toml = toml.replace("skip_rows = 1", 'partner = { replace = "_m", by = "_d" }').replace(
         'name_pattern = "K(?P<stiffness>[0-9.]+)"', ""
     )
     toml = toml.replace("[constants]", "[constants]\nstiffness = 0")
@@ -140,23 +142,23 @@ def test_files_of_a_pair_need_the_same_rows(profile_file):
     [
         ("decimal", "decimals", 6, "key 'decimals': not known; did you mean 'decimal'"),
         ("decimal", "origin", 6, "key 'origin': not known; expected one of .*'decimal'"),
-        ('unit = "ms"', 'units = "ms"', 11, "key 'columns.time.units': not known; did you mean 'unit'"),
-        ('unit = "ms"', "", 9, "key 'columns.time.unit': missing; a unit is never guessed. Add unit = \"ms\".*'t'"),
-        ('unit = "ms"', 'unit = "mm"', 11, "key 'columns.time.unit': unit 'mm' measures length; expected time"),
-        ('unit = "mN"', 'unit = "lbf"', 14, "'columns.command.unit': unit 'lbf' is not known; expected force"),
-        ('unit = "mN"', 'unit = "count"', 14, "unit 'count' is not known.*give counts_per_unit and the unit"),
-        ("step = 8", "", 19, "key 'constants.step': missing. Add step = <number> to .constants., or"),
-        ("step = 8", 'step = "x"', 23, "key 'constants.step'.*found 'x'"),
-        ("sampling_period_s = 0.001", "sampling_period_s = 0", 24, "key 'constants.sampling_period_s'"),
-        ("sign = -1", "sign = 2", 15, "key 'columns.command.sign'"),
+        ('unit = "ms"', 'units = "ms"', 12, "key 'columns.time.units': not known; did you mean 'unit'"),
+        ('unit = "ms"', "", 10, "key 'columns.time.unit': missing; a unit is never guessed. Add unit = \"ms\".*'t'"),
+        ('unit = "ms"', 'unit = "mm"', 12, "key 'columns.time.unit': unit 'mm' measures length; expected time"),
+        ('unit = "mN"', 'unit = "lbf"', 15, "'columns.command.unit': unit 'lbf' is not known; expected force"),
+        ('unit = "mN"', 'unit = "count"', 15, "unit 'count' is not known.*give counts_per_unit and the unit"),
+        ("step = 8", "", 21, "key 'constants.step': missing. Add step = <number> to .constants., or"),
+        ("step = 8", 'step = "x"', 25, "key 'constants.step'.*found 'x'"),
+        ("sampling_period_s = 0.001", "sampling_period_s = 0", 26, "key 'constants.sampling_period_s'"),
+        ("sign = -1", "sign = 2", 16, "key 'columns.command.sign'"),
         ("sign = -1", 'file = "partner"', 1, r"key 'partner': missing, but columns.command"),
-        ("sign = -1", "column = 3", 15, "'columns.command.column': given beside name"),
-        ("sign = -1", "counts_per_unit = 0", 15, "counts_per_unit.*greater than 0, found 0"),
-        ('name = "F"', "", 12, "'columns.command.name': missing. Add name = "),
-        ("skip_rows = 1", "header = false", 10, "'columns.time.name': the table has no names"),
+        ("sign = -1", "column = 3", 16, "'columns.command.column': given beside name"),
+        ("sign = -1", "counts_per_unit = 0", 16, "counts_per_unit.*greater than 0, found 0"),
+        ('name = "F"', "", 13, "'columns.command.name': missing. Add name = "),
+        ("skip_rows = 1", "header = false", 11, "'columns.time.name': the table has no names"),
         ("skip_rows = 1", 'header_at = "["', 7, "'header_at': no regular expression"),
         ("skip_rows = 1", 'records = "x"', 7, "'records': for format json"),
-        ("skip_rows = 1", 'step_row = 1\nstep_at = "first row"', 8, "'step_at': given beside step_row"),
+        ("skip_rows = 1", "step_row = 1", 9, "'step_at': given beside step_row"),
         ("skip_rows = 1", "window = { from_s = 2, to_s = 1 }", 7, "'window.to_s': 1.0 is not above from_s = 2.0"),
         ("skip_rows = 1", "window = { from_s = 2, to_row = 9 }", 7, "limits by row stand beside limits by time"),
         (
@@ -167,9 +169,9 @@ def test_files_of_a_pair_need_the_same_rows(profile_file):
         ),
         ("skip_rows = 1", 'file = [{ match = "a", matc = "b" }]', 7, "'file.0.matc': not known; did you mean 'match'"),
         ("skip_rows = 1", 'attributes = { stifness = "K" }', 7, "'attributes.stifness'.*'stiffness'"),
-        ('unit = "ms"', 'unit = "ms"\nwrap = 65536', 12, "'columns.time.wrap': for kind = \"counter\""),
-        ('unit = "ms"', 'unit = "ms"\nblanks = "hold"', 12, "'columns.time.blanks': a time stamp cannot hold on"),
-        ('unit = "ms"', 'unit = "ms"\nkind = "steps"\norder = "sort"', 13, "'columns.time.order'"),
+        ('unit = "ms"', 'unit = "ms"\nwrap = 65536', 13, "'columns.time.wrap': for kind = \"counter\""),
+        ('unit = "ms"', 'unit = "ms"\nblanks = "hold"', 13, "'columns.time.blanks': a time stamp cannot hold on"),
+        ('unit = "ms"', 'unit = "ms"\nkind = "steps"\norder = "sort"', 14, "'columns.time.order'"),
         ('format = "delimited"', "", 1, "key 'format': missing"),
         ('format = "delimited"', 'format = "parquet"', 5, "'delimiter': for format delimited, found parquet"),
         ('format = "delimited"', 'format = "native"', 3, "'format': a native log brings all of .*'columns'"),
@@ -198,11 +200,12 @@ def test_a_misspelt_key_is_one_mistake_and_not_missing_too(profile_file):
 FIVE = """name = "lab"
 format = "delimited"
 files = ["run_*.txt"]
+step_at = "command edge"
 decimals = ","
 
 [columns]
 time = { name = "t", unit = "ms" }
-command = { name = "F", unit = "N", sentinels = [
+command = { name = "F", unit = "N", sign = 1, sentinels = [
     -3276.8,
 ] }
 
@@ -236,21 +239,138 @@ def test_all_mistakes_of_a_profile_are_told_at_once(profile_file):
     assert head == "5 mistakes in this profile:"
     found = [re.match(r".*lab\.toml:(\d+): key '(.*?)'", line).groups() for line in lines]
     assert found == [
-        ("4", "decimals"),
-        ("12", "columns.position.unit"),
-        ("14", "columns.position.sign"),
-        ("21", "constants.sampling_period_s"),
-        ("30", "file.1.step_time_s"),
+        ("5", "decimals"),
+        ("13", "columns.position.unit"),
+        ("15", "columns.position.sign"),
+        ("22", "constants.sampling_period_s"),
+        ("31", "file.1.step_time_s"),
     ]
     path.write_text(
         FIVE.replace("decimals", "decimal")
-        .replace("sign = 3", 'unit = "mm"')
+        .replace("sign = 3", 'unit = "mm"\nsign = 1')
         .replace('"soon"', "0.001")
         .replace("step_time_s = 0.1", "step = 8")
-        .replace('decimal = ","', 'delimiter = ";"'),
+        .replace('decimal = ","', 'decimal = ","\ndelimiter = ";"'),
         encoding="utf-8",
     )
     assert read_profile(path).file[1].step == 8
+
+
+SILENT = """name = "lab"
+format = "delimited"
+files = ["run_*.txt"]
+
+[columns.time]
+name = "t"
+unit = "ms"
+
+[columns.command]
+name = "F"
+unit = "N"
+
+[columns]
+position = { name = "x", unit = "mm" }
+force = { name = "g", unit = "N" }
+velocity = { name = "v", unit = "mm/s" }
+
+[constants]
+device = "bench"
+experiment = "1"
+stiffness = 300
+damping = 2
+step = 8
+sampling_period_s = 0.001
+"""
+
+
+def missing(path):
+    """Line and key of each mistake of a profile; all of them say which line to add."""
+    with pytest.raises(ProfileError) as error:
+        read_profile(path)
+    lines = [line for line in str(error.value).splitlines() if line.startswith(str(path))]
+    found = [re.fullmatch(r".*?:(\d+): key '(.*?)': missing; add the line (.*)", line).groups() for line in lines]
+    return [(int(line), key, words) for line, key, words in found]
+
+
+def test_signs_decimal_mark_and_step_are_never_guessed(profile_file):
+    path = profile_file(SILENT)
+    found = missing(path)
+    assert [(line, key) for line, key, _ in found] == [
+        (1, "decimal"),
+        (1, "step_at"),
+        (9, "columns.command.sign"),
+        (14, "columns.position.sign"),
+        (15, "columns.force.sign"),
+        (16, "columns.velocity.sign"),
+    ]
+    words = {key: text for _, key, text in found}
+    assert words["decimal"].startswith('decimal = "." or decimal = ","')
+    assert all(words[key].startswith("sign = 1 or sign = -1 (-1 where ") for key in words if key.endswith("sign"))
+    for line in ('step_at = "command edge"', 'step_at = "first row"', "step_row = ", "step_time_s = "):
+        assert line in words["step_at"]
+    # the lines that it asks for are enough
+    text = SILENT.replace('"]\n\n', '"]\ndecimal = "."\nstep_at = "command edge"\n\n')
+    text = re.sub(r'(name = "[Fxgv]",? ?\n?unit = "[^"]*")( )?', r"\1, sign = 1\2", text)
+    path.write_text(text.replace('"N", sign = 1\n\n', '"N"\nsign = 1\n\n'), encoding="utf-8")
+    assert read_profile(path).factors()["velocity"] == 1e-3
+
+
+STEP = """name = "lab"
+format = "json"
+files = ["*.json"]
+TOP
+columns.time = { name = "t", unit = "s" }
+columns.command = { name = "F", unit = "N", sign = 1 }
+columns.position = { name = "x", unit = "m", sign = 1 }
+constants = { device = "b", experiment = "1", stiffness = 1, damping = 1, step = 8, sampling_period_s = 0.001 }
+ENTRIES
+"""
+A_FILE, B_FILE = '[[file]]\nmatch = "a*"\n', '[[file]]\nmatch = "b*"\n'
+A_STEP, B_STEP = '[[steps]]\nlabel = "a"\nto_row = 9\n', '[[steps]]\nlabel = "b"\nfrom_row = 10\n'
+
+
+@pytest.mark.parametrize(
+    ("top", "entries", "keys"),
+    [
+        ("", "", ["step_at"]),
+        ("step_row = 3", "", []),
+        ("step_time_s = 0.1", "", []),
+        ('step_at = "first row"', A_FILE, []),
+        ("", A_FILE, ["step_at"]),
+        ("", A_FILE + "step_row = 3\n", []),
+        ("", A_FILE + "step_row = 3\n" + B_FILE, ["file.1.step_at"]),
+        ("", A_FILE + "step_row = 3\n" + B_FILE + "step = 0\n", []),
+        ("", A_STEP + "step_row = 3\n" + B_STEP, ["steps.1.step_at"]),
+        ("", A_STEP + "step_row = 3\n" + B_STEP + 'step_at = "command edge"\n', []),
+        ("", A_STEP + B_STEP + A_FILE + "step_row = 3\n", []),
+        ("STEP0", "", []),
+        ("STEP0", A_FILE + "step = 5\n", ["step_at"]),
+        ("STEP0", A_FILE + "step = 5\nstep_row = 0\n", []),
+        ('STEP0attributes.step = "F0"', "", ["step_at"]),
+    ],
+)
+def test_the_step_is_told_at_the_top_or_in_every_entry(profile_file, top, entries, keys):
+    text = STEP.replace("TOP", top.removeprefix("STEP0")).replace("ENTRIES", entries)
+    path = profile_file(text.replace("step = 8", "step = 0") if top.startswith("STEP0") else text)
+    if not keys:
+        assert read_profile(path).format == "json"
+        return
+    assert [key for _, key, _ in missing(path)] == keys
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "key"),
+    [
+        ('step_at = "command edge"', "step_row = -1", "step_row"),
+        ('step_at = "command edge"', "step_rwo = 3", "step_rwo"),
+        ('format = "delimited"', 'format = "parquett"', "format"),
+        ("sign = 1\n", "sing = 1\n", "columns.position.sing"),
+    ],
+)
+def test_a_wrong_key_is_not_missing_too(profile_file, old, new, key):
+    with pytest.raises(ProfileError) as error:
+        read_profile(profile_file(TOML.replace(old, new)))
+    assert re.findall(r"key '(.*?)'", str(error.value)) == [key]
 
 
 def test_lines_of_keys_are_found_in_any_style_of_toml():

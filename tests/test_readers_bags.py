@@ -192,12 +192,12 @@ def text(value):
     return struct.pack("<I", len(value)) + value.encode()
 
 
-def json_mcap(encoding="json"):
+def json_mcap(encoding="json", extra=b""):
     parts = [b"\x89MCAP0\r\n", record(1, text("") + text("lab"))]
     parts.append(record(3, struct.pack("<H", 1) + text("State") + text("jsonschema") + text("{}")))
     parts.append(record(4, struct.pack("<HH", 7, 1) + text("state") + text(encoding) + struct.pack("<I", 0)))
     for n in range(4):
-        body = json.dumps({"t": n / 10, "motor": {"q": [n, 2 * n]}}).encode()
+        body = json.dumps({"t": n / 10, "motor": {"q": [n, 2 * n]}}).encode()[:-1] + extra + b"}"
         parts.append(record(5, struct.pack("<HIQQ", 7, n, START + n, START + n) + body))
     footer = record(2, struct.pack("<QQI", 0, 0, 0))
     return b"".join([*parts, record(15, struct.pack("<I", 0)), footer, b"\x89MCAP0\r\n"])
@@ -210,6 +210,8 @@ def test_mcap_with_json():
     assert read.columns["state.@received"].tolist() == [START + n for n in range(4)]
     with pytest.raises(LogError, match=r"encoded as 'protobuf'; expected one of \['ros1', 'cdr', 'json'\]"):
         frame("mcap", json_mcap("protobuf"), "state.t")
+    with pytest.raises(LogError, match="key 't' stands twice in one object of a message of 'state'"):
+        frame("mcap", json_mcap(extra=b', "t": 9'), "state.t")
     assert "encoded as 'protobuf'" in mcap.list_columns("log", json_mcap("protobuf"))[0].hint
 
 

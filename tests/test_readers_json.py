@@ -92,7 +92,7 @@ def test_records_without_names_and_lists_beside_each_other():
         ("3", (), None, "single value", 1),
         ('[{"a.b": 1, "a": {"b": 2}}]', (), None, "'a.b' stands twice", 1),
         ("[" * 40 + "1" + "]" * 40, (), None, "more than 32 deep", 1),
-        ("[" * 100_000, (), None, "recursion", None),
+        ("[" * 100_000, (), None, "nested too deep", None),
         ('[{"n": ' + "9" * 5000 + "}]", (), None, "integer string", None),
     ],
 )
@@ -100,6 +100,28 @@ def test_refusals_say_what_to_do(text, wanted, records, words, row):
     with pytest.raises(LogError, match=f"log.json.*{words}") as error:
         frame(text, wanted, records)
     assert error.value.row == row
+
+
+@pytest.mark.parametrize(
+    ("text", "records", "words", "row"),
+    [
+        ('[{"t": 0}, {"t": 1, "x": 2, "t": 3}]', None, "key 't' stands twice in one object of record 2 ([1])", 2),
+        ('{"a": [{"t": 0, "m": {"q": 1, "q": 1}}]}', "a", "key 'q' stands twice in one object of record 1 (a[0].m)", 1),
+        ('{"t": 0}\n{"t": 1, "t": 1}\n', None, "key 't' stands twice in one object of line 2", 2),
+        ('{"kp": 3, "a": [{"t": 0}], "kp": 4}', "a", "key 'kp' stands twice in one object of the file;", None),
+        ('{"K": {"x": 1, "x": 2}, "t": [0, 1]}', None, "key 'x' stands twice in one object of the file (K)", None),
+        # the first object is lost with its key, the outer one is named
+        ('[{"m": {"q": 1, "q": 2}, "m": 1}]', None, "key 'm' stands twice in one object of record 1", 1),
+    ],
+)
+def test_a_doubled_key_is_refused_by_name_and_record(text, records, words, row):
+    for wanted in ((), ["t"]):
+        with pytest.raises(LogError) as error:
+            frame(text, wanted, records)
+        assert words in str(error.value)
+        assert (error.value.row, error.value.code) == (row, "damaged")
+    with pytest.raises(LogError, match="stands twice"):
+        list_columns("log.json", text.encode())
 
 
 def test_records_that_share_no_names_take_no_table():

@@ -105,7 +105,7 @@ def frame_of_arrays(
     if not wanted:
         found = {key: (base, index) for base in arrays for key, index in _elements(arrays, base)}
         if not found:
-            raise LogError(f"{name} holds no columns; expected recorded signals.{_reasons(refused)}")
+            raise LogError(f"{name} holds no columns; expected recorded signals.{_reasons(refused)}", code="empty")
     lengths = {_length(arrays[base].shape) for base, _ in found.values() if is_vector(arrays[base].shape)}
     lengths = lengths or vector_lengths(arrays)
     loaded: dict[str, Array] = {}
@@ -123,7 +123,8 @@ def frame_of_arrays(
             first, last = _element(base, [0] * len(others)), _element(base, [n - 1 for n in others])
             raise LogError(
                 f"{name}: {base!r} has shape {shape}, so its columns are {first!r} to {last!r}; the profile asks for "
-                f"{key!r}. Name one element in columns.*.name."
+                f"{key!r}. Name one element in columns.*.name.",
+                code="column-missing",
             )
         columns[key] = plain_column(_element_values(loaded[base], axis, index))
     rows = {key: len(column) for key, column in columns.items()}
@@ -133,6 +134,7 @@ def frame_of_arrays(
             f"{name}: columns have different lengths ({listing}); expected one length. "
             "Choose in columns.*.name signals that were recorded together, with the time that belongs to them.",
             min(rows.values()) + 1,
+            code="lengths-differ",
         )
     count = next(iter(rows.values()))
     return Frame(columns, np.arange(1, count + 1, dtype=np.int64), "sample", dict(attributes))
@@ -182,7 +184,8 @@ def unknown_column(name: str, wanted: str, known: Sequence[str], more: str = "")
     nearest = f" Nearest: {', '.join(near)}." if near else ""
     return LogError(
         f"{name} has no column {wanted!r}.{nearest} "
-        f"It has: {listing or 'none at all'}.{more} Correct columns.*.name in the profile."
+        f"It has: {listing or 'none at all'}.{more} Correct columns.*.name in the profile.",
+        code="column-missing",
     )
 
 
@@ -210,7 +213,7 @@ def _find(
             return base, tuple(int(i) for i in index[own:])
     for key, reason in refused.items():
         if wanted == key or wanted.startswith((f"{key}.", f"{key}[", f"{key}/")):
-            raise LogError(f"{name}: {key!r} {reason}")
+            raise LogError(f"{name}: {key!r} {reason}", code="unsupported")
     raise unknown_column(name, wanted, list(arrays), _reasons(refused))
 
 

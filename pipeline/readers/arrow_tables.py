@@ -18,7 +18,7 @@ from pipeline.profiles import Profile
 from pipeline.readers.arrays import LISTED_ELEMENTS, Array, plain_column, unknown_column
 from pipeline.readers.frame import ColumnInfo, Frame, Scalar
 from pipeline.readers.isolation import isolated
-from pipeline.readers.safety import check_claim, reading
+from pipeline.readers.safety import check_claim, check_columns, reading
 
 _IMPORTS = ("pyarrow.parquet",)
 KIND = "a Parquet or Feather file"
@@ -75,6 +75,7 @@ def frame_here(name: str, data: bytes, wanted: Sequence[str]) -> Frame:
     with reading(name, KIND):
         schema = _schema(name, data)
         leaves = dict(_leaves(schema))
+        check_columns(name, len(leaves))
         for key in wanted:
             if key not in leaves and _vector_of(key) not in leaves:
                 raise unknown_column(name, key, list(leaves))
@@ -84,7 +85,8 @@ def frame_here(name: str, data: bytes, wanted: Sequence[str]) -> Frame:
             if key not in columns:
                 raise LogError(
                     f"{name}: column {key!r} is {leaves.get(key, 'no element of a list of one length')}; expected "
-                    f"numbers or texts. Correct columns.*.name; readable are {list(columns)[:40]}."
+                    f"numbers or texts. Correct columns.*.name; readable are {list(columns)[:40]}.",
+                    code="column-missing",
                 )
         columns = {key: columns[key] for key in wanted or columns}
         row = np.arange(1, table.num_rows + 1, dtype=np.int64)
@@ -115,11 +117,13 @@ def _schema(name: str, data: bytes) -> pa.Schema:
         return pa.ipc.open_file(pa.BufferReader(data)).schema
     if data.startswith(_FEATHER_1):
         raise LogError(
-            f"{name} is a Feather file of version 1; expected version 2. Write it again with a current tool."
+            f"{name} is a Feather file of version 1; expected version 2. Write it again with a current tool.",
+            code="unsupported",
         )
     raise LogError(
         f"{name} is no Parquet or Feather file: it begins with {data[:8]!r}, not {_PARQUET!r} or {_ARROW!r}. "
-        "Correct `format` in the profile, or export it again."
+        "Correct `format` in the profile, or export it again.",
+        code="unsupported",
     )
 
 
@@ -233,6 +237,7 @@ def _values(name: str, key: str, column: Any) -> Array | None:
                 f"{name}: column {key!r} has whole numbers of more than 15 digits and missing ones; expected a value "
                 "in each row. Fill or drop these rows, or take another column.",
                 at,
+                code="no-value",
             )
     return plain_column(np.asarray(column.cast(pa.float64()).to_numpy(zero_copy_only=False)))
 

@@ -21,6 +21,9 @@ from pipeline.units import factor_to_si
 _QUANTITY = re.compile(r"([^\s\[\]()]+)\s*[\[(]?\s*([^\d\s\[\]()][^\[\]()]*?)?\s*[\])]?")
 """A number and, behind it, a unit, which may stand in brackets."""
 
+LONGEST_QUANTITY = 200
+"""Characters of a number with its unit."""
+
 
 def entry_of(profile: Profile, name: str) -> FileEntry | None:
     """Return what the profile says of a single file, or None where it says nothing.
@@ -34,7 +37,8 @@ def entry_of(profile: Profile, name: str) -> FileEntry | None:
     if len(entries) > 1:
         raise LogError(
             f"{name}: fits {len(entries)} entries [[file]] of profile {profile.name}, match = "
-            f"{[entry.match for entry in entries]}; expected one. Narrow the patterns."
+            f"{[entry.match for entry in entries]}; expected one. Narrow the patterns.",
+            code="profile-wrong",
         )
     return entries[0] if entries else None
 
@@ -76,7 +80,8 @@ def conditions_of(
         if attribute not in frame.attributes:
             raise LogError(
                 f"{where}: has no attribute {attribute!r}, which profile {profile.name} takes the {key} from "
-                f"(attributes.{key}); found {sorted(frame.attributes)[:40]}. Correct the profile, or the file."
+                f"(attributes.{key}); found {sorted(frame.attributes)[:40]}. Correct the profile, or the file.",
+                code="condition-missing",
             )
         given[key] = frame.attributes[attribute]
     for key, column in profile.condition_columns.items():
@@ -85,9 +90,11 @@ def conditions_of(
     given |= special
     for condition in required:
         if condition not in given:
+            line = f'[[file]]\nmatch = "{name}"\n{condition} = <value>'
             raise LogError(
-                f"{where}: profile {profile.name} does not give the {condition} of this file. Add to it:\n"
-                f'[[file]]\nmatch = "{name}"\n{condition} = <value>'
+                f"{where}: profile {profile.name} does not give the {condition} of this file. Add to it:\n{line}",
+                code="condition-missing",
+                profile_line=line,
             )
     return {key: _in_si(profile, where, key, value) for key, value in given.items()}
 
@@ -131,11 +138,14 @@ def header_of(profile: Profile, where: str, given: Mapping[str, Any], extra: dic
     try:
         header = parse_header(lines)
     except LogError as error:
-        raise LogError(f"{where}: by the conditions that profile {profile.name} gives, {error.reason}") from error
+        reason = f"{where}: by the conditions that profile {profile.name} gives, {error.reason}"
+        # the row is that of the lines made here, which the file does not have
+        raise LogError(reason, code=error.code) from error
     if (header.device, header.experiment) != (str(given["device"]), str(given["experiment"])):
         raise LogError(
             f"{where}: device {given['device']!r} or experiment {given['experiment']!r} would be stored as "
-            f"{header.device!r}, {header.experiment!r}. Choose names without brackets."
+            f"{header.device!r}, {header.experiment!r}. Choose names without brackets.",
+            code="condition-wrong",
         )
     return replace(header, extra=extra)
 
@@ -147,7 +157,8 @@ def _of_name(profile: Profile, name: str) -> dict[str, str]:
     if match is None:
         raise LogError(
             f"file name {name!r} does not fit name_pattern {profile.name_pattern!r} of {profile.name}. "
-            "Rename the file or correct the profile."
+            "Rename the file or correct the profile.",
+            code="profile-wrong",
         )
     return {key: value for key, value in match.groupdict().items() if value is not None}
 
@@ -155,7 +166,7 @@ def _of_name(profile: Profile, name: str) -> dict[str, str]:
 def _of_column(where: str, frame: Frame, rows: Integers, key: str, column: str) -> Scalar:
     values = frame.columns[column][rows]
     if not len(values):
-        raise LogError(f"{where}: column {column!r}, which gives the {key}, has no rows.")
+        raise LogError(f"{where}: column {column!r}, which gives the {key}, has no rows.", code="condition-missing")
     other = values != values[0]
     if other.any():
         at = int(np.argmax(other))
@@ -163,6 +174,7 @@ def _of_column(where: str, frame: Frame, rows: Integers, key: str, column: str) 
             f"{where}: column {column!r} gives the {key} and changes from {values[0]} to {values[at]}; expected one "
             "value for a trial. Give trial_column to tell trials apart, or correct condition_columns.",
             int(frame.row[rows[at]]),
+            code="condition-wrong",
         )
     value: Scalar = values[0].item()
     return value
@@ -177,25 +189,28 @@ def _in_si(profile: Profile, where: str, key: str, value: Scalar) -> Scalar:
     if not isinstance(value, str):
         return value * factor
     text = value.strip()
-    match = _QUANTITY.fullmatch(text)
+    # what is longer is no number with a unit, and takes the pattern its length squared
+    match = _QUANTITY.fullmatch(text) if len(text) <= LONGEST_QUANTITY else None
     number, unit = match.groups() if match else (text, None)
     try:
-        magnitude = float(number.replace(profile.decimal, ".").replace("_", "?"))
+        magnitude = float(number.replace(profile.decimal_sign, ".").replace("_", "?"))
     except ValueError:
-        decimal = f" (decimal sign {profile.decimal!r})"
+        decimal = f" (decimal sign {profile.decimal_sign!r})"
         raise LogError(
             f"{where}: the {key} is {text[:200]!r}; expected a number{decimal}, with or without its unit. Correct the "
-            "profile (name_pattern, attributes, condition_columns) or the file."
+            "profile (name_pattern, attributes, condition_columns) or the file.",
+            code="condition-wrong",
         ) from None
     if unit:
         try:
             stated = factor_to_si(unit, (CONDITION_QUANTITIES[key][profile.constants.motion],))
         except ParameterError as error:
-            raise LogError(f"{where}: the {key} is {text[:200]!r}: {error}.") from error
+            raise LogError(f"{where}: the {key} is {text[:200]!r}: {error}.", code="condition-wrong") from error
         if getattr(profile.units, key) is not None and stated != factor:
             raise LogError(
                 f"{where}: the {key} is {text[:200]!r}, but units.{key} of profile {profile.name} is "
-                f"{getattr(profile.units, key)!r}. Correct one of both."
+                f"{getattr(profile.units, key)!r}. Correct one of both.",
+                code="condition-wrong",
             )
         factor = stated
     return magnitude * factor

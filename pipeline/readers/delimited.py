@@ -18,8 +18,10 @@ from pipeline.batch import Integers
 from pipeline.errors import LogError
 from pipeline.profile_text import BLANKS, TextLayout
 from pipeline.profiles import Profile
+from pipeline.readers.dates import whole_dates
 from pipeline.readers.frame import ColumnInfo, Frame, Scalar
 from pipeline.readers.plain_text import plain_text
+from pipeline.readers.safety import check_columns
 
 LONGEST_BANNER = 10_000
 """Lines that are searched for the beginning of the table; terminal banners have some dozens."""
@@ -69,7 +71,7 @@ def read_frame(profile: Profile, name: str, data: bytes, wanted: Sequence[str]) 
     rows = table.row(table.body.count("\n"))
     if not len(rows):
         text = f"{name} has 0 samples; expected at least 2. Was the recording cut off? Record it again."
-        raise LogError(text, table.top + 1)
+        raise LogError(text, table.top + 1, code="empty")
     cells, dropped = _cells(profile, name, table, sorted(set(places.values())))
     warnings = []
     last = table.body[table.body.rfind("\n", 0, -1) + 1 : -1]
@@ -91,7 +93,20 @@ def read_frame(profile: Profile, name: str, data: bytes, wanted: Sequence[str]) 
         row_name="line",
         attributes=attributes,
         warnings=tuple(warnings),
+        dates=_dates(profile, places, cells, columns),
     )
+
+
+def _dates(
+    profile: Profile, places: dict[str, int], cells: dict[int, pa.ChunkedArray], columns: dict[int, NDArray[Any]]
+) -> dict[str, tuple[Integers, int]]:
+    """Return the stamps of the time column exactly where they are dates with decimals or blank cells."""
+    source = profile.columns.time if profile.columns else None
+    place = None if source is None else places.get(source.key)
+    if source is None or place is None or columns[place].dtype.kind != "f":
+        return {}
+    found = whole_dates(source, _numbers(profile, cells[place])[1])
+    return {} if found is None else {source.key: found}
 
 
 def list_columns(name: str, data: bytes, profile: Profile | None = None) -> list[ColumnInfo]:
@@ -143,18 +158,21 @@ def _find_table(layout: TextLayout, name: str, data: bytes) -> _Table:
             continue
         top = number
         if layout.header:
-            names = _split(layout, line)
+            names = _split(layout, name, line, number)
             break
         start, number = before, number - 1
-        names = tuple(str(i + 1) for i in range(len(_split(layout, line))))
+        names = tuple(str(i + 1) for i in range(len(_split(layout, name, line, number + 1))))
         break
+    check_columns(name, len(names))
     if not names:
-        raise LogError(f"{name} is empty{_looked_for(layout)}; expected a line of column names and samples.", 1)
+        raise LogError(
+            f"{name} is empty{_looked_for(layout)}; expected a line of column names and samples.", 1, code="empty"
+        )
     units: tuple[str, ...] = ()
     if layout.unit_line:
         number += 1
         end = text.find("\n", start) + 1
-        units, start = _split(layout, text[start:end]), end
+        units, start = _split(layout, name, text[start:end], number), end
     body, line_numbers = _rows(layout, name, text[start:], number + 1)
     return _Table(top, names, units, body, line_numbers, whole, attributes)
 
@@ -185,11 +203,19 @@ def _take_label(layout: TextLayout, line: str, attributes: dict[str, Scalar]) ->
     return True
 
 
-def _split(layout: TextLayout, line: str) -> tuple[str, ...]:
+def _split(layout: TextLayout, name: str, line: str, row: int) -> tuple[str, ...]:
     """Return the cells of a line of names or units."""
     if layout.delimiter == BLANKS:
         return tuple(line.split())
-    cells = [cell.strip() for cell in next(csv.reader([line.rstrip("\n")], delimiter=layout.delimiter), [])]
+    try:
+        cells = [cell.strip() for cell in next(csv.reader([line.rstrip("\n")], delimiter=layout.delimiter), [])]
+    except csv.Error as error:
+        raise LogError(
+            f"{name}: the line of names cannot be taken apart ({error}); expected names of columns. Correct the "
+            f"delimiter ({layout.delimiter!r}), or export the file again.",
+            row,
+            code="too-long-line",
+        ) from error
     if layout.trailing_delimiter and cells and not cells[-1]:
         cells.pop()
     return tuple(cells)
@@ -203,6 +229,8 @@ def _rows(layout: TextLayout, name: str, body: str, first: int) -> tuple[str, in
         raise LogError(
             f'{name}: found a blank line between rows; expected a row. Remove it, or add blank_lines = "skip".',
             first + body.count("\n", 0, blank.start()),
+            code="row-length",
+            profile_line='blank_lines = "skip"',
         )
     if blank or layout.comment is not None:
         lines = body.split("\n")[:-1]
@@ -210,10 +238,19 @@ def _rows(layout: TextLayout, name: str, body: str, first: int) -> tuple[str, in
         numbers = first + np.array(kept, dtype=np.int64)
         body = "".join(f"{lines[i]}\n" for i in kept)
     if layout.delimiter == BLANKS:
-        body = re.sub(r"[ \t]+", "\t", re.sub(r"^[ \t]+|[ \t]+$", "", body, flags=re.MULTILINE))
+        # runs become single tabs first: to look for the end of a line in a long run takes its length squared
+        body = re.sub(r"^\t|\t$", "", re.sub(r"[ \t]+", "\t", body), flags=re.MULTILINE)
     elif layout.trailing_delimiter:
-        body = re.sub(f"{re.escape(layout.delimiter)}[ \t]*$", "", body, flags=re.MULTILINE)
+        body = _without_last_delimiter(layout.delimiter, body)
     return body, numbers
+
+
+def _without_last_delimiter(delimiter: str, body: str) -> str:
+    """Return the rows without the delimiter at their ends and the blanks behind it."""
+    if delimiter not in " \t":
+        return re.sub(f"{re.escape(delimiter)}[ \t]*$", "", body, flags=re.MULTILINE)
+    # of a run of blanks, what stands before the first delimiter stays; a run is taken from its beginning only
+    return re.sub(r"(?<![ \t])[ \t]+$", lambda run: run[0].partition(delimiter)[0], body, flags=re.MULTILINE)
 
 
 def _places(profile: Profile, name: str, table: _Table, wanted: Sequence[str]) -> dict[str, int]:
@@ -231,6 +268,7 @@ def _places(profile: Profile, name: str, table: _Table, wanted: Sequence[str]) -
                     f"{name}: profile {profile.name} wants column {column} for {keys.get(column, column)}, found "
                     f"{len(names)} columns. Correct it, or the delimiter ({profile.delimiter!r}).",
                     table.top,
+                    code="column-missing",
                 )
             places[column] = int(column) - 1
         elif names.count(column) != 1:
@@ -239,6 +277,7 @@ def _places(profile: Profile, name: str, table: _Table, wanted: Sequence[str]) -
                 f"{names.count(column)} times among {list(names)}. Correct the name, give column = <position>, or "
                 f"correct the delimiter ({profile.delimiter!r}).",
                 table.top,
+                code="column-missing",
             )
         else:
             places[column] = names.index(column)
@@ -275,16 +314,30 @@ def _cells(
             ),
         )
     except pa.ArrowInvalid as error:
-        raise LogError(f"{name} cannot be read as delimited text: {error}.", int(table.row(1)[0])) from error
+        raise LogError(
+            f"{name} cannot be read as delimited text: {error}.", int(table.row(1)[0]), code="damaged"
+        ) from error
+    if data.num_rows + len(bad) != count:
+        # a quotation mark that is not closed takes the lines below into its cell
+        at = next((i for i, line in enumerate(table.body.split("\n")) if line.count('"') % 2), 0)
+        raise LogError(
+            f"{name}: found {data.num_rows + len(bad)} rows in {count} lines; expected each row on one line. Is a "
+            "quotation mark not closed here? Remove it, or leave this log out.",
+            int(table.row(count)[at]),
+            code="row-length",
+        )
     for row, found, text in bad:
         last_is_cut = row == count - 1 and found < width and row > 0
         if not last_is_cut and not _take_label(layout, text, table.attributes):
             one_more = found == width + 1 and text.rstrip().endswith(layout.delimiter)
             hint = ", or add trailing_delimiter = true" if one_more else ""
-            decimal = ', or is decimal = "," missing?' if layout.delimiter == "," and found > width else "."
+            commas = layout.delimiter == "," and found > width
+            decimal = ', or write decimal = "," and another delimiter.' if commas else "."
             raise LogError(
                 f"{name}: expected {width} values, found {found} ({text[:200]!r}). Repair the row{hint}{decimal}",
                 int(table.row(count)[row]),
+                code="row-length",
+                profile_line="trailing_delimiter = true" if one_more else None,
             )
     return {i: data.column(labels[i]) for i in places}, {row for row, _, _ in bad}
 
@@ -299,15 +352,20 @@ def _last_is_cut(layout: TextLayout, cells: dict[int, pa.ChunkedArray], columns:
     return False
 
 
-def _values(layout: TextLayout, column: pa.ChunkedArray) -> NDArray[Any]:
-    """Return cells as integers where all are whole numbers, as float64 where all are numbers or blank, else as text."""
+def _numbers(layout: TextLayout, column: pa.ChunkedArray) -> tuple[pa.Array, pa.Array]:
+    """Return cells as they are, and with a decimal point and null where they have no value."""
     text = pc.utf8_trim_whitespace(column.combine_chunks())
     blank = pc.is_in(text, value_set=pa.array(["", *layout.missing], pa.string()))
     number = pc.if_else(blank, None, text)
-    if layout.decimal == ",":
-        if pc.any(pc.match_substring(number, ".")).as_py():
-            return np.array(text.to_pylist(), dtype=np.str_)
-        number = pc.replace_substring(number, ",", ".")
+    return text, pc.replace_substring(number, ",", ".") if layout.decimal == "," else number
+
+
+def _values(layout: TextLayout, column: pa.ChunkedArray) -> NDArray[Any]:
+    """Return cells as integers where all are whole numbers, as float64 where all are numbers or blank, else as text."""
+    text, number = _numbers(layout, column)
+    blank = pc.is_null(number)
+    if layout.decimal == "," and pc.any(pc.and_not(pc.match_substring(text, "."), blank)).as_py():
+        return np.array(text.to_pylist(), dtype=np.str_)
     try:
         if not pc.any(blank).as_py() and pc.all(pc.match_substring_regex(number, _INTEGER)).as_py():
             integers: NDArray[Any] = pc.cast(pc.utf8_ltrim(number, "+"), pa.int64()).to_numpy(zero_copy_only=False)

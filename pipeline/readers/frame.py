@@ -44,6 +44,8 @@ class Frame:
         conditions from them.
     warnings : tuple of str
         What was accepted and should be known, such as a last row that was cut.
+    dates : mapping of str to (int64 array of shape (rows,), int)
+        Stamps as `pipeline.readers.dates.whole_dates` has them, of a column that is float64 in ``columns``.
     """
 
     columns: Mapping[str, NDArray[Any]]
@@ -51,6 +53,7 @@ class Frame:
     row_name: str
     attributes: Mapping[str, Scalar] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
+    dates: Mapping[str, tuple[Integers, int]] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.row)

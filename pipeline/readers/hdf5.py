@@ -114,7 +114,8 @@ def is_hdf5(data: bytes) -> bool:
 def _check_signature(name: str, data: bytes) -> None:
     if not is_hdf5(data):
         raise LogError(
-            f"{name} is no HDF5 file: its signature is missing. Correct `format` in the profile, or export it again."
+            f"{name} is no HDF5 file: its signature is missing. Correct `format` in the profile, or export it again.",
+            code="unsupported",
         )
 
 
@@ -187,7 +188,8 @@ def walk(name: str, group: Any) -> Iterator[Any]:
             seen.add(address)
             if len(seen) > MOST_DATASETS:
                 raise LogError(
-                    f"{name} has more than {MOST_DATASETS} datasets; expected a log. Export its signals only."
+                    f"{name} has more than {MOST_DATASETS} datasets; expected a log. Export its signals only.",
+                    code="too-many-columns",
                 )
             yield item
             if isinstance(item, h5py.Group):

@@ -84,12 +84,14 @@ def isolated(
     if outcome is None:
         raise LogError(
             f"{name} cannot be read as {kind}: the library that reads it {worker.end()}. The file is damaged. "
-            "Copy or export it again."
+            "Copy or export it again.",
+            code="damaged",
         )
     _IDLE.append(worker)
     succeeded, value = outcome
     if not succeeded:
-        raise LogError(*value)
+        assert isinstance(value, LogError), "the worker sends the refusal itself"
+        raise value
     return value
 
 
@@ -114,7 +116,7 @@ def serve() -> None:
         try:
             outcome: tuple[bool, Any] = (True, work(*arguments))
         except LogError as error:
-            outcome = (False, (error.reason, error.row))
+            outcome = (False, error)
         _alarm(0.0)
         pickle.dump(outcome, results, pickle.HIGHEST_PROTOCOL)
         results.flush()

@@ -5,41 +5,28 @@ Names of nested keys are joined by dots, elements of lists get brackets: ``state
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 
+from pipeline.batch import Integers
 from pipeline.errors import LogError
+from pipeline.profile_columns import TimeSource
 from pipeline.profiles import Profile
 from pipeline.readers.arrays import Array, StoredArray, frame_of_arrays, list_arrays, stored, unknown_column
+from pipeline.readers.dates import whole_dates
 from pipeline.readers.frame import ColumnInfo, Frame, Scalar
-from pipeline.readers.safety import check_claim, reading
+from pipeline.readers.json_text import LongNumber, Place, parse_json
+from pipeline.readers.safety import check_claim, check_columns, reading
 
 DEEPEST = 32
 """Lists and objects inside each other: what robots log has two to five."""
 
 _EXACT = 1 << 53
 """Whole numbers up to this one are floats without loss."""
-
-
-@dataclass(frozen=True)
-class _Place:
-    """What messages say about a file: its name, its size [byte], the line of each record where each has one."""
-
-    name: str
-    size: int
-    lines: list[int] | None
-
-    @property
-    def row_name(self) -> str:
-        return "line" if self.lines else "record"
-
-    def row(self, number: int) -> int:
-        """Return where a record stands, counted from 1."""
-        return self.lines[number] if self.lines else number + 1
 
 
 @dataclass
@@ -81,13 +68,17 @@ def read_frame(profile: Profile, name: str, data: bytes, wanted: Sequence[str]) 
     Takes about 40 times the size of the file in memory at most (small numbers become objects of 32 bytes).
     """
     with reading(name, "JSON"):
-        value, place, warnings = _parse(name, data)
+        value, place, warnings = parse_json(name, data)
         records, attributes = _records(name, value, _path(profile))
+        source = profile.columns.time if profile.columns else None
         if records is None:
-            return frame_of_arrays(name, _lists(place, value), wanted, attributes)
-        columns = _columns(place, records, wanted)
+            frame = frame_of_arrays(name, _lists(place, value), wanted, attributes)
+            return replace(frame, dates=_dates(source, _at(value, source.key)) if source else {})
+        cells = _cells(place, records, wanted)
+        columns = {key: _column(place, key, values, False) for key, values in cells.items()}
         row = np.asarray(place.lines or range(1, len(records) + 1), dtype=np.int64)
-        return Frame(columns, row, place.row_name, attributes, warnings)
+        dates = _dates(source, cells.get(source.key)) if source else {}
+        return Frame(columns, row, place.row_name, attributes, warnings, dates)
 
 
 def list_columns(name: str, data: bytes, profile: Profile | None = None) -> list[ColumnInfo]:
@@ -99,7 +90,7 @@ def list_columns(name: str, data: bytes, profile: Profile | None = None) -> list
         If the file is no JSON.
     """
     with reading(name, "JSON"):
-        value, place, _ = _parse(name, data)
+        value, place, _ = parse_json(name, data)
         path = _path(profile)
         candidates = {} if path or isinstance(value, list) else _candidates(value)
         if candidates:
@@ -119,52 +110,19 @@ def _path(profile: Profile | None) -> str:
     return profile.records or "" if profile else ""
 
 
-def _parse(name: str, data: bytes) -> tuple[Any, _Place, tuple[str, ...]]:
-    """Return the value of the file, what messages need, and warnings."""
-    text = data.decode(json.detect_encoding(data)).removeprefix("\ufeff")
-    if not text.strip():
-        raise LogError(f"{name} is empty; expected JSON. Record the log again.", 1)
-    try:
-        return json.loads(text), _Place(name, len(data), None), ()
-    except json.JSONDecodeError as error:
-        first = text.lstrip().split("\n", 1)[0]
-        if error.msg != "Extra data" or not first.lstrip().startswith(("{", "[")):
-            raise LogError(
-                f"{name} is no JSON: {error.msg} at column {error.colno}. The file is cut or damaged; record it again.",
-                error.lineno,
-            ) from error
-    records, lines, warnings = _parse_lines(name, text)
-    return records, _Place(name, len(data), lines), warnings
-
-
-def _parse_lines(name: str, text: str) -> tuple[list[Any], list[int], tuple[str, ...]]:
-    lines = [(number, line) for number, line in enumerate(text.split("\n"), start=1) if line.strip()]
-    records, rows = [], []
-    warnings: tuple[str, ...] = ()
-    for number, line in lines:
-        try:
-            records.append(json.loads(line))
-            rows.append(number)
-        except json.JSONDecodeError as error:
-            if number == lines[-1][0] and not text.endswith("\n"):
-                warnings = (f"last row is cut: {line[:200]!r} (line {number}) was left out and is kept verbatim",)
-                break
-            raise LogError(
-                f"{name} is no JSON with one record a line: {error.msg} at column {error.colno}. Repair the line.",
-                number,
-            ) from error
-    return records, rows, warnings
-
-
 def _records(name: str, value: Any, path: str) -> tuple[list[Any] | None, dict[str, Scalar]]:
     """Return the list of records and the single values beside it; None where each column is a list of its own."""
     attributes: dict[str, Scalar] = {}
     if isinstance(value, list):
         if path:
-            raise LogError(f"{name} is itself a list of records; remove records = {path!r} from the profile.", 1)
+            raise LogError(
+                f"{name} is itself a list of records; remove records = {path!r} from the profile.",
+                1,
+                code="profile-wrong",
+            )
         return value, attributes
     if not isinstance(value, dict):
-        raise LogError(f"{name} holds a single value; expected a list of records.", 1)
+        raise LogError(f"{name} holds a single value; expected a list of records.", 1, code="header-missing")
     for key, single in _single_values(value):
         attributes[key] = single
     candidates = _candidates(value)
@@ -176,15 +134,16 @@ def _records(name: str, value: Any, path: str) -> tuple[list[Any] | None, dict[s
             f'{name} holds lists of records under {_listing(candidates)}; add records = "{best}" (or another of them) '
             "to the profile.",
             1,
+            code="profile-wrong",
+            profile_line=f'records = "{best}"',
         )
-    found: Any = value
-    for key in path.split("."):
-        found = found.get(key) if isinstance(found, dict) else None
+    found = _at(value, path)
     if not isinstance(found, list):
         raise LogError(
             f"{name} has no list of records under {path!r}; found such lists under {_listing(candidates)}. "
             "Correct `records` in the profile.",
             1,
+            code="profile-wrong",
         )
     return found, attributes
 
@@ -214,7 +173,7 @@ def _single_values(value: Mapping[str, Any], prefix: str = "", depth: int = 0) -
     return found
 
 
-def _lists(place: _Place, value: Mapping[str, Any], prefix: str = "", depth: int = 0) -> dict[str, StoredArray]:
+def _lists(place: Place, value: Mapping[str, Any], prefix: str = "", depth: int = 0) -> dict[str, StoredArray]:
     """Return all lists of numbers or texts as arrays by path."""
     found: dict[str, StoredArray] = {}
     for key, inner in value.items():
@@ -229,7 +188,30 @@ def _lists(place: _Place, value: Mapping[str, Any], prefix: str = "", depth: int
     return found
 
 
-def _columns(place: _Place, records: list[Any], wanted: Sequence[str], mixed: bool = False) -> dict[str, Array]:
+def _at(value: Mapping[str, Any], path: str) -> Any:
+    """Return what stands under a path of keys joined by dots, or None."""
+    found: Any = value
+    for key in path.split("."):
+        found = found.get(key) if isinstance(found, dict) else None
+    return found
+
+
+def _dates(source: TimeSource, values: Any) -> dict[str, tuple[Integers, int]]:
+    """Return the stamps of the time column exactly where they are dates with decimals."""
+    if not isinstance(values, list) or not any(type(value) in (float, LongNumber) for value in values):
+        return {}
+    texts = [None if v is None else v.text if isinstance(v, LongNumber) else repr(v) for v in values]
+    found = whole_dates(source, pa.array(texts, pa.string()))
+    return {} if found is None else {source.key: found}
+
+
+def _columns(place: Place, records: list[Any], wanted: Sequence[str], mixed: bool = False) -> dict[str, Array]:
+    cells = _cells(place, records, wanted)
+    return {key: _column(place, key, values, mixed) for key, values in cells.items()}
+
+
+def _cells(place: Place, records: list[Any], wanted: Sequence[str]) -> dict[str, list[Any]]:
+    """Return the value of each record for each name, None where it has none."""
     cells: dict[str, _Cells] = {}
     keep = set(wanted)
     # a record is a Python object: there is nothing to hand to numpy before its values are collected
@@ -239,6 +221,7 @@ def _columns(place: _Place, records: list[Any], wanted: Sequence[str], mixed: bo
                 f"{place.name}: {place.row_name} is {str(record)[:80]!r}; expected an object with a value for each "
                 "column. Repair it, or correct `records` in the profile.",
                 place.row(number),
+                code="row-length",
             )
         _collect(place, cells, record, number, keep)
     for key in wanted:
@@ -247,8 +230,11 @@ def _columns(place: _Place, records: list[Any], wanted: Sequence[str], mixed: bo
             for number, record in enumerate(records[:100]):
                 _collect(place, known, record, number, set())
             raise unknown_column(place.name, key, sorted(known))
+    check_columns(place.name, len(cells))
     if not cells:
-        raise LogError(f"{place.name} holds no records with values; expected samples. Record the log again.", 1)
+        raise LogError(
+            f"{place.name} holds no records with values; expected samples. Record the log again.", 1, code="empty"
+        )
     # records that share no names would fill a table of nothing
     check_claim(
         place.name,
@@ -256,16 +242,14 @@ def _columns(place: _Place, records: list[Any], wanted: Sequence[str], mixed: bo
         8 * len(records) * len(cells),
         place.size,
     )
-    columns = {}
-    for key in wanted or list(cells):
-        values: list[Any] = [None] * len(records)
+    columns: dict[str, list[Any]] = {key: [None] * len(records) for key in wanted or list(cells)}
+    for key, values in columns.items():
         for number, value in zip(cells[key].numbers, cells[key].values, strict=True):
             values[number] = value
-        columns[key] = _column(place, key, values, mixed)
     return columns
 
 
-def _collect(place: _Place, cells: dict[str, _Cells], record: Any, number: int, keep: set[str]) -> None:
+def _collect(place: Place, cells: dict[str, _Cells], record: Any, number: int, keep: set[str]) -> None:
     """Put the values of a record into their columns."""
     top = isinstance(record, list)
     waiting: list[tuple[str, Any, int]] = [("", record, 0)]
@@ -284,6 +268,7 @@ def _collect(place: _Place, cells: dict[str, _Cells], record: Any, number: int, 
                 raise LogError(
                     f"{place.name}: {path!r} stands twice in one {place.row_name}; expected one value.",
                     place.row(number),
+                    code="damaged",
                 )
             column.numbers.append(number)
             column.values.append(value)
@@ -292,11 +277,12 @@ def _collect(place: _Place, cells: dict[str, _Cells], record: Any, number: int, 
             raise LogError(
                 f"{place.name}: {path[:200]!r} is nested more than {DEEPEST} deep; expected records of one form.",
                 place.row(number),
+                code="too-deep",
             )
         waiting.extend((key, item, depth + 1) for key, item in reversed(inner))
 
 
-def _column(place: _Place, key: str, values: list[Any], mixed: bool) -> Array:
+def _column(place: Place, key: str, values: list[Any], mixed: bool) -> Array:
     """Return a column: integers, float64 with NaN for what is missing, or text."""
     kinds = {type(value) for value in values} - {type(None)}
     if str in kinds:
@@ -306,6 +292,7 @@ def _column(place: _Place, key: str, values: list[Any], mixed: bool) -> Array:
                 f"{place.name}: column {key!r} mixes texts and numbers: {place.row_name} has {values[at]!r}. Expected "
                 "one kind. Repair the file, or leave it out.",
                 place.row(at),
+                code="not-a-number",
             )
         return np.array(["" if value is None else str(value) for value in values], dtype=np.str_)
     if kinds <= {int, bool} and None not in values:
@@ -317,5 +304,6 @@ def _column(place: _Place, key: str, values: list[Any], mixed: bool) -> Array:
             f"{place.name}: column {key!r} mixes whole numbers of more than 15 digits, such as {values[big]}, with "
             "missing values or fractions; expected whole numbers throughout, which are kept exactly.",
             place.row(big),
+            code="no-value",
         )
     return np.array([np.nan if value is None else value for value in values], dtype=np.float64)

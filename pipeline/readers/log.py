@@ -87,17 +87,20 @@ def check_samples(
         raise LogError(
             f"log has {len(time)} samples; expected at least 2. Was the recording cut off? Record it again.",
             place(0),
+            code="too-short",
         )
     step_row = int(header.extra.get("step_row", 0))
     if step_row >= len(time):
         raise LogError(
             f"step_row is {step_row}, but the log has {len(time)} samples. Count from 0; correct header or profile.",
             place(0),
+            code="condition-wrong",
         )
     if header.step == 0 and "step_row" in header.extra:
         raise LogError(
             f"step is 0 (none was commanded), but the step is declared in row {step_row}. Give the size of the step, "
-            "or declare no row."
+            "or declare no row.",
+            code="condition-wrong",
         )
     columns = {"time": time, "command": command, "position": position, "force": force, "velocity": velocity}
     for name, values in columns.items():
@@ -109,6 +112,7 @@ def check_samples(
             raise LogError(
                 f"{name} is {values[at]}; expected a finite number. Repair the row, or leave this log out.",
                 place(at),
+                code="not-finite",
             )
     increasing = time[1:] > time[:-1]
     if not increasing.all():
@@ -117,5 +121,6 @@ def check_samples(
             f"time is {time[at]:.17g} s after {time[at - 1]:.17g} s; expected it to increase row by row. "
             "Sort out doubled or swapped rows, or leave this log out.",
             place(at),
+            code="time-backwards",
         )
     return Log(header, time, command, position, force, velocity)

@@ -15,10 +15,12 @@ import numpy as np
 
 from pipeline.batch import Booleans, Floats, Integers
 from pipeline.errors import LogError, ProfileError
+from pipeline.file_names import storable
 from pipeline.profile_columns import ColumnSource
 from pipeline.profile_model import REQUIRED_CONDITIONS, StepTime, Window
 from pipeline.profiles import Profile
 from pipeline.readers.conditions import conditions_of, entry_of, header_of
+from pipeline.readers.file_kind import refuse_other_kind
 from pipeline.readers.frame import Frame
 from pipeline.readers.log import Log, RawLog, check_samples
 from pipeline.readers.rows import Rows, rows_of
@@ -67,7 +69,7 @@ def read(profile: Profile, raws: Sequence[RawLog], use_threads: bool) -> list[tu
             outcomes.append(error)
         except ProfileError as error:
             # one file that does not fit must not stop the others
-            outcomes.append(LogError(str(error)))
+            outcomes.append(LogError(str(error), code="profile-wrong"))
     return outcomes
 
 
@@ -82,20 +84,28 @@ def read_frames(profile: Profile, raw: RawLog) -> list[Frame]:
     Raises
     ------
     LogError
-        If a file cannot be read or lacks a column.
+        If a file cannot be read, is of another kind, or lacks a column.
     """
     module = format_module(profile)
     frames = []
     roles: tuple[Literal["source", "partner"], ...] = ("source", "partner")
-    for role, name, data in zip(roles, raw.names, raw.data, strict=False):
+    for name, data in zip(raw.names, raw.data, strict=False):
+        refuse_other_kind(name, profile.format, data)
+    names, contents, more = raw.names, raw.data, {}
+    if profile.partner is None and len(contents) > 1:
+        # the files of a split bag go on in each other
+        more = {"parts": tuple((name, len(data)) for name, data in zip(names, contents, strict=True))}
+        names, contents = names[:1], (b"".join(contents),)
+    for role, name, data in zip(roles, names, contents, strict=False):
         wanted = profile.wanted(role)
-        frame: Frame = module.read_frame(profile, name, data, tuple(dict.fromkeys(wanted.values())))
+        frame: Frame = module.read_frame(profile, name, data, tuple(dict.fromkeys(wanted.values())), **more)
         for key, column in wanted.items():
             if column not in frame.columns:
                 found = list(frame.columns)[:LISTED_NAMES]
                 raise LogError(
                     f"{name}: profile {profile.name} wants column {column!r} for {key}, found {found}. "
-                    "Correct the name in the profile, or the file."
+                    "Correct the name in the profile, or the file.",
+                    code="column-missing",
                 )
         frames.append(frame)
     return frames
@@ -125,6 +135,7 @@ def logs_of(profile: Profile, names: Sequence[str], frames: Sequence[Frame]) -> 
                 f"the files {' and '.join(names)} have different numbers of rows ({len(frame)} in {name}, {len(other)} "
                 f"in {other_name}); expected the same, row for row. Were they recorded together?",
                 int(row[min(len(frame), len(other))]),
+                code="lengths-differ",
             )
     entry = entry_of(profile, name)
     special = entry.given() if entry else {}
@@ -151,7 +162,10 @@ def _period(where: str, given: dict[str, Any]) -> float:
     """Return the sampling period [s], which time may be counted by before the conditions are checked."""
     period = float(given["sampling_period_s"])
     if not 0 < period < np.inf:
-        raise LogError(f"{where}: sampling_period_s is {period:g}; expected a time above 0 s. Correct the profile.")
+        raise LogError(
+            f"{where}: sampling_period_s is {period:g}; expected a time above 0 s. Correct the profile.",
+            code="condition-wrong",
+        )
     return period
 
 
@@ -167,13 +181,15 @@ def _trials(profile: Profile, name: str, frame: Frame) -> Iterator[tuple[str | N
             f"{name}: column {profile.trial_column!r} (trial_column) is blank; expected the label of the trial in each "
             "row. Fill it in, or correct trial_column.",
             int(frame.row[int(np.argmax(blank))]),
+            code="no-value",
         )
     labels, first, which = np.unique(values, return_index=True, return_inverse=True)
     order = np.argsort(which, kind="stable")
     parts = np.split(order, np.cumsum(np.bincount(which))[:-1])
     for at in np.argsort(first):
         label = labels[at].item()
-        yield str(int(label)) if isinstance(label, float) and label.is_integer() else str(label), parts[at]
+        text = str(int(label)) if isinstance(label, float) and label.is_integer() else str(label)
+        yield storable(text), parts[at]
 
 
 def _log(
@@ -187,26 +203,42 @@ def _log(
     label: str | None,
 ) -> Log:
     """Return the part of a trial inside a window as a log."""
+    if not step.declared and given["step"] != 0:
+        raise LogError(
+            f"{where}: profile {profile.name} does not say when the step of this file happens. Add to it "
+            'step_at = "command edge" (found in the command), step_at = "first row", step_row = <row, counted from 0> '
+            "or step_time_s = <seconds>: at the top, or in the [[file]] or [[steps]] that fits.",
+            code="condition-missing",
+            profile_line='step_at = "command edge"',
+        )
     period = _period(where, given)
     inside = slice(None) if window is None else _inside(window, rows, period)
     time, number, row = rows.time[inside], rows.number[inside], rows.row[inside]
     if len(time) < 2:
         limits = "" if window is None else " inside its window"
+        limits += f", of {_span(rows.time)}" if window is not None and len(rows.time) else ""
         at = int(frame.row[0]) if len(frame) else None
         text = f"{where} has {len(time)} samples{limits}; expected at least 2."
-        raise LogError(f"{text} Correct the window in the profile, or leave this log out.", at)
+        raise LogError(f"{text} Correct the window in the profile, or leave this log out.", at, code="too-short")
     factors = profile.factors()
     columns = {key: values[inside] * factors[key] for key, values in rows.columns.items()}
-    header = header_of(profile, where, given, _extra(profile, frame, _step_row(where, step, time, number, row)))
+    extra = _extra(profile, frame, _step_row(where, step, time, number, row))
+    if rows.raw_decimals:
+        extra["raw_count_decimals"] = str(rows.raw_decimals)
+    header = header_of(profile, where, given, extra)
     try:
         log = check_samples(header, time=time, row=row, **columns)
     except LogError as error:
-        raise LogError(f"{where}: {error.reason}", error.row) from error
+        raise error.reworded(f"{where}: {error.reason}") from error
     counts = dict(rows.counts)
     if len(time) < len(rows.time):
         counts["outside_window"] = len(rows.time) - len(time)
     raw = None if rows.raw_time is None else rows.raw_time[inside]
     return replace(log, raw_time=raw, counts=counts, warnings=frame.warnings, label=label)
+
+
+def _span(time: Floats) -> str:
+    return f"{len(time)} from {time[0]:.9g} s to {time[-1]:.9g} s"
 
 
 def _inside(window: Window, rows: Rows, period: float) -> Booleans:
@@ -235,6 +267,7 @@ def _step_row(where: str, step: StepTime, time: Floats, number: Integers, row: I
                 f"{where}: step_row is {step.step_row}, which is not among the {len(time)} samples (rows {number[0]} "
                 f"to {number[-1]}, counted from 0, without those left out). Correct it, or the window.",
                 int(row[0]),
+                code="profile-wrong",
             )
         return int(found[0])
     if step.step_time_s is not None:
@@ -243,6 +276,7 @@ def _step_row(where: str, step: StepTime, time: Floats, number: Integers, row: I
                 f"{where}: step_time_s is {step.step_time_s:g}, outside the samples ({time[0]:.9g} to {time[-1]:.9g} "
                 "s). Correct it, or the window.",
                 int(row[0]),
+                code="profile-wrong",
             )
         return int(np.searchsorted(time, step.step_time_s))
     return None
@@ -260,4 +294,5 @@ def _extra(profile: Profile, frame: Frame, step_row: int | None) -> dict[str, st
     extra |= {f"file.{key}": str(value)[:LONGEST_ATTRIBUTE] for key, value in attributes[:KEPT_ATTRIBUTES]}
     if frame.warnings:
         extra["warnings"] = "; ".join(frame.warnings)
-    return extra
+    # some formats hold texts that UTF-8 has not
+    return {storable(key): storable(value) for key, value in extra.items()}

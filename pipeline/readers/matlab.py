@@ -84,7 +84,8 @@ def _version_5(name: str, data: bytes) -> MatContents:
     if len(data) < HEADER or data[126:128] not in (b"IM", b"MI"):
         raise LogError(
             f"{name} is no MATLAB file: expected version 5 or 7.3, found the first bytes {data[:16]!r}. A version 4 "
-            "file must be saved again: save('log.mat', 't', 'x', '-v7'). Otherwise correct `format` in the profile."
+            "file must be saved again: save('log.mat', 't', 'x', '-v7'). Otherwise correct `format` in the profile.",
+            code="unsupported",
         )
     contents = parse_mat5(name, data)
     for path, array in contents.arrays.items():

@@ -130,7 +130,8 @@ class _Parser:
         if self.elements > MOST_ELEMENTS or depth > DEEPEST:
             raise LogError(
                 f"{self.name}: more than {MOST_ELEMENTS} arrays, or structs more than {DEEPEST} deep; expected "
-                "recorded signals. Save the signals as plain arrays."
+                "recorded signals. Save the signals as plain arrays.",
+                code="too-deep",
             )
         if not body:
             self._add(path, np.empty(0))
@@ -242,7 +243,8 @@ class _Parser:
         if self.left < 0:
             raise LogError(
                 f"{self.name}: the arrays take more than {allowed_bytes(len(self.data))} bytes in memory; expected the "
-                "log of one step response. Save only the signals that are needed."
+                "log of one step response. Save only the signals that are needed.",
+                code="unpacks-too-large",
             )
 
     def _text(self, body: memoryview, at: int) -> tuple[str, int]:

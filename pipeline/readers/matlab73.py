@@ -55,7 +55,8 @@ class _Collector:
         if self.elements > MOST_ELEMENTS or depth > DEEPEST:
             raise LogError(
                 f"{self.name}: more than {MOST_ELEMENTS} arrays, or structs more than {DEEPEST} deep; expected "
-                "recorded signals. Save the signals as plain arrays."
+                "recorded signals. Save the signals as plain arrays.",
+                code="too-deep",
             )
         kind = self._class(item)
         if "MATLAB_object_decode" in item.attrs or (kind not in _NUMBERS | {"char", "cell", "struct", ""}):

@@ -14,7 +14,7 @@ from pipeline.errors import LogError
 from pipeline.profiles import Profile
 from pipeline.readers.frame import ColumnInfo, Frame
 from pipeline.readers.isolation import isolated
-from pipeline.readers.recording import LISTED_MESSAGES, Recording, Topic
+from pipeline.readers.recording import LISTED_MESSAGES, Parts, Recording, Topic, split
 from pipeline.readers.safety import allowed_bytes, reading, unpack
 from pipeline.readers.topics import IMPORTS, SECONDS_PER_BYTE, frame_of_topics, list_topics, topics_of
 
@@ -24,7 +24,7 @@ _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _FOOTER = 0x03, 0x04, 0x05, 0x06, 0x02
 _SCHEMAS = {"ros1msg": "msg", "ros2msg": "msg", "ros2idl": "idl", "omgidl": "idl"}
 
 
-def read_frame(profile: Profile, name: str, data: bytes, wanted: Sequence[str]) -> Frame:
+def read_frame(profile: Profile, name: str, data: bytes, wanted: Sequence[str], parts: Parts = ()) -> Frame:
     """Read messages of an MCAP file.
 
     Parameters
@@ -36,6 +36,8 @@ def read_frame(profile: Profile, name: str, data: bytes, wanted: Sequence[str]) 
     data : bytes
     wanted : sequence of str
         As `topics.frame_of_topics` has them.
+    parts : tuple of (str, int)
+        Name and bytes of each file where ``data`` holds those of a split bag, one behind the other.
 
     Returns
     -------
@@ -47,7 +49,14 @@ def read_frame(profile: Profile, name: str, data: bytes, wanted: Sequence[str]) 
         If the file is damaged, a topic or field is missing, or a topic is encoded in another way.
     """
     frame: Frame = isolated(
-        f"{__name__}:frame_here", name, KIND, data, tuple(wanted), imports=IMPORTS, seconds_per_byte=SECONDS_PER_BYTE
+        f"{__name__}:frame_here",
+        name,
+        KIND,
+        data,
+        tuple(wanted),
+        parts,
+        imports=IMPORTS,
+        seconds_per_byte=SECONDS_PER_BYTE,
     )
     return frame
 
@@ -66,10 +75,10 @@ def list_columns(name: str, data: bytes, profile: Profile | None = None) -> list
     return infos
 
 
-def frame_here(name: str, data: bytes, wanted: Sequence[str]) -> Frame:
+def frame_here(name: str, data: bytes, wanted: Sequence[str], parts: Parts = ()) -> Frame:
     """Do what `read_frame` does, in the worker process."""
     with reading(name, KIND):
-        return frame_of_topics(name, lambda keep: scan(name, data, keep), wanted, len(data))
+        return frame_of_topics(name, lambda keep: scan(name, data, keep, parts=parts), wanted, len(data))
 
 
 def columns_here(name: str, data: bytes) -> list[ColumnInfo]:
@@ -78,7 +87,7 @@ def columns_here(name: str, data: bytes) -> list[ColumnInfo]:
         return list_topics(name, scan(name, data, topics_of, LISTED_MESSAGES), len(data))
 
 
-def scan(name: str, data: bytes, keep: Callable[[str], bool], most: int | None = None) -> Recording:
+def scan(name: str, data: bytes, keep: Callable[[str], bool], most: int | None = None, parts: Parts = ()) -> Recording:
     """Walk through the records of an MCAP file.
 
     Raises
@@ -86,15 +95,22 @@ def scan(name: str, data: bytes, keep: Callable[[str], bool], most: int | None =
     LogError
         If it is no MCAP file, or unpacks to more than `safety.allowed_bytes`.
     """
+    recording = Recording(keep, most)
+    for part_name, part in split(name, data, parts):
+        _scan_file(part_name, part, recording)
+    return recording
+
+
+def _scan_file(name: str, data: bytes, recording: Recording) -> None:
     if not data.startswith(MAGIC):
         raise LogError(
-            f"{name} is no MCAP file: it begins with {data[:8]!r}, not {MAGIC!r}. Correct `format` in the profile."
+            f"{name} is no MCAP file: it begins with {data[:8]!r}, not {MAGIC!r}. Correct `format` in the profile.",
+            code="unsupported",
         )
-    scanner = _Scanner(name, data, Recording(keep, most))
+    scanner = _Scanner(name, data, recording)
     end = scanner.walk(memoryview(data), len(MAGIC), True)
     if data[end : end + 1] != bytes([_FOOTER]):
-        scanner.recording.cut(end)
-    return scanner.recording
+        recording.cut(end, name)
 
 
 class _Scanner:

@@ -17,12 +17,22 @@ from pipeline.batch import Floats
 from pipeline.errors import LogError
 from pipeline.native import COLUMN_LINE, NativeHeader, parse_header
 from pipeline.profiles import Profile
+from pipeline.readers.file_kind import refuse_other_kind
 from pipeline.readers.log import Log, RawLog, check_samples
+from pipeline.readers.plain_text import LONGEST_LINE
 
 _NAMES = COLUMN_LINE.split(",")
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
+# float() would take digits of every script, which the common parse does not; no digit may belong to two parts, or a
+# million of them would be divided in every way
+_NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 _LONGEST_HEADER = 1 << 16
 """Bytes searched for the column line; a header is some hundred bytes, a file without one may be huge."""
+
+LONGEST_HEADER_LINE = 1 << 14
+"""Bytes of a header line; remarks are some hundred."""
+
+_SEARCHED = 1 << 20
+"""Bytes of a body that are searched at once for the row at fault: lines as objects take ten times their bytes."""
 
 Columns = tuple[Floats, Floats, Floats]
 
@@ -32,6 +42,8 @@ class _Body:
 
     def __init__(self, raw: RawLog) -> None:
         data = raw.data[0]
+        if not data.startswith(b"#"):
+            refuse_other_kind(raw.names[0], "native", data)
         self.header, start, self.first_row = _split(data)
         self.text = data[start:].rstrip(b"\r\n\t ") + b"\n"
         self.lines = self.text.count(b"\n") if len(self.text) > 1 else 0
@@ -77,15 +89,26 @@ def _split(data: bytes) -> tuple[NativeHeader, int, int]:
     """Return the header, the offset of the first sample and its line number."""
     head = data[:_LONGEST_HEADER]
     if not head.strip(b"\xef\xbb\xbf \t\r\n"):
-        raise LogError("file is empty; expected a header, the column line and samples. Record the log again.", 1)
+        raise LogError(
+            "file is empty; expected a header, the column line and samples. Record the log again.", 1, code="empty"
+        )
     lines: list[str] = []
     start = 0
     while start < len(head):
         end = head.find(b"\n", start) + 1 or len(head)
+        if end - start > LONGEST_HEADER_LINE:
+            raise LogError(
+                f"line has more than {LONGEST_HEADER_LINE} bytes; expected header lines `# key: value` and the column "
+                f"line {COLUMN_LINE!r}. Shorten the line, or describe the file by a profile.",
+                len(lines) + 1,
+                code="too-long-line",
+            )
         try:
             text = head[start:end].decode("utf-8-sig" if start == 0 else "utf-8").strip()
         except UnicodeDecodeError as error:
-            raise LogError(f"line is no UTF-8 text ({error.reason}). Save the log as UTF-8.", len(lines) + 1) from error
+            raise LogError(
+                f"line is no UTF-8 text ({error.reason}). Save the log as UTF-8.", len(lines) + 1, code="encoding"
+            ) from error
         start = end
         if text and not text.startswith("#"):
             header = parse_header(lines)
@@ -94,11 +117,16 @@ def _split(data: bytes) -> tuple[NativeHeader, int, int]:
                     f"columns must be exactly {COLUMN_LINE!r}, found {text[:200]!r}. "
                     "Correct the column line, or describe the file by a profile.",
                     len(lines) + 1,
+                    code="column-missing",
                 )
             return header, start, len(lines) + 2
         lines.append(text)
     parse_header(lines)
-    raise LogError(f"column line {COLUMN_LINE!r} is missing below the header; add it and the samples.", len(lines) + 1)
+    raise LogError(
+        f"column line {COLUMN_LINE!r} is missing below the header; add it and the samples.",
+        len(lines) + 1,
+        code="header-missing",
+    )
 
 
 def _parse(text: bytes, lines: int, use_threads: bool) -> Columns | None:
@@ -127,15 +155,40 @@ def _parse_alone(body: _Body) -> Columns:
     columns = _parse(body.text, body.lines, use_threads=False)
     if columns is not None:
         return columns
-    values = np.empty((body.lines, 3))
-    for index, line in enumerate(body.text.decode("utf-8", "replace").split("\n")[:-1]):
-        row = body.first_row + index
+    parts: list[Columns] = []
+    start, row = 0, body.first_row
+    while start < len(body.text):
+        # whole lines, and at least one
+        end = body.text.rfind(b"\n", start, start + _SEARCHED) + 1 or body.text.find(b"\n", start) + 1
+        block = body.text[start:end]
+        lines = block.count(b"\n")
+        part = _parse(block, lines, use_threads=False)
+        parts.append(_parse_lines(block, row) if part is None else part)
+        start, row = end, row + lines
+    time, command, position = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return time, command, position
+
+
+def _parse_lines(block: bytes, first_row: int) -> Columns:
+    """Return the numbers of some lines that the common parse does not take, if they are numbers all the same."""
+    lines = block.decode("utf-8", "replace").split("\n")[:-1]
+    values = np.empty((len(lines), 3))
+    for index, line in enumerate(lines):
+        row = first_row + index
+        if len(line) > LONGEST_LINE:
+            raise LogError(
+                f"line has more than {LONGEST_LINE} characters; expected 3 values ({COLUMN_LINE}). Repair the row, or "
+                "leave this log out.",
+                row,
+                code="too-long-line",
+            )
         cells = [cell.strip() for cell in line.split(",")]
         if len(cells) != 3:
             what = "a blank line" if not line.strip() else f"{len(cells)} values ({line.strip()[:200]!r})"
             raise LogError(
                 f"expected 3 values ({COLUMN_LINE}), found {what}. Repair the row, or leave this log out.",
                 row,
+                code="row-length",
             )
         for column, (name, cell) in enumerate(zip(_NAMES, cells, strict=True)):
             if _NUMBER.fullmatch(cell) is None:
@@ -143,6 +196,7 @@ def _parse_alone(body: _Body) -> Columns:
                     f"{name} must be a finite number with a decimal point, found {cell[:200]!r}. "
                     "Repair the row, or leave this log out.",
                     row,
+                    code="not-a-number",
                 )
             values[index, column] = float(cell)
     return values[:, 0], values[:, 1], values[:, 2]

@@ -2,13 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 from pipeline.errors import LogError
 
+Parts = tuple[tuple[str, int], ...]
+"""Name and bytes of each file of a bag."""
+
 LISTED_MESSAGES = 3
 """Messages of a topic that listing its columns looks at."""
+
+
+def split(name: str, data: bytes, parts: Parts) -> Iterator[tuple[str, bytes]]:
+    """Yield name and content of each file of a bag; without parts there is one.
+
+    >>> list(split("bag", b"abc", (("bag_0", 1), ("bag_1", 2))))
+    [('bag_0', b'a'), ('bag_1', b'bc')]
+    """
+    start = 0
+    for part, size in parts or ((name, len(data)),):
+        yield part, data[start : start + size]
+        start += size
 
 
 @dataclass(frozen=True)
@@ -68,7 +83,8 @@ class Recording:
         if (known.type, known.encoding, known.definition) != (topic.type, topic.encoding, topic.definition):
             raise LogError(
                 f"{name}: topic {topic.name!r} has messages of two types, {known.type!r} and {topic.type!r} (or two "
-                "definitions of one); expected one. Filter the bag so that one publisher is left."
+                "definitions of one); expected one. Filter the bag so that one publisher is left.",
+                code="unsupported",
             )
 
     def add_message(self, topic: str, received: int, data: bytes | memoryview) -> None:
@@ -80,8 +96,9 @@ class Recording:
             self.number.setdefault(topic, []).append(self.total)
             self.data.setdefault(topic, []).append(bytes(data))
 
-    def cut(self, offset: int) -> None:
-        """Note that the recording ends inside a record."""
+    def cut(self, offset: int, name: str) -> None:
+        """Note that a file ends inside a record."""
         self.warnings.append(
-            f"recording is cut at byte {offset}: what follows was left out; {self.total} messages stand before it"
+            f"recording is cut at byte {offset} of {name}: what follows was left out; "
+            f"{self.total} messages stand before it"
         )

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Iterable, Mapping
 from typing import Any
 
 from pipeline.errors import LogError
+from pipeline.readers.json_text import DoubledKeyError, load_json
 from pipeline.readers.recording import Topic
 from pipeline.readers.safety import allowed_bytes, library
 
@@ -59,11 +59,19 @@ class Decoder:
         """
         info = self.topics[topic]
         if info.encoding == "json":
-            return json.loads(data)
+            try:
+                return load_json(data)
+            except DoubledKeyError as error:
+                inside = f" ({error.place()})" if error.path else ""
+                raise LogError(
+                    f"{self.name}: key {error.key!r} stands twice in one object of a message of {topic!r}{inside}; "
+                    "expected it once, since nobody can tell which value counts. Leave this log out.",
+                    code="damaged",
+                ) from error
         if topic not in self.stores:
             reason = self.refusal(topic)
             if reason:
-                raise LogError(f"{self.name}: topic {topic!r} {reason}")
+                raise LogError(f"{self.name}: topic {topic!r} {reason}", code="unsupported")
             self.stores[topic] = self._store(info)
         store, title = self.stores[topic]
         return store.deserialize_ros1(data, title) if info.encoding == "ros1" else store.deserialize_cdr(data, title)
@@ -127,7 +135,8 @@ def _check_names(name: str, title: str, pattern: re.Pattern[str], found: Iterabl
         if not pattern.fullmatch(key):
             raise LogError(
                 f"{name}: the definition of {title[:80]!r} has the name {key[:80]!r}; expected letters, digits and "
-                "underscores. The file is damaged; copy it again."
+                "underscores. The file is damaged; copy it again.",
+                code="damaged",
             )
 
 

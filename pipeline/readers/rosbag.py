@@ -1,7 +1,7 @@
 """Reads ROS 1 bags (``.bag``) and the database files of ROS 2 bags (``.db3``), columns as in `pipeline.readers.topics`.
 
-A ROS 2 bag is a folder; its samples are in the ``.db3`` or ``.mcap`` files in it, and each such file is read alone,
-without ``metadata.yaml``. A recording split over several files is several logs. Records are walked in order, so that a
+A ROS 2 bag is a folder; its samples are in the ``.db3`` or ``.mcap`` files in it, which are read one behind the other
+(`pipeline.bags` says which). Records are walked in order, so that a
 bag that was never closed or indexed is read up to its end.
 """
 
@@ -16,7 +16,7 @@ from pipeline.errors import LogError
 from pipeline.profiles import Profile
 from pipeline.readers.frame import ColumnInfo, Frame
 from pipeline.readers.isolation import isolated
-from pipeline.readers.recording import LISTED_MESSAGES, Recording, Topic
+from pipeline.readers.recording import LISTED_MESSAGES, Parts, Recording, Topic, split
 from pipeline.readers.safety import allowed_bytes, reading, unpack
 from pipeline.readers.topics import IMPORTS, SECONDS_PER_BYTE, frame_of_topics, list_topics, topics_of
 
@@ -29,7 +29,7 @@ _WAL = slice(18, 20)
 """Bytes of a database that say how it is journalled."""
 
 
-def read_frame(profile: Profile, name: str, data: bytes, wanted: Sequence[str]) -> Frame:
+def read_frame(profile: Profile, name: str, data: bytes, wanted: Sequence[str], parts: Parts = ()) -> Frame:
     """Read messages of a ``.bag`` or ``.db3`` file.
 
     Parameters
@@ -41,6 +41,8 @@ def read_frame(profile: Profile, name: str, data: bytes, wanted: Sequence[str]) 
     data : bytes
     wanted : sequence of str
         As `topics.frame_of_topics` has them.
+    parts : tuple of (str, int)
+        Name and bytes of each file where ``data`` holds those of a split bag, one behind the other.
 
     Returns
     -------
@@ -52,7 +54,14 @@ def read_frame(profile: Profile, name: str, data: bytes, wanted: Sequence[str]) 
         If the file is damaged, a topic or field is missing, or a message type is not defined.
     """
     frame: Frame = isolated(
-        f"{__name__}:frame_here", name, KIND, data, tuple(wanted), imports=IMPORTS, seconds_per_byte=SECONDS_PER_BYTE
+        f"{__name__}:frame_here",
+        name,
+        KIND,
+        data,
+        tuple(wanted),
+        parts,
+        imports=IMPORTS,
+        seconds_per_byte=SECONDS_PER_BYTE,
     )
     return frame
 
@@ -71,10 +80,10 @@ def list_columns(name: str, data: bytes, profile: Profile | None = None) -> list
     return infos
 
 
-def frame_here(name: str, data: bytes, wanted: Sequence[str]) -> Frame:
+def frame_here(name: str, data: bytes, wanted: Sequence[str], parts: Parts = ()) -> Frame:
     """Do what `read_frame` does, in the worker process."""
     with reading(name, KIND):
-        return frame_of_topics(name, lambda keep: scan(name, data, keep), wanted, len(data))
+        return frame_of_topics(name, lambda keep: scan(name, data, keep, parts=parts), wanted, len(data))
 
 
 def columns_here(name: str, data: bytes) -> list[ColumnInfo]:
@@ -83,7 +92,7 @@ def columns_here(name: str, data: bytes) -> list[ColumnInfo]:
         return list_topics(name, scan(name, data, topics_of, LISTED_MESSAGES), len(data))
 
 
-def scan(name: str, data: bytes, keep: Callable[[str], bool], most: int | None = None) -> Recording:
+def scan(name: str, data: bytes, keep: Callable[[str], bool], most: int | None = None, parts: Parts = ()) -> Recording:
     """Walk through the messages of a bag.
 
     Raises
@@ -92,18 +101,24 @@ def scan(name: str, data: bytes, keep: Callable[[str], bool], most: int | None =
         If it is neither a ROS 1 bag nor a database of a ROS 2 bag, or unpacks to more than `safety.allowed_bytes`.
     """
     recording = Recording(keep, most)
+    for part_name, part in split(name, data, parts):
+        _scan_file(part_name, part, recording)
+    return recording
+
+
+def _scan_file(name: str, data: bytes, recording: Recording) -> None:
     if data.startswith(_BAG):
         _scan_ros1(name, data, recording)
     elif data.startswith(_SQLITE):
         _scan_ros2(name, data, recording)
     elif data.startswith(_ZSTD):
-        raise LogError(f"{name} is packed as a whole. Unpack it: zstd -d {name}")
+        raise LogError(f"{name} is packed as a whole. Unpack it: zstd -d {name}", code="unsupported")
     else:
         raise LogError(
             f"{name} is no ROS bag: it begins with {data[:16]!r}; expected a .bag of version 2.0 or a .db3 file. "
-            'Correct `format` in the profile (an .mcap file has format = "mcap").'
+            'Correct `format` in the profile (an .mcap file has format = "mcap").',
+            code="unsupported",
         )
-    return recording
 
 
 def _scan_ros1(name: str, data: bytes, recording: Recording) -> None:
@@ -129,7 +144,7 @@ def _scan_ros1(name: str, data: bytes, recording: Recording) -> None:
 
     end = _walk(memoryview(data), len(_BAG), visit)
     if end != len(data):
-        recording.cut(end)
+        recording.cut(end, name)
 
 
 def _walk(view: memoryview, at: int, visit: Callable[[dict[str, bytes], memoryview], None]) -> int:
@@ -178,7 +193,8 @@ def _read_database(name: str, database: sqlite3.Connection, recording: Recording
     if not {"topics", "messages"} <= tables:
         raise LogError(
             f"{name} is a database without the tables of a ROS 2 bag; it has {sorted(tables)[:20]}. "
-            "Correct `format` in the profile, or export the tables as CSV."
+            "Correct `format` in the profile, or export the tables as CSV.",
+            code="unsupported",
         )
     definitions: dict[str, tuple[str, str]] = {}
     if "message_definitions" in tables:

@@ -5,6 +5,7 @@ Rows are left out only where the profile says so, and each kind is counted.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -42,6 +43,8 @@ class Rows:
         Row of the file, counted from 1.
     counts : dict of str to int
         What was found and settled; nothing where it is zero.
+    raw_decimals : int
+        Digits behind the decimal sign that whole numbers in ``raw_time`` had.
     """
 
     time: Floats
@@ -50,6 +53,7 @@ class Rows:
     number: Integers
     row: Integers
     counts: dict[str, int]
+    raw_decimals: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,8 +114,11 @@ def rows_of(
     fraction = None
     if source.fraction is not None:
         fraction = frames[0 if source.file == "source" else 1].columns[source.fraction.name][index][stamped]
-    values = None if stamps_column is None else stamps_column.values[stamped]
-    stamps = read_stamps(source, values, fraction, period, place, row[stamped])
+    values, decimals = None if stamps_column is None else stamps_column.values[stamped], 0
+    if stamps_column is not None and source.key in stamps_column.frame.dates:
+        dates, decimals = stamps_column.frame.dates[source.key]
+        values = dates[index][stamped]
+    stamps = read_stamps(source, values, fraction, period, place, row[stamped], decimals)
     order, late = in_order(source, stamps.time, place, row[stamped])
     counts |= {"wraps": stamps.wraps, "out_of_order": late}
 
@@ -135,6 +142,7 @@ def rows_of(
         number[kept],
         row[number[kept]],
         {key: count for key, count in counts.items() if count},
+        decimals,
     )
 
 
@@ -175,21 +183,27 @@ def _no_number(
     for number, value in enumerate(values.tolist()):
         at, cell = number, str(value).strip()
         try:
-            float(cell.replace(profile.decimal, ".").replace("_", "?") or "nan")
+            float(cell.replace(profile.decimal_sign, ".").replace("_", "?") or "nan")
         except ValueError:
             break
-        if "." in cell and profile.decimal == ",":
+        if "." in cell and profile.decimal_sign == ",":
             break
-    other = "," if profile.decimal == "." else "."
+    other = "," if profile.decimal_sign == "." else "."
     text = profile.format == "delimited"
-    sign = f", decimal sign {profile.decimal!r}" if text else ""
-    hint = f'Add decimal = "{other}" to profile {profile.name} if that is its decimal sign. ' if other in cell else ""
+    sign = f", decimal sign {profile.decimal_sign!r}" if text else ""
+    hint = f'Write decimal = "{other}" in profile {profile.name} if that is its decimal sign. ' if other in cell else ""
     listed = f'If it means "no value", add missing = ["{cell[:40]}"]. ' if not hint else ""
     row = int(frame.row[index[at]])
     return LogError(
         f"{where}: {key} must be a number (column {source.key!r}{sign}), found {cell[:200]!r}{_called(frame, row)}. "
         f"{hint + listed if text else ''}Repair the row, or leave this log out.",
         row,
+        code="not-a-number",
+        profile_line=None
+        if not text
+        else f'decimal = "{other}"'
+        if hint
+        else f"missing = [{json.dumps(cell[:40], ensure_ascii=False)}]",
     )
 
 
@@ -204,6 +218,8 @@ def _no_value(profile: Profile, key: str, column: _Column, row: Integers, at: in
         f"{column.where}: {key} has no value: {column.name} {what}{_called(column.frame, int(row[at]))}; expected a "
         f"number. Repair the row, or add {choices} to [columns.{key}] of profile {profile.name}.",
         int(row[at]),
+        code="no-value",
+        profile_line=f'[columns.{key}]\nblanks = "skip"',
     )
 
 

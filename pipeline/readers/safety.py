@@ -24,6 +24,9 @@ EXPANSION = 100
 LARGEST_FRAME = 1 << 30
 """Bytes that no file may exceed when unpacked, four times the largest file that is read at all."""
 
+MOST_COLUMNS = 10_000
+"""Columns of a file that are told apart; motion capture has some thousands, a list on one line has more."""
+
 _BLOCK = 1 << 20
 
 
@@ -32,7 +35,7 @@ def allowed_bytes(size: int) -> int:
     return min(LARGEST_FRAME, max(SMALL_FRAME, EXPANSION * size))
 
 
-def check_claim(name: str, what: str, claimed: int, size: int) -> None:
+def check_claim(name: str, what: str, claimed: int, size: int, most: int = LARGEST_FRAME) -> None:
     """Refuse a file that claims more memory than its size makes likely, before that memory is asked for.
 
     Parameters
@@ -45,17 +48,35 @@ def check_claim(name: str, what: str, claimed: int, size: int) -> None:
         Bytes it would unpack to.
     size : int
         Bytes of the file.
+    most : int
+        Bytes that are too many for this kind of file whatever its size.
 
     Raises
     ------
     LogError
-        If the claim is above `allowed_bytes`.
+        If the claim is above `allowed_bytes` or `most`.
     """
-    limit = allowed_bytes(size)
+    limit = min(allowed_bytes(size), most)
     if claimed < 0 or claimed > limit:
         raise LogError(
             f"{name}: {what} claims {claimed} bytes in a file of {size}; expected at most {limit}. The file is "
-            "damaged or no log of one step response. Export it again, with the columns that are needed."
+            "damaged or no log of one step response. Export it again, with the columns that are needed.",
+            code="unpacks-too-large",
+        )
+
+
+def check_columns(name: str, count: int) -> None:
+    """Refuse a file with more than `MOST_COLUMNS` columns.
+
+    Raises
+    ------
+    LogError
+        If it has.
+    """
+    if count > MOST_COLUMNS:
+        raise LogError(
+            f"{name} has {count} columns; expected at most {MOST_COLUMNS}. Export the columns that are needed.",
+            code="too-many-columns",
         )
 
 
@@ -79,11 +100,18 @@ def reading(name: str, kind: str) -> Iterator[None]:
         yield
     except LogError:
         raise
+    except RecursionError as error:
+        raise LogError(
+            f"{name} cannot be read as {kind}: lists or objects are nested too deep; expected records of one form. "
+            "Export the samples as a table.",
+            code="too-deep",
+        ) from error
     except Exception as error:  # libraries document no complete list of what damage makes them raise
         found = " ".join(str(error).split())[:200] or type(error).__name__
         raise LogError(
             f"{name} cannot be read as {kind}: {found}. The file is cut, damaged or of another format. "
-            "Copy or export it again, or correct `format` in the profile."
+            "Copy or export it again, or correct `format` in the profile.",
+            code="damaged",
         ) from error
 
 
@@ -100,7 +128,8 @@ def library(module: str, package: str, extra: str) -> Any:
     except ImportError as error:
         raise LogError(
             f"reading this format needs the package {package}, which is not installed. "
-            f"Run pip install 'haptic-pipeline[{extra}]', then ingest with --rehash."
+            f"Run pip install 'haptic-pipeline[{extra}]', then ingest with --rehash.",
+            code="library-missing",
         ) from error
 
 
@@ -131,7 +160,8 @@ def unpack(name: str, packing: str, packed: bytes | memoryview, limit: int, size
         return bytes(packed)
     if packing not in _UNPACKERS:
         raise LogError(
-            f"{name}: data are packed by {packing[:40]!r}; expected one of {list(_UNPACKERS)}. Unpack the file first."
+            f"{name}: data are packed by {packing[:40]!r}; expected one of {list(_UNPACKERS)}. Unpack the file first.",
+            code="unsupported",
         )
     stream = _UNPACKERS[packing]()
     parts: list[bytes] = []

@@ -91,7 +91,8 @@ def _open(name: str, data: bytes) -> Any:
     if not data.startswith(_SIGNATURE):
         raise LogError(
             f"{name} is no TDMS file: it begins with {data[:4]!r}, not {_SIGNATURE!r}. Correct `format` in the "
-            "profile; a .tdms_index file holds no samples."
+            "profile; a .tdms_index file holds no samples.",
+            code="unsupported",
         )
     return library("nptdms", "npTDMS", "tdms").TdmsFile.open(BytesIO(data), raw_timestamps=True)
 
@@ -124,7 +125,9 @@ def _load(name: str, path: str, channel: Any, size: int) -> Array:
         return np.asarray(seconds * 10**9 + fraction.astype(np.int64))
     values = np.asarray(values)
     if values.dtype.kind == "c":
-        raise LogError(f"{name}: channel {path!r} holds complex numbers. Export its real and imaginary parts.")
+        raise LogError(
+            f"{name}: channel {path!r} holds complex numbers. Export its real and imaginary parts.", code="unsupported"
+        )
     return values
 
 
@@ -142,7 +145,8 @@ def _waveform_time(
         listing = ", ".join(f"{key!r}: {increment}" for key, (increment, _, _) in list(stated.items())[:10])
         raise LogError(
             f"{name}: {TIME!r} needs one wf_increment, wf_start_offset and length for all wanted channels; found the "
-            f"increments {listing or 'of no channel'}. Name a channel of times in columns.time.name instead."
+            f"increments {listing or 'of no channel'}. Name a channel of times in columns.time.name instead.",
+            code="time-wrong",
         )
     increment, offset, (rows,) = values.pop()
     check_claim(name, f"{rows} samples", 8 * rows, size)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from pipeline.batch import Booleans, Floats, Integers
 from pipeline.errors import LogError
 from pipeline.profile_columns import TimeSource
+from pipeline.readers.dates import are_dates
 from pipeline.units import factor_to_si
 
 GAP = 1.5
@@ -32,7 +33,8 @@ class Stamps:
     time : float64, shape (rows,)
         Seconds.
     raw : float64 or int64, shape (rows,), or None
-        As in the file; with a fraction, both parts in the unit of the fraction; None where there are no stamps.
+        As in the file; with a fraction, both parts in the unit of the fraction; dates with decimals without their
+        decimal sign; None where there are no stamps.
     wraps : int
         Times that the counter started again.
     """
@@ -43,10 +45,18 @@ class Stamps:
 
 
 def read_stamps(
-    source: TimeSource, values: NDArray[Any] | None, fraction: FractionValues, period: float | None, place: str,
+    source: TimeSource,
+    values: NDArray[Any] | None,
+    fraction: FractionValues,
+    period: float | None,
+    place: str,
     row: Integers,
-) -> Stamps:  # fmt: skip
+    decimals: int = 0,
+) -> Stamps:
     """Turn the time column into seconds.
+
+    Stamps that count from a date (`dates.DATE_S`) count from the earliest row instead: as floats they would be wrong by
+    up to 0.12 us. Whole numbers lose nothing by it; the stamps themselves are kept as ``raw``.
 
     Parameters
     ----------
@@ -60,6 +70,8 @@ def read_stamps(
         File and column, for messages.
     row : int64, shape (rows,)
         Where the rows stand in the file.
+    decimals : int
+        Digits behind the decimal sign that was taken out of ``values`` (`dates.whole_dates`).
 
     Raises
     ------
@@ -73,6 +85,7 @@ def read_stamps(
     unit = factor_to_si(source.unit, ("time",))
     if source.fraction is not None:
         values, unit = _joined(source, values, fraction, place, row), factor_to_si(source.fraction.unit, ("time",))
+    unit /= 10**decimals
     raw = values.astype(np.int64) if values.dtype.kind in "iu" else values.astype(np.float64)
     ticks: NDArray[Any] = raw
     wraps = 0
@@ -81,9 +94,12 @@ def read_stamps(
         ticks = np.cumsum(raw) - raw[:1]
     if source.wrap is not None:
         ticks, wraps = _unwrapped(raw, source.wrap, place, row)
+    counts = source.counts_per_unit or 1.0
     if source.kind == "counter" and len(ticks):
         ticks = ticks - ticks[0]
-    time: Floats = ticks * unit / (source.counts_per_unit or 1.0)
+    elif source.kind in ("absolute", "sampled") and are_dates(ticks, unit / counts):
+        ticks = ticks - ticks.min()
+    time: Floats = ticks * unit / counts
     if source.kind == "sampled":
         assert period is not None, "a profile without sampling period is refused"
         return Stamps(_sampled(time, period, place, row), raw)
@@ -103,6 +119,7 @@ def _joined(source: TimeSource, values: NDArray[Any], fraction: FractionValues, 
                 f"{place}: {part[at]} is no whole number; expected whole numbers of {source.unit} and "
                 f"{source.fraction.unit} where a stamp has two parts. Remove columns.time.fraction if it has one.",
                 int(row[at]),
+                code="time-wrong",
             )
     return values.astype(np.int64) * round(ratio) + fraction.astype(np.int64)
 
@@ -115,6 +132,7 @@ def _unwrapped(raw: NDArray[Any], wrap: float, place: str, row: Integers) -> tup
             f"{place}: the counter is {raw[at]}; expected 0 to {wrap:.17g}, where it starts again. "
             "Correct wrap in [columns.time].",
             int(row[at]),
+            code="time-wrong",
         )
     # half a turn back is a turn forward: a shorter way back is a row out of order
     again = np.diff(raw) < -wrap / 2
@@ -137,6 +155,7 @@ def _sampled(stamps: Floats, period: float, place: str, row: Integers) -> Floats
             f"{time[at]:.9g} s by the sampling period {period:.9g} s. Correct sampling_period_s, or use "
             'kind = "absolute": samples may be missing.',
             int(row[at]),
+            code="time-wrong",
         )
     return time
 
@@ -161,6 +180,8 @@ def in_order(source: TimeSource, time: Floats, place: str, row: Integers) -> tup
         'of the profile; if rows are out of order, add order = "sort"; if several trials follow each other, give '
         "trial_column or [[steps]].",
         int(row[at]),
+        code="time-backwards",
+        profile_line='[columns.time]\norder = "sort"',
     )
 
 
@@ -180,6 +201,8 @@ def distinct(source: TimeSource, time: Floats, place: str, row: Integers) -> Boo
             'printed coarsely, add kind = "sampled" to [columns.time] of the profile (one row each sampling period); '
             'if rows are doubled, duplicates = "keep first" or "keep last".',
             int(row[at]),
+            code="time-backwards",
+            profile_line='[columns.time]\nkind = "sampled"',
         )
     edge = np.ones(min(len(time), 1), dtype=np.bool_)
     return np.concatenate((edge, ~same) if source.duplicates != "keep last" else (~same, edge))

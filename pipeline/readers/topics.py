@@ -71,11 +71,14 @@ def frame_of_topics(
         If a topic or field is missing, a type is not known, or whole numbers of more than 15 digits would get gaps.
     """
     if STAMP in wanted and RECEIVED in wanted:
-        raise LogError(f"{name}: both {STAMP!r} and {RECEIVED!r} are wanted; rows have one time. Choose one of them.")
+        raise LogError(
+            f"{name}: both {STAMP!r} and {RECEIVED!r} are wanted; rows have one time. Choose one of them.",
+            code="profile-wrong",
+        )
     recording = scan(lambda topic: not wanted or any(key.startswith(f"{topic}.") for key in wanted))
     if not recording.topics:
         cut = "".join(f" The {warning}." for warning in recording.warnings)
-        raise LogError(f"{name} holds no topics; expected recorded messages.{cut} Record the log again.")
+        raise LogError(f"{name} holds no topics; expected recorded messages.{cut} Record the log again.", code="empty")
     fields: dict[str, list[str]] = {}
     decoder = Decoder(name, recording.topics, size)
     for key in wanted:
@@ -90,7 +93,9 @@ def frame_of_topics(
             # whole nanoseconds cannot be missing; the time of the rows is there for all topics
             fields = {topic: [path for path in paths if path != _HEADER] for topic, paths in fields.items()}
     if not fields:
-        raise LogError(f"{name}: no column of a topic is wanted. It has the topics {_listing(recording)}.")
+        raise LogError(
+            f"{name}: no column of a topic is wanted. It has the topics {_listing(recording)}.", code="profile-wrong"
+        )
     columns = {topic: _read_topic(name, decoder, recording, topic, asked) for topic, asked in fields.items()}
     number = {topic: np.array(recording.number[topic], dtype=np.int64) for topic in fields}
     if len(fields) == 1 and not wanted:
@@ -138,10 +143,13 @@ def _split(name: str, recording: Recording, key: str) -> tuple[str, str]:
     if topic is None:
         raise LogError(
             f"{name} has no topic for the column {key!r}; it has {_listing(recording)}. A column is called "
-            "'/topic.field'. Correct columns.*.name in the profile."
+            "'/topic.field'. Correct columns.*.name in the profile.",
+            code="column-missing",
         )
     if not recording.data.get(topic):
-        raise LogError(f"{name}: topic {topic!r} has no messages; expected samples. It has {_listing(recording)}.")
+        raise LogError(
+            f"{name}: topic {topic!r} has no messages; expected samples. It has {_listing(recording)}.", code="empty"
+        )
     return topic, key[len(topic) + 1 :]
 
 
@@ -196,6 +204,7 @@ def _read_topic(
                     f"{name}: message of {topic!r} has no {path!r}, which the first one has; expected it in each. "
                     "Take another column, or leave this log out.",
                     recording.number[topic][at],
+                    code="column-missing",
                 )
             cells[path].append(value)
     for path in asked:
@@ -213,7 +222,8 @@ def _times(name: str, decoder: Decoder, recording: Recording, topic: str, axis: 
         return _read_topic(name, decoder, recording, topic, [_HEADER])[_HEADER]
     except LogError as error:
         raise LogError(
-            f"{name}: {STAMP!r} is wanted, but messages of {topic!r} have no header. Take time from {RECEIVED!r}."
+            f"{name}: {STAMP!r} is wanted, but messages of {topic!r} have no header. Take time from {RECEIVED!r}.",
+            code="column-missing",
         ) from error
 
 
@@ -273,7 +283,8 @@ def _spread(name: str, key: str, values: Array, place: NDArray[np.intp], rows: i
     elif values.dtype.kind in "iu" and len(values) and max(int(values.max()), -int(values.min())) > _EXACT:
         raise LogError(
             f"{name}: {key!r} has whole numbers of more than 15 digits, and the other topics have rows without it; "
-            f"expected one time for all rows. Take time from {axis!r} or, for stamps of headers, {STAMP!r}."
+            f"expected one time for all rows. Take time from {axis!r} or, for stamps of headers, {STAMP!r}.",
+            code="no-value",
         )
     else:
         result = np.full(rows, np.nan)

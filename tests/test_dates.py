@@ -1,0 +1,212 @@
+"""Stamps of clocks that count from a date: what every reader makes of them has the exact differences of the file."""
+
+import json
+from decimal import Decimal
+from fractions import Fraction
+from io import BytesIO
+
+import numpy as np
+import pyarrow as pa
+import pytest
+import scipy.io
+from foreign_files import START, bag_file, hdf5_file
+from nptdms import ChannelObject, TdmsWriter
+from pyarrow import feather, parquet
+
+from pipeline.profile_columns import TimeSource
+from pipeline.profiles import Profile
+from pipeline.readers import Log, RawLog, reader_of
+from pipeline.readers.dates import are_dates, whole_dates
+
+ROWS = 50
+# irregular, in whole microseconds, since TDMS is written in these
+STAMPS = START + 1000 * (1000 * np.arange(ROWS) + np.random.default_rng(8).integers(0, 400, size=ROWS))
+SECONDS = np.array([float(Fraction(int(ns - STAMPS[0]), 10**9)) for ns in STAMPS])
+NS = STAMPS.tolist()
+TEXTS = [f"{ns // 10**9}.{ns % 10**9:09d}" for ns in NS]
+
+
+def exact(found):
+    # one product with 1e-9 or a power of ten: two roundings
+    np.testing.assert_allclose(found, SECONDS, rtol=5e-16, atol=0)
+
+
+def table(stamps):
+    return pa.table({"t": stamps, "F": np.ones(ROWS), "x": np.arange(ROWS) / 8})
+
+
+def arrow(write, stamps=None):
+    buffer = BytesIO()
+    write(table(pa.array(STAMPS, pa.timestamp("ns")) if stamps is None else stamps), buffer)
+    return buffer.getvalue()
+
+
+def matlab():
+    buffer = BytesIO()
+    scipy.io.savemat(buffer, {"t": STAMPS, "F": np.ones(ROWS), "x": np.arange(ROWS) / 8})
+    return buffer.getvalue()
+
+
+def hdf5():
+    def write(file):
+        file["t"], file["F"], file["x"] = STAMPS, np.ones(ROWS), np.arange(ROWS) / 8
+
+    return hdf5_file(write)
+
+
+def tdms():
+    stamps = np.datetime64(0, "us") + (STAMPS // 1000) * np.timedelta64(1, "us")
+    columns = {"t": stamps, "F": np.ones(ROWS), "x": np.arange(ROWS) / 8}
+    buffer = BytesIO()
+    with TdmsWriter(buffer) as writer:
+        writer.write_segment([ChannelObject("g", name, values) for name, values in columns.items()])
+    return buffer.getvalue()
+
+
+def bag(kind):
+    def fill(writer, store, is_ros1):
+        names = ("sensor_msgs/msg/JointState", "std_msgs/msg/Header", "builtin_interfaces/msg/Time")
+        joints, header, time = (store.types[name] for name in names)
+        encode = store.serialize_ros1 if is_ros1 else store.serialize_cdr
+        topic = writer.add_connection("/j", joints.__msgtype__, typestore=store)
+        for k, ns in enumerate(NS):
+            extra = {"seq": k} if is_ros1 else {}
+            head = header(stamp=time(sec=ns // 10**9, nanosec=ns % 10**9), frame_id="", **extra)
+            message = joints(head, ["a"], np.array([k / 8]), np.array([0.0]), np.array([1.0]))
+            writer.write(topic, ns, encode(message, joints.__msgtype__))
+
+    return bag_file(kind, fill)
+
+
+def csv(stamps, decimal="."):
+    rows = (f"{t};{1};{k / 8}\n".replace(".", decimal) for k, t in enumerate(stamps))
+    return ("t;F;x\n" + "".join(rows)).encode()
+
+
+def records(stamps):
+    """JSON by hand, so that the digits of the stamps are those given."""
+    return ("[" + ",".join(f'{{"t": {t}, "F": 1, "x": {k / 8}}}' for k, t in enumerate(stamps)) + "]").encode()
+
+
+def lists(stamps):
+    return f'{{"t": [{",".join(stamps)}], "F": {[1] * ROWS}, "x": {[k / 8 for k in range(ROWS)]}}}'.encode()
+
+
+PLAIN = {"time": "t", "command": "F", "position": "x"}
+BAG = {"time": "/j.header.stamp", "command": "/j.effort[0]", "position": "/j.position[0]"}
+FILES = {
+    "delimited ns": ("delimited", lambda: csv(NS), PLAIN, "ns", 0),
+    "delimited s": ("delimited", lambda: csv(TEXTS), PLAIN, "s", 9),
+    "delimited s, commas": ("delimited", lambda: csv(TEXTS, ","), PLAIN, "s", 9),
+    "delimited us": ("delimited", lambda: csv(f"{ns // 1000}.{ns % 1000:03d}" for ns in NS), PLAIN, "us", 3),
+    "json ns": ("json", lambda: records(NS), PLAIN, "ns", 0),
+    "json s": ("json", lambda: records(TEXTS), PLAIN, "s", 9),
+    "json s, lists": ("json", lambda: lists(TEXTS), PLAIN, "s", 9),
+    "parquet": ("parquet", lambda: arrow(parquet.write_table), PLAIN, "ns", 0),
+    "parquet integers": ("parquet", lambda: arrow(parquet.write_table, STAMPS), PLAIN, "ns", 0),
+    "feather": ("feather", lambda: arrow(feather.write_feather), PLAIN, "ns", 0),
+    "matlab": ("matlab", matlab, PLAIN, "ns", 0),
+    "hdf5": ("hdf5", hdf5, PLAIN, "ns", 0),
+    "tdms": ("tdms", tdms, {"time": "/g/t", "command": "/g/F", "position": "/g/x"}, "ns", 0),
+    "rosbag 1": ("rosbag", lambda: bag("bag"), BAG, "ns", 0),
+    "rosbag 2": ("rosbag", lambda: bag("db3"), BAG, "ns", 0),
+    "mcap": ("mcap", lambda: bag("mcap"), BAG, "ns", 0),
+}
+UNITS = {"command": "N", "position": "m"}
+
+
+def read(form, data, names, unit, **time) -> Log:
+    columns = {key: {"name": names[key], "unit": UNITS[key], "sign": 1} for key in UNITS}
+    columns["time"] = {"name": names["time"], "unit": unit} | time
+    values = {"name": "lab", "format": form, "files": ["*"], "columns": columns, "step_at": "command edge"}
+    values["constants"] = {
+        "device": "d", "experiment": "1", "stiffness": 1, "damping": 1, "step": 1, "sampling_period_s": 0.001,
+    }  # fmt: skip
+    if form == "delimited":
+        values |= {"delimiter": ";", "decimal": "," if b"," in data else "."}
+    profile = Profile.model_validate(values)
+    (outcome,) = reader_of(profile)(profile, [RawLog(("log",), (data,))], False)
+    if isinstance(outcome, Exception):
+        raise outcome
+    (log,) = outcome
+    return log
+
+
+@pytest.mark.parametrize("kind", ["absolute", "counter"])
+@pytest.mark.parametrize("name", FILES)
+def test_differences_of_dates_are_exact_and_the_stamps_are_kept(name, kind):
+    form, write, names, unit, decimals = FILES[name]
+    log = read(form, write(), names, unit, kind=kind)
+    exact(log.time)
+    assert log.raw_time.tolist() == NS, "without the decimal sign these are the same digits"
+    assert log.header.extra.get("raw_count_decimals") == (str(decimals) if decimals else None)
+    assert log.position.tolist() == [k / 8 for k in range(ROWS)]
+
+
+def test_dates_with_blank_cells_and_a_sentinel_are_exact_too():
+    stamps = [*TEXTS[:3], "", "-1", *TEXTS[3:]]
+    log = read("delimited", csv(stamps), PLAIN, "s", blanks="skip", sentinels=[-1])
+    exact(log.time)
+    assert log.raw_time.tolist() == NS
+    whole = read("delimited", csv([*NS[:3], "", *NS[3:]]), PLAIN, "ns", blanks="skip")
+    exact(whole.time)
+    assert whole.raw_time.tolist() == NS
+
+
+def test_dates_in_two_parts_are_exact():
+    data = json.dumps([{"s": ns // 10**9, "ns": ns % 10**9, "F": 1, "x": 0} for ns in NS]).encode()
+    log = read("json", data, PLAIN | {"time": "s"}, "s", fraction={"name": "ns", "unit": "ns"})
+    exact(log.time)
+    assert log.raw_time.tolist() == NS
+
+
+def test_sorted_dates_count_from_the_earliest():
+    order = [3, 0, 1, 2, *range(4, ROWS)]
+    log = read("delimited", csv([TEXTS[k] for k in order]), PLAIN, "s", order="sort")
+    exact(log.time)
+    assert log.raw_time.tolist() == NS
+
+
+def source(**keys) -> TimeSource:
+    return TimeSource.model_validate({"name": "t", "unit": "s"} | keys)
+
+
+def test_any_decimal_date_is_its_digits():
+    rng = np.random.default_rng(4)
+    for _ in range(200):
+        whole = rng.integers(3 * 10**8, 10**10, size=4)
+        rest = [rng.integers(0, 10**digits) for digits in (1, 6, 8)]
+        texts = [f"+{whole[0]}", f"{whole[1]}.{rest[0]}", f"{whole[2]}.{rest[1]:06d}", f"{whole[3]}.{rest[2]:08d}"]
+        ticks, decimals = whole_dates(source(), pa.array(texts))
+        assert [Decimal(t) * 10**decimals for t in texts] == [Decimal(int(tick)) for tick in ticks]
+
+
+def test_digits_that_do_not_fit_are_cut():
+    texts = ["1700000000.123456789123", "1700000000.223456789999"]
+    ticks, decimals = whole_dates(source(), pa.array(texts))
+    assert (ticks.tolist(), decimals) == ([1700000000123456789, 1700000000223456789], 9)
+    # 9.9e18 is above 2^63
+    ticks, decimals = whole_dates(source(), pa.array(["9900000000.123456789"]))
+    assert (ticks.tolist(), decimals) == ([990000000012345678], 8)
+
+
+@pytest.mark.parametrize(
+    ("texts", "keys"),
+    [
+        (["0.001", "0.002"], {}),
+        (["86400.5", "86400.6"], {}),
+        (["1700000000.5", "0.5"], {}),
+        (["1.7e9", "1.8e9"], {}),
+        (["1700000000.5"], {"kind": "steps"}),
+        (["1700000000.5"], {"unit": "ms"}),
+        ([], {}),
+    ],
+)
+def test_other_stamps_are_left_alone(texts, keys):
+    assert whole_dates(source(**keys), pa.array(texts, pa.string())) is None
+
+
+def test_stamps_near_zero_keep_their_origin():
+    log = read("delimited", csv(f"{25.372 + k / 1000:.3f}" for k in range(ROWS)), PLAIN, "s")
+    assert log.time[0] == 25.372
+    assert not are_dates(np.array([3_000_000_000]), 1e-3), "an uptime of 35 days"
