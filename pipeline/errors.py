@@ -92,6 +92,10 @@ class ProfileError(PipelineError):
     """A log profile (TOML) is wrong or does not fit the files."""
 
 
+class SceneError(PipelineError):
+    """A scene file (TOML) is wrong."""
+
+
 class DeviceError(PipelineError):
     """A device file (TOML) is wrong, or a device or experiment is not known."""
 

@@ -13,27 +13,26 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from pipeline.errors import LogError, StoreError, UsageError
+from pipeline.disk import replacing
+from pipeline.errors import Code, StoreError, UsageError
+from pipeline.excerpt import NOTHING, Excerpt, excerpt_of
+from pipeline.file_names import path_of_text, path_text
 from pipeline.models import Record
-from pipeline.profile_layout import format_of
-from pipeline.profile_text import TextLayout
+from pipeline.profiles import Profile
 from pipeline.provenance import digest
-from pipeline.readers.plain_text import plain_text
-from pipeline.tables import replacing, write_text
+from pipeline.regular_files import open_regular
+from pipeline.tables import write_text
 
 LARGEST_COPY = 64 << 20
 """Bytes up to which a refused file is copied; a log is well below 1 MB, what is larger was hardly one."""
 
 RECORD_FILE = "reason.json"
 
-EXCERPT_ROWS = 3
-"""Lines shown before and behind the row at fault."""
+LONGEST_COPY_NAME = 100
+"""Bytes of a file name that its copy keeps: a file system allows 255, with the endings of temporary files."""
 
-NO_JSON = "is no JSON"
-"""Words of a refusal whose row is a line of a JSON file, not a record."""
-
-LONGEST_LINE = 500
-"""Characters of a line that are shown."""
+_TEXTS = ("native", "delimited", "json")
+"""Formats whose files have lines."""
 
 
 class QuarantineRecord(Record):
@@ -48,10 +47,18 @@ class QuarantineRecord(Record):
     sha256 : str or None
         Of its content; None where it could not be read or was too large to be a log.
     row : int or None
-        Line at fault, counted from 1.
+        Row at fault, counted from 1: the line of a text file, else record, sample or message.
     reason : str
     profile, profile_sha256 : str or None
         Profile that claimed it; None where none did.
+    code : str or None
+        The reason for programs, one of `errors.Code`; None in records of earlier versions.
+    profile_line : str or None
+        Line of a profile by which it might be read.
+    byte : int or None
+        Offset of the row in the file, counted from 0; None where rows are no lines, or the file is packed.
+    excerpt : tuple of (int, str)
+        Lines around the row: number, counted from 1, and text with control characters escaped.
     """
 
     path: str
@@ -62,6 +69,15 @@ class QuarantineRecord(Record):
     reason: str
     profile: str | None
     profile_sha256: str | None
+    code: Code | None = None
+    profile_line: str | None = None
+    byte: int | None = None
+    excerpt: tuple[tuple[int, str], ...] = ()
+
+    def same_refusal(self, other: QuarantineRecord | None) -> bool:
+        """Return whether another record says the same of the same content; byte and excerpt follow from these."""
+        place = {"byte": None, "excerpt": ()}
+        return other is not None and self.model_copy(update=place) == other.model_copy(update=place)
 
 
 def quarantine_folder(processed: Path) -> Path:
@@ -107,63 +123,38 @@ def find_record(processed: Path, wanted: str) -> QuarantineRecord:
     UsageError
         If nothing of this id or path is in quarantine.
     """
-    path = os.path.abspath(wanted)
+    path = wanted if path_of_text(wanted) != Path(wanted) else path_text(os.path.abspath(wanted))
     for record in list_quarantine(processed):
         if wanted == record_id(record) or path == record.path:
             return record
     raise UsageError(f"{wanted}: is not in quarantine. `pipeline quarantine list` shows ids and paths of what is.")
 
 
-def excerpt(processed: Path, record: QuarantineRecord, around: int = EXCERPT_ROWS) -> list[tuple[int, str]]:
-    """Return the lines of a refused text file around the row at fault (its first ones where there is none).
+def refuse(processed: Path, record: QuarantineRecord, files: Iterable[Path], profile: Profile | None) -> None:
+    """Keep a copy of each file (up to 64 MiB) and the reason, with the lines around it; the record appears last.
 
     Parameters
     ----------
     processed : Path
     record : QuarantineRecord
-    around : int
-        Lines before and behind.
-
-    Returns
-    -------
-    list of (int, str)
-        Line number, counted from 1, and text; empty where no copy was kept or rows of the file are no lines.
+        Without byte and excerpt, which are taken from the copy.
+    files : iterable of Path
+        All files of the source; the first is the one that rows belong to.
+    profile : Profile or None
+        What it was read by.
     """
-    folder, name = _folder_of(processed, record.path), Path(record.path).name
-    copy = next((folder / kept for kept in (f"{name}.refused", name) if (folder / kept).is_file()), None)
-    if copy is None:
-        return []
-    data = copy.read_bytes()
-    kind = format_of(name, data)
-    # elsewhere a row is a record, a sample or a message
-    if kind not in ("delimited", "native") and not (kind == "json" and NO_JSON in record.reason):
-        return []
-    encoding = "utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8"
-    try:
-        text, _ = plain_text(TextLayout(encoding=encoding), name, data)
-    except LogError:
-        text = data.decode("latin-1")
-    if "\0" in text:
-        return []
-    lines = text.split("\n")
-    lines = lines[:-1] if text.endswith("\n") else lines
-    row = record.row or 1
-    first = max(row - around, 1)
-    return [(number, lines[number - 1][:LONGEST_LINE]) for number in range(first, min(row + around, len(lines)) + 1)]
-
-
-def refuse(processed: Path, record: QuarantineRecord, files: Iterable[Path]) -> None:
-    """Keep a copy of each file (up to 64 MiB) and the reason; the record appears last."""
     folder = _folder_of(processed, record.path)
     folder.mkdir(parents=True, exist_ok=True)
     kept = {RECORD_FILE}
+    found: Excerpt | None = None
     for file in files:
-        # neither may a copy be taken for the record, nor for a table: each *.parquet here is readable
-        ambiguous = file.name == RECORD_FILE or file.name.lower().endswith(".parquet")
-        name = f"{file.name}.refused" if ambiguous else file.name
-        if _copy(file, folder / name):
-            kept.add(name)
-    write_text(folder / RECORD_FILE, record.model_dump_json(indent=2) + "\n")
+        target = folder / _copy_name(file)
+        if _copy(file, target):
+            kept.add(target.name)
+            found = found or _excerpt(record, target, profile)
+    found = found or NOTHING
+    whole = record.model_copy(update={"byte": found.byte, "excerpt": found.lines})
+    write_text(folder / RECORD_FILE, whole.model_dump_json(indent=2) + "\n")
     for old in folder.iterdir():
         if old.name not in kept:
             old.unlink(missing_ok=True)
@@ -182,12 +173,30 @@ def _folder_of(processed: Path, path: str) -> Path:
     return quarantine_folder(processed) / digest(path)
 
 
+def _copy_name(file: Path) -> str:
+    """Return the name of a copy: the file's own where it is short, printable and cannot be taken for anything else."""
+    name = file.name
+    plain = name.isprintable() and len(os.fsencode(name)) <= LONGEST_COPY_NAME
+    # neither may a copy be taken for the record, nor for a table: each *.parquet here is readable
+    ambiguous = name == RECORD_FILE or name.startswith(".") or name.lower().endswith((".parquet", ".tmp"))
+    if plain and not ambiguous:
+        return name
+    return f"{name}.refused" if plain else f"{digest(path_text(name))}.refused"
+
+
+def _excerpt(record: QuarantineRecord, copy: Path, profile: Profile | None) -> Excerpt:
+    """Return the lines around the row at fault, where rows of the format are lines."""
+    kind = profile.format if profile else None
+    if kind not in _TEXTS or (kind == "json" and record.code != "syntax" and record.row is not None):
+        # in JSON a row is a record, but for what is no JSON
+        return NOTHING
+    return excerpt_of(copy.name, copy.read_bytes(), record.row, kind, profile.encoding if profile else "utf-8")
+
+
 def _copy(source: Path, target: Path) -> bool:
     """Copy a file and return whether it is there; one that cannot be read or is too large is left out."""
-    if not source.is_file():  # opening a pipe would wait for ever
-        return False
     try:
-        stream = source.open("rb")
+        stream = open_regular(source)
     except OSError:  # the record says that it cannot be read
         return False
     with stream:
