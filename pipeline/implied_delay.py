@@ -25,8 +25,11 @@ LONGEST = 64.0
 STEP = 0.05
 """Step of the delays at which theory is tabulated: interpolation between them is off by 0.002 samples at most."""
 
-BLOCK = 40
-"""Delays tabulated at once, until theory lies below all limits."""
+COARSE_STEP = 0.5
+"""Step of the delays that only say where a table in steps of `STEP` is needed; a multiple of it."""
+
+AROUND = COARSE_STEP
+"""Delays tabulated on either side of those that the limits imply: their interpolation in coarse steps is off by less."""
 
 MISFIT = 0.02
 """Deviation of the limits from theory, relative to them and beyond their errors, that is worth a warning: 2 % of
@@ -100,16 +103,18 @@ def implied_delay(points: Sequence[BoundaryPoint], device: DeviceParameters) -> 
     if count < FEWEST_POINTS:
         reason = f"{count} damping(s) with a limit of stability that is no mere bound; it needs {FEWEST_POINTS}"
         return Estimate(value=None, unit="samples", method=method, reason=reason, trials=count, by_method=slope)
-    delays, theory = _table(limits, device)
+    delays = _delays(limits, device)
+    theory = _table(limits, device, delays)
     fit = _fit(limits, delays, theory)
 
     def value(changed: DeviceParameters) -> float:
-        return _fit(limits, *_table(limits, changed)).value
+        near = _delays(limits, changed)
+        return _fit(limits, near, _table(limits, changed, near)).value
 
     reach = float(np.hypot(fit.reach, NORMAL_95 * propagated(device, fit.value, value)))
     warnings = []
-    if fit.value >= delays[-1]:
-        warnings.append(f"the longest delay compared, {delays[-1]:g} samples, fits best")
+    if fit.value >= LONGEST:
+        warnings.append(f"the longest delay compared, {LONGEST:g} samples, fits best")
     beyond = int((limits.stiffness - NORMAL_95 * limits.error > theory[0]).sum())
     if beyond:
         warnings.append(
@@ -151,7 +156,8 @@ def implied_by_damping(points: Sequence[BoundaryPoint], device: DeviceParameters
     limits = limits_of(points)
     if not len(limits.damping):
         return DelayByDamping(*[np.empty(0)] * 4)
-    delays, theory = _table(limits, device)
+    delays = _delays(limits, device)
+    theory = _table(limits, device, delays)
     used = [p for p in points if p.low is not None]
     bounds = [np.array([getattr(p, n) for p in used], dtype=np.float64) for n in ("low", "high")]
     low, high = (_single(np.where(np.isnan(b), np.inf, b), delays, theory) for b in bounds)
@@ -159,22 +165,38 @@ def implied_by_damping(points: Sequence[BoundaryPoint], device: DeviceParameters
     return DelayByDamping(limits.damping, value, np.where(limits.censored, np.nan, high), low)
 
 
-def _table(limits: Limits, device: DeviceParameters) -> tuple[Floats, Floats]:
-    """Delays, and the theoretical limit [N/m, Nm/rad] for each of them at each damping, shape (delays, dampings)."""
+def _delays(limits: Limits, device: DeviceParameters) -> Floats:
+    """Delays at which theory is tabulated: coarse steps up to one whose limits are too low, fine ones where it matters.
+
+    Theory falls with the delay. What fits best lies between the least and the largest delay that single limits and the
+    ends of their intervals imply, so that only these and the neighbourhood need fine steps.
+    """
     scale = Normalised(device.mass, device.sampling_period_s)
-    beta = limits.damping / scale.damping
-    rows: list[Floats] = []
-    count = int(LONGEST / STEP) + 1
-    while len(rows) < count:
-        delays = STEP * np.arange(len(rows), min(len(rows) + BLOCK, count))
-        for delay in delays:
-            loop = scale.loop(0.0, max(device.viscous_damping, 0.0), float(delay))
-            # a wall that no stiffness makes stable has its limit at zero
-            rows.append(np.maximum(stiffness_limit(loop, beta), 0.0) * scale.stiffness)
-        if (rows[-1] < 0.5 * limits.stiffness).all():
-            break
-    table: Floats = np.stack(rows)
-    return STEP * np.arange(len(rows), dtype=np.float64), table
+    coarse, rows = [0.0], [_row(limits, device, scale, 0.0)]
+    while coarse[-1] < LONGEST and not (rows[-1] < 0.5 * limits.stiffness).all():
+        coarse.append(coarse[-1] + COARSE_STEP)
+        rows.append(_row(limits, device, scale, coarse[-1]))
+    delays, theory = np.array(coarse), np.stack(rows)
+    reach = NORMAL_95 * limits.error
+    single = np.concatenate([_single(k, delays, theory) for k in (limits.stiffness - reach, limits.stiffness + reach)])
+    single = np.nan_to_num(single, nan=0.0)  # theory is too low even without delay
+    first, last = single.min() - AROUND, single.max() + AROUND
+    fine = STEP * np.arange(int(LONGEST / STEP) + 1)
+    fine = fine[(fine >= first) & (fine <= last)]
+    # both grids hold the same numbers where they meet, up to rounding
+    return np.unique(np.round(np.concatenate([delays, fine]), 9))
+
+
+def _table(limits: Limits, device: DeviceParameters, delays: Floats) -> Floats:
+    """Theoretical limit [N/m, Nm/rad] for each delay at each damping, shape (delays, dampings)."""
+    scale = Normalised(device.mass, device.sampling_period_s)
+    return np.stack([_row(limits, device, scale, float(delay)) for delay in delays])
+
+
+def _row(limits: Limits, device: DeviceParameters, scale: Normalised, delay: float) -> Floats:
+    loop = scale.loop(0.0, max(device.viscous_damping, 0.0), delay)
+    # a wall that no stiffness makes stable has its limit at zero
+    return np.maximum(stiffness_limit(loop, limits.damping / scale.damping), 0.0) * scale.stiffness
 
 
 def _single(stiffness: Floats, delays: Floats, theory: Floats) -> Floats:
@@ -193,9 +215,8 @@ def _fit(limits: Limits, delays: Floats, theory: Floats) -> _Fit:
     freedom = max(int((~limits.censored).sum()) - 1, 1)
 
     def deviation(delay: Floats) -> Floats:
-        place = np.clip(delay / STEP, 0, len(delays) - 1)
-        row = np.minimum(place.astype(np.int64), len(delays) - 2)
-        part = (place - row)[:, None]
+        row = np.clip(np.searchsorted(delays, delay, side="right") - 1, 0, len(delays) - 2)
+        part = ((delay - delays[row]) / (delays[row + 1] - delays[row]))[:, None]
         difference = (1 - part) * theory[row] + part * theory[row + 1] - limits.stiffness
         result: Floats = np.where(limits.censored, np.minimum(difference, 0.0), difference)
         return result
