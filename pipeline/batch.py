@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
+from hashlib import sha256
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,6 +56,15 @@ class TrialBatch:
     def valid(self) -> Booleans:
         """Where there is a sample and not padding, shape (n, N)."""
         return np.arange(self.position.shape[1])[None, :] < self.rows[:, None]
+
+    @cached_property
+    def digest(self) -> str:
+        """Hash of all conditions and samples; equal values give equal hashes, however they are stored."""
+        joined = sha256("\n".join(self.trial_id).encode())
+        for item in fields(self)[1:]:
+            values = getattr(self, item.name)
+            joined.update(item.name.encode() if values is None else np.ascontiguousarray(values).data)
+        return joined.hexdigest()[:16]
 
     @cached_property
     def displacement(self) -> Floats:

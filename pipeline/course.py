@@ -20,13 +20,14 @@ import numpy as np
 from pipeline import __version__
 from pipeline.batch import Floats, Integers, TrialBatch
 from pipeline.devices import find_experiment
+from pipeline.disk import TEMPORARY_ENDING
 from pipeline.errors import ParameterError, PipelineError, UsageError
 from pipeline.models import Device, Experiment
 from pipeline.native import NativeHeader, format_header
 from pipeline.procedure import AT_ZERO_STIFFNESS, Climb, Strings
 from pipeline.simulate import MassSpringDamper, Setup, idealise, setup_of, simulate, spectral_radius
 from pipeline.storage import folder_name
-from pipeline.tables import TEMPORARY_ENDING, write_text
+from pipeline.tables import write_text
 from pipeline.verdict import judge as judge_log
 
 COLUMNS_AHEAD = 6

@@ -1,80 +1,40 @@
 """Logs to Parquet: find, recognise what is known, read in batches, validate, store, and refuse with a reason.
 
 A log is known by its content; a source whose size and modification time are unchanged is not even opened.
-Every source ends as ingested, skipped or quarantined, and is never written, moved or locked.
+Every source ends as ingested, skipped or quarantined, and is never written, moved or locked. One ingest writes at a
+time (`lock`); what it stores becomes visible batch by batch, and an interrupted one is finished by the next.
 """
 
 from __future__ import annotations
 
-import hashlib
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass
+import time
+from collections.abc import Callable, Collection, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
 from functools import partial
-from itertools import islice
 from pathlib import Path
 
+from pipeline.compaction import merge_small
 from pipeline.devices import known_devices
 from pipeline.errors import LogError, StoreError, UsageError
-from pipeline.models import Motion, Record
+from pipeline.file_names import path_of_text, path_text, storable
+from pipeline.ingest_report import Action, ChangedSource, IngestReport, LogWarning, PlannedSource, Refusal
+from pipeline.lock import WAIT_S, writing
 from pipeline.profiles import Profile, load_profile, shipped_profiles
 from pipeline.quarantine import QuarantineRecord, list_quarantine, refuse, release
-from pipeline.readers import Log, RawLog, reader_of
+from pipeline.readers import Log
+from pipeline.reading import Read, batches_of, in_order, motion_of, read_and_check
+from pipeline.rerun import Folders, Search, folders_of, forget, remember
 from pipeline.sources import Source, find_sources
-from pipeline.storage import folder_name
-from pipeline.trialstore import Accepted, TrialWriter, drop_superseded, stored_sources, trial_id
+from pipeline.trialstore import Accepted, TrialWriter, trial_id
+from pipeline.versions import StoredSource, drop_superseded, repair, stored_sources
 
-BATCH_LOGS = 256
-BATCH_BYTES = 16 << 20
-"""Logs and bytes of text parsed at once: enough to hide the cost per call, little memory."""
+__all__ = ["IngestReport", "LogWarning", "Refusal", "ingest"]
 
 PENDING_BYTES = 64 << 20
-"""Samples kept in memory before they are written; a course of 2,300 logs with 1,000 rows makes one file."""
-
-LARGEST_LOG = 256 << 20
-"""Bytes above which a file is not read: 10^6 times a usual log, so it is something else."""
-
-LONGEST_FOLDER = 200
-"""Longest folder name made of a device or experiment; file systems allow 255 bytes."""
-
-
-class Refusal(Record):
-    """A source in quarantine: path as found, why, and the line at fault, counted from 1."""
-
-    path: str
-    reason: str
-    row: int | None
-
-
-class LogWarning(Record):
-    """What was accepted in a source and should be known."""
-
-    path: str
-    warning: str
-
-
-class IngestReport(Record):
-    """Number of logs by what became of them; ``found = ingested + skipped + len(quarantined)``.
-
-    A log is a source file (or pair of files), also where it holds several trials. ``warnings`` tell of logs that were
-    ingested now although something in them is not as it should be.
-    """
-
-    found: int
-    ingested: int
-    skipped: int
-    quarantined: tuple[Refusal, ...]
-    warnings: tuple[LogWarning, ...] = ()
-
-
-@dataclass(frozen=True, eq=False)
-class _Read:
-    """A source after reading: its logs, a refusal, or neither where its content is stored already."""
-
-    source: Source
-    sha256: str | None
-    result: tuple[Log, ...] | LogError | None
+"""Samples that are collected before they become visible: a course of 2,300 logs with 1,000 rows makes one file, and an
+interruption costs about a second's work."""
 
 
 def ingest(
@@ -85,6 +45,10 @@ def ingest(
     dry_run: bool = False,
     rehash: bool = False,
     progress: Callable[[int, int], None] | None = None,
+    settle_s: float = 0.0,
+    growing: Collection[str] = (),
+    wait_s: float = WAIT_S,
+    say: Callable[[str], None] | None = None,
 ) -> IngestReport:
     """Store all new logs below some folders.
 
@@ -99,11 +63,20 @@ def ingest(
     jobs : int, optional
         Threads that read and parse; by default one per processor, at most four.
     dry_run : bool
-        Read and validate, write nothing.
+        Read and validate, write nothing, and say for each source what would be done.
     rehash : bool
         Look at the content also where size and modification time are unchanged.
     progress : callable, optional
         Called with (logs done, logs found).
+    settle_s : float
+        Leave sources alone that were modified less than this time ago [s]: they may still be recorded. A source that
+        changes while it is read is refused in any case.
+    growing : collection of str
+        Absolute paths of files that somebody saw change a moment ago, whatever their times say; left alone, too.
+    wait_s : float
+        How long to wait for another command that writes to `processed` [s].
+    say : callable, optional
+        Gets a line when waiting begins.
 
     Returns
     -------
@@ -116,21 +89,58 @@ def ingest(
     ProfileError
         If the profile is wrong, or two profiles claim one file.
     StoreError
-        If `processed` is damaged or cannot be written; what was stored before stays valid.
+        If `processed` is damaged, cannot be written, or another command writes there; what was stored stays valid.
     """
     if jobs is not None and jobs < 1:
         raise UsageError(f"jobs must be at least 1, found {jobs}. Leave it out for one per processor.")
     profiles = shipped_profiles() if profile is None else (load_profile(profile),)
-    sources = find_sources([Path(path) for path in paths], profiles, processed)
-    run = _Ingest(processed, dry_run, rehash, {p: p.digest() for p in profiles}, len(sources), progress)
+    folders = [Path(path) for path in paths]
+    search = Search(tuple(map(str, paths)), str(processed), None if profile is None else str(profile))
+    notices: list[LogWarning] = []
+
+    def noticed(folder: Path, text: str) -> None:
+        notices.append(LogWarning(path=path_text(folder), warning=text))
+
+    began_ns = time.time_ns()
+    sources = find_sources(folders, profiles, processed, noticed)
     try:
-        run.process(sources, jobs or min(4, os.cpu_count() or 1))
+        with nullcontext(False) if dry_run else writing(processed, wait_s, say) as waited:
+            before = {} if dry_run else folders_of(search)
+            if waited:
+                notices.clear()
+                began_ns = time.time_ns()
+                sources = find_sources(folders, profiles, processed, noticed)
+            if not dry_run:
+                repair(processed)
+            settled, waiting = _settled(sources, settle_s, frozenset(growing))
+            digests = {p: p.digest() for p in profiles}
+            run = _Ingest(processed, dry_run, rehash, digests, len(settled), progress)
+            run.process(settled, jobs or min(4, os.cpu_count() or 1))
+            run.wait_for(waiting, settle_s)
+            run.find_removed(folders, sources)
+            report = run.report(notices)
+            if not dry_run:
+                run.remember(search, before, began_ns, report, notices)
     except OSError as error:
         raise StoreError(
             f"{processed}: cannot be written ({error}). Logs stored so far are complete; "
             "make room or correct the permissions and run the command again."
         ) from error
-    return run.report()
+    return report
+
+
+def _settled(sources: Sequence[Source], settle_s: float, growing: frozenset[str]) -> tuple[list[Source], list[Source]]:
+    """Return the sources that were modified long enough ago, and the others."""
+    now = time.time_ns()
+    # a time in the future, by a clock that is wrong, is no reason to wait for ever
+    young = [
+        abs(now - s.mtime_ns) < settle_s * 1e9 or not growing.isdisjoint(os.path.abspath(f) for f in s.files)
+        for s in sources
+    ]
+    return (
+        [source for source, recent in zip(sources, young, strict=True) if not recent],
+        [source for source, recent in zip(sources, young, strict=True) if recent],
+    )
 
 
 class _Ingest:
@@ -150,85 +160,117 @@ class _Ingest:
         self.ingested = self.skipped = 0
         self.refusals: list[Refusal] = []
         self.warnings: list[LogWarning] = []
+        self.changed: list[ChangedSource] = []
+        self.removed: list[str] = []
+        self.waiting: list[str] = []
+        self.plan: list[PlannedSource] = []
+        self.looked_at: list[Source] = []
+        self.unread = False
         self.writer = TrialWriter(processed, PENDING_BYTES)
         self.motions = {name: device.motion for name, device in known_devices().items()}
         self.stored = stored_sources(processed)
         self.refused = {record.path: record for record in list_quarantine(processed)}
         self.replaced: set[tuple[str, str, str]] = set()
-        # hash of a content -> hash of the profile that read it; a source that is looked at again enters after that
+        # hash of a content -> hash of its profile, and its path; a source that is looked at again enters after that
         self.known: dict[str, str] = {}
+        self.place: dict[str, str] = {}
 
     def process(self, sources: list[Source], jobs: int) -> None:
         """Decide on every source and store what is new."""
-        waiting = []
-        for source in sources:
-            if not self._settled_unread(source):
-                waiting.append(source)
-        again = {source.key for source in waiting}
-        self.known = {s.sha256: s.profile_sha256 for path, s in self.stored.items() if path not in again and s.whole}
+        unsettled = [source for source in sources if not self._settled_unread(source)]
+        again = {source.key for source in unsettled}
+        for path, stored in self.stored.items():
+            if path not in again and stored.whole:
+                self.known[stored.sha256] = stored.profile_sha256
+                self.place[stored.sha256] = path
         # stored sources come first: a log that was copied and touched is recognised at its old place
-        waiting.sort(key=lambda source: (source.key not in self.stored, source.key))
-        for batch in _in_order(partial(self._read_batch, use_threads=jobs > 1), _batches(waiting), jobs):
-            for read in batch:
-                self._settle(read)
-        self._written(self.writer.flush())
-        drop_superseded(self.processed, self.replaced)
+        unsettled.sort(key=lambda source: (source.key not in self.stored, source.key))
+        read = partial(self._read, use_threads=jobs > 2)
+        with ThreadPoolExecutor(1) as pool:
+            self.writer.executor = pool if jobs > 1 else None
+            try:
+                for batch in in_order(read, batches_of(unsettled), jobs):
+                    for done in batch:
+                        self._settle(done)
+                self._written(self.writer.flush())
+            except BaseException:
+                self.writer.discard()
+                raise
+        if not self.dry_run:
+            drop_superseded(self.processed, self.replaced)
+            for device, experiment in sorted(self.writer.experiments):
+                merge_small(self.processed, device, experiment)
 
-    def report(self) -> IngestReport:
+    def wait_for(self, sources: Sequence[Source], settle_s: float) -> None:
+        """List sources that are left for later."""
+        for source in sources:
+            self.waiting.append(source.shown)
+            self._plan(source, "wait", f"modified less than {settle_s:g} s ago")
+
+    def find_removed(self, folders: Sequence[Path], sources: Sequence[Source]) -> None:
+        """List stored sources below the searched folders that are not there any more."""
+        present = {source.key for source in sources}
+        roots = tuple(os.path.join(path_text(os.path.abspath(folder)), "") for folder in folders if folder.is_dir())
+        gone = (key for key in self.stored if key not in present and key.startswith(roots))
+        self.removed = sorted(key for key in gone if not os.path.lexists(path_of_text(key)))
+
+    def report(self, notices: Sequence[LogWarning]) -> IngestReport:
         """Return the counts."""
-        refusals = tuple(sorted(self.refusals, key=lambda refusal: refusal.path))
+        warnings = [*self.warnings, *notices]
         return IngestReport(
             found=self.found,
             ingested=self.ingested,
             skipped=self.skipped,
-            quarantined=refusals,
-            warnings=tuple(sorted(self.warnings, key=lambda warning: warning.path)),
+            quarantined=tuple(sorted(self.refusals, key=lambda refusal: refusal.path)),
+            warnings=tuple(sorted(warnings, key=lambda warning: warning.path)),
+            removed=tuple(self.removed),
+            changed=tuple(sorted(self.changed, key=lambda source: source.path)),
+            waiting=tuple(sorted(self.waiting)),
+            plan=tuple(sorted(self.plan, key=lambda source: source.path)) if self.dry_run else None,
         )
+
+    def remember(
+        self, search: Search, before: Folders, began_ns: int, report: IngestReport, notices: Sequence[LogWarning]
+    ) -> None:
+        """Leave a note for the next run of the same command, unless it has to read a source again."""
+        if self.waiting or self.unread:
+            forget(search)
+            return
+        files = [([os.path.abspath(file) for file in s.files], s.size, s.mtime_ns) for s in self.looked_at]
+        skipped = report.found - len(report.quarantined)
+        again = report.model_copy(update={"ingested": 0, "skipped": skipped, "warnings": tuple(notices)})
+        remember(search, before, began_ns, files, again.model_dump(mode="json"))
+
+    def _plan(self, source: Source, action: Action, reason: str) -> None:
+        if self.dry_run:
+            self.plan.append(PlannedSource(path=source.shown, action=action, reason=reason))
 
     def _settled_unread(self, source: Source) -> bool:
         if self.rehash:
             return False
         sign = (source.size, source.mtime_ns, self._digest(source))
         stored, refused = self.stored.get(source.key), self.refused.get(source.key)
-        # what could not be read may be readable now: permissions leave size and time alone
-        readable = refused is not None and refused.sha256 is not None
+        # what could not be read may be readable now: permissions leave size and time alone; old records have no code
+        readable = refused is not None and refused.sha256 is not None and refused.code is not None
         if refused and readable and sign == (refused.size, refused.mtime_ns, refused.profile_sha256):
-            self.refusals.append(Refusal(path=str(source.path), reason=refused.reason, row=refused.row))
+            self._refused(source, refused)
         elif stored and stored.whole and sign == (stored.size, stored.mtime_ns, stored.profile_sha256):
-            self.skipped += 1
-            self._release(source)
+            self._skip(source, "unchanged: size and modification time")
         else:
             return False
+        self.looked_at.append(source)
         self._advance()
         return True
 
     def _digest(self, source: Source) -> str | None:
         return self.digests[source.profile] if source.profile else None
 
-    def _read_batch(self, sources: list[Source], use_threads: bool) -> list[_Read]:
-        """Read, hash and parse sources of one profile; runs in a thread, so it changes nothing."""
-        reads: list[_Read | None] = [None] * len(sources)
-        raws: dict[int, tuple[RawLog, str]] = {}
-        for index, source in enumerate(sources):
-            sha256 = None
-            try:
-                raw, sha256 = load_source(source)
-            except LogError as error:
-                reads[index] = _Read(source, sha256, error)
-                continue
-            if self.known.get(sha256) == self._digest(source):
-                reads[index] = _Read(source, sha256, None)
-            else:
-                raws[index] = (raw, sha256)
-        profile = sources[0].profile
-        if raws and profile:
-            outcomes = reader_of(profile)(profile, [raw for raw, _ in raws.values()], use_threads)
-            for (index, (_, sha256)), outcome in zip(raws.items(), outcomes, strict=True):
-                reads[index] = _Read(sources[index], sha256, outcome)
-        return [read for read in reads if read is not None]
+    def _read(self, sources: list[Source], use_threads: bool) -> list[Read]:
+        return read_and_check(sources, self.known, self._digest(sources[0]), use_threads)[0]
 
-    def _settle(self, read: _Read) -> None:
+    def _settle(self, read: Read) -> None:
         source, profile = read.source, read.source.profile
+        self.looked_at.append(source)
         try:
             if isinstance(read.result, LogError):
                 raise read.result
@@ -246,145 +288,107 @@ class _Ingest:
         stored_here = same and former is not None and former.whole
         known = self.known.get(sha256)
         if logs is None or stored_here or known == profile_sha256 or (known and not self._reprofiled(source, sha256)):
+            other = self.place.get(sha256)
             self.known.setdefault(sha256, profile_sha256)
-            self.skipped += 1
-            self._release(source)
-            if former is not None and not same and not self.dry_run:
+            self.place.setdefault(sha256, source.key)
+            self._skip(source, "unchanged content" if other in (None, source.key) else f"same content as {other}")
+            if former is not None and not same:
                 # the content that stood here is gone, what stands here now is stored at another place
-                self.replaced |= former.keys(source.key)
+                outcome = f"its content is now that of {other}; its former trials were removed"
+                self._replace(source, former, outcome)
             return
         accepted = [
             Accepted(trial_id(sha256, log.label), sha256, source, log, motion, profile.name, profile_sha256, len(logs))
             for log, motion in [(log, motion_of(log, self.motions)) for log in logs]
         ]
         self.known[sha256] = profile_sha256
+        self.place[sha256] = source.key
         self.ingested += 1
         texts = dict.fromkeys(text for log in logs for text in log.warnings)
-        self.warnings += [LogWarning(path=str(source.path), warning=text) for text in texts]
-        if self.dry_run:
-            return
+        self.warnings += [LogWarning(path=source.shown, warning=storable(text)) for text in texts]
+        self._plan(source, "ingest", _why_ingested(former, sha256, profile_sha256))
         if former is not None and not same:
-            self.replaced |= former.keys(source.key)
-        # an interrupted run may have stored some trials of this source
-        present = former.trials if former is not None and same else frozenset[str]()
-        self._written(self.writer.add([a for a in accepted if a.trial_id not in present]))
+            changed = former.sha256 != sha256
+            self._replace(source, former, "its trials were replaced by those of the new content" if changed else None)
+        if not self.dry_run:
+            # an interrupted run may have stored some trials of this source
+            present = former.trials if former is not None and same else frozenset[str]()
+            self._written(self.writer.add([a for a in accepted if a.trial_id not in present]))
 
     def _reprofiled(self, source: Source, sha256: str) -> bool:
         """Return whether this is the stored source of a content, now read by another profile, or stored in part."""
         former = self.stored.get(source.key)
         return former is not None and former.sha256 == sha256
 
-    def _refuse(self, read: _Read, error: LogError) -> None:
+    def _replace(self, source: Source, former: StoredSource, outcome: str | None) -> None:
+        """Note that the stored trials of a source give way to others; without an outcome its content is the same."""
+        if outcome is not None:
+            self.changed.append(ChangedSource(path=source.shown, outcome=outcome))
+        if not self.dry_run:
+            self.replaced |= former.keys(source.key)
+
+    def _skip(self, source: Source, reason: str) -> None:
+        self.skipped += 1
+        self._plan(source, "skip", reason)
+        self._release(source)
+
+    def _refuse(self, read: Read, error: LogError) -> None:
         source = read.source
-        self.refusals.append(Refusal(path=str(source.path), reason=error.reason, row=error.row))
-        if self.dry_run:
-            return
         record = QuarantineRecord(
             path=source.key,
             size=source.size,
             mtime_ns=source.mtime_ns,
             sha256=read.sha256,
             row=error.row,
-            reason=error.reason,
+            reason=storable(error.reason),
             profile=source.profile.name if source.profile else None,
             profile_sha256=self._digest(source),
+            code=error.code,
+            profile_line=None if error.profile_line is None else storable(error.profile_line),
         )
-        if record != self.refused.get(source.key):
-            refuse(self.processed, record, source.files)
+        self.unread |= read.sha256 is None
+        self._refused(source, record)
+        if not self.dry_run and not record.same_refusal(self.refused.get(source.key)):
+            refuse(self.processed, record, source.files, source.profile)
 
-    def _written(self, written: list[Accepted]) -> None:
-        for accepted in written:
-            self._release(accepted.source)
+    def _refused(self, source: Source, record: QuarantineRecord) -> None:
+        refusal = refusal_of(source, record)
+        self.refusals.append(refusal)
+        self._plan(source, "refuse", refusal.reason)
+        former = self.stored.get(source.key)
+        if former is not None and former.sha256 != record.sha256:
+            outcome = "its new content is refused; the trials of the former one stay stored"
+            self.changed.append(ChangedSource(path=source.shown, outcome=outcome))
+
+    def _written(self, written: Sequence[Source]) -> None:
+        for source in written:
+            self._release(source)
 
     def _release(self, source: Source) -> None:
-        for key in {source.key, *(os.path.abspath(file) for file in source.files)} & self.refused.keys():
-            if not self.dry_run:
-                release(self.processed, key)
+        if not self.refused or self.dry_run:
+            return
+        for key in {source.key, *(path_text(os.path.abspath(file)) for file in source.files)} & self.refused.keys():
+            release(self.processed, key)
 
     def _advance(self) -> None:
         if self.progress:
             self.progress(self.ingested + self.skipped + len(self.refusals), self.found)
 
 
-def motion_of(log: Log, known: Mapping[str, Motion]) -> Motion:
-    """Return the motion of a log whose names can be stored.
-
-    Parameters
-    ----------
-    log : Log
-    known : mapping of str to {"translation", "rotation"}
-        Motion of each device that has a device file.
-
-    Raises
-    ------
-    LogError
-        If a name is too long for a folder, or the log contradicts the device file.
-    """
-    header = log.header
-    for key in ("device", "experiment"):
-        name = getattr(header, key)
-        if len(folder_name(name)) > LONGEST_FOLDER:
-            raise LogError(f"{key} {name!r} is too long for a folder name; shorten it or use ASCII letters.")
-    device = known.get(header.device)
-    if device and header.motion and device != header.motion:
-        raise LogError(
-            f"motion is {header.motion}, but the device {header.device!r} has {device}. "
-            "Correct the log, or give its device another name."
-        )
-    return header.motion or device or "translation"
+def _why_ingested(former: StoredSource | None, sha256: str, profile_sha256: str) -> str:
+    if former is None:
+        return "new"
+    if former.sha256 != sha256:
+        return "content changed"
+    return "profile changed" if former.profile_sha256 != profile_sha256 else "stored in part, by an interrupted run"
 
 
-def load_source(source: Source) -> tuple[RawLog, str]:
-    """Return the bytes and the SHA-256 of a source.
-
-    Raises
-    ------
-    LogError
-        If it is too large, cannot be read, or no profile claims it.
-    """
-    if source.size > LARGEST_LOG:
-        raise LogError(
-            f"file has {source.size} bytes; expected a log of one step response, at most {LARGEST_LOG}. "
-            "Split the recording into single responses."
-        )
-    if source.problem:
-        raise LogError(source.problem)
-    try:
-        data = tuple(file.read_bytes() for file in source.files)
-    except OSError as error:
-        raise LogError(f"file cannot be read ({error.strerror}). Correct its permissions.") from error
-    if sum(len(part) for part in data) != source.size:
-        raise LogError("file changed while it was read; expected a finished recording. Run the command again.")
-    hashes = [hashlib.sha256(part).hexdigest() for part in data]
-    sha256 = hashes[0] if len(hashes) == 1 else hashlib.sha256("".join(hashes).encode()).hexdigest()
-    return RawLog(tuple(file.name for file in source.files), data), sha256
-
-
-def _batches(sources: list[Source]) -> Iterator[list[Source]]:
-    """Cut sources into runs of one profile, at most `BATCH_LOGS` logs or `BATCH_BYTES` bytes (or one log)."""
-    batch: list[Source] = []
-    size = 0
-    for source in sources:
-        full = len(batch) >= BATCH_LOGS or size + source.size > BATCH_BYTES
-        if batch and (full or batch[0].profile is not source.profile):
-            yield batch
-            batch, size = [], 0
-        batch.append(source)
-        size += source.size
-    if batch:
-        yield batch
-
-
-def _in_order(
-    work: Callable[[list[Source]], list[_Read]], batches: Iterator[list[Source]], jobs: int
-) -> Iterator[list[_Read]]:
-    """Work on batches in threads and yield the results in order, at most `jobs` ahead: memory is bounded."""
-    if jobs == 1:
-        yield from map(work, batches)
-        return
-    with ThreadPoolExecutor(jobs) as pool:
-        running: list[Future[list[_Read]]] = [pool.submit(work, batch) for batch in islice(batches, jobs)]
-        while running:
-            done = running.pop(0).result()
-            running += [pool.submit(work, batch) for batch in islice(batches, 1)]
-            yield done
+def refusal_of(source: Source, record: QuarantineRecord) -> Refusal:
+    """Return what is reported of a source that is in quarantine."""
+    return Refusal(
+        path=source.shown,
+        reason=record.reason,
+        row=record.row,
+        code=record.code,
+        profile_line=record.profile_line,
+    )

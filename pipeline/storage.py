@@ -5,31 +5,40 @@
     stages/<device>/<experiment>/<stage>.parquet    estimates, costs, boundary
     quarantine/                                     logs that were refused, with the reason
 
-A samples file is written before the trials file that names it, so a trial that can be seen can be read.
+A samples file is written before the trials file that names it, so a trial that can be seen can be read. Readers take no
+lock: they look at the folder again after reading and start anew where it changed meanwhile (`read_trials`), and look up
+samples again that were merged into another file (`load_batch`).
 """
 
 from __future__ import annotations
 
 import json
+import os
+import time
 from pathlib import Path
 from urllib.parse import quote, unquote
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 
-from pipeline.batch import Integers, TrialBatch, pad
+from pipeline.batch import Booleans, Integers, TrialBatch, pad
 from pipeline.errors import StoreError
-from pipeline.tables import arrow_schema, read_table
+from pipeline.tables import TABLES, arrow_schema, read_table
 
 _OPTIONAL = ("force", "velocity")
 """Columns of samples that a log may lack."""
 
+_SAMPLES = ("time_s", "command", "position", *_OPTIONAL)
+
 
 def folder_name(name: str) -> str:
-    """Turn a device or experiment name into a safe folder name; `name_of_folder` turns it back."""
-    safe = quote(name, safe=" +=,@")
-    return "%2E" + safe[1:] if safe.startswith(".") else safe
+    """Turn a device or experiment name into a safe folder name; `name_of_folder` turns it back.
+
+    Readers of folders of Parquet files leave out those that begin with a dot or an underscore, and take "a=b" for a
+    column: these signs are written as %2E, %5F and %3D there.
+    """
+    safe = quote(name, safe=" +,@")
+    return f"%{ord(safe[0]):02X}{safe[1:]}" if safe.startswith((".", "_")) else safe
 
 
 def name_of_folder(folder: str) -> str:
@@ -55,7 +64,9 @@ def stage_file(processed: Path, device: str, experiment: str, stage: str) -> Pat
 def list_devices(processed: Path) -> list[str]:
     """Return the names of devices that have trials, sorted."""
     folder = processed / "trials"
-    return sorted(name_of_folder(p.name) for p in folder.iterdir() if p.is_dir()) if folder.is_dir() else []
+    if not folder.is_dir():
+        return []
+    return sorted(name_of_folder(p.name) for p in folder.iterdir() if p.is_dir() and any(p.glob("*/*.parquet")))
 
 
 def list_experiments(processed: Path, device: str) -> list[str]:
@@ -84,36 +95,139 @@ def natural_key(name: str) -> tuple[tuple[int, int | str], ...]:
     return tuple(parts)
 
 
-def read_trials(processed: Path, device: str | None = None, experiment: str | None = None) -> pa.Table:
+def trials_files(processed: Path, device: str | None = None, experiment: str | None = None) -> list[Path]:
+    """Return the trials files: all, of a device, or of one experiment; sorted."""
+    return sorted(Path(path) for path in _listing(_trials_root(processed, device, experiment)))
+
+
+def batch_number(file: Path) -> int:
+    """Return the number of a batch by the name of its file; the higher one is the newer."""
+    digits, dash, _ = file.name.partition("-")
+    return int(digits) if dash and digits.isdecimal() else 0
+
+
+def _trials_root(processed: Path, device: str | None, experiment: str | None) -> str:
+    names = [folder_name(name) for name in (device, experiment) if name is not None]
+    return os.path.join(processed, "trials", *names)
+
+
+def _listing(folder: str) -> dict[str, tuple[int, int, int]]:
+    """Return inode, size [byte] and time [ns] of each Parquet file below a folder: another file has another."""
+    found: dict[str, tuple[int, int, int]] = {}
+    try:
+        with os.scandir(folder) as entries:
+            for entry in entries:
+                if entry.is_dir(follow_symlinks=False):
+                    found |= _listing(entry.path)
+                elif entry.name.endswith(".parquet"):
+                    status = entry.stat()
+                    found[entry.path] = (status.st_ino, status.st_size, status.st_mtime_ns)
+    except FileNotFoundError:  # nothing stored yet, or removed since it was listed
+        pass
+    return found
+
+
+def read_trials(
+    processed: Path, device: str | None = None, experiment: str | None = None, columns: list[str] | None = None
+) -> pa.Table:
     """Return the trials table: of everything, of a device, or of one experiment; in order of file name.
 
-    Where one source path was stored in several versions, only the trials of the newest version are returned.
+    Where one source path was stored in several versions, only the trials of the newest version are returned; a trial
+    that stands in two files while batches are merged is returned once.
+
+    Parameters
+    ----------
+    processed : Path
+    device, experiment : str, optional
+    columns : list of str, optional
+        By default all.
+
+    Raises
+    ------
+    StoreError
+        If a file is damaged, or others write there all the time.
     """
-    root = processed / "trials"
-    if device is not None:
-        root = root / folder_name(device)
-    if experiment is not None:
-        root = root / folder_name(experiment)
-    files = sorted(root.rglob("*.parquet")) if root.is_dir() else []
-    tables = [read_table(file) for file in files]
-    schema = arrow_schema("trials")
-    if not tables:
-        return schema.empty_table()
-    table = pa.concat_tables([t.cast(schema) for t in tables])
-    return _newest_versions(table)
+    wanted = list(TABLES["trials"]) if columns is None else columns
+    table, _ = read_versions(processed, device, experiment, list(dict.fromkeys((*wanted, *VERSION_COLUMNS))))
+    return table.filter(pa.array(newest_versions(table))).select(wanted)
 
 
-def _newest_versions(table: pa.Table) -> pa.Table:
-    paths, trials, sources, profiles = (
-        table.column(name).to_pylist() for name in ("source_path", "trial_id", "source_sha256", "profile_sha256")
+VERSION_COLUMNS = ("source_path", "trial_id", "source_sha256", "profile_sha256", "source_mtime_ns")
+"""Columns that tell versions of a trial apart."""
+
+BATCH = "batch_number"
+"""Column that `read_versions` adds."""
+
+FILE = "batch_file"
+"""Column that `read_versions` adds: index of the trials file."""
+
+ATTEMPTS = 50
+"""Times that reading starts anew because files were merged meanwhile; a merge takes longer than listing files, so that
+one suffices nearly always."""
+
+_PAUSE_S = 0.02
+"""Wait before a new attempt [s], for a writer that removes many files."""
+
+
+def read_versions(
+    processed: Path, device: str | None, experiment: str | None, columns: list[str]
+) -> tuple[pa.Table, list[Path]]:
+    """Return all rows of trials files, superseded ones too, and these files.
+
+    Returns
+    -------
+    table : pyarrow.Table
+        The columns, and the number (`BATCH`) and index (`FILE`) of the file of each row.
+    files : list of Path
+
+    Raises
+    ------
+    StoreError
+        If a file is damaged, or others write there all the time.
+    """
+    root = _trials_root(processed, device, experiment)
+    whole = arrow_schema("trials")
+    schema = pa.schema([whole.field(name) for name in columns])
+    for _ in range(ATTEMPTS):
+        before = _listing(root)
+        files = [Path(path) for path in sorted(before)]
+        try:
+            tables = [read_table(file, columns).select(columns).cast(schema) for file in files]
+        except StoreError:
+            if _listing(root) == before:
+                raise
+        else:
+            # a folder is not listed in one moment: what was merged meanwhile may be missing in both places
+            if _listing(root) == before:
+                break
+        time.sleep(_PAUSE_S)
+    else:
+        raise StoreError(f"{root}: changed during each of {ATTEMPTS} attempts to read it. Wait for other commands.")
+    rows = np.array([table.num_rows for table in tables], dtype=np.int64)
+    index = np.repeat(np.arange(len(files), dtype=np.int64), rows)
+    numbers = np.array([batch_number(file) for file in files], dtype=np.int64)[index]
+    table = pa.concat_tables(tables) if tables else schema.empty_table()
+    return table.append_column(BATCH, pa.array(numbers)).append_column(FILE, pa.array(index)), files
+
+
+def newest_versions(table: pa.Table) -> Booleans:
+    """Return which rows of `read_versions` are the newest of their source path, each trial once.
+
+    Newer is the higher batch number; among files without one, the later modification of the source.
+    """
+    paths = table.column("source_path").to_pylist()
+    if len(set(paths)) == len(paths):
+        return np.ones(table.num_rows, dtype=np.bool_)
+    trials, sources, profiles = (
+        table.column(name).to_pylist() for name in ("trial_id", "source_sha256", "profile_sha256")
     )
-    stamps = table.column("source_mtime_ns").to_numpy()
-    order = np.lexsort((np.arange(len(paths)), stamps)).tolist()
+    stamps, numbers = (table.column(name).to_numpy() for name in ("source_mtime_ns", BATCH))
+    order = np.lexsort((np.arange(len(paths)), stamps, numbers)).tolist()
     newest = {paths[row]: (sources[row], profiles[row]) for row in order}
     kept = {(paths[row], trials[row]): row for row in order if newest[paths[row]] == (sources[row], profiles[row])}
-    if len(kept) == len(paths):
-        return table
-    return table.take(pa.array(sorted(kept.values())))
+    mask = np.zeros(table.num_rows, dtype=np.bool_)
+    mask[list(kept.values())] = True
+    return mask
 
 
 def load_batch(processed: Path, trials: pa.Table) -> TrialBatch:
@@ -128,32 +242,40 @@ def load_batch(processed: Path, trials: pa.Table) -> TrialBatch:
     Raises
     ------
     StoreError
-        If a samples file is missing or shorter than its trials say.
+        If a samples file is missing or shorter than its trials say, or a trial was removed meanwhile.
     """
-    order = pc.sort_indices(trials, [("damping", "ascending"), ("stiffness", "ascending"), ("trial_id", "ascending")])
-    trials = trials.take(order)
-    columns: dict[str, list[np.ndarray]] = {name: [] for name in ("time_s", "command", "position", *_OPTIONAL)}
-    start: dict[str, int] = {}
-    total = 0
-    for file in sorted(set(trials.column("sample_file").to_pylist())):
-        path = processed / file
-        if not path.is_file():
+    trials = trials.sort_by([("damping", "ascending"), ("stiffness", "ascending"), ("trial_id", "ascending")])
+    for _ in range(ATTEMPTS):
+        files = sorted(set(trials.column("sample_file").to_pylist()))
+        missing = next((processed / file for file in files if not (processed / file).is_file()), None)
+        if missing is None:
+            try:
+                samples = [read_table(processed / file, list(_SAMPLES)) for file in files]
+                break
+            except StoreError:
+                missing = next((processed / file for file in files if not (processed / file).is_file()), None)
+                if missing is None:
+                    raise
+        located = _located(processed, trials)
+        if located.equals(trials):
             raise StoreError(
-                f"{path}: samples file is missing, but its trials are stored. "
+                f"{missing}: samples file is missing, but its trials are stored. "
                 "Remove the trials file of the same name below trials/ and ingest the logs again."
             )
-        samples = read_table(path, list(columns))
-        start[file] = total
-        total += samples.num_rows
-        for name, parts in columns.items():
-            parts.append(samples.column(name).to_numpy())
+        trials = located
+    else:
+        raise StoreError(f"{processed}: samples were moved during each of {ATTEMPTS} attempts to read them.")
+    length = np.array([table.num_rows for table in samples], dtype=np.int64)
+    index = {file: place for place, file in enumerate(files)}
+    owner = np.array([index[file] for file in trials.column("sample_file").to_pylist()], dtype=np.int64)
     rows = trials.column("rows").to_numpy().astype(np.int64)
-    offset = np.array([start[f] for f in trials.column("sample_file").to_pylist()], dtype=np.int64)
-    first = trials.column("first_row").to_numpy().astype(np.int64) + offset
-    if len(rows) and int((first + rows).max()) > total:
+    first = trials.column("first_row").to_numpy().astype(np.int64)
+    if (first + rows > length[owner]).any():
         raise StoreError(f"{processed}: a samples file is shorter than its trials say; ingest the logs again.")
+    first = first + (np.cumsum(length) - length)[owner]
     padded = {
-        name: pad(np.concatenate(parts) if parts else np.empty(0), first, rows) for name, parts in columns.items()
+        name: pad(np.concatenate([t.column(name).to_numpy() for t in samples]) if samples else np.empty(0), first, rows)
+        for name in _SAMPLES
     }
     present = {name: None if np.isnan(padded[name]).all() else padded[name] for name in _OPTIONAL}
     return TrialBatch(
@@ -169,6 +291,34 @@ def load_batch(processed: Path, trials: pa.Table) -> TrialBatch:
         **present,
         step_row=_declared_step_rows(trials.column("extra").to_pylist()),
     )
+
+
+def _located(processed: Path, trials: pa.Table) -> pa.Table:
+    """Return trials with the present place of their samples, which a merge of batches may have moved."""
+    keys = ("source_path", "trial_id", "profile_sha256")
+    present = read_trials(processed, columns=[*keys, "sample_file", "first_row"]).to_pydict()
+    places = dict(
+        zip(
+            zip(*(present[key] for key in keys), strict=True),
+            zip(present["sample_file"], present["first_row"], strict=True),
+            strict=True,
+        )
+    )
+    wanted = list(zip(*(trials.column(key).to_pylist() for key in keys), strict=True))
+    gone = [key for key in wanted if key not in places]
+    if gone:
+        raise StoreError(
+            f"{processed}: {len(gone)} trials were removed while they were read, the first of {gone[0][0]}: "
+            "their source changed. Run the command again."
+        )
+    moved = {
+        "sample_file": pa.array([places[key][0] for key in wanted]),
+        "first_row": pa.array([places[key][1] for key in wanted], pa.int64()),
+    }
+    for name, values in moved.items():
+        index = trials.schema.get_field_index(name)
+        trials = trials.set_column(index, trials.schema.field(index), values)
+    return trials
 
 
 def _declared_step_rows(extra: list[str]) -> Integers | None:

@@ -7,20 +7,25 @@ refuses a file whose columns or types differ. Files appear under their final nam
 
 from __future__ import annotations
 
-import os
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from pipeline.disk import replacing
 from pipeline.errors import StoreError
 
-TEMPORARY_ENDING = ".tmp"
 Metadata = Mapping[str, str]
+
+GROUP_ROWS = 1 << 19
+"""Rows of a group, which is written and read as one: some 500 logs, which take 25 MB in memory with all columns."""
+
+WRITING: dict[str, Any] = {"compression": "zstd", "write_page_checksum": True}
+"""How Parquet is written. The compression alone does not notice a flipped byte, which would then be read as another
+number; checksums do."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +82,12 @@ COLUMNS: dict[str, Column] = {
     "raw_time": _same(
         _F, "", "time stamp as it stands in the source, where it is no whole number and not time_s", True
     ),
-    "raw_count": _same(_I, "", "time stamp as it stands in the source, where it is a whole number", True),
+    "raw_count": _same(
+        _I,
+        "",
+        "time stamp as it stands in the source, where it is a whole number (a date: without its decimal sign)",
+        True,
+    ),
     # response stage
     "verdict": _same(_S, "", "stable, unstable or undecided, from the log alone"),
     "reason": _same(_S, "", "why a value is missing or uncertain; empty where it is neither", True),
@@ -288,38 +298,13 @@ def write_table(path: Path, data: pa.Table) -> None:
 def write_parquet(path: Path, data: pa.Table) -> None:
     """Write any Arrow table so that a reader sees all of it or nothing; `write_table` checks it too."""
     with replacing(path) as stream:
-        # the compression alone does not notice a flipped byte, which would then be read as another number
-        pq.write_table(data, stream, compression="zstd", row_group_size=1 << 19, write_page_checksum=True)
+        pq.write_table(data, stream, row_group_size=GROUP_ROWS, **WRITING)
 
 
 def write_text(path: Path, text: str) -> None:
     """Write a text file (UTF-8) so that a reader sees all of it or nothing."""
     with replacing(path) as stream:
         stream.write(text.encode())
-
-
-@contextmanager
-def replacing(path: Path) -> Iterator[BinaryIO]:
-    """Open a temporary file that becomes ``path`` when the block ends well, and is removed when it does not.
-
-    File and folder are synced, so that the file survives power loss.
-    """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    # a name of its own for each process; long names are cut, a file system allows 255 bytes
-    temporary = path.with_name(f".{path.name[-100:]}.{os.getpid()}{TEMPORARY_ENDING}")
-    try:
-        with temporary.open("wb") as stream:
-            yield stream
-            stream.flush()
-            os.fsync(stream.fileno())
-        temporary.replace(path)
-        folder = os.open(path.parent, os.O_RDONLY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def read_table(path: Path, columns: list[str] | None = None) -> pa.Table:

@@ -4,24 +4,24 @@ from __future__ import annotations
 
 import json
 from collections import defaultdict
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Executor, Future
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 
 from pipeline import __version__
 from pipeline.batch import Floats, Integers
+from pipeline.batch_files import NewBatch
 from pipeline.models import Motion
-from pipeline.provenance import digest, stamp
 from pipeline.provenance import sha256 as hash_of
 from pipeline.readers import Log
 from pipeline.readers.time_axis import step_flags
 from pipeline.sources import Source
-from pipeline.storage import read_trials, samples_folder, trials_folder
-from pipeline.tables import read_table, to_arrow, write_table
+from pipeline.tables import GROUP_ROWS, to_arrow
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,91 +48,145 @@ class Accepted:
         return sum(values.nbytes for values in columns if values is not None)
 
 
-@dataclass
 class TrialWriter:
     """Collects accepted logs and writes them as one batch per device, experiment and motion.
+
+    Samples go to disk group by group, so that memory does not grow with a batch; with an executor one group is written
+    while the next is collected.
 
     Parameters
     ----------
     processed : Path
     limit : int
-        Bytes of samples that are kept in memory before they are written.
+        Bytes of samples after which what was collected is made visible: what an interruption may cost.
+    executor : Executor, optional
+        Where groups are written.
     """
 
-    processed: Path
-    limit: int
-    _pending: list[Accepted] = field(default_factory=list)
-    _bytes: int = 0
+    def __init__(self, processed: Path, limit: int, executor: Executor | None = None) -> None:
+        self.processed, self.limit, self.executor = processed, limit, executor
+        self._batches: dict[tuple[str, str, Motion], _Batch] = {}
+        self._sources: list[Source] = []
+        self._bytes = 0
+        self.experiments: set[tuple[str, str]] = set()
+        """Device and experiment of all that was collected."""
 
-    def add(self, accepted: Sequence[Accepted]) -> list[Accepted]:
-        """Take the logs of one more source; return those that were written because the limit was reached."""
-        self._pending += accepted
-        self._bytes += sum(log.bytes for log in accepted)
+    def add(self, accepted: Sequence[Accepted]) -> list[Source]:
+        """Take the logs of one more source; return the sources that became visible because the limit was reached."""
+        for one in accepted:
+            header = one.log.header
+            key = header.device, header.experiment, one.motion
+            if key not in self._batches:
+                self._batches[key] = _Batch(NewBatch(self.processed, *key), self.executor)
+            self.experiments.add(key[:2])
+            self._batches[key].add(one)
+            self._bytes += one.bytes
+        self._sources += [one.source for one in accepted]
         return self.flush() if self._bytes >= self.limit else []
 
-    def flush(self) -> list[Accepted]:
-        """Write all that is pending and return it; after an error all that is stored is valid."""
-        groups: dict[tuple[str, str, Motion], list[Accepted]] = defaultdict(list)
-        for accepted in self._pending:
-            header = accepted.log.header
-            groups[header.device, header.experiment, accepted.motion].append(accepted)
-        for (device, experiment, motion), members in groups.items():
-            _write_batch(self.processed, device, experiment, motion, members)
-        written, self._pending, self._bytes = self._pending, [], 0
-        return written
+    def flush(self) -> list[Source]:
+        """Make all that was collected visible and return its sources; after an error all that is stored is valid."""
+        while self._batches:
+            key = next(iter(self._batches))
+            self._batches[key].publish()
+            del self._batches[key]
+        sources, self._sources, self._bytes = self._sources, [], 0
+        return sources
+
+    def discard(self) -> None:
+        """Remove what was not made visible."""
+        for batch in self._batches.values():
+            batch.discard()
 
 
-def _write_batch(processed: Path, device: str, experiment: str, motion: Motion, members: list[Accepted]) -> None:
-    rows = np.array([len(m.log.time) for m in members], dtype=np.int64)
-    name = digest([[m.trial_id, m.profile_sha256] for m in members]) + ".parquet"
-    samples_file = samples_folder(processed, device, experiment) / name
-    rotation = motion == "rotation"
-    metadata = stamp(device=device, experiment=experiment)
-    trial = pa.DictionaryArray.from_arrays(
-        pa.array(np.repeat(np.arange(len(members), dtype=np.int32), rows)),
-        pa.array([m.trial_id for m in members]),
-    )
-    samples = {
-        "trial_id": trial.cast(pa.string()),
-        "time_s": np.concatenate([m.log.time for m in members]),
-        "command": np.concatenate([m.log.command for m in members]),
-        "position": np.concatenate([m.log.position for m in members]),
-        "force": _optional([m.log.force for m in members], rows, pa.float64()),
-        "velocity": _optional([m.log.velocity for m in members], rows, pa.float64()),
-        "raw_time": _optional([_raw(m.log, "f") for m in members], rows, pa.float64()),
-        "raw_count": _optional([_raw(m.log, "i") for m in members], rows, pa.int64()),
-    }
-    flags = step_flags(
-        samples["time_s"], rows, np.array([m.log.header.sampling_period_s for m in members], dtype=np.float64)
-    )
-    headers = [m.log.header for m in members]
+class _Batch:
+    """Logs of one experiment on their way into a pair of files."""
+
+    def __init__(self, file: NewBatch, executor: Executor | None) -> None:
+        self.file, self.executor = file, executor
+        self.writing: Future[None] | None = None
+        self.pending: list[Accepted] = []
+        self.pending_rows = 0
+        self.trials: dict[str, list[Any]] = defaultdict(list)
+
+    def add(self, accepted: Accepted) -> None:
+        self.pending.append(accepted)
+        self.pending_rows += len(accepted.log.time)
+        if self.pending_rows >= GROUP_ROWS:
+            self._write_pending()
+
+    def publish(self) -> None:
+        if self.pending:
+            self._write_pending()
+        if self.writing is not None:
+            self.writing.result()
+        self.file.publish(self.trials)
+
+    def discard(self) -> None:
+        if self.writing is not None:
+            # what it raised was raised to who waited for it, or comes from the same cause
+            self.writing.exception()
+        self.file.discard()
+
+    def _write_pending(self) -> None:
+        members, self.pending, self.pending_rows = self.pending, [], 0
+        if self.executor is None:
+            self._write_group(members)
+            return
+        if self.writing is not None:
+            # groups stand in order, and no more than one waits in memory
+            self.writing.result()
+        self.writing = self.executor.submit(self._write_group, members)
+
+    def _write_group(self, members: Sequence[Accepted]) -> None:
+        rows = np.array([len(m.log.time) for m in members], dtype=np.int64)
+        time = np.concatenate([m.log.time for m in members])
+        period = np.array([m.log.header.sampling_period_s for m in members], dtype=np.float64)
+        flags = step_flags(time, rows, period)
+        first = self.file.rows + np.cumsum(rows) - rows
+        for member, flag, count, at in zip(members, flags, rows.tolist(), first.tolist(), strict=True):
+            for name, value in _trial(member, flag).items():
+                self.trials[name].append(value)
+            self.trials["rows"].append(count)
+            self.trials["first_row"].append(at)
+        trial = pa.DictionaryArray.from_arrays(
+            pa.array(np.repeat(np.arange(len(members), dtype=np.int32), rows)),
+            pa.array([m.trial_id for m in members]),
+        )
+        samples = {
+            "trial_id": trial.dictionary_decode(),
+            "time_s": time,
+            "command": np.concatenate([m.log.command for m in members]),
+            "position": np.concatenate([m.log.position for m in members]),
+            "force": _optional([m.log.force for m in members], rows, pa.float64()),
+            "velocity": _optional([m.log.velocity for m in members], rows, pa.float64()),
+            "raw_time": _optional([_raw(m.log, "f") for m in members], rows, pa.float64()),
+            "raw_count": _optional([_raw(m.log, "i") for m in members], rows, pa.int64()),
+        }
+        self.file.write(to_arrow("samples", samples))
+
+
+def _trial(accepted: Accepted, flags: Mapping[str, Any]) -> dict[str, object]:
+    """Return the row of a log in the trials table, but where its samples lie."""
+    log, source = accepted.log, accepted.source
+    header = log.header
     plain = ("device", "experiment", "stiffness", "damping", "step", "sampling_period_s")
-    trials: dict[str, object] = {
-        key: [getattr(h, key) for h in headers] for key in (*plain, "added_delay_samples", "grip", "simulated")
+    return {
+        **{key: getattr(header, key) for key in (*plain, "added_delay_samples", "grip", "simulated")},
+        "trial_id": accepted.trial_id,
+        "label": log.label,
+        "motion": accepted.motion,
+        "extra": json.dumps(header.extra, sort_keys=True, ensure_ascii=False) if header.extra else "{}",
+        "time_quality": json.dumps({**flags, **log.counts}),
+        "source_path": source.key,
+        "source_sha256": accepted.sha256,
+        "source_trials": accepted.siblings,
+        "source_size": source.size,
+        "source_mtime_ns": source.mtime_ns,
+        "profile": accepted.profile,
+        "profile_sha256": accepted.profile_sha256,
+        "package_version": __version__,
     }
-    trials |= {
-        "trial_id": [m.trial_id for m in members],
-        "label": [m.log.label for m in members],
-        "motion": [motion] * len(members),
-        "rows": rows,
-        "extra": [json.dumps(h.extra, sort_keys=True, ensure_ascii=False) for h in headers],
-        "time_quality": [json.dumps({**f, **m.log.counts}) for f, m in zip(flags, members, strict=True)],
-        "source_path": [m.source.key for m in members],
-        "source_sha256": [m.sha256 for m in members],
-        "source_trials": [m.siblings for m in members],
-        "source_size": [m.source.size for m in members],
-        "source_mtime_ns": [m.source.mtime_ns for m in members],
-        "profile": [m.profile for m in members],
-        "profile_sha256": [m.profile_sha256 for m in members],
-        "package_version": [__version__] * len(members),
-        "sample_file": [samples_file.relative_to(processed).as_posix()] * len(members),
-        "first_row": np.cumsum(rows) - rows,
-    }
-    write_table(samples_file, to_arrow("samples", samples, rotation=rotation, metadata=metadata))
-    write_table(
-        trials_folder(processed, device, experiment) / name,
-        to_arrow("trials", trials, rotation=rotation, metadata=metadata),
-    )
 
 
 def _raw(log: Log, kind: str) -> Floats | Integers | None:
@@ -143,7 +197,7 @@ def _raw(log: Log, kind: str) -> Floats | Integers | None:
 def _optional(columns: Sequence[Floats | Integers | None], rows: Integers, dtype: pa.DataType) -> pa.ChunkedArray:
     """Return a column that some logs lack; null where they do."""
     if all(values is None for values in columns):
-        return pa.chunked_array([pa.nulls(int(rows.sum()), dtype)])
+        return _nulls(int(rows.sum()), dtype)
     parts = [
         pa.nulls(int(count), dtype) if values is None else pa.array(values)
         for values, count in zip(columns, rows, strict=True)
@@ -151,30 +205,11 @@ def _optional(columns: Sequence[Floats | Integers | None], rows: Integers, dtype
     return pa.chunked_array(parts, type=dtype)
 
 
-@dataclass(frozen=True)
-class StoredSource:
-    """What is stored of a source.
-
-    Parameters
-    ----------
-    sha256, size, mtime_ns, profile_sha256
-        Content, size [byte], modification time [ns] and profile when it was read.
-    trials : frozenset of str
-        Ids of its trials.
-    whole : bool
-        Whether these are all that the source holds: an interrupted run may have written some of them.
-    """
-
-    sha256: str
-    size: int
-    mtime_ns: int
-    profile_sha256: str
-    trials: frozenset[str]
-    whole: bool
-
-    def keys(self, path: str) -> set[tuple[str, str, str]]:
-        """Return its trials as `drop_superseded` takes them."""
-        return {(trial, self.profile_sha256, path) for trial in self.trials}
+def _nulls(rows: int, dtype: pa.DataType) -> pa.ChunkedArray:
+    """Return a column of nulls that shares one small piece of memory."""
+    piece = pa.nulls(min(rows, 1 << 16), dtype)
+    whole, rest = divmod(rows, max(len(piece), 1))
+    return pa.chunked_array([*([piece] * whole), piece[:rest]], type=dtype)
 
 
 def trial_id(sha256: str, label: str | None) -> str:
@@ -188,47 +223,3 @@ def trial_id(sha256: str, label: str | None) -> str:
         Which trial of the source it is.
     """
     return sha256[:16] if label is None else hash_of((sha256 + label).encode())[:16]
-
-
-def stored_sources(processed: Path) -> dict[str, StoredSource]:
-    """Return what is stored of each source, by its path."""
-    of_source = ("source_sha256", "source_size", "source_mtime_ns", "profile_sha256", "source_trials")
-    table = read_trials(processed).select(["source_path", "trial_id", *of_source])
-    trials: dict[str, set[str]] = defaultdict(set)
-    values: dict[str, tuple[str, int, int, str, int]] = {}
-    for path, trial, *rest in zip(*(column.to_pylist() for column in table.columns), strict=True):
-        trials[path].add(trial)
-        values[path] = tuple(rest)
-    return {
-        path: StoredSource(sha256, size, mtime_ns, profile, frozenset(trials[path]), len(trials[path]) >= count)
-        for path, (sha256, size, mtime_ns, profile, count) in values.items()
-    }
-
-
-def drop_superseded(processed: Path, replaced: Collection[tuple[str, str, str]]) -> None:
-    """Remove former versions of trials whose source or profile has changed and that were stored again.
-
-    Parameters
-    ----------
-    processed : Path
-    replaced : collection of (trial_id, profile_sha256, source_path)
-        Rows to remove; samples that share a file with others stay behind, nothing names them.
-    """
-    if not replaced:
-        return
-    old = pa.array(sorted(" ".join(row) for row in replaced))
-    for file in sorted((processed / "trials").rglob("*.parquet")):
-        table = read_table(file)
-        keys = pc.binary_join_element_wise(
-            *(table.column(name) for name in ("trial_id", "profile_sha256", "source_path")), " "
-        )
-        kept = table.filter(pc.invert(pc.is_in(keys, value_set=old)))
-        if kept.num_rows == table.num_rows:
-            continue
-        if kept.num_rows:
-            write_table(file, kept)
-            continue
-        samples = {processed / name for name in table.column("sample_file").to_pylist()}
-        file.unlink()
-        for path in samples:
-            path.unlink(missing_ok=True)

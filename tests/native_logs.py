@@ -16,6 +16,12 @@ def log_text(stiffness=300.0, damping=2.0, device="bench", experiment="1", seed=
     return header + "".join("{:.17g},{:.17g},{:.17g}\n".format(*row) for row in values)
 
 
+def short_log(stiffness: float, experiment: str = "1", rows: int = 3) -> str:
+    """A log that is quickly written: its command counts up from its stiffness."""
+    head = log_text(stiffness, experiment=experiment, rows=2).split("time_s")[0]
+    return head + "time_s,command,position\n" + "".join(f"{k},{stiffness + k!r},{k}\n" for k in range(rows))
+
+
 def with_cell(text: str, row: int, line: str) -> str:
     lines = text.split("\n")
     lines[row - 1] = line

@@ -13,8 +13,8 @@ import pyarrow.parquet as pq
 import pytest
 from native_logs import FAULTS, GOOD, HEADER_LINES, ROWS, log_text
 
+from pipeline import compaction, disk, reading
 from pipeline import ingest as ingest_module
-from pipeline import trialstore
 from pipeline.errors import ProfileError, StoreError, UsageError
 from pipeline.ingest import ingest
 from pipeline.native import NativeHeader, format_header
@@ -255,14 +255,14 @@ def test_a_failed_write_leaves_whole_batches_only(logs, run, processed, monkeypa
     (logs / "other.csv").write_text(log_text(experiment="2"))
     calls = []
 
-    def write_or_fail(path, table):
-        calls.append(path)
+    def publish_or_fail(file, name):
+        calls.append(name)
         if len(calls) == call:
             raise OSError(28, "No space left on device")
-        original(path, table)
+        return original(file, name)
 
-    original = trialstore.write_table
-    monkeypatch.setattr(trialstore, "write_table", write_or_fail)
+    original = disk.NewFile.publish
+    monkeypatch.setattr(disk.NewFile, "publish", publish_or_fail)
     with pytest.raises(StoreError, match="No space left"):
         ingest([logs], processed, jobs=1)
     readable(processed)
@@ -280,8 +280,9 @@ def test_batches_and_threads_do_not_change_what_is_stored(tmp_path, processed, m
         (logs / f"{number}.csv").write_text(log_text(number, experiment=f"delay-{number % 3}", rows=2 + number))
     (logs / "20a.csv").write_text(FAULTS["NaN"][0])
     assert counts(ingest([logs], processed, jobs=1)) == (41, 40, 0, 1)
-    monkeypatch.setattr(ingest_module, "BATCH_LOGS", 3)
+    monkeypatch.setattr(reading, "BATCH_LOGS", 3)
     monkeypatch.setattr(ingest_module, "PENDING_BYTES", 2000)
+    monkeypatch.setattr(compaction, "MOST_SMALL", 1000)
     seen = []
     second = tmp_path / "second"
     report = ingest([logs], second, jobs=3, progress=lambda done, found: seen.append((done, found)))
@@ -298,7 +299,7 @@ def test_what_is_too_large_or_no_regular_file_is_not_read(logs, run, monkeypatch
     os.mkfifo(logs / "pipe.csv")
     (logs / "large.csv").write_text(log_text(rows=500))
     (logs / "long.csv").write_text(log_text(experiment="ü" * 50))
-    monkeypatch.setattr(ingest_module, "LARGEST_LOG", 10_000)
+    monkeypatch.setattr(reading, "LARGEST_LOG", 10_000)
     report = run(logs)
     reasons = {Path(r.path).name: r.reason for r in report.quarantined}
     assert counts(report) == (9, 6, 0, 3)
@@ -334,10 +335,12 @@ PROFILE = """
 name = "lab"
 format = "delimited"
 files = ["*_m.txt"]
+decimal = "."
+step_at = "command edge"
 partner = { replace = "_m.txt", by = "_d.txt" }
 columns.time = { name = "t", unit = "ms" }
-columns.position = { name = "x", unit = "mm" }
-columns.command = { name = "f", unit = "N", file = "partner" }
+columns.position = { name = "x", unit = "mm", sign = 1 }
+columns.command = { name = "f", unit = "N", sign = 1, file = "partner" }
 [constants]
 device = "bench"
 experiment = "lab"
@@ -367,7 +370,7 @@ def test_a_pair_is_one_log_and_a_changed_profile_is_applied(tmp_path, run, proce
     assert counts(run(folder, profile=profile)) == (3, 2, 1, 0)
     assert list_quarantine(processed) == []
 
-    profile.write_text(PROFILE.replace('unit = "mm"', 'unit = "mm", sign = -1'))
+    profile.write_text(PROFILE.replace('unit = "mm", sign = 1', 'unit = "mm", sign = -1'))
     assert counts(run(folder, profile=profile)) == (3, 3, 0, 0)
     batch = load_batch(processed, read_trials(processed))
     assert sorted(batch.position[:, 1].tolist()) == [-0.003, -0.002, -0.002]
@@ -377,11 +380,12 @@ def test_a_pair_is_one_log_and_a_changed_profile_is_applied(tmp_path, run, proce
 
 def test_measured_force_logged_velocity_and_declared_step_are_kept(tmp_path, run, processed):
     profile = tmp_path / "lab.toml"
-    columns = (
-        'columns.force = { name = "g", unit = "mN", sign = -1 }\ncolumns.velocity = { name = "v", unit = "mm/s" }\n'
-    )
+    columns = 'columns.force = { name = "g", unit = "mN", sign = -1 }\n'
+    columns += 'columns.velocity = { name = "v", unit = "mm/s", sign = 1 }\n'
     profile.write_text(
-        PROFILE.replace('"bench"', '"pair"').replace("[constants]", columns + "step_row = 1\n[constants]")
+        PROFILE.replace('"bench"', '"pair"')
+        .replace("[constants]", columns + "[constants]")
+        .replace('step_at = "command edge"', "step_row = 1")
     )
     (tmp_path / "a_m.txt").write_text("t,x,g,v\n0,1,10,2\n1,2,20,3\n2,4,30,5\n")
     (tmp_path / "a_d.txt").write_text("f\n5\n6\n7\n")

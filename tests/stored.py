@@ -1,0 +1,41 @@
+"""What must hold of a store at any moment: each file is readable, and each trial is there once, as in its log."""
+
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+
+from pipeline.storage import load_batch, read_trials
+
+
+def stored_rows(processed: Path) -> Counter[str]:
+    """How often each trial stands in the trials files, whatever readers make of it."""
+    rows: Counter[str] = Counter()
+    for file in sorted(processed.glob("trials/**/*.parquet")):
+        rows.update(pq.read_table(file).column("trial_id").to_pylist())
+    return rows
+
+
+def check_whole(processed: Path, logs: dict[str, float], former: dict[str, set[float]] | None = None) -> set[str]:
+    """Everything that is visible is readable, stands there once, and is what the logs say; returns the stored paths.
+
+    ``logs`` and ``former`` are the stiffness of each log, and those that it had before.
+    """
+    for file in processed.rglob("*.parquet"):
+        pq.read_table(file, page_checksum_verification=True).validate(full=True)
+    trials = read_trials(processed)
+    paths = trials.column("source_path").to_pylist()
+    assert len(set(paths)) == len(paths)
+    batch = load_batch(processed, trials)
+    assert len(batch) == trials.num_rows
+    for name, stiffness, damping, command in zip(
+        trials.column("trial_id").to_pylist(), batch.stiffness, batch.damping, batch.command, strict=False
+    ):
+        assert name
+        assert damping == 2
+        np.testing.assert_array_equal(command[:3], stiffness + np.arange(3))
+    found = dict(zip(paths, trials.column("stiffness").to_pylist(), strict=True))
+    allowed = {path: {logs.get(path, k)} | (former or {}).get(path, set()) for path, k in found.items()}
+    assert {path: k for path, k in found.items() if k not in allowed[path]} == {}
+    return set(paths)
