@@ -138,6 +138,10 @@ class Predictions:
         """Return an optimum that was asked for before, in physical units."""
         return theory.physical(self._known[theory.loop, criterion])
 
+    def cost(self, loop: Loop, criterion: str) -> float:
+        """Return the cost of an optimum that was asked for before."""
+        return self._known[loop, criterion].cost
+
     def _store(self, found: Mapping[Request, OptimalPoint]) -> None:
         self._known |= found
         for loop in {loop for loop, _ in found}:

@@ -1,74 +1,178 @@
-"""A comparison in a few sentences with numbers, and the warnings that belong before them."""
+"""A comparison in a few sentences with numbers, each with the figure or table it rests on."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from math import isclose
+from collections.abc import Sequence
+from dataclasses import dataclass
 
-from pipeline.labels import CRITERION_NAMES, UNITS, estimate_texts
-from pipeline.models import ComparisonRow, Device
-from pipeline.predictions import Theory
+from pipeline.advice import choice, passive_choice
+from pipeline.causes import causes
+from pipeline.labels import CRITERION_NAMES, UNITS, Units, damping_text, decimal, estimate_texts
+from pipeline.models import ComparisonRow
 from pipeline.results import ExperimentResult
 from pipeline.scene import SceneData
 
-FEW_TRIALS = 30
-"""Trials below which an optimum or a boundary says little."""
+MOST_CAUSES = 2
+"""Causes that are named: with more nobody reads on, and the table of scores holds all."""
 
-PERIOD_TOLERANCE = 0.01
-"""Relative difference of sampling periods that no result shows: K scales with 1/T^2, B with 1/T."""
+WELL, ROUGHLY = 0.9, 0.7
+"""Overlap of the regions from which on theory predicts a boundary well, and roughly: with equal shapes 0.9 is an error
+of 5 % in both K and B, 0.7 one of 16 %. Words only; the number stands beside."""
 
-SHOWN = 3
-"""Experiments and criteria that get a sentence of their own; the tables hold all."""
+SCORES, BOUNDARY, COSTS, EXPERIMENTS = "table-scores", "sec-boundaries", "sec-costs", "sec-experiments"
+"""Anchors of the page that sentences rest on."""
+
+
+@dataclass(frozen=True)
+class Sentence:
+    """A sentence and the anchor of the figure or table it rests on, empty where there is none."""
+
+    text: str
+    source: str = ""
 
 
 def summarise(
-    data: SceneData,
-    results: Sequence[ExperimentResult],
-    rows: Sequence[ComparisonRow],
-    theories: Mapping[str, Theory],
-) -> tuple[str, ...]:
-    """Return the key results: parameters, largest stable stiffness, optimal costs against theory."""
-    rotation = data.experiments[0].rotation
-    units = UNITS["rotation" if rotation else "translation"]
-    sentences = []
-    for result in results[:SHOWN]:
-        text = _estimates(result)
-        if text:
-            sentences.append(f"Experiment {result.experiment}: {text}.")
-    for result in results[:SHOWN]:
-        stable = [(p.stable, p.damping) for p in result.boundary if p.stable is not None]
-        if not stable:
-            continue
-        stiffness, damping = max(stable)
-        text = (
-            f"Experiment {result.experiment}: the largest stable stiffness measured is {stiffness:.0f} "
-            f"{units.stiffness} "
-            f"(at B = {damping:g} {units.damping})"
-        )
-        theory = theories.get(result.experiment)
-        if theory:
-            predicted = theory.boundary.alpha_max * theory.units.stiffness
-            where = theory.boundary.beta_at_alpha_max * theory.units.damping
-            text += f", theory says {predicted:.0f} {units.stiffness} at {where:.3g} {units.damping}"
-            text += f" ({_percent(stiffness / predicted - 1)})"
-        sentences.append(text + ".")
-    deviations = [r for r in rows if r.deviation_percent is not None]
-    if deviations:
-        smallest = min(deviations, key=_size)
-        largest = max(deviations, key=_size)
-        median = sorted(_size(r) for r in deviations)[len(deviations) // 2]
-        sentences.append(
-            f"Optimal costs differ from the discrete theory by {median:.0f} % in the median of {len(deviations)} "
-            f"comparisons: least for {_named(smallest)} ({_tenths(smallest.deviation_percent)} %), most for "
-            f"{_named(largest)} ({_tenths(largest.deviation_percent)} %)."
-        )
-    if not sentences:
-        trials = sum(r.trials for r in results)
-        sentences.append(
+    data: SceneData, results: Sequence[ExperimentResult], rows: Sequence[ComparisonRow]
+) -> tuple[Sentence, ...]:
+    """Return what a comparison comes to.
+
+    Parameters
+    ----------
+    data : SceneData
+    results : sequence of ExperimentResult
+        With their scores.
+    rows : sequence of ComparisonRow
+
+    Notes
+    -----
+    In this order: does theory predict the device, how far off is it and where, why might that be, which (K, B) to use,
+    and what the logs say of the device. Numbers are those of the first experiment that has them, with the range over
+    all where there are more.
+    """
+    units = UNITS["rotation" if data.experiments[0].rotation else "translation"]
+    lead = next((r for r in results if r.scores and r.scores[0].region), None)
+    best = next((r for r in results if choice(r, units)), None)
+    found = [
+        Sentence(_region(results), SCORES),
+        Sentence(_costs(results, rows), COSTS),
+        Sentence(_distance(lead, units) if lead else _stiffest(results, units), BOUNDARY),
+        *(Sentence(text, SCORES) for text in (causes(lead, units)[:MOST_CAUSES] if lead else ())),
+        Sentence(choice(best, units) if best else "", COSTS),
+        Sentence(passive_choice(best.scores[0].parameters, units) if best and best.scores else "", EXPERIMENTS),
+        Sentence(_device(results), EXPERIMENTS),
+    ]
+    told = tuple(s for s in found if s.text)
+    if told:
+        return told
+    trials = sum(r.trials for r in results)
+    return (
+        Sentence(
             f"{trials} {'trial is' if trials == 1 else 'trials are'} stored, from which neither parameters nor costs "
             "follow; the reasons are below."
+        ),
+    )
+
+
+def _region(results: Sequence[ExperimentResult]) -> str:
+    """Does theory predict where the device is stable: overlap of the regions."""
+    found = [(r.experiment, r.scores[0].region) for r in results if r.scores]
+    known = [(name, region) for name, region in found if region is not None]
+    if not known:
+        return ""
+    name, first = known[0]
+    word = "well" if first.overlap >= WELL else "roughly" if first.overlap >= ROUGHLY else "poorly"
+    text = (
+        f"Theory predicts {word} where this device is stable: the measured region of experiment {name} covers "
+        f"{decimal(100 * first.covered, 0)} % of the theoretical one and is {first.area_ratio:.2f} times as large "
+        f"(overlap {decimal(100 * first.overlap, 0)} %"
+    )
+    if len(known) > 1:
+        overlaps = sorted(region.overlap for _, region in known)
+        text += f"; {decimal(100 * overlaps[0], 0)} to {decimal(100 * overlaps[-1], 0)} % over {len(known)} experiments"
+    return text + ")" + (f"; tested was up to B = {damping_text(first.damping_high)}." if first.censored else ".")
+
+
+def _costs(results: Sequence[ExperimentResult], rows: Sequence[ComparisonRow]) -> str:
+    """Does theory predict performance: order of the trials' costs, and costs at the optima."""
+    ranks = sorted(
+        m.rank_correlation for r in results if r.scores for m in r.scores[0].maps if m.rank_correlation is not None
+    )
+    deviations = [r for r in rows if r.deviation_percent is not None]
+    parts = []
+    if ranks:
+        parts.append(
+            f"Costs of the trials are ordered as in theory with a rank correlation of {ranks[len(ranks) // 2]:.2f} in "
+            f"the median of {len(ranks)} cost maps (least {ranks[0]:.2f})"
         )
-    return tuple(sentences)
+    if deviations:
+        smallest, largest = min(deviations, key=_size), max(deviations, key=_size)
+        median = sorted(_size(r) for r in deviations)[len(deviations) // 2]
+        least = f"{_named(smallest)} ({_tenths(smallest.deviation_percent)} %)"
+        parts.append(
+            f"{'optimal' if parts else 'Optimal'} costs differ from the discrete theory by {median:.0f} % in the "
+            f"median of {len(deviations)} comparisons: least for {least}, "
+            f"most for {_named(largest)} ({_tenths(largest.deviation_percent)} %)"
+        )
+    return "; ".join(parts) + "." if parts else ""
+
+
+def _distance(result: ExperimentResult, units: Units) -> str:
+    """How far off the boundary is, and where: distance over damping and largest stable stiffness."""
+    distance, stiffness = result.scores[0].distance, result.scores[0].stiffness
+    parts = []
+    if distance is not None:
+        where = f"B = {damping_text(distance.largest_damping)} {units.damping}"
+        parts.append(
+            f"the measured boundary differs from theory by {_tenths(100 * distance.median)} % in stiffness in the "
+            f"median of {distance.dampings} dampings, most at {where} ({_tenths(100 * distance.largest)} %)"
+        )
+    if stiffness is not None:
+        least = "at least " if stiffness.lower_bound else ""
+        parts.append(
+            f"the largest stable stiffness measured is {least}{stiffness.measured:.0f} {units.stiffness} (at B = "
+            f"{stiffness.measured_damping:g} {units.damping}), theory says {stiffness.theory:.0f} {units.stiffness} at "
+            f"{stiffness.theory_damping:.3g} {units.damping} ({_percent(stiffness.deviation_percent / 100)})"
+        )
+    return f"Experiment {result.experiment}: {'; '.join(parts)}." if parts else ""
+
+
+def _stiffest(results: Sequence[ExperimentResult], units: Units) -> str:
+    """Largest stable stiffness of the first experiment with a boundary, where there is no theory to compare it with."""
+    for result in results:
+        stable = [(p.stable, p.damping) for p in result.boundary if p.stable is not None]
+        if stable:
+            stiffness, damping = max(stable)
+            return (
+                f"Experiment {result.experiment}: the largest stable stiffness measured is {stiffness:.0f} "
+                f"{units.stiffness} (at B = {damping:g} {units.damping})."
+            )
+    return ""
+
+
+def _device(results: Sequence[ExperimentResult]) -> str:
+    """What the logs say of the device, and how many of them the model explains."""
+    for result in results:
+        text = _estimates(result)
+        if text:
+            check = result.model_check
+            share = f"; the model explains {check.explained} of {check.trials} logs" if check and check.trials else ""
+            return f"Experiment {result.experiment} ({result.trials} trials): {text}{share}."
+    return ""
+
+
+def _estimates(result: ExperimentResult) -> str:
+    names = {"delay_samples": "delay d", "mass": "mass", "damping": "viscous damping"}
+    parts = []
+    for key, name in names.items():
+        estimate = result.estimates[key]
+        if estimate.value is None:
+            continue
+        value, low, high = estimate_texts(estimate)
+        text = f"{name} {value} {estimate.unit.replace('^2', '²')}"
+        if low and high:
+            text += f" (95 %: {low} to {high})"
+        parts.append(text)
+    return ", ".join(parts)
 
 
 def _percent(share: float) -> str:
@@ -91,79 +195,3 @@ def _named(row: ComparisonRow) -> str:
     name = CRITERION_NAMES.get(row.criterion, row.criterion)
     where = f"d = {row.delay_samples:g}" if row.condition == "experiment" else row.condition.replace("_", " ")
     return f"{name}, {where}"
-
-
-def _estimates(result: ExperimentResult) -> str:
-    names = {"delay_samples": "delay d", "mass": "mass", "damping": "viscous damping"}
-    parts = []
-    for key, name in names.items():
-        estimate = result.estimates[key]
-        if estimate.value is None:
-            continue
-        value, low, high = estimate_texts(estimate)
-        text = f"{name} {value} {estimate.unit.replace('^2', '²')}"
-        if low and high:
-            text += f" (95 %: {low} to {high})"
-        parts.append(text)
-    return ", ".join(parts)
-
-
-def warnings_of(data: SceneData, results: Sequence[ExperimentResult], rows: Sequence[ComparisonRow]) -> tuple[str, ...]:
-    """Return what a reader must know before trusting the numbers."""
-    warnings = []
-    mixed = [r.experiment for r in results if r.simulated]
-    if mixed and len(mixed) < len(results):
-        warnings.append(f"Simulated logs stand beside recorded ones: experiments {', '.join(mixed)} are simulated.")
-    few = [r.experiment for r in results if r.trials < FEW_TRIALS]
-    if few:
-        warnings.append(
-            f"Fewer than {FEW_TRIALS} trials in experiment {', '.join(few)}: boundary and optima say little."
-        )
-    edge = sorted({f"{r.experiment}" for r in results for o in r.optimum.values() if o.censored})
-    if edge:
-        warnings.append(
-            f"Optima at the edge of the tested range in experiment {', '.join(edge)}: the true optimum may lie beyond "
-            "it; such rows are marked."
-        )
-    open_end = [r.experiment for r in results if any(p.censored for p in r.boundary)]
-    if open_end:
-        warnings.append(
-            f"The tested stiffness range ended before a trial was unstable in experiment {', '.join(open_end)}: the "
-            "boundary there is a lower bound."
-        )
-    for result in results:
-        for name, estimate in result.estimates.items():
-            if estimate.value is None and "left out" not in (estimate.reason or ""):
-                quantity = name.removesuffix("_samples").replace("_", " ")
-                warnings.append(f"Experiment {result.experiment}: no {quantity} estimate ({estimate.reason}).")
-            elif estimate.warning:
-                quantity = name.removesuffix("_samples").replace("_", " ")
-                warnings.append(f"Experiment {result.experiment}, {quantity}: {estimate.warning}.")
-    if data.device is not None:
-        warnings += _conflicts(data, data.device)
-    else:
-        warnings.append(
-            f"The device {data.scene.device!r} has no device file: theory uses the parameters estimated from its logs."
-        )
-    return tuple(warnings)
-
-
-def _conflicts(data: SceneData, device: Device) -> list[str]:
-    """Where the logs of a known device do not fit its device file, so that theory speaks of something else."""
-    texts = []
-    known = {e.name for e in device.experiments}
-    foreign = [name for name in data.scene.experiments if name not in known]
-    if foreign:
-        texts.append(
-            f"The device file of {device.name!r} has no experiment {', '.join(foreign)}: its tables have no theory, "
-            "only the curves from its estimates."
-        )
-    for stages in data.experiments:
-        periods = set(stages.trials.column("sampling_period_s").to_pylist())
-        other = sorted(p for p in periods if not isclose(p, device.sampling_period_s, rel_tol=PERIOD_TOLERANCE))
-        if other:
-            texts.append(
-                f"Experiment {stages.experiment} was sampled every {other[0]:g} s, but theory takes "
-                f"{device.sampling_period_s:g} s from the device file."
-            )
-    return texts

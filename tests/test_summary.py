@@ -2,11 +2,13 @@ from __future__ import annotations
 
 import re
 
+import numpy as np
 import pytest
 
 from pipeline.models import Estimate, Optimum
 from pipeline.scene import open_scene
-from pipeline.summary import summarise, warnings_of
+from pipeline.summary import summarise
+from pipeline.summary_warnings import warnings_of
 
 
 @pytest.fixture(scope="module")
@@ -19,29 +21,64 @@ def result(falcon_outcome):
     return falcon_outcome.result
 
 
+def test_summary_answers_in_order(result):
+    starts = (
+        "Theory predicts well",
+        "Costs of the trials",
+        "Experiment 1: the measured",
+        "Best trial",
+        "A wall that is",
+    )
+    assert [text.startswith(s) for text, s in zip(result.summary, starts, strict=False)] == [True] * len(starts)
+    assert result.summary[-1].startswith("Experiment 1 (180 trials): delay d 4 samples (95 %: 4 to 5), mass 0.580 kg")
+    assert 5 <= len(result.summary) <= 8
+
+
 def test_summary_tells_the_numbers_of_the_result(result):
-    text = " ".join(result.summary)
     experiment = result.experiments[0]
-    assert "delay d 4 samples (95 %: 4 to 5), mass 0.580 kg" in text
+    region, distance = experiment.scores[0].region, experiment.scores[0].distance
+    assert f"is {region.area_ratio:.2f} times as large (overlap {100 * region.overlap:.0f} %)" in result.summary[0]
+    assert f"in the median of {distance.dampings} dampings" in result.summary[2]
     stable = max(p.stable for p in experiment.boundary if p.stable is not None)
     measured, at, predicted, where, percent = re.search(
         r"stiffness measured is (\d+) N/m \(at B = (\d+) Ns/m\), theory says (\d+) N/m at (\d+) Ns/m \(([+-]\d+) %\)",
-        text,
+        result.summary[2],
     ).groups()
     assert float(measured) == stable
     assert any(p.stable == stable and p.damping == float(at) for p in experiment.boundary)
     # Table B.1: alpha_max of d = 4 with delta = 4e-3/0.58 lies a little above the undamped .0229
     assert 0.0229 < float(predicted) * 1e-6 / 0.58 < 0.0240
     assert float(percent) == round(100 * (stable / float(predicted) - 1))
-    assert float(where) > 0
+    assert any(p.damping == float(where) for p in experiment.boundary)
 
 
 def test_deviations_of_the_summary_are_those_of_the_tables(result):
-    text = result.summary[-1]
+    text = result.summary[1]
     sizes = sorted(abs(r.deviation_percent) for r in result.tables if r.deviation_percent is not None)
     assert f"in the median of {len(sizes)} comparisons" in text
     found = [float(x) for x in re.findall(r"\(([+-][\d.]+) %\)", text)]
     assert [round(abs(x), 1) for x in found] == [round(sizes[0], 1), round(sizes[-1], 1)]
+
+
+def test_each_sentence_names_what_it_rests_on(falcon_outcome):
+    result = falcon_outcome.result
+    assert len(result.summary_sources) == len(result.summary)
+    page = falcon_outcome.report.read_text(encoding="utf-8")
+    for source in result.summary_sources:
+        assert source
+        assert f'id="{source}"' in page
+        assert f'href="#{source}"' in page
+
+
+@pytest.mark.parametrize(("overlap", "word"), [(0.95, "well"), (0.75, "roughly"), (0.3, "poorly")])
+def test_words_follow_the_overlap(data, result, overlap, word):
+    experiment = result.experiments[0]
+    scores = experiment.scores[0]
+    region = scores.region.model_copy(update={"overlap": overlap})
+    changed = experiment.model_copy(update={"scores": (scores.model_copy(update={"region": region}),)})
+    first = summarise(data, [changed], result.tables)[0]
+    assert first.text.startswith(f"Theory predicts {word} where this device is stable")
+    assert f"(overlap {100 * overlap:.0f} %)" in first.text
 
 
 def test_an_ideal_course_inside_its_range_gives_no_warning(result):
@@ -51,14 +88,20 @@ def test_an_ideal_course_inside_its_range_gives_no_warning(result):
 def test_summary_leaves_out_what_is_not_known(data, result):
     nothing = Estimate(value=None, unit="kg", method="none", reason="no trial moved")
     bare = result.experiments[0].model_copy(
-        update={"estimates": dict.fromkeys(("delay_samples", "mass", "damping"), nothing), "boundary": ()}
+        update={
+            "estimates": dict.fromkeys(("delay_samples", "mass", "damping"), nothing),
+            "boundary": (),
+            "scores": (),
+            "optimum": {},
+        }
     )
-    (text,) = summarise(data, [bare], (), {})
-    assert text.startswith("180 trials are stored, from which neither parameters nor costs follow")
+    (sentence,) = summarise(data, [bare], ())
+    assert sentence.source == ""
+    assert sentence.text.startswith("180 trials are stored, from which neither parameters nor costs follow")
 
 
 def warned(data, result, **changes):
-    return " ".join(warnings_of(data, [result.experiments[0].model_copy(update=changes)], result.tables))
+    return " ".join(warnings_of(data, [result.experiments[0].model_copy(update=changes)]))
 
 
 def test_warnings(data, result):
@@ -74,8 +117,24 @@ def test_warnings(data, result):
     left_out = missing.model_copy(update={"reason": "left out: neither a criterion"})
     assert warned(data, result, estimates=experiment.estimates | {"mass": left_out}) == ""
     recorded = experiment.model_copy(update={"experiment": "2", "simulated": False})
-    (text,) = warnings_of(data, [experiment, recorded], result.tables)
+    (text,) = warnings_of(data, [experiment, recorded])
     assert text == "Simulated logs stand beside recorded ones: experiments 1 are simulated."
+
+
+def test_bad_fits_and_extrapolated_costs_are_named(data, result):
+    experiment = result.experiments[0]
+    check = experiment.model_check.model_copy(update={"trials": 100, "explained": 60})
+    assert "do not explain 40 of 100 fitted logs" in warned(data, result, model_check=check)
+    check = check.model_copy(update={"explained": 90})
+    assert warned(data, result, model_check=check) == ""
+    stages = data.experiments[0]
+    share = abs(stages.column("energy", "energy_w2_tail")) / stages.column("energy", "energy_w2")
+    worst = int(np.nanargmax(share))
+    trial, cost = (stages.table("energy").column(name)[worst].as_py() for name in ("trial_id", "energy_w2"))
+    assert share[worst] > 0.05
+    long = Optimum(stiffness=1.0, damping=1.0, cost=cost, trial_id=trial)
+    text = warned(data, result, optimum={"energy_step_w2": long})
+    assert text.startswith("Optimal energy costs that are partly extrapolated beyond the logs: experiment 1, w = 2 (")
 
 
 def test_unknown_device_is_named_in_a_warning(unknown_outcome):

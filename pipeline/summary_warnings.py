@@ -1,0 +1,133 @@
+"""What a reader must know before trusting the numbers of a comparison, gravest first."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import isclose
+
+import numpy as np
+
+from pipeline.models import ENERGY_CRITERIA, Device
+from pipeline.results import ExperimentResult
+from pipeline.scene import SceneData
+
+FEW_TRIALS = 30
+"""Trials below which an optimum or a boundary says little."""
+
+PERIOD_TOLERANCE = 0.01
+"""Relative difference of sampling periods that no result shows: K scales with 1/T^2, B with 1/T."""
+
+BAD_FITS = 0.2
+"""Share of trials that the model does not explain from which on it is named: chance leaves 5 % of them unexplained."""
+
+EXTRAPOLATED = 0.05
+"""Share of an optimal energy cost beyond the horizon of the log from which on it is named."""
+
+
+def warnings_of(data: SceneData, results: Sequence[ExperimentResult]) -> tuple[str, ...]:
+    """Return what a reader must know before trusting the numbers; nothing where there is nothing to say."""
+    warnings = []
+    mixed = [r.experiment for r in results if r.simulated]
+    if mixed and len(mixed) < len(results):
+        warnings.append(f"Simulated logs stand beside recorded ones: experiments {', '.join(mixed)} are simulated.")
+    few = [r.experiment for r in results if r.trials < FEW_TRIALS]
+    if few:
+        warnings.append(
+            f"Fewer than {FEW_TRIALS} trials in experiment {', '.join(few)}: boundary and optima say little."
+        )
+    warnings += [w for w in map(_bad_fits, results) if w]
+    warnings += _extrapolated(data, results)
+    edge = sorted({f"{r.experiment}" for r in results for o in r.optimum.values() if o.censored})
+    if edge:
+        warnings.append(
+            f"Optima at the edge of the tested range in experiment {', '.join(edge)}: the true optimum may lie beyond "
+            "it; such rows are marked."
+        )
+    open_end = [r.experiment for r in results if any(p.censored for p in r.boundary)]
+    if open_end:
+        warnings.append(
+            f"The tested stiffness range ended before a trial was unstable in experiment {', '.join(open_end)}: the "
+            "boundary there is a lower bound."
+        )
+    if data.device is not None:
+        warnings += _conflicts(data, data.device)
+    else:
+        warnings.append(
+            f"The device {data.scene.device!r} has no device file: theory uses the parameters estimated from its logs."
+        )
+    warnings += _estimates(results)
+    return tuple(warnings)
+
+
+def _estimates(results: Sequence[ExperimentResult]) -> list[str]:
+    """What is missing or doubtful among the estimates: one sentence a quantity, with the words of its first experiment.
+
+    The others stand as remarks in the table of methods.
+    """
+    missing: dict[tuple[str, str], list[str]] = {}
+    doubtful: dict[str, list[tuple[str, str]]] = {}
+    for result in results:
+        for name, estimate in result.estimates.items():
+            quantity = name.removesuffix("_samples").replace("_", " ")
+            if estimate.value is None and "left out" not in (estimate.reason or ""):
+                missing.setdefault((quantity, estimate.reason or ""), []).append(result.experiment)
+            elif estimate.value is not None and estimate.warning:
+                doubtful.setdefault(quantity, []).append((result.experiment, estimate.warning))
+    found = [f"{_of(names)}: no {quantity} estimate ({reason})." for (quantity, reason), names in missing.items()]
+    for quantity, cases in doubtful.items():
+        first, warning = cases[0]
+        text = f"{_of([name for name, _ in cases])}, {quantity}: "
+        text += f"in experiment {first} {warning}" if len(cases) > 1 else warning
+        found.append(f"{text}{'; the table of methods has the others' if len(cases) > 1 else ''}.")
+    return found
+
+
+def _of(names: Sequence[str]) -> str:
+    return f"Experiment{'s' if len(names) > 1 else ''} {', '.join(names)}"
+
+
+def _bad_fits(result: ExperimentResult) -> str:
+    check = result.model_check
+    if check is None or not check.trials or check.trials - check.explained < BAD_FITS * check.trials:
+        return ""
+    return (
+        f"Experiment {result.experiment}: mass, damping and delay do not explain {check.trials - check.explained} of "
+        f"{check.trials} fitted logs; theory may speak of another device."
+    )
+
+
+def _extrapolated(data: SceneData, results: Sequence[ExperimentResult]) -> list[str]:
+    """Optimal energy costs of which much lies beyond the end of what was recorded."""
+    found = []
+    for result, stages in zip(results, data.experiments, strict=False):
+        for w, criterion in enumerate(ENERGY_CRITERIA):
+            best = result.optimum.get(criterion)
+            if best is None or best.trial_id is None:
+                continue
+            tail = stages.column("energy", f"energy_w{w}_tail")[stages.texts("energy", "trial_id").index(best.trial_id)]
+            if np.isfinite(tail) and abs(tail) > EXTRAPOLATED * best.cost:
+                found.append(f"experiment {result.experiment}, w = {w} ({abs(tail) / best.cost:.0%})")
+    if not found:
+        return []
+    return [f"Optimal energy costs that are partly extrapolated beyond the logs: {'; '.join(found)}."]
+
+
+def _conflicts(data: SceneData, device: Device) -> list[str]:
+    """Where the logs of a known device do not fit its device file, so that theory speaks of something else."""
+    texts = []
+    known = {e.name for e in device.experiments}
+    foreign = [name for name in data.scene.experiments if name not in known]
+    if foreign:
+        texts.append(
+            f"The device file of {device.name!r} has no experiment {', '.join(foreign)}: its tables have no theory, "
+            "only the curves from its estimates."
+        )
+    for stages in data.experiments:
+        periods = set(stages.trials.column("sampling_period_s").to_pylist())
+        other = sorted(p for p in periods if not isclose(p, device.sampling_period_s, rel_tol=PERIOD_TOLERANCE))
+        if other:
+            texts.append(
+                f"Experiment {stages.experiment} was sampled every {other[0]:g} s, but theory takes "
+                f"{device.sampling_period_s:g} s from the device file."
+            )
+    return texts
