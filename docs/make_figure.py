@@ -10,11 +10,11 @@ import numpy as np
 from pipeline import figures
 from pipeline.aggregate import choose_optimum, estimate_delay
 from pipeline.boundary import measured_boundary
+from pipeline.boundary_curves import theory_curve
 from pipeline.costs import WEIGHTS, energy
 from pipeline.course import Course, run_course
 from pipeline.delay import first_change
 from pipeline.devices import load_device
-from pipeline.figure_data import theory_curve
 from pipeline.maps import cost_maps
 from pipeline.models import Optimum
 from pipeline.onset import motion_onset, rounded

@@ -39,10 +39,29 @@ def cost_maps(loop: Loop, alpha: Floats, beta: Floats, criteria: Sequence[str]) 
 
     Source: Hulin 2017, secs. 5.2 and 6.1.4 (theoretical maps of Figs. 6.5 to 6.7, 6.10, 6.11).
     """
-    grid_alpha, grid_beta = (g.ravel() for g in np.meshgrid(alpha, beta))
-    usable = np.flatnonzero(grid_alpha + loop.gamma > 0)
-    usable = usable[is_well_inside(loop, grid_alpha[usable], grid_beta[usable])]
-    a, b = grid_alpha[usable], grid_beta[usable]
+    grid_alpha, grid_beta = np.meshgrid(alpha, beta)
+    found = costs_at(loop, grid_alpha.ravel(), grid_beta.ravel(), criteria)
+    return {criterion: values.reshape(grid_alpha.shape) for criterion, values in found.items()}
+
+
+def costs_at(loop: Loop, alpha: Floats, beta: Floats, criteria: Sequence[str]) -> dict[str, Floats]:
+    """Return the costs of `cost_maps` at single points.
+
+    Parameters
+    ----------
+    loop, criteria
+        As of `cost_maps`.
+    alpha, beta : float64, shape (n,)
+        Normalised stiffness and damping of each point.
+
+    Returns
+    -------
+    dict of float64, shape (n,)
+        NaN as in `cost_maps`.
+    """
+    usable = np.flatnonzero(alpha + loop.gamma > 0)
+    usable = usable[is_well_inside(loop, alpha[usable], beta[usable])]
+    a, b = alpha[usable], beta[usable]
     costs: dict[str, Floats] = {}
     if any(c.startswith("energy") for c in criteria):
         costs |= energy_costs(loop, a, b)
@@ -56,7 +75,6 @@ def cost_maps(loop: Loop, alpha: Floats, beta: Floats, criteria: Sequence[str]) 
         )
     result = {}
     for criterion in criteria:
-        values = np.full(grid_alpha.shape, np.nan)
-        values[usable] = costs[f"{criterion}_discrete"]
-        result[criterion] = values.reshape(len(beta), len(alpha))
+        result[criterion] = np.full(alpha.shape, np.nan)
+        result[criterion][usable] = costs[f"{criterion}_discrete"]
     return result

@@ -13,14 +13,14 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.patches import PathPatch
 from matplotlib.path import Path
-from matplotlib.ticker import MaxNLocator
 from matplotlib.transforms import IdentityTransform
 from matplotlib.tri import Triangulation
+from matplotlib.typing import CapStyleType
 
 from pipeline import style
 from pipeline.batch import Booleans, Floats
+from pipeline.figure_records import CostFigure, CostMap, Curve
 from pipeline.labels import cost_text, printed_scale, significant
-from pipeline.results import CostFigure, CostMap, Curve
 
 LINES_PER_DOUBLING = 2
 """Contour lines of settling and energy costs, as in Figs. 6.5 to 6.7."""
@@ -45,13 +45,18 @@ LABEL_SIZE = (0.12, 0.042)
 """Width and height of a direct label [fraction of the axes]; closer ones overlap and go into the legend."""
 SHORT_LABEL = 9
 """Longest text [characters] that is written at a curve."""
+KINDS = ("envelope", "passive", "measured", "theory", "linear", "bound", "band")
+"""Kinds of curves in the order in which they are drawn: areas first."""
+LINE_WIDTHS = {"theory": 1.4, "linear": 1.6, "bound": 1.6, "band": 1.0, "passive": 0.8}
+SHADES = {"envelope": 0.13, "passive": 0.22, "measured": 0.22}
+"""Opacity of filled areas: light enough for the lines and dots on them, apart from each other in grey."""
 LABELLED_KINDS = ("measured", "theory")
 """Kinds of curves whose tip may bear a label; linear conditions and bands have none of their own."""
 
 
 def draw_curves(axes: Axes, curves: Sequence[Curve], scale: float) -> set[str]:
     """Draw boundaries; return the labels that were written at their curve and need no legend."""
-    order = {kind: [c for c in curves if c.kind == kind] for kind in ("measured", "theory", "linear", "band")}
+    order = {kind: [c for c in curves if c.kind == kind] for kind in KINDS}
     # One theory curve to each measured one share its colour; otherwise theory would borrow a wrong partner.
     paired = len(order["measured"]) in (0, len(order["theory"]))
     labelled = set()
@@ -60,13 +65,12 @@ def draw_curves(axes: Axes, curves: Sequence[Curve], scale: float) -> set[str]:
         places = _label_places(group, axes.get_xlim()[1] / scale, axes.get_ylim())
         for index, curve in enumerate(group):
             colour = style.SERIES[index % len(style.SERIES)]
-            if kind in ("linear", "band") or (kind == "theory" and not paired):
+            if kind in ("linear", "bound", "band", "passive", "envelope") or (kind == "theory" and not paired):
                 colour = style.VERMILLION if kind == "theory" else style.INK
             _draw_curve(axes, curve, scale, colour, style.MARKERS[index % len(style.MARKERS)])
             if places:
                 labelled.add(curve.label)
-                box = {"facecolor": style.PAPER, "edgecolor": "none", "pad": 0.8, "alpha": 0.85}
-                look: dict[str, Any] = {"color": colour, "va": "center", "fontsize": 9.5, "bbox": box}
+                look: dict[str, Any] = {"color": colour, "va": "center", "fontsize": 9.5, "bbox": style.BEHIND_TEXT}
                 axes.annotate(curve.label, places[index], (4, 0), "axes fraction", textcoords="offset points", **look)
     return labelled
 
@@ -74,6 +78,12 @@ def draw_curves(axes: Axes, curves: Sequence[Curve], scale: float) -> set[str]:
 def _draw_curve(axes: Axes, curve: Curve, scale: float, colour: str, marker: str = "o") -> None:
     look: dict[str, Any] = {"color": colour, "ls": style.LINES[curve.kind], "label": curve.label}
     k = curve.stiffness * scale
+    if curve.low is not None and curve.high is not None:
+        _fill_between(axes, curve, scale, colour)
+    if curve.kind == "envelope":
+        return
+    if curve.kind == "passive":
+        axes.fill(k, curve.damping, color=colour, alpha=SHADES["passive"], lw=0, label="_passive")
     if curve.kind == "measured":
         axes.plot(k, curve.damping, lw=1.4, marker=marker, ms=3.4, mew=0, **look)
         if curve.censored is not None and np.any(curve.censored):
@@ -81,7 +91,18 @@ def _draw_curve(axes: Axes, curve: Curve, scale: float, colour: str, marker: str
             open_look: dict[str, Any] = {"mfc": style.PAPER, "mec": colour, "mew": 1.1, "label": "_censored"}
             axes.plot(k[where], curve.damping[where], ls="none", marker=marker, ms=5, **open_look)
     else:
-        axes.plot(k, curve.damping, lw={"theory": 1.4, "linear": 1.6, "band": 1.0}[curve.kind], **look)
+        axes.plot(k, curve.damping, lw=LINE_WIDTHS[curve.kind], **look)
+
+
+def _fill_between(axes: Axes, curve: Curve, scale: float, colour: str) -> None:
+    """Fill what lies between the two stiffnesses at each damping."""
+    assert curve.low is not None
+    assert curve.high is not None
+    known = np.isfinite(curve.low) & np.isfinite(curve.high)
+    low, high, b = curve.low[known] * scale, curve.high[known] * scale, curve.damping[known]
+    label = curve.label if curve.kind == "envelope" else "_open"
+    outline = (np.append(low, high[::-1]), np.append(b, b[::-1]))
+    axes.fill(*outline, color=colour, alpha=SHADES[curve.kind], lw=0, label=label)
 
 
 def legend_entries(curves: Sequence[Curve], largest: float, damping: tuple[float, float]) -> int:
@@ -118,7 +139,7 @@ def draw_map(axes: Axes, cost_map: CostMap, criterion: str, scale: float) -> Non
     levels = _levels(criterion, cost_map.cost[known])
     if criterion == "overshoot":
         calm = cost_map.trial_cost <= NO_OVERSHOOT
-        _dots(axes, cost_map.trial_stiffness[calm] * scale, cost_map.trial_damping[calm], style.INK, 2.4)
+        dots(axes, cost_map.trial_stiffness[calm] * scale, cost_map.trial_damping[calm], style.INK, 2.4)
     if levels.size:
         shade = [(*to_rgb(style.GREEN), alpha) for alpha in np.linspace(1.0, 0.45, levels.size)]
         # Whole doublings are drawn heavier: they can be counted, also in grey.
@@ -139,6 +160,9 @@ def draw_map(axes: Axes, cost_map: CostMap, criterion: str, scale: float) -> Non
             if triangles is not None:
                 triangles.x = triangles.x * scale
                 axes.tricontour(triangles, cost_map.cost[known], **look)
+    for best, line in ((cost_map.best_damping, "-"), (cost_map.best_stiffness, style.LINES["theory"])):
+        if best is not None:
+            axes.plot(best.stiffness * scale, best.damping, color=style.INK, lw=1.1, ls=line)
     if cost_map.optimum is not None:
         axes.plot(
             cost_map.optimum.stiffness * scale,
@@ -167,10 +191,8 @@ def draw_front(axes: Axes, cost_map: CostMap, criterion: str, scale: float, top:
     """Draw the least cost for each stiffness, all trials as dots, and the optimum with its cost."""
     factor = printed_scale(criterion)
     axes.set_ylim(0, top * factor)
-    axes.yaxis.set_major_locator(MaxNLocator(4, steps=style.TICK_STEPS))
-    axes.set_ylabel("overshoot [%]" if criterion == "overshoot" else _short_label(criterion))
     inside = cost_map.trial_cost <= top
-    _dots(axes, cost_map.trial_stiffness[inside] * scale, cost_map.trial_cost[inside] * factor, style.GREEN, 2.6)
+    dots(axes, cost_map.trial_stiffness[inside] * scale, cost_map.trial_cost[inside] * factor, style.GREEN, 2.6)
     known = np.isfinite(cost_map.cost).any(axis=0)
     lowest = np.where(np.isfinite(cost_map.cost), cost_map.cost, np.inf).min(axis=0)[known]
     axes.plot(cost_map.stiffness[known] * scale, lowest * factor, color=style.INK, lw=1.3)
@@ -188,7 +210,7 @@ def draw_front(axes: Axes, cost_map: CostMap, criterion: str, scale: float, top:
             va="center",
             color=style.BLUE,
             fontweight="bold",
-            bbox={"facecolor": style.PAPER, "edgecolor": "none", "pad": 0.8, "alpha": 0.85},
+            bbox=style.BEHIND_TEXT,
         )
 
 
@@ -200,7 +222,10 @@ def front_top(figure: CostFigure) -> float:
     return FRONT_RANGE * max(lowest, default=1.0)
 
 
-def _short_label(criterion: str) -> str:
+def cost_axis_label(criterion: str) -> str:
+    """Return quantity and unit of the cost axis of a front view."""
+    if criterion == "overshoot":
+        return "overshoot [%]"
     if criterion.startswith("settle"):
         return "settling time [samples]"
     return "energy cost" if criterion.startswith("energy") else criterion
@@ -229,18 +254,23 @@ def _triangles(cost_map: CostMap, known: Booleans) -> Triangulation | None:
     return Triangulation(k, b, triangles.triangles, mask=longest > LONGEST_EDGE)
 
 
-def _dots(axes: Axes, x: Floats, y: Floats, colour: str, size: float) -> None:
-    """Draw points as one path of round dots, one per pixel at most: small however many trials there are.
+def dots(
+    axes: Axes, x: Floats, y: Floats, colour: str, size: float, *, square: bool = False, clip: bool = True
+) -> None:
+    """Draw points as one path of dots of a size in pixels, one a pixel at most: small however many trials there are.
 
     Rejected: `scatter` (one element a point) and a raster image (does not follow the page's colours).
     """
+    cap: CapStyleType = "projecting" if square else "round"
     pixels = axes.transData.transform(np.column_stack([x, y]))
     pixels = np.unique(np.round(pixels), axis=0)
     if not len(pixels):
         return
-    codes = np.tile(np.array([Path.MOVETO, Path.LINETO], dtype=np.uint8), len(pixels))
-    path = Path(np.repeat(pixels, 2, axis=0), codes)
-    path.should_simplify = False  # simplification would drop lines without length
-    axes.add_artist(  # `add_patch` would search the path for limits of the axes, which are set already
-        PathPatch(path, fill=False, edgecolor=colour, lw=size, capstyle="round", transform=IdentityTransform())
-    )
+    # Neighbours one above the other make a short line: the same picture from one pair of points.
+    joined = (np.diff(pixels[:, 0]) == 0) & (np.diff(pixels[:, 1]) == 1)
+    first, last = np.append(True, ~joined), np.append(~joined, True)
+    ends = np.stack([pixels[first], pixels[last]], axis=1).reshape(-1, 2)
+    path = Path(ends, np.tile(np.array([Path.MOVETO, Path.LINETO], dtype=np.uint8), len(ends) // 2))
+    look: dict[str, Any] = {"fill": False, "edgecolor": colour, "lw": size, "capstyle": cap, "clip_on": clip}
+    # `add_patch` would search the path for limits of the axes, which are set already
+    axes.add_artist(PathPatch(path, transform=IdentityTransform(), **look))

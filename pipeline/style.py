@@ -11,6 +11,9 @@ import re
 from html import escape
 from typing import TYPE_CHECKING, Any
 
+from pipeline.svg_compact import compact
+from pipeline.svg_paths import UNIT
+
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
@@ -38,18 +41,28 @@ PAGE_COLOURS = {
     ORANGE: f"var(--fig-orange,{ORANGE})",
     SKY: f"var(--fig-sky,{SKY})",
 }
+BEHIND_TEXT: Any = {"facecolor": PAPER, "edgecolor": "none", "pad": 0.8, "alpha": 0.85}
+"""Ground that keeps a text in a drawing readable."""
 TICK_STEPS = (1, 2, 2.5, 5, 10)
 """Ticks at round numbers only."""
 SERIES = (BLUE, VERMILLION, GREEN, PURPLE, ORANGE, SKY, INK)
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 """Markers that tell the series apart in grey, in the order of `SERIES`."""
-LINES: dict[str, Any] = {"measured": "-", "theory": (0, (5, 2)), "linear": (0, (1, 1.8)), "band": (0, (1, 2.5))}
+LINES: dict[str, Any] = {
+    "measured": "-",
+    "theory": (0, (5, 2)),
+    "linear": (0, (1, 1.8)),
+    "band": (0, (1, 2.5)),
+    "bound": (0, (4, 1.5, 1, 1.5)),
+    "passive": "-",
+    "envelope": "-",
+}
 
 RC: Any = {
     "svg.fonttype": "none",  # text stays text: searchable, and in the page's font
     "svg.hashsalt": "pipeline",  # identifiers depend on the drawing only
     "text.parse_math": False,  # a dollar sign in a name is no formula
-    "path.simplify_threshold": 0.15,  # [px]; invisible, and a third of the points of a dense curve
+    "path.simplify": False,  # `svg_compact` leaves out what is not seen, of areas and closed lines too
     "font.size": 11.0,
     "axes.edgecolor": INK,
     "axes.labelcolor": INK,
@@ -72,14 +85,11 @@ RC: Any = {
     "figure.dpi": 72.0,  # one unit of the SVG is one pixel of the layout
 }
 
-_ID = re.compile(r'\bid="([^"]+)"')
-_REFERENCE = re.compile(r'(?:xlink:)?href="#([^"]+)"')
-_URL = re.compile(r"url\(#([^)]+)\)")
-_PATH = re.compile(r'(?<= d=")[^"]+')
-_NUMBER = re.compile(r"-?\d+\.\d{3,}")
-_DOT = re.compile(r"M (\S+) (\S+) L \1 \2\s*")
 _COLOUR = re.compile("|".join(PAGE_COLOURS), re.IGNORECASE)
-_FONT = re.compile(r"(font:[^;\"]*?px)[^;\"]*")
+_HEAD = (
+    'font-family="system-ui,\'Helvetica Neue\',Arial,sans-serif" fill="none" stroke-width="10" stroke-linejoin="round"'
+)
+"""What holds in a figure unless an element says otherwise."""
 
 
 def svg(figure: Figure, identifier: str, title: str, description: str) -> str:
@@ -98,29 +108,11 @@ def svg(figure: Figure, identifier: str, title: str, description: str) -> str:
     nothing = {"Date": None, "Creator": None, "Format": None, "Type": None}
     figure.savefig(buffer, format="svg", transparent=True, metadata=nothing)
     text = buffer.getvalue()
-    text = text[text.index("<svg") :]
-    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
-    # Its style sheet would hold for the whole page; the page has the same rule for figures only.
-    text = re.sub(r"<defs>\s*<style.*?</style>\s*</defs>", "", text, flags=re.DOTALL)
-    text = re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL)
-    text = _ID.sub(rf'id="{identifier}-\1"', text)
-    text = _REFERENCE.sub(rf'href="#{identifier}-\1"', text)
-    text = _URL.sub(rf"url(#{identifier}-\1)", text)
-    text = _COLOUR.sub(lambda match: PAGE_COLOURS[match[0].lower()], text)
-    text = _FONT.sub(r"\1 system-ui, 'Helvetica Neue', Arial, sans-serif", text)
-    text = _PATH.sub(lambda match: _compact(match[0]), text)
-    box = re.search(r'viewBox="[^"]*"', text)
-    head = (
-        f'<svg {box[0] if box else ""} role="img" aria-labelledby="{identifier}-title {identifier}-desc">'
+    body = _COLOUR.sub(lambda match: PAGE_COLOURS[match[0].lower()], compact(text[text.index("<svg") :], identifier))
+    width, height = figure.get_size_inches() * figure.dpi * UNIT
+    return (
+        f'<svg viewBox="0 0 {width:.0f} {height:.0f}" role="img" '
+        f'aria-labelledby="{identifier}-title {identifier}-desc" {_HEAD}>'
         f'<title id="{identifier}-title">{escape(title)}</title>'
-        f'<desc id="{identifier}-desc">{escape(description)}</desc>'
+        f'<desc id="{identifier}-desc">{escape(description)}</desc>{body}</svg>'
     )
-    body = text[text.index(">") + 1 :]
-    return head + re.sub(r">\s+<", "><", body).strip()
-
-
-def _compact(path: str) -> str:
-    """Shorten path data: two decimals are a hundredth of a pixel; a line without length is a round dot."""
-    path = " ".join(path.split())
-    path = _DOT.sub(r"M\1 \2h.01", path)
-    return _NUMBER.sub(lambda match: f"{float(match[0]):.2f}".rstrip("0").rstrip("."), path)

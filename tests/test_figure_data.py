@@ -4,30 +4,24 @@ import numpy as np
 import pytest
 import simulated
 
-from pipeline.compare import _nominal_theories
-from pipeline.figure_data import (
-    FigureBuilder,
-    band_of_estimates,
-    linear_curve,
-    measured_curve,
-    requests_of_delay_figure,
-    theory_curve,
-)
-from pipeline.predictions import Predictions
+from pipeline.boundary_curves import estimated_theory, linear_curve, measured_curve, theory_curve
+from pipeline.compare_experiment import nominal_theories
+from pipeline.figure_data import FigureBuilder, requests_of_delay_figure
+from pipeline.predictions import Predictions, Theory
 from pipeline.scene import open_scene
 
 
 @pytest.fixture(scope="module")
 def of_falcon(falcon, falcon_outcome):
     data = open_scene("falcon", falcon.processed, None, None)
-    theories = _nominal_theories(data)
+    theories = nominal_theories(data)
     return FigureBuilder(data, theories, falcon_outcome.result.experiments)
 
 
 @pytest.fixture(scope="module")
 def of_lwr(lwr, lwr_outcome):
     data = open_scene("lwr", lwr.processed, None, None)
-    return FigureBuilder(data, _nominal_theories(data), lwr_outcome.result.experiments)
+    return FigureBuilder(data, nominal_theories(data), lwr_outcome.result.experiments)
 
 
 def known_predictions(builder, lab):
@@ -95,7 +89,7 @@ def test_boundary_figures_of_a_free_device(of_falcon):
 
 def test_boundary_figures_of_a_sweep(of_lwr):
     figures = {f.identifier: f for f in of_lwr.boundaries()}
-    assert set(figures) == {"boundaries-delay", "boundaries-estimates"}
+    assert set(figures) == {"boundaries-delay", "boundaries-estimates", "boundaries-normalised"}
     panels = dict(figures["boundaries-delay"].panels)
     assert [c.label for c in panels["theory"]] == ["d = 2", "d = 4"]
     assert [c.label for c in panels["measured"]] == ["delay-2", "delay-4"]
@@ -103,26 +97,21 @@ def test_boundary_figures_of_a_sweep(of_lwr):
 
 def test_no_overlay_without_the_estimates_it_needs(falcon, falcon_outcome):
     data = open_scene("falcon", falcon.processed, None, ["overshoot"])
-    builder = FigureBuilder(data, _nominal_theories(data), falcon_outcome.result.experiments)
+    builder = FigureBuilder(data, nominal_theories(data), falcon_outcome.result.experiments)
     assert {f.identifier for f in builder.boundaries()} == {"boundaries-free"}
 
 
-def test_band_of_estimates_encloses_the_estimate(of_falcon, falcon_outcome):
+def test_theory_by_estimates_needs_all_three_and_no_negative_damping(of_falcon, falcon_outcome):
     result = falcon_outcome.result.experiments[0]
 
-    def with_(name, **changes):
-        estimate = result.estimates[name].model_copy(update=changes)
+    def with_(name, value):
+        estimate = result.estimates[name].model_copy(update={"value": value})
         return result.model_copy(update={"estimates": result.estimates | {name: estimate}})
 
-    wide = with_("mass", low=0.5, high=0.7)
-    (_, kind, best), (_, low_kind, small), (_, high_kind, large) = band_of_estimates(wide, None, 1e-3)
-    assert (kind, low_kind, high_kind) == ("theory", "band", "band")
-    top = [t.boundary.alpha_max * t.units.stiffness for t in (small, best, large)]
-    assert top == sorted(top)
-    assert band_of_estimates(with_("mass", value=None, reason="none"), None, 1e-3) == []
-    negative = with_("damping", value=-0.05, low=-0.1, high=0.0)
-    assert band_of_estimates(negative, None, 1e-3)[0][2].parameters.damping == 0.0
-    assert len(band_of_estimates(with_("mass", low=None, high=None), None, 1e-3)) >= 1
+    assert estimated_theory(with_("mass", None), None, 1e-3) is None
+    assert estimated_theory(with_("damping", -0.05), None, 1e-3).parameters.damping == 0.0
+    stiff = of_falcon.theories["1"].parameters.model_copy(update={"stiffness": 40.0})
+    assert estimated_theory(result, Theory(stiff), 1e-3).parameters.stiffness == 40.0
 
 
 def test_cost_figures_show_theory_beside_the_trials(of_falcon, falcon):
