@@ -6,6 +6,7 @@ from pipeline.labels import DIGITS, MISSING, UNITS, criterion_label, estimate_te
 from pipeline.models import Estimate, Motion
 from pipeline.report_tables import Cell, Head, Table, missing_cell, text_cell
 from pipeline.results import ComparisonResult, TheoryParameters
+from pipeline.trial_records import TrialPage
 
 MAIN = ("delay_samples", "mass", "damping", "implied_delay")
 """Quantities that stand beside the experiments; the others stand in the table of methods only."""
@@ -136,7 +137,7 @@ def window_table(result: ComparisonResult) -> Table | None:
     return table
 
 
-def definition_table(result: ComparisonResult) -> Table | None:
+def definition_table(result: ComparisonResult, trials: TrialPage | None = None) -> Table | None:
     """Return the best trials by the definitions of other tools, or None where settling or overshoot is left out."""
     groups = ("settling time, 2 % [samples]", "overshoot [%]")
     heads = (
@@ -151,12 +152,15 @@ def definition_table(result: ComparisonResult) -> Table | None:
     )
     for e in result.experiments:
         for best in e.other_definitions:
+            trial = trials.places.get((e.experiment, best.trial_id), "") if trials else ""
             cells = [text_cell(criterion_label(best.criterion))]
             for name in names:
                 value = getattr(best, name)
                 percent = name.startswith("overshoot")
                 text = "" if value is None else f"{100 * value:.1f}" if percent else f"{value:.4g}"
-                cells.append(Cell(text) if text else missing_cell("not settled, or not told by this definition"))
+                cells.append(
+                    Cell(text, trial=trial) if text else missing_cell("not settled, or not told by this definition")
+                )
             table.add(f"experiment {e.experiment}", f"{e.experiment}/{best.criterion}", ("criterion", *names), cells)
     if not table.blocks:
         return None

@@ -6,8 +6,8 @@ compares cells by name, and a test can ask for one of them.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 from pipeline.labels import (
     CRITERION_NAMES,
@@ -23,13 +23,18 @@ from pipeline.labels import (
 )
 from pipeline.models import BoundaryPoint, ComparisonRow, Motion, Optimum
 from pipeline.results import ComparisonResult, ExperimentResult
+from pipeline.trial_records import TrialPage
 
 CENSORED = "At the edge of the tested range (censored): the true value may lie outside."
 
 
 @dataclass(frozen=True)
 class Cell:
-    """Text of a cell; ``aside`` is smaller text, ``why`` explains a missing value, ``marks`` name notes."""
+    """Text of a cell; ``aside`` is smaller text, ``why`` explains a missing value, ``marks`` name notes.
+
+    ``name`` begins with that of its ``row``; the page holds both apart, since names would else be a tenth of it.
+    ``trial`` refers to the trial that a number stands for (see `trial_records.reference`), empty where there is none.
+    """
 
     text: str
     numeric: bool = True
@@ -37,7 +42,9 @@ class Cell:
     why: str = ""
     marks: tuple[str, ...] = ()
     name: str = ""
+    row: str = ""
     head: bool = False
+    trial: str = ""
 
 
 @dataclass(frozen=True)
@@ -58,6 +65,12 @@ class Table:
     heads: tuple[Head, ...]
     blocks: list[tuple[str, list[tuple[Cell, ...]]]] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+
+    @property
+    def whys(self) -> list[str]:
+        """The different reasons for missing values that are no notes: print and touch show no text on pointing."""
+        cells = (cell for _, rows in self.blocks for row in rows for cell in row)
+        return list(dict.fromkeys(cell.why for cell in cells if cell.why and cell.why not in self.notes))
 
     @property
     def groups(self) -> list[tuple[str, int]]:
@@ -85,7 +98,7 @@ class Table:
         if not self.blocks or self.blocks[-1][0] != block:
             self.blocks.append((block, []))
         named = tuple(
-            Cell(c.text, c.numeric, c.aside, c.why, c.marks, f"{self.identifier}/{row}/{column}", index == 0)
+            replace(c, name=f"{self.identifier}/{row}/{column}", row=f"{self.identifier}/{row}", head=index == 0)
             for index, (column, c) in enumerate(zip(columns, cells, strict=True))
         )
         self.blocks[-1][1].append(named)
@@ -106,22 +119,22 @@ def missing_cell(why: str) -> Cell:
     return Cell(MISSING, why=why)
 
 
-def optimum_tables(result: ComparisonResult) -> list[Table]:
+def optimum_tables(result: ComparisonResult, trials: TrialPage | None = None) -> list[Table]:
     """Return Tables D.1 to D.5 (or whatever the rows are named): optimal points beside the published ones."""
     names = dict.fromkeys(row.table for row in result.tables)
     tables = []
     for name in names:
         rows = [row for row in result.tables if row.table == name]
         if not is_delay_table(rows):
-            tables.append(_optimum_table(name, rows, result.motion))
+            tables.append(_optimum_table(name, rows, result.motion, trials))
     return tables
 
 
-def delay_tables(result: ComparisonResult) -> list[Table]:
+def delay_tables(result: ComparisonResult, trials: TrialPage | None = None) -> list[Table]:
     """Return Table D.6 and others of its kind: one row a delay, three columns a criterion."""
     names = dict.fromkeys(row.table for row in result.tables)
     groups = [(name, [row for row in result.tables if row.table == name]) for name in names]
-    return [_delay_table(name, rows) for name, rows in groups if is_delay_table(rows)]
+    return [_delay_table(name, rows, trials) for name, rows in groups if is_delay_table(rows)]
 
 
 def is_delay_table(rows: Sequence[ComparisonRow]) -> bool:
@@ -129,7 +142,7 @@ def is_delay_table(rows: Sequence[ComparisonRow]) -> bool:
     return all(row.delay_samples is not None for row in rows) and len({row.delay_samples for row in rows}) > 1
 
 
-def measured_optimum_table(result: ComparisonResult) -> Table | None:
+def measured_optimum_table(result: ComparisonResult, trials: TrialPage | None = None) -> Table | None:
     """Return the best trial of each experiment by each criterion, or None where there is none."""
     units = UNITS[result.motion]
     numbers = (f"stiffness [{units.stiffness}]", f"damping [{units.damping}]", "cost, 95 %", "equal trials")
@@ -139,15 +152,21 @@ def measured_optimum_table(result: ComparisonResult) -> Table | None:
     for e in result.experiments:
         for criterion, best in e.optimum.items():
             marks = table.mark([CENSORED if best.censored else None])
+            trial = _place(trials, e.experiment, best.trial_id)
             cells = [
                 text_cell(criterion_label(criterion)),
-                Cell(stiffness_text(best.stiffness), marks=marks),
-                Cell(damping_text(best.damping)),
-                Cell(cost_text(criterion, best.cost), aside=_interval_text(criterion, best)),
+                Cell(stiffness_text(best.stiffness), marks=marks, trial=trial),
+                Cell(damping_text(best.damping), trial=trial),
+                Cell(cost_text(criterion, best.cost), aside=_interval_text(criterion, best), trial=trial),
                 Cell(str(best.ties)),
             ]
             table.add(f"experiment {e.experiment}", f"{e.experiment}/{criterion}", columns, cells)
     return table if table.blocks else None
+
+
+def _place(trials: TrialPage | None, experiment: str | None, trial_id: str | None) -> str:
+    """Return how the page refers to a trial; empty where it does not show it."""
+    return trials.places.get((experiment or "", trial_id or ""), "") if trials else ""
 
 
 def _interval_text(criterion: str, best: Optimum) -> str:
@@ -156,7 +175,7 @@ def _interval_text(criterion: str, best: Optimum) -> str:
     return f"{cost_text(criterion, best.cost_low)} to {cost_text(criterion, best.cost_high)}"
 
 
-def boundary_table(result: ComparisonResult) -> Table | None:
+def boundary_table(result: ComparisonResult, trials: TrialPage | None = None) -> Table | None:
     """Return the measured stability limit of all experiments over damping, or None where there is none."""
     tested = [e for e in result.experiments if e.boundary]
     if not tested:
@@ -175,7 +194,7 @@ def boundary_table(result: ComparisonResult) -> Table | None:
     for damping in sorted({p.damping for e in tested for p in e.boundary}):
         cells = [Cell(damping_text(damping))]
         for e in tested:
-            cells += _boundary_cells(table, e, damping)
+            cells += _boundary_cells(table, e, damping, trials.limits if trials else {})
         table.add("", damping_text(damping), columns, cells)
     return table
 
@@ -203,7 +222,7 @@ def word_table(identifier: str, caption: str, heads: Sequence[str], rows: Iterab
     return table if table.blocks else None
 
 
-def _optimum_table(name: str, rows: Sequence[ComparisonRow], motion: Motion) -> Table:
+def _optimum_table(name: str, rows: Sequence[ComparisonRow], motion: Motion, trials: TrialPage | None) -> Table:
     units = UNITS[motion]
     published = any(row.published_cost is not None or row.published_stiffness is not None for row in rows)
     deviates = any(row.deviation_percent is not None for row in rows)
@@ -225,11 +244,12 @@ def _optimum_table(name: str, rows: Sequence[ComparisonRow], motion: Motion) -> 
         head = condition_label(row.condition)
         if row.delay_samples is not None and not row.condition.startswith("theory"):
             head += f" (d = {significant(row.delay_samples, 3)})"
+        trial = _place(trials, row.experiment, row.trial_id)
         cells = [
             Cell(head, numeric=False, marks=marks),
-            Cell(stiffness_text(row.stiffness)) if row.stiffness is not None else missing_cell(why),
-            Cell(damping_text(row.damping)) if row.damping is not None else missing_cell(why),
-            Cell(cost_text(row.criterion, row.cost)) if row.cost is not None else missing_cell(why),
+            missing_cell(why) if row.stiffness is None else Cell(stiffness_text(row.stiffness), trial=trial),
+            missing_cell(why) if row.damping is None else Cell(damping_text(row.damping), trial=trial),
+            missing_cell(why) if row.cost is None else Cell(cost_text(row.criterion, row.cost), trial=trial),
         ]
         if deviates:
             cells.append(_deviation_cell(row))
@@ -256,7 +276,7 @@ def _published_cells(row: ComparisonRow) -> list[Cell]:
     ]
 
 
-def _delay_table(name: str, rows: Sequence[ComparisonRow]) -> Table:
+def _delay_table(name: str, rows: Sequence[ComparisonRow], trials: TrialPage | None) -> Table:
     criteria = list(dict.fromkeys(row.criterion for row in rows))
     # Deviations refer to the discrete theory, which therefore stands in the table where there are both.
     theory = [r for r in rows if r.condition == "theory_discrete"] or [r for r in rows if _is_theory(r)]
@@ -273,7 +293,7 @@ def _delay_table(name: str, rows: Sequence[ComparisonRow]) -> Table:
         cells = [Cell(significant(delay, 3))]
         for criterion in criteria:
             measured = at_measured.get((criterion, delay))
-            cells += [_cost_cell(table, at_theory.get((criterion, delay))), _cost_cell(table, measured)]
+            cells += [_cost_cell(table, row, trials) for row in (at_theory.get((criterion, delay)), measured)]
             cells.append(_deviation_cell(measured) if measured else missing_cell("not measured"))
         table.add("", f"d={significant(delay, 3)}", columns, cells)
     return table
@@ -283,25 +303,33 @@ def _is_theory(row: ComparisonRow) -> bool:
     return row.condition.startswith("theory")
 
 
-def _cost_cell(table: Table, row: ComparisonRow | None) -> Cell:
+def _cost_cell(table: Table, row: ComparisonRow | None, trials: TrialPage | None) -> Cell:
     if row is None:
         return missing_cell("no trials at this delay")
     printed = f"({cost_text(row.criterion, row.published_cost)})" if row.published_cost is not None else ""
     marks = table.mark([row.note, CENSORED if row.censored else None])
     if row.cost is None:
         return Cell(MISSING, aside=printed, why=row.note or "not available", marks=marks)
-    return Cell(cost_text(row.criterion, row.cost), aside=printed, marks=marks)
+    trial = _place(trials, row.experiment, row.trial_id)
+    return Cell(cost_text(row.criterion, row.cost), aside=printed, marks=marks, trial=trial)
 
 
-def _boundary_cells(table: Table, experiment: ExperimentResult, damping: float) -> list[Cell]:
+def _boundary_cells(
+    table: Table, experiment: ExperimentResult, damping: float, trials: Mapping[tuple[str, float, float], str]
+) -> list[Cell]:
+    def trial(stiffness: float) -> str:
+        return trials.get((experiment.experiment, damping, stiffness), "")
+
     point = next((p for p in experiment.boundary if p.damping == damping), None)
     if point is None:
         return [missing_cell("not tested at this damping")] * 3
     note = "The tested range ended before an unstable trial." if point.censored else None
-    stable = Cell(stiffness_text(point.stable)) if point.stable is not None else missing_cell("no stable trial")
+    stable = missing_cell("no stable trial")
+    if point.stable is not None:
+        stable = Cell(stiffness_text(point.stable), trial=trial(point.stable))
     unstable = Cell(MISSING, why=note or "no unstable trial", marks=table.mark([note]))
     if point.unstable is not None:
-        unstable = Cell(stiffness_text(point.unstable), marks=table.mark([note]))
+        unstable = Cell(stiffness_text(point.unstable), marks=table.mark([note]), trial=trial(point.unstable))
     return [stable, unstable, _limit_cell(point)]
 
 

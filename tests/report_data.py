@@ -7,20 +7,17 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.labels import criterion_label
-from pipeline.models import BoundaryPoint, ComparisonRow, Estimate, Motion, Optimum
-from pipeline.results import (
+from pipeline.figure_records import (
     BoundaryFigure,
-    ComparisonResult,
     CostFigure,
     CostMap,
     Curve,
     DelayFigure,
     DelayPanel,
-    ExperimentResult,
-    ReportData,
-    TheoryParameters,
 )
+from pipeline.labels import criterion_label
+from pipeline.models import BoundaryPoint, ComparisonRow, Estimate, Motion, Optimum
+from pipeline.results import ComparisonResult, ExperimentResult, ReportData, TheoryParameters
 
 CRITERIA = ("settle_2pct", "overshoot", "energy_step_w0", "energy_step_w1", "energy_step_w2")
 MINIMA = {"settle_2pct": 20.0, "energy_step_w0": 8.87, "energy_step_w1": 64.68, "energy_step_w2": 726.1}
@@ -276,7 +273,7 @@ def report_data(*, full: bool = True, motion: Motion = "translation", hostile: b
     if not full:
         return ReportData(result, stages=stages)
     costs = tuple(cost_figure(c) for c in CRITERIA) + tuple(cost_figure(c, 1.4) for c in ("settle_2pct", "overshoot"))
-    return ReportData(result, boundary_figures(), costs, (delay_figure(),), stages)
+    return ReportData(result, boundary_figures(), costs, (delay_figure(),), stages=stages)
 
 
 def bare(data: ReportData) -> ReportData:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 from report_data import HOSTILE, bare, report_data
+from trial_pages import trial_page
 
 from pipeline import report
 from pipeline.errors import PipelineError
@@ -68,10 +69,10 @@ def test_page_is_well_formed_with_language_headings_in_order_and_described_table
 
 def test_page_needs_nothing_but_itself(page: str) -> None:
     for tag, attributes in Outline(page).tags:
-        assert tag not in ("script", "link", "iframe", "object")
+        assert tag not in ("link", "iframe", "object", "embed", "form", "base")
         for name in ("src", "href", "xlink:href"):
             assert (attributes.get(name) or "#").startswith("#")
-    assert not re.search(r"https?:|@import|url\((?!#)", page)
+    assert not re.search(r"https?:|@import|url\((?!#)", page)  # a page with trials names the origin of its plot library
 
 
 def test_identifiers_are_unique(page: str) -> None:
@@ -110,7 +111,8 @@ def test_overshoot_is_printed_in_percent() -> None:
 
 
 def test_missing_value_gives_its_reason(numbers: str) -> None:
-    assert 'title="no stable trial with this cost">–' in numbers
+    assert report.cells(numbers)["D.6/d=5/energy_step_w2/experiment"].startswith("– a ")
+    assert re.search(r"<sup>a</sup>no stable trial with this cost", numbers)
     assert "no logs with K = 0 and B &lt;= 0 in this experiment" in numbers
 
 
@@ -129,23 +131,75 @@ def test_digest_shows_any_changed_cell(numbers: str) -> None:
 
 def test_hostile_names_are_harmless() -> None:
     page = report.render(report_data(full=False, hostile=True))
-    outline = Outline(page)
-    assert "script" not in [tag for tag, _ in outline.tags]
+    tags = [[tag for tag, _ in Outline(p).tags] for p in (page, report.render(report_data(full=False)))]
+    assert tags[0].count("script") == tags[1].count("script") == 1
     assert report.cells(page)[f"experiments/{HOSTILE}/experiment"] == HOSTILE
 
 
 def test_sections_without_data_are_left_out() -> None:
     page = report.render(bare(report_data(full=False)))
     headings = re.findall(r"<h2>(.*?)</h2>", page)
-    assert headings == ["Definitions"]
+    assert headings == ["Can these numbers be trusted?"]
+    assert re.findall(r"<h3>(.*?)</h3>", page) == ["Definitions"]
     assert "<table" not in page
     assert "simulated" not in page
     links = set(re.findall(r'href="#([^"]+)"', page))
-    assert links == set(re.findall(r'<section id="([^"]+)"', page))
+    assert links == {"main", "sec-definitions"}
+
+
+def test_every_link_leads_to_a_part_of_the_page(page: str) -> None:
+    identifiers = {a["id"] for _, a in Outline(page).tags if "id" in a}
+    links = {(a["href"] or "")[1:] for tag, a in Outline(page).tags if tag == "a"}
+    assert len(links) > 6
+    assert links <= identifiers
+
+
+def test_questions_stand_in_the_order_in_which_a_reader_asks_them() -> None:
+    page = report.render(replace(report_data(), trials=trial_page()))
+    assert re.findall(r"<h2>(.*?)</h2>", page) == [
+        "Does theory predict this device?",
+        "How far off, where, and why?",
+        "Which stiffness and damping?",
+        "Explore the trials",
+        "Can these numbers be trusted?",
+    ]
+
+
+def test_numbers_of_a_trial_refer_to_it_and_others_do_not(numbers: str) -> None:
+    assert "data-trial" not in numbers
+    data = report_data(full=False)
+    best = data.result.experiments[0].optimum["settle_2pct"].model_copy(update={"trial_id": "trial 3"})
+    first = data.result.experiments[0].model_copy(update={"optimum": {"settle_2pct": best}})
+    result = data.result.model_copy(update={"experiments": (first,)})
+    point = first.boundary[4]
+    trials = replace(trial_page(), limits={("1", point.damping, point.stable): "0-7"})
+    page = report.render(replace(data, result=result, trials=trials))
+    refer, row = {}, ""
+    for _, a in Outline(page).tags:
+        row = a.get("data-row") or row
+        if a.get("data-trial"):
+            refer[f"{row}/{a['data-cell']}"] = a["data-trial"]
+    limit = f"boundary/{point.damping:g}/1/stable"
+    assert refer == {limit: "0-7", **{f"optima/1/settle_2pct/{c}": "0-3" for c in ("stiffness", "damping", "cost")}}
+
+
+def test_each_missing_value_is_marked_with_a_reason_below_its_table(numbers: str) -> None:
+    parts = re.findall(r'<table class="cells[^"]*">.*?</table>(.*?)</div>', numbers, flags=re.DOTALL)
+    tables = re.findall(r'<table class="cells[^"]*">.*?</table>', numbers, flags=re.DOTALL)
+    marked = 0
+    for table, below in zip(tables, parts, strict=True):
+        reasons = re.findall(r"<li>–<sup>(\d+)</sup> <span>([^<]+)</span></li>", below)
+        marks = set(re.findall(r'<abbr data-why="(\d+)">–', table))
+        assert marks == {number for number, _ in reasons}
+        assert all(text.strip() for _, text in reasons)
+        marked += len(marks)
+    assert marked > 3
+    # a missing value without such a mark has a note of its table
+    assert not re.findall(r">–</t[dh]>", numbers)
 
 
 def test_simulated_logs_are_announced_before_any_number(numbers: str) -> None:
-    assert numbers.index("All logs of this report are simulated") < numbers.index("In brief")
+    assert numbers.index("All logs of this report are simulated") < numbers.index("Does theory predict this device?")
 
 
 def test_rotation_has_rotational_units() -> None:

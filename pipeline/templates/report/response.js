@@ -1,0 +1,114 @@
+"use strict";
+// The response of one trial: log, fitted model, band of the settling time, and the samples that are trimmed.
+
+const PARTS = 4096; // parts of one in which coefficients are written, as in `trial_codec`
+
+/** Values of a signal from what a prediction by its past missed: what `trial_codec.code` wrote. */
+function decode(coded, step) {
+  const counted = [];
+  for (const missed of coded.r) {
+    const sum = coded.c.reduce((total, c, lag) => total + c * (counted[counted.length - 1 - lag] ?? 0), 0);
+    counted.push(missed + Math.floor((sum + PARTS / 2) / PARTS));
+  }
+  return counted.map((value) => value * step);
+}
+
+/** Rows of a response, counted from the command edge. */
+function samplesFromEdge(trial) {
+  let row = 0;
+  return trial.x.r.map((_, n) => { row = trial.rows ? row + trial.rows[n] : n; return row - trial.edge; });
+}
+
+class ResponsePlot {
+  constructor(holder) {
+    this.holder = holder;
+    this.plot = null;
+    this.shown = null;
+    new ResizeObserver(() => { if (this.plot && holder.clientWidth !== this.plot.width) this.plot.setSize(this.size()); }).observe(holder);
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { if (this.shown) this.show(this.shown); });
+  }
+
+  /** First and last sample to show: the motion, or the whole record. */
+  range(whole) {
+    const { trial } = this.shown;
+    const [samples, log] = [samplesFromEdge(trial), decode(trial.x, 1)];
+    const [last, reach] = [log[log.length - 1], Math.max(...log) - Math.min(...log)];
+    const calm = log.findLastIndex((value) => Math.abs(value - last) > 0.02 * reach);
+    const end = samples[samples.length - 1];
+    return whole ? [samples[0], end] : [Math.max(samples[0], -10), Math.min(end, Math.max(60, 2 * samples[Math.max(calm, 0)]))];
+  }
+
+  zoom(whole) {
+    const [min, max] = this.range(whole);
+    this.plot?.setScale("x", { min, max });
+  }
+
+  size() { return { width: this.holder.clientWidth || 320, height: 320 }; }
+
+  clear() {
+    this.plot?.destroy();
+    this.plot = null;
+    this.shown = null;
+  }
+
+  /** Draw `shown`: trial, delay [samples or null], band [relative], unit ("m" or "rad"). */
+  show(shown) {
+    this.clear();
+    this.shown = shown;
+    const { trial, delay, band, unit } = shown;
+    const log = decode(trial.x, trial.q);
+    const model = trial.g ? decode(trial.g, trial.gq) : null;
+    const largest = Math.max(...log.map(Math.abs));
+    const factor = largest < 0.3 ? 1000 : 1;
+    const scaled = (values) => values.map((value) => value * factor);
+    const final = trial.f === undefined ? null : trial.f * factor;
+    const [ink, faint] = [colour("--ink"), colour("--fig-faint")];
+    const axis = { stroke: ink, grid: { stroke: faint, width: 1 }, ticks: { stroke: ink, width: 1, size: 4 }, font: `12px ${colour("--sans")}`, labelFont: `12px ${colour("--sans")}` };
+    const data = [samplesFromEdge(trial), scaled(log)];
+    const series = [{ label: "sample" }, { label: "log", stroke: colour("--fig-blue"), width: 1.6, points: { show: false } }];
+    if (model) {
+      data.push(scaled(model));
+      series.push({ label: "model", stroke: colour("--fig-vermillion"), width: 1.4, dash: [6, 4], points: { show: false } });
+    }
+    this.plot = new uPlot({
+      ...this.size(),
+      scales: { x: { time: false } },
+      axes: [
+        { ...axis, size: 30, labelSize: 22, labelGap: 0, label: "samples from the command edge" },
+        { ...axis, size: 48, labelSize: 20, labelGap: 0, label: `displacement [${factor === 1 ? "" : "m"}${unit}]` },
+      ],
+      series: series.map((entry) => ({ ...entry, value: (_, value) => value === null ? "–" : plain(Number(value.toPrecision(4))) })),
+      legend: { live: true },
+      cursor: { drag: { x: true, y: false } },
+      hooks: { drawClear: [(plot) => this.ground(plot, delay, final, band)] },
+    }, data, this.holder);
+    this.zoom(false);
+    return { largest: Math.max(...data[1]), last: data[1][data[1].length - 1], unit: `${factor === 1 ? "" : "m"}${unit}`, final };
+  }
+
+  /** Band about the final position, and the samples before the command can act. */
+  ground(plot, delay, final, band) {
+    const { ctx: pen, bbox } = plot;
+    pen.save();
+    pen.beginPath();
+    pen.rect(bbox.left, bbox.top, bbox.width, bbox.height);
+    pen.clip();
+    if (delay) {
+      const [from, to] = [0, delay].map((sample) => plot.valToPos(sample, "x", true));
+      pen.fillStyle = colour("--trimmed");
+      pen.fillRect(from, bbox.top, to - from, bbox.height);
+    }
+    if (final !== null) {
+      const [upper, middle, lower] = [1 + band, 1, 1 - band].map((part) => plot.valToPos(part * final, "y", true));
+      pen.fillStyle = colour("--band");
+      pen.fillRect(bbox.left, Math.min(upper, lower), bbox.width, Math.max(Math.abs(lower - upper), 1));
+      pen.strokeStyle = colour("--fig-green");
+      pen.lineWidth = devicePixelRatio || 1;
+      pen.beginPath();
+      pen.moveTo(bbox.left, middle);
+      pen.lineTo(bbox.left + bbox.width, middle);
+      pen.stroke();
+    }
+    pen.restore();
+  }
+}
