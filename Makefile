@@ -37,9 +37,11 @@ test-all: lint
 	$(BIN)/python -m pytest -n auto
 
 bench: .venv/.dev
+	$(BIN)/python benchmarks/ingest.py
 	$(BIN)/python benchmarks/spine.py
 	$(BIN)/python benchmarks/measured.py
 	$(BIN)/python benchmarks/theory.py
+	$(BIN)/python benchmarks/watch.py
 
 docs: .venv/.dev
 	$(BIN)/python docs/make_schemas.py

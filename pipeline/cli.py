@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pipeline import __version__, cli_profiles, cli_theory, console
-from pipeline.errors import EXIT_QUARANTINED, UsageError
+from pipeline import __version__, cli_profiles, cli_report, cli_storage, cli_theory, cli_watch, console
+from pipeline.errors import UsageError
 
 if TYPE_CHECKING:
     from pipeline.models import Device
@@ -28,6 +28,11 @@ app = typer.Typer(
 app.add_typer(cli_theory.app, name="theory")
 app.add_typer(cli_profiles.profile_app, name="profile")
 app.add_typer(cli_profiles.quarantine_app, name="quarantine")
+app.add_typer(cli_report.scene_app, name="scene")
+app.command("ingest")(cli_storage.ingest)
+app.command("status")(cli_storage.status)
+app.command("compact")(cli_storage.compact)
+app.command("watch")(cli_watch.watch)
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout, nothing else there.")]
 Processed = Annotated[Path, typer.Option("--processed", help="Folder of the stored tables.")]
@@ -164,97 +169,8 @@ def _jitter(text: str) -> tuple[int, ...]:
         ) from error
 
 
-@app.command("ingest")
-def ingest(
-    paths: Annotated[list[Path], typer.Argument(help="Folders with logs (searched below, too), and logs.")],
-    profile: Annotated[
-        str | None, typer.Option("--profile", help="Log profile by name, or a profile file (.toml).")
-    ] = None,
-    processed: Processed = Path("processed"),
-    jobs: Annotated[int | None, typer.Option("--jobs", help="Threads; one per processor where not given.")] = None,
-    rehash: Annotated[
-        bool, typer.Option("--rehash", help="Look at the content even where size and time are unchanged.")
-    ] = False,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Read and check, write nothing.")] = False,
-    as_json: Json = False,
-) -> None:
-    """Check logs and store what is new; logs that are refused go into quarantine with the reason.
-
-    Exit status 3 where a log is in quarantine.
-
-    Example: pipeline ingest raw --processed processed
-    """
-    from pipeline.ingest import ingest as ingest_logs
-
-    with console.progress("ingest", "logs", as_json) as advance:
-        report = ingest_logs(paths, processed, profile, jobs, dry_run, rehash, advance)
-    if as_json:
-        console.print_json(report.model_dump(mode="json", exclude=None if report.warnings else {"warnings"}))
-    else:
-        counts = {
-            "found": report.found,
-            "ingested": report.ingested,
-            "skipped": report.skipped,
-            "quarantined": len(report.quarantined),
-        }
-        for line in console.table([counts], tuple(counts)):
-            console.say(line)
-        for refusal in report.quarantined:
-            row = "" if refusal.row is None else f", row {refusal.row}"
-            console.say(f"{refusal.path}{row}: {refusal.reason}")
-        for warning in report.warnings:
-            console.say(f"{warning.path}: accepted, but {warning.warning}")
-    if report.quarantined:
-        raise typer.Exit(EXIT_QUARANTINED)
-
-
-@app.command("compare")
-def compare(
-    device: Annotated[str, typer.Option("--device", help="Device whose logs are compared.", show_default=False)],
-    experiment: Experiments = None,
-    criteria: Annotated[
-        str | None,
-        typer.Option("--criteria", help="Criteria, separated by commas; all where not given."),
-    ] = None,
-    processed: Processed = Path("processed"),
-    report: Annotated[
-        Path | None,
-        typer.Option("--report", help="HTML file; reports/DEVICE.html where not given.", show_default=False),
-    ] = None,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be done and why, do nothing.")] = False,
-    as_json: Json = False,
-) -> None:
-    """Estimate, judge and compare with theory; write the report.
-
-    Example: pipeline compare --device falcon --experiment 1 --criteria settle_2pct,overshoot
-    """
-    from pipeline.compare import compare as compare_device
-    from pipeline.storage import folder_name
-
-    outcome = compare_device(
-        device,
-        processed,
-        experiments=experiment or None,
-        criteria=None if criteria is None else cli_theory.split(criteria),
-        report=report or Path("reports") / f"{folder_name(device)}.html",
-        dry_run=dry_run,
-        progress=None if as_json else console.note,
-    )
-    if outcome.result is None:
-        stages = [dict(zip(("stage", "action", "reason"), row, strict=True)) for row in outcome.stages]
-        if as_json:
-            console.print_json(stages)
-            return
-        for line in console.table(stages, ("stage", "action", "reason")):
-            console.say(line)
-        return
-    if as_json:
-        console.print_json(outcome.result.model_dump(mode="json"))
-        return
-    for line in (*outcome.result.summary, *(f"Warning: {text}" for text in outcome.result.warnings)):
-        console.say(line)
-    if outcome.report is not None:
-        console.say(f"report: {outcome.report}")
+app.command("compare")(cli_report.compare)
+app.command("verify")(cli_report.verify)
 
 
 @app.command("accuracy")

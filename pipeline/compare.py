@@ -2,57 +2,86 @@
 
 from __future__ import annotations
 
-import shlex
-from collections import Counter
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from pydantic import ValidationError
 
-from pipeline import __version__
 from pipeline import accuracy as measured_accuracy
-from pipeline.boundary_band import boundary_area
+from pipeline.compare_experiment import estimated_theories, experiment_result, motion_of, nominal_theories
 from pipeline.figure_data import FigureBuilder, requests_of_delay_figure
-from pipeline.implied_delay import implied_delay
-from pipeline.implied_slope import DeviceParameters
-from pipeline.labels import UNITS, Units
-from pipeline.models import CRITERIA, Estimate, Experiment, Motion, Optimum
+from pipeline.models import Shown
+from pipeline.origin import log_list, provenance, request
 from pipeline.predictions import THEORY_CODE, Predictions, Theory
 from pipeline.provenance import code_digest, digest
 from pipeline.report import write as write_report
+from pipeline.report_scripts import page_files
 from pipeline.results import (
     ComparisonResult,
-    ExperimentResult,
-    MassWindow,
-    OtherDefinitions,
     ReportData,
-    TheoryParameters,
 )
 from pipeline.scene import LEAVE_OUT, REUSE, RUN, PlannedStage, SceneData, needed_stages, open_scene, plan_measured
-from pipeline.stage_columns import standard_error
-from pipeline.stages import ExperimentStages
-from pipeline.summary import summarise, warnings_of
+from pipeline.scene_parts import plan_parts, with_overlays
+from pipeline.scores import add_scores
+from pipeline.stage_pool import compute_stages
+from pipeline.summary import summarise
+from pipeline.summary_warnings import warnings_of
 from pipeline.tables import write_text
 from pipeline.tables_d import TableBuilder
+from pipeline.trial_data import trial_page
 
-_REPORT_CODE = (
+REPORT_CODE = (
     *(
         "compare",
+        "compare_experiment",
         "implied_delay",
         "implied_slope",
         "scene",
+        "scene_parts",
         "tables_d",
         "figure_data",
+        "figure_boundaries",
+        "boundary_curves",
+        "figure_optima",
+        "figure_residuals",
+        "figure_response",
+        "figure_records",
         "summary",
+        "summary_warnings",
+        "causes",
+        "advice",
+        "passivity",
+        "report_scores",
         "maps",
         "predictions",
         "published",
         "results",
+        "origin",
     ),
-    *("report", "report_tables", "report_estimates", "figures", "panels", "labels", "style", "models", "accuracy"),
+    *("scores", "score_costs", "score_records", "agreement", "overlap", "theory_band", "upper_bound", "intervals"),
+    *("boundary_band", "estimates", "pointcosts", "march", "envelope", "rules", "published_theory"),
+    *(
+        "report",
+        "report_parts",
+        "report_tables",
+        "report_estimates",
+        "report_figures",
+        "figures",
+        "residual_panels",
+        "response_drawing",
+        "panels",
+        "canvas",
+        "svg_compact",
+        "svg_paths",
+        "polyline",
+        "labels",
+        "style",
+        "models",
+        "accuracy",
+    ),
+    *("report_scripts", "trial_data", "trial_codec", "trial_records", "ghost", *page_files()),
     *THEORY_CODE,
-    *("templates/report.html.j2", "templates/macros.html.j2", "templates/report.css"),
 )
 
 
@@ -73,6 +102,9 @@ def compare(
     criteria: Sequence[str] | None = None,
     report: Path | None = None,
     dry_run: bool = False,
+    full: bool = False,
+    shown: Shown | None = None,
+    scene_file: Path | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Outcome:
     """Compare the stored experiments of a device with theory, and write the report.
@@ -90,6 +122,12 @@ def compare(
         but the stages below ``processed``.
     dry_run : bool
         Whether only the plan is made.
+    full : bool
+        Whether the report holds the response of every trial, whatever its size.
+    shown : Shown, optional
+        Which figures, tables and overlays the report has; by default all that there is data for.
+    scene_file : Path, optional
+        Where that was read from; the report names it in the command that repeats the comparison.
     progress : callable, optional
         Gets the name of each step when it begins.
 
@@ -103,13 +141,13 @@ def compare(
         Where the request does not fit what is stored; see `scene.open_scene`.
     """
     say = progress or (lambda _: None)
-    data = open_scene(device, processed, experiments, criteria)
+    data = open_scene(device, processed, experiments, criteria, shown)
     plan = plan_measured(data)
     predictions = Predictions(processed / "theory")
     known = data.device is not None
-    early = _nominal_theories(data)
+    early = nominal_theories(data)
     accuracy = measured_accuracy.stored(processed)
-    key = _report_key(data, report, accuracy.measured if accuracy else "")
+    key = _report_key(data, report, accuracy.measured if accuracy else "", full)
     stored = _stored_result(report, key)
     if stored is not None and all(p.action != RUN for p in plan):
         plan += [
@@ -118,6 +156,8 @@ def compare(
         ]
         return Outcome(None if dry_run else stored, _rows(plan), report)
     plan += _plan_theory(data, early, predictions)
+    if report is not None:
+        plan += plan_parts(data)
     plan.append(_plan_report(report))
     if dry_run:
         return Outcome(None, _rows(plan), None)
@@ -127,12 +167,13 @@ def compare(
         say("theory: optima (in the background)")
         predictions.start(builder.requests() + requests_of_delay_figure(data, early))
     try:
+        compute_stages(data.experiments, needed_stages(data))
         results = []
         for stages in data.experiments:
             say(f"experiment {stages.experiment}: estimates and costs")
-            results.append(_experiment(data, stages, early.get(stages.experiment)))
+            results.append(experiment_result(data, stages, early.get(stages.experiment)))
         if not known:
-            early = _estimated_theories(results, data)
+            early = estimated_theories(results, data)
             builder = TableBuilder(data, early)
             say("theory: optima for the estimated parameters")
             predictions.start(builder.requests() + requests_of_delay_figure(data, early))
@@ -143,30 +184,42 @@ def compare(
     finally:
         predictions.finish()
     rows = builder.rows(predictions, results)
+    results = add_scores(data, results, early, predictions)
+    sentences = summarise(data, results, rows)
+    output = [*(["--scene", str(scene_file)] if scene_file else []), *(["--full"] if full else [])]
+    logs = tuple(log_list(stages) for stages in data.experiments)
     result = ComparisonResult(
         device=device,
         title=data.device.title if data.device else device,
-        motion=_motion(data),
+        motion=motion_of(data),
         known_device=known,
         simulated=data.simulated,
         criteria=data.scene.criteria,
         experiments=tuple(results),
         tables=rows,
-        summary=summarise(data, results, rows, early),
-        warnings=warnings_of(data, results, rows),
+        summary=tuple(sentence.text for sentence in sentences),
+        summary_sources=tuple(sentence.source for sentence in sentences),
+        warnings=warnings_of(data, results),
         report=str(report) if report else None,
-        provenance={"key": key, "version": __version__, **_inputs(data), "command": _command(data, processed)},
+        provenance=provenance(data, logs, processed, key=key, code=code_digest(*REPORT_CODE), output=output),
+        logs=logs,
     )
     if report is not None:
         say("report: figures and page")
         figures = FigureBuilder(data, early, results)
+        asked = data.scene.shown
         page = ReportData(
             result,
-            boundaries=figures.boundaries(),
-            costs=figures.costs(predictions),
-            delays=figures.delays(rows, predictions),
+            boundaries=with_overlays(figures.boundaries(), asked),
+            costs=figures.costs(predictions) if asked.has_figure("maps") else (),
+            delays=figures.delays(rows, predictions) if asked.has_figure("delay") else (),
+            responses=figures.responses() if asked.has_figure("response") else (),
+            residuals=figures.residuals() if asked.has_figure("residuals") else (),
             stages=_rows(plan),
             accuracy=accuracy,
+            trials=trial_page(data, results, early, full=full) if asked.has_figure("trials") else None,
+            tables=asked.tables,
+            request=request(data, logs, processed, code_digest(*REPORT_CODE)) | {"full": full},
         )
         write_report(page, report)
         write_text(report.with_suffix(".json"), result.model_dump_json(indent=1) + "\n")
@@ -200,12 +253,12 @@ def _plan_report(path: Path | None) -> PlannedStage:
     return PlannedStage("report", RUN, "there is none, or something that it shows changed")
 
 
-def _report_key(data: SceneData, path: Path | None, accuracy: str) -> str:
+def _report_key(data: SceneData, path: Path | None, accuracy: str, full: bool) -> str:
     """Hash of all that a report shows: stages, device file, criteria, code, and where it lies."""
     needed = sorted(needed_stages(data))
     stages = [[e.experiment, *(e.key(s) for s in needed)] for e in data.experiments]
     device = data.device.model_dump_json() if data.device else ""
-    return digest([data.scene.model_dump_json(), stages, device, code_digest(*_REPORT_CODE), str(path), accuracy])
+    return digest([data.scene.model_dump_json(), stages, device, code_digest(*REPORT_CODE), str(path), accuracy, full])
 
 
 def _stored_result(path: Path | None, key: str) -> ComparisonResult | None:
@@ -217,141 +270,3 @@ def _stored_result(path: Path | None, key: str) -> ComparisonResult | None:
     except (FileNotFoundError, ValidationError):
         return None  # not there, or not in this form: it is written anew
     return result if result.provenance.get("key") == key else None
-
-
-def _motion(data: SceneData) -> Motion:
-    return "rotation" if data.experiments[0].rotation else "translation"
-
-
-def _inputs(data: SceneData) -> dict[str, str]:
-    profiles = {p for e in data.experiments for p in e.trials.column("profile").unique().to_pylist()}
-    logs = digest(sorted(e.inputs_digest for e in data.experiments))
-    return {"logs": logs, "profiles": ", ".join(sorted(profiles))}
-
-
-def _command(data: SceneData, processed: Path) -> str:
-    scene = data.scene
-    words = ["pipeline", "compare", "--device", scene.device]
-    words += [word for experiment in scene.experiments for word in ("--experiment", experiment)]
-    words += [] if scene.criteria == CRITERIA else ["--criteria", ",".join(scene.criteria)]
-    return shlex.join([*words, "--processed", str(processed)])  # names come from logs and may hold anything
-
-
-def _nominal_theories(data: SceneData) -> dict[str, Theory]:
-    """Theory by the device file, for all of its experiments (a table may take the parameters of another one)."""
-    if data.device is None:
-        return {}
-    device = data.device
-    return {
-        e.name: Theory(
-            TheoryParameters(
-                mass=e.mass,
-                damping=e.damping,
-                stiffness=e.stiffness,
-                sampling_period_s=device.sampling_period_s,
-                delay_samples=e.delay_samples,
-                source=f"device file {device.name}",
-            )
-        )
-        for e in device.experiments
-    }
-
-
-def _estimated_theories(results: Sequence[ExperimentResult], data: SceneData) -> dict[str, Theory]:
-    """Theory by the estimates of each experiment, where mass, damping and delay are known."""
-    theories = {}
-    for result, stages in zip(results, data.experiments, strict=True):
-        mass, damping, delay = (result.estimates[n].value for n in ("mass", "damping", "delay_samples"))
-        if mass is None or damping is None or delay is None:
-            continue
-        theories[result.experiment] = Theory(
-            TheoryParameters(
-                mass=mass,
-                damping=max(damping, 0.0),  # the theory asks for b >= 0; a negative estimate is noise about zero
-                stiffness=0.0,
-                sampling_period_s=stages.sampling_period_s,
-                delay_samples=delay,
-                source="estimated from the logs",
-            )
-        )
-    return theories
-
-
-def _experiment(data: SceneData, stages: ExperimentStages, theory: Theory | None) -> ExperimentResult:
-    """Compute what is needed of one experiment and gather it."""
-    needed = needed_stages(data)
-    for stage in needed:
-        stages.table(stage)
-    units = UNITS[_motion(data)]
-    named: dict[str, Experiment] = {e.name: e for e in data.device.experiments} if data.device else {}
-    entry = named.get(stages.experiment)
-    optimum: dict[str, Optimum] = {}
-    missing: dict[str, str] = {}
-    for criterion in data.scene.criteria:
-        best = stages.optimum(criterion)
-        if best is not None:
-            optimum[criterion] = best
-        else:
-            missing[criterion] = stages.cost(criterion)[1] or "no stable trial has this cost"
-    grips = sorted(set(stages.trials.column("grip").to_pylist()))
-    return ExperimentResult(
-        experiment=stages.experiment,
-        configuration=entry.configuration if entry else "",
-        grip=grips[0] if len(grips) == 1 else "none",
-        simulated=any(stages.trials.column("simulated").to_pylist()),
-        trials=stages.trials.num_rows,
-        verdicts=dict(sorted(Counter(stages.verdicts.verdict.tolist()).items())),
-        outcomes=dict(Counter(stages.texts("outcome", "outcome"))),
-        mass_windows=_mass_windows(stages) if "windows" in needed else (),
-        other_definitions=_other_definitions(stages, optimum) if {"settling", "overshoot"} <= needed else (),
-        model_check=stages.model_check if "model" in needed else None,
-        estimates=_estimates(stages, needed, units),
-        boundary=stages.boundary_points,
-        optimum=optimum,
-        missing=missing,
-        theory=theory.parameters if theory else None,
-    )
-
-
-def _estimates(stages: ExperimentStages, needed: Collection[str], units: Units) -> dict[str, Estimate]:
-    """Estimates of an experiment: delay, mass and damping, and what follows from its boundary."""
-    left_out = "left out: neither a criterion that was asked for nor a theory curve needs it"
-    found = {
-        "delay_samples": stages.delay_estimate if "delay" in needed else _without("samples", left_out),
-        "mass": stages.mass_estimate if "mass" in needed else _without(units.mass, left_out),
-        "damping": stages.damping_estimate if "damping" in needed else _without(units.damping, left_out),
-        "boundary_area": boundary_area(stages.boundary_points, f"{units.stiffness} {units.damping}"),
-    }
-    mass, damping = found["mass"], found["damping"]
-    if "model" in needed:
-        found["jitter_samples"] = stages.jitter_estimate
-    if mass.value is not None and damping.value is not None:
-        device = DeviceParameters(
-            mass.value, damping.value, stages.sampling_period_s, standard_error(mass), standard_error(damping)
-        )
-        found["implied_delay"] = implied_delay(stages.boundary_points, device)
-    return found
-
-
-def _mass_windows(stages: ExperimentStages) -> tuple[MassWindow, ...]:
-    rows = stages.table("windows").to_pylist()
-    return tuple(
-        MassWindow(window_s=r["window_s"], mass=r["mass_median"], scatter=r["mass_scatter"], trials=r["trials"])
-        for r in rows
-    )
-
-
-def _other_definitions(stages: ExperimentStages, optimum: Mapping[str, Optimum]) -> tuple[OtherDefinitions, ...]:
-    """Settling time and overshoot of the best trials by the definitions of other tools."""
-    settling = {row["trial_id"]: row for row in stages.table("settling").to_pylist()}
-    overshoot = {row["trial_id"]: row for row in stages.table("overshoot").to_pylist()}
-    found = []
-    for criterion, best in optimum.items():
-        both = settling[str(best.trial_id)] | overshoot[str(best.trial_id)]
-        values = {name: both[name] for name in OtherDefinitions.model_fields if name in both}
-        found.append(OtherDefinitions(criterion=criterion, **values))
-    return tuple(found)
-
-
-def _without(unit: str, reason: str) -> Estimate:
-    return Estimate(value=None, unit=unit, method="none", reason=reason)

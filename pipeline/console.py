@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -18,6 +19,9 @@ Advance = Callable[[int, int | None], None]
 
 QUIET_SECONDS = 2.0
 """Least time between two progress lines where stderr is no terminal: a log file stays short."""
+
+_CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
+"""Control characters but for tab and line feed."""
 
 REFRESH = 8
 """Redraws of the progress bar in a second."""
@@ -41,14 +45,19 @@ def print_json(document: object) -> None:
 
 
 def say(text: str) -> None:
-    """Print a line of a result on stdout; a character that the terminal cannot show is escaped."""
+    """Print a line of a result on stdout; a character that the terminal cannot show, or would obey, is escaped."""
     encoding = sys.stdout.encoding or "utf-8"
-    sys.stdout.write(text.encode(encoding, "backslashreplace").decode(encoding) + "\n")
+    sys.stdout.write(_harmless(text).encode(encoding, "backslashreplace").decode(encoding) + "\n")
 
 
 def note(text: str) -> None:
     """Print a line about the work itself on stderr."""
-    print(text, file=sys.stderr, flush=True)
+    print(_harmless(text), file=sys.stderr, flush=True)
+
+
+def _harmless(text: str) -> str:
+    """Return a text without control characters: names and cells of logs may hold commands to the terminal."""
+    return _CONTROL.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
 
 
 def table(rows: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> list[str]:
@@ -91,20 +100,32 @@ class _Lines:
 
     def __init__(self, label: str, unit: str) -> None:
         self.label, self.unit = label, unit
-        self.printed = time.monotonic()
+        self.began = self.printed = time.monotonic()
 
     def advance(self, done: int, total: int | None) -> None:
         """Print a line when it is due."""
         now = time.monotonic()
         if now - self.printed >= QUIET_SECONDS:
             self.printed = now
-            note(f"{self.label}: {done}{'' if total is None else f' of {total}'} {self.unit}")
+            of = "" if total is None else f" of {total}"
+            note(f"{self.label}: {done}{of} {self.unit}{_pace(done, total, now - self.began)}")
+
+
+def _pace(done: int, total: int | None, seconds: float) -> str:
+    """Return things done in a second, and the time left where the total is known."""
+    if not done or seconds <= 0:
+        return ""
+    rate = done / seconds
+    left = "" if total is None else f", {max(total - done, 0) / rate:.3g} s left"
+    return f", {rate:.3g}/s{left}"
 
 
 @contextmanager
 def _bar(label: str, unit: str) -> Iterator[Advance]:
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    began = time.monotonic()
 
     columns = (
         TextColumn("{task.description}", markup=False),
@@ -117,6 +138,7 @@ def _bar(label: str, unit: str) -> Iterator[Advance]:
 
         def advance(done: int, total: int | None) -> None:
             count = f"{done}{'' if total is None else f'/{total}'} {unit}"
-            bar.update(task, completed=done, total=total, count=count)
+            pace = _pace(done, total, time.monotonic() - began)
+            bar.update(task, completed=done, total=total, count=count + pace)
 
         yield advance

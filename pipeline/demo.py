@@ -15,6 +15,7 @@ from pipeline.errors import PipelineError
 from pipeline.ingest import ingest
 from pipeline.labels import UNITS
 from pipeline.loop import Normalised
+from pipeline.report_index import INDEX_FILE, write_index
 from pipeline.results import ComparisonResult
 from pipeline.stability import boundary
 
@@ -57,7 +58,7 @@ def run_demo(
     Parameters
     ----------
     folder : Path
-        Gets ``raw/demo``, ``processed/demo`` and ``reports`` (with ``full``: ``raw/demo-full``,
+        Gets ``raw/demo``, ``processed/demo`` and ``reports`` with an index page (with ``full``: ``raw/demo-full``,
         ``processed/demo-full``). Logs of an earlier demo are replaced, other files are never touched.
     full : bool
         Thesis size: all experiments and all trials.
@@ -98,10 +99,12 @@ def run_demo(
         assert outcome.report is not None, "a report was asked for"
         reports.append(outcome.report)
         results.append(outcome.result)
+    write_index(folder / "reports")
     seconds = time.monotonic() - began
     lines = [
         f"{logs} simulated logs in {raw}, compared in {seconds:.0f} s; open in a browser:",
         *(f"  {path}" for path in reports),
+        f"  {folder / 'reports' / INDEX_FILE}",
         *(_stiffness_line(result) for result in results),
         _deviation_line(results),
     ]

@@ -51,7 +51,8 @@ def delay_estimate(of: Stored) -> Estimate:
     """Return the integer delay factor of an experiment; ``by_method`` holds what is not rounded.
 
     Cost indices are counted from the command edge plus this factor (6.1.4), so that it is an integer; its interval is
-    the range that holds 95 % of the trials.
+    the range that holds 95 % of the trials. It needs no fitted model, and a scene without one has this estimate; see
+    `with_model_delay`.
     """
     found = np.nan_to_num(of.column("delay", "delay_samples"), nan=NO_ROW).astype(np.int64)
     plain = np.nan_to_num(of.column("delay", "first_change_samples"), nan=NO_ROW).astype(np.int64)
@@ -67,9 +68,14 @@ def delay_estimate(of: Stored) -> Estimate:
     return best.model_copy(
         update={
             "method": "onset of motion where it is sure enough, else first position change; rounded",
-            "by_method": best.by_method | {"first_change": thesis, "onset": onset, "model": model_delay(of)},
+            "by_method": best.by_method | {"first_change": thesis, "onset": onset},
         }
     )
+
+
+def with_model_delay(of: Stored, delay: Estimate) -> Estimate:
+    """Return the delay factor with the delay by the model among its methods."""
+    return delay.model_copy(update={"by_method": {**delay.by_method, "model": model_delay(of)}})
 
 
 def model_delay(of: Stored) -> Estimate:

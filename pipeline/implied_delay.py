@@ -29,7 +29,7 @@ COARSE_STEP = 0.5
 """Step of the delays that only say where a table in steps of `STEP` is needed; a multiple of it."""
 
 AROUND = COARSE_STEP
-"""Delays tabulated on either side of those that the limits imply: their interpolation in coarse steps is off by less."""
+"""Delays tabulated on either side of those that limits imply: their interpolation in coarse steps is off by less."""
 
 MISFIT = 0.02
 """Deviation of the limits from theory, relative to them and beyond their errors, that is worth a warning: 2 % of

@@ -30,7 +30,7 @@ SETTLING_BANDS = {"settle_1pct": 0.01, "settle_2pct": 0.02, "settle_5pct": 0.05}
 class Record(BaseModel):
     """Base of all records: immutable, no unknown fields, no NaN or infinity."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, defer_build=True)
 
 
 class Sensor(Record):
@@ -247,7 +247,10 @@ class Optimum(Record):
 
 
 class ComparisonRow(Record):
-    """One row of Tables D.1 to D.6: computed or measured beside the published value."""
+    """One row of Tables D.1 to D.6: computed or measured beside the published value.
+
+    ``experiment`` and ``trial_id`` name the trial that a measured row stands for; both are null on theory rows.
+    """
 
     table: str
     criterion: str
@@ -262,6 +265,42 @@ class ComparisonRow(Record):
     deviation_percent: float | None = None
     censored: bool = False
     note: str | None = None
+    experiment: str | None = None
+    trial_id: str | None = None
+
+
+FigureKind = Literal["response", "boundaries", "plane", "maps", "residuals", "delay", "trials"]
+"""Figures of a report: first response (Fig. 6.2), boundaries (6.3, 6.4, 6.9), boundaries in the normalised plane, cost
+maps (6.5 to 6.7, 6.10, 6.11), measured minus theory, costs over delay (6.12), and the trials to look into."""
+
+Overlay = Literal["theory", "estimates", "band", "linear", "passive", "bound"]
+"""What is drawn over measured boundaries: theory by the device file, theory by the estimates, what their intervals
+leave open, the linear condition (3.25), the passive region (4.12), a linear upper bound as (6.5)."""
+
+
+class Shown(Record):
+    """What of a comparison is shown; None stands for all that there is data for.
+
+    ``tables`` are names of tables (``D.1``) or of other tables of the report (``boundary``). ``delays`` are delay
+    factors of the theoretical curves beside boundaries without operator, in place of those of the device file.
+    """
+
+    figures: tuple[FigureKind, ...] | None = None
+    tables: tuple[Name, ...] | None = None
+    overlays: tuple[Overlay, ...] | None = None
+    delays: tuple[NonNegative, ...] | None = None
+
+    def has_figure(self, kind: FigureKind) -> bool:
+        """Tell whether a figure is asked for."""
+        return self.figures is None or kind in self.figures
+
+    def has_table(self, name: str) -> bool:
+        """Tell whether a table is asked for."""
+        return self.tables is None or name in self.tables
+
+    def has_overlay(self, kind: Overlay) -> bool:
+        """Tell whether an overlay is asked for."""
+        return self.overlays is None or kind in self.overlays
 
 
 class Scene(Record):
@@ -272,6 +311,62 @@ class Scene(Record):
     criteria: tuple[str, ...] = CRITERIA
     delay_sweep: bool = False
     operator: bool = False
+    shown: Shown = Shown()
+
+
+Band = Literal[1, 2, 5]
+"""Settling band [%] that a cost exists for."""
+
+CriterionWord = Literal[
+    "settle",
+    "settle_1pct",
+    "settle_2pct",
+    "settle_5pct",
+    "overshoot",
+    "energy_step_w0",
+    "energy_step_w1",
+    "energy_step_w2",
+]
+"""A criterion in a scene file; ``settle`` stands for the settling times of its ``bands``."""
+
+
+class SceneFile(Record):
+    """A scene as a file (TOML): what one report shows. Keys that are left out stand for all that there is data for.
+
+    Parameters
+    ----------
+    device : str
+    experiments : tuple of str, optional
+    criteria : tuple of str, optional
+    bands : tuple of int
+        Settling bands [%] of the criterion ``settle``.
+    delays, overlays, figures, tables : optional
+        As in `Shown`.
+    report : str, optional
+        HTML file, relative to the folder in which the command is called.
+    """
+
+    device: Name
+    experiments: tuple[Name, ...] | None = Field(default=None, min_length=1)
+    criteria: tuple[CriterionWord, ...] | None = Field(default=None, min_length=1)
+    bands: tuple[Band, ...] = Field(default=(1, 2, 5), min_length=1)
+    delays: tuple[NonNegative, ...] | None = Field(default=None, min_length=1)
+    overlays: tuple[Overlay, ...] | None = None
+    figures: tuple[FigureKind, ...] | None = None
+    tables: tuple[Name, ...] | None = None
+    report: Name | None = None
+
+    @property
+    def chosen_criteria(self) -> tuple[str, ...]:
+        """The criteria with ``settle`` spelt out, each once."""
+        settling = tuple(f"settle_{band}pct" for band in self.bands)
+        words = self.criteria or ("settle", "overshoot", *ENERGY_CRITERIA)
+        return tuple(dict.fromkeys(c for word in words for c in (settling if word == "settle" else (word,))))
+
+    @property
+    def shown(self) -> Shown:
+        """What of the comparison is shown."""
+        return Shown(figures=self.figures, tables=self.tables, overlays=self.overlays, delays=self.delays)
 
 
 SCHEMA_MODELS: dict[str, type[Record]] = {
@@ -283,5 +378,6 @@ SCHEMA_MODELS: dict[str, type[Record]] = {
     "boundary_point": BoundaryPoint,
     "comparison_row": ComparisonRow,
     "scene": Scene,
+    "scene_file": SceneFile,
 }
 """Records whose JSON Schema is kept in ``schemas/<name>.json``."""

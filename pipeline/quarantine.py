@@ -13,7 +13,7 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from pipeline.disk import replacing
+from pipeline.disk import make_folder, replacing
 from pipeline.errors import Code, StoreError, UsageError
 from pipeline.excerpt import NOTHING, Excerpt, excerpt_of
 from pipeline.file_names import path_of_text, path_text
@@ -144,7 +144,7 @@ def refuse(processed: Path, record: QuarantineRecord, files: Iterable[Path], pro
         What it was read by.
     """
     folder = _folder_of(processed, record.path)
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     kept = {RECORD_FILE}
     found: Excerpt | None = None
     for file in files:

@@ -1,6 +1,6 @@
 """Finished numbers of a comparison: what `compare --json` prints and what figures and report are drawn from.
 
-Records (pydantic) are the JSON document; the dataclasses below them carry the arrays of the figures.
+Records (pydantic) are the JSON document; `ReportData` adds the arrays of the figures (`figure_records`).
 """
 
 from __future__ import annotations
@@ -10,19 +10,17 @@ from dataclasses import dataclass, field
 from pydantic import Field
 
 from pipeline.accuracy import AccuracyReport
-from pipeline.batch import Floats
+from pipeline.figure_records import (
+    BoundaryFigure,
+    CostFigure,
+    DelayFigure,
+    ResidualFigure,
+    ResponseFigure,
+)
 from pipeline.models import BoundaryPoint, ComparisonRow, Estimate, ModelCheck, Motion, Optimum, Record
-
-
-class TheoryParameters(Record):
-    """Parameters of a theoretical curve or map: m [kg, kg m^2], b, k, T [s], d and where they come from."""
-
-    mass: float
-    damping: float
-    stiffness: float
-    sampling_period_s: float
-    delay_samples: float
-    source: str
+from pipeline.score_records import Scores
+from pipeline.score_records import TheoryParameters as TheoryParameters
+from pipeline.trial_records import TrialPage
 
 
 class MassWindow(Record):
@@ -67,6 +65,21 @@ class ExperimentResult(Record):
     optimum: dict[str, Optimum]
     missing: dict[str, str] = Field(default_factory=dict)
     theory: TheoryParameters | None = None
+    scores: tuple[Scores, ...] = ()
+
+
+class LogList(Record):
+    """The logs behind an experiment.
+
+    ``files`` is the SHA-256 of each by its path below ``folder``, ``sha256`` that of all of them together (sorted, one
+    a line), ``samples`` a hash of what was stored of them.
+    """
+
+    experiment: str
+    folder: str
+    files: dict[str, str]
+    sha256: str
+    samples: str
 
 
 class ComparisonResult(Record):
@@ -81,103 +94,12 @@ class ComparisonResult(Record):
     experiments: tuple[ExperimentResult, ...]
     tables: tuple[ComparisonRow, ...]
     summary: tuple[str, ...]
+    summary_sources: tuple[str, ...] = ()
+    """Anchor of the figure or table that each sentence of the summary rests on; empty where there is none."""
     warnings: tuple[str, ...]
     report: str | None = None
     provenance: dict[str, str]
-
-
-@dataclass(frozen=True, eq=False)
-class Curve:
-    """A line in the plane of stiffness (abscissa) and damping (ordinate), in physical units.
-
-    ``kind`` is ``measured`` (solid), ``theory`` (dashed), ``linear`` (dotted) or ``band`` (thin dots).
-    A label that begins with an underscore is not shown. ``censored`` marks the points
-    of a measured curve where the tested range ended before an unstable trial.
-    """
-
-    label: str
-    kind: str
-    stiffness: Floats
-    damping: Floats
-    censored: Floats | None = None
-
-
-@dataclass(frozen=True)
-class BoundaryFigure:
-    """Stability boundaries of several experiments against theory (Figs. 6.3, 6.4, 6.9); panels share axes."""
-
-    identifier: str
-    title: str
-    caption: str
-    panels: tuple[tuple[str, tuple[Curve, ...]], ...]
-
-
-@dataclass(frozen=True, eq=False)
-class CostMap:
-    """One cost map: a theoretical grid, or the trials of an experiment.
-
-    Parameters
-    ----------
-    label : str
-    kind : str
-        ``theory`` or ``measured``.
-    stiffness, damping : float64, shapes (p,), (q,)
-        Axes of the grid [N/m, Nm/rad], [Ns/m, Nms/rad].
-    cost : float64, shape (q, p)
-        Cost; NaN where unstable, not tested or not available.
-    boundary : Curve
-        Stability boundary that belongs to the map.
-    optimum : Optimum or None
-    trial_stiffness, trial_damping, trial_cost : float64, shape (n,)
-        The single trials (empty for theory).
-    """
-
-    label: str
-    kind: str
-    stiffness: Floats
-    damping: Floats
-    cost: Floats
-    boundary: Curve
-    optimum: Optimum | None
-    trial_stiffness: Floats
-    trial_damping: Floats
-    trial_cost: Floats
-
-
-@dataclass(frozen=True)
-class CostFigure:
-    """Cost maps of one criterion side by side with the front view below (Figs. 6.5 to 6.7, 6.10, 6.11)."""
-
-    identifier: str
-    title: str
-    caption: str
-    criterion: str
-    maps: tuple[CostMap, ...]
-
-
-@dataclass(frozen=True, eq=False)
-class DelayPanel:
-    """Optimal cost over total delay for one criterion (Fig. 6.12); an entry without data is NaN.
-
-    ``damped`` is the theory for the relative damping named in ``damped_label``.
-    """
-
-    criterion: str
-    delay_samples: Floats
-    theory: Floats
-    damped: Floats
-    damped_label: str
-    measured: Floats
-
-
-@dataclass(frozen=True)
-class DelayFigure:
-    """Influence of delay on the optimal costs, one panel a criterion (Fig. 6.12)."""
-
-    identifier: str
-    title: str
-    caption: str
-    panels: tuple[DelayPanel, ...]
+    logs: tuple[LogList, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -188,7 +110,15 @@ class ReportData:
     boundaries: tuple[BoundaryFigure, ...] = ()
     costs: tuple[CostFigure, ...] = ()
     delays: tuple[DelayFigure, ...] = ()
+    responses: tuple[ResponseFigure, ...] = ()
+    residuals: tuple[ResidualFigure, ...] = ()
     stages: tuple[tuple[str, str, str], ...] = field(default=())
     """Stage, what was done with it (run, reuse, leave out), and why."""
     accuracy: AccuracyReport | None = None
     """Error and run time of the methods behind the theory, where `pipeline accuracy` was run with this code here."""
+    tables: tuple[str, ...] | None = None
+    """Names of the tables that are shown; None for all. What is missing, and the report's origin, is always shown."""
+    trials: TrialPage | None = None
+    """All trials for the interactive part."""
+    request: dict[str, object] = field(default_factory=dict)
+    """How the report was asked for, in the page's head: what `verify` computes it anew from."""

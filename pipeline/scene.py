@@ -8,7 +8,7 @@ from pathlib import Path
 
 from pipeline.devices import known_devices
 from pipeline.errors import DeviceError, StoreError, UsageError
-from pipeline.models import CRITERIA, ENERGY_CRITERIA, SETTLING_BANDS, Device, Scene
+from pipeline.models import CRITERIA, ENERGY_CRITERIA, SETTLING_BANDS, Device, Scene, Shown
 from pipeline.stages import STAGES, ExperimentStages, required
 from pipeline.storage import list_devices, list_experiments, read_trials
 
@@ -41,7 +41,11 @@ class SceneData:
 
 
 def open_scene(
-    device: str, processed: Path, experiments: Sequence[str] | None, criteria: Sequence[str] | None
+    device: str,
+    processed: Path,
+    experiments: Sequence[str] | None,
+    criteria: Sequence[str] | None,
+    shown: Shown | None = None,
 ) -> SceneData:
     """Collect what is stored for a comparison.
 
@@ -79,16 +83,24 @@ def open_scene(
             f"device {device!r}: its logs mix {' and '.join(motions)}; expected one kind of motion for one device. "
             "Compare the experiments apart (--experiment), or name the devices apart in the logs' headers."
         )
+    asked = shown or Shown()
     scene = Scene(
-        device=device, experiments=names, criteria=chosen, delay_sweep=len(added) > 1, operator=bool(grips - {"none"})
+        device=device,
+        experiments=names,
+        criteria=chosen,
+        delay_sweep=len(added) > 1,
+        operator=bool(grips - {"none"}),
+        shown=asked,
     )
     needed = required(_wanted(chosen))
+    # for a device that is not known, theory by the estimates is the only one
+    estimates = asked.has_overlay("estimates") or (known is None and asked.has_overlay("theory"))
     return SceneData(
         scene=scene,
         device=known,
         experiments=data,
         simulated=any(any(d.trials.column("simulated").to_pylist()) for d in data),
-        overlay=known is None or {"delay", "mass", "damping"} <= needed,
+        overlay=estimates and (known is None or {"delay", "mass", "damping"} <= needed),
     )
 
 
@@ -107,11 +119,13 @@ def _wanted(criteria: Sequence[str]) -> set[str]:
 def needed_stages(data: SceneData) -> set[str]:
     """Return the stages of the measured branch that the scene needs."""
     needed = required(_wanted(data.scene.criteria))
-    needed |= {"outcome"}
+    if data.scene.shown.has_table("outcomes") or data.scene.shown.has_figure("trials"):
+        needed |= {"outcome"}
     return needed | required(("delay", "mass", "damping")) if data.overlay else needed
 
 
 _LEFT_OUT = {
+    "outcome": "neither the table of outcomes nor the trials are shown",
     "delay": "overshoot and the measured boundary need no delay",
     "model": "neither mass nor damping is asked for",
     "damping": "damping enters no measured cost, and no theory is drawn from estimates",

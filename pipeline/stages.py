@@ -45,6 +45,9 @@ NEEDS: dict[str, tuple[str, ...]] = {
 }
 """Stages whose results a stage takes; the plan is made backwards along these."""
 
+SAMPLED = "response"
+"""Stage that every scene needs; its result is stored with a hash of the samples."""
+
 _SHARED_CODE = ("batch", "stages", "stage_columns", "aggregate", "estimates", "combine", "trend", "intervals")
 _MOTION = ("response", "verdict", "modes")
 _BALANCE = ("response", "momentum", "averaging", "correlated")
@@ -103,7 +106,8 @@ class ExperimentStages:
     @cached_property
     def inputs_digest(self) -> str:
         """Hash of the logs and profiles that the samples came from."""
-        columns = ("trial_id", "source_sha256", "profile_sha256", "sample_file", "first_row")
+        # not where the samples lie: merging batches changes no result
+        columns = ("trial_id", "source_sha256", "profile_sha256")
         rows = zip(*(self.trials.column(c).to_pylist() for c in columns), strict=True)
         return digest(sorted("|".join(map(str, row)) for row in rows))
 
@@ -152,11 +156,17 @@ class ExperimentStages:
                     inputs=self.inputs_digest,
                     code=code_digest(*_SHARED_CODE, *_CODE[stage]),
                     parameters=json.dumps(self._parameters(stage)),
+                    **({"samples": self.batch.digest} if stage == SAMPLED else {}),
                 )
                 result = to_arrow(stage, columns, rotation=self.rotation, metadata=metadata)
                 write_table(self._file(stage), result)
                 self._tables[stage] = result
         return self._tables[stage]
+
+    @property
+    def samples_digest(self) -> str:
+        """Hash of the samples that the results rest on, as they were when the first stage was computed."""
+        return str(self.table(SAMPLED).schema.metadata[b"pipeline.samples"].decode())
 
     def _parameters(self, stage: str) -> dict[str, float | None]:
         """Values from earlier stages that a stage was computed with."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from pipeline.models import CRITERIA, SETTLING_BANDS, ComparisonRow, Optimum, TableLayout
+from pipeline.models import CRITERIA, SETTLING_BANDS, ComparisonRow, Optimum, Shown, TableLayout
 from pipeline.predictions import Prediction, Predictions, Request, Theory
 from pipeline.published import find
 from pipeline.results import ExperimentResult
@@ -48,7 +48,12 @@ def layouts(data: SceneData) -> tuple[TableLayout, ...]:
         result.append(
             TableLayout(name="delay", criteria=sweep, experiments=stored, theory_from=stored[0], kind="delay")
         )
-    return tuple(result)
+    return tuple(table for table in result if _in_use(table, data.scene.shown))
+
+
+def _in_use(table: TableLayout, shown: Shown) -> bool:
+    """Tell whether a layout is shown as a table, or gives the figures that follow it."""
+    return shown.has_table(table.name) or shown.has_figure("delay" if table.kind == "delay" else "maps")
 
 
 def added_delay(stages: ExperimentStages) -> int:
@@ -85,7 +90,9 @@ class TableBuilder:
                     result += [(t.loop, f"{criterion}_discrete") for t in theories]
                 elif table.theory_from in self.theories:
                     loop = self.theories[table.theory_from].loop
-                    result += [(loop, f"{criterion}_discrete"), (loop, criterion)]
+                    result.append((loop, f"{criterion}_discrete"))
+                    if self.data.scene.shown.has_table(table.name):
+                        result.append((loop, criterion))
         return list(dict.fromkeys(result))
 
     def rows(self, predictions: Predictions, results: Sequence[ExperimentResult]) -> tuple[ComparisonRow, ...]:
@@ -93,6 +100,9 @@ class TableBuilder:
         measured = {r.experiment: r for r in results}
         rows: list[ComparisonRow] = []
         for table in layouts(self.data):
+            # the figure over delay is drawn from the rows, also where the table is not shown
+            if table.kind == "optima" and not self.data.scene.shown.has_table(table.name):
+                continue
             fill = self._delay_rows if table.kind == "delay" else self._optima_rows
             rows += fill(table, predictions, measured)
         return tuple(rows)
@@ -120,6 +130,7 @@ class TableBuilder:
                 rows.append(
                     self._row(
                         *(table, criterion, condition, estimated),
+                        experiment=experiment,
                         optimum=optimum,
                         reference=cost,
                         missing=result.missing.get(criterion),
@@ -143,6 +154,7 @@ class TableBuilder:
                 rows.append(
                     self._row(
                         *(table, criterion, "experiment", delay),
+                        experiment=experiment,
                         optimum=result.optimum.get(criterion),
                         reference=discrete.cost if discrete else None,
                         missing=result.missing.get(criterion),
@@ -162,6 +174,7 @@ class TableBuilder:
         condition: str,
         delay: float | None,
         *,
+        experiment: str | None = None,
         prediction: Prediction | None = None,
         optimum: Optimum | None = None,
         reference: float | None = None,
@@ -188,6 +201,8 @@ class TableBuilder:
             deviation_percent=_deviation(cost, reference),
             censored=bool(optimum and optimum.censored),
             note=" ".join(n for n in notes if n) or None,
+            experiment=experiment,
+            trial_id=optimum.trial_id if optimum else None,
         )
 
 

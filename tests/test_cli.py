@@ -20,7 +20,12 @@ COMMANDS = {
         *("--experiment", "--out", "--seed", "--ideal", "--quantum", "--noise", "--jitter", "--duration"),
         *("--range", "--coarsen", "--overwrite", "--json"),
     ],
-    "ingest": ["--profile", "--processed", "--jobs", "--rehash", "--dry-run", "--json"],
+    "ingest": ["--profile", "--processed", "--jobs", "--rehash", "--dry-run", "--wait", "--json"],
+    "status": ["--processed", "--reports", "--json"],
+    "watch": [
+        *("--processed", "--reports", "--profile", "--scene", "--interval", "--settle", "--once", "--json"),
+    ],
+    "compact": ["--processed", "--dry-run", "--wait", "--json"],
     "compare": ["--device", "--experiment", "--criteria", "--processed", "--report", "--dry-run", "--json"],
     "theory points": ["--json"],
     "theory boundary": ["--delay", "--gamma", "--delta", "--json"],
@@ -162,8 +167,10 @@ def logs(tmp_path):
 
 
 def test_ingest_counts_and_stays_quiet(call, logs, tmp_path):
-    counts = {"found": 2, "ingested": 2, "skipped": 0, "quarantined": []}
-    assert document(call("ingest", "logs", "--dry-run", "--json")) == counts
+    counts = {"found": 2, "ingested": 2, "skipped": 0}
+    counts |= {key: [] for key in ("quarantined", "warnings", "removed", "changed", "waiting")}
+    plan = [{"path": f"logs/{k}.csv", "action": "ingest", "reason": "new"} for k in (300, 600)]
+    assert document(call("ingest", "logs", "--dry-run", "--json")) == counts | {"plan": plan}
     assert not (tmp_path / "processed").exists()
     status, out, err = call("ingest", "logs", "--json", "--jobs", "1")
     assert (status, json.loads(out), err) == (0, counts, "")
@@ -171,6 +178,74 @@ def test_ingest_counts_and_stays_quiet(call, logs, tmp_path):
     assert document(call("ingest", "logs", "--json")) == again
     assert document(call("ingest", "logs", "--rehash", "--json")) == again
     assert document(call("ingest", "logs", "--processed", "other", "--profile", "native", "--json")) == counts
+
+
+def test_a_plan_names_action_and_reason(call, logs):
+    assert call("ingest", "logs", "--json")[0] == 0
+    (logs / "300.csv").write_text(log_text(301.0))
+    (logs / "copy.csv").write_text((logs / "600.csv").read_text())
+    (logs / "bad.csv").write_text(FAULTS["text cell"][0])
+    status, out, _ = call("ingest", "logs", "--dry-run")
+    assert status == 3
+    assert out.splitlines()[2:] == [
+        "ingest (content changed): logs/300.csv",
+        "skip (unchanged: size and modification time): logs/600.csv",
+        f"skip (same content as {logs / '600.csv'}): logs/copy.csv",
+        *(line for line in out.splitlines() if line.startswith("logs/bad.csv, row 17: command must be")),
+        "changed: logs/300.csv: its trials were replaced by those of the new content",
+    ]
+    actions = {e["path"]: e["action"] for e in document(call("ingest", "logs", "--dry-run", "--json"), 3)["plan"]}
+    assert actions["logs/bad.csv"] == "refuse"
+
+
+def test_long_lists_are_cut_in_text_alone(call, logs, tmp_path):
+    for k in range(30):
+        (logs / f"{k}.csv").write_text(log_text(float(k)))
+    lines = call("ingest", "logs", "--dry-run")[1].splitlines()
+    assert lines[2] == "ingest (new): 32"
+    assert len(lines) == 2 + 1 + 10 + 1
+    assert lines[-1] == "  and 22 more"
+    assert len(document(call("ingest", "logs", "--dry-run", "--json"))["plan"]) == 32
+
+
+def test_a_second_writer_is_refused_and_readers_are_not(call, logs, tmp_path):
+    from pipeline.lock import writing
+
+    assert call("ingest", "logs")[0] == 0
+    (logs / "new.csv").write_text(log_text(1.0))
+    with writing(tmp_path / "processed", 0):
+        for command in (["ingest", "logs"], ["compact"]):
+            status, out, err = call(*command, "--wait", "0")
+            assert (status, out) == (1, "")
+            assert "writes there; waited 0 s" in err
+        found = document(call("status", "--json"))
+        assert found["lock"]["pid"] > 0
+        assert call("status")[1].splitlines()[-1].startswith(f"process {found['lock']['pid']} on ")
+        assert call("compact", "--dry-run")[0] == 0
+        assert call("ingest", "logs", "--dry-run")[0] == 0
+    assert document(call("ingest", "logs", "--wait", "0", "--json"))["ingested"] == 1
+
+
+def test_status_and_compact_show_and_merge_what_is_stored(call, logs):
+    for number in range(3):
+        (logs / f"new{number}.csv").write_text(log_text(float(number)))
+        assert call("ingest", "logs")[0] == 0
+    (logs / "300.csv").unlink()
+    status, out, _ = call("status")
+    assert status == 0
+    first, columns, row, gone = out.splitlines()
+    assert first.startswith("processed: 5 trials, 150 samples, 6 tables, ")
+    assert columns.split() == ["device", "experiment", "trials", "rows", "batches", "row_groups", "size", "stale"]
+    assert row.split()[:6] == ["bench", "1", "5", "150", "3", "3"]
+    assert gone == f"gone: {logs / '300.csv'}"
+    (merged,) = document(call("compact", "--dry-run", "--json"))["merged"]
+    assert (merged["batches"], merged["trials"], merged["bytes_after"]) == (3, 5, None)
+    lines = call("compact")[1].splitlines()
+    assert lines[1].split()[:4] == ["bench", "1", "3", "5"]
+    assert call("compact")[1] == "nothing to merge\n"
+    assert document(call("status", "--json"))["experiments"][0]["batches"] == 1
+    for command in ("status", "compact"):
+        assert call(command, "--processed", "nowhere")[0] == 2
 
 
 def test_quarantine_is_told_and_leaves_with_3(call, logs):
@@ -233,10 +308,12 @@ def test_compare_prints_one_document_and_writes_the_report(call, course, tmp_pat
     assert found["criteria"] == ["overshoot", "settle_5pct"]
     assert [e["experiment"] for e in found["experiments"]] == ["delay-8"]
     assert (tmp_path / "reports" / "lwr.html").is_file()
+    assert 'href="./lwr.html"' in (tmp_path / "reports" / "index.html").read_text()
     status, out, err = call("compare", "--device", "lwr", *options, "--report", "here.html")
     assert status == 0
     assert out.splitlines()[-1] == "report: here.html"
     assert (tmp_path / "here.html").is_file()
+    assert not (tmp_path / "index.html").exists()  # that folder may be anybody's
 
 
 @pytest.mark.parametrize(
@@ -355,7 +432,7 @@ def test_progress_is_lines_where_stderr_is_no_terminal(monkeypatch, capsys):
         for done in (1, 2, 3):
             advance(done, 4)
         advance(4, None)
-    assert capsys.readouterr() == ("", "ingest: 2 of 4 logs\ningest: 4 logs\n")
+    assert capsys.readouterr() == ("", "ingest: 2 of 4 logs, 0.8/s, 2.5 s left\ningest: 4 logs, 0.8/s\n")
 
 
 def test_progress_is_a_bar_on_a_terminal_and_nothing_with_json(monkeypatch, capsys):

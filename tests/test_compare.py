@@ -208,7 +208,8 @@ def test_other_criteria_run_only_what_is_missing(lwr, tmp_path, plain_page):
     }
     assert second["report"] == RUN
     third = plan(["overshoot"])  # all is stored, but the report shows other criteria
-    assert {s for s, a in third.items() if a == RUN} == {"theory: boundaries and maps", "report"}
+    run_again = {s for s, a in third.items() if a == RUN and not s.startswith(("figure: ", "table: "))}
+    assert run_again == {"theory: boundaries and maps", "report"}
 
 
 def test_criteria_of_the_same_stage_still_change_the_report(own):
@@ -266,9 +267,9 @@ def test_a_missing_report_is_written_again_without_computing_stages(own, monkeyp
     outcome.report.unlink()
 
     def refuse(*_):
-        raise AssertionError("a log was read")
+        raise AssertionError("something was computed again")
 
-    monkeypatch.setattr(stages, "load_batch", refuse)
+    monkeypatch.setattr(stages, "COMPUTE", dict.fromkeys(stages.COMPUTE, refuse))
     monkeypatch.setattr(predictions, "optimal_point", refuse)
     assert actions(run(own))["report"] == RUN
     assert outcome.report.is_file()
@@ -319,7 +320,9 @@ def test_stage_files_name_their_origin(own):
 
 def test_no_temporary_files_are_left(own):
     run(own)
-    assert not [p for p in own.rglob("*") if p.name.startswith(".") or p.suffix == ".tmp"]
+    # the lock stays: removing it while another process waits for it would let both in
+    hidden = [p for p in own.rglob("*") if p.name.startswith(".") and p.name != ".lock"]
+    assert not hidden + list(own.rglob("*.tmp"))
     assert np.all([os.access(p, os.R_OK) for p in own.rglob("*.parquet")])
 
 

@@ -31,6 +31,8 @@ def test_demo_goes_from_logs_to_a_complete_report(first):
     page = outcome.reports[0].read_text(encoding="utf-8")
     assert stored_digest(page) is not None
     assert cells(page)
+    assert 'href="./lwr.html"' in (folder / "reports" / "index.html").read_text(encoding="utf-8")
+    assert str(folder / "reports" / "index.html") in " ".join(outcome.lines)
     assert [s for s in said if s.startswith("simulate")] == ["simulate: lwr, experiment delay-8"]
 
 

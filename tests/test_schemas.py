@@ -18,6 +18,7 @@ from pipeline.models import (
     Experiment,
     Record,
     Scene,
+    SceneFile,
     Trial,
 )
 
@@ -72,6 +73,7 @@ EXAMPLES: dict[str, Record] = {
         cost=0,
     ),
     "scene": Scene(device="falcon", experiments=("1", "2")),
+    "scene_file": SceneFile(device="falcon", criteria=("settle", "overshoot"), bands=(2,), delays=(3, 4.5)),
 }
 
 

@@ -5,7 +5,7 @@ import dataclasses
 
 import pytest
 
-from pipeline.compare import _nominal_theories
+from pipeline.compare_experiment import nominal_theories
 from pipeline.models import ComparisonRow, Optimum
 from pipeline.predictions import Predictions
 from pipeline.provenance import schema_folder
@@ -191,7 +191,7 @@ def test_own_device_file_with_a_table_of_a_published_name_is_not_held_against_it
     )
     predictions = Predictions(falcon.processed / "theory")
     for scene, published in ((data, 13.84), (own, None)):
-        builder = TableBuilder(scene, _nominal_theories(scene))
+        builder = TableBuilder(scene, nominal_theories(scene))
         assert predictions.missing(builder.requests()) == []
         row = builder.rows(predictions, falcon_outcome.result.experiments)[0]
         assert (row.table, row.condition, row.published_cost) == ("D.2", "theory_discrete", published)
@@ -201,7 +201,7 @@ def test_a_criterion_without_a_measured_value_keeps_its_row_beside_theory(falcon
     data = open_scene("falcon", falcon.processed, None, ["overshoot"])
     result = falcon_outcome.result.experiments[0]
     without = result.model_copy(update={"optimum": {}, "missing": {"overshoot": "the sensor is too coarse"}})
-    builder = TableBuilder(data, _nominal_theories(data))
+    builder = TableBuilder(data, nominal_theories(data))
     predictions = Predictions(falcon.processed / "theory")
     assert predictions.missing(builder.requests()) == []
     rows = {r.condition: r for r in builder.rows(predictions, [without])}

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from pipeline.batch import Integers
@@ -59,6 +58,9 @@ def whole_dates(source: TimeSource, text: pa.Array) -> tuple[Integers, int] | No
         into 64 bits are cut, which are those behind the 8th or 9th decimal of seconds. None where the stamps count
         from no date, are no plain decimals, or are counted in a way that needs no such care.
     """
+    # 20 ms that native logs need not pay
+    import pyarrow.compute as pc
+
     plain = source.kind in ("absolute", "counter", "sampled") and source.wrap is None and source.fraction is None
     if not plain or source.unit is None or not pc.all(pc.match_substring_regex(text, _DECIMAL)).as_py():
         return None

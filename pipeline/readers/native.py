@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pyarrow as pa
@@ -34,6 +35,8 @@ LONGEST_HEADER_LINE = 1 << 14
 _SEARCHED = 1 << 20
 """Bytes of a body that are searched at once for the row at fault: lines as objects take ten times their bytes."""
 
+_BLANK = b"\r\n\t "
+
 Columns = tuple[Floats, Floats, Floats]
 
 
@@ -45,8 +48,17 @@ class _Body:
         if not data.startswith(b"#"):
             refuse_other_kind(raw.names[0], "native", data)
         self.header, start, self.first_row = _split(data)
-        self.text = data[start:].rstrip(b"\r\n\t ") + b"\n"
-        self.lines = self.text.count(b"\n") if len(self.text) > 1 else 0
+        if data.endswith(b"\n") and data[-2:-1] not in _BLANK:
+            # as it is nearly always: no copy
+            self.view, self.lines = memoryview(data)[start:], data.count(b"\n", start)
+        else:
+            text = data[start:].rstrip(_BLANK) + b"\n"
+            self.view, self.lines = memoryview(text), text.count(b"\n") if len(text) > 1 else 0
+
+    @property
+    def text(self) -> bytes:
+        """All lines, each with its end."""
+        return bytes(self.view)
 
 
 def read(profile: Profile, raws: Sequence[RawLog], use_threads: bool) -> list[tuple[Log, ...] | LogError]:
@@ -73,7 +85,7 @@ def read(profile: Profile, raws: Sequence[RawLog], use_threads: bool) -> list[tu
         except LogError as error:
             outcomes[index] = error
     filled = {index: body for index, body in bodies.items() if body.lines}
-    columns = _parse(b"".join(b.text for b in filled.values()), sum(b.lines for b in filled.values()), use_threads)
+    columns = _parse(b"".join([b.view for b in filled.values()]), sum(b.lines for b in filled.values()), use_threads)
     end = 0
     for index, body in bodies.items():
         start, end = end, end + body.lines
@@ -82,7 +94,15 @@ def read(profile: Profile, raws: Sequence[RawLog], use_threads: bool) -> list[tu
             outcomes[index] = (check_samples(body.header, time, command, position, body.first_row),)
         except LogError as error:
             outcomes[index] = error
+    accepted = [outcome[0] for outcome in outcomes if isinstance(outcome, tuple)]
+    if 2 * sum(len(log.time) for log in accepted) < end:
+        # the columns of a log are parts of those of all, which would stay in memory for the sake of few
+        outcomes = [tuple(map(_copied, o)) if isinstance(o, tuple) else o for o in outcomes]
     return [outcome for outcome in outcomes if outcome is not None]
+
+
+def _copied(log: Log) -> Log:
+    return replace(log, time=log.time.copy(), command=log.command.copy(), position=log.position.copy())
 
 
 def _split(data: bytes) -> tuple[NativeHeader, int, int]:
@@ -152,15 +172,16 @@ def _parse(text: bytes, lines: int, use_threads: bool) -> Columns | None:
 
 
 def _parse_alone(body: _Body) -> Columns:
-    columns = _parse(body.text, body.lines, use_threads=False)
+    text = body.text
+    columns = _parse(text, body.lines, use_threads=False)
     if columns is not None:
         return columns
     parts: list[Columns] = []
     start, row = 0, body.first_row
-    while start < len(body.text):
+    while start < len(text):
         # whole lines, and at least one
-        end = body.text.rfind(b"\n", start, start + _SEARCHED) + 1 or body.text.find(b"\n", start) + 1
-        block = body.text[start:end]
+        end = text.rfind(b"\n", start, start + _SEARCHED) + 1 or text.find(b"\n", start) + 1
+        block = text[start:end]
         lines = block.count(b"\n")
         part = _parse(block, lines, use_threads=False)
         parts.append(_parse_lines(block, row) if part is None else part)

@@ -227,17 +227,17 @@ def step_flags(time: Floats, rows: Integers, period: Floats) -> list[dict[str, f
         ``dropped_fraction``: of all that should be there; ``longest_step_s``; ``mean_step_s``, ``jitter_rms_s`` and
         ``jitter_max_s``: mean of the other steps, and their deviation from T; None where all are gaps.
     """
-    owner = np.repeat(np.arange(len(rows)), rows - 1)
     inside = np.ones(max(len(time) - 1, 0), dtype=np.bool_)
     inside[np.cumsum(rows)[:-1] - 1] = False
     steps = np.diff(time)[inside]
-    nominal = period[owner]
+    nominal = np.repeat(period, rows - 1)
     gap = steps > GAP * nominal
 
-    def total(values: Floats | Booleans) -> Floats:
-        return np.bincount(owner, weights=values, minlength=len(rows)).astype(np.float64)
-
     first = np.cumsum(rows - 1) - (rows - 1)
+
+    def total(values: Floats | Booleans) -> Floats:
+        return np.add.reduceat(values, first, dtype=np.float64)
+
     deviation = np.where(gap, 0.0, steps - nominal)
     gaps = total(gap)
     dropped = total(np.where(gap, np.rint(steps / nominal) - 1, 0.0))

@@ -1,0 +1,93 @@
+"""Time and size of reports at thesis size, whole processes from stored samples: all, settling only, again, verify.
+
+Prints a table beside the limits. Nothing here fails on a slow machine. Without a folder the thesis-size Falcon is
+simulated (minutes).
+
+    python benchmarks/report.py [PROCESSED] [--device falcon] [--verify]
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+PIPELINE = [sys.executable, "-c", "from pipeline.cli import run; run()"]
+MB = 1e6
+
+FULL_S = 40.0
+AGAIN_S = 12.0
+SHARE = 1 / 3
+"""Limits: a report from samples and from stored stages [s], and the share of it that settling alone may take."""
+
+SCENE = """\
+device = "{device}"
+criteria = ["settle"]
+bands = [2]
+figures = ["boundaries", "maps"]
+tables = ["D.1", "D.3", "D.4", "D.6", "boundary", "experiments"]
+overlays = ["theory"]
+"""
+
+
+def seconds(words: list[str], folder: Path) -> float:
+    """Wall time of a command [s]."""
+    began = time.perf_counter()
+    process = subprocess.run([*PIPELINE, *words], cwd=folder, capture_output=True, text=True)
+    if process.returncode:
+        sys.exit(f"{' '.join(words)}: exit status {process.returncode}\n{process.stderr[-2000:]}")
+    return time.perf_counter() - began
+
+
+def copy_samples(processed: Path, target: Path) -> None:
+    """Copy trials and samples alone, so that stages and theory are computed."""
+    for name in ("trials", "samples"):
+        shutil.copytree(processed / name, target / name)
+
+
+def simulated(folder: Path, device: str) -> Path:
+    """Simulate and ingest the full course of a device."""
+    print(f"simulating {device} at thesis size ...", flush=True)
+    seconds(["simulate", device, "--out", "raw", "--seed", "1"], folder)
+    seconds(["ingest", "raw", "--processed", "stored"], folder)
+    return folder / "stored"
+
+
+def main() -> None:
+    arguments = argparse.ArgumentParser(description=__doc__)
+    arguments.add_argument("processed", nargs="?", type=Path)
+    arguments.add_argument("--device", default="falcon")
+    arguments.add_argument("--verify", action="store_true", help="verify the full report, too")
+    given = arguments.parse_args()
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary)
+        stored = given.processed.resolve() if given.processed else simulated(folder, given.device)
+        (folder / "scene.toml").write_text(SCENE.format(device=given.device), encoding="utf-8")
+        copy_samples(stored, folder / "full")
+        copy_samples(stored, folder / "settling")
+        full = ["compare", "--device", given.device, "--processed", "full", "--report", "full.html"]
+        settling = ["compare", "--scene", "scene.toml", "--processed", "settling", "--report", "settling.html"]
+        rows = [("full, from samples", seconds(full, folder), f"{FULL_S:g} s")]
+        for name in ("full.html", "full.json"):
+            (folder / name).unlink()
+        rows.append(("full, from stored stages", seconds(full, folder), f"{AGAIN_S:g} s"))
+        rows.append(("full, nothing changed", seconds(full, folder), "1 s"))
+        limit = f"{SHARE:.0%} of full: {SHARE * rows[0][1]:.1f} s"
+        rows.append(("settling scene, from samples", seconds(settling, folder), limit))
+        if given.verify:
+            rows.append(("verify", seconds(["verify", "full.html"], folder), "–"))
+        sizes = {name: (folder / name).stat().st_size / MB for name in ("full.html", "settling.html")}
+    print(f"{given.device}, {os.cpu_count()} processors, load {os.getloadavg()[0]:.1f}")
+    print(f"{'':32}{'time':>9}  limit")
+    for what, time_s, limit in rows:
+        print(f"{what:<32}{time_s:>7.1f} s  {limit}")
+    print(", ".join(f"{name} {size:.2f} MB" for name, size in sizes.items()))
+
+
+if __name__ == "__main__":
+    main()

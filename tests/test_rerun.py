@@ -1,0 +1,155 @@
+"""The note of the last ingest is believed only where nothing that it rests on has changed."""
+
+import json
+import os
+import time
+from pathlib import Path
+
+import pytest
+from native_logs import FAULTS, log_text, short_log
+
+from pipeline import rerun
+from pipeline.ingest import ingest
+from pipeline.quarantine import list_quarantine
+from pipeline.rerun import NOTE_FILE, Search, recall
+
+LONG_AGO = time.time_ns() - 60 * 10**9
+
+
+def settle(folder: Path) -> None:
+    """Make folders look as if nothing had changed in them for a minute."""
+    for here, _, _ in os.walk(folder):
+        os.utime(here, ns=(LONG_AGO, LONG_AGO))
+
+
+@pytest.fixture
+def lab(tmp_path):
+    logs = tmp_path / "logs"
+    (logs / "deep" / "empty").mkdir(parents=True)
+    for number in range(4):
+        (logs / ("deep" if number % 2 else "") / f"{number}.csv").write_text(log_text(float(number)))
+    (logs / "bad.csv").write_text(FAULTS["text cell"][0])
+    settle(logs)
+    ingest([logs], tmp_path / "processed", jobs=1)
+    return tmp_path
+
+
+def search(lab: Path, profile: str | None = None) -> Search:
+    return Search((str(lab / "logs"),), str(lab / "processed"), profile)
+
+
+def test_the_report_is_that_of_an_ingest_of_nothing_new(lab):
+    remembered = recall(search(lab))
+    assert remembered is not None
+    (lab / "processed" / NOTE_FILE).unlink()
+    again = ingest([lab / "logs"], lab / "processed", jobs=1)
+    assert remembered == again.model_dump(mode="json")
+    assert (again.found, again.ingested, again.skipped, len(again.quarantined)) == (5, 0, 4, 1)
+    assert recall(search(lab)) == remembered
+
+
+CHANGES = {
+    "a new log": lambda lab: (lab / "logs" / "new.csv").write_text(log_text(9.0)),
+    "a new log in an empty folder": lambda lab: (lab / "logs" / "deep" / "empty" / "new.csv").write_text(log_text(9.0)),
+    "a new folder": lambda lab: (lab / "logs" / "deep" / "more").mkdir(),
+    "a removed log": lambda lab: (lab / "logs" / "0.csv").unlink(),
+    "a renamed log": lambda lab: (lab / "logs" / "0.csv").rename(lab / "logs" / "x.csv"),
+    "a longer log": lambda lab: (lab / "logs" / "0.csv").write_text(log_text(0.0, rows=31)),
+    "a touched log": lambda lab: os.utime(lab / "logs" / "0.csv"),
+    "a repaired log": lambda lab: (lab / "logs" / "bad.csv").write_text(log_text(77.0)),
+    "a batch that is gone": lambda lab: next((lab / "processed" / "trials").rglob("*.parquet")).unlink(),
+    "a record that is gone": lambda lab: next((lab / "processed" / "quarantine").rglob("reason.json")).unlink(),
+    "a damaged note": lambda lab: (lab / "processed" / NOTE_FILE).write_text("{"),
+    "a note of another kind": lambda lab: (lab / "processed" / NOTE_FILE).write_text("[]"),
+    "no note": lambda lab: (lab / "processed" / NOTE_FILE).unlink(),
+}
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_what_changed_is_looked_at(lab, change):
+    assert recall(search(lab)) is not None
+    CHANGES[change](lab)
+    assert recall(search(lab)) is None
+
+
+def test_another_search_is_done(lab, monkeypatch):
+    assert recall(search(lab, "native")) is None
+    assert recall(Search((str(lab),), str(lab / "processed"), None)) is None
+    monkeypatch.setattr(rerun, "__version__", "other")
+    assert recall(search(lab)) is None
+
+
+def test_a_profile_file_is_part_of_the_search(lab):
+    profile = lab / "own.toml"
+    profile.write_text('name = "own"\nformat = "native"\nfiles = ["*.csv"]\n')
+    ingest([lab / "logs"], lab / "processed", jobs=1, profile=profile)
+    assert recall(search(lab, str(profile))) is not None
+    profile.write_text('name = "own"\nformat = "native"\nfiles = ["*.csv", "*.log"]\n')
+    assert recall(search(lab, str(profile))) is None
+
+
+def test_a_folder_that_changed_a_moment_ago_is_searched_again(lab):
+    os.utime(lab / "logs" / "deep")
+    ingest([lab / "logs"], lab / "processed", jobs=1)
+    assert not (lab / "processed" / NOTE_FILE).exists()
+
+
+def test_what_could_not_be_read_is_tried_again(lab):
+    (lab / "logs" / "gone.csv").symlink_to(lab / "nowhere")
+    settle(lab / "logs")
+    ingest([lab / "logs"], lab / "processed", jobs=1)
+    assert len(list_quarantine(lab / "processed")) == 2
+    assert not (lab / "processed" / NOTE_FILE).exists()
+
+
+def test_a_dry_run_leaves_the_note(lab):
+    before = (lab / "processed" / NOTE_FILE).read_bytes()
+    (lab / "logs" / "new.csv").write_text(log_text(9.0))
+    ingest([lab / "logs"], lab / "processed", jobs=1, dry_run=True)
+    assert (lab / "processed" / NOTE_FILE).read_bytes() == before
+
+
+def test_removed_and_waiting_sources_are_told(lab):
+    (lab / "logs" / "0.csv").unlink()
+    settle(lab / "logs")
+    report = ingest([lab / "logs"], lab / "processed", jobs=1)
+    assert report.removed == (str(lab / "logs" / "0.csv"),)
+    remembered = recall(search(lab))
+    assert remembered is not None
+    assert remembered["removed"] == [str(lab / "logs" / "0.csv")]
+    assert ingest([lab / "logs" / "deep"], lab / "processed", jobs=1).removed == ()
+
+    fresh = lab / "logs" / "fresh.csv"
+    fresh.write_text(short_log(5.0))
+    report = ingest([lab / "logs"], lab / "processed", jobs=1, settle_s=30)
+    assert str(fresh) in report.waiting
+    assert report.found == report.ingested + report.skipped + len(report.quarantined) == 4 + 1 - len(report.waiting)
+    assert recall(search(lab)) is None
+    plan = ingest([lab / "logs"], lab / "processed", jobs=1, settle_s=30, dry_run=True).plan
+    assert plan is not None
+    assert ("wait", "modified less than 30 s ago") in {(source.action, source.reason) for source in plan}
+    for path in (lab / "logs").rglob("*.csv"):
+        os.utime(path, ns=(LONG_AGO, LONG_AGO))
+    assert ingest([lab / "logs"], lab / "processed", jobs=1, settle_s=30).ingested == 1
+
+
+def test_reasons_of_a_plan(lab):
+    profile = lab / "own.toml"
+    profile.write_text('name = "own"\nformat = "native"\nfiles = ["*.csv"]\n')
+    plan = ingest([lab / "logs"], lab / "processed", jobs=1, profile=profile, dry_run=True).plan
+    assert plan is not None
+    assert [source.reason for source in plan if source.action == "ingest"] == ["profile changed"] * 4
+    os.utime(lab / "logs" / "0.csv")
+    plan = ingest([lab / "logs" / "0.csv"], lab / "processed", jobs=1, dry_run=True).plan
+    assert plan is not None
+    assert [(source.action, source.reason) for source in plan] == [("skip", "unchanged content")]
+
+
+def test_a_changed_log_that_is_refused_keeps_its_trials(lab):
+    (lab / "logs" / "0.csv").write_text("no log")
+    for _ in range(2):
+        (changed,) = ingest([lab / "logs"], lab / "processed", jobs=1).changed
+        assert changed.path == str(lab / "logs" / "0.csv")
+        assert changed.outcome == "its new content is refused; the trials of the former one stay stored"
+    note = lab / "processed" / NOTE_FILE
+    assert not note.exists() or json.loads(note.read_text())["report"]["changed"]
