@@ -158,7 +158,8 @@ def follow_a_course(tmp_path: Path, logs: list[Path], seconds: float, options: t
     assert [e["path"] for e in events if e["event"] == "refused"].count("raw/broken.csv") <= 1 + kills
     assert lock.holder(tmp_path / "processed" / PASS_FOLDER) is None
     if recorder.longest_pause_s < SETTLE_S / 2:  # the machine was not held up so long that a half log seemed whole
-        assert {e["path"] for e in events if e["event"] == "refused"} == {"raw/broken.csv"}
+        # a watch that was killed between the refusal and its line has not told of it; the record is there, as above
+        assert {e["path"] for e in events if e["event"] == "refused"} <= {"raw/broken.csv"}
         assert [e for e in events if e["event"] == "changed"] == []
 
     # the same logs in one run, and the same report
