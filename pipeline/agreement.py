@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from pipeline.batch import Booleans, Floats
 from pipeline.score_records import DistanceScore, VerdictScore
+from pipeline.wording import counted
 
 NEAR_ZERO = 0.25
 """Theoretical limit relative to the largest one below which no distance is divided by it: at both ends of a boundary it
@@ -112,7 +113,7 @@ def rank_agreement(measured: Floats, theory: Floats) -> RankAgreement:
     both = (theory > 0) & (measured > 0)
     ratio = float(np.median(measured[both] / theory[both])) if both.any() else None
     if len(measured) < FEWEST_TRIALS:
-        reason = f"{len(measured)} common stable trial(s) with this cost; a correlation needs {FEWEST_TRIALS}"
+        reason = f"{counted(len(measured), 'common stable trial')} with this cost; a correlation needs {FEWEST_TRIALS}"
         return RankAgreement(None, ratio, int(both.sum()), reason)
     a, b = (_ranks(x) for x in (measured, theory))
     spread = float(np.sqrt((a @ a) * (b @ b)))

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.batch import Floats
+from pipeline.wording import counted
 
 
 @dataclass(frozen=True)
@@ -74,7 +75,8 @@ def by_limit(stiffness: Floats, damping: Floats, growth_per_s: Floats) -> LimitS
             None,
             None,
             len(K),
-            f"{len(K)} trial(s) with K <= 0, at each B on {side} side of the limit only; it needs both at the same B",
+            f"{counted(len(K), 'trial')} with K <= 0, at each B on {side} side of the limit only; "
+            "it needs both at the same B",
         )
     return min(found, key=lambda r: ((r.high or 0.0) - (r.low or 0.0), -(r.damping or 0.0)))
 

@@ -17,6 +17,7 @@ from pipeline.boundary import measured_boundary
 from pipeline.errors import ParameterError
 from pipeline.intervals import NORMAL_95, student_95
 from pipeline.models import BoundaryPoint, Estimate
+from pipeline.wording import counted
 
 NEAREST = 10
 """Trials next to the limit that are fitted: two coarse and the fine steps of a course (6.1.1), and some more."""
@@ -181,7 +182,7 @@ def boundary_area(points: Sequence[BoundaryPoint], unit: str = "N^2 s/m^2") -> E
     method = "trapezoids between the limits at the tested dampings"
     used = [p for p in points if p.low is not None]
     if len(used) < 2:
-        reason = f"limits at {len(used)} damping(s); an area needs two"
+        reason = f"limits at {counted(len(used), 'damping')}; an area needs two"
         return Estimate(value=None, unit=unit, method=method, reason=reason, trials=len(used))
     B, low = np.array([p.damping for p in used]), np.array([p.low for p in used], dtype=np.float64)
     share = 0.5 * (np.diff(B, prepend=B[0]) + np.diff(B, append=B[-1]))

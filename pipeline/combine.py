@@ -18,6 +18,7 @@ from pipeline.errors import ParameterError
 from pipeline.intervals import NORMAL_QUARTILE, ROUNDING, SMALLEST, student_95
 from pipeline.models import Estimate
 from pipeline.trend import DRIFT, Axis, drift_warning, find_trends
+from pipeline.wording import true_minus
 
 OUTLIER = 3.5
 """Deviation in standard deviations from which on one of many trials is an outlier: 1 of 2,000 good ones is."""
@@ -144,7 +145,7 @@ def with_sign_warning(estimate: Estimate) -> Estimate:
     value, low, high = estimate.value, estimate.low, estimate.high
     if value is None or low is None or high is None or low > 0:
         return estimate
-    interval = f"95 % interval {low:.3g} to {high:.3g} {estimate.unit}"
+    interval = true_minus(f"95 % interval {low:.3g} to {high:.3g} {estimate.unit}")
     text = f"significantly negative ({interval})" if high < 0 else f"not significantly different from 0 ({interval})"
     return estimate.model_copy(update={"warning": "; ".join(filter(None, [estimate.warning, text]))})
 

@@ -80,7 +80,7 @@ REPORT_CODE = (
         "models",
         "accuracy",
     ),
-    *("report_scripts", "trial_data", "trial_codec", "trial_records", "ghost", *page_files()),
+    *("wording", "report_scripts", "trial_data", "trial_codec", "trial_records", "ghost", *page_files()),
     *THEORY_CODE,
 )
 

@@ -16,6 +16,7 @@ from pipeline.horizon import EndOfLog, cost_start, energy_terms
 from pipeline.models import SETTLING_BANDS
 from pipeline.response import Response
 from pipeline.verdict import Verdicts
+from pipeline.wording import percent
 
 SETTLED_SAMPLES = 5
 """Samples inside the band at the end: fewer may be a mere passage of the band."""
@@ -219,7 +220,7 @@ def energy(batch: TrialBatch, response: Response, verdicts: Verdicts, delay_samp
     there = (usable & settles)[:, None] & trusted
     reason = tuple(
         text
-        or ("" if good else f"never settles: {size:.0%} of the final displacement lasts to the end of the log")
+        or ("" if good else f"never settles: {percent(size)} of the final displacement lasts to the end of the log")
         or _tail_reason(beyond, total, count)
         for text, good, size, beyond, total, count in zip(
             terms.reason, settles, lasting, tail, sums[0], horizon, strict=True
@@ -299,5 +300,5 @@ def _tail_reason(tail: Floats, total: Floats, horizon: int) -> str:
     lost = [str(w) for w in large if tail[w] > LARGEST_TAIL * total[w]]
     text = f"summed over {horizon} samples; beyond them lie up to {shares} of the sum"
     if lost:
-        text += f"; above {LARGEST_TAIL:.0%} there is no value (w = {', '.join(lost)}): record longer"
+        text += f"; above {percent(LARGEST_TAIL)} there is no value (w = {', '.join(lost)}): record longer"
     return text

@@ -12,6 +12,7 @@ from pipeline.errors import ParameterError
 from pipeline.intervals import student_95
 from pipeline.momentum import balance
 from pipeline.response import Response
+from pipeline.wording import counted
 
 FEWEST_INTERVALS = 20
 """Two unknowns with fewer samples follow the noise."""
@@ -121,7 +122,7 @@ def by_limit(damping: Floats, stiffness: Floats, growth_per_s: Floats) -> LimitD
             None,
             None,
             len(B),
-            f"{len(B)} trial(s) at K = 0, on the {side} side of the limit only; it needs trials on both sides",
+            f"{counted(len(B), 'trial')} at K = 0, on the {side} side of the limit only; it needs trials on both sides",
         )
     first_unstable = unstable.max()
     above = stable[stable > first_unstable]

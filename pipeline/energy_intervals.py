@@ -16,6 +16,7 @@ from pipeline.reading_error import ReadingError
 from pipeline.response import Response
 from pipeline.tail import extrapolate
 from pipeline.verdict import Verdicts
+from pipeline.wording import percent
 
 HORIZON_PARTS = (0.5, 0.75, 0.9, 1.0)
 """Parts of the horizon up to which the sum is reported, so that its dependence on the horizon is seen."""
@@ -318,7 +319,7 @@ def _reason(
     parts = []
     lost = [w for w in WEIGHTS if not whole[w]]
     if lost and np.isfinite(tail[lost[-1]]):
-        shares = ", ".join(f"w = {w}: {tail[w] / value[w]:.0%}" for w in lost)
+        shares = ", ".join(f"w = {w}: {percent(tail[w] / value[w])}" for w in lost)
         parts.append(f"summed over {horizon} samples; beyond them may lie {shares} of the cost: record longer")
     elif lost:
         parts.append(

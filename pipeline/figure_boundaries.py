@@ -19,13 +19,11 @@ from pipeline.boundary_curves import (
     theory_curve,
 )
 from pipeline.figure_records import BoundaryFigure, Curve
+from pipeline.labels import UNITS
 from pipeline.models import Experiment
 from pipeline.predictions import Theory
 from pipeline.results import ExperimentResult
 from pipeline.scene import SceneData
-
-SAME_LOOP = 1e-6
-"""Difference of gamma, delta and d below which two loops have the same boundary in a drawing."""
 
 
 def boundary_figures(
@@ -52,20 +50,18 @@ def plane_figure(entries: Sequence[tuple[str, ExperimentResult, Theory]]) -> Bou
     Parameters
     ----------
     entries : sequence of (str, ExperimentResult, Theory)
-        Label, result, and the theory whose mass and sampling period normalise it. Loops that are equal share one
-        theoretical curve.
+        Label, result, and the theory whose mass and sampling period normalise it.
 
     Source: Hulin 2017, Table 3.1 (alpha = K T^2/m, beta = B T/m).
     """
-    measured = [replace(normalised(measured_curve(r), theory), label=label) for label, r, theory in entries]
-    loops: dict[tuple[float, ...], Theory] = {}
-    for _, _, theory in entries:
-        loop = theory.loop
-        key = tuple(round(value / SAME_LOOP) for value in (loop.gamma, loop.delta, loop.delay))
-        loops.setdefault(key, theory)
-    predicted = [
-        normalised(theory_curve(t, f"d = {t.loop.delay:.3g}, δ = {t.loop.delta:.2g}"), t) for t in loops.values()
+    measured = [
+        replace(
+            normalised(measured_curve(r), theory),
+            label=f"{label} (d = {theory.loop.delay:.3g}, δ = {theory.loop.delta:.2g})",
+        )
+        for label, r, theory in entries
     ]
+    predicted = [normalised(theory_curve(theory, "_theory"), theory) for _, _, theory in entries]
     return BoundaryFigure(
         "boundaries-normalised",
         "Boundaries in the normalised plane",
@@ -74,6 +70,7 @@ def plane_figure(entries: Sequence[tuple[str, ExperimentResult, Theory]]) -> Bou
         "model does not hold.",
         (("", (*measured, *predicted)),),
         normalised=True,
+        theory_label="theory (same colour)",
     )
 
 
@@ -108,14 +105,17 @@ class _Builder:
         curves.append(linear_curve(first))
         curves += [c for c in (passive_curve(first), _first(bound_curve(r) for r in free)) if c is not None]
         m, b, k = values[0]
+        units = UNITS["rotation" if self.data.experiments[0].rotation else "translation"]
         others = ", ".join(f"{other[1]:g}" for other in values[1:])
         return BoundaryFigure(
             "boundaries-free",
             "Stability boundaries without operator",
-            f"Measured: last stable stiffness at each damping. Theory for m = {m:g}, b = {b:g}, k = {k:g} and the "
-            f"delay factors at the curves{f'; thin dots: the same with b = {others}' if others else ''}. "
+            f"Measured: last stable stiffness at each damping. Theory for m = {m:g} {units.mass}, b = {b:g} "
+            f"{units.damping}, k = {k:g} {units.stiffness} and the delay factors at the curves"
+            f"{f'; thin dots: the same with b = {others} {units.damping}' if others else ''}. "
             "In the manner of Fig. 6.3.",
             (("", tuple(curves)),),
+            theory_label=f"theory, b = {b:g}",
         )
 
     def operator(self) -> BoundaryFigure | None:

@@ -26,7 +26,7 @@ from pipeline.figure_records import (
 )
 from pipeline.figure_residuals import residual_figures
 from pipeline.figure_response import response_figures
-from pipeline.labels import criterion_label
+from pipeline.labels import criterion_label, table_label
 from pipeline.loop import Loop
 from pipeline.maps import cost_maps
 from pipeline.models import ComparisonRow, Optimum, TableLayout
@@ -217,11 +217,12 @@ def _stiffness_axis(stiffness: Floats, levels: int, optimum: Optimum | None) -> 
 
 def _cost_figure(table: TableLayout, criterion: str, panels: tuple[CostMap, ...], theory: Theory | None) -> CostFigure:
     name = criterion_label(criterion)
+    label = table_label(table.name)
     return CostFigure(
         re.sub(r"[^A-Za-z0-9_-]", "-", f"{table.name}-{criterion}"),
         f"Cost maps, {name}",
         f"Costs of the sampled response in the stable region{', theory left' if theory else ''}; below, the least cost "
-        f"for each stiffness and all trials. Optima as in Table {table.name}.",
+        f"for each stiffness and all trials. Optima as in {label if label != table.name else f'the table of {label}'}.",
         criterion,
         panels,
     )

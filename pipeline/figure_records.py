@@ -33,6 +33,7 @@ class BoundaryFigure:
     """Stability boundaries of several experiments against theory (Figs. 6.3, 6.4, 6.9); panels share axes.
 
     In a ``normalised`` figure the curves hold alpha = K T^2/m and beta = B T/m in place of stiffness and damping.
+    ``theory_label`` names the dashed curves in the legend where their own labels stand beside them or are not shown.
     """
 
     identifier: str
@@ -40,6 +41,7 @@ class BoundaryFigure:
     caption: str
     panels: tuple[tuple[str, tuple[Curve, ...]], ...]
     normalised: bool = False
+    theory_label: str = ""
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,9 +8,13 @@ Source: Hulin 2017, sec. 6.1.3 to 6.2.5.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
 
 from pipeline import canvas, panels, style
 from pipeline.figure_records import BoundaryFigure, CostFigure, CostMap, Curve, DelayFigure, DelayPanel
@@ -24,6 +28,9 @@ from pipeline.labels import (
     stiffness_text,
 )
 from pipeline.models import Motion
+
+LEGEND_ORDER = ("measured", "theory", "band", "linear", "bound", "passive", "envelope")
+"""Kinds of curves in the order of a legend: what is compared first."""
 
 
 def boundaries(figure: BoundaryFigure, motion: Motion = "translation") -> tuple[str, ...]:
@@ -49,7 +56,10 @@ def boundaries(figure: BoundaryFigure, motion: Motion = "translation") -> tuple[
     columns = 4 if longest <= panels.SHORT_LABEL else 2
     # One height for all panels, so that they line up: room for the longest legend.
     lines = max(
-        (-(-panels.legend_entries(panel, largest, damping) // columns) for _, panel in figure.panels),
+        (
+            -(-(panels.legend_entries(panel, largest, damping) + bool(figure.theory_label)) // columns)
+            for _, panel in figure.panels
+        ),
         default=0,
     )
     legend_height = 15.0 * lines + 8.0 * bool(lines)
@@ -62,19 +72,35 @@ def boundaries(figure: BoundaryFigure, motion: Motion = "translation") -> tuple[
         scale = canvas.plane(axes, reach)
         for index, (title, panel) in enumerate(figure.panels):
             canvas.wipe(drawing)
-            written = panels.draw_curves(axes, panel, scale)
+            written = panels.draw_curves(axes, panel, scale, thin=figure.normalised)
             names = (canvas.stiffness_label(motion, scale), canvas.damping_label(motion))
             if figure.normalised:
                 names = ("α = K T²/m", "β = B T/m")
             canvas.frame(axes, *names, title=title)
-            named = [(str(artist.get_label()), artist) for artist in (*axes.get_lines(), *axes.patches)]
-            handles = [a for name, a in named if name and name not in written and not name.startswith("_")]
+            handles = _handles(axes, panel, written, figure.theory_label)
             if handles:
                 place = (52 / width, legend_height / height)
                 drawing.legend(handles=handles, ncols=columns, loc="upper left", bbox_to_anchor=place, **look)
             text = f"{title}: stability boundaries " + "; ".join(_describe(curve, motion) for curve in panel)
             result.append(style.svg(drawing, f"{figure.identifier}-{index}", f"{figure.title} {title}", text))
     return tuple(result)
+
+
+def _handles(axes: Axes, curves: Sequence[Curve], written: set[str], theory_label: str) -> list[Artist]:
+    """Return what the legend holds: curves without a label beside them, measured ones and theory first."""
+    kinds = {curve.label: curve.kind for curve in curves}
+    named = [(str(artist.get_label()), artist) for artist in (*axes.get_lines(), *axes.patches)]
+    shown: list[tuple[int, Artist]] = [
+        (LEGEND_ORDER.index(kinds[name]), artist)
+        for name, artist in named
+        if name in kinds and name not in written and not name.startswith("_")
+    ]
+    if theory_label and "theory" in kinds.values():
+        colour = panels.theory_colour(curves) or style.INK
+        line = Line2D([], [], color=colour, ls=style.LINES["theory"], lw=panels.LINE_WIDTHS["theory"])
+        line.set_label(theory_label)
+        shown.append((LEGEND_ORDER.index("theory"), line))
+    return [artist for _, artist in sorted(shown, key=lambda entry: entry[0])]
 
 
 def cost_maps(figure: CostFigure, motion: Motion = "translation") -> tuple[str, ...]:

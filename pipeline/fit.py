@@ -21,6 +21,7 @@ from pipeline.fit_noise import portmanteau
 from pipeline.fit_search import SMALLEST_DAMPING, inverse, starting_values
 from pipeline.fit_window import FEWEST_ROWS, Window, cut, usable_rows
 from pipeline.response import NO_ROW, Response
+from pipeline.wording import percent
 
 READINGS_AT_ONCE = 1_200_000
 """Readings of the trials that are fitted together, shortest windows first: some hundred rounds over the rows cost the
@@ -254,7 +255,9 @@ def _problems(batch: TrialBatch, response: Response, edge: Integers, first: Inte
         elif moved[i] <= response.floor[i]:
             reasons.append(f"no motion: {moved[i]:.3g} is not above the sensor floor of {response.floor[i]:.3g}")
         elif uneven[i] > IRREGULARITY:
-            reasons.append(f"time steps differ from T by up to {uneven[i]:.1%}; the model allows {IRREGULARITY:.0%}")
+            reasons.append(
+                f"time steps differ from T by up to {percent(uneven[i], 1)}; the model allows {percent(IRREGULARITY)}"
+            )
         elif gaps[i].any():
             reasons.append(
                 f"no number in row {int(np.argmax(gaps[i]))}; the model needs command and position throughout"
@@ -359,7 +362,7 @@ def _lost(converged: bool, delta: float, error: float, main: str) -> str:
     if delta >= LARGEST_RATE:
         return "the motion dies within one sample; it is not sampled finely enough for this model"
     if not error < LARGEST_RELATIVE_ERROR:
-        return f"the log does not tell the {main}: its standard error is {error:.0%} of the value"
+        return f"the log does not tell the {main}: its standard error is {percent(error)} of the value"
     return ""
 
 

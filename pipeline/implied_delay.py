@@ -18,6 +18,7 @@ from pipeline.intervals import NORMAL_95, student_95
 from pipeline.loop import Normalised
 from pipeline.models import BoundaryPoint, Estimate
 from pipeline.region import stiffness_limit
+from pipeline.wording import counted, percent
 
 LONGEST = 64.0
 """Largest delay factor that a boundary is compared with, eight times that of any experiment of the thesis."""
@@ -101,7 +102,9 @@ def implied_delay(points: Sequence[BoundaryPoint], device: DeviceParameters) -> 
     count = int((~limits.censored).sum())
     slope = {"slope_near_origin": implied_by_slope(points, device)}
     if count < FEWEST_POINTS:
-        reason = f"{count} damping(s) with a limit of stability that is no mere bound; it needs {FEWEST_POINTS}"
+        reason = (
+            f"{counted(count, 'damping')} with a limit of stability that is no mere bound; it needs {FEWEST_POINTS}"
+        )
         return Estimate(value=None, unit="samples", method=method, reason=reason, trials=count, by_method=slope)
     delays = _delays(limits, device)
     theory = _table(limits, device, delays)
@@ -125,8 +128,8 @@ def implied_delay(points: Sequence[BoundaryPoint], device: DeviceParameters) -> 
     single = single[np.isfinite(single)]
     if fit.misfit > MISFIT and len(single):
         warnings.append(
-            f"no single delay explains the boundary: its limits deviate by {fit.misfit:.1%} (rms) beyond their errors, "
-            f"those at single dampings imply {single.min():.2f} to {single.max():.2f} samples"
+            f"no single delay explains the boundary: its limits deviate by {percent(fit.misfit, 1)} (rms) "
+            f"beyond their errors, those at single dampings imply {single.min():.2f} to {single.max():.2f} samples"
         )
     return Estimate(
         value=fit.value,

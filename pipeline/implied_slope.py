@@ -10,6 +10,7 @@ import numpy as np
 from pipeline.batch import Booleans, Floats
 from pipeline.intervals import NORMAL_95, student_95
 from pipeline.models import BoundaryPoint, Estimate
+from pipeline.wording import counted, percent
 
 LOW_DAMPING = 0.5
 """Part of the damping of the stiffest limit up to which a boundary is near the origin: over it (b + B)/K is a parabola
@@ -93,8 +94,8 @@ def implied_by_slope(points: Sequence[BoundaryPoint], device: DeviceParameters) 
     count = int(near.sum())
     if count < FEWEST_POINTS:
         reason = (
-            f"{count} limit(s) of stability up to {LOW_DAMPING:.0%} of the damping of the stiffest one, with "
-            f"b + B > 0; it needs {FEWEST_POINTS}"
+            f"{counted(count, 'limit')} of stability up to {percent(LOW_DAMPING)} of the damping of the stiffest one, "
+            f"with b + B > 0; it needs {FEWEST_POINTS}"
         )
         return Estimate(value=None, unit="samples", method=method, reason=reason, trials=count)
     limits = Limits(*(getattr(limits, name)[near] for name in ("damping", "stiffness", "error", "censored")))

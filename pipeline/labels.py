@@ -67,6 +67,11 @@ def condition_label(condition: str) -> str:
     return known.get(condition, condition.replace("_", " "))
 
 
+def table_label(name: str) -> str:
+    """Return what a table of optima is called: those of the thesis are numbered, the others bear an experiment."""
+    return f"Table {name}" if name[:1].isupper() and name[1:2] == "." else name
+
+
 def printed_scale(criterion: str) -> float:
     """Return the factor from the stored cost to the printed one: overshoot is printed in %."""
     return 100.0 if criterion_unit(criterion) == "%" else 1.0
@@ -106,10 +111,10 @@ def cost_text(criterion: str, value: float) -> str:
     return decimal(printed, 2 if abs(printed) < 1000 else 1)
 
 
-def percent_text(value: float) -> str:
+def percent_text(value: float, places: int = 1) -> str:
     """Return a deviation with its sign and one decimal, as in Table D.6."""
-    text = f"{value:+.1f}"
-    return "0.0" if float(text) == 0 else text.replace("-", "\N{MINUS SIGN}")
+    text = f"{value:+.{places}f}"
+    return f"{0:.{places}f}" if float(text) == 0 else text.replace("-", "\N{MINUS SIGN}")
 
 
 def estimate_texts(estimate: Estimate) -> tuple[str, str, str]:
@@ -118,5 +123,15 @@ def estimate_texts(estimate: Estimate) -> tuple[str, str, str]:
     known = {x for x in given if x is not None}
     apart = (n for n in range(DIGITS, MOST_DIGITS + 1) if len({significant(x, n) for x in known}) == len(known))
     digits = next(apart, DIGITS)  # what most digits do not tell apart is rounding
-    value, low, high = ("" if x is None else significant(x, digits) for x in given)
+    texts = ["" if x is None else significant(x, digits) for x in given]
+    if any("." in text for text in texts):  # beside decimals, a whole number shows that it has as many digits
+        texts = [t if x is None else _with_zeros(x, t, digits) for x, t in zip(given, texts, strict=True)]
+    value, low, high = texts
     return value, low, high
+
+
+def _with_zeros(value: float, text: str, digits: int) -> str:
+    if value == 0 or not text.strip("\N{MINUS SIGN}").isdecimal():
+        return text
+    places = max(digits - 1 - math.floor(math.log10(abs(value))), 0)
+    return f"{value:.{places}f}".replace("-", "\N{MINUS SIGN}")

@@ -8,6 +8,7 @@ import numpy as np
 
 from pipeline.batch import Floats
 from pipeline.errors import ParameterError
+from pipeline.wording import percent
 
 FEWEST_ROWS = 20
 """Gain, lag and offset with fewer rows follow the noise."""
@@ -127,7 +128,8 @@ def velocity_lag(time: Floats, position: Floats, velocity: Floats, *, largest_la
             None,
             None,
             None,
-            f"the velocity shares {explained:.0%} of the position's motion; expected {LEAST_EXPLAINED:.0%} or more",
+            f"the velocity shares {percent(explained)} of the position's motion; expected "
+            f"{percent(LEAST_EXPLAINED)} or more",
         )
     columns[:, 2] *= found[0]
     error = _sandwich(columns, residual)

@@ -12,6 +12,7 @@ import numpy as np
 from pipeline.batch import Floats, Integers, TrialBatch
 from pipeline.momentum import acting_force, balance
 from pipeline.response import Response
+from pipeline.wording import percent
 
 WINDOW_S = 0.015
 """Time from the command edge that is used (6.1.2): later the velocity saturates real drives."""
@@ -125,7 +126,8 @@ def by_momentum(
             )
         elif irregular[i] > IRREGULARITY:
             reasons.append(
-                f"time steps in the window differ from T by {irregular[i]:.1%}; allowed are {IRREGULARITY:.0%}"
+                f"time steps in the window differ from T by {percent(irregular[i], 1)}; allowed are "
+                f"{percent(IRREGULARITY)}"
             )
         elif not visible[i]:
             reasons.append(f"velocity change {abs(velocity[i]):.3g} is not above the noise threshold {least[i]:.3g}")

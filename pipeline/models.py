@@ -151,8 +151,15 @@ class Trial(Record):
     package_version: str
 
 
+DRIFTS = "drifts by"
+"""Beginning of a warning about a `Trend`, by which such warnings are told from others."""
+
+
 class Trend(Record):
-    """Slope of an estimate over the stiffness or damping of the trials with its 95 % interval."""
+    """Slope of an estimate over the stiffness or damping of the trials with its 95 % interval.
+
+    ``span`` is the range of stiffness [N/m, Nm/rad] or damping [Ns/m, Nms/rad] over which it was found.
+    """
 
     over: Literal["stiffness", "damping"]
     slope: float
@@ -160,6 +167,7 @@ class Trend(Record):
     high: float
     unit: str
     significant: bool
+    span: float | None = None
 
 
 class Estimate(Record):

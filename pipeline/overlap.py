@@ -11,6 +11,7 @@ import numpy as np
 from pipeline.batch import Booleans, Floats
 from pipeline.errors import ParameterError
 from pipeline.models import BoundaryPoint
+from pipeline.wording import counted
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +116,9 @@ def overlap(damping: Floats, first: Stretches, second: Stretches, top: Floats | 
     only one of two neighbours has an infinite top, the top between them runs to the higher region of that one.
     """
     if len(damping) < 2 or not (np.diff(damping) > 0).all():
-        raise ParameterError(f"overlap of regions at {len(damping)} damping(s): expected at least two, increasing.")
+        raise ParameterError(
+            f"overlap of regions at {counted(len(damping), 'damping')}: expected at least two, increasing."
+        )
     ends = [first.low, first.high, second.low, second.high]
     if top is not None:
         most = np.maximum(first.high.max(axis=0), second.high.max(axis=0))

@@ -48,26 +48,38 @@ SHORT_LABEL = 9
 KINDS = ("envelope", "passive", "measured", "theory", "linear", "bound", "band")
 """Kinds of curves in the order in which they are drawn: areas first."""
 LINE_WIDTHS = {"theory": 1.4, "linear": 1.6, "bound": 1.6, "band": 1.0, "passive": 0.8}
+THIN = 0.9
+"""Width of theory curves where there is one to each of many measured ones."""
 SHADES = {"envelope": 0.13, "passive": 0.22, "measured": 0.22}
 """Opacity of filled areas: light enough for the lines and dots on them, apart from each other in grey."""
 LABELLED_KINDS = ("measured", "theory")
 """Kinds of curves whose tip may bear a label; linear conditions and bands have none of their own."""
 
 
-def draw_curves(axes: Axes, curves: Sequence[Curve], scale: float) -> set[str]:
-    """Draw boundaries; return the labels that were written at their curve and need no legend."""
+def theory_colour(curves: Sequence[Curve]) -> str:
+    """Return the colour of theory curves: one where they have no partners, empty where each has that of its partner.
+
+    One theory curve to each measured one share their colour; otherwise theory would borrow a wrong partner.
+    """
+    measured, theory = (sum(curve.kind == kind for curve in curves) for kind in ("measured", "theory"))
+    return "" if measured in (0, theory) else style.VERMILLION
+
+
+def draw_curves(axes: Axes, curves: Sequence[Curve], scale: float, *, thin: bool = False) -> set[str]:
+    """Draw boundaries, on request with thin theory; return the labels written at their curve, which need no legend."""
     order = {kind: [c for c in curves if c.kind == kind] for kind in KINDS}
-    # One theory curve to each measured one share its colour; otherwise theory would borrow a wrong partner.
-    paired = len(order["measured"]) in (0, len(order["theory"]))
+    alone = theory_colour(curves)
     labelled = set()
     for kind, group in order.items():
         # All of a kind or none: a legend with some of the curves would be read as complete.
         places = _label_places(group, axes.get_xlim()[1] / scale, axes.get_ylim())
         for index, curve in enumerate(group):
             colour = style.SERIES[index % len(style.SERIES)]
-            if kind in ("linear", "bound", "band", "passive", "envelope") or (kind == "theory" and not paired):
-                colour = style.VERMILLION if kind == "theory" else style.INK
-            _draw_curve(axes, curve, scale, colour, style.MARKERS[index % len(style.MARKERS)])
+            if kind == "theory":
+                colour = alone or colour
+            elif kind != "measured":
+                colour = style.INK
+            _draw_curve(axes, curve, scale, colour, style.MARKERS[index % len(style.MARKERS)], thin=thin)
             if places:
                 labelled.add(curve.label)
                 look: dict[str, Any] = {"color": colour, "va": "center", "fontsize": 9.5, "bbox": style.BEHIND_TEXT}
@@ -75,7 +87,7 @@ def draw_curves(axes: Axes, curves: Sequence[Curve], scale: float) -> set[str]:
     return labelled
 
 
-def _draw_curve(axes: Axes, curve: Curve, scale: float, colour: str, marker: str = "o") -> None:
+def _draw_curve(axes: Axes, curve: Curve, scale: float, colour: str, marker: str = "o", *, thin: bool = False) -> None:
     look: dict[str, Any] = {"color": colour, "ls": style.LINES[curve.kind], "label": curve.label}
     k = curve.stiffness * scale
     if curve.low is not None and curve.high is not None:
@@ -91,7 +103,8 @@ def _draw_curve(axes: Axes, curve: Curve, scale: float, colour: str, marker: str
             open_look: dict[str, Any] = {"mfc": style.PAPER, "mec": colour, "mew": 1.1, "label": "_censored"}
             axes.plot(k[where], curve.damping[where], ls="none", marker=marker, ms=5, **open_look)
     else:
-        axes.plot(k, curve.damping, lw=LINE_WIDTHS[curve.kind], **look)
+        width = THIN if thin and curve.kind == "theory" else LINE_WIDTHS[curve.kind]
+        axes.plot(k, curve.damping, lw=width, **look)
 
 
 def _fill_between(axes: Axes, curve: Curve, scale: float, colour: str) -> None:
@@ -118,7 +131,8 @@ def _label_places(curves: Sequence[Curve], largest: float, damping: tuple[float,
     places: list[tuple[float, float]] = []
     for curve in curves:
         known = np.isfinite(curve.stiffness) & np.isfinite(curve.damping)
-        if curve.kind not in LABELLED_KINDS or len(curve.label) > SHORT_LABEL or not known.any():
+        hidden = curve.label.startswith("_")
+        if hidden or curve.kind not in LABELLED_KINDS or len(curve.label) > SHORT_LABEL or not known.any():
             return []
         tip = int(np.argmax(np.where(known, curve.stiffness, -np.inf)))
         x = float(curve.stiffness[tip]) / largest

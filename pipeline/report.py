@@ -23,6 +23,7 @@ from pipeline import (
 from pipeline.accuracy import AccuracyReport, duration, error_text, own_rungs
 from pipeline.errors import PipelineError
 from pipeline.results import ReportData
+from pipeline.wording import unbroken
 
 TEMPLATES = Path(__file__).parent / "templates"
 _DIGEST_SLOT = "digest-of-cells"
@@ -69,6 +70,7 @@ def render(data: ReportData) -> str:
         **report_figures.drawings(data),
         **_tables(data),
     )
+    page = unbroken(page)
     page = _SOURCE.sub(lambda link: link[0] if f'id="{link[1]}"' in page else "", page)
     found = report_parts.take_apart(page)
     if found.doubles:
@@ -114,6 +116,8 @@ def _tables(data: ReportData) -> dict[str, Any]:
     found = {
         "scores": report_scores.score_table(result),
         "estimate_scores": report_scores.estimate_score_table(result),
+        "score_costs": report_scores.cost_score_table(result),
+        "score_rules": report_scores.rule_score_table(result),
         "experiments": report_estimates.experiment_table(result) if result.experiments else None,
         "outcomes": report_estimates.outcome_table(result),
         "model": report_estimates.model_table(result),
@@ -129,18 +133,24 @@ def _tables(data: ReportData) -> dict[str, Any]:
         "stages": report_tables.word_table("stages", "Plan of stages", stages, data.stages),
         "provenance": report_tables.word_table("provenance", "Origin", ("entry", "value"), provenance),
     }
-    return found if data.tables is None else {name: _asked(shown, data.tables) for name, shown in found.items()}
+    return found if data.tables is None else {name: _asked(name, shown, data.tables) for name, shown in found.items()}
 
 
 ALWAYS = ("missing", "accuracy", "stages", "provenance")
 """Tables that a reader needs to trust the others: no scene leaves them out."""
 
 
-def _asked(shown: Any, names: tuple[str, ...]) -> Any:
+PARTS = {"score_costs": "scores", "score_rules": "scores"}
+"""Tables that a scene asks for by the name of another one."""
+
+
+def _asked(name: str, shown: Any, names: tuple[str, ...]) -> Any:
     """Return a table, or a list of tables, without those that are not asked for."""
     if isinstance(shown, list):
         return [table for table in shown if table.identifier in names]
-    return shown if shown is None or shown.identifier in (*names, *ALWAYS) else None
+    if shown is None or {shown.identifier, PARTS.get(name, name)} & {*names, *ALWAYS}:
+        return shown
+    return None
 
 
 def _accuracy_table(accuracy: AccuracyReport | None) -> report_tables.Table | None:

@@ -12,6 +12,7 @@ from pipeline.labels import CRITERION_NAMES, UNITS, percent_text, significant
 from pipeline.models import Motion
 from pipeline.report_figures import Drawing
 from pipeline.report_tables import Cell, Head, Table, missing_cell, text_cell
+from pipeline.wording import unbroken
 
 TEMPLATES = Path(__file__).parent / "templates"
 
@@ -46,7 +47,7 @@ def render(page: AgainstPage) -> str:
         drawing = Drawing(figure.identifier, figure.title, figure.caption, figures.boundaries(figure, page.motion), "")
         parts.append({"pair": pair, "figure": drawing, "tables": pair_tables(pair, page.motion, number)})
     template = environment.get_template("report_against.html.j2")
-    return template.render(result=page.result, parts=parts, footnote=report_tables.footnote)
+    return unbroken(template.render(result=page.result, parts=parts, footnote=report_tables.footnote))
 
 
 def write(page: AgainstPage, path: Path) -> AgainstResult:

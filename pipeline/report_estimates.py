@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from pipeline.labels import DIGITS, MISSING, UNITS, criterion_label, estimate_texts, significant
-from pipeline.models import Estimate, Motion
+from pipeline.models import DRIFTS, Estimate, Motion
 from pipeline.report_tables import Cell, Head, Table, missing_cell, text_cell
 from pipeline.results import ComparisonResult, TheoryParameters
 from pipeline.trial_records import TrialPage
+from pipeline.wording import counted
 
 MAIN = ("delay_samples", "mass", "damping", "implied_delay")
 """Quantities that stand beside the experiments; the others stand in the table of methods only."""
@@ -19,6 +20,12 @@ NAMES = {
     "jitter_samples": "jitter of the delay within a trial",
     "boundary_area": "area under the boundary",
 }
+
+DRIFT_NOTE = (
+    "Drifts with the setting of the wall, so that the model does not hold for all trials; the table of "
+    "estimates by every method has the amounts."
+)
+"""Stands once below the experiments; how much each estimate drifts is a remark in the table of methods."""
 
 OUTCOME_NAMES = {
     "settled": "settled",
@@ -78,7 +85,10 @@ def model_table(result: ComparisonResult) -> Table | None:
     heads = (
         Head("experiment", numeric=False),
         *(Head(text, "trials") for text in ("all", "explained by the model", "leave its noise band")),
-        *(Head(text, "median of the trials") for text in ("misfit", "whiteness p", "log - simulated loop [%]")),
+        *(
+            Head(text, "median of the trials")
+            for text in ("misfit", "whiteness p", "log \N{MINUS SIGN} simulated loop [%]")
+        ),
     )
     caption = "Does the model (mass, damping, delay) explain the logs? Misfit is 1 where the sensor explains the errors"
     table = Table("model", caption, heads)
@@ -192,9 +202,9 @@ def _remark(value: Estimate) -> str:
     parts = [value.reason, value.warning]
     if value.outliers:
         some = ", ".join(value.outliers[:3]) + (" ..." if len(value.outliers) > 3 else "")
-        parts.append(f"{len(value.outliers)} outlier(s): {some}")
+        parts.append(f"{counted(len(value.outliers), 'outlier')}: {some}")
     if value.refused:
-        parts.append(f"{value.refused} trial(s) without an interval")
+        parts.append(f"{counted(value.refused, 'trial')} without an interval")
     return "; ".join(part for part in parts if part)
 
 
@@ -212,7 +222,10 @@ def _estimate_cell(table: Table, value: Estimate | None) -> Cell:
     if value.value is None:
         return Cell(MISSING, why=value.reason or "", marks=table.mark([value.reason]))
     text, low, high = estimate_texts(value)
-    marks = table.mark([f"Method: {value.method}.", value.reason, value.warning])
+    clauses = (value.warning or "").split("; ")
+    others = "; ".join(clause for clause in clauses if not clause.startswith(DRIFTS))
+    drift = DRIFT_NOTE if any(clause.startswith(DRIFTS) for clause in clauses) else None
+    marks = table.mark([f"Method: {value.method}.", value.reason, drift, others])
     return Cell(text, aside=f"{low} to {high}" if low and high else "", marks=marks)
 
 

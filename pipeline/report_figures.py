@@ -6,13 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from pipeline.figure_records import CostFigure
+from pipeline.figure_records import BoundaryFigure, CostFigure
 from pipeline.results import ReportData
 
-_LINES = (
-    "Solid: measured; dashed: theory; dotted: linear condition. "
-    "Open markers: the tested range ended before an unstable trial."
-)
 _MARKS = (
     "Filled marks: the measured cost is larger; open marks: smaller; dots: less than the smallest step; their size is "
     "the departure. Dashed: stability boundary of theory."
@@ -44,12 +40,24 @@ def drawings(data: ReportData) -> dict[str, Sequence[Drawing]]:
         return Drawing(figure.identifier, _title(figure.title), figure.caption, panels, key)
 
     return {
-        "boundary_figures": [drawn(f, figures.boundaries(f, motion), _LINES) for f in data.boundaries],
+        "boundary_figures": [drawn(f, figures.boundaries(f, motion), _line_key(f)) for f in data.boundaries],
         "cost_figures": [drawn(f, figures.cost_maps(f, motion), _map_key(f)) for f in data.costs],
         "delay_figures": [drawn(f, figures.delays(f)) for f in data.delays],
         "response_figures": [drawn(f, response_drawing.response(f, motion)) for f in data.responses],
         "residual_figures": [drawn(f, residual_panels.residuals(f, motion), _MARKS) for f in data.residuals],
     }
+
+
+def _line_key(figure: BoundaryFigure) -> str:
+    """What the lines of a boundary figure mean, as far as it has them."""
+    curves = [curve for _, panel in figure.panels for curve in panel]
+    kinds = {curve.kind for curve in curves}
+    names = (("measured", "solid: measured"), ("theory", "dashed: theory"), ("linear", "dotted: linear condition"))
+    text = "; ".join(name for kind, name in names if kind in kinds)
+    text = f"{text[:1].upper()}{text[1:]}." if text else ""
+    if any(curve.censored is not None and curve.censored.any() for curve in curves):
+        text += " Open markers: the tested range ended before an unstable trial."
+    return text.strip()
 
 
 def _map_key(figure: CostFigure) -> str:

@@ -22,6 +22,7 @@ from pipeline.file_names import storable
 from pipeline.labels import UNITS, decimal, percent_text, stiffness_text
 from pipeline.models import BoundaryPoint, Motion
 from pipeline.regular_files import open_regular
+from pipeline.wording import unbroken
 
 INDEX_FILE = "index.html"
 INDEX_MARK = '<meta name="generator" content="pipeline index">'
@@ -183,13 +184,14 @@ def render_index(entries: Sequence[IndexEntry], others: Sequence[OtherPage] = ()
         lstrip_blocks=True,
     )
     template = environment.get_template("index.html.j2")
-    return template.render(
+    page = template.render(
         mark=INDEX_MARK,
         entries=[entry for entry in entries if not entry.problem],
         damaged=[entry for entry in entries if entry.problem],
         others=others,
         trials=sum(entry.trials for entry in entries),
     )
+    return unbroken(page)
 
 
 def write_index(folder: Path, only_renew: bool = False) -> Path | None:

@@ -1,16 +1,22 @@
-"""Table "Measured against theory" of a report: one row a score, one column an experiment."""
+"""Tables of scores of a report: one row a score, one column an experiment.
+
+What answers whether theory predicts the device stands first; costs at equal (K, B) and optima against the rules stand
+beside the other tables of costs.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from pipeline.labels import CRITERION_NAMES, UNITS, Units, damping_text, decimal, percent_text, significant
+from pipeline.labels import CRITERION_NAMES, MISSING, UNITS, Units, damping_text, decimal, percent_text, significant
 from pipeline.report_tables import Cell, Head, Table, missing_cell, text_cell
 from pipeline.results import ComparisonResult
-from pipeline.score_records import BoundScore, MapScore, OptimumScore, Scores
+from pipeline.score_records import MapScore, OptimumScore, Scores
+from pipeline.wording import counted, true_minus
 
 _NOT_KNOWN = "not available"
+_NO_OPTIMUM = "the tables of optima do not hold this criterion for this experiment, or no trial has its cost"
 
 
 @dataclass(frozen=True)
@@ -41,11 +47,40 @@ def score_table(result: ComparisonResult) -> Table | None:
         _add(table, "stability", row, result, found)
     for criterion in result.criteria:
         if any(_optimum(s, criterion) for s in found.values()):
-            for row in _optimum_rows(criterion, found):
-                _add(table, "optimal points: measured against discrete theory", row, result, found)
-    for criterion in result.criteria:
-        _add(table, "costs of the trials at the same K and B", _map_row(criterion), result, found)
+            _add(table, "optimal points: measured against discrete theory", _optimum_row(criterion), result, found)
     return table
+
+
+def cost_score_table(result: ComparisonResult) -> Table | None:
+    """Return how costs of the trials follow theory at their own (K, B), or None where there are none."""
+    found = {e.experiment: e.scores[0] for e in result.experiments if e.scores and e.scores[0].maps}
+    if not found:
+        return None
+    caption = (
+        "Costs of the trials against theory at the same K and B: rank correlation [1], median ratio of measured to "
+        "theoretical cost, and trials with both"
+    )
+    table = _table("scores-costs", caption, result, found)
+    for criterion in result.criteria:
+        _add(table, "", _map_row(criterion), result, found)
+    return table
+
+
+def rule_score_table(result: ComparisonResult) -> Table | None:
+    """Return measured optimal costs against (5.19) and the damped curve of Fig. 6.12, or None where neither applies."""
+    found = {e.experiment: e.scores[0] for e in result.experiments if e.scores}
+    table = _table("scores-rules", "Measured optimal costs against rules of theory: deviation [%]", result, found)
+    shown = [o for s in found.values() for o in s.optima]
+    upper = "" if all(o.polynomial_valid for o in shown) else ", an upper estimate with damping"
+    rules: tuple[tuple[str, str, Callable[[OptimumScore], float | None]], ...] = (
+        ("polynomial", f"(5.19){upper}", lambda o: o.polynomial_percent),
+        ("damped", "theory with δ = 0.02", lambda o: o.damped_percent),
+    )
+    for rule, block, pick in rules:
+        for criterion in result.criteria:
+            if any(pick(o) is not None for o in shown if o.criterion == criterion):
+                _add(table, block, _rule_row(rule, criterion, pick), result, found)
+    return table if table.blocks else None
 
 
 def estimate_score_table(result: ComparisonResult) -> Table | None:
@@ -94,7 +129,7 @@ def _stability_rows(units: Units) -> list[_Row]:
         r = s.region
         if r is None:
             return missing_cell(s.missing.get("region", _NOT_KNOWN))
-        return Cell(_three(r.area_ratio), aside=_range(_three, r.area_ratio_low, r.area_ratio_high))
+        return Cell(_ratio(r.area_ratio), aside=_range(_ratio, r.area_ratio_low, r.area_ratio_high))
 
     def median(s: Scores) -> Cell:
         d = s.distance
@@ -143,7 +178,9 @@ def _band_row() -> _Row:
         if b is None:
             return _gone(s, "band")
         where = [
-            f"{d.side} at B = {damping_text(d.damping_low)} to {damping_text(d.damping_high)}" for d in b.departures
+            f"{d.side} at B = "
+            + " to ".join(dict.fromkeys((damping_text(d.damping_low), damping_text(d.damping_high))))
+            for d in b.departures
         ]
         return Cell(_share(b.share), aside="; ".join(where[:2]) + (" ..." if len(where) > 2 else ""))
 
@@ -156,8 +193,8 @@ def _evidence_rows(units: Units) -> list[_Row]:
         if d is None:
             return _gone(s, "delay")
         trials = f"trials: {_three(d.trials)}, {_three(d.trials_low)} to {_three(d.trials_high)}"
-        own = f"{_three(d.implied_low)} to {_three(d.implied_high)}"
-        return Cell(_three(d.implied), aside=f"{own}; {trials}" + ("" if d.agree else "; they differ"))
+        own = f"{_decimals(d.implied_low, 2)} to {_decimals(d.implied_high, 2)}"
+        return Cell(_decimals(d.implied, 2), aside=f"{own}; {trials}" + ("" if d.agree else "; they differ"))
 
     def bound(s: Scores) -> Cell:
         b = s.bound
@@ -174,38 +211,27 @@ def _evidence_rows(units: Units) -> list[_Row]:
     ]
 
 
-def _optimum_rows(criterion: str, found: Mapping[str, Scores]) -> list[_Row]:
-    """Deviation of the optimum; where (5.19) or the damped curve apply, those of the cost from them."""
-    name = CRITERION_NAMES.get(criterion, criterion)
-    shown = [o for s in found.values() if (o := _optimum(s, criterion))]
-
+def _optimum_row(criterion: str) -> _Row:
     def point(s: Scores) -> Cell:
         o = _optimum(s, criterion)
         if o is None:
-            return missing_cell("no optimum was measured, or theory has none")
+            return missing_cell(_NO_OPTIMUM)
         where = f"K {_percent(o.stiffness_percent)}, B {_percent(o.damping_percent)}"
-        marked = " (edge of the tested range)" if o.censored else ""
+        marked = ", edge of the tested range" if o.censored else ""
         if o.cost_percent is None:
-            return Cell("–", aside=where + marked, why="the cost of theory is zero: nothing to divide by")
+            return Cell(MISSING, aside=where + marked, why="the cost of theory is zero: nothing to divide by")
         return Cell(percent_text(o.cost_percent), aside=where + marked)
 
-    def against(pick: Callable[[OptimumScore], float | None], why: str) -> Callable[[Scores], Cell]:
-        def cell(s: Scores) -> Cell:
-            o = _optimum(s, criterion)
-            value = pick(o) if o else None
-            return missing_cell(why) if value is None else Cell(percent_text(value))
+    return _Row(f"optimum/{criterion}", f"{CRITERION_NAMES.get(criterion, criterion)}: cost [%]", point)
 
-        return cell
 
-    rows = [_Row(f"optimum/{criterion}", f"{name}: cost [%] (K, B [%])", point)]
-    if any(o.polynomial_percent is not None for o in shown):
-        upper = "" if all(o.polynomial_valid for o in shown) else ", an upper estimate with damping"
-        cell = against(lambda o: o.polynomial_percent, "no optimum was measured")
-        rows.append(_Row(f"polynomial/{criterion}", f"{name}: cost against (5.19){upper} [%]", cell))
-    if any(o.damped_percent is not None for o in shown):
-        cell = against(lambda o: o.damped_percent, "no optimum was measured")
-        rows.append(_Row(f"damped/{criterion}", f"{name}: cost against theory with δ = 0.02 [%]", cell))
-    return rows
+def _rule_row(rule: str, criterion: str, pick: Callable[[OptimumScore], float | None]) -> _Row:
+    def cell(s: Scores) -> Cell:
+        o = _optimum(s, criterion)
+        value = pick(o) if o else None
+        return missing_cell(_NO_OPTIMUM) if value is None else Cell(percent_text(value))
+
+    return _Row(f"{rule}/{criterion}", CRITERION_NAMES.get(criterion, criterion), cell)
 
 
 def _map_row(criterion: str) -> _Row:
@@ -213,14 +239,14 @@ def _map_row(criterion: str) -> _Row:
         m = _map(s, criterion)
         if m is None:
             return missing_cell(_NOT_KNOWN)
-        ratio = "" if m.median_ratio is None else f"ratio {_three(m.median_ratio)}, "
-        aside = f"{ratio}{m.trials} trials"
+        ratio = "" if m.median_ratio is None else f"ratio {_ratio(m.median_ratio)}, "
+        aside = f"{ratio}{counted(m.trials, 'trial')}"
         if m.rank_correlation is None:
-            return Cell("–", aside=aside, why=m.reason or _NOT_KNOWN)
-        return Cell(decimal(m.rank_correlation, 3), aside=aside)
+            return Cell(MISSING, aside=aside, why=m.reason or _NOT_KNOWN)
+        return Cell(_decimals(m.rank_correlation, 3), aside=aside)
 
     name = CRITERION_NAMES.get(criterion, criterion)
-    return _Row(f"map/{criterion}", f"{name}: rank correlation [1] (median measured : theory)", cell)
+    return _Row(f"map/{criterion}", name, cell)
 
 
 def _optimum(scores: Scores, criterion: str) -> OptimumScore | None:
@@ -231,23 +257,29 @@ def _map(scores: Scores, criterion: str) -> MapScore | None:
     return next((m for m in scores.maps if m.criterion == criterion), None)
 
 
-def _ends(bound: BoundScore) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Intervals of level and slope."""
-    return (bound.stiffness_low, bound.stiffness_high), (bound.slope_low, bound.slope_high)
-
-
 def _gone(scores: Scores, what: str) -> Cell:
     return missing_cell(scores.missing.get(what, _NOT_KNOWN))
 
 
 def _share(value: float) -> str:
-    """Percent with one decimal; what is not quite all is not rounded to all."""
-    text = decimal(100 * value, 1)
-    return "99.9" if text == "100" and value < 1 - 1e-9 else text
+    """Percent with one decimal, but for all and nothing; what is not quite all is not rounded to all."""
+    if value in (0.0, 1.0) or abs(value - 1) <= 1e-9:
+        return decimal(100 * value, 0)
+    text = _decimals(100 * value, 1)
+    return "99.9" if text == "100.0" else text
+
+
+def _decimals(value: float, places: int) -> str:
+    """Number with all its decimals, so that those of a row have equally many."""
+    return true_minus(f"{value:.{places}f}")
+
+
+def _ratio(value: float) -> str:
+    return _decimals(value, 3)
 
 
 def _percent(value: float | None) -> str:
-    return "–" if value is None else f"{percent_text(value)} %"
+    return MISSING if value is None else f"{percent_text(value)} %"
 
 
 def _three(value: float) -> str:

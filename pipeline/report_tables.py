@@ -20,10 +20,12 @@ from pipeline.labels import (
     percent_text,
     significant,
     stiffness_text,
+    table_label,
 )
 from pipeline.models import BoundaryPoint, ComparisonRow, Motion, Optimum
 from pipeline.results import ComparisonResult, ExperimentResult
 from pipeline.trial_records import TrialPage
+from pipeline.wording import shared_notes
 
 CENSORED = "At the edge of the tested range (censored): the true value may lie outside."
 
@@ -69,8 +71,13 @@ class Table:
     @property
     def whys(self) -> list[str]:
         """The different reasons for missing values that are no notes: print and touch show no text on pointing."""
+        return list(dict.fromkeys(self.reasons.values()))
+
+    @property
+    def reasons(self) -> dict[str, str]:
+        """The reasons of cells that are no notes, each with the text below the table that it shares with others."""
         cells = (cell for _, rows in self.blocks for row in rows for cell in row)
-        return list(dict.fromkeys(cell.why for cell in cells if cell.why and cell.why not in self.notes))
+        return shared_notes([cell.why for cell in cells if cell.why and cell.why not in self.notes])
 
     @property
     def groups(self) -> list[tuple[str, int]]:
@@ -236,7 +243,7 @@ def _optimum_table(name: str, rows: Sequence[ComparisonRow], motion: Motion, tri
     if published:
         heads += [Head(v, "published") for v in ("K", "B", "cost")]
         columns += ["published_stiffness", "published_damping", "published_cost"]
-    title = f"Table {name}. " if name else ""
+    title = f"{table_label(name)[:1].upper()}{table_label(name)[1:]}. " if name else ""
     table = Table(name or "optima-theory", f"{title}Optimal points: {'; '.join(names)}", tuple(heads))
     for row in rows:
         why = row.note or "not available"
@@ -287,7 +294,8 @@ def _delay_table(name: str, rows: Sequence[ComparisonRow], trials: TrialPage | N
     for criterion in criteria:
         heads += [Head(text, criterion_label(criterion)) for text in ("theory", "experiment", "dev. %")]
         columns += [f"{criterion}/{text}" for text in ("theory", "experiment", "deviation")]
-    caption = f"Table {name}. Optimal costs over total delay; published values in brackets"
+    title = table_label(name) if table_label(name) != name else name.capitalize()
+    caption = f"{title}. Optimal costs over total delay; published values in brackets"
     table = Table(name, caption, tuple(heads))
     for delay in sorted({row.delay_samples for row in rows if row.delay_samples is not None}):
         cells = [Cell(significant(delay, 3))]

@@ -14,7 +14,7 @@ from matplotlib.axes import Axes
 from pipeline import canvas, panels, style
 from pipeline.batch import Floats
 from pipeline.figure_records import ResidualFigure, ResidualMap
-from pipeline.labels import decimal
+from pipeline.labels import percent_text
 from pipeline.models import Motion
 
 RATIO_STEPS = (1.05, 1.1, 1.25, 1.5)
@@ -64,8 +64,8 @@ def departure(residual: float, criterion: str, places: int = 1) -> str:
         return "not known"
     overshoot = criterion == "overshoot"
     value = 100 * (residual if overshoot else 2.0**residual - 1)
-    text = decimal(value, places)
-    return f"{'+' if value > 0 and text != '0' else ''}{text} {'points' if overshoot else '%'}"
+    text = percent_text(value, places)
+    return f"{text} {'points' if overshoot else '%'}"
 
 
 def _steps(criterion: str) -> Floats:

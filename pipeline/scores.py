@@ -21,6 +21,7 @@ from pipeline.score_records import BoundScore, DelayScore, RegionScore, Scores, 
 from pipeline.stages import ExperimentStages
 from pipeline.theory_band import band_score, parameter_box
 from pipeline.upper_bound import TheoryCurve, upper_bound
+from pipeline.wording import counted
 
 CURVE_POINTS = 801
 """Points of the theoretical curve that an upper bound is compared with: off by 1e-5 of the limit between them."""
@@ -79,7 +80,7 @@ def _scores(
     missing: dict[str, str] = {}
     limits = measured_limits(result.boundary)
     predicted = _theory_limits(theory, limits.damping)
-    few = f"{len(limits.damping)} tested damping(s); a region needs two"
+    few = f"{counted(len(limits.damping), 'tested damping')}; a region needs two"
     region = _region(limits, predicted, theory) if len(limits.damping) > 1 else None
     if region is None:
         missing["region"] = few if len(limits.damping) < 2 else "theory has no stable wall at the tested dampings"

@@ -48,7 +48,17 @@ NEEDS: dict[str, tuple[str, ...]] = {
 SAMPLED = "response"
 """Stage that every scene needs; its result is stored with a hash of the samples."""
 
-_SHARED_CODE = ("batch", "stages", "stage_columns", "aggregate", "estimates", "combine", "trend", "intervals")
+_SHARED_CODE = (
+    "batch",
+    "stages",
+    "stage_columns",
+    "aggregate",
+    "estimates",
+    "combine",
+    "trend",
+    "intervals",
+    "wording",
+)
 _MOTION = ("response", "verdict", "modes")
 _BALANCE = ("response", "momentum", "averaging", "correlated")
 _FIT = ("fit", "fit_filter", "fit_jitter", "fit_motion", "fit_noise", "fit_search", "fit_window", "ghost")

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 
 from pipeline.advice import choice, passive_choice
 from pipeline.causes import causes
-from pipeline.labels import CRITERION_NAMES, UNITS, Units, damping_text, decimal, estimate_texts
+from pipeline.labels import CRITERION_NAMES, UNITS, Units, damping_text, decimal, estimate_texts, percent_text
 from pipeline.models import ComparisonRow
 from pipeline.results import ExperimentResult
 from pipeline.scene import SceneData
+from pipeline.wording import counted
 
 MOST_CAUSES = 2
 """Causes that are named: with more nobody reads on, and the table of scores holds all."""
@@ -67,8 +68,8 @@ def summarise(
     trials = sum(r.trials for r in results)
     return (
         Sentence(
-            f"{trials} {'trial is' if trials == 1 else 'trials are'} stored, from which neither parameters nor costs "
-            "follow; the reasons are below."
+            f"{counted(trials, 'trial')} {'is' if trials == 1 else 'are'} stored, from which neither parameters nor "
+            "costs follow; the reasons are below."
         ),
     )
 
@@ -107,11 +108,11 @@ def _costs(results: Sequence[ExperimentResult], rows: Sequence[ComparisonRow]) -
     if deviations:
         smallest, largest = min(deviations, key=_size), max(deviations, key=_size)
         median = sorted(_size(r) for r in deviations)[len(deviations) // 2]
-        least = f"{_named(smallest)} ({_tenths(smallest.deviation_percent)} %)"
+        least = f"{_named(smallest)} ({percent_text(smallest.deviation_percent or 0.0)} %)"
         parts.append(
             f"{'optimal' if parts else 'Optimal'} costs differ from the discrete theory by {median:.0f} % in the "
             f"median of {len(deviations)} comparisons: least for {least}, "
-            f"most for {_named(largest)} ({_tenths(largest.deviation_percent)} %)"
+            f"most for {_named(largest)} ({percent_text(largest.deviation_percent or 0.0)} %)"
         )
     return "; ".join(parts) + "." if parts else ""
 
@@ -123,15 +124,15 @@ def _distance(result: ExperimentResult, units: Units) -> str:
     if distance is not None:
         where = f"B = {damping_text(distance.largest_damping)} {units.damping}"
         parts.append(
-            f"the measured boundary differs from theory by {_tenths(100 * distance.median)} % in stiffness in the "
-            f"median of {distance.dampings} dampings, most at {where} ({_tenths(100 * distance.largest)} %)"
+            f"the measured boundary differs from theory by {percent_text(100 * distance.median)} % in stiffness in the "
+            f"median of {distance.dampings} dampings, most at {where} ({percent_text(100 * distance.largest)} %)"
         )
     if stiffness is not None:
         least = "at least " if stiffness.lower_bound else ""
         parts.append(
             f"the largest stable stiffness measured is {least}{stiffness.measured:.0f} {units.stiffness} (at B = "
             f"{stiffness.measured_damping:g} {units.damping}), theory says {stiffness.theory:.0f} {units.stiffness} at "
-            f"{stiffness.theory_damping:.3g} {units.damping} ({_percent(stiffness.deviation_percent / 100)})"
+            f"{stiffness.theory_damping:.3g} {units.damping} ({percent_text(stiffness.deviation_percent)} %)"
         )
     return f"Experiment {result.experiment}: {'; '.join(parts)}." if parts else ""
 
@@ -173,18 +174,6 @@ def _estimates(result: ExperimentResult) -> str:
             text += f" (95 %: {low} to {high})"
         parts.append(text)
     return ", ".join(parts)
-
-
-def _percent(share: float) -> str:
-    """Signed whole percent, without a sign for zero."""
-    rounded = round(100 * share)
-    return f"{rounded:+d} %" if rounded else "0 %"
-
-
-def _tenths(percent: float | None) -> str:
-    """Signed percent with one decimal, without a sign for zero."""
-    rounded = round(percent or 0.0, 1)
-    return f"{rounded:+.1f}" if rounded else "0.0"
 
 
 def _size(row: ComparisonRow) -> float:

@@ -11,7 +11,8 @@ import numpy as np
 
 from pipeline.batch import Floats
 from pipeline.intervals import NORMAL_QUARTILE, ROUNDING, SMALLEST, student_95
-from pipeline.models import Trend
+from pipeline.models import DRIFTS, Trend
+from pipeline.wording import true_minus
 
 DRIFT = 0.02
 """Change over the tested range, relative to the value, that matters: it shifts either end by 1 %, as much as the mass
@@ -113,6 +114,7 @@ def find_trends(
                 high=float(high),
                 unit=f"{unit}/({_UNITS[name][rotation]})",
                 significant=bool(low > 0 or high < 0),
+                span=scale,
             )
         )
     return tuple(found)
@@ -135,10 +137,10 @@ def drift_warning(trend: Trend, x: Floats, value: float, least: float, unit: str
     change = trend.slope * span
     if not trend.significant or abs(change) <= least:
         return ""
-    relative = f" ({change / value:+.1%})" if value else ""
+    relative = f" ({100 * change / value:+.1f} %)" if value else ""
     name = _UNITS[trend.over][rotation]
-    return (
-        f"drifts by {change:+.3g} {unit}{relative} over the tested {trend.over} {x.min():g} to {x.max():g} {name}, "
+    return true_minus(
+        f"{DRIFTS} {change:+.3g} {unit}{relative} over the tested {trend.over} {x.min():g} to {x.max():g} {name}, "
         f"95 % interval {trend.low * span:+.3g} to {trend.high * span:+.3g} {unit}: the model does not hold for all "
         "trials"
     )

@@ -16,6 +16,7 @@ from pipeline.errors import ParameterError
 from pipeline.implied_slope import Limits
 from pipeline.intervals import student_95
 from pipeline.score_records import BoundScore
+from pipeline.wording import counted, percent, true_minus
 
 STRETCHES = np.geomspace(0.25, 2.5, 231)
 """Stretches of theory along B that are tried, in steps of 1 %: from a region a quarter as high (a third was measured
@@ -97,13 +98,13 @@ def upper_bound(limits: Limits, theory: TheoryCurve) -> tuple[BoundScore | None,
     B, K = limits.damping[use], limits.stiffness[use]
     fewest = FEWEST_ON_LINE + FEWEST_BELOW
     if len(K) < fewest:
-        return None, f"{len(K)} damping(s) with a limit that is no mere bound; it needs {fewest}"
+        return None, f"{counted(len(K), 'damping')} with a limit that is no mere bound; it needs {fewest}"
     top = int(np.argmax(K))
     first, end = np.triu_indices(len(K) + 1, FEWEST_ON_LINE)
     tried = first >= max(top, FEWEST_BELOW)
     first, end = first[tried], end[tried]
     if not len(first):
-        return None, f"{len(K) - top - 1} damping(s) beyond the stiffest limit; it needs {FEWEST_ON_LINE - 1}"
+        return None, f"{counted(len(K) - top - 1, 'damping')} beyond the stiffest limit; it needs {FEWEST_ON_LINE - 1}"
     weight = 1 / (limits.error[use] ** 2 + (SHAPE_ERROR * K.max()) ** 2)
     line, slope = _lines(B, K, weight, first, end)
     line = np.where(slope < 0, line, np.inf)
@@ -121,8 +122,9 @@ def upper_bound(limits: Limits, theory: TheoryCurve) -> tuple[BoundScore | None,
     cut = missing / max(float(np.trapezoid(expected, B)), float(np.finfo(float).tiny))
     if chance >= CHANCE or cut < SMALLEST_CUT:
         return None, (
-            f"the best line beyond the stiffest limit cuts off {cut:.1%} of the theoretical region (chance "
-            f"{chance:.2g}): a bound is found from {SMALLEST_CUT:.0%} on with a chance below {CHANCE:g}"
+            f"the best line beyond the stiffest limit cuts off {percent(cut, 1)} of the theoretical region (chance "
+            f"{true_minus(f'{chance:.2g}')}): a bound is found from {percent(SMALLEST_CUT)} on with a chance below "
+            f"{CHANCE:g}"
         )
     return _score(B[on], K[on], weight[on], cut, chance), ""
 

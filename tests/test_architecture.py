@@ -9,7 +9,18 @@ PACKAGE = Path(__file__).parents[1] / "pipeline"
 LONGEST_MODULE = 400
 
 LAYERS: dict[str, set[str]] = {
-    "ground": {"__init__", "disk", "errors", "lock", "file_names", "regular_files", "provenance", "rerun", "units"},
+    "ground": {
+        "__init__",
+        "disk",
+        "errors",
+        "lock",
+        "file_names",
+        "regular_files",
+        "provenance",
+        "rerun",
+        "units",
+        "wording",
+    },
     "records": {
         "models",
         "theory_panels",

@@ -83,15 +83,21 @@ def test_bound_and_band_are_those_of_the_scores() -> None:
     assert bound_curve(experiment("1")) is envelope_curve(experiment("1")) is None
 
 
-def test_normalised_plane_holds_several_devices_and_each_loop_once() -> None:
+def test_normalised_plane_holds_several_devices_each_with_its_theory() -> None:
     light, heavy = theory(), theory(mass=1.16, damping=8.0)  # twice all: the same loop in alpha and beta
     slow = theory(mass=0.2, damping=0.0, delay=2.0, period=2e-3)
     entries: Any = [(f"device {i}", experiment("1"), t) for i, t in enumerate((light, heavy, slow))]
     figure = plane_figure(entries)
     ((_, curves),) = figure.panels
     assert figure.normalised
-    assert [c.label for c in curves if c.kind == "measured"] == ["device 0", "device 1", "device 2"]
-    assert len([c for c in curves if c.kind == "theory"]) == 2
+    assert [c.label for c in curves if c.kind == "measured"] == [
+        "device 0 (d = 4, δ = 0.0069)",
+        "device 1 (d = 4, δ = 0.0069)",
+        "device 2 (d = 2, δ = 0)",
+    ]
+    predicted = [c for c in curves if c.kind == "theory"]
+    assert len(predicted) == 3, "each shares the colour of its experiment"
+    assert predicted[0].stiffness == pytest.approx(predicted[1].stiffness)
     physical = measured_curve(experiment("1"))
     # alpha = K T^2/m, beta = B T/m (Table 3.1)
     assert curves[2].stiffness == pytest.approx(physical.stiffness * 4e-6 / 0.2)

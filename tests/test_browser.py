@@ -276,11 +276,11 @@ def test_tables_sort_by_number_with_missing_values_last_and_back(browser: Any, m
 def test_long_table_filters_and_says_how_many_rows_are_left(browser: Any, measured: Path) -> None:
     with Opened(browser, measured) as page:
         page.evaluate("document.querySelectorAll('details').forEach((part) => { part.open = true; })")
-        table = page.locator("table:has([data-row^='optima/'])")
-        filter_ = page.locator(".scroll:has([data-row^='optima/'])").locator("xpath=preceding-sibling::*[1]")
+        table = page.locator("table:has([data-row^='stages/'])")
+        filter_ = page.locator(".scroll:has([data-row^='stages/'])").locator("xpath=preceding-sibling::*[1]")
         rows = table.locator("tbody tr:not(.blockhead):visible")
         everything = rows.count()
-        filter_.locator("input").fill("overshoot delay-4")
+        filter_.locator("input").fill("delay-4: overshoot")
         assert rows.count() == 1
         assert filter_.locator("[role=status]").inner_text() == f"1 of {everything} rows"
         filter_.locator("input").fill("")

@@ -151,7 +151,7 @@ def test_a_response_that_never_settles_has_no_energy_cost():
     found = costs.energy(batch, response, judge(lasting(0.0)), 4)
     assert np.isnan(found.potential).all()
     assert np.isnan(found.kinetic).all()
-    assert found.reason[0] == "never settles: 20% of the final displacement lasts to the end of the log"
+    assert found.reason[0] == "never settles: 20 % of the final displacement lasts to the end of the log"
 
 
 def test_a_wide_floor_may_not_hide_a_lasting_motion():

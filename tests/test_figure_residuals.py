@@ -85,10 +85,10 @@ def test_marks_tell_sign_by_filling_and_size() -> None:
 
 
 def test_departures_are_said_in_the_unit_of_the_criterion() -> None:
-    assert residual_panels.departure(1.0, "settle_2pct") == "+100 %"
-    assert residual_panels.departure(-1.0, "settle_2pct") == "−50 %"
+    assert residual_panels.departure(1.0, "settle_2pct") == "+100.0 %"
+    assert residual_panels.departure(-1.0, "settle_2pct") == "−50.0 %"
     assert residual_panels.departure(0.021, "overshoot") == "+2.1 points"
-    assert residual_panels.departure(0.0, "overshoot") == "0 points"
+    assert residual_panels.departure(0.0, "overshoot") == "0.0 points"
 
 
 def test_size_is_bounded_and_hostile_labels_are_text() -> None:

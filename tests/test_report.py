@@ -113,7 +113,7 @@ def test_overshoot_is_printed_in_percent() -> None:
 def test_missing_value_gives_its_reason(numbers: str) -> None:
     assert report.cells(numbers)["D.6/d=5/energy_step_w2/experiment"].startswith("– a ")
     assert re.search(r"<sup>a</sup>no stable trial with this cost", numbers)
-    assert "no logs with K = 0 and B &lt;= 0 in this experiment" in numbers
+    assert "no logs with K = 0 and B &lt;= 0 in this experiment" in numbers.replace("\N{NO-BREAK SPACE}", " ")
 
 
 def test_censored_and_erratum_are_footnotes(numbers: str) -> None:

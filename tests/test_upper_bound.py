@@ -74,7 +74,7 @@ def test_no_bound_in_a_stretched_theory_without_noise():
 def test_why_there_is_none():
     short = limits(theory(), None)
     few = Limits(*(getattr(short, n)[:5] for n in ("damping", "stiffness", "error", "censored")))
-    assert "5 damping(s)" in upper_bound(few, theory())[1]
+    assert "5 dampings" in upper_bound(few, theory())[1]
     rising = Limits(*(getattr(short, n)[:20] for n in ("damping", "stiffness", "error", "censored")))
     assert "beyond the stiffest limit" in upper_bound(rising, theory())[1]
     with pytest.raises(ParameterError, match="without a stable"):

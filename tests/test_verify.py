@@ -165,7 +165,10 @@ def test_changed_figures_sentences_scripts_and_the_rest_of_the_page_are_named(de
     sentence, text = next(
         (name, text)
         for name, text in parts.texts.items()
-        if not report_parts.is_free_text(name) and re.search(r"\d", text) and page.count(text) == 1
+        if not report_parts.is_free_text(name)
+        and re.search(r"\d", text)
+        # on the page as read back, without spaces that do not break, and not in an attribute
+        and page.count(text) == page.count(f">{text}<") == 1
     )
     changes = {
         f"figure {figure}": page.replace(drawing, another_digit(drawing, -1)),

@@ -1,7 +1,7 @@
 "use strict";
 // Tables sort by a button in each head and, where long, filter by a text; closed parts open for printing.
 
-const LONG_TABLE = 12; // rows from which on a filter is quicker than looking
+const LONG_TABLE = 25; // rows from which on a filter is quicker than looking
 
 /** Number that a cell begins with, its text in lower case, or null for a missing value. */
 function sortKey(cell) {

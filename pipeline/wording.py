@@ -1,0 +1,90 @@
+"""Numbers in sentences for readers: plurals, percent, the minus sign, spaces at which no line may break."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+_MINUS = re.compile(r"(?<![\w.\-/])-(?=\d|\.\d)|(?<=\d[eE])-(?=\d)")
+"""A hyphen before a number that stands by itself, and one of an exponent; none inside names, dates and options."""
+
+_UNITS = r"%|N/m|Nm/rad|Ns/m|Nms/rad|kg|kN/m|samples?|trials?|percentage points|points|ms|mm|s|m|N|Nm|Hz|s⁻¹|rad"
+
+_UNBROKEN = re.compile(
+    rf"(?<=[\d∞]) (?=(?:{_UNITS})(?![\w/]))"  # number and unit
+    r"|(?<=\bkg) (?=m²)"
+    r"|(?<=\b[\w*]) (?=[=≤≥] [\d−+])|(?<=\b[\w*] [=≤≥]) (?=[\d−+])"  # symbol and value
+    r"|(?<=\b[KB]) (?=[−+]\d)"
+    r"|(?<=\b[αβγδ]) (?== )|(?<=\b[αβγδ] =) (?=\w)|(?<=\b[KkBb]) (?=T[²/])"  # normalised quantities
+    r"|(?<=\bFig\.) (?=\d)|(?<=\bFigs\.) (?=\d)|(?<=\bTable) (?=[A-D5]\.)"
+)
+
+_NUMBER = re.compile(r"[+−-]?\d+(?:\.\d+)?(?:e[+−-]?\d+)?")
+
+_PARTS = re.compile(
+    r"<(script|style|svg|pre|code)\b.*?</\1>|<[^>]*>"  # what is no prose, and tags with their attributes
+    r"|(?P<prose>[^<]+)",
+    re.DOTALL,
+)
+
+
+def counted(number: int, noun: str) -> str:
+    """Return a number with its noun, in the plural where it is not one: ``1 trial``, ``0 trials``."""
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
+def listed(names: Sequence[str]) -> str:
+    """Return names as in a sentence: ``1``, ``1 and 2``, ``1, 2 and 3``."""
+    return " and ".join(filter(None, [", ".join(names[:-1]), *names[-1:]]))
+
+
+def percent(share: float, places: int = 0) -> str:
+    """Return a share as percent: ``5.6 %``, with a true minus sign."""
+    return true_minus(f"{100 * share:.{places}f} %")
+
+
+def true_minus(text: str) -> str:
+    """Return a sentence in which negative numbers have the minus sign U+2212.
+
+    Not for what programs read: numbers there keep the hyphen.
+    """
+    return _MINUS.sub("\N{MINUS SIGN}", text)
+
+
+def unbroken(page: str) -> str:
+    """Return a page in which no line breaks between number and unit, or symbol and value.
+
+    Parameters
+    ----------
+    page : str
+        HTML. Tags with their attributes, scripts, styles, drawings and code stay as they are.
+    """
+    return _PARTS.sub(lambda part: _joined(part["prose"]) if part["prose"] else part[0], page)
+
+
+def shared_notes(notes: Sequence[str]) -> dict[str, str]:
+    """Return for each note the one that it shares with those that differ in numbers only.
+
+    Numbers that differ become their range: notes on 0.2 % and on 0.4 % share one on 0.2 to 0.4 %. Notes stay apart
+    where ends of a range differ, since a range of ranges cannot be read.
+    """
+    alike: dict[str, list[str]] = {}
+    for note in dict.fromkeys(notes):
+        alike.setdefault(_NUMBER.sub("#", note), []).append(note)
+    shared: dict[str, str] = {}
+    for pattern, group in alike.items():
+        apart = len(group) == 1 or "# to #" in pattern
+        shared |= {note: note if apart else _with_ranges(group) for note in group}
+    return shared
+
+
+def _with_ranges(notes: Sequence[str]) -> str:
+    """Return the text of notes that have equally many numbers, with their ranges in the place of these."""
+    values = zip(*(_NUMBER.findall(note) for note in notes), strict=True)
+    ends = [sorted(found, key=lambda text: float(text.replace("\N{MINUS SIGN}", "-"))) for found in values]
+    ranges = iter(found[0] if found[0] == found[-1] else f"{found[0]} to {found[-1]}" for found in ends)
+    return _NUMBER.sub(lambda _: next(ranges), notes[0])
+
+
+def _joined(text: str) -> str:
+    return _UNBROKEN.sub("\N{NO-BREAK SPACE}", text)
