@@ -25,7 +25,7 @@ from pathlib import Path
 import numpy as np
 
 RESULTS = Path(__file__).parent / "results"
-PIPELINE = [sys.executable, "-c", "from pipeline.cli import run; run()"]
+PIPELINE = [sys.executable, "-c", "from pipeline.shell.cli import run; run()"]
 LOGS = (2200, 22_000)
 ROWS = 620
 """Makes a log of 31 KB, 2,200 of which are 68 MB; numbers have 17 digits, as simulated and recorded ones have."""

@@ -17,7 +17,7 @@ import tempfile
 import time
 from pathlib import Path
 
-PIPELINE = [sys.executable, "-c", "from pipeline.cli import run; run()"]
+PIPELINE = [sys.executable, "-c", "from pipeline.shell.cli import run; run()"]
 MB = 1e6
 
 FULL_S = 40.0

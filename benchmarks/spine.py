@@ -21,7 +21,7 @@ from pathlib import Path
 RESULTS = Path(__file__).parent / "results"
 ROWS = (400, 1000)
 PERIOD_S = 1e-3
-PIPELINE = [sys.executable, "-c", "from pipeline.cli import run; run()"]
+PIPELINE = [sys.executable, "-c", "from pipeline.shell.cli import run; run()"]
 MIB = 1 << 20
 
 SECONDS = {
@@ -41,7 +41,7 @@ STAGES = """
 import json, sys, time
 from pathlib import Path
 began = time.perf_counter()
-from pipeline.scene import needed_stages, open_scene
+from pipeline.comparison.scene import needed_stages, open_scene
 data = open_scene("falcon", Path(sys.argv[1]), ["1"], None)
 imported = time.perf_counter()
 for of in data.experiments:

@@ -21,11 +21,11 @@ import pyarrow.parquet as pq
 from theory_limits import LIMITS, tables_c_as_a_process
 from timing import fastest, once, run
 
-from pipeline.energy import energy_costs
-from pipeline.loop import Loop
-from pipeline.region import is_inside, region, stiffness_limit
-from pipeline.stability import boundary, spectral_radius
-from pipeline.theory_map import bounding_box
+from pipeline.theory.energy import energy_costs
+from pipeline.theory.loop import Loop
+from pipeline.theory.region import is_inside, region, stiffness_limit
+from pipeline.theory.stability import boundary, spectral_radius
+from pipeline.theory.theory_map import bounding_box
 
 ENDED = 64
 """Points that settle into 2 % before this sample: what the peer leaves out after 512 is then below rounding."""

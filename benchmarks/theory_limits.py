@@ -15,13 +15,13 @@ from pathlib import Path
 import numpy as np
 from timing import fastest, once, run
 
-from pipeline.accuracy_ladders import reference
-from pipeline.energy import WEIGHTS, energy_costs
-from pipeline.extent import damping_range
-from pipeline.lagsums import LARGEST_DELAY as LARGEST_SUMMED
-from pipeline.loop import Loop
-from pipeline.region import is_inside, stiffness_limit
-from pipeline.stability import spectral_radius
+from pipeline.accuracy.accuracy_ladders import reference
+from pipeline.theory.energy import WEIGHTS, energy_costs
+from pipeline.theory.extent import damping_range
+from pipeline.theory.lagsums import LARGEST_DELAY as LARGEST_SUMMED
+from pipeline.theory.loop import Loop
+from pipeline.theory.region import is_inside, stiffness_limit
+from pipeline.theory.stability import spectral_radius
 
 TESTS = Path(__file__).parents[1] / "tests"
 """Holds `independent`: the second methods of the tests."""
@@ -235,7 +235,7 @@ def boundary_error(quick: bool) -> Limit:
 
 
 TABLES_C = """
-from pipeline.theory_tables import recomputed_tables
+from pipeline.comparison.theory_tables import recomputed_tables
 rows = sum(len(list(found)) for _, _, found in recomputed_tables(("C.1", "C.2", "C.3"), workers=1))
 assert rows == 171, rows
 """

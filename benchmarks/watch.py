@@ -26,7 +26,7 @@ LOGS, IDLE_S = 2200, 10.0
 LIMITS = {"idle share [%]": 1.0}
 """Share of one processor that a watch may take while nothing happens."""
 
-PIPELINE = [sys.executable, "-c", "from pipeline.cli import run; run()"]
+PIPELINE = [sys.executable, "-c", "from pipeline.shell.cli import run; run()"]
 MIB = 1 << 20
 
 

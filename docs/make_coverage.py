@@ -15,11 +15,11 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.batch import Booleans, Floats, TrialBatch
-from pipeline.devices import find_experiment, load_device
-from pipeline.fit import Fit, fit_trials
-from pipeline.response import find_response
-from pipeline.simulate import MassSpringDamper, Setup, in_force, setup_of, simulate, spectral_radius
+from pipeline.measured.fit import Fit, fit_trials
+from pipeline.measured.response import find_response
+from pipeline.records.batch import Booleans, Floats, TrialBatch
+from pipeline.simulation.simulate import MassSpringDamper, Setup, in_force, setup_of, simulate, spectral_radius
+from pipeline.store.devices import find_experiment, load_device
 
 TRIALS = 1000
 SEED = 5
@@ -173,7 +173,7 @@ def _row(cell: Cell, result: Coverage, seconds: float) -> str:
 HEAD = """# Coverage of the intervals of single trials
 
 Made by `python docs/make_coverage.py`. {trials} trials a cell, (K, B) drawn uniformly over the stable part of the
-tested range, one condition changed at a time. Method: model fitted to the whole response (`pipeline.fit`). A 95 %
+tested range, one condition changed at a time. Method: model fitted to the whole response (`measured.fit`). A 95 %
 interval should hold the true value in 90 to 99 % of the trials. The true delay under jitter is the mean one of the
 command in force. LWR: quantum and noise are the same share of the displacement in the middle of the range as for
 the Falcon, {share:.2f} times those named.

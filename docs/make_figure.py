@@ -7,22 +7,22 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline import figures
-from pipeline.aggregate import choose_optimum, estimate_delay
-from pipeline.boundary import measured_boundary
-from pipeline.boundary_curves import theory_curve
-from pipeline.costs import WEIGHTS, energy
-from pipeline.course import Course, run_course
-from pipeline.delay import first_change
-from pipeline.devices import load_device
-from pipeline.maps import cost_maps
-from pipeline.models import Optimum
-from pipeline.onset import motion_onset, rounded
-from pipeline.optimum import optimal_point
-from pipeline.predictions import Theory
-from pipeline.response import find_response
-from pipeline.results import CostFigure, CostMap, Curve, TheoryParameters
-from pipeline.verdict import judge
+from pipeline.comparison.boundary_curves import theory_curve
+from pipeline.measured.aggregate import choose_optimum, estimate_delay
+from pipeline.measured.boundary import measured_boundary
+from pipeline.measured.costs import WEIGHTS, energy
+from pipeline.measured.delay import first_change
+from pipeline.measured.onset import motion_onset, rounded
+from pipeline.measured.response import find_response
+from pipeline.measured.verdict import judge
+from pipeline.records.models import Optimum
+from pipeline.records.results import CostFigure, CostMap, Curve, TheoryParameters
+from pipeline.rendering import figures
+from pipeline.simulation.course import Course, run_course
+from pipeline.store.devices import load_device
+from pipeline.theory.maps import cost_maps
+from pipeline.theory.optimum import optimal_point
+from pipeline.theory.predictions import Theory
 
 FILE = Path(__file__).parent / "img" / "cost-map.svg"
 DEVICE, EXPERIMENT, WEIGHT, SEED = "falcon", "1", 1, 1

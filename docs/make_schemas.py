@@ -1,11 +1,11 @@
-"""Write the JSON Schemas in ``schemas/`` from the records in `pipeline.models`; run by ``make docs``."""
+"""Write the JSON Schemas in ``schemas/`` from the records in `pipeline.records.models`; run by ``make docs``."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
 
-from pipeline.models import SCHEMA_MODELS
+from pipeline.records.models import SCHEMA_MODELS
 
 FOLDER = Path(__file__).parents[1] / "schemas"
 

@@ -1,5 +1,5 @@
 """`python -m pipeline`: the command line, where the console script is not on the path."""
 
-from pipeline.cli import run
+from pipeline.shell.cli import run
 
 run()

@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.compare import Outcome, compare
-from pipeline.course import Course, run_course, write_course
-from pipeline.devices import load_device
-from pipeline.ingest import ingest
-from pipeline.models import Device
-from pipeline.stages import ExperimentStages
-from pipeline.storage import read_trials
+from pipeline.comparison.compare import Outcome, compare
+from pipeline.measured.stages import ExperimentStages
+from pipeline.records.models import Device
+from pipeline.simulation.course import Course, run_course, write_course
+from pipeline.store.devices import load_device
+from pipeline.store.ingest import ingest
+from pipeline.store.storage import read_trials
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""A disk that fails or loses power: stands for ``os`` in `pipeline.disk`, counts its calls, and replays them."""
+"""A disk that fails or loses power: stands for ``os`` in `pipeline.base.disk`, counts its calls, and replays them."""
 
 from __future__ import annotations
 

@@ -23,8 +23,8 @@ from backports import zstd
 from foreign_files import arrow_log, bag_file, hdf5_file, joint_log, matlab5_log, matlab_class, tdms_log
 from pyarrow import parquet
 
-from pipeline.errors import LogError
-from pipeline.profiles import Profile
+from pipeline.base.errors import LogError
+from pipeline.profiles.profile_files import Profile
 from pipeline.readers import arrow_tables, delimited, hdf5, isolation, json_records, matlab, mcap, rosbag, tdms
 
 ADDRESS_SPACE = 3 << 30

@@ -20,7 +20,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Bag2
 from rosbags.typesys import Stores, get_typestore
 
-from pipeline.profiles import Profile
+from pipeline.profiles.profile_files import Profile
 
 START = 1_732_060_000_000_000_000
 """Time of the first message of a bag [ns]: a float of it is wrong by up to 128 ns."""

@@ -10,9 +10,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.batch import TrialBatch, pad
-from pipeline.devices import find_experiment, load_device
-from pipeline.simulate import Setup, idealise, setup_of, simulate, spectral_radius
+from pipeline.records.batch import TrialBatch, pad
+from pipeline.simulation.simulate import Setup, idealise, setup_of, simulate, spectral_radius
+from pipeline.store.devices import find_experiment, load_device
 
 NEAR = 1e-3
 """Spectral radii within this of 1 are near the boundary: in 400 samples such a motion changes by less than a half."""

@@ -3,7 +3,7 @@
 import os
 import signal
 
-from pipeline.errors import LogError
+from pipeline.base.errors import LogError
 
 
 def hang(name: str, data: bytes) -> None:

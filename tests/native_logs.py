@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from pipeline.native import NativeHeader, format_header
+from pipeline.records.native import NativeHeader, format_header
 
 ROWS = 30
 HEADER_LINES = 10

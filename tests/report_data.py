@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.figure_records import (
+from pipeline.records.figure_records import (
     BoundaryFigure,
     CostFigure,
     CostMap,
@@ -15,9 +15,9 @@ from pipeline.figure_records import (
     DelayFigure,
     DelayPanel,
 )
-from pipeline.labels import criterion_label
-from pipeline.models import BoundaryPoint, ComparisonRow, Estimate, Motion, Optimum
-from pipeline.results import ComparisonResult, ExperimentResult, ReportData, TheoryParameters
+from pipeline.records.models import BoundaryPoint, ComparisonRow, Estimate, Motion, Optimum
+from pipeline.records.results import ComparisonResult, ExperimentResult, ReportData, TheoryParameters
+from pipeline.rendering.labels import criterion_label
 
 CRITERIA = ("settle_2pct", "overshoot", "energy_step_w0", "energy_step_w1", "energy_step_w2")
 MINIMA = {"settle_2pct": 20.0, "energy_step_w0": 8.87, "energy_step_w1": 64.68, "energy_step_w2": 726.1}

@@ -7,9 +7,9 @@ from functools import cache
 import numpy as np
 from simulated import FALCON, simulate, spectral_radius
 
-from pipeline.reading_error import reading_error
-from pipeline.response import find_response
-from pipeline.verdict import judge
+from pipeline.measured.reading_error import reading_error
+from pipeline.measured.response import find_response
+from pipeline.measured.verdict import judge
 
 SENSORS = [(2e-6, 5e-7), (2e-6, 1e-6), (1e-5, 5e-7), (1e-5, 1e-6)]
 EDGE, DELAY = 20, 4

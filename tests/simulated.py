@@ -11,7 +11,7 @@ from functools import cache
 import numpy as np
 from scipy.linalg import expm
 
-from pipeline.batch import TrialBatch
+from pipeline.records.batch import TrialBatch
 
 FALCON = {"mass": 0.58, "b": 4.0, "delay": 4, "step": 8.0, "centre": 0.12, "travel": 0.05}
 LWR = {"mass": 0.19, "b": 0.0, "delay": 2, "step": 15.0, "centre": 0.0, "travel": 0.3}

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 
-from pipeline.storage import load_batch, read_trials
+from pipeline.store.storage import load_batch, read_trials
 
 
 def stored_rows(processed: Path) -> Counter[str]:

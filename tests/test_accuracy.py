@@ -20,11 +20,13 @@ from independent import (
 )
 from report_data import report_data
 
-from pipeline import accuracy, accuracy_advice, accuracy_methods, accuracy_optional, accuracy_report, accuracy_searches
-from pipeline import report as comparison_report
-from pipeline.accuracy import OURS, AccuracyReport, Rung, Sweep
-from pipeline.accuracy_ladders import QUANTITIES, reference, trials
-from pipeline.accuracy_run import left_out, measure
+from pipeline.accuracy import accuracy_methods, accuracy_optional, accuracy_searches
+from pipeline.accuracy.accuracy_ladders import QUANTITIES, reference, trials
+from pipeline.accuracy.accuracy_run import left_out, measure
+from pipeline.records import accuracy, accuracy_advice
+from pipeline.records.accuracy import OURS, AccuracyReport, Rung, Sweep
+from pipeline.rendering import accuracy_report
+from pipeline.rendering import report as comparison_report
 
 CASE = accuracy_methods.Case(0.001, 0.02, 4)
 
@@ -339,7 +341,8 @@ def test_full_ladders_hold_all_rungs_of_the_quick_ones() -> None:
 def test_command_writes_page_and_json(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, report: AccuracyReport) -> None:
     from typer.testing import CliRunner
 
-    from pipeline import accuracy_run, cli
+    from pipeline.accuracy import accuracy_run
+    from pipeline.shell import cli
 
     monkeypatch.setattr(accuracy_run, "measure", lambda quick, progress: report)
     out, processed = tmp_path / "page.html", tmp_path / "processed"

@@ -9,9 +9,25 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from pipeline import accuracy, accuracy_measured_advice, accuracy_measured_run, accuracy_report, cli
-from pipeline.accuracy import AccuracyReport, MeasuredAccuracy, Rung
-from pipeline.accuracy_measured_advice import (
+from pipeline.accuracy_measured import accuracy_measured_run
+from pipeline.accuracy_measured.accuracy_measured_costs import NAMES, cost_rungs, whole_sum
+from pipeline.accuracy_measured.accuracy_measured_courses import CONDITIONS, course_rungs
+from pipeline.accuracy_measured.accuracy_measured_jitter import jitter_limit
+from pipeline.accuracy_measured.accuracy_measured_run import assemble, measure_measured
+from pipeline.accuracy_measured.accuracy_measured_rungs import mean_error, median_error
+from pipeline.accuracy_measured.accuracy_measured_trials import parameter_rungs
+from pipeline.accuracy_measured.accuracy_measured_truth import (
+    SLOWEST,
+    Trials,
+    draw_pairs,
+    draw_trials,
+    joined,
+    truth_of,
+)
+from pipeline.measured.costs import settling
+from pipeline.records import accuracy, accuracy_measured_advice
+from pipeline.records.accuracy import AccuracyReport, MeasuredAccuracy, Rung
+from pipeline.records.accuracy_measured_advice import (
     AREA,
     BALANCE,
     COMPLETE,
@@ -30,16 +46,10 @@ from pipeline.accuracy_measured_advice import (
     percent,
     trusted,
 )
-from pipeline.accuracy_measured_costs import NAMES, cost_rungs, whole_sum
-from pipeline.accuracy_measured_courses import CONDITIONS, course_rungs
-from pipeline.accuracy_measured_jitter import jitter_limit
-from pipeline.accuracy_measured_report import GROUPS
-from pipeline.accuracy_measured_run import assemble, measure_measured
-from pipeline.accuracy_measured_rungs import mean_error, median_error
-from pipeline.accuracy_measured_trials import parameter_rungs
-from pipeline.accuracy_measured_truth import SLOWEST, Trials, draw_pairs, draw_trials, joined, truth_of
-from pipeline.costs import settling
-from pipeline.simulate import simulate, spectral_radius
+from pipeline.rendering import accuracy_report
+from pipeline.rendering.accuracy_measured_report import GROUPS
+from pipeline.shell import cli
+from pipeline.simulation.simulate import simulate, spectral_radius
 
 FALCON = CONDITIONS[0]
 

@@ -10,12 +10,18 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from pipeline.against import compare_boundaries, compare_costs, compare_estimates, compare_optima, difference_interval
-from pipeline.against_run import against_document, against_experiments, names_of
-from pipeline.cli import app
-from pipeline.errors import DeviceError, UsageError
-from pipeline.models import BoundaryPoint, Estimate, Optimum
-from pipeline.report_against import pair_tables, render
+from pipeline.base.errors import DeviceError, UsageError
+from pipeline.comparison.against import (
+    compare_boundaries,
+    compare_costs,
+    compare_estimates,
+    compare_optima,
+    difference_interval,
+)
+from pipeline.comparison.against_run import against_document, against_experiments, names_of
+from pipeline.records.models import BoundaryPoint, Estimate, Optimum
+from pipeline.rendering.report_against import pair_tables, render
+from pipeline.shell.cli import app
 
 pytestmark = pytest.mark.usefixtures("one_process")
 

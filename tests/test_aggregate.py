@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from pipeline.aggregate import (
+from pipeline.measured.aggregate import (
     choose_optimum,
     estimate_damping,
     estimate_delay,
     estimate_mass,
     estimate_median,
 )
-from pipeline.damping import LimitDamping
+from pipeline.measured.damping import LimitDamping
 
 NONE = np.array([np.nan, np.nan])
 

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import spearmanr
 
-from pipeline.agreement import FEWEST_TRIALS, boundary_distance, rank_agreement, verdict_agreement
+from pipeline.comparison.agreement import FEWEST_TRIALS, boundary_distance, rank_agreement, verdict_agreement
 
 NONE = np.zeros(4, dtype=bool)
 

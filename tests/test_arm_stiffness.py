@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from pipeline.arm_stiffness import by_limit
-from pipeline.batch import TrialBatch
-from pipeline.verdict import judge
+from pipeline.measured.arm_stiffness import by_limit
+from pipeline.measured.verdict import judge
+from pipeline.records.batch import TrialBatch
 
 T = 1e-3
 

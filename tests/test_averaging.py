@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.averaging import ATTENUATION, averaged_balance
+from pipeline.measured.averaging import ATTENUATION, averaged_balance
 
 
 def window(n=2, rows=60, columns=2, seed=0):

@@ -9,11 +9,11 @@ import pytest
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from pipeline.bags import bag_of
-from pipeline.ingest import ingest
-from pipeline.profile_check import check_samples
-from pipeline.profiles import load_profile
-from pipeline.storage import load_batch, read_trials
+from pipeline.profiles.profile_files import load_profile
+from pipeline.shell.profile_check import check_samples
+from pipeline.store.bags import bag_of
+from pipeline.store.ingest import ingest
+from pipeline.store.storage import load_batch, read_trials
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 KINDS = {"db3": "rosbag", "mcap": "mcap"}

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.boundary import measured_boundary
-from pipeline.errors import ParameterError
+from pipeline.base.errors import ParameterError
+from pipeline.measured.boundary import measured_boundary
 
 TRIAL = st.tuples(
     st.integers(0, 6).map(float),

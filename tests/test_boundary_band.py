@@ -6,14 +6,14 @@ from functools import cache
 import numpy as np
 import pytest
 
-from pipeline.boundary_band import boundary_area, boundary_band
-from pipeline.course import run_course
-from pipeline.devices import load_device
-from pipeline.errors import ParameterError
-from pipeline.intervals import NORMAL_95
-from pipeline.models import BoundaryPoint
-from pipeline.simulate import spectral_radius
-from pipeline.verdict import judge
+from pipeline.base.errors import ParameterError
+from pipeline.measured.boundary_band import boundary_area, boundary_band
+from pipeline.measured.intervals import NORMAL_95
+from pipeline.measured.verdict import judge
+from pipeline.records.models import BoundaryPoint
+from pipeline.simulation.course import run_course
+from pipeline.simulation.simulate import spectral_radius
+from pipeline.store.devices import load_device
 
 FINE = {"quantum": 2e-6, "noise": 0.5e-6}
 COARSE = {"quantum": 1e-5, "noise": 1e-6}

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from report_data import experiment
 
-from pipeline.boundary_curves import bound_curve, envelope_curve, measured_curve, normalised, passive_curve
-from pipeline.figure_boundaries import plane_figure
-from pipeline.models import BoundaryPoint
-from pipeline.predictions import Theory
-from pipeline.results import TheoryParameters
-from pipeline.score_records import BandScore, BoundScore, Scores
+from pipeline.comparison.boundary_curves import bound_curve, envelope_curve, measured_curve, normalised, passive_curve
+from pipeline.comparison.figure_boundaries import plane_figure
+from pipeline.records.models import BoundaryPoint
+from pipeline.records.results import TheoryParameters
+from pipeline.records.score_records import BandScore, BoundScore, Scores
+from pipeline.theory.predictions import Theory
 
 
 def theory(mass: float = 0.58, damping: float = 4.0, delay: float = 4.0, period: float = 1e-3) -> Theory:

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from independent import DIGITS, characteristic
 
-from pipeline.branches import FOLD, beta_above_start, curve, curve_points, folded, unfolded
-from pipeline.loop import Loop
+from pipeline.theory.branches import FOLD, beta_above_start, curve, curve_points, folded, unfolded
+from pipeline.theory.loop import Loop
 
 NYQUIST = math.pi**2
 

@@ -16,8 +16,8 @@ import pytest
 from report_data import HOSTILE, report_data
 from trial_pages import trial_page
 
-from pipeline import report
-from pipeline.compare import Outcome
+from pipeline.comparison.compare import Outcome
+from pipeline.rendering import report
 
 pytestmark = pytest.mark.browser
 playwright = pytest.importorskip("playwright.sync_api", reason="no Playwright: pip install -e '.[dev]'")

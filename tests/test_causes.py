@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.advice import choice, margin, passive_choice, recommended
-from pipeline.causes import causes
-from pipeline.labels import UNITS
-from pipeline.models import BoundaryPoint, Estimate, Optimum, Trend
-from pipeline.overlap import MeasuredLimits
-from pipeline.results import TheoryParameters
-from pipeline.score_records import BandScore, BoundScore, DelayScore, Departure
+from pipeline.comparison.advice import choice, margin, passive_choice, recommended
+from pipeline.comparison.causes import causes
+from pipeline.comparison.overlap import MeasuredLimits
+from pipeline.records.models import BoundaryPoint, Estimate, Optimum, Trend
+from pipeline.records.results import TheoryParameters
+from pipeline.records.score_records import BandScore, BoundScore, DelayScore, Departure
+from pipeline.rendering.labels import UNITS
 
 FALCON = UNITS["translation"]
 

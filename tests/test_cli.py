@@ -10,9 +10,11 @@ import pyarrow.parquet as pq
 import pytest
 from native_logs import FAULTS, log_text
 
-from pipeline import __version__, compare, console
-from pipeline.cli import run
-from pipeline.errors import StoreError
+from pipeline import __version__
+from pipeline.base.errors import StoreError
+from pipeline.comparison import compare
+from pipeline.shell import console
+from pipeline.shell.cli import run
 
 COMMANDS = {
     "demo": ["--full"],
@@ -66,9 +68,9 @@ def test_help_names_purpose_options_and_an_example(call, command):
 
 
 def test_help_and_version_need_none_of_the_heavy_packages():
-    heavy = ["numpy", "scipy", "pyarrow", "matplotlib", "jinja2", "pipeline.loop"]
+    heavy = ["numpy", "scipy", "pyarrow", "matplotlib", "jinja2", "pipeline.theory.loop"]
     script = (
-        "import sys\nfrom pipeline.cli import run\ntry:\n    run(sys.argv[1:])\nfinally:\n"
+        "import sys\nfrom pipeline.shell.cli import run\ntry:\n    run(sys.argv[1:])\nfinally:\n"
         f"    print([m for m in {heavy} if m in sys.modules], file=sys.stderr)"
     )
     for arguments in (["--help"], ["--version"], ["ingest", "--help"]):
@@ -122,7 +124,7 @@ def test_simulate_options_reach_the_simulation(call, tmp_path):
 
 
 def test_simulate_takes_a_device_file_and_a_damping_range(call, tmp_path):
-    shipped = Path(compare.__file__).parents[1] / "schemas" / "devices" / "lwr.toml"
+    shipped = Path(compare.__file__).parents[2] / "schemas" / "devices" / "lwr.toml"
     text = shipped.read_text(encoding="utf-8").replace('name = "lwr"', 'name = "mine"', 1)
     (tmp_path / "mine.toml").write_text(text, encoding="utf-8")
     arguments = ("mine.toml", "-e", "delay-6", "--coarsen", "8", "--duration", "0.1", "--json")
@@ -209,7 +211,7 @@ def test_long_lists_are_cut_in_text_alone(call, logs, tmp_path):
 
 
 def test_a_second_writer_is_refused_and_readers_are_not(call, logs, tmp_path):
-    from pipeline.lock import writing
+    from pipeline.base.lock import writing
 
     assert call("ingest", "logs")[0] == 0
     (logs / "new.csv").write_text(log_text(1.0))

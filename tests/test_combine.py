@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scipy.stats import t as student
 
-from pipeline.combine import combine, with_sign_warning
-from pipeline.errors import ParameterError
-from pipeline.intervals import NORMAL_95, student_95
-from pipeline.models import Estimate
+from pipeline.base.errors import ParameterError
+from pipeline.measured.combine import combine, with_sign_warning
+from pipeline.measured.intervals import NORMAL_95, student_95
+from pipeline.records.models import Estimate
 
 TRUE = 0.58
 ERROR = 0.01

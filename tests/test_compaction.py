@@ -11,12 +11,13 @@ import pytest
 from native_logs import short_log
 from stored import check_whole, stored_rows
 
-from pipeline import compaction, storage, tables
-from pipeline.compaction import compact, find_orphans
-from pipeline.errors import StoreError
-from pipeline.ingest import ingest
-from pipeline.stages import ExperimentStages
-from pipeline.storage import load_batch, read_trials, trials_files
+from pipeline.base.errors import StoreError
+from pipeline.measured.stages import ExperimentStages
+from pipeline.records import tables
+from pipeline.store import compaction, storage
+from pipeline.store.compaction import compact, find_orphans
+from pipeline.store.ingest import ingest
+from pipeline.store.storage import load_batch, read_trials, trials_files
 
 
 @pytest.fixture

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.correlated import left_over, score_covariance
+from pipeline.measured.correlated import left_over, score_covariance
 
 
 def test_left_over_is_the_residual_of_least_squares():

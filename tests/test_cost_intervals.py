@@ -9,17 +9,17 @@ import pytest
 from sensor_trials import DELAY, EDGE, FEWEST, FREE, SENSORS, measured, trials, truth
 from simulated import FALCON, plant, simulate
 
-from pipeline import costs
-from pipeline.batch import TrialBatch
-from pipeline.cost_intervals import overshoot_interval, settling_interval
-from pipeline.energy_intervals import energy_interval
-from pipeline.errors import ParameterError
-from pipeline.models import SETTLING_BANDS
-from pipeline.reading_error import reading_error
-from pipeline.response import find_response
-from pipeline.simulate import MassSpringDamper, Setup
-from pipeline.simulate import simulate as simulate_device
-from pipeline.verdict import judge
+from pipeline.base.errors import ParameterError
+from pipeline.measured import costs
+from pipeline.measured.cost_intervals import overshoot_interval, settling_interval
+from pipeline.measured.energy_intervals import energy_interval
+from pipeline.measured.reading_error import reading_error
+from pipeline.measured.response import find_response
+from pipeline.measured.verdict import judge
+from pipeline.records.batch import TrialBatch
+from pipeline.records.models import SETTLING_BANDS
+from pipeline.simulation.simulate import MassSpringDamper, Setup
+from pipeline.simulation.simulate import simulate as simulate_device
 
 
 def last_outside(error, width):

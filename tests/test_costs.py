@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from simulated import FALCON, LWR, simulate
 
-from pipeline import costs
-from pipeline.aggregate import choose_optimum
-from pipeline.course import run_course
-from pipeline.devices import load_device
-from pipeline.errors import ParameterError
-from pipeline.response import find_response
-from pipeline.simulate import simulate as simulate_device
-from pipeline.verdict import judge
+from pipeline.base.errors import ParameterError
+from pipeline.measured import costs
+from pipeline.measured.aggregate import choose_optimum
+from pipeline.measured.response import find_response
+from pipeline.measured.verdict import judge
+from pipeline.simulation.course import run_course
+from pipeline.simulation.simulate import simulate as simulate_device
+from pipeline.store.devices import load_device
 
 K = np.array([4469.0, 12000.0, 600.0, 1500.0, 3000.0, 8000.0, 4000.0])
 B = np.array([73.05, 90.0, 24.0, 40.0, 100.0, 140.0, 72.0])

@@ -10,15 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline import course as course_module
-from pipeline import procedure
-from pipeline.batch import TrialBatch
-from pipeline.course import TRUTH_FILE, Course, run_course, write_course
-from pipeline.devices import find_experiment, load_device
-from pipeline.errors import DeviceError, ParameterError, PipelineError, UsageError
-from pipeline.models import Device
-from pipeline.native import parse_header
-from pipeline.simulate import MassSpringDamper, idealise, setup_of, simulate, spectral_radius
+from pipeline.base.errors import DeviceError, ParameterError, PipelineError, UsageError
+from pipeline.records.batch import TrialBatch
+from pipeline.records.models import Device
+from pipeline.records.native import parse_header
+from pipeline.simulation import course as course_module
+from pipeline.simulation import procedure
+from pipeline.simulation.course import TRUTH_FILE, Course, run_course, write_course
+from pipeline.simulation.simulate import MassSpringDamper, idealise, setup_of, simulate, spectral_radius
+from pipeline.store.devices import find_experiment, load_device
 
 FALCON, LWR = load_device("falcon"), load_device("lwr")
 

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from independent import discrete_settling, settling_bracket, simulate
 
-from pipeline.curves import CURVE_CRITERIA, best_damping, best_stiffness
-from pipeline.energy import energy_costs
-from pipeline.errors import ParameterError
-from pipeline.loop import Loop
-from pipeline.optimum import optimal_point
-from pipeline.poles import damping_ratio
-from pipeline.search import where_stable
-from pipeline.stability import boundary, spectral_radius
-from pipeline.transient import transient_costs
+from pipeline.base.errors import ParameterError
+from pipeline.theory.curves import CURVE_CRITERIA, best_damping, best_stiffness
+from pipeline.theory.energy import energy_costs
+from pipeline.theory.loop import Loop
+from pipeline.theory.optimum import optimal_point
+from pipeline.theory.poles import damping_ratio
+from pipeline.theory.search import where_stable
+from pipeline.theory.stability import boundary, spectral_radius
+from pipeline.theory.transient import transient_costs
 
 FREE = [Loop(0.0, 0.0, d) for d in (0, 1, 2)]
 

@@ -5,10 +5,10 @@ import pytest
 from scipy.stats import t as student
 from simulated import FALCON, LWR, simulate, spectral_radius
 
-from pipeline.damping import by_decay, by_limit, from_trials
-from pipeline.errors import ParameterError
-from pipeline.response import find_response
-from pipeline.verdict import judge
+from pipeline.base.errors import ParameterError
+from pipeline.measured.damping import by_decay, by_limit, from_trials
+from pipeline.measured.response import find_response
+from pipeline.measured.verdict import judge
 
 FIRM = {**FALCON, "mass": 1.0, "b": 34.0}
 

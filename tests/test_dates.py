@@ -13,8 +13,8 @@ from foreign_files import START, bag_file, hdf5_file
 from nptdms import ChannelObject, TdmsWriter
 from pyarrow import feather, parquet
 
-from pipeline.profile_columns import TimeSource
-from pipeline.profiles import Profile
+from pipeline.profiles.profile_columns import TimeSource
+from pipeline.profiles.profile_files import Profile
 from pipeline.readers import Log, RawLog, reader_of
 from pipeline.readers.dates import are_dates, whole_dates
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from simulated import FALCON, LWR, simulate
 
-from pipeline.delay import first_change
-from pipeline.errors import ParameterError
-from pipeline.response import declare_edge, find_response
+from pipeline.base.errors import ParameterError
+from pipeline.measured.delay import first_change
+from pipeline.measured.response import declare_edge, find_response
 
 K = np.linspace(400, 12000, 40)
 B = np.linspace(0, 90, 40)

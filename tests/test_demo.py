@@ -3,10 +3,10 @@ from pathlib import Path
 
 import pytest
 
-from pipeline import demo
-from pipeline.errors import PipelineError
-from pipeline.report import cells, stored_digest
-from pipeline.storage import read_trials
+from pipeline.base.errors import PipelineError
+from pipeline.rendering.report import cells, stored_digest
+from pipeline.shell import demo
+from pipeline.store.storage import read_trials
 
 SMALL = (demo.Part("lwr", ("delay-8",), coarsen=3),)
 

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.devices import USER_FOLDER_VARIABLE, find_experiment, known_devices, load_device, read_device
-from pipeline.errors import DeviceError
-from pipeline.provenance import schema_folder
+from pipeline.base.errors import DeviceError
+from pipeline.base.provenance import schema_folder
+from pipeline.store.devices import USER_FOLDER_VARIABLE, find_experiment, known_devices, load_device, read_device
 
 TABLES = Path(__file__).parents[2] / "shared" / "reference" / "tables"
 FALCON = schema_folder() / "devices" / "falcon.toml"

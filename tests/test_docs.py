@@ -33,7 +33,7 @@ def commands(text: str) -> list[str]:
 
 def fault(command: str) -> str | None:
     """What is wrong with a command line, or None."""
-    from pipeline.cli import app
+    from pipeline.shell.cli import app
 
     words = shlex.split(command.split("#")[0])[1:]
     here: Any = typer.main.get_command(app)
@@ -93,8 +93,8 @@ def test_readme_shows_the_commands_that_a_user_needs() -> None:
 
 
 def test_log_of_the_readme_is_accepted(tmp_path: Path) -> None:
-    from pipeline.ingest import ingest
-    from pipeline.storage import read_trials
+    from pipeline.store.ingest import ingest
+    from pipeline.store.storage import read_trials
 
     block = re.search(r"^ {4}# device: .*\n(?: {4}.*\n)+", read(ROOT / "README.md"), flags=re.MULTILINE)
     assert block
@@ -160,7 +160,7 @@ def names_of_the_code() -> set[str]:
 
 
 def test_nomenclature_is_that_of_the_code() -> None:
-    from pipeline.tables import COLUMNS
+    from pipeline.records.tables import COLUMNS
 
     rows = [line.split("|") for line in read(ROOT / "docs" / "nomenclature.md").splitlines() if "|" in line]
     listed = {name for row in rows for name in re.findall(r"`([^`]+)`", row[2])}
@@ -172,7 +172,7 @@ def test_nomenclature_is_that_of_the_code() -> None:
 
 
 def test_stored_columns_are_in_the_nomenclature() -> None:
-    from pipeline.tables import COLUMNS, TABLES
+    from pipeline.records.tables import COLUMNS, TABLES
 
     page = read(ROOT / "docs" / "nomenclature.md")
     results = {name for table, names in TABLES.items() if table not in ("samples", "trials") for name in names}

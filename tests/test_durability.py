@@ -9,10 +9,11 @@ from failing_disk import FailingOs, after_power_loss, files_of, generator
 from native_logs import short_log
 from stored import check_whole, stored_rows
 
-from pipeline import compaction, disk, lock
-from pipeline.compaction import compact, find_orphans
-from pipeline.errors import StoreError
-from pipeline.ingest import ingest
+from pipeline.base import disk, lock
+from pipeline.base.errors import StoreError
+from pipeline.store import compaction
+from pipeline.store.compaction import compact, find_orphans
+from pipeline.store.ingest import ingest
 
 
 class Lab:

@@ -21,10 +21,10 @@ from independent import (
     wall_of_radius,
 )
 
-from pipeline.energy import energy_costs, weighted_sums
-from pipeline.errors import ParameterError
-from pipeline.loop import Loop, Normalised
-from pipeline.stability import boundary
+from pipeline.base.errors import ParameterError
+from pipeline.theory.energy import energy_costs, weighted_sums
+from pipeline.theory.loop import Loop, Normalised
+from pipeline.theory.stability import boundary
 
 RANDOM = stable_walls(random_loops(60, seed=21), each=5, seed=22, slowest=0.85)
 EXTREME = extreme_cases()

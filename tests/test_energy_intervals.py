@@ -9,12 +9,12 @@ import pytest
 from sensor_trials import DELAY, EDGE, FEWEST, FREE, SENSORS, measured, trials, truth
 from simulated import FALCON, simulate
 
-from pipeline import costs
-from pipeline.energy_intervals import HORIZON_PARTS, energy_interval
-from pipeline.errors import ParameterError
-from pipeline.reading_error import reading_error
-from pipeline.response import find_response
-from pipeline.verdict import judge
+from pipeline.base.errors import ParameterError
+from pipeline.measured import costs
+from pipeline.measured.energy_intervals import HORIZON_PARTS, energy_interval
+from pipeline.measured.reading_error import reading_error
+from pipeline.measured.response import find_response
+from pipeline.measured.verdict import judge
 
 MASS = FALCON["mass"]
 

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from pipeline.envelope import envelope_end, excess, untouched
-from pipeline.loop import Loop
-from pipeline.slowmodes import SlowModes, velocity_factor
-from pipeline.stability import spectral_radius
-from pipeline.theory_map import bounding_box
+from pipeline.theory.envelope import envelope_end, excess, untouched
+from pipeline.theory.loop import Loop
+from pipeline.theory.slowmodes import SlowModes, velocity_factor
+from pipeline.theory.stability import spectral_radius
+from pipeline.theory.theory_map import bounding_box
 
 LOOPS = [Loop(0, 0, 0), Loop(0, 0, 1), Loop(0, 0, 4), Loop(0, 0, 16), Loop(0.01, 0.05, 2), Loop(1.0, 0.5, 3)]
 LOOPS += [Loop(9.0, 0.0, 1), Loop(0, 5.0, 3), Loop(3.0, 100.0, 1), Loop(2.0, 2.8284, 2)]

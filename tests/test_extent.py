@@ -10,14 +10,14 @@ import pytest
 from independent import NYQUIST as STIFFEST
 from independent import characteristic, random_loops, stable_by_schur_cohn
 
-from pipeline.extent import (
+from pipeline.theory.extent import (
     damping_limits,
     damping_range,
     stiffest_point,
 )
-from pipeline.loop import Loop
-from pipeline.region import stable_intervals, stiffness_limit
-from pipeline.robust import robust_limits
+from pipeline.theory.loop import Loop
+from pipeline.theory.region import stable_intervals, stiffness_limit
+from pipeline.theory.robust import robust_limits
 
 NYQUIST = math.pi**2
 EXTREME = [

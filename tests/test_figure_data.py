@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 import simulated
 
-from pipeline.boundary_curves import estimated_theory, linear_curve, measured_curve, theory_curve
-from pipeline.compare_experiment import nominal_theories
-from pipeline.figure_data import FigureBuilder, requests_of_delay_figure
-from pipeline.predictions import Predictions, Theory
-from pipeline.scene import open_scene
+from pipeline.comparison.boundary_curves import estimated_theory, linear_curve, measured_curve, theory_curve
+from pipeline.comparison.compare_experiment import nominal_theories
+from pipeline.comparison.figure_data import FigureBuilder, requests_of_delay_figure
+from pipeline.comparison.scene import open_scene
+from pipeline.theory.predictions import Predictions, Theory
 
 
 @pytest.fixture(scope="module")
@@ -25,7 +25,7 @@ def of_lwr(lwr, lwr_outcome):
 
 
 def known_predictions(builder, lab):
-    from pipeline.tables_d import TableBuilder
+    from pipeline.comparison.tables_d import TableBuilder
 
     found = Predictions(lab.processed / "theory")
     wanted = TableBuilder(builder.data, builder.theories).requests()

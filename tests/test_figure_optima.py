@@ -3,11 +3,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.curves import best_damping, best_stiffness
-from pipeline.figure_optima import optimal_curve
-from pipeline.loop import Loop
-from pipeline.maps import cost_maps, costs_at
-from pipeline.pointcosts import point_costs_by_name
+from pipeline.comparison.figure_optima import optimal_curve
+from pipeline.theory.curves import best_damping, best_stiffness
+from pipeline.theory.loop import Loop
+from pipeline.theory.maps import cost_maps, costs_at
+from pipeline.theory.pointcosts import point_costs_by_name
 
 LOOP = Loop(0.0, 0.007, 4.0)
 

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from report_data import HOSTILE, boundary
 
-from pipeline import residual_panels
-from pipeline.compare_experiment import nominal_theories
-from pipeline.figure_records import ResidualFigure, ResidualMap
-from pipeline.figure_residuals import cell_medians, residual_figures, residuals
-from pipeline.scene import open_scene
+from pipeline.comparison.compare_experiment import nominal_theories
+from pipeline.comparison.figure_residuals import cell_medians, residual_figures, residuals
+from pipeline.comparison.scene import open_scene
+from pipeline.records.figure_records import ResidualFigure, ResidualMap
+from pipeline.rendering import residual_panels
 
 
 def test_residuals_count_doublings_and_percentage_points() -> None:

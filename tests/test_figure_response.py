@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 import simulated
 
-from pipeline import response_drawing
-from pipeline.compare_experiment import motion_of
-from pipeline.figure_response import oscillation_period, response_figures, softest
-from pipeline.scene import open_scene
+from pipeline.comparison.compare_experiment import motion_of
+from pipeline.comparison.figure_response import oscillation_period, response_figures, softest
+from pipeline.comparison.scene import open_scene
+from pipeline.rendering import response_drawing
 
 
 def second_order(frequency: float, decay: float, end: float = 0.6) -> tuple[np.ndarray, np.ndarray]:

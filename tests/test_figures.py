@@ -18,8 +18,8 @@ from report_data import (
     delay_figure,
 )
 
-from pipeline import canvas, figures, panels, style
-from pipeline.figure_records import BoundaryFigure, CostFigure, Curve
+from pipeline.records.figure_records import BoundaryFigure, CostFigure, Curve
+from pipeline.rendering import canvas, figures, panels, style
 
 
 def parse(svg: str) -> ElementTree.Element:

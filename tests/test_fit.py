@@ -15,13 +15,13 @@ from scipy.optimize import least_squares
 from scipy.signal import cont2discrete, dlsim
 from simulated import FALCON, LWR, simulate
 
-from pipeline.batch import TrialBatch
-from pipeline.devices import find_experiment, load_device
-from pipeline.errors import ParameterError
-from pipeline.fit import fit_trials, model_position
-from pipeline.response import find_response
-from pipeline.simulate import MassSpringDamper, setup_of
-from pipeline.simulate import simulate as simulate_device
+from pipeline.base.errors import ParameterError
+from pipeline.measured.fit import fit_trials, model_position
+from pipeline.measured.response import find_response
+from pipeline.records.batch import TrialBatch
+from pipeline.simulation.simulate import MassSpringDamper, setup_of
+from pipeline.simulation.simulate import simulate as simulate_device
+from pipeline.store.devices import find_experiment, load_device
 
 ROOT = Path(__file__).parents[1]
 SHARED = ROOT.parent / "shared"

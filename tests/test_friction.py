@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from simulated import FALCON, LWR, simulate, spectral_radius
 
-from pipeline.batch import TrialBatch
-from pipeline.errors import ParameterError
-from pipeline.friction import fit_balance
-from pipeline.response import declare_edge, find_response
+from pipeline.base.errors import ParameterError
+from pipeline.measured.friction import fit_balance
+from pipeline.measured.response import declare_edge, find_response
+from pipeline.records.batch import TrialBatch
 
 ALL = ("damping", "friction", "offset", "spring")
 

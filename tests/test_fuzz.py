@@ -15,13 +15,13 @@ from hypothesis import strategies as st
 from mutations import mutated
 from native_logs import GOOD, log_text
 
-from pipeline.errors import LogError
-from pipeline.ingest import ingest
-from pipeline.profiles import shipped_profiles
-from pipeline.quarantine import list_quarantine
+from pipeline.base.errors import LogError
+from pipeline.profiles.profile_files import shipped_profiles
 from pipeline.readers import Log, RawLog
 from pipeline.readers.native import read
-from pipeline.storage import load_batch, read_trials
+from pipeline.store.ingest import ingest
+from pipeline.store.quarantine import list_quarantine
+from pipeline.store.storage import load_batch, read_trials
 
 CONSTANTS = """
 step_at = "command edge"

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.ghost import simulate_ghost
-from pipeline.response import find_response
-from pipeline.simulate import MassSpringDamper, Setup, simulate
+from pipeline.measured.ghost import simulate_ghost
+from pipeline.measured.response import find_response
+from pipeline.simulation.simulate import MassSpringDamper, Setup, simulate
 
 K = np.array([1000.0, 3000.0, 6000.0, 9000.0, 0.0])
 B = np.array([20.0, 60.0, 90.0, 110.0, -2.0])

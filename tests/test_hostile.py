@@ -20,18 +20,18 @@ import pyarrow.parquet as pq
 import pytest
 from native_logs import FAULTS, GOOD, log_text
 
-from pipeline.cli import run as run_cli
-from pipeline.errors import Code, LogError, ProfileError, UsageError
-from pipeline.excerpt import LONGEST_SHOWN, excerpt_of
-from pipeline.file_names import path_of_text, path_text, storable
-from pipeline.ingest import ingest
-from pipeline.profiles import load_profile
-from pipeline.quarantine import RECORD_FILE, list_quarantine
+from pipeline.base.errors import Code, LogError, ProfileError, UsageError
+from pipeline.base.file_names import path_of_text, path_text, storable
+from pipeline.base.regular_files import open_regular
+from pipeline.profiles.profile_files import load_profile
 from pipeline.readers import conditions, delimited, json_records, json_text, native, plain_text
 from pipeline.readers.file_kind import refuse_other_kind
-from pipeline.regular_files import open_regular
-from pipeline.sources import find_sources
-from pipeline.storage import list_devices, load_batch, read_trials
+from pipeline.shell.cli import run as run_cli
+from pipeline.store.excerpt import LONGEST_SHOWN, excerpt_of
+from pipeline.store.ingest import ingest
+from pipeline.store.quarantine import RECORD_FILE, list_quarantine
+from pipeline.store.sources import find_sources
+from pipeline.store.storage import list_devices, load_batch, read_trials
 
 PACKAGE = Path(__file__).parents[1] / "pipeline"
 LOGS_PAGE = (Path(__file__).parents[1] / "docs" / "logs.md").read_text(encoding="utf-8")

@@ -3,11 +3,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.errors import ParameterError
-from pipeline.implied_delay import implied_by_damping, implied_delay
-from pipeline.implied_slope import DeviceParameters, implied_by_slope
-from pipeline.models import BoundaryPoint
-from pipeline.simulate import MassSpringDamper, Setup, spectral_radius
+from pipeline.base.errors import ParameterError
+from pipeline.comparison.implied_delay import implied_by_damping, implied_delay
+from pipeline.comparison.implied_slope import DeviceParameters, implied_by_slope
+from pipeline.records.models import BoundaryPoint
+from pipeline.simulation.simulate import MassSpringDamper, Setup, spectral_radius
 
 FALCON = DeviceParameters(mass=0.58, viscous_damping=4.0, sampling_period_s=1e-3)
 FIRM = DeviceParameters(mass=1.0, viscous_damping=34.0, sampling_period_s=1e-3)

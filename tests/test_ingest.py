@@ -13,13 +13,14 @@ import pyarrow.parquet as pq
 import pytest
 from native_logs import FAULTS, GOOD, HEADER_LINES, ROWS, log_text
 
-from pipeline import compaction, disk, reading
-from pipeline import ingest as ingest_module
-from pipeline.errors import ProfileError, StoreError, UsageError
-from pipeline.ingest import ingest
-from pipeline.native import NativeHeader, format_header
-from pipeline.quarantine import list_quarantine
-from pipeline.storage import list_devices, list_experiments, load_batch, read_trials
+from pipeline.base import disk
+from pipeline.base.errors import ProfileError, StoreError, UsageError
+from pipeline.records.native import NativeHeader, format_header
+from pipeline.store import compaction, reading
+from pipeline.store import ingest as ingest_module
+from pipeline.store.ingest import ingest
+from pipeline.store.quarantine import list_quarantine
+from pipeline.store.storage import list_devices, list_experiments, load_batch, read_trials
 
 PENDULUM = Path(__file__).parents[2] / "shared" / "real" / "dfki_pendulum"
 

@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.errors import ParameterError
-from pipeline.lag import velocity_lag
+from pipeline.base.errors import ParameterError
+from pipeline.measured.lag import velocity_lag
 
 
 def swing(lag, *, n=400, seed=0, quantum=0.0, speed_quantum=0.0, jitter=0.2, gain=1.0, offset=0.0):

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.cli import run
-from pipeline.profile_columns import ColumnSource, Fraction, TimeSource
-from pipeline.profile_model import ConditionUnits, Constants, FileEntry, Partner, Profile, StepEntry, Window
+from pipeline.profiles.profile_columns import ColumnSource, Fraction, TimeSource
+from pipeline.profiles.profile_model import ConditionUnits, Constants, FileEntry, Partner, Profile, StepEntry, Window
+from pipeline.shell.cli import run
 
 PAGE = (Path(__file__).parents[1] / "docs" / "logs.md").read_text(encoding="utf-8")
 BLOCK = re.compile(r"^```(\w+) ?(\S*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
@@ -79,8 +79,8 @@ def test_from_a_foreign_csv_to_a_report(capsys):
 
 
 def test_the_foreign_course_gives_the_same_trials_as_the_simulated_logs(capsys):
-    from pipeline.ingest import ingest
-    from pipeline.storage import load_batch, read_trials
+    from pipeline.store.ingest import ingest
+    from pipeline.store.storage import load_batch, read_trials
 
     text = section("## From a foreign CSV to a report")
     follow(text[: text.index("**When a log is refused")].replace("pipeline compare --device bench\n", ""), capsys)

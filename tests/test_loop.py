@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from independent import deviation, extreme_cases, random_loops, simulate, simulate_many, stable_walls
 
-from pipeline.errors import ParameterError
-from pipeline.loop import LARGEST_DELAY, Loop, Normalised, as_points
-from pipeline.responses import response
+from pipeline.base.errors import ParameterError
+from pipeline.theory.loop import LARGEST_DELAY, Loop, Normalised, as_points
+from pipeline.theory.responses import response
 
 RANDOM = stable_walls(random_loops(100, seed=5), each=3, seed=6)
 EXTREME = extreme_cases()

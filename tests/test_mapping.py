@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from native_logs import log_text
 
-from pipeline import disk
-from pipeline import ingest as ingest_module
-from pipeline.ingest import ingest
-from pipeline.storage import load_batch, read_trials
-from pipeline.tables import read_table
+from pipeline.base import disk
+from pipeline.records.tables import read_table
+from pipeline.store import ingest as ingest_module
+from pipeline.store.ingest import ingest
+from pipeline.store.storage import load_batch, read_trials
 
 HEAD = """
 name = "lab"

@@ -3,12 +3,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.energy import energy_costs
-from pipeline.loop import Loop, Normalised
-from pipeline.maps import cost_maps
-from pipeline.models import CRITERIA
-from pipeline.stability import boundary, is_stable, spectral_radius
-from pipeline.transient import transient_costs
+from pipeline.records.models import CRITERIA
+from pipeline.theory.energy import energy_costs
+from pipeline.theory.loop import Loop, Normalised
+from pipeline.theory.maps import cost_maps
+from pipeline.theory.stability import boundary, is_stable, spectral_radius
+from pipeline.theory.transient import transient_costs
 
 LOOP = Normalised(0.58, 1e-3).loop(0.0, 4.0, 4)
 

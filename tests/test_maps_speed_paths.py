@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from pipeline import energy, pointcosts
-from pipeline.errors import ParameterError
-from pipeline.loop import Loop
-from pipeline.march import step_transients
-from pipeline.models import SETTLING_BANDS
-from pipeline.slowmodes import slow_modes
-from pipeline.stability import spectral_radius
-from pipeline.theory_map import bounding_box
-from pipeline.transient import transient_costs
+from pipeline.base.errors import ParameterError
+from pipeline.records.models import SETTLING_BANDS
+from pipeline.theory import energy, pointcosts
+from pipeline.theory.loop import Loop
+from pipeline.theory.march import step_transients
+from pipeline.theory.slowmodes import slow_modes
+from pipeline.theory.stability import spectral_radius
+from pipeline.theory.theory_map import bounding_box
+from pipeline.theory.transient import transient_costs
 
 LOOPS = [
     Loop(0, 0, 0),

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from simulated import FALCON, LWR, simulate, spectral_radius
 
-from pipeline.errors import ParameterError
-from pipeline.mass import by_momentum, correct, window_scan
-from pipeline.response import find_response
+from pipeline.base.errors import ParameterError
+from pipeline.measured.mass import by_momentum, correct, window_scan
+from pipeline.measured.response import find_response
 
 FIRM = {**FALCON, "mass": 1.0, "b": 34.0}
 

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.modes import FEWEST_SAMPLES, fastest_growth
+from pipeline.measured.modes import FEWEST_SAMPLES, fastest_growth
 
 k = np.arange(300)
 

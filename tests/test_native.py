@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.errors import LogError, ParameterError
-from pipeline.native import COLUMN_LINE, NativeHeader, format_header, parse_header
+from pipeline.base.errors import LogError, ParameterError
+from pipeline.records.native import COLUMN_LINE, NativeHeader, format_header, parse_header
 
 NAMES = st.text(st.characters(codec="utf-8", categories=("L", "N", "P", "S")), min_size=1, max_size=30).filter(
     lambda name: not name.startswith("[")

@@ -7,14 +7,14 @@ import pytest
 from scipy.linalg import expm
 from simulated import FALCON, LWR, simulate
 
-from pipeline.aggregate import estimate_delay
-from pipeline.batch import TrialBatch
-from pipeline.course import run_course
-from pipeline.delay import first_change
-from pipeline.devices import load_device
-from pipeline.onset import motion_onset, rounded
-from pipeline.response import declare_edge, find_response
-from pipeline.simulate import simulate as simulate_device
+from pipeline.measured.aggregate import estimate_delay
+from pipeline.measured.delay import first_change
+from pipeline.measured.onset import motion_onset, rounded
+from pipeline.measured.response import declare_edge, find_response
+from pipeline.records.batch import TrialBatch
+from pipeline.simulation.course import run_course
+from pipeline.simulation.simulate import simulate as simulate_device
+from pipeline.store.devices import load_device
 
 FIRM = {**FALCON, "mass": 1.0, "b": 34.0}
 K = np.linspace(400, 12000, 40)

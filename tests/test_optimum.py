@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 from independent import continuous_energy, discrete_settling, simulate
 
-from pipeline.energy import energy_costs
-from pipeline.errors import ParameterError
-from pipeline.loop import Loop, Normalised
-from pipeline.optimum import optimal_point
-from pipeline.published import PublishedRow, published_rows
-from pipeline.rules import POINT_CRITERIA, marked_point
-from pipeline.search import OptimalPoint
-from pipeline.stability import is_stable
-from pipeline.transient import transient_costs
+from pipeline.base.errors import ParameterError
+from pipeline.store.published import PublishedRow, published_rows
+from pipeline.theory.energy import energy_costs
+from pipeline.theory.loop import Loop, Normalised
+from pipeline.theory.optimum import optimal_point
+from pipeline.theory.rules import POINT_CRITERIA, marked_point
+from pipeline.theory.search import OptimalPoint
+from pipeline.theory.stability import is_stable
+from pipeline.theory.transient import transient_costs
 
 FALCON = Normalised(0.58, 1e-3), Normalised(0.58, 1e-3).loop(0.0, 4.0, 4)
 FIRM = Normalised(1.0, 1e-3), Normalised(1.0, 1e-3).loop(0.0, 34.0, 4)

@@ -7,12 +7,12 @@ import math
 import numpy as np
 import pytest
 
-from pipeline.energy import energy_costs
-from pipeline.loop import Loop
-from pipeline.optimum import criterion_names, optimal_point
-from pipeline.poles import damping_ratio
-from pipeline.stability import boundary, is_stable, spectral_radius
-from pipeline.transient import transient_costs
+from pipeline.theory.energy import energy_costs
+from pipeline.theory.loop import Loop
+from pipeline.theory.optimum import criterion_names, optimal_point
+from pipeline.theory.poles import damping_ratio
+from pipeline.theory.stability import boundary, is_stable, spectral_radius
+from pipeline.theory.transient import transient_costs
 
 STARTS = 300
 

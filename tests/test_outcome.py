@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from labelled import GROUPS, Group, Labelled, cut, join, labelled_set
 
-from pipeline import costs
-from pipeline.batch import TrialBatch
-from pipeline.disturbance import find_disturbance
-from pipeline.errors import ParameterError
-from pipeline.outcome import BAND, OUTCOMES, Outcomes, classify
-from pipeline.response import find_response
-from pipeline.simulate import Setup, simulate
-from pipeline.verdict import judge
+from pipeline.base.errors import ParameterError
+from pipeline.measured import costs
+from pipeline.measured.disturbance import find_disturbance
+from pipeline.measured.outcome import BAND, OUTCOMES, Outcomes, classify
+from pipeline.measured.response import find_response
+from pipeline.measured.verdict import judge
+from pipeline.records.batch import TrialBatch
+from pipeline.simulation.simulate import Setup, simulate
 
 RIGHT = 0.99
 """Share of the labels that the outcomes must meet where the truth is not a matter of a hair (issue 4)."""

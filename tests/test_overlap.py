@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.errors import ParameterError
-from pipeline.models import BoundaryPoint
-from pipeline.overlap import Stretches, measured_limits, overlap
+from pipeline.base.errors import ParameterError
+from pipeline.comparison.overlap import Stretches, measured_limits, overlap
+from pipeline.records.models import BoundaryPoint
 
 EXACT = 1e-12  # areas of order one or relative: a few sums in doubles
 

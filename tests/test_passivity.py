@@ -10,10 +10,10 @@ import pytest
 from independent import characteristic, random_loops, stable_by_schur_cohn
 from scipy.optimize import linprog, minimize_scalar
 
-from pipeline.errors import ParameterError
-from pipeline.extent import damping_limits
-from pipeline.loop import Loop
-from pipeline.passivity import (
+from pipeline.base.errors import ParameterError
+from pipeline.theory.extent import damping_limits
+from pipeline.theory.loop import Loop
+from pipeline.theory.passivity import (
     boundary_angle,
     is_passive,
     maximum_passive_stiffness,
@@ -22,8 +22,8 @@ from pipeline.passivity import (
     passive_to_stable,
     required_damping,
 )
-from pipeline.region import is_inside
-from pipeline.robust import is_robustly_stable
+from pipeline.theory.region import is_inside
+from pipeline.theory.robust import is_robustly_stable
 
 DELAYS = [0.0, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 100.3]
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from independent import DIGITS, NYQUIST, flow_in_many_digits
 
-from pipeline.errors import ParameterError
-from pipeline.loop import Loop
-from pipeline.plant import flow
+from pipeline.base.errors import ParameterError
+from pipeline.theory.loop import Loop
+from pipeline.theory.plant import flow
 
 GAMMA = [0.0, 1e-300, 1e-16, 1e-9, 1e-3, 0.2499, 0.2501, 1.0, 3.0, 9.8]
 DELTA = [0.0, 1e-300, 1e-16, 1e-3, 0.2499, 0.2501, 2.0, 10.0, 39.0, 41.0, 100.0, 1e3]

@@ -20,11 +20,11 @@ from independent import (
     stable_walls,
 )
 
-from pipeline.errors import ParameterError
-from pipeline.loop import Loop
-from pipeline.optimum import optimal_point
-from pipeline.poles import damping_ratio, never_overshoots, pole_settling_time, poles, threefold_pole
-from pipeline.stability import spectral_radius
+from pipeline.base.errors import ParameterError
+from pipeline.theory.loop import Loop
+from pipeline.theory.optimum import optimal_point
+from pipeline.theory.poles import damping_ratio, never_overshoots, pole_settling_time, poles, threefold_pole
+from pipeline.theory.stability import spectral_radius
 
 Case = tuple[float, float, float, float, float]
 """gamma, delta, delay, alpha, beta"""

@@ -9,11 +9,11 @@ from concurrent.futures.process import BrokenProcessPool
 
 import pytest
 
-from pipeline import predictions
-from pipeline.loop import Loop
-from pipeline.optimum import optimal_point
-from pipeline.predictions import Predictions, Theory
-from pipeline.results import TheoryParameters
+from pipeline.records.results import TheoryParameters
+from pipeline.theory import predictions
+from pipeline.theory.loop import Loop
+from pipeline.theory.optimum import optimal_point
+from pipeline.theory.predictions import Predictions, Theory
 
 LOOP = Loop(0.0, 0.01, 1.0)
 REQUESTS = [(LOOP, "energy_step_w0"), (LOOP, "energy_step_w0_discrete"), (Loop(0.0, 0.01, 2.0), "energy_step_w0")]
@@ -183,8 +183,8 @@ def test_other_errors_are_not_hidden_and_close_the_pool(tmp_path, monkeypatch):
 PROGRAM = """
 import os, sys
 from pathlib import Path
-from pipeline.loop import Loop
-from pipeline.predictions import Predictions
+from pipeline.theory.loop import Loop
+from pipeline.theory.predictions import Predictions
 
 os.cpu_count = lambda: 2
 wanted = Predictions(Path(sys.argv[1]))

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from native_logs import FAULTS, log_text
 
-from pipeline.cli import run
-from pipeline.errors import LogError, ParameterError, ProfileError
-from pipeline.profile_draft import draft_profile
-from pipeline.profile_layout import format_of, text_layout
-from pipeline.profile_lines import find_questions
-from pipeline.profiles import read_profile, shipped_profiles
+from pipeline.base.errors import LogError, ParameterError, ProfileError
+from pipeline.profiles.profile_files import read_profile, shipped_profiles
+from pipeline.profiles.profile_lines import find_questions
+from pipeline.readers.layout import format_of, text_layout
+from pipeline.shell.cli import run
+from pipeline.shell.profile_draft import draft_profile
 
 COMMANDS = {
     "profile check": ["--json"],
@@ -132,7 +132,7 @@ def test_check_names_the_most_special_place(call, lab):
 
 
 def test_check_shows_what_ingest_stores(call, lab):
-    from pipeline.storage import load_batch, read_trials
+    from pipeline.store.storage import load_batch, read_trials
 
     (trial,) = json.loads(call("profile", "check", "lab.toml", "K300.csv", "--json")[1])["samples"][0]["trials"]
     assert call("ingest", "K300.csv", "--profile", "lab.toml")[0] == 0
@@ -510,11 +510,11 @@ def test_a_trial_without_a_step_is_stored_and_has_no_step_row(call, tmp_path):
 def test_a_wall_without_a_step_has_no_verdict_and_no_costs(falcon):
     from dataclasses import replace
 
-    from pipeline import costs, outcome, verdict
-    from pipeline.energy_intervals import energy_interval
-    from pipeline.ghost import simulate_ghost
-    from pipeline.reading_error import reading_error
-    from pipeline.response import find_response
+    from pipeline.measured import costs, outcome, verdict
+    from pipeline.measured.energy_intervals import energy_interval
+    from pipeline.measured.ghost import simulate_ghost
+    from pipeline.measured.reading_error import reading_error
+    from pipeline.measured.response import find_response
 
     batch = falcon.stages("1").batch.select(np.arange(4, 12))
     batch = replace(batch, step=np.where(np.arange(8) == 3, 0.0, batch.step))
@@ -564,10 +564,10 @@ def test_documents_beside_logs_are_no_logs(call, tmp_path):
 
 
 def test_si_units_exist_for_all_quantities():
-    from pipeline.profile_check import si_unit
-    from pipeline.profile_columns import QUANTITIES
-    from pipeline.profile_model import CONDITION_QUANTITIES
-    from pipeline.units import factor_to_si
+    from pipeline.base.units import factor_to_si
+    from pipeline.profiles.profile_columns import QUANTITIES
+    from pipeline.profiles.profile_model import CONDITION_QUANTITIES
+    from pipeline.shell.profile_check import si_unit
 
     for table in (QUANTITIES, CONDITION_QUANTITIES):
         for quantities in table.values():

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.errors import LogError, ParameterError, ProfileError
-from pipeline.profile_lines import key_lines
-from pipeline.profiles import Profile, claim, load_profile, read_profile, shipped_profiles
+from pipeline.base.errors import LogError, ParameterError, ProfileError
+from pipeline.base.units import UNITS, factor_to_si
+from pipeline.profiles.profile_files import Profile, claim, load_profile, read_profile, shipped_profiles
+from pipeline.profiles.profile_lines import key_lines
 from pipeline.readers import Log, RawLog, reader_of
-from pipeline.units import UNITS, factor_to_si
 
 PENDULUM = Path(__file__).parents[2] / "shared" / "real" / "dfki_pendulum"
 

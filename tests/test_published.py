@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-import pipeline.published
-from pipeline.devices import load_device
-from pipeline.errors import StoreError
-from pipeline.published import find, published_rows
+import pipeline.store.published
+from pipeline.base.errors import StoreError
+from pipeline.store.devices import load_device
+from pipeline.store.published import find, published_rows
 
 TABLES = Path(__file__).parents[2] / "shared" / "reference" / "tables"
 needs_tables = pytest.mark.skipif(not TABLES.is_dir(), reason="published tables (../shared) are not here")
@@ -90,8 +90,8 @@ def test_what_is_not_printed_is_not_found() -> None:
 
 
 def test_a_damaged_or_missing_file_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pipeline.published, "schema_folder", lambda: tmp_path)
-    pipeline.published._all_rows.cache_clear()
+    monkeypatch.setattr(pipeline.store.published, "schema_folder", lambda: tmp_path)
+    pipeline.store.published._all_rows.cache_clear()
     try:
         with pytest.raises(StoreError, match=r"hulin-2017\.csv"):
             published_rows("falcon")
@@ -101,7 +101,7 @@ def test_a_damaged_or_missing_file_is_named(tmp_path: Path, monkeypatch: pytest.
         with pytest.raises(StoreError, match=r"(?s)data row 1.*cost"):
             published_rows("falcon")
     finally:
-        pipeline.published._all_rows.cache_clear()
+        pipeline.store.published._all_rows.cache_clear()
 
 
 def test_costs_are_numbers() -> None:

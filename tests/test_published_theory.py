@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 from pydantic import ValidationError
 
-import pipeline.published_theory as module
-from pipeline.errors import ParameterError, StoreError
-from pipeline.optimum import criterion_names
-from pipeline.published_theory import QUANTITIES, THEORY_TABLES, PrintedNumber, PublishedPoint, published_points
-from pipeline.rules import POINT_CRITERIA
+import pipeline.store.published_theory as module
+from pipeline.base.errors import ParameterError, StoreError
+from pipeline.store.published_theory import QUANTITIES, THEORY_TABLES, PrintedNumber, PublishedPoint, published_points
+from pipeline.theory.optimum import criterion_names
+from pipeline.theory.rules import POINT_CRITERIA
 
 TABLES = Path(__file__).parents[2] / "shared" / "reference" / "tables"
 needs_tables = pytest.mark.skipif(not TABLES.is_dir(), reason="published tables (../shared) are not here")
@@ -138,7 +138,7 @@ def test_an_unknown_table_is_refused_with_the_list() -> None:
 
 
 def test_a_damaged_or_missing_file_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pipeline.published.schema_folder", lambda: tmp_path)
+    monkeypatch.setattr("pipeline.store.published.schema_folder", lambda: tmp_path)
     module._all_points.cache_clear()
     try:
         with pytest.raises(StoreError, match=r"hulin-2017-theory\.csv"):

@@ -8,7 +8,7 @@ import pytest
 from foreign_files import START, arrow_log, arrow_table, profile, samples
 from pyarrow import parquet
 
-from pipeline.errors import LogError
+from pipeline.base.errors import LogError
 from pipeline.readers.arrow_tables import list_columns, read_frame
 
 KINDS = ["parquet", "lz4", "zstd", "uncompressed"]

@@ -9,7 +9,7 @@ import pytest
 from foreign_files import START, bag_file, joint_log, profile, samples
 from rosbags.typesys import get_types_from_msg
 
-from pipeline.errors import LogError
+from pipeline.base.errors import LogError
 from pipeline.readers import mcap, rosbag
 
 KINDS = [("bag", ""), ("bag", "lz4"), ("bag", "bz2"), ("db3", ""), ("db3", "zstd"), ("mcap", ""), ("mcap", "zstd")]

@@ -29,7 +29,7 @@ from foreign_files import (
     tdms_log,
 )
 
-from pipeline.errors import LogError
+from pipeline.base.errors import LogError
 from pipeline.readers import arrow_tables, hdf5, json_records, matlab, mcap, rosbag, safety, tdms
 from pipeline.readers.frame import ColumnInfo, Frame
 from pipeline.readers.isolation import isolated

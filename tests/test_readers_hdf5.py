@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from foreign_files import hdf5_file, hdf5_log, profile, samples
 
-from pipeline.errors import LogError
+from pipeline.base.errors import LogError
 from pipeline.readers.hdf5 import list_columns, open_image, read_frame
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from foreign_files import json_log, profile, samples
 
-from pipeline.errors import LogError
+from pipeline.base.errors import LogError
 from pipeline.readers.json_records import list_columns, read_frame
 
 SERVO = Path(__file__).parents[2] / "shared" / "real" / "bam_servo"

@@ -10,7 +10,7 @@ import pytest
 import scipy.io
 from foreign_files import hdf5_file, matlab5_log, matlab73_log, profile, samples
 
-from pipeline.errors import LogError
+from pipeline.base.errors import LogError
 from pipeline.readers.matlab import list_columns, read_frame
 
 DEVICE = Path(__file__).parents[2] / "shared" / "real" / "ohara_haptics" / "own_ctrl_pop.mat"

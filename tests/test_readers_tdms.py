@@ -7,7 +7,7 @@ import pytest
 from foreign_files import START, profile, samples, tdms_log
 from nptdms import ChannelObject, TdmsWriter
 
-from pipeline.errors import LogError
+from pipeline.base.errors import LogError
 from pipeline.readers.tdms import list_columns, read_frame
 
 

@@ -11,16 +11,16 @@ import pyarrow.parquet as pq
 import pytest
 from scipy.io import loadmat
 
-from pipeline.batch import TrialBatch
-from pipeline.compare import compare
-from pipeline.delay import first_change
-from pipeline.friction import fit_balance
-from pipeline.ingest import ingest
-from pipeline.lag import velocity_lag
-from pipeline.mass import by_momentum, window_scan
-from pipeline.onset import motion_onset
-from pipeline.response import declare_edge, find_response
-from pipeline.storage import load_batch, read_trials
+from pipeline.comparison.compare import compare
+from pipeline.measured.delay import first_change
+from pipeline.measured.friction import fit_balance
+from pipeline.measured.lag import velocity_lag
+from pipeline.measured.mass import by_momentum, window_scan
+from pipeline.measured.onset import motion_onset
+from pipeline.measured.response import declare_edge, find_response
+from pipeline.records.batch import TrialBatch
+from pipeline.store.ingest import ingest
+from pipeline.store.storage import load_batch, read_trials
 
 REAL = Path(__file__).parents[2] / "shared" / "real"
 pytestmark = pytest.mark.skipif(not REAL.is_dir(), reason="logs of real hardware are not beside the repository")

@@ -10,8 +10,8 @@ import pytest
 from independent import characteristic, random_loops, stable_by_schur_cohn
 from test_extent import EXTREME
 
-from pipeline.errors import ParameterError
-from pipeline.extent import (
+from pipeline.base.errors import ParameterError
+from pipeline.theory.extent import (
     area,
     damping_limits,
     damping_range,
@@ -20,10 +20,10 @@ from pipeline.extent import (
     maximum_stiffness,
     stiffest_point,
 )
-from pipeline.loop import Loop
-from pipeline.region import is_inside, margin, region, stable_intervals, stiffness_limit
-from pipeline.robust import is_robustly_stable, robust_limits
-from pipeline.stability import spectral_radius
+from pipeline.theory.loop import Loop
+from pipeline.theory.region import is_inside, margin, region, stable_intervals, stiffness_limit
+from pipeline.theory.robust import is_robustly_stable, robust_limits
+from pipeline.theory.stability import spectral_radius
 
 NYQUIST = math.pi**2
 ORDINARY = [(0, 0, 0), (0, 0, 1), (0.001, 0.02, 2), (0, 0, 0.5), (1e-3, 0.1, 2.75), (0, 0, 16), (0, 10, 2), (0, 0, 256)]

@@ -13,11 +13,11 @@ import pytest
 from report_data import HOSTILE, bare, report_data
 from trial_pages import trial_page
 
-from pipeline import report
-from pipeline.errors import PipelineError
-from pipeline.models import ComparisonRow
-from pipeline.provenance import digest
-from pipeline.results import ReportData
+from pipeline.base.errors import PipelineError
+from pipeline.base.provenance import digest
+from pipeline.records.models import ComparisonRow
+from pipeline.records.results import ReportData
+from pipeline.rendering import report
 
 
 class Outline(HTMLParser):

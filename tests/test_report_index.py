@@ -12,9 +12,9 @@ from urllib.parse import unquote
 import pytest
 from report_data import report_data
 
-from pipeline import report_index
-from pipeline.report import write
-from pipeline.report_index import INDEX_FILE, INDEX_MARK, read_reports, render_index, write_index
+from pipeline.rendering import report_index
+from pipeline.rendering.report import write
+from pipeline.rendering.report_index import INDEX_FILE, INDEX_MARK, read_reports, render_index, write_index
 
 ORIGIN = {"version": "0.1.0", "code": "0123456789abcdef"}
 
@@ -258,7 +258,7 @@ def test_a_report_that_comes_meanwhile_is_not_lost(tmp_path, monkeypatch):
 WRITER = """
 import os, sys
 from pathlib import Path
-from pipeline.report_index import write_index
+from pipeline.rendering.report_index import write_index
 source, folder, name = map(Path, sys.argv[1:])
 for ending in (".html", ".json"):
     os.link(source.with_suffix(ending), (folder / name).with_suffix(ending))

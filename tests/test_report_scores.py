@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from pipeline.report import cells
-from pipeline.report_scores import cost_score_table, estimate_score_table, rule_score_table, score_table
-from pipeline.score_records import BoundScore, MapScore
+from pipeline.records.score_records import BoundScore, MapScore
+from pipeline.rendering.report import cells
+from pipeline.rendering.report_scores import cost_score_table, estimate_score_table, rule_score_table, score_table
 
 
 def text(table, name):

@@ -13,8 +13,8 @@ import pytest
 from report_data import HOSTILE, report_data
 from trial_pages import trial_page
 
-from pipeline import report, report_scripts
-from pipeline.report_scripts import TEMPLATES, json_text, page_files, policy, scripts
+from pipeline.rendering import report, report_scripts
+from pipeline.rendering.report_scripts import TEMPLATES, json_text, page_files, policy, scripts
 
 NAMES = (
     HOSTILE,
@@ -95,9 +95,11 @@ def test_scripts_build_no_code_and_no_markup_from_data() -> None:
 
 def test_every_file_of_the_page_counts_for_whether_a_report_is_still_valid() -> None:
     names = page_files()
-    assert {"templates/report.html.j2", "templates/report/trials.js", "templates/vendor/uPlot.iife.min.js"} <= set(
-        names
-    )
+    assert {
+        "rendering/templates/report.html.j2",
+        "rendering/templates/report/trials.js",
+        "rendering/templates/vendor/uPlot.iife.min.js",
+    } <= set(names)
     assert list(names) == sorted(names)
 
 

@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 from native_logs import FAULTS, log_text, short_log
 
-from pipeline import rerun
-from pipeline.ingest import ingest
-from pipeline.quarantine import list_quarantine
-from pipeline.rerun import NOTE_FILE, Search, recall
+from pipeline.base import rerun
+from pipeline.base.rerun import NOTE_FILE, Search, recall
+from pipeline.store.ingest import ingest
+from pipeline.store.quarantine import list_quarantine
 
 LONG_AGO = time.time_ns() - 60 * 10**9
 

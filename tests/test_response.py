@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from simulated import FALCON, LWR, simulate
 
-from pipeline.batch import TrialBatch
-from pipeline.response import external_force, find_response
+from pipeline.measured.response import external_force, find_response
+from pipeline.records.batch import TrialBatch
 
 K = np.array([200.0, 3000.0, 12000.0, 0.0, 15000.0])
 B = np.array([4.0, 50.0, 90.0, -4.0, 120.0])

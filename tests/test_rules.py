@@ -11,9 +11,9 @@ import pytest
 from independent import characteristic, discrete_energy, random_loops, simulate, stable_by_schur_cohn
 from scipy.optimize import minimize
 
-from pipeline.errors import ParameterError
-from pipeline.loop import Loop
-from pipeline.rules import (
+from pipeline.base.errors import ParameterError
+from pipeline.theory.loop import Loop
+from pipeline.theory.rules import (
     approximate_cost,
     approximation_error,
     cost_exponent,

@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import pytest
 
-from pipeline.errors import DeviceError, StoreError, UsageError
-from pipeline.scene import LEAVE_OUT, REUSE, RUN, needed_stages, open_scene, plan_measured
+from pipeline.base.errors import DeviceError, StoreError, UsageError
+from pipeline.comparison.scene import LEAVE_OUT, REUSE, RUN, needed_stages, open_scene, plan_measured
 
 # What each quantity needs, from the definitions (6.1.4, 6.2.2): overshoot and boundary need neither delay nor mass,
 # settling needs the delay, energy delay and mass; the mass comes from the model or is corrected by the damping
@@ -99,7 +99,7 @@ def test_plan_goes_from_run_to_reuse_and_follows_changes(falcon, noisy, tmp_path
 def test_grips_make_an_operator_and_mixed_motion_is_refused(falcon, tmp_path):
     from native_logs import log_text
 
-    from pipeline.ingest import ingest
+    from pipeline.store.ingest import ingest
 
     logs = tmp_path / "logs"
     logs.mkdir()

@@ -10,17 +10,18 @@ import tomllib
 import pytest
 from typer.testing import CliRunner
 
-from pipeline import predictions, stages
-from pipeline.cli import app
-from pipeline.compare import compare
-from pipeline.errors import DeviceError, SceneError
-from pipeline.figure_records import BoundaryFigure, Curve
-from pipeline.models import SceneFile, Shown
-from pipeline.report import cells
-from pipeline.report_parts import take_apart
-from pipeline.scene import LEAVE_OUT, open_scene
-from pipeline.scene_file import draft_scene, read_scene
-from pipeline.scene_parts import with_overlays
+from pipeline.base.errors import DeviceError, SceneError
+from pipeline.comparison.compare import compare
+from pipeline.comparison.scene import LEAVE_OUT, open_scene
+from pipeline.comparison.scene_file import draft_scene, read_scene
+from pipeline.comparison.scene_parts import with_overlays
+from pipeline.measured import stages
+from pipeline.records.figure_records import BoundaryFigure, Curve
+from pipeline.records.models import SceneFile, Shown
+from pipeline.rendering.report import cells
+from pipeline.rendering.report_parts import take_apart
+from pipeline.shell.cli import app
+from pipeline.theory import predictions
 
 pytestmark = pytest.mark.usefixtures("one_process")
 
@@ -99,7 +100,7 @@ HOSTILE = 'a"\\\n[x]\x00 = é'
 def test_a_draft_holds_hostile_names(monkeypatch, falcon, scene):
     data = open_scene("falcon", falcon.processed, None, None)
     object.__setattr__(data.experiments[0], "experiment", HOSTILE)
-    monkeypatch.setattr("pipeline.scene_file.open_scene", lambda *_: data)
+    monkeypatch.setattr("pipeline.comparison.scene_file.open_scene", lambda *_: data)
     asked = read_scene(scene(draft_scene(HOSTILE, falcon.processed)))
     assert (asked.device, asked.experiments) == (HOSTILE, (HOSTILE,))
 
@@ -151,7 +152,7 @@ def test_what_the_scene_leaves_out_is_not_computed(falcon, tmp_path, monkeypatch
     asked = []
     real = predictions.optimal_point
     monkeypatch.setattr(predictions, "optimal_point", lambda loop, c: asked.append(c) or real(loop, c))
-    monkeypatch.setattr("pipeline.compare.trial_page", refuse)
+    monkeypatch.setattr("pipeline.comparison.compare.trial_page", refuse)
     shutil.copytree(falcon.processed, tmp_path / "p", ignore=shutil.ignore_patterns("stages", "theory"))
     only = Shown(figures=("boundaries",), tables=("boundary",), overlays=())
     compare("falcon", tmp_path / "p", criteria=["settle_2pct"], report=tmp_path / "r.html", shown=only)

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from pipeline.models import (
+from pipeline.records.models import (
     SCHEMA_MODELS,
     BoundaryPoint,
     ComparisonRow,

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.compare_experiment import nominal_theories
-from pipeline.models import CRITERIA, BoundaryPoint
-from pipeline.region import stiffness_limit
-from pipeline.scene import open_scene
-from pipeline.scores import _scores
+from pipeline.comparison.compare_experiment import nominal_theories
+from pipeline.comparison.scene import open_scene
+from pipeline.comparison.scores import _scores
+from pipeline.records.models import CRITERIA, BoundaryPoint
+from pipeline.theory.region import stiffness_limit
 
 
 @pytest.fixture(scope="module")

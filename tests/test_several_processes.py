@@ -16,16 +16,16 @@ import pytest
 from native_logs import short_log
 from stored import check_whole, stored_rows
 
-from pipeline import lock
-from pipeline.errors import StoreError, UsageError
-from pipeline.ingest import ingest
-from pipeline.storage import load_batch, read_trials
+from pipeline.base import lock
+from pipeline.base.errors import StoreError, UsageError
+from pipeline.store.ingest import ingest
+from pipeline.store.storage import load_batch, read_trials
 
 READY = "ready"
 INGEST = f"""
 import sys
 from pathlib import Path
-from pipeline import compaction, ingest as module
+from pipeline.store import compaction, ingest as module
 module.PENDING_BYTES, compaction.MOST_SMALL = int(sys.argv[3]), 3
 print({READY!r}, flush=True)
 report = module.ingest([Path(sys.argv[1])], Path(sys.argv[2]), jobs=2)
@@ -179,7 +179,7 @@ def test_who_writes_is_named(tmp_path):
 
 
 def test_a_lock_of_a_killed_process_is_free(tmp_path):
-    script = "import sys\nfrom pathlib import Path\nfrom pipeline.lock import writing\n"
+    script = "import sys\nfrom pathlib import Path\nfrom pipeline.base.lock import writing\n"
     script += "with writing(Path(sys.argv[1])):\n    print('ready', flush=True)\n    sys.stdin.read()\n"
     command = [sys.executable, "-c", script, str(tmp_path)]
     process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)

@@ -10,10 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
-from pipeline.batch import Floats, Integers, TrialBatch
-from pipeline.devices import load_device
-from pipeline.errors import ParameterError
-from pipeline.simulate import (
+from pipeline.base.errors import ParameterError
+from pipeline.records.batch import Floats, Integers, TrialBatch
+from pipeline.simulation.simulate import (
     MassSpringDamper,
     Setup,
     idealise,
@@ -22,6 +21,7 @@ from pipeline.simulate import (
     simulate,
     spectral_radius,
 )
+from pipeline.store.devices import load_device
 
 T = 0.001
 FALCON = setup_of(load_device("falcon"), load_device("falcon").experiments[0])

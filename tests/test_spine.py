@@ -14,19 +14,19 @@ import simulated
 from native_logs import log_text
 from report_data import HOSTILE
 
-from pipeline.cli import run
-from pipeline.compare import compare
-from pipeline.course import run_course, write_course
-from pipeline.devices import load_device
-from pipeline.errors import DeviceError
-from pipeline.ingest import ingest
-from pipeline.models import CRITERIA
-from pipeline.native import NativeHeader, format_header
-from pipeline.report import cells
-from pipeline.results import ComparisonResult
-from pipeline.stages import STAGES, ExperimentStages
-from pipeline.storage import read_trials, stage_file
-from pipeline.tables import read_table
+from pipeline.base.errors import DeviceError
+from pipeline.comparison.compare import compare
+from pipeline.measured.stages import STAGES, ExperimentStages
+from pipeline.records.models import CRITERIA
+from pipeline.records.native import NativeHeader, format_header
+from pipeline.records.results import ComparisonResult
+from pipeline.records.tables import read_table
+from pipeline.rendering.report import cells
+from pipeline.shell.cli import run
+from pipeline.simulation.course import run_course, write_course
+from pipeline.store.devices import load_device
+from pipeline.store.ingest import ingest
+from pipeline.store.storage import read_trials, stage_file
 
 QUICK = ("energy_step_w0", "overshoot")
 

@@ -20,9 +20,9 @@ from independent import (
 )
 from test_branches import exact_point
 
-from pipeline.errors import ParameterError
-from pipeline.loop import Loop
-from pipeline.stability import (
+from pipeline.base.errors import ParameterError
+from pipeline.theory.loop import Loop
+from pipeline.theory.stability import (
     Boundary,
     boundary,
     boundary_points,

@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 import shutil
 
-from pipeline.stage_pool import compute_stages
-from pipeline.tables import read_table
+from pipeline.comparison.stage_pool import compute_stages
+from pipeline.records.tables import read_table
 
 NEEDED = {"response", "boundary", "delay"}
 

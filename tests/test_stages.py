@@ -10,16 +10,16 @@ import pyarrow as pa
 import pytest
 import simulated
 
-from pipeline import boundary, costs, damping, delay, mass, response, stages, verdict
-from pipeline.energy import energy_costs
-from pipeline.errors import StoreError
-from pipeline.loop import Normalised
-from pipeline.provenance import PACKAGE_FOLDER
-from pipeline.region import stiffness_limit
-from pipeline.stages import NEEDS, STAGES, ExperimentStages, required
-from pipeline.storage import stage_file
-from pipeline.tables import read_table, write_table
-from pipeline.transient import transient_costs
+from pipeline.base.errors import StoreError
+from pipeline.base.provenance import PACKAGE_FOLDER
+from pipeline.measured import boundary, costs, damping, delay, mass, response, stages, verdict
+from pipeline.measured.stages import NEEDS, STAGES, ExperimentStages, required
+from pipeline.records.tables import read_table, write_table
+from pipeline.store.storage import stage_file
+from pipeline.theory.energy import energy_costs
+from pipeline.theory.loop import Normalised
+from pipeline.theory.region import stiffness_limit
+from pipeline.theory.transient import transient_costs
 
 TRUE_MASS, TRUE_DAMPING, DELAY, T = 0.58, 4.0, 4, 1e-3
 
@@ -185,14 +185,15 @@ CONTRACTS = {"", "batch", "errors", "models", "provenance", "tables", "storage",
 
 
 def closure(module: str) -> set[str]:
-    """Modules of the measured branch that a module rests on, itself included."""
-    tree = ast.parse((PACKAGE_FOLDER / f"{module}.py").read_text(encoding="utf-8"))
-    names = {
-        (node.module or "").removeprefix("pipeline").removeprefix(".")
-        for node in ast.walk(tree)
-        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("pipeline")
-    } - CONTRACTS
-    return {module}.union(*(closure(name) for name in names))
+    """Modules that a module rests on, itself included."""
+    (path,) = PACKAGE_FOLDER.glob(f"*/{module}.py")
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    names = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("pipeline"):
+            whole = (node.module or "").count(".") == 1
+            names |= {alias.name for alias in node.names} if whole else {str(node.module).rpartition(".")[2]}
+    return {module}.union(*(closure(name) for name in names - CONTRACTS))
 
 
 COMPUTES = {

@@ -5,12 +5,12 @@ import os
 import pytest
 from native_logs import FAULTS, log_text
 
-from pipeline import lock
-from pipeline.compare import compare
-from pipeline.ingest import ingest
-from pipeline.stages import ExperimentStages
-from pipeline.status import status
-from pipeline.storage import read_trials
+from pipeline.base import lock
+from pipeline.comparison.compare import compare
+from pipeline.comparison.status import status
+from pipeline.measured.stages import ExperimentStages
+from pipeline.store.ingest import ingest
+from pipeline.store.storage import read_trials
 
 
 @pytest.fixture

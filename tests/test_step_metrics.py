@@ -7,12 +7,12 @@ import pytest
 from scipy import signal
 from simulated import FALCON, simulate
 
-from pipeline import costs
-from pipeline.batch import TrialBatch
-from pipeline.errors import ParameterError
-from pipeline.response import find_response
-from pipeline.step_metrics import DEFINITIONS, TOOLS, reconcile
-from pipeline.verdict import Verdicts, judge
+from pipeline.base.errors import ParameterError
+from pipeline.measured import costs
+from pipeline.measured.response import find_response
+from pipeline.measured.step_metrics import DEFINITIONS, TOOLS, reconcile
+from pipeline.measured.verdict import Verdicts, judge
+from pipeline.records.batch import TrialBatch
 
 EDGE = 20
 STABLE = Verdicts(np.array(["stable"], dtype="<U9"), np.array([np.nan]), ("",))

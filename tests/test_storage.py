@@ -6,10 +6,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.errors import StoreError
-from pipeline.ingest import ingest
-from pipeline.native import NativeHeader, format_header
-from pipeline.storage import (
+from pipeline.base.errors import StoreError
+from pipeline.records.native import NativeHeader, format_header
+from pipeline.records.tables import COLUMNS, TABLES, read_table, to_arrow, write_table
+from pipeline.store.ingest import ingest
+from pipeline.store.storage import (
     folder_name,
     list_devices,
     list_experiments,
@@ -18,7 +19,6 @@ from pipeline.storage import (
     natural_key,
     read_trials,
 )
-from pipeline.tables import COLUMNS, TABLES, read_table, to_arrow, write_table
 
 
 def write_log(path, stiffness, damping=1.0, device="bench", experiment="1", rows=3):

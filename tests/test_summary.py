@@ -5,10 +5,10 @@ import re
 import numpy as np
 import pytest
 
-from pipeline.models import Estimate, Optimum, Trend
-from pipeline.scene import open_scene
-from pipeline.summary import summarise
-from pipeline.summary_warnings import warnings_of
+from pipeline.comparison.scene import open_scene
+from pipeline.comparison.summary import summarise
+from pipeline.comparison.summary_warnings import warnings_of
+from pipeline.records.models import Estimate, Optimum, Trend
 
 
 @pytest.fixture(scope="module")
@@ -174,8 +174,8 @@ def test_unknown_device_is_named_in_a_warning(unknown_outcome):
 def test_logs_that_contradict_the_device_file_are_named(tmp_path):
     from native_logs import ROWS, log_text
 
-    from pipeline.compare import compare
-    from pipeline.ingest import ingest
+    from pipeline.comparison.compare import compare
+    from pipeline.store.ingest import ingest
 
     logs = tmp_path / "logs"
     logs.mkdir()

@@ -12,11 +12,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline import canvas, style
-from pipeline.errors import PipelineError
-from pipeline.polyline import needed_points
-from pipeline.svg_compact import compact
-from pipeline.svg_paths import SEEN, UNIT, compact_path
+from pipeline.base.errors import PipelineError
+from pipeline.rendering import canvas, style
+from pipeline.rendering.polyline import needed_points
+from pipeline.rendering.svg_compact import compact
+from pipeline.rendering.svg_paths import SEEN, UNIT, compact_path
 
 NUMBER = re.compile(r"[A-Za-z]|-?\d+(?:\.\d+)?")
 

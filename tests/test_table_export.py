@@ -10,9 +10,9 @@ import re
 import pytest
 from report_data import HOSTILE, report_data
 
-from pipeline.errors import UsageError
-from pipeline.report_tables import Cell, Head, Table
-from pipeline.table_export import (
+from pipeline.base.errors import UsageError
+from pipeline.rendering.report_tables import Cell, Head, Table
+from pipeline.rendering.table_export import (
     FORMATS,
     csv_text,
     export_tables,
@@ -23,7 +23,7 @@ from pipeline.table_export import (
     printed_tables,
     tables_folder,
 )
-from pipeline.table_values import ValueTable, value_tables
+from pipeline.rendering.table_values import ValueTable, value_tables
 
 FORMULAS = ('=HYPERLINK("http://x")', "+1+cmd|' /C calc'!A0", "-2+3", "@SUM(1)", "\tx", "\r=1")
 

@@ -5,12 +5,12 @@ import dataclasses
 
 import pytest
 
-from pipeline.compare_experiment import nominal_theories
-from pipeline.models import ComparisonRow, Optimum
-from pipeline.predictions import Predictions
-from pipeline.provenance import schema_folder
-from pipeline.scene import open_scene
-from pipeline.tables_d import TableBuilder, condition_of, layouts
+from pipeline.base.provenance import schema_folder
+from pipeline.comparison.compare_experiment import nominal_theories
+from pipeline.comparison.scene import open_scene
+from pipeline.comparison.tables_d import TableBuilder, condition_of, layouts
+from pipeline.records.models import ComparisonRow, Optimum
+from pipeline.theory.predictions import Predictions
 
 CENTRES = 0.002
 """Relative tolerance of the centre of a settling region: the printed boxes come from a grid."""
@@ -89,7 +89,7 @@ def test_theory_of_d4_to_d6_is_the_published_one(lwr_outcome):
 def test_theory_of_d3_and_of_all_delays_is_the_published_one(sweep, tmp_path_factory, one_process):
     import conftest
 
-    from pipeline.devices import load_device
+    from pipeline.store.devices import load_device
 
     firm = conftest.make_lab(tmp_path_factory.mktemp("firm"), load_device("falcon"), ("6",), ideal=True, coarsen=6)
     rows = theory_rows(firm.compare())
@@ -148,7 +148,7 @@ def test_conditions_are_named_as_published():
 
 
 def layouts_of_device(name):
-    from pipeline.devices import load_device
+    from pipeline.store.devices import load_device
 
     return load_device(name).tables
 

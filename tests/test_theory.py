@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 from simulated import plant, spectral_radius
 
-from pipeline import theory
-from pipeline.errors import ParameterError
-from pipeline.loop import Loop
+from pipeline.base.errors import ParameterError
+from pipeline.theory import cases as theory
+from pipeline.theory.loop import Loop
 
 HEADER = "alpha,beta,gamma,delta,delay\n"
 

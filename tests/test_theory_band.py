@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.errors import ParameterError
-from pipeline.loop import Normalised
-from pipeline.models import Estimate
-from pipeline.overlap import MeasuredLimits, measured_limits
-from pipeline.region import stiffness_limit
-from pipeline.theory_band import ParameterBox, band_score, parameter_box, theory_band
+from pipeline.base.errors import ParameterError
+from pipeline.comparison.overlap import MeasuredLimits, measured_limits
+from pipeline.comparison.theory_band import ParameterBox, band_score, parameter_box, theory_band
+from pipeline.records.models import Estimate
+from pipeline.theory.loop import Normalised
+from pipeline.theory.region import stiffness_limit
 
 BOX = ParameterBox((0.55, 0.61), (2.0, 6.0), (3.0, 5.0), 1e-3)
 FIRM = ParameterBox((0.9, 1.1), (30.0, 38.0), (3.5, 4.5), 1e-3)

@@ -13,17 +13,19 @@ import pytest
 from independent import radius_by_polynomial, simulate
 from typer.testing import CliRunner
 
-from pipeline import theory_drawings, theory_figures, theory_jumps
-from pipeline.cli import app
-from pipeline.errors import ParameterError, UsageError
-from pipeline.human_arm import human_arms
-from pipeline.loop import Loop
-from pipeline.outline import outline, outline_in
-from pipeline.responses import extrema, response
-from pipeline.stability import is_stable
-from pipeline.theory_curves import cost_grid, plain_loop
-from pipeline.theory_jumps import first_settling_jump, largest_overshoot_jump
-from pipeline.theory_panels import Note, Panel, TheoryFigure, Trace
+from pipeline.base.errors import ParameterError, UsageError
+from pipeline.comparison import theory_figures
+from pipeline.records.theory_panels import Note, Panel, TheoryFigure, Trace
+from pipeline.rendering import theory_drawings
+from pipeline.shell.cli import app
+from pipeline.store.human_arm import human_arms
+from pipeline.theory import theory_jumps
+from pipeline.theory.loop import Loop
+from pipeline.theory.outline import outline, outline_in
+from pipeline.theory.responses import extrema, response
+from pipeline.theory.stability import is_stable
+from pipeline.theory.theory_curves import cost_grid, plain_loop
+from pipeline.theory.theory_jumps import first_settling_jump, largest_overshoot_jump
 
 SHARED = Path(__file__).parents[2] / "shared"
 QUICK = ("3.5", "3.6", "3.7", "3.8", "3.9", "3.10", "3.11", "4.1", "4.2", "4.3", "5.1", "5.2", "5.11")

@@ -6,9 +6,10 @@ import pyarrow.parquet as pq
 import pytest
 from simulated import spectral_radius
 
-from pipeline import stability, theory, theory_map
-from pipeline.errors import ParameterError, PipelineError
-from pipeline.loop import Loop
+from pipeline.base.errors import ParameterError, PipelineError
+from pipeline.theory import cases as theory
+from pipeline.theory import stability, theory_map
+from pipeline.theory.loop import Loop
 
 
 @pytest.mark.parametrize("loop", [Loop(0, 0, 1), Loop(0.001, 0.02, 2), Loop(0.2, 0.1, 0.5)])

@@ -8,16 +8,16 @@ import independent
 import numpy as np
 import pytest
 
-import pipeline.theory_tables as module
-from pipeline.cli import run
-from pipeline.energy import energy_costs
-from pipeline.errors import ParameterError
-from pipeline.loop import Loop
-from pipeline.published_theory import THEORY_TABLES, PublishedPoint, published_points
-from pipeline.search import where_stable
-from pipeline.stability import boundary
-from pipeline.theory_tables import FLAT, LIMIT, MARKS, ROUNDING, Entry, TheoryRow, count_marks, recompute
-from pipeline.theory_tables_text import document, summary_line, table_lines
+import pipeline.comparison.theory_tables as module
+from pipeline.base.errors import ParameterError
+from pipeline.comparison.theory_tables import FLAT, LIMIT, MARKS, ROUNDING, Entry, TheoryRow, count_marks, recompute
+from pipeline.shell.cli import run
+from pipeline.shell.theory_tables_text import document, summary_line, table_lines
+from pipeline.store.published_theory import THEORY_TABLES, PublishedPoint, published_points
+from pipeline.theory.energy import energy_costs
+from pipeline.theory.loop import Loop
+from pipeline.theory.search import where_stable
+from pipeline.theory.stability import boundary
 
 
 def printed(criterion: str, table: str, gamma: float = 0.0, delta: float = 0.0) -> PublishedPoint:
@@ -315,7 +315,7 @@ def test_command_prints_one_json_document_and_nothing_else(capsys: pytest.Captur
 
 
 def test_command_shows_progress_per_table(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pipeline.console.QUIET_SECONDS", 0.0)
+    monkeypatch.setattr("pipeline.shell.console.QUIET_SECONDS", 0.0)
     _, _, err = call(capsys, "--table", "B.3")
     assert "Table B.3: 26 of 26 rows" in err
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from pipeline.errors import LogError
-from pipeline.profile_columns import Fraction, TimeSource
+from pipeline.base.errors import LogError
+from pipeline.profiles.profile_columns import Fraction, TimeSource
 from pipeline.readers.time_axis import distinct, in_order, read_stamps, step_flags
 
 PERIOD = 1e-3

@@ -24,11 +24,11 @@ from independent import (
     stable_walls,
 )
 
-import pipeline.transient
-from pipeline.errors import ParameterError
-from pipeline.loop import Loop, Normalised
-from pipeline.stability import boundary, is_stable, spectral_radius
-from pipeline.transient import transient_costs
+import pipeline.theory.transient
+from pipeline.base.errors import ParameterError
+from pipeline.theory.loop import Loop, Normalised
+from pipeline.theory.stability import boundary, is_stable, spectral_radius
+from pipeline.theory.transient import transient_costs
 
 BANDS = (0.01, 0.02, 0.05)
 ROUNDING = 1e-9
@@ -170,7 +170,7 @@ def test_ending_a_response_early_changes_nothing(
     alpha, beta = alpha[keep], beta[keep]
     assert len(alpha) > 20
     early = transient_costs(loop, alpha, beta)
-    monkeypatch.setattr(pipeline.transient, "_SETTLED", 1e-6)
+    monkeypatch.setattr(pipeline.theory.transient, "_SETTLED", 1e-6)
     late = transient_costs(loop, alpha, beta, quiet=1e-15)
     for name, values_ in early.items():
         np.testing.assert_allclose(values_, late[name], rtol=1e-12, atol=1e-12, err_msg=name)

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from pipeline.trial_codec import (
+from pipeline.records.trial_codec import (
     COLUMNS,
     LEVELS,
     WHOLE,

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.compare_experiment import experiment_result, nominal_theories
-from pipeline.labels import cost_text
-from pipeline.models import CRITERIA
-from pipeline.report_scripts import json_text
-from pipeline.scene import open_scene
-from pipeline.trial_codec import LEVELS, decode, unpack
-from pipeline.trial_data import BUDGET, trial_page
+from pipeline.comparison.compare_experiment import experiment_result, nominal_theories
+from pipeline.comparison.scene import open_scene
+from pipeline.comparison.trial_data import BUDGET, trial_page
+from pipeline.records.models import CRITERIA
+from pipeline.records.trial_codec import LEVELS, decode, unpack
+from pipeline.rendering.labels import cost_text
+from pipeline.rendering.report_scripts import json_text
 
 
 @pytest.fixture(scope="module")

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.errors import ParameterError
-from pipeline.implied_slope import Limits
-from pipeline.loop import Normalised
-from pipeline.region import stiffness_limit
-from pipeline.upper_bound import TheoryCurve, upper_bound
+from pipeline.base.errors import ParameterError
+from pipeline.comparison.implied_slope import Limits
+from pipeline.comparison.upper_bound import TheoryCurve, upper_bound
+from pipeline.theory.loop import Normalised
+from pipeline.theory.region import stiffness_limit
 
 B = np.arange(4.0, 184.0, 4.0)
 ERROR = 40.0  # N/m: a course's fine step

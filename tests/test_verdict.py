@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from simulated import FALCON, LWR, simulate, spectral_radius
 
-from pipeline.verdict import judge
+from pipeline.measured.verdict import judge
 
 FIRM = {**FALCON, "mass": 1.0, "b": 34.0}
 FALCON_SENSOR = {"noise": 5e-7, "quantum": 2e-6}

@@ -14,12 +14,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from pipeline import report_parts, verify
-from pipeline.cli import app
-from pipeline.compare import compare
-from pipeline.errors import UsageError
-from pipeline.ingest import ingest
-from pipeline.report_parts import take_apart
+from pipeline.base.errors import UsageError
+from pipeline.comparison.compare import compare
+from pipeline.rendering import report_parts
+from pipeline.rendering.report_parts import take_apart
+from pipeline.shell import verify
+from pipeline.shell.cli import app
+from pipeline.store.ingest import ingest
 
 pytestmark = pytest.mark.usefixtures("one_process")
 

@@ -17,19 +17,20 @@ from pathlib import Path
 import pytest
 from native_logs import FAULTS, log_text
 
-from pipeline import lock, watch, watch_pass
-from pipeline.cli import run
-from pipeline.cli_watch import line_of
-from pipeline.compare import compare
-from pipeline.course import run_course, write_course
-from pipeline.devices import load_device
-from pipeline.ingest import ingest
-from pipeline.quarantine import list_quarantine
-from pipeline.report import cells
-from pipeline.scene_file import read_scene
-from pipeline.storage import read_trials
-from pipeline.watch import Watch, Watched
-from pipeline.watch_pass import PASS_FOLDER, PassRequest, Stopped, run_pass
+from pipeline.base import lock
+from pipeline.comparison.compare import compare
+from pipeline.comparison.scene_file import read_scene
+from pipeline.rendering.report import cells
+from pipeline.shell import watch, watch_pass
+from pipeline.shell.cli import run
+from pipeline.shell.cli_watch import line_of
+from pipeline.shell.watch import Watch, Watched
+from pipeline.shell.watch_pass import PASS_FOLDER, PassRequest, Stopped, run_pass
+from pipeline.simulation.course import run_course, write_course
+from pipeline.store.devices import load_device
+from pipeline.store.ingest import ingest
+from pipeline.store.quarantine import list_quarantine
+from pipeline.store.storage import read_trials
 
 ROOT = Path(__file__).parents[1]
 INTERVAL_S, SETTLE_S, PAUSE_S = 0.1, 0.8, 0.25
@@ -239,7 +240,7 @@ def kinds(events: list[dict]) -> list[str]:
 
 
 def test_a_report_that_fails_stops_no_other(tmp_path, compared, capsys):
-    from pipeline.errors import DeviceError
+    from pipeline.base.errors import DeviceError
 
     asked, answers = compared
     for device in ("alpha", "bench", "gamma"):
@@ -270,7 +271,7 @@ def test_a_report_that_fails_stops_no_other(tmp_path, compared, capsys):
 
 @pytest.mark.parametrize("error", [OSError(28, "No space left on device"), "store"])
 def test_what_may_pass_without_a_change_is_to_be_tried_again(tmp_path, compared, error):
-    from pipeline.errors import StoreError
+    from pipeline.base.errors import StoreError
 
     write_logs(tmp_path / "raw")
     compared[1]["bench"] = StoreError("damaged") if error == "store" else error
@@ -569,19 +570,29 @@ def test_commands_of_the_service_and_of_cron_exist():
 
 
 def test_every_event_is_on_the_page_and_has_words():
-    sources = [(ROOT / "pipeline" / f"{name}.py").read_text() for name in ("watch", "watch_pass", "cli_watch")]
+    sources = [
+        (ROOT / "pipeline" / "shell" / f"{name}.py").read_text() for name in ("watch", "watch_pass", "cli_watch")
+    ]
     found = {kind for text in sources for kind in re.findall(r'"event": "(\w+)"', text)} - {"outcome"}
     found |= {"report", "unchanged"}  # chosen by whether something changed
     page = (ROOT / "docs" / "watch.md").read_text(encoding="utf-8")
     assert [kind for kind in sorted(found) if f"`{kind}`" not in page] == []
     assert len(found) > 10
-    words = (ROOT / "pipeline" / "cli_watch.py").read_text()
+    words = (ROOT / "pipeline" / "shell" / "cli_watch.py").read_text()
     assert [kind for kind in sorted(found - {"stopped"}) if f'case "{kind}":' not in words] == []
 
 
 def test_the_process_that_looks_is_small():
-    heavy = ["numpy", "pyarrow", "matplotlib", "jinja2", "pydantic", "pipeline.compare", "pipeline.ingest"]
-    script = "import sys, pipeline.cli, pipeline.watch\n"
+    heavy = [
+        "numpy",
+        "pyarrow",
+        "matplotlib",
+        "jinja2",
+        "pydantic",
+        "pipeline.comparison.compare",
+        "pipeline.store.ingest",
+    ]
+    script = "import sys, pipeline.shell.cli, pipeline.shell.watch\n"
     script += f"print([name for name in {heavy} if name in sys.modules])"
     process = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
     assert process.stdout.strip() == "[]"

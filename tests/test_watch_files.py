@@ -5,10 +5,10 @@ import os
 import pytest
 from native_logs import short_log
 
-from pipeline.ingest import ingest
-from pipeline.profiles import shipped_profiles
-from pipeline.sources import find_sources
-from pipeline.watch_files import LONGEST_WAIT, LOOK_SHARE, SHORTEST_WAIT_S, Arrivals, look_at, wait_after
+from pipeline.profiles.profile_files import shipped_profiles
+from pipeline.shell.watch_files import LONGEST_WAIT, LOOK_SHARE, SHORTEST_WAIT_S, Arrivals, look_at, wait_after
+from pipeline.store.ingest import ingest
+from pipeline.store.sources import find_sources
 
 A, B = (10, 1, 1), (20, 2, 2)
 

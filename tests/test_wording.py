@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from pipeline.wording import counted, listed, percent, shared_notes, true_minus, unbroken
+from pipeline.base.wording import counted, listed, percent, shared_notes, true_minus, unbroken
 
 NBSP = "\N{NO-BREAK SPACE}"
 

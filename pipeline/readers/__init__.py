@@ -10,8 +10,8 @@ from collections.abc import Callable, Sequence
 from importlib import import_module
 from typing import Any
 
-from pipeline.errors import LogError
-from pipeline.profiles import Profile
+from pipeline.base.errors import LogError
+from pipeline.profiles.profile_files import Profile
 from pipeline.readers.log import Log, RawLog, check_samples
 
 __all__ = ["Log", "Outcome", "RawLog", "Reader", "check_samples", "reader_of"]

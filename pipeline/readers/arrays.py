@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.errors import LogError
+from pipeline.base.errors import LogError
 from pipeline.readers.frame import ColumnInfo, Frame, Scalar
 
 LISTED_ELEMENTS = 64

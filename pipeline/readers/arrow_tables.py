@@ -13,8 +13,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from pipeline.errors import LogError
-from pipeline.profiles import Profile
+from pipeline.base.errors import LogError
+from pipeline.profiles.profile_files import Profile
 from pipeline.readers.arrays import LISTED_ELEMENTS, Array, plain_column, unknown_column
 from pipeline.readers.frame import ColumnInfo, Frame, Scalar
 from pipeline.readers.isolation import isolated

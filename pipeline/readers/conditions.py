@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.batch import Integers
-from pipeline.errors import LogError, ParameterError
-from pipeline.native import NativeHeader, parse_header
-from pipeline.profile_model import CONDITION_QUANTITIES, REQUIRED_CONDITIONS, FileEntry, StepEntry
-from pipeline.profiles import Profile
+from pipeline.base.errors import LogError, ParameterError
+from pipeline.base.units import factor_to_si
+from pipeline.profiles.profile_files import Profile
+from pipeline.profiles.profile_model import CONDITION_QUANTITIES, REQUIRED_CONDITIONS, FileEntry, StepEntry
 from pipeline.readers.frame import Frame, Scalar
-from pipeline.units import factor_to_si
+from pipeline.records.batch import Integers
+from pipeline.records.native import NativeHeader, parse_header
 
 _QUANTITY = re.compile(r"([^\s\[\]()]+)\s*[\[(]?\s*([^\d\s\[\]()][^\[\]()]*?)?\s*[\])]?")
 """A number and, behind it, a unit, which may stand in brackets."""

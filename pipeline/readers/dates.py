@@ -12,9 +12,9 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from pipeline.batch import Integers
-from pipeline.profile_columns import TimeSource
-from pipeline.units import factor_to_si
+from pipeline.base.units import factor_to_si
+from pipeline.profiles.profile_columns import TimeSource
+from pipeline.records.batch import Integers
 
 DATE_S = 2.0**28
 """Seconds from zero (8.5 years) beyond which a stamp is a date: no machine runs that long, and the origins in use

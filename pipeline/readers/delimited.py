@@ -14,14 +14,14 @@ import pyarrow.compute as pc
 import pyarrow.csv as pacsv
 from numpy.typing import NDArray
 
-from pipeline.batch import Integers
-from pipeline.errors import LogError
-from pipeline.profile_text import BLANKS, TextLayout
-from pipeline.profiles import Profile
+from pipeline.base.errors import LogError
+from pipeline.profiles.profile_files import Profile
+from pipeline.profiles.profile_text import BLANKS, TextLayout
 from pipeline.readers.dates import whole_dates
 from pipeline.readers.frame import ColumnInfo, Frame, Scalar
 from pipeline.readers.plain_text import plain_text
 from pipeline.readers.safety import check_columns
+from pipeline.records.batch import Integers
 
 LONGEST_BANNER = 10_000
 """Lines that are searched for the beginning of the table; terminal banners have some dozens."""

@@ -5,8 +5,8 @@ A spreadsheet that was saved under the name ``run.csv`` would otherwise be refus
 
 from __future__ import annotations
 
-from pipeline.errors import LogError
-from pipeline.profile_layout import format_of
+from pipeline.base.errors import LogError
+from pipeline.readers.layout import format_of
 
 _TEXTS = ("native", "delimited", "json")
 """Formats that a file of another kind, with other first bytes, cannot be."""

@@ -19,7 +19,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from pipeline.batch import Integers
+from pipeline.records.batch import Integers
 
 Scalar = str | float | int
 

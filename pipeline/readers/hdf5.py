@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.errors import LogError
-from pipeline.profiles import Profile
+from pipeline.base.errors import LogError
+from pipeline.profiles.profile_files import Profile
 from pipeline.readers.arrays import Array, StoredArray, frame_of_arrays, list_arrays
 from pipeline.readers.frame import ColumnInfo, Frame, Scalar
 from pipeline.readers.isolation import isolated

@@ -19,7 +19,7 @@ import threading
 from importlib import import_module
 from typing import Any, BinaryIO
 
-from pipeline.errors import LogError
+from pipeline.base.errors import LogError
 from pipeline.readers.safety import LARGEST_FRAME
 
 CPU_SECONDS = 0.6

@@ -12,15 +12,15 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from pipeline.batch import Integers
-from pipeline.errors import LogError
-from pipeline.profile_columns import TimeSource
-from pipeline.profiles import Profile
+from pipeline.base.errors import LogError
+from pipeline.profiles.profile_columns import TimeSource
+from pipeline.profiles.profile_files import Profile
 from pipeline.readers.arrays import Array, StoredArray, frame_of_arrays, list_arrays, stored, unknown_column
 from pipeline.readers.dates import whole_dates
 from pipeline.readers.frame import ColumnInfo, Frame, Scalar
 from pipeline.readers.json_text import LongNumber, Place, parse_json
 from pipeline.readers.safety import check_claim, check_columns, reading
+from pipeline.records.batch import Integers
 
 DEEPEST = 32
 """Lists and objects inside each other: what robots log has two to five."""

@@ -7,7 +7,7 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import Any
 
-from pipeline.errors import LogError
+from pipeline.base.errors import LogError
 
 LARGEST_JSON = 64 << 20
 """Bytes of a JSON file: 10^5 records of 600 characters; numbers as objects take forty times their text."""

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from pipeline.batch import Floats, Integers
-from pipeline.errors import LogError
-from pipeline.native import NativeHeader
+from pipeline.base.errors import LogError
+from pipeline.records.batch import Floats, Integers
+from pipeline.records.native import NativeHeader
 
 
 @dataclass(frozen=True)

@@ -13,17 +13,17 @@ from typing import Any, Literal
 
 import numpy as np
 
-from pipeline.batch import Booleans, Floats, Integers
-from pipeline.errors import LogError, ProfileError
-from pipeline.file_names import storable
-from pipeline.profile_columns import ColumnSource
-from pipeline.profile_model import REQUIRED_CONDITIONS, StepTime, Window
-from pipeline.profiles import Profile
+from pipeline.base.errors import LogError, ProfileError
+from pipeline.base.file_names import storable
+from pipeline.profiles.profile_columns import ColumnSource
+from pipeline.profiles.profile_files import Profile
+from pipeline.profiles.profile_model import REQUIRED_CONDITIONS, StepTime, Window
 from pipeline.readers.conditions import conditions_of, entry_of, header_of
 from pipeline.readers.file_kind import refuse_other_kind
 from pipeline.readers.frame import Frame
 from pipeline.readers.log import Log, RawLog, check_samples
 from pipeline.readers.rows import Rows, rows_of
+from pipeline.records.batch import Booleans, Floats, Integers
 
 MODULES = {
     "json": "json_records",

@@ -10,8 +10,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from pipeline.errors import LogError
-from pipeline.profiles import Profile
+from pipeline.base.errors import LogError
+from pipeline.profiles.profile_files import Profile
 from pipeline.readers.arrays import frame_of_arrays, list_arrays
 from pipeline.readers.frame import ColumnInfo, Frame
 from pipeline.readers.hdf5 import is_hdf5, open_image

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.errors import LogError
+from pipeline.base.errors import LogError
 from pipeline.readers.arrays import StoredArray
 from pipeline.readers.frame import Scalar
 from pipeline.readers.safety import allowed_bytes, unpack

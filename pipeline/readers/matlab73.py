@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.errors import LogError
+from pipeline.base.errors import LogError
 from pipeline.readers.arrays import Array, StoredArray
 from pipeline.readers.hdf5 import load_dataset
 from pipeline.readers.matlab5 import DEEPEST, MOST_ELEMENTS, OBJECT_ADVICE, MatContents

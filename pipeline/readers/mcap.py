@@ -10,8 +10,8 @@ import struct
 from collections.abc import Callable, Sequence
 from zlib import crc32
 
-from pipeline.errors import LogError
-from pipeline.profiles import Profile
+from pipeline.base.errors import LogError
+from pipeline.profiles.profile_files import Profile
 from pipeline.readers.frame import ColumnInfo, Frame
 from pipeline.readers.isolation import isolated
 from pipeline.readers.recording import LISTED_MESSAGES, Parts, Recording, Topic, split

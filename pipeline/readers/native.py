@@ -14,13 +14,13 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.csv as pacsv
 
-from pipeline.batch import Floats
-from pipeline.errors import LogError
-from pipeline.native import COLUMN_LINE, NativeHeader, parse_header
-from pipeline.profiles import Profile
+from pipeline.base.errors import LogError
+from pipeline.profiles.profile_files import Profile
 from pipeline.readers.file_kind import refuse_other_kind
 from pipeline.readers.log import Log, RawLog, check_samples
 from pipeline.readers.plain_text import LONGEST_LINE
+from pipeline.records.batch import Floats
+from pipeline.records.native import COLUMN_LINE, NativeHeader, parse_header
 
 _NAMES = COLUMN_LINE.split(",")
 # float() would take digits of every script, which the common parse does not; no digit may belong to two parts, or a

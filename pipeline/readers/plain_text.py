@@ -7,8 +7,8 @@ import codecs
 import numpy as np
 import pyarrow as pa
 
-from pipeline.errors import LogError
-from pipeline.profile_text import TextLayout
+from pipeline.base.errors import LogError
+from pipeline.profiles.profile_text import TextLayout
 from pipeline.readers.safety import check_claim
 
 LARGEST_TEXT = 256 << 20

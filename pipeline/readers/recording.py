@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
-from pipeline.errors import LogError
+from pipeline.base.errors import LogError
 
 Parts = tuple[tuple[str, int], ...]
 """Name and bytes of each file of a bag."""

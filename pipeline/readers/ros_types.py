@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from pipeline.errors import LogError
+from pipeline.base.errors import LogError
 from pipeline.readers.json_text import DoubledKeyError, load_json
 from pipeline.readers.recording import Topic
 from pipeline.readers.safety import allowed_bytes, library

@@ -1,7 +1,7 @@
 """Reads ROS 1 bags (``.bag``) and the database files of ROS 2 bags (``.db3``), columns as in `pipeline.readers.topics`.
 
 A ROS 2 bag is a folder; its samples are in the ``.db3`` or ``.mcap`` files in it, which are read one behind the other
-(`pipeline.bags` says which). Records are walked in order, so that a
+(`pipeline.store.bags` says which). Records are walked in order, so that a
 bag that was never closed or indexed is read up to its end.
 """
 
@@ -12,8 +12,8 @@ import struct
 from collections.abc import Callable, Sequence
 from contextlib import closing
 
-from pipeline.errors import LogError
-from pipeline.profiles import Profile
+from pipeline.base.errors import LogError
+from pipeline.profiles.profile_files import Profile
 from pipeline.readers.frame import ColumnInfo, Frame
 from pipeline.readers.isolation import isolated
 from pipeline.readers.recording import LISTED_MESSAGES, Parts, Recording, Topic, split

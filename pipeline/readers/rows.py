@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.batch import Booleans, Floats, Integers
-from pipeline.errors import LogError
-from pipeline.profile_columns import Source, TimeSource
-from pipeline.profiles import Profile
+from pipeline.base.errors import LogError
+from pipeline.profiles.profile_columns import Source, TimeSource
+from pipeline.profiles.profile_files import Profile
 from pipeline.readers.frame import Frame
 from pipeline.readers.time_axis import distinct, in_order, read_stamps
+from pipeline.records.batch import Booleans, Floats, Integers
 
 SENTINEL_TOLERANCE = 1e-6
 """Relative distance at which a number is the sentinel: single precision rounds by 6e-8, the next sensor reading lies

@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from importlib import import_module
 from typing import Any
 
-from pipeline.errors import LogError
+from pipeline.base.errors import LogError
 
 SMALL_FRAME = 64 << 20
 """Bytes that any file may unpack to: 10^6 rows of eight columns; a constant column packs 1000 times and more."""

@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.batch import Booleans, Floats, Integers
-from pipeline.errors import LogError
-from pipeline.profile_columns import TimeSource
+from pipeline.base.errors import LogError
+from pipeline.base.units import factor_to_si
+from pipeline.profiles.profile_columns import TimeSource
 from pipeline.readers.dates import are_dates
-from pipeline.units import factor_to_si
+from pipeline.records.batch import Booleans, Floats, Integers
 
 GAP = 1.5
 """Step between samples, in sampling periods, from which on samples are missing: the nearest multiple is 2 or more."""

@@ -1,0 +1,89 @@
+"""Methods of scipy and python-control, measured where they are installed; this package needs neither."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from types import ModuleType
+
+import numpy as np
+
+from pipeline.accuracy.accuracy_methods import Case, Sampled, generator, matrices
+from pipeline.records.batch import Floats
+
+
+def load(name: str) -> ModuleType | None:
+    """Return an optional module, or None where it is not installed."""
+    try:
+        return import_module(name)
+    except ImportError:
+        return None
+
+
+def plant_by_scipy_expm(linalg: ModuleType, gamma: float, delta: float) -> Sampled:
+    """Return the sampled plant from `scipy.linalg.expm`."""
+    m = linalg.expm(generator(gamma, delta))
+    return Sampled(m[:2, :2], m[:2, 2])
+
+
+def plant_by_scipy_signal(signal: ModuleType, gamma: float, delta: float) -> Sampled:
+    """Return the sampled plant from `scipy.signal.cont2discrete`, zero-order hold."""
+    g = generator(gamma, delta)
+    a, b, *_ = signal.cont2discrete((g[:2, :2], g[:2, 2:], np.eye(2), np.zeros((2, 1))), 1.0, method="zoh")
+    return Sampled(np.asarray(a), np.asarray(b)[:, 0])
+
+
+def response_by_dlsim(
+    signal: ModuleType, plant: Sampled, case: Case, alpha: Floats, beta: Floats, samples: int
+) -> Floats:
+    """Return the deviation at the samples of a step from `scipy.signal.dlsim`, shape (samples, n)."""
+    size = case.delay + 3
+    start = np.full(size, -1.0)
+    start[1] = 0.0
+    columns = []
+    for matrix in matrices(plant, case.delay, alpha, beta):
+        system = (matrix, np.zeros((size, 1)), np.eye(1, size), np.zeros((1, 1)), 1.0)
+        columns.append(np.asarray(signal.dlsim(system, np.zeros((samples, 1)), x0=start)[1])[:, 0])
+    return np.array(columns).T
+
+
+def plant_by_control(control: ModuleType, gamma: float, delta: float) -> Sampled:
+    """Return the sampled plant from `control.c2d`, zero-order hold."""
+    g = generator(gamma, delta)
+    system = control.c2d(control.ss(g[:2, :2], g[:2, 2:], np.eye(2), np.zeros((2, 1))), 1.0, method="zoh")
+    return Sampled(np.asarray(system.A), np.asarray(system.B)[:, 0])
+
+
+def radius_by_control_states(control: ModuleType, plant: Sampled, delay: int, alpha: Floats, beta: Floats) -> Floats:
+    """Return spectral radii from the poles of python-control state spaces."""
+    size = delay + 3
+    rest = (np.zeros((size, 1)), np.eye(1, size), np.zeros((1, 1)), 1.0)
+    systems = (control.ss(matrix, *rest) for matrix in matrices(plant, delay, alpha, beta))
+    return np.array([np.abs(system.poles()).max() for system in systems])
+
+
+def radius_by_control_transfer(
+    control: ModuleType, transfer: tuple[float, float, float, float], delay: int, alpha: Floats, beta: Floats
+) -> Floats:
+    """Return spectral radii from python-control transfer functions with `feedback`."""
+    n1, n0, trace, det = transfer
+    plant = control.tf([n1, n0], [1.0, -trace, det, *[0.0] * delay], 1.0)
+    radii = []
+    for a, b in zip(alpha.tolist(), beta.tolist(), strict=True):
+        loop = control.feedback(plant, control.tf([a + b, -b], [1.0, 0.0], 1.0))
+        radii.append(float(np.abs(loop.poles()).max()))
+    return np.array(radii)
+
+
+def response_by_control(
+    control: ModuleType, plant: Sampled, case: Case, alpha: Floats, beta: Floats, samples: int
+) -> Floats:
+    """Return the deviation at the samples of a step from `control.forced_response`, shape (samples, n)."""
+    size = case.delay + 3
+    start = np.full(size, -1.0)
+    start[1] = 0.0
+    columns = []
+    for matrix in matrices(plant, case.delay, alpha, beta):
+        system = control.ss(matrix, np.zeros((size, 1)), np.eye(1, size), np.zeros((1, 1)), 1.0)
+        found = control.forced_response(system, np.arange(samples), np.zeros(samples), start)
+        columns.append(np.ravel(found.outputs))
+    return np.array(columns).T

@@ -1,0 +1,1 @@
+"""Error against run time of the measured branch, on simulated truth."""

@@ -1,0 +1,1 @@
+"""Ground that all else stands on: errors, units, files on the disk, hashes."""

@@ -1,0 +1,146 @@
+"""One writer at a time in `processed/`: a lock that the kernel lets go when its holder ends, in whatever way.
+
+The lock is held on the file ``processed/.lock``, which stays there; it is free when nobody holds it. Readers need none:
+what is stored is whole at any moment. Works on Linux and macOS, on local disks and on NFS from version 4.
+"""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import json
+import os
+import socket
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+from pipeline.base.disk import make_folder
+from pipeline.base.errors import StoreError, UsageError
+
+LOCK_FILE = ".lock"
+
+WAIT_S = 60.0
+"""How long a command waits by default [s]: an ingest of thousands of logs takes seconds, so that two commands started
+by scripts at the same moment both succeed; one that hangs is told within a minute."""
+
+_POLL_S = 0.1
+"""Time between two attempts [s]; the kernel offers no wait that ends."""
+
+_GRACE_S = 0.05
+"""Wait without being asked to [s]: who looks at the lock (`holder`) takes it for microseconds."""
+
+_LONGEST_NOTE = 4096
+"""Bytes read of a lock file; a holder's note has some 100."""
+
+_UNSUPPORTED = (errno.ENOLCK, errno.ENOTSUP, errno.EINVAL, errno.ENOSYS)
+
+
+@dataclass(frozen=True)
+class Holder:
+    """Who writes: process id, host, and since when (UTC, ISO 8601); None where the holder's note is not to be read."""
+
+    pid: int | None
+    host: str | None
+    since: str | None
+
+    def __str__(self) -> str:
+        if self.pid is None:
+            return "another process"
+        return f"process {self.pid} on {self.host} (since {self.since})"
+
+
+@contextmanager
+def writing(processed: Path, wait_s: float = WAIT_S, say: Callable[[str], None] | None = None) -> Iterator[bool]:
+    """Hold the lock of a store; make its folder if needed. Yields whether it had to wait for another holder.
+
+    Parameters
+    ----------
+    processed : Path
+    wait_s : float
+        How long to wait for another holder [s]; 0 refuses at once.
+    say : callable, optional
+        Gets one line when waiting begins.
+
+    Raises
+    ------
+    UsageError
+        If `wait_s` is negative or not a number.
+    StoreError
+        If another process still holds the lock after that time, or the file system has no locks.
+    """
+    if not wait_s >= 0:
+        raise UsageError(f"wait must be 0 s or more, found {wait_s:g}. 0 does not wait for another command.")
+    make_folder(processed)
+    path = processed / LOCK_FILE
+    descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+    try:
+        waited = _acquire(descriptor, path, wait_s, say)
+        _note(descriptor)
+        yield waited
+        os.ftruncate(descriptor, 0)
+    finally:
+        os.close(descriptor)  # lets the lock go
+
+
+def holder(processed: Path) -> Holder | None:
+    """Return who holds the lock of a store, None where nobody does."""
+    path = processed / LOCK_FILE
+    try:
+        descriptor = os.open(path, os.O_RDONLY)
+    except OSError:
+        return None
+    try:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return _read(descriptor)
+        except OSError:  # without locks nobody holds one
+            return None
+        return None
+    finally:
+        os.close(descriptor)
+
+
+def _acquire(descriptor: int, path: Path, wait_s: float, say: Callable[[str], None] | None) -> bool:
+    began = time.monotonic()
+    told = False
+    while True:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return time.monotonic() - began > _GRACE_S
+        except BlockingIOError:
+            waited = time.monotonic() - began
+            if waited >= max(wait_s, _GRACE_S):
+                raise StoreError(
+                    f"{path.parent}: {_read(descriptor)} writes there; waited {wait_s:g} s. Only one command may "
+                    "write at a time: wait for it to end, or give --wait SECONDS."
+                ) from None
+            if not told and say is not None and waited >= _GRACE_S:
+                say(f"{path.parent}: {_read(descriptor)} writes there; waiting up to {wait_s:g} s")
+                told = True
+            time.sleep(min(_POLL_S, _GRACE_S if waited < _GRACE_S else _POLL_S))
+        except OSError as error:
+            if error.errno not in _UNSUPPORTED:
+                raise
+            raise StoreError(
+                f"{path}: this file system has no locks ({error.strerror}), so that two commands could damage each "
+                "other's work. Choose a folder on a local disk (--processed)."
+            ) from error
+
+
+def _note(descriptor: int) -> None:
+    note = {"pid": os.getpid(), "host": socket.gethostname(), "since": datetime.now(UTC).isoformat(timespec="seconds")}
+    os.ftruncate(descriptor, 0)
+    os.pwrite(descriptor, json.dumps(note).encode(), 0)
+
+
+def _read(descriptor: int) -> Holder:
+    try:
+        note = json.loads(os.pread(descriptor, _LONGEST_NOTE, 0))
+        return Holder(int(note["pid"]), str(note["host"]), str(note["since"]))
+    except (OSError, ValueError, KeyError, TypeError):
+        return Holder(None, None, None)

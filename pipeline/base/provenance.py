@@ -1,0 +1,66 @@
+"""Where a stored number comes from: hashes of inputs, parameters and code, and the package version."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable, Mapping
+from functools import cache
+from pathlib import Path
+
+from pipeline import __version__
+
+PACKAGE_FOLDER = Path(__file__).parents[1]
+
+
+def schema_folder() -> Path:
+    """Return the folder with device, profile and schema files: in the package, or beside it in a source checkout."""
+    installed = PACKAGE_FOLDER / "_schemas"
+    return installed if installed.is_dir() else PACKAGE_FOLDER.parent / "schemas"
+
+
+def sha256(data: bytes) -> str:
+    """Return the SHA-256 of bytes as 64 hexadecimal digits."""
+    return hashlib.sha256(data).hexdigest()
+
+
+def digest(value: object) -> str:
+    """Return a 16-digit hash of anything JSON can hold; equal values give equal hashes on every machine."""
+    text = json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=True, allow_nan=False)
+    return sha256(text.encode())[:16]
+
+
+def digest_all(parts: Iterable[str]) -> str:
+    """Return a 16-digit hash of strings, in order."""
+    joined = hashlib.sha256()
+    for part in parts:
+        joined.update(part.encode())
+        joined.update(b"\0")
+    return joined.hexdigest()[:16]
+
+
+@cache
+def _modules() -> Mapping[str, Path]:
+    """Return the file of each module by its name, which is unique but for those of the readers."""
+    files = [path for path in PACKAGE_FOLDER.glob("*/*.py") if path.parent.name != "readers"]
+    return {path.stem: path for path in files}
+
+
+def _source(name: str) -> Path:
+    if Path(name).suffix:
+        return PACKAGE_FOLDER / name
+    return PACKAGE_FOLDER / f"{name}.py" if "/" in name else _modules()[name]
+
+
+@cache
+def code_digest(*modules: str) -> str:
+    """Return a hash of the source text of files of this package (`"costs"`, `"readers/native"`, `"base/x.css"`).
+
+    A stored result is reused only while the code that made it is the same.
+    """
+    return digest_all(sha256(_source(module).read_bytes()) for module in sorted(modules))
+
+
+def stamp(**entries: str) -> Mapping[str, str]:
+    """Return metadata for an output file: the given hashes and the package version."""
+    return {"pipeline.version": __version__, **{f"pipeline.{key}": value for key, value in entries.items()}}

@@ -1,0 +1,1 @@
+"""Where measured and theoretical branch meet: scenes, scores, tables, figures, summary."""

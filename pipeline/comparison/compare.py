@@ -1,0 +1,281 @@
+"""Measured against theoretical: the one place where both branches meet."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from pydantic import ValidationError
+
+from pipeline.base.provenance import code_digest, digest
+from pipeline.comparison.compare_experiment import estimated_theories, experiment_result, motion_of, nominal_theories
+from pipeline.comparison.figure_data import FigureBuilder, requests_of_delay_figure
+from pipeline.comparison.origin import log_list, provenance, request
+from pipeline.comparison.scene import (
+    LEAVE_OUT,
+    REUSE,
+    RUN,
+    PlannedStage,
+    SceneData,
+    needed_stages,
+    open_scene,
+    plan_measured,
+)
+from pipeline.comparison.scene_parts import plan_parts, with_overlays
+from pipeline.comparison.scores import add_scores
+from pipeline.comparison.stage_pool import compute_stages
+from pipeline.comparison.summary import summarise
+from pipeline.comparison.summary_warnings import warnings_of
+from pipeline.comparison.tables_d import TableBuilder
+from pipeline.comparison.trial_data import trial_page
+from pipeline.records import accuracy as measured_accuracy
+from pipeline.records.models import Shown
+from pipeline.records.results import (
+    ComparisonResult,
+    ReportData,
+)
+from pipeline.records.tables import write_text
+from pipeline.rendering.report import write as write_report
+from pipeline.rendering.report_scripts import page_files
+from pipeline.theory.predictions import THEORY_CODE, Predictions, Theory
+
+REPORT_CODE = (
+    *(
+        "compare",
+        "compare_experiment",
+        "implied_delay",
+        "implied_slope",
+        "scene",
+        "scene_parts",
+        "tables_d",
+        "figure_data",
+        "figure_boundaries",
+        "boundary_curves",
+        "figure_optima",
+        "figure_residuals",
+        "figure_response",
+        "figure_records",
+        "summary",
+        "summary_warnings",
+        "causes",
+        "advice",
+        "passivity",
+        "report_scores",
+        "maps",
+        "predictions",
+        "published",
+        "results",
+        "origin",
+    ),
+    *("scores", "score_costs", "score_records", "agreement", "overlap", "theory_band", "upper_bound", "intervals"),
+    *("boundary_band", "estimates", "pointcosts", "march", "envelope", "rules", "published_theory"),
+    *(
+        "report",
+        "report_parts",
+        "report_tables",
+        "report_estimates",
+        "report_figures",
+        "figures",
+        "residual_panels",
+        "response_drawing",
+        "panels",
+        "canvas",
+        "svg_compact",
+        "svg_paths",
+        "polyline",
+        "labels",
+        "style",
+        "models",
+        "accuracy",
+    ),
+    *("wording", "report_scripts", "trial_data", "trial_codec", "trial_records", "ghost", *page_files()),
+    *THEORY_CODE,
+)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a comparison did: its result (None for a dry run), its stages, and the report file."""
+
+    result: ComparisonResult | None
+    stages: tuple[tuple[str, str, str], ...]
+    report: Path | None
+
+
+def compare(
+    device: str,
+    processed: Path,
+    *,
+    experiments: Sequence[str] | None = None,
+    criteria: Sequence[str] | None = None,
+    report: Path | None = None,
+    dry_run: bool = False,
+    full: bool = False,
+    shown: Shown | None = None,
+    scene_file: Path | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> Outcome:
+    """Compare the stored experiments of a device with theory, and write the report.
+
+    Parameters
+    ----------
+    device : str
+        Name as in the logs; it need not be known.
+    processed : Path
+        Folder that `ingest` filled.
+    experiments, criteria : sequence of str, optional
+        What to compare; by default everything that is stored, and all criteria of `models.CRITERIA`.
+    report : Path, optional
+        HTML file to write, with the result as JSON beside it (same name, ``.json``); without it nothing is written
+        but the stages below ``processed``.
+    dry_run : bool
+        Whether only the plan is made.
+    full : bool
+        Whether the report holds the response of every trial, whatever its size.
+    shown : Shown, optional
+        Which figures, tables and overlays the report has; by default all that there is data for.
+    scene_file : Path, optional
+        Where that was read from; the report names it in the command that repeats the comparison.
+    progress : callable, optional
+        Gets the name of each step when it begins.
+
+    Returns
+    -------
+    Outcome
+
+    Raises
+    ------
+    DeviceError, UsageError, StoreError
+        Where the request does not fit what is stored; see `scene.open_scene`.
+    """
+    say = progress or (lambda _: None)
+    data = open_scene(device, processed, experiments, criteria, shown)
+    plan = plan_measured(data)
+    predictions = Predictions(processed / "theory")
+    known = data.device is not None
+    early = nominal_theories(data)
+    accuracy = measured_accuracy.stored(processed)
+    key = _report_key(data, report, accuracy.measured if accuracy else "", full)
+    stored = _stored_result(report, key)
+    if stored is not None and all(p.action != RUN for p in plan):
+        plan += [
+            PlannedStage("theory", REUSE, "the report and all that it rests on are unchanged"),
+            PlannedStage("report", REUSE, "the report and all that it rests on are unchanged"),
+        ]
+        return Outcome(None if dry_run else stored, _rows(plan), report)
+    plan += _plan_theory(data, early, predictions)
+    if report is not None:
+        plan += plan_parts(data)
+    plan.append(_plan_report(report))
+    if dry_run:
+        return Outcome(None, _rows(plan), None)
+
+    builder = TableBuilder(data, early)
+    if known:
+        say("theory: optima (in the background)")
+        predictions.start(builder.requests() + requests_of_delay_figure(data, early))
+    try:
+        compute_stages(data.experiments, needed_stages(data))
+        results = []
+        for stages in data.experiments:
+            say(f"experiment {stages.experiment}: estimates and costs")
+            results.append(experiment_result(data, stages, early.get(stages.experiment)))
+        if not known:
+            early = estimated_theories(results, data)
+            builder = TableBuilder(data, early)
+            say("theory: optima for the estimated parameters")
+            predictions.start(builder.requests() + requests_of_delay_figure(data, early))
+            results = [
+                r.model_copy(update={"theory": early[r.experiment].parameters if r.experiment in early else None})
+                for r in results
+            ]
+    finally:
+        predictions.finish()
+    rows = builder.rows(predictions, results)
+    results = add_scores(data, results, early, predictions)
+    sentences = summarise(data, results, rows)
+    output = [*(["--scene", str(scene_file)] if scene_file else []), *(["--full"] if full else [])]
+    logs = tuple(log_list(stages) for stages in data.experiments)
+    result = ComparisonResult(
+        device=device,
+        title=data.device.title if data.device else device,
+        motion=motion_of(data),
+        known_device=known,
+        simulated=data.simulated,
+        criteria=data.scene.criteria,
+        experiments=tuple(results),
+        tables=rows,
+        summary=tuple(sentence.text for sentence in sentences),
+        summary_sources=tuple(sentence.source for sentence in sentences),
+        warnings=warnings_of(data, results),
+        report=str(report) if report else None,
+        provenance=provenance(data, logs, processed, key=key, code=code_digest(*REPORT_CODE), output=output),
+        logs=logs,
+    )
+    if report is not None:
+        say("report: figures and page")
+        figures = FigureBuilder(data, early, results)
+        asked = data.scene.shown
+        page = ReportData(
+            result,
+            boundaries=with_overlays(figures.boundaries(), asked),
+            costs=figures.costs(predictions) if asked.has_figure("maps") else (),
+            delays=figures.delays(rows, predictions) if asked.has_figure("delay") else (),
+            responses=figures.responses() if asked.has_figure("response") else (),
+            residuals=figures.residuals() if asked.has_figure("residuals") else (),
+            stages=_rows(plan),
+            accuracy=accuracy,
+            trials=trial_page(data, results, early, full=full) if asked.has_figure("trials") else None,
+            tables=asked.tables,
+            request=request(data, logs, processed, code_digest(*REPORT_CODE)) | {"full": full},
+        )
+        write_report(page, report)
+        write_text(report.with_suffix(".json"), result.model_dump_json(indent=1) + "\n")
+    return Outcome(result, _rows(plan), report)
+
+
+def _rows(plan: Sequence[PlannedStage]) -> tuple[tuple[str, str, str], ...]:
+    return tuple(p.as_row() for p in plan)
+
+
+def _plan_theory(data: SceneData, theories: dict[str, Theory], predictions: Predictions) -> list[PlannedStage]:
+    if data.device is None:
+        return [PlannedStage("theory", RUN, "the device is not known: its parameters are estimated first")]
+    wanted = TableBuilder(data, theories).requests() + requests_of_delay_figure(data, theories)
+    missing = predictions.missing(wanted)
+    plan = [PlannedStage("theory: boundaries and maps", RUN, "closed form, drawn anew with every report")]
+    if not wanted:
+        plan.append(PlannedStage("theory: optima", LEAVE_OUT, "no table asks for one"))
+    elif missing:
+        plan.append(PlannedStage("theory: optima", RUN, f"{len(missing)} of {len(set(wanted))} are not stored"))
+    else:
+        plan.append(PlannedStage("theory: optima", REUSE, f"all {len(set(wanted))} are stored"))
+    if not data.scene.delay_sweep:
+        plan.append(PlannedStage("delay table", LEAVE_OUT, "no experiment has added delay"))
+    return plan
+
+
+def _plan_report(path: Path | None) -> PlannedStage:
+    if path is None:
+        return PlannedStage("report", LEAVE_OUT, "no report file is asked for")
+    return PlannedStage("report", RUN, "there is none, or something that it shows changed")
+
+
+def _report_key(data: SceneData, path: Path | None, accuracy: str, full: bool) -> str:
+    """Hash of all that a report shows: stages, device file, criteria, code, and where it lies."""
+    needed = sorted(needed_stages(data))
+    stages = [[e.experiment, *(e.key(s) for s in needed)] for e in data.experiments]
+    device = data.device.model_dump_json() if data.device else ""
+    return digest([data.scene.model_dump_json(), stages, device, code_digest(*REPORT_CODE), str(path), accuracy, full])
+
+
+def _stored_result(path: Path | None, key: str) -> ComparisonResult | None:
+    """Return the result of an earlier run if report and result are there and rest on the same key."""
+    if path is None or not path.is_file():
+        return None
+    try:
+        result = ComparisonResult.model_validate_json(path.with_suffix(".json").read_bytes())
+    except (FileNotFoundError, ValidationError):
+        return None  # not there, or not in this form: it is written anew
+    return result if result.provenance.get("key") == key else None

@@ -1,0 +1,144 @@
+"""All that was found for one experiment, and the theories that belong to the experiments of a scene."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Collection, Mapping, Sequence
+
+from pipeline.comparison.implied_delay import implied_delay
+from pipeline.comparison.implied_slope import DeviceParameters
+from pipeline.comparison.scene import SceneData, needed_stages
+from pipeline.measured.boundary_band import boundary_area
+from pipeline.measured.estimates import with_model_delay
+from pipeline.measured.stage_columns import standard_error
+from pipeline.measured.stages import ExperimentStages
+from pipeline.records.models import Estimate, Experiment, Motion, Optimum
+from pipeline.records.results import ExperimentResult, MassWindow, OtherDefinitions, TheoryParameters
+from pipeline.rendering.labels import UNITS, Units
+from pipeline.theory.predictions import Theory
+
+
+def motion_of(data: SceneData) -> Motion:
+    """Return the kind of motion, which is one for a whole scene."""
+    return "rotation" if data.experiments[0].rotation else "translation"
+
+
+def nominal_theories(data: SceneData) -> dict[str, Theory]:
+    """Theory by the device file, for all of its experiments (a table may take the parameters of another one)."""
+    if data.device is None:
+        return {}
+    device = data.device
+    return {
+        e.name: Theory(
+            TheoryParameters(
+                mass=e.mass,
+                damping=e.damping,
+                stiffness=e.stiffness,
+                sampling_period_s=device.sampling_period_s,
+                delay_samples=e.delay_samples,
+                source=f"device file {device.name}",
+            )
+        )
+        for e in device.experiments
+    }
+
+
+def estimated_theories(results: Sequence[ExperimentResult], data: SceneData) -> dict[str, Theory]:
+    """Theory by the estimates of each experiment, where mass, damping and delay are known."""
+    theories = {}
+    for result, stages in zip(results, data.experiments, strict=True):
+        mass, damping, delay = (result.estimates[n].value for n in ("mass", "damping", "delay_samples"))
+        if mass is None or damping is None or delay is None:
+            continue
+        theories[result.experiment] = Theory(
+            TheoryParameters(
+                mass=mass,
+                damping=max(damping, 0.0),  # the theory asks for b >= 0; a negative estimate is noise about zero
+                stiffness=0.0,
+                sampling_period_s=stages.sampling_period_s,
+                delay_samples=delay,
+                source="estimated from the logs",
+            )
+        )
+    return theories
+
+
+def experiment_result(data: SceneData, stages: ExperimentStages, theory: Theory | None) -> ExperimentResult:
+    """Compute what is needed of one experiment and gather it."""
+    needed = needed_stages(data)
+    for stage in needed:
+        stages.table(stage)
+    units = UNITS[motion_of(data)]
+    named: dict[str, Experiment] = {e.name: e for e in data.device.experiments} if data.device else {}
+    entry = named.get(stages.experiment)
+    optimum: dict[str, Optimum] = {}
+    missing: dict[str, str] = {}
+    for criterion in data.scene.criteria:
+        best = stages.optimum(criterion)
+        if best is not None:
+            optimum[criterion] = best
+        else:
+            missing[criterion] = stages.cost(criterion)[1] or "no stable trial has this cost"
+    grips = sorted(set(stages.trials.column("grip").to_pylist()))
+    return ExperimentResult(
+        experiment=stages.experiment,
+        configuration=entry.configuration if entry else "",
+        grip=grips[0] if len(grips) == 1 else "none",
+        simulated=any(stages.trials.column("simulated").to_pylist()),
+        trials=stages.trials.num_rows,
+        verdicts=dict(sorted(Counter(stages.verdicts.verdict.tolist()).items())),
+        outcomes=dict(Counter(stages.texts("outcome", "outcome"))) if "outcome" in needed else {},
+        mass_windows=_mass_windows(stages) if "windows" in needed else (),
+        other_definitions=_other_definitions(stages, optimum) if {"settling", "overshoot"} <= needed else (),
+        model_check=stages.model_check if "model" in needed else None,
+        estimates=_estimates(stages, needed, units),
+        boundary=stages.boundary_points,
+        optimum=optimum,
+        missing=missing,
+        theory=theory.parameters if theory else None,
+    )
+
+
+def _estimates(stages: ExperimentStages, needed: Collection[str], units: Units) -> dict[str, Estimate]:
+    """Estimates of an experiment: delay, mass and damping, and what follows from its boundary."""
+    left_out = "left out: neither a criterion that was asked for nor a theory curve needs it"
+    found = {
+        "delay_samples": stages.delay_estimate if "delay" in needed else _without("samples", left_out),
+        "mass": stages.mass_estimate if "mass" in needed else _without(units.mass, left_out),
+        "damping": stages.damping_estimate if "damping" in needed else _without(units.damping, left_out),
+        "boundary_area": boundary_area(stages.boundary_points, f"{units.stiffness} {units.damping}"),
+    }
+    mass, damping = found["mass"], found["damping"]
+    if "model" in needed:
+        found["jitter_samples"] = stages.jitter_estimate
+        found["delay_samples"] = with_model_delay(stages, found["delay_samples"])
+    if mass.value is not None and damping.value is not None:
+        device = DeviceParameters(
+            mass.value, damping.value, stages.sampling_period_s, standard_error(mass), standard_error(damping)
+        )
+        found["implied_delay"] = implied_delay(stages.boundary_points, device)
+    return found
+
+
+def _mass_windows(stages: ExperimentStages) -> tuple[MassWindow, ...]:
+    rows = stages.table("windows").to_pylist()
+    return tuple(
+        MassWindow(window_s=r["window_s"], mass=r["mass_median"], scatter=r["mass_scatter"], trials=r["trials"])
+        for r in rows
+    )
+
+
+def _other_definitions(stages: ExperimentStages, optimum: Mapping[str, Optimum]) -> tuple[OtherDefinitions, ...]:
+    """Settling time and overshoot of the best trials by the definitions of other tools."""
+    settling = {row["trial_id"]: row for row in stages.table("settling").to_pylist()}
+    overshoot = {row["trial_id"]: row for row in stages.table("overshoot").to_pylist()}
+    found = []
+    for criterion, best in optimum.items():
+        both = settling[str(best.trial_id)] | overshoot[str(best.trial_id)]
+        values = {name: both[name] for name in OtherDefinitions.model_fields if name in both}
+        found.append(OtherDefinitions(criterion=criterion, **values))
+    return tuple(found)
+
+
+def _without(unit: str, reason: str) -> Estimate:
+    return Estimate(value=None, unit=unit, method="none", reason=reason)

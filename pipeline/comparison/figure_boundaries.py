@@ -1,0 +1,192 @@
+"""Figures of stability boundaries: without and with operator, over delay, from estimates, and normalised.
+
+Source: Hulin 2017, secs. 6.1.3 and 6.2.3.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from pipeline.comparison.boundary_curves import (
+    bound_curve,
+    envelope_curve,
+    estimated_theory,
+    linear_curve,
+    measured_curve,
+    normalised,
+    passive_curve,
+    theory_curve,
+)
+from pipeline.comparison.scene import SceneData
+from pipeline.records.figure_records import BoundaryFigure, Curve
+from pipeline.records.models import Experiment
+from pipeline.records.results import ExperimentResult
+from pipeline.rendering.labels import UNITS
+from pipeline.theory.predictions import Theory
+
+
+def boundary_figures(
+    data: SceneData, theories: Mapping[str, Theory], results: Sequence[ExperimentResult]
+) -> tuple[BoundaryFigure, ...]:
+    """Return the boundary figures of a scene.
+
+    Without and with operator (Figs. 6.3, 6.4) or over delay (Fig. 6.9), then from the estimates, then all experiments
+    in the normalised plane.
+    """
+    builder = _Builder(data, theories, results)
+    figures: list[BoundaryFigure | None] = []
+    figures += [builder.delay()] if data.scene.delay_sweep else [builder.free(), builder.operator()]
+    figures.append(builder.estimates())
+    shown = [(f"experiment {r.experiment}", r, theories[r.experiment]) for r in results if r.experiment in theories]
+    if len(shown) > 1:
+        figures.append(plane_figure(shown))
+    return tuple(figure for figure in figures if figure is not None)
+
+
+def plane_figure(entries: Sequence[tuple[str, ExperimentResult, Theory]]) -> BoundaryFigure:
+    """Return measured boundaries of experiments, also of several devices, in the plane of alpha and beta.
+
+    Parameters
+    ----------
+    entries : sequence of (str, ExperimentResult, Theory)
+        Label, result, and the theory whose mass and sampling period normalise it.
+
+    Source: Hulin 2017, Table 3.1 (alpha = K T^2/m, beta = B T/m).
+    """
+    measured = [
+        replace(
+            normalised(measured_curve(r), theory),
+            label=f"{label} (d = {theory.loop.delay:.3g}, δ = {theory.loop.delta:.2g})",
+        )
+        for label, r, theory in entries
+    ]
+    predicted = [normalised(theory_curve(theory, "_theory"), theory) for _, _, theory in entries]
+    return BoundaryFigure(
+        "boundaries-normalised",
+        "Boundaries in the normalised plane",
+        "Measured boundaries and theory in α = K T²/m and β = B T/m. Curves that differ in mass or sampling period "
+        "alone coincide here; what still differs is due to delay, to the relative damping δ = b T/m, or to what the "
+        "model does not hold.",
+        (("", (*measured, *predicted)),),
+        normalised=True,
+        theory_label="theory (same colour)",
+    )
+
+
+@dataclass(frozen=True)
+class _Builder:
+    """What all boundary figures of a scene are made of."""
+
+    data: SceneData
+    theories: Mapping[str, Theory]
+    results: Sequence[ExperimentResult]
+
+    def free(self) -> BoundaryFigure | None:
+        """Experiments without operator, with theory for each delay that the device file names (Fig. 6.3)."""
+        free = [r for r in self.results if r.grip == "none" and r.experiment in self.theories]
+        if not free or self.data.device is None:
+            return None
+        curves = [measured_curve(r) for r in free]
+        settings = {r.experiment: self.theories[r.experiment].parameters for r in free}
+        experiments = {e.name: e for e in self.data.device.experiments}
+        own = {d for r in free if r.experiment in experiments for d in _delays(experiments[r.experiment])}
+        delays = sorted(self.data.scene.shown.delays or own)
+        values = list(dict.fromkeys((p.mass, p.damping, p.stiffness) for p in settings.values()))
+        template = next(iter(settings.values()))
+        for index, (m, b, k) in enumerate(values):
+            for number, d in enumerate(delays or [template.delay_samples]):
+                parameters = template.model_copy(
+                    update={"mass": m, "damping": b, "stiffness": k, "delay_samples": float(d)}
+                )
+                label = f"d = {d:g}" if index == 0 else f"theory, b = {b:g}" if number == 0 else "_"
+                curves.append(theory_curve(Theory(parameters), label, "band" if index else "theory"))
+        first = self.theories[free[0].experiment]
+        curves.append(linear_curve(first))
+        curves += [c for c in (passive_curve(first), _first(bound_curve(r) for r in free)) if c is not None]
+        m, b, k = values[0]
+        units = UNITS["rotation" if self.data.experiments[0].rotation else "translation"]
+        others = ", ".join(f"{other[1]:g}" for other in values[1:])
+        return BoundaryFigure(
+            "boundaries-free",
+            "Stability boundaries without operator",
+            f"Measured: last stable stiffness at each damping. Theory for m = {m:g} {units.mass}, b = {b:g} "
+            f"{units.damping}, k = {k:g} {units.stiffness} and the delay factors at the curves"
+            f"{f'; thin dots: the same with b = {others} {units.damping}' if others else ''}. "
+            "In the manner of Fig. 6.3.",
+            (("", tuple(curves)),),
+            theory_label=f"theory, b = {b:g}",
+        )
+
+    def operator(self) -> BoundaryFigure | None:
+        """One panel a configuration, one curve a grip (Fig. 6.4)."""
+        held = [r for r in self.results if r.grip != "none" and r.experiment in self.theories]
+        if not held:
+            return None
+        panels = []
+        for configuration in dict.fromkeys(r.configuration for r in held):
+            shown = [r for r in self.results if r.configuration == configuration and r.experiment in self.theories]
+            curves = [replace(measured_curve(r), label=f"experiment {r.experiment}, {_grip(r.grip)}") for r in shown]
+            curves += [theory_curve(self.theories[r.experiment], f"theory, {_grip(r.grip)}") for r in shown]
+            panels.append((configuration, tuple(curves)))
+        return BoundaryFigure(
+            "boundaries-operator",
+            "Influence of the operator on the stability boundary",
+            "Measured and theoretical boundaries for each grip; theory for the parameters in the table. "
+            "In the manner of Fig. 6.4.",
+            tuple(panels),
+        )
+
+    def delay(self) -> BoundaryFigure:
+        """Theory beside measurement for each delay (Fig. 6.9)."""
+        theory = [
+            theory_curve(self.theories[r.experiment], f"d = {self.theories[r.experiment].parameters.delay_samples:g}")
+            for r in self.results
+            if r.experiment in self.theories
+        ]
+        measured = [replace(measured_curve(r), label=r.experiment) for r in self.results]
+        panels = [("theory", tuple(theory))] if theory else []
+        return BoundaryFigure(
+            "boundaries-delay",
+            "Influence of delay on the stability boundary",
+            "Theory left, measured right, for each total delay. In the manner of Fig. 6.9.",
+            (*panels, ("measured", tuple(measured))),
+        )
+
+    def estimates(self) -> BoundaryFigure | None:
+        """Theory by the estimates of each experiment, with all that belongs to its boundary."""
+        if not self.data.overlay:
+            return None
+        periods = {e.experiment: e.sampling_period_s for e in self.data.experiments}
+        panels = []
+        for result in self.results:
+            name = result.experiment
+            theory = estimated_theory(result, self.theories.get(name), periods[name])
+            if theory is None:
+                continue
+            more = (envelope_curve(result), bound_curve(result), linear_curve(theory), passive_curve(theory))
+            curves = (measured_curve(result, open_ends=True), theory_curve(theory, "theory from estimates"))
+            panels.append((f"experiment {name}", (*curves, *(c for c in more if c is not None))))
+        if not panels:
+            return None
+        return BoundaryFigure(
+            "boundaries-estimates",
+            "Boundaries predicted from what the logs say",
+            "Theory with the estimated mass, damping and delay of each experiment. Shaded: what the 95 % intervals of "
+            "these estimates leave open in theory, and the intervals of the measured limits. Thin outline: passive "
+            "region (4.12), far inside the stable one.",
+            tuple(panels),
+        )
+
+
+def _first(curves: Iterable[Curve | None]) -> Curve | None:
+    return next((curve for curve in curves if curve is not None), None)
+
+
+def _delays(experiment: Experiment) -> list[float]:
+    jitter = experiment.jitter_samples
+    return [float(d) for d in range(min(jitter), max(jitter) + 2)] if jitter else [experiment.delay_samples]
+
+
+def _grip(grip: str) -> str:
+    return "no operator" if grip == "none" else f"{grip} grip"

@@ -1,0 +1,228 @@
+"""Arrays behind the figures: boundaries, cost maps and the delay sweep, measured beside theory."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.comparison.boundary_curves import measured_curve, theory_curve
+from pipeline.comparison.compare_experiment import motion_of
+from pipeline.comparison.figure_boundaries import boundary_figures
+from pipeline.comparison.figure_optima import optimal_curve
+from pipeline.comparison.figure_residuals import residual_figures
+from pipeline.comparison.figure_response import response_figures
+from pipeline.comparison.scene import SceneData
+from pipeline.comparison.tables_d import layouts
+from pipeline.measured.aggregate import without_overshoot
+from pipeline.measured.stages import ExperimentStages
+from pipeline.records.batch import Floats
+from pipeline.records.figure_records import (
+    BoundaryFigure,
+    CostFigure,
+    CostMap,
+    Curve,
+    DelayFigure,
+    DelayPanel,
+    ResidualFigure,
+    ResponseFigure,
+)
+from pipeline.records.models import ComparisonRow, Optimum, TableLayout
+from pipeline.records.results import ExperimentResult, TheoryParameters
+from pipeline.rendering.labels import criterion_label, table_label
+from pipeline.theory.loop import Loop
+from pipeline.theory.maps import cost_maps
+from pipeline.theory.predictions import Prediction, Predictions, Request, Theory
+
+MAP_POINTS = 101
+"""Grid points along each axis of a drawn map; finer ones change no contour visibly."""
+
+DAMPED = 0.02
+"""Relative damping delta of the second theory curve of Fig. 6.12, the upper end of the range of 3.3."""
+
+_EMPTY = np.empty(0)
+
+
+def requests_of_delay_figure(data: SceneData, theories: Mapping[str, Theory]) -> list[Request]:
+    """Return the theoretical optima of the damped curve of the delay figure."""
+    return [
+        (Loop(0.0, DAMPED, theories[e].parameters.delay_samples), f"{criterion}_discrete")
+        for table in layouts(data)
+        if table.kind == "delay"
+        for e in table.experiments
+        if e in theories
+        for criterion in table.criteria
+    ]
+
+
+@dataclass(frozen=True)
+class FigureBuilder:
+    """Builds the figures of a scene from finished results."""
+
+    data: SceneData
+    theories: Mapping[str, Theory]
+    results: Sequence[ExperimentResult]
+
+    def boundaries(self) -> tuple[BoundaryFigure, ...]:
+        """Return boundary figures: without and with operator, over delay, from the estimates, and normalised."""
+        return boundary_figures(self.data, self.theories, self.results)
+
+    def costs(self, predictions: Predictions) -> tuple[CostFigure, ...]:
+        """Return one cost figure for each criterion of each table of optima."""
+        stages = {e.experiment: e for e in self.data.experiments}
+        figures = []
+        for table in layouts(self.data):
+            if table.kind == "delay":
+                continue
+            theory = self.theories.get(table.theory_from)
+            shown = [r for r in self.results if r.experiment in table.experiments]
+            window = self._window(theory, shown)
+            maps = _theory_maps(theory, window, table) if theory else {}
+            for criterion in table.criteria:
+                panels = []
+                if theory:
+                    optimum = _as_optimum(predictions.get(theory, f"{criterion}_discrete"))
+                    panels.append(_theory_panel(theory, window, maps[criterion], optimum, criterion))
+                panels += [_measured_panel(r, stages[r.experiment], criterion) for r in shown if criterion in r.optimum]
+                if not panels:
+                    continue
+                figures.append(_cost_figure(table, criterion, tuple(panels), theory))
+        return tuple(figures)
+
+    def responses(self) -> tuple[ResponseFigure, ...]:
+        """Return the figure of the first response, if a log shows one."""
+        return response_figures(self.data, motion_of(self.data))
+
+    def residuals(self) -> tuple[ResidualFigure, ...]:
+        """Return where measured costs depart from theory, one figure a criterion."""
+        return residual_figures(self.data, self.theories)
+
+    def _window(self, theory: Theory | None, shown: Sequence[ExperimentResult]) -> tuple[float, float, float]:
+        """Largest stiffness, smallest and largest damping that a cost figure shows."""
+        stiffness = [p.unstable or p.stable or 0.0 for r in shown for p in r.boundary]
+        damping = [p.damping for r in shown for p in r.boundary]
+        if theory:
+            stiffness.append(theory.boundary.alpha_max * theory.units.stiffness)
+            damping.append(theory.boundary.beta_max * theory.units.damping)
+        return max(stiffness, default=1.0), min([0.0, *damping]), max(damping, default=1.0)
+
+    def delays(self, rows: Sequence[ComparisonRow], predictions: Predictions) -> tuple[DelayFigure, ...]:
+        """Return the figure of optimal costs over delay, if there is a sweep."""
+        figures = []
+        for table in layouts(self.data):
+            if table.kind != "delay":
+                continue
+            panels = []
+            for criterion in table.criteria:
+                of = [r for r in rows if r.table == table.name and r.criterion == criterion]
+                delays = sorted({r.delay_samples for r in of if r.delay_samples is not None})
+                theory = _by_delay(of, "theory_discrete", delays)
+                measured = _by_delay(of, "experiment", delays)
+                damped = [self._damped_cost(d, criterion, predictions) for d in delays]
+                label = f"theory, δ = {DAMPED:g}"
+                panels.append(DelayPanel(criterion, np.array(delays), theory, np.array(damped), label, measured))
+            figures.append(
+                DelayFigure(
+                    "delay",
+                    "Optimal costs over delay",
+                    "Costs of the sampled response at the optimum, theory and experiment. In the manner of Fig. 6.12.",
+                    tuple(panels),
+                )
+            )
+        return tuple(figures)
+
+    def _damped_cost(self, delay: float, criterion: str, predictions: Predictions) -> float:
+        parameters = TheoryParameters(
+            mass=1.0, damping=DAMPED, stiffness=0.0, sampling_period_s=1.0, delay_samples=delay, source="normalised"
+        )
+        return predictions.get(Theory(parameters), f"{criterion}_discrete").cost
+
+
+def _as_optimum(prediction: Prediction) -> Optimum:
+    return Optimum(stiffness=prediction.stiffness, damping=prediction.damping, cost=prediction.cost)
+
+
+def _by_delay(rows: Sequence[ComparisonRow], condition: str, delays: Sequence[float]) -> Floats:
+    found = {r.delay_samples: r.cost for r in rows if r.condition == condition and r.cost is not None}
+    return np.array([found.get(d, np.nan) for d in delays])
+
+
+def _theory_maps(theory: Theory, window: tuple[float, float, float], table: TableLayout) -> dict[str, Floats]:
+    alpha, beta = _axes(window)
+    return cost_maps(theory.loop, alpha / theory.units.stiffness, beta / theory.units.damping, table.criteria)
+
+
+def _axes(window: tuple[float, float, float]) -> tuple[Floats, Floats]:
+    stiffest, lowest, highest = window
+    return np.linspace(0, stiffest, MAP_POINTS), np.linspace(lowest, highest, MAP_POINTS)
+
+
+def _optimal_curves(
+    stiffness: Floats, damping: Floats, cost: Floats, criterion: str, *, exact: bool
+) -> tuple[Curve, Curve]:
+    """Best damping for each stiffness and best stiffness for each damping, where the map has costs on both sides."""
+    smooth = exact and criterion.startswith("energy")
+    b, b_inside = optimal_curve(damping, cost, smooth=smooth)
+    k, k_inside = optimal_curve(stiffness, cost.T, smooth=smooth)
+    return (
+        Curve("best damping", "optimal", stiffness, np.where(b_inside, b, np.nan)),
+        Curve("best stiffness", "optimal", np.where(k_inside, k, np.nan), damping),
+    )
+
+
+def _theory_panel(
+    theory: Theory, window: tuple[float, float, float], cost: Floats, optimum: Optimum, criterion: str
+) -> CostMap:
+    p = theory.parameters
+    label = f"theory, d = {p.delay_samples:g}, m = {p.mass:.3g}, b = {p.damping:.3g}"
+    curves = _optimal_curves(*_axes(window), cost, criterion, exact=True)
+    trials = (_EMPTY, _EMPTY, _EMPTY)
+    return CostMap(label, "theory", *_axes(window), cost, theory_curve(theory, "boundary"), optimum, *trials, *curves)
+
+
+def _measured_panel(result: ExperimentResult, stages: ExperimentStages, criterion: str) -> CostMap:
+    cost, _ = stages.cost(criterion)
+    if criterion == "overshoot":
+        cost = np.where(without_overshoot(cost, stages.column("overshoot", "overshoot_floor")), 0.0, cost)
+    k, b = stages.column("response", "stiffness"), stages.column("response", "damping")
+    shown = (k > 0) & (stages.verdicts.verdict != "unstable")
+    k, b, cost = k[shown], b[shown], cost[shown]
+    levels = np.unique(b) if len(b) else np.zeros(1)
+    optimum = result.optimum.get(criterion)
+    axis = _stiffness_axis(k, len(levels), optimum)
+    grid = np.full((len(levels), len(axis)), np.nan)
+    for row, level in enumerate(levels):
+        at = np.flatnonzero((b == level) & np.isfinite(cost))
+        if len(at) > 1:
+            order = at[np.argsort(k[at], kind="stable")]
+            # along K a course is dense enough to interpolate; beyond its first and last trial nothing is claimed
+            grid[row] = np.interp(axis, k[order], cost[order], left=np.nan, right=np.nan)
+    name = f"experiment {result.experiment}" + (f", {result.configuration}" if result.configuration else "")
+    curves = _optimal_curves(axis, levels, grid, criterion, exact=False)
+    return CostMap(name, "measured", axis, levels, grid, measured_curve(result), optimum, k, b, cost, *curves)
+
+
+def _stiffness_axis(stiffness: Floats, levels: int, optimum: Optimum | None) -> Floats:
+    """Stiffness values that were tried at a tenth of the dampings or more, and that of the optimum.
+
+    The second pass of a course refines each column around its own limit only; as grid lines those values would be gaps.
+    """
+    values, count = np.unique(stiffness, return_counts=True)
+    common = values[count >= min(max(2, 0.1 * levels), count.max(initial=1))]
+    axis = np.union1d(common, [optimum.stiffness] if optimum else [])
+    return axis if len(axis) > 1 else np.array([0.0, 1.0])
+
+
+def _cost_figure(table: TableLayout, criterion: str, panels: tuple[CostMap, ...], theory: Theory | None) -> CostFigure:
+    name = criterion_label(criterion)
+    label = table_label(table.name)
+    return CostFigure(
+        re.sub(r"[^A-Za-z0-9_-]", "-", f"{table.name}-{criterion}"),
+        f"Cost maps, {name}",
+        f"Costs of the sampled response in the stable region{', theory left' if theory else ''}; below, the least cost "
+        f"for each stiffness and all trials. Optima as in {label if label != table.name else f'the table of {label}'}.",
+        criterion,
+        panels,
+    )

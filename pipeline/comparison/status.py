@@ -1,0 +1,218 @@
+"""What is stored, and what of it no longer fits the logs, the code or each other; nothing is changed."""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
+from pipeline.base.disk import TEMPORARY_ENDING
+from pipeline.base.errors import PipelineError
+from pipeline.base.file_names import path_of_text
+from pipeline.base.lock import holder
+from pipeline.comparison.compare import compare
+from pipeline.comparison.scene import RUN
+from pipeline.measured.stages import STAGES, ExperimentStages
+from pipeline.profiles.profile_files import shipped_profiles
+from pipeline.records.models import Record
+from pipeline.store.compaction import find_orphans
+from pipeline.store.quarantine import list_quarantine
+from pipeline.store.storage import folder_name, natural_key, read_trials, stage_file
+
+UNCODED = "other"
+"""Key of refusals by a version that gave no codes."""
+
+
+class ExperimentStatus(Record):
+    """What is stored of an experiment.
+
+    Parameters
+    ----------
+    device, experiment : str
+    trials, rows : int
+        Trials and their samples.
+    batches, row_groups, bytes : int
+        Samples files, the groups of rows in them, and their size [byte].
+    stale : tuple of str
+        Stored stages whose logs, code or earlier stages changed; they are computed anew when they are needed.
+    """
+
+    device: str
+    experiment: str
+    trials: int
+    rows: int
+    batches: int
+    row_groups: int
+    bytes: int
+    stale: tuple[str, ...]
+
+
+class ReportStatus(Record):
+    """A report, and which of its parts would be made anew and why; nothing where it is up to date."""
+
+    report: str
+    device: str
+    stale: tuple[str, ...]
+
+
+class Writer(Record):
+    """Who holds the lock: process, host, since when (UTC)."""
+
+    pid: int | None
+    host: str | None
+    since: str | None
+
+
+class Status(Record):
+    """State of a store.
+
+    Parameters
+    ----------
+    processed : str
+    devices, trials, rows : int
+    files, bytes : int
+        Parquet files below `processed`, and the size of all files there [byte].
+    experiments : tuple of ExperimentStatus
+    reports : tuple of ReportStatus
+    removed : tuple of str
+        Stored sources whose file is gone.
+    changed : tuple of str
+        Stored sources whose file has another size or time than when it was read. Of a log of several files, only the
+        time of the first is compared: `pipeline ingest` knows for certain.
+    quarantined : dict of str to int
+        Refused logs by the code of the reason.
+    orphans : tuple of str
+        Samples files that no trial names, left by an interrupted command.
+    orphan_bytes, temporary_bytes : int
+        Their size, and that of incomplete files [byte]; `pipeline compact` removes both.
+    lock : Writer or None
+        Who writes at this moment.
+    """
+
+    processed: str
+    devices: int
+    trials: int
+    rows: int
+    files: int
+    bytes: int
+    experiments: tuple[ExperimentStatus, ...]
+    reports: tuple[ReportStatus, ...]
+    removed: tuple[str, ...]
+    changed: tuple[str, ...]
+    quarantined: dict[str, int]
+    orphans: tuple[str, ...]
+    orphan_bytes: int
+    temporary_bytes: int
+    lock: Writer | None
+
+
+def status(processed: Path, reports: Path | None = None) -> Status:
+    """Return the state of a store.
+
+    Parameters
+    ----------
+    processed : Path
+        An absent folder is an empty store.
+    reports : Path, optional
+        Folder with the reports of `pipeline compare`; without it none is looked at.
+
+    Raises
+    ------
+    StoreError
+        If a file is damaged.
+    """
+    trials = read_trials(processed)
+    experiments = _experiments(processed, trials)
+    removed, changed = _sources(trials)
+    orphans = find_orphans(processed)
+    sizes = {Path(here, name): os.lstat(os.path.join(here, name)).st_size for here, name in _walk(processed)}
+    held = holder(processed)
+    return Status(
+        processed=str(processed),
+        devices=len({e.device for e in experiments}),
+        trials=trials.num_rows,
+        rows=sum(e.rows for e in experiments),
+        files=sum(path.suffix == ".parquet" for path in sizes),
+        bytes=sum(sizes.values()),
+        experiments=experiments,
+        reports=_reports(processed, reports, sorted({e.device for e in experiments})),
+        removed=removed,
+        changed=changed,
+        quarantined=dict(sorted(Counter(r.code or UNCODED for r in list_quarantine(processed)).items())),
+        orphans=tuple(path.relative_to(processed).as_posix() for path in orphans),
+        orphan_bytes=sum(sizes.get(path, 0) for path in orphans),
+        temporary_bytes=sum(size for path, size in sizes.items() if path.name.endswith(TEMPORARY_ENDING)),
+        lock=None if held is None else Writer(pid=held.pid, host=held.host, since=held.since),
+    )
+
+
+def _walk(folder: Path) -> list[tuple[str, str]]:
+    return [(here, name) for here, _, names in os.walk(folder) for name in names]
+
+
+def _experiments(processed: Path, trials: pa.Table) -> tuple[ExperimentStatus, ...]:
+    pairs = set(zip(trials.column("device").to_pylist(), trials.column("experiment").to_pylist(), strict=True))
+    found = []
+    for device, experiment in sorted(pairs, key=lambda pair: (pair[0], natural_key(pair[1]))):
+        own = trials.filter(
+            pc.and_(pc.equal(trials.column("device"), device), pc.equal(trials.column("experiment"), experiment))
+        )
+        files = [processed / name for name in own.column("sample_file").unique().to_pylist()]
+        stages = ExperimentStages(processed, device, experiment, own)
+        stale = [
+            stage
+            for stage in STAGES
+            if stage_file(processed, device, experiment, stage).is_file() and not stages.is_stored(stage)
+        ]
+        found.append(
+            ExperimentStatus(
+                device=device,
+                experiment=experiment,
+                trials=own.num_rows,
+                rows=int(np.sum(own.column("rows").to_numpy())),
+                batches=len(files),
+                row_groups=sum(pq.read_metadata(file).num_row_groups for file in files),
+                bytes=sum(file.stat().st_size for file in files),
+                stale=tuple(stale),
+            )
+        )
+    return tuple(found)
+
+
+def _reports(processed: Path, reports: Path | None, devices: list[str]) -> tuple[ReportStatus, ...]:
+    found = []
+    for device in devices if reports is not None else ():
+        assert reports is not None
+        file = reports / f"{folder_name(device)}.html"
+        if not file.is_file():
+            continue
+        try:
+            plan = compare(device, processed, report=file, dry_run=True).stages
+            stale = [f"{name}: {reason}" for name, action, reason in plan if action == RUN]
+        except PipelineError as error:
+            stale = [str(error)]
+        found.append(ReportStatus(report=str(file), device=device, stale=tuple(stale)))
+    return tuple(found)
+
+
+def _sources(trials: pa.Table) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the sources that are gone, and those that changed."""
+    single = {profile.name for profile in shipped_profiles() if profile.partner is None}
+    columns = ("source_path", "source_size", "source_mtime_ns", "profile")
+    removed, changed = [], []
+    for key, size, mtime_ns, profile in sorted(set(zip(*(trials.column(c).to_pylist() for c in columns), strict=True))):
+        path = path_of_text(key)
+        try:
+            state = path.stat()
+        except OSError:
+            removed.append(key)
+            continue
+        whole = profile in single and path.is_file()
+        if (whole and (state.st_size, state.st_mtime_ns) != (size, mtime_ns)) or state.st_mtime_ns > mtime_ns:
+            changed.append(key)
+    return tuple(removed), tuple(changed)

@@ -1,0 +1,348 @@
+"""Where the step response begins in a log, and how finely its sensor sees.
+
+The external force is recovered from the log itself: command plus wall force. It is a step from 0 to F_0,
+whatever delay, mass and sensor do, because the controller computed the wall force from the very positions
+in the log.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pipeline.base.errors import ParameterError
+from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
+
+NO_ROW = -1
+"""Edge row of a trial without an identifiable command edge."""
+
+EDGE_SAMPLES = 3
+"""Rows for which the external force must stay above half the step: fewer would take a flicker for it."""
+
+BASELINE_SAMPLES = 5
+"""Fewest baseline rows for the noise, whose own error then is 60 % (25 % for 20 rows); none would be zero."""
+
+NOISE_GAIN = 6.0
+"""Variance of the second difference of white noise relative to its own: 1 + 4 + 1."""
+
+NOISE_FACTOR = 6.0
+"""Four standard deviations (2 % chance in 400 samples) of the difference of two readings, 4 sqrt 2 and more."""
+
+GRID_TOLERANCE = 1e-3
+"""Largest distance of a position change from a multiple of the quantum, relative to the quantum."""
+
+STORED_TOLERANCE = 0.15
+"""As `GRID_TOLERANCE` for positions that were stored in single precision or with few digits: six units of the
+last digit in one quantum still pass."""
+
+STORED_GAP = 4.0
+"""Ratio between neighbours of the sorted changes that parts one quantum from what the storing rounded."""
+
+STORED_MULTIPLES = 20.0
+"""Largest multiple that tests a grid in rounded positions: beyond, its own error reaches the tolerance."""
+
+FEWEST_ON_GRID = 12
+"""Changes that must lie on such a grid: those of a continuous signal all do with a chance of 0.3^12 = 5e-7."""
+
+ROUNDING_UNITS = 64.0
+"""Changes below this many units of rounding are arithmetic, not the sensor."""
+
+CHUNK = 64
+"""Trials whose quantum is looked for at once: their changes stay in a processor's cache, at 1,000 rows in 1 MB."""
+
+
+@dataclass(frozen=True, eq=False)
+class Response:
+    """Edge, rest positions and resolution of each trial, shape (n,) each; NaN where there is a reason.
+
+    Parameters
+    ----------
+    edge_row : int64
+        Row of the command edge k0, counted from 0; -1 where there is none.
+    position_start : float64
+        First position, where the wall rests [m, rad].
+    position_final_expected : float64
+        x_0 + F_0/K (6.1) [m, rad]; NaN where K <= 0.
+    position_final_measured : float64
+        Mean over the last tenth of the log [m, rad].
+    sensor_quantum : float64
+        Step of the grid on which all positions lie [m, rad]; 0 where there is none.
+    sensor_noise : float64
+        Standard deviation of the white noise of the positions before the edge [m, rad]; NaN without a
+        baseline.
+    floor : float64
+        Position amplitude that quantum and noise alone can cause [m, rad]; 0 for an ideal log.
+    baseline_motion : float64
+        Peak to peak of the positions before the step where the sensor alone cannot cause it [m, rad], else 0.
+    reason : tuple of str
+        Why values are missing; empty where all are there.
+    edge_reason : tuple of str
+        Why there is no command edge; empty where there is one.
+    """
+
+    edge_row: Integers
+    position_start: Floats
+    position_final_expected: Floats
+    position_final_measured: Floats
+    sensor_quantum: Floats
+    sensor_noise: Floats
+    floor: Floats
+    baseline_motion: Floats
+    reason: tuple[str, ...]
+    edge_reason: tuple[str, ...]
+
+    @property
+    def has_edge(self) -> Booleans:
+        """Where a command edge was found, shape (n,)."""
+        return self.edge_row >= 0
+
+    def select(self, which: Integers | slice) -> Response:
+        """Return the response of the trials at indices or in a slice."""
+        arrays = {name: value[which] for name, value in vars(self).items() if isinstance(value, np.ndarray)}
+        index = range(len(self.reason))[which] if isinstance(which, slice) else which
+        texts = {name: tuple(getattr(self, name)[i] for i in index) for name in ("reason", "edge_reason")}
+        return replace(self, **arrays, **texts)  # type: ignore[arg-type]
+
+
+def find_response(batch: TrialBatch, *, edge_samples: int = EDGE_SAMPLES) -> Response:
+    """Find the command edge and the resolution of each trial.
+
+    Parameters
+    ----------
+    batch : TrialBatch
+    edge_samples : int
+        Rows for which the external force must stay above half the step.
+
+    Returns
+    -------
+    Response
+
+    Notes
+    -----
+    The external force is exact for a controller that uses the plain difference of positions. With a velocity
+    filter or a force limit it is wrong once the device moves, but not before, so that the edge stays right
+    for any delay of at least one sample.
+
+    The noise is that of the second differences of the baseline, var = 6 sigma^2 for white noise. A device that
+    chatters before the step (at high B one quantum commands newtons) hardly adds to them while its period is
+    long: a chatter of amplitude a and period of p samples adds a variance of (2 pi/p)^4 a^2/12, 1 % of a for
+    p = 35, 5 % for p = 16. A faster chatter still counts as noise. A quantum alone leaves the baseline
+    constant: then the noise is exactly 0.
+
+    Source: Hulin 2017, sec. 6.1.1 (procedure) and eq. 6.1 (final position).
+    """
+    edge, no_edge = _edge(batch, edge_samples)
+    baseline = np.arange(batch.position.shape[1])[None, :] < edge[:, None]
+    quantum = _quantum(batch)
+    noise = _white_noise(batch.position, baseline)
+    floor = quantum + NOISE_FACTOR * np.nan_to_num(noise)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        travel = np.where(batch.stiffness > 0, batch.step / batch.stiffness, np.nan)
+    start = batch.position[:, :1].reshape(-1)
+    reason = tuple(
+        "; ".join(part for part in (text, "" if k > 0 else _no_final(k)) if part)
+        for text, k in zip(no_edge, batch.stiffness, strict=True)
+    )
+    return Response(
+        edge_row=edge,
+        position_start=start,
+        position_final_expected=start + travel,
+        position_final_measured=_last_tenth(batch),
+        sensor_quantum=quantum,
+        sensor_noise=noise,
+        floor=floor,
+        baseline_motion=_motion(batch.displacement, baseline, floor),
+        reason=reason,
+        edge_reason=tuple(no_edge),
+    )
+
+
+def declare_edge(batch: TrialBatch, response: Response, edge_row: int | Integers) -> Response:
+    """Return the response with the command edge where the trial's metadata say that it is.
+
+    Parameters
+    ----------
+    batch : TrialBatch
+    response : Response
+        Of the same trials.
+    edge_row : int or int64, shape (n,)
+        Row in which the command first holds the step, counted from 0; it replaces what the log shows. Row 0 is
+        legal: such a log has no baseline, so that its noise stays unknown. -1 leaves a trial as it is.
+
+    Returns
+    -------
+    Response
+
+    Raises
+    ------
+    ParameterError
+        If a row lies outside its log.
+    """
+    edge = np.broadcast_to(np.asarray(edge_row, dtype=np.int64), (len(batch),)).copy()
+    kept = edge == NO_ROW
+    outside = ~kept & ((edge < 0) | (edge >= batch.rows))
+    if outside.any():
+        i = int(np.argmax(outside))
+        raise ParameterError(
+            f"declared command edge of trial {batch.trial_id[i]!r}: row {edge[i]}; expected 0 to {batch.rows[i] - 1}. "
+            "Correct the declared row."
+        )
+    final = ("" if k > 0 else _no_final(k) for k in batch.stiffness)
+    return replace(
+        response,
+        edge_row=np.where(kept, response.edge_row, edge),
+        reason=tuple(old if same else new for same, old, new in zip(kept, response.reason, final, strict=True)),
+        edge_reason=tuple(old if same else "" for same, old in zip(kept, response.edge_reason, strict=True)),
+    )
+
+
+def external_force(batch: TrialBatch) -> Floats:
+    """Return command plus wall force, shape (n, N) [N, Nm]: the external step as the controller added it.
+
+    The wall force is K (x_k - x_0) + B (x_k - x_{k-1})/T with x_{-1} = x_0.
+    """
+    change = np.diff(batch.position, axis=1, prepend=batch.position[:, :1])
+    damping_per_sample = batch.damping / batch.sampling_period_s
+    return batch.command + batch.stiffness[:, None] * batch.displacement + damping_per_sample[:, None] * change
+
+
+def _edge(batch: TrialBatch, samples: int) -> tuple[Integers, list[str]]:
+    sign = np.sign(batch.step)[:, None]
+    above = np.nan_to_num(external_force(batch) * sign) > 0.5 * np.abs(batch.step)[:, None]
+    stays = above.copy()
+    for shift in range(1, samples):
+        stays[:, :-shift] &= above[:, shift:]
+        stays[:, -shift:] = False
+    first = np.argmax(stays, axis=1).astype(np.int64) if stays.shape[1] else np.zeros(len(batch), dtype=np.int64)
+    found = stays.any(axis=1)
+    reasons = []
+    for k, has, step in zip(first, np.atleast_1d(found), batch.step, strict=True):
+        if step == 0:
+            reasons.append("no step was commanded (step is 0)")
+        elif not has:
+            reasons.append(
+                f"no command edge: command plus wall force never stays above half the step ({step:g}) "
+                f"for {samples} rows; check step, stiffness and damping in the log's header"
+            )
+        elif k == 0:
+            reasons.append(
+                "no baseline, the step is already there in row 0: the command edge is not identifiable; "
+                "record at least one row before the step"
+            )
+        else:
+            reasons.append("")
+    return np.where(found & (first > 0), first, NO_ROW).astype(np.int64), reasons
+
+
+def _no_final(stiffness: float) -> str:
+    return f"no final position: x_0 + F_0/K needs K > 0, found K = {stiffness:g}"
+
+
+def _quantum(batch: TrialBatch) -> Floats:
+    """Step of the sensor, shape (n,): of the coarsest grid on which the positions lie; 0 where there is none.
+
+    Single precision and printed digits put the positions on a finer grid of their own, whose step is not the
+    sensor's: a grid that is coarser, and on which they lie but for that rounding, goes first.
+    """
+    quantum = np.zeros(len(batch))
+    for first in range(0, len(batch), CHUNK):
+        position = batch.position[first : first + CHUNK]
+        # padding does not move
+        change = np.diff(position, axis=1)
+        change = np.where(np.isnan(change), 0.0, change)
+        # a fast motion never changes by one quantum a sample, but its changes differ by one
+        bend = np.diff(position, n=2, axis=1)
+        bend = np.where(np.isnan(bend), 0.0, bend)
+        size = np.abs(np.concatenate([change, bend], axis=1))
+        rounding = ROUNDING_UNITS * np.finfo(np.float64).eps * np.nanmax(np.abs(position), axis=1, initial=0.0)
+        exact, stored = _exact_grid(size, change.shape[1], rounding), _stored_grid(size, rounding)
+        quantum[first : first + CHUNK] = np.where(stored > STORED_GAP * exact, stored, exact)
+    return quantum
+
+
+def _stored_grid(size: Floats, rounding: Floats) -> Floats:
+    """Step of the grid on which the positions lie but for a rounding when they were stored, 0 where none."""
+    result = np.zeros(len(size))
+    if size.shape[1] < FEWEST_ON_GRID:
+        return result
+    size = np.sort(np.where(size > rounding[:, None], size, np.inf), axis=1)
+    with np.errstate(invalid="ignore"):
+        ratio = np.where(np.isfinite(size[:, 1:]), size[:, 1:] / size[:, :-1], 0.0)
+    gap = np.argmax(ratio, axis=1)
+    trial = np.arange(len(size))
+    # without a gap the smallest change is no candidate: those of a smooth motion have common measures of their own
+    with_gap = np.flatnonzero(ratio[trial, gap] > STORED_GAP)
+    if not len(with_gap):
+        return result
+    smallest = size[with_gap, gap[with_gap] + 1]
+    finite = np.where(np.isfinite(size[with_gap]), size[with_gap], 0.0)
+    for parts in (1, 2, 3):  # as for an exact grid
+        grid = smallest / parts
+        # the smallest change carries the rounding of two readings, the mean of all hardly any: step by step, for
+        # an error of the grid is one of its multiples as many times over
+        for limit in (3.0 * parts, 8.0 * parts, STORED_MULTIPLES):
+            multiple = np.round(finite / grid[:, None])
+            tested = (multiple >= 1) & (multiple <= limit)
+            square = np.where(tested, multiple**2, 0.0).sum(axis=1)
+            with np.errstate(invalid="ignore", divide="ignore"):
+                mean = np.where(tested, multiple * finite, 0.0).sum(axis=1) / square
+            grid = np.where(square > 0, mean, np.inf)
+        multiple = np.round(finite / grid[:, None])
+        tested = (multiple >= 1) & (multiple <= STORED_MULTIPLES)
+        error = np.abs(finite / grid[:, None] - multiple)
+        worst = np.max(np.where(multiple <= STORED_MULTIPLES, error, 0.0), axis=1, initial=0.0)
+        found = np.isfinite(grid) & (worst < STORED_TOLERANCE) & (tested.sum(axis=1) >= FEWEST_ON_GRID)
+        result[with_gap] = np.where((result[with_gap] == 0) & found, grid, result[with_gap])
+    return result
+
+
+def _exact_grid(size: Floats, changes: int, rounding: Floats) -> Floats:
+    """Smallest change of which all changes of the position are multiples, 0 where there is none.
+
+    The first ``changes`` columns are the changes, the others the differences of neighbouring ones.
+    """
+    smallest = np.min(np.where(size > rounding[:, None], size, np.inf), axis=1, initial=np.inf)
+    change = size[:, :changes]
+    change = np.where(change > rounding[:, None], change, 0.0)
+    quantum = np.zeros(len(change))
+    # no single change may have been one quantum: then the smallest is two or three of them
+    for parts in (1, 2, 3):
+        open_trials = np.flatnonzero(np.isfinite(smallest) & (quantum == 0))
+        if not len(open_trials):
+            break
+        grid = smallest[open_trials] / parts
+        multiple = change[open_trials] / grid[:, None]
+        error = np.max(np.abs(multiple - np.round(multiple)), axis=1, initial=0.0)
+        # beyond 1/tolerance multiples the rounding of the positions themselves hides the grid
+        on_grid = (error < GRID_TOLERANCE) & (grid > rounding[open_trials] / GRID_TOLERANCE)
+        quantum[open_trials[on_grid]] = grid[on_grid]
+    return quantum
+
+
+def _white_noise(position: Floats, baseline: Booleans) -> Floats:
+    """Standard deviation of white noise from the second differences of the baseline, shape (n,)."""
+    second = np.diff(position, n=2, axis=1)
+    where = baseline[:, 2:]
+    count = where.sum(axis=1)
+    mean_square = np.where(where, second**2, 0.0).sum(axis=1) / np.maximum(count, 1)
+    enough = count >= BASELINE_SAMPLES - 2
+    result: Floats = np.where(enough, np.sqrt(mean_square / NOISE_GAIN), np.nan)
+    return result
+
+
+def _motion(displacement: Floats, baseline: Booleans, floor: Floats) -> Floats:
+    """Peak to peak of the baseline where it exceeds the sensor floor, else 0, shape (n,)."""
+    # row 0 is its reference, so that 0 is one of the values
+    inside = np.where(baseline, displacement, 0.0)
+    spread = inside.max(axis=1, initial=0.0) - inside.min(axis=1, initial=0.0)
+    result: Floats = np.where(spread > floor, spread, 0.0)
+    return result
+
+
+def _last_tenth(batch: TrialBatch) -> Floats:
+    first = batch.rows - np.maximum(batch.rows // 10, 1)
+    column = np.arange(batch.position.shape[1])[None, :]
+    where = batch.valid & (column >= first[:, None])
+    mean: Floats = np.where(where, batch.position, 0.0).sum(axis=1) / np.maximum(where.sum(axis=1), 1)
+    return mean

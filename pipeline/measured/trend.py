@@ -1,0 +1,146 @@
+"""Drift of an estimate over the tested stiffness or damping.
+
+A parameter of the device must not depend on what the wall is set to: where its estimates do, the model is wrong.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+from pipeline.base.wording import true_minus
+from pipeline.measured.intervals import NORMAL_QUARTILE, ROUNDING, SMALLEST, student_95
+from pipeline.records.batch import Floats
+from pipeline.records.models import DRIFTS, Trend
+
+DRIFT = 0.02
+"""Change over the tested range, relative to the value, that matters: it shifts either end by 1 %, as much as the mass
+may be biased, and by 0.04 of 4 samples of delay, where 0.05 are allowed."""
+
+FEWEST_FOR_TREND = 8
+"""Trials from which on a trend is looked for: three coefficients and five more to tell their error."""
+
+COLLINEAR = 1e6
+"""Condition of the scaled normal equations beyond which stiffness and damping were not varied independently."""
+
+HUBER = 1.345
+"""Residual, in standard deviations, from which on a trial pulls a trend no more strongly: 95 % efficient (Huber)."""
+
+_ROUNDS = 50
+"""Most repetitions of fitting and limiting the pull of residuals; five to fifteen settle it."""
+
+_SETTLED = 1e-6
+"""Change of the pull of a trial below which the fit is settled: far below any standard error."""
+
+_LEAST_FREE = 1e-6
+"""Smallest part of a residual that its trial leaves free: a trial that alone makes the line divides by no zero."""
+
+Axis = Literal["stiffness", "damping"]
+
+_UNITS: dict[Axis, tuple[str, str]] = {"stiffness": ("N/m", "Nm/rad"), "damping": ("Ns/m", "Nms/rad")}
+
+
+def find_trends(
+    v: Floats, sigma: Floats, conditions: dict[Axis, Floats], unit: str, *, rotation: bool = False
+) -> tuple[Trend, ...]:
+    """Return the slopes of the values of trials over stiffness and damping, fitted together.
+
+    Parameters
+    ----------
+    v, sigma : float64, shape (n,)
+        Value of each trial and the standard deviation of its scatter, in ``unit``.
+    conditions : dict of float64, shape (n,)
+        K [N/m, Nm/rad] as ``stiffness``, B [Ns/m, Nms/rad] as ``damping``, or one of them.
+    unit : str
+    rotation : bool
+        Whether units are rotational.
+
+    Returns
+    -------
+    tuple of Trend
+        One for each condition that was varied; none with fewer than `FEWEST_FOR_TREND` trials, or where stiffness
+        and damping were varied together, so that their effects cannot be told apart.
+
+    Notes
+    -----
+    Weighted least squares in which a residual beyond `HUBER` standard deviations pulls no more strongly. The interval
+    rests on the residuals and not on ``sigma``, so that it holds where the errors of the trials are wrong; a trend
+    that is not there is found significant in 5 % of cases, for each of both slopes.
+
+    Source: Huber 1981, Robust Statistics; MacKinnon and White 1985 (HC3).
+    """
+    varied: list[Axis] = [name for name, x in conditions.items() if len(x) >= FEWEST_FOR_TREND and np.ptp(x) > 0]
+    if not varied:
+        return ()
+    x = np.stack([np.ones_like(v), *((conditions[n] - conditions[n].mean()) / np.ptp(conditions[n]) for n in varied)])
+    sigma = np.maximum(sigma, ROUNDING * np.abs(v).max() + SMALLEST)
+    pull = np.ones_like(v)
+    slopes = np.zeros(len(x))
+    for _ in range(_ROUNDS):
+        w = pull / sigma**2
+        w = w / w.max()
+        normal = (x * w) @ x.T
+        if np.linalg.cond(normal) > COLLINEAR:
+            return ()
+        slopes = np.linalg.solve(normal, (x * w) @ v)
+        residual = (v - slopes @ x) / sigma
+        scale = float(np.median(np.abs(residual))) / NORMAL_QUARTILE or 1.0
+        size = np.abs(residual) / scale
+        now = np.where(size <= HUBER, 1.0, HUBER / np.maximum(size, HUBER))
+        if np.abs(now - pull).max() < _SETTLED:
+            break
+        pull = now
+    # HC3: residuals, each enlarged for how far it drew the line to itself; a trial whose pull is limited does not
+    # answer to a change of the slope
+    answers = np.where(pull == 1, w, 0.0)
+    normal = (x * answers) @ x.T
+    if np.linalg.cond(normal) > COLLINEAR:
+        return ()
+    inverse = np.linalg.inv(normal)
+    draw = np.einsum("in,ij,jn->n", x, inverse, x) * answers
+    score = x * (w * (v - slopes @ x) / np.maximum(1 - draw, _LEAST_FREE))
+    covariance = inverse @ (score @ score.T) @ inverse
+    reach = np.hypot(float(student_95(len(v) - len(x))) * np.sqrt(np.diag(covariance)), ROUNDING * np.abs(v).max())
+    found = []
+    for name, slope, r in zip(varied, slopes[1:], reach[1:], strict=True):
+        scale = float(np.ptp(conditions[name]))
+        low, high = (slope - r) / scale, (slope + r) / scale
+        found.append(
+            Trend(
+                over=name,
+                slope=float(slope) / scale,
+                low=float(low),
+                high=float(high),
+                unit=f"{unit}/({_UNITS[name][rotation]})",
+                significant=bool(low > 0 or high < 0),
+                span=scale,
+            )
+        )
+    return tuple(found)
+
+
+def drift_warning(trend: Trend, x: Floats, value: float, least: float, unit: str, *, rotation: bool = False) -> str:
+    """Return a sentence about a drift that is significant and larger than ``least``; empty otherwise.
+
+    Parameters
+    ----------
+    trend : Trend
+    x : float64, shape (n,)
+        Stiffness or damping of the trials that the trend is over.
+    value, least : float
+        Value of the experiment, and smallest change over the tested range worth a warning, in ``unit``.
+    unit : str
+    rotation : bool
+    """
+    span = float(np.ptp(x))
+    change = trend.slope * span
+    if not trend.significant or abs(change) <= least:
+        return ""
+    relative = f" ({100 * change / value:+.1f} %)" if value else ""
+    name = _UNITS[trend.over][rotation]
+    return true_minus(
+        f"{DRIFTS} {change:+.3g} {unit}{relative} over the tested {trend.over} {x.min():g} to {x.max():g} {name}, "
+        f"95 % interval {trend.low * span:+.3g} to {trend.high * span:+.3g} {unit}: the model does not hold for all "
+        "trials"
+    )

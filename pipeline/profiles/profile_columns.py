@@ -1,0 +1,222 @@
+"""Where each SI column comes from: column in the file, unit, sign, missing values; and how time is counted."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from pipeline.base.errors import ParameterError
+from pipeline.base.units import factor_to_si
+from pipeline.profiles.profile_text import Problem
+from pipeline.records.models import Motion, Name, Positive, Record
+
+QUANTITIES: dict[str, dict[Motion, str]] = {
+    "time": {"translation": "time", "rotation": "time"},
+    "command": {"translation": "force", "rotation": "torque"},
+    "position": {"translation": "length", "rotation": "angle"},
+    "force": {"translation": "force", "rotation": "torque"},
+    "velocity": {"translation": "velocity", "rotation": "angular velocity"},
+}
+"""Physical quantity of each column by the motion of the device."""
+
+EXAMPLE_UNITS = {"time": "ms", "force": "N", "torque": "Nm", "length": "mm", "angle": "deg", "velocity": "mm/s"}
+"""Units that messages show; `angular velocity` takes deg/s."""
+
+
+_NEGATED = {
+    "command": "a positive number pushes towards smaller positions",
+    "position": "its numbers fall as the device moves in the direction that counts as positive",
+    "force": "it counts against the command",
+    "velocity": "it counts against the position",
+}
+"""Where the sign of each column is -1."""
+
+
+class Source(Record):
+    """A column of a file, with the unit of its numbers.
+
+    Parameters
+    ----------
+    name : str, optional
+        Name of the column in the file.
+    column : int, optional
+        Its position, counted from 1, in delimited text; one of both is needed.
+    file : {"source", "partner"}
+        Which file of a pair it stands in.
+    unit : str
+        Unit of the numbers; there is no default, because a unit is never guessed.
+    counts_per_unit : float, optional
+        Numbers are counts: so many make one unit (4096 and ``rev`` for an encoder).
+    sentinels : tuple of float
+        Numbers that mean "no value".
+    blanks : {"refuse", "hold", "skip"}
+        What becomes of a row in which the cell is blank or a sentinel: the log is refused, the value before it holds
+        on, or the row is left out.
+    provenance : str
+        How the values came about ("motor current", "numerical derivative"); kept with each trial.
+    """
+
+    name: str | None = None
+    column: Annotated[int, Field(ge=1)] | None = None
+    file: Literal["source", "partner"] = "source"
+    unit: Name | None = None
+    counts_per_unit: Positive | None = None
+    sentinels: tuple[float, ...] = ()
+    blanks: Literal["refuse", "hold", "skip"] = "refuse"
+    provenance: str = ""
+
+    @property
+    def key(self) -> str:
+        """Name of the column in a `Frame`."""
+        return str(self.column) if self.name is None else self.name
+
+
+class ColumnSource(Source):
+    """Source of command, position, force or velocity.
+
+    Parameters
+    ----------
+    sign : {1, -1}
+        -1 where the axis of the column points the other way; there is no default, because a sign is never guessed.
+    stands_for : str, optional
+        SI-like unit that one `unit` stands for, in logs of another kind: a heater's ``%`` that stands for ``N``. It is
+        kept with each trial.
+    """
+
+    sign: Literal[1, -1] | None = None
+    stands_for: Name | None = None
+
+
+class Fraction(Record):
+    """Second part of a time stamp, such as nanoseconds beside seconds; both are whole numbers."""
+
+    name: Name
+    unit: Name
+
+
+class TimeSource(Source):
+    """Source of the time stamps.
+
+    Parameters
+    ----------
+    kind : {"absolute", "steps", "counter", "sampled"}
+        Stamps as they are; time since the row before (the first row is 0); a counter (time is counted from the first
+        row); no stamps, one row each sampling period (a column that is named is kept as raw time and must agree).
+    wrap : float, optional
+        Counter: number at which it starts again from 0 (2^32 = 4294967296), in counts.
+    fraction : Fraction, optional
+        Column with the rest of the stamp.
+    order : {"file", "sort"}
+        ``"sort"`` puts rows into the order of their stamps; without it, time that runs backwards is refused.
+    duplicates : {"refuse", "keep first", "keep last"}
+        What becomes of rows with one and the same stamp.
+    """
+
+    kind: Literal["absolute", "steps", "counter", "sampled"] = "absolute"
+    wrap: Positive | None = None
+    fraction: Fraction | None = None
+    order: Literal["file", "sort"] = "file"
+    duplicates: Literal["refuse", "keep first", "keep last"] = "refuse"
+
+    @property
+    def has_stamps(self) -> bool:
+        """Whether the file has a column of time stamps."""
+        return self.name is not None or self.column is not None
+
+
+class Columns(Record):
+    """The three columns that every log needs, and two that it may have: measured force, logged velocity."""
+
+    time: TimeSource | None = None
+    command: ColumnSource | None = None
+    position: ColumnSource | None = None
+    force: ColumnSource | None = None
+    velocity: ColumnSource | None = None
+
+    def sources(self) -> dict[str, Source]:
+        """Return the columns that are described, by SI name."""
+        found = {key: getattr(self, key) for key in Columns.model_fields}
+        return {key: source for key, source in found.items() if source is not None}
+
+
+def factor(key: str, source: Source, motion: Motion) -> float:
+    """Return the signed factor from a column's numbers to SI.
+
+    Raises
+    ------
+    ParameterError
+        If the unit is not known or does not fit the column.
+    """
+    if isinstance(source, ColumnSource):
+        # a sign that is missing is a mistake of its own; here the unit is looked at
+        sign, unit = source.sign or 1, source.stands_for or source.unit
+    else:
+        sign, unit = 1, source.unit
+    if unit is None:
+        raise ParameterError(f"{key} has no unit")
+    return sign * factor_to_si(unit, (QUANTITIES[key][motion],)) / (source.counts_per_unit or 1.0)
+
+
+def column_problems(columns: Columns, motion: Motion, position_allowed: bool) -> list[Problem]:
+    """Return what is missing or wrong in the columns; units are held against the motion of the device."""
+    problems: list[Problem] = []
+    for key in ("time", "command", "position"):
+        if getattr(columns, key) is None:
+            problems.append((("columns", key), f"missing. Add [columns.{key}] with name and unit"))
+    for key, source in columns.sources().items():
+        problems += _source_problems(key, source, motion, position_allowed)
+    if columns.time is not None:
+        problems += _time_problems(columns.time)
+    return problems
+
+
+def _source_problems(key: str, source: Source, motion: Motion, position_allowed: bool) -> list[Problem]:
+    place = ("columns", key)
+    problems: list[Problem] = []
+    sampled = isinstance(source, TimeSource) and source.kind == "sampled"
+    if isinstance(source, ColumnSource) and source.sign is None:
+        text = f"missing; add the line sign = 1 or sign = -1 (-1 where {_NEGATED[key]})"
+        problems.append(((*place, "sign"), text))
+    if source.name is not None and source.column is not None:
+        problems.append(((*place, "column"), "given beside name; expected one of them"))
+    if source.name is None and source.column is None and not sampled:
+        problems.append(((*place, "name"), 'missing. Add name = "<column in the file>" or column = <position>'))
+    if source.column is not None and not position_allowed:
+        problems.append(((*place, "column"), "for delimited text; in other formats columns have names: give name"))
+    if sampled and not (isinstance(source, TimeSource) and source.has_stamps):
+        return problems
+    quantity = QUANTITIES[key][motion]
+    example = EXAMPLE_UNITS.get(quantity, "deg/s")
+    if source.unit is None:
+        text = f'missing; a unit is never guessed. Add unit = "{example}" with the unit of column {source.key!r}'
+        return [*problems, ((*place, "unit"), text)]
+    try:
+        factor(key, source, motion)
+    except ParameterError as error:
+        at = "stands_for" if getattr(source, "stands_for", None) else "unit"
+        hint = "; for counts give counts_per_unit and the unit" if source.unit in ("count", "counts") else ""
+        problems.append(((*place, at), f"{error} (motion is {motion}){hint}"))
+    return problems
+
+
+def _time_problems(time: TimeSource) -> list[Problem]:
+    place = ("columns", "time")
+    problems: list[Problem] = []
+    if time.wrap is not None and time.kind != "counter":
+        problems.append(((*place, "wrap"), f'for kind = "counter"; kind is {time.kind!r}'))
+    if time.order == "sort" and time.kind not in ("absolute", "counter"):
+        problems.append(((*place, "order"), f'"sort" needs stamps; kind is {time.kind!r}'))
+    if time.order == "sort" and time.wrap is not None:
+        problems.append(((*place, "order"), '"sort" cannot be told from a wrap of the counter; remove one of both'))
+    if time.blanks == "hold":
+        problems.append(((*place, "blanks"), 'a time stamp cannot hold on; expected "refuse" or "skip"'))
+    if time.fraction is not None:
+        if time.kind not in ("absolute", "counter") or time.wrap is not None or time.counts_per_unit is not None:
+            text = 'for kind "absolute" or "counter" without wrap and counts_per_unit'
+            problems.append(((*place, "fraction"), text))
+        try:
+            factor_to_si(time.fraction.unit, ("time",))
+        except ParameterError as error:
+            problems.append(((*place, "fraction", "unit"), str(error)))
+    return problems

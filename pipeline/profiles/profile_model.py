@@ -1,0 +1,382 @@
+"""The record of a log profile: which files, which format, which columns, which conditions, which part of the rows.
+
+All that does not fit together is found at once: `Profile` raises one error that holds every problem with its place.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from fnmatch import translate
+from functools import cache
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self, get_args
+
+from pydantic import Field, model_validator
+from pydantic_core import PydanticCustomError
+
+from pipeline.base.errors import ParameterError
+from pipeline.base.provenance import sha256
+from pipeline.base.units import factor_to_si
+from pipeline.profiles.profile_columns import Columns, Source, column_problems, factor
+from pipeline.profiles.profile_text import Problem, TextLayout, pattern_problem
+from pipeline.records.models import Grip, Motion, Name, Positive, Record
+
+Format = Literal[
+    "native", "delimited", "json", "parquet", "feather", "matlab", "hdf5", "rosbag", "mcap", "tdms"
+]  # fmt: skip
+Condition = Literal[
+    "device", "experiment", "stiffness", "damping", "step", "sampling_period_s", "added_delay_samples", "grip"
+]
+CONDITIONS: tuple[str, ...] = get_args(Condition)
+REQUIRED_CONDITIONS = CONDITIONS[:6]
+PROBLEMS = "profile_problems"
+"""Type of the validation error that holds all problems of a profile."""
+
+_EXAMPLES = {"device": '"bench"', "experiment": '"1"', "sampling_period_s": "0.001"}
+CONDITION_QUANTITIES: dict[str, dict[Motion, str]] = {
+    "stiffness": {"translation": "stiffness", "rotation": "rotational stiffness"},
+    "damping": {"translation": "damping", "rotation": "rotational damping"},
+    "step": {"translation": "force", "rotation": "torque"},
+    "sampling_period_s": {"translation": "time", "rotation": "time"},
+}
+
+
+class Partner(Record):
+    """Second file of a log, beside the first: its name is the first one's with a text replaced."""
+
+    replace: Name
+    by: Name
+
+
+class Conditions(Record):
+    """Conditions of a log, in SI or in the units that [units] names; None where something else gives them."""
+
+    device: Name | None = None
+    experiment: Name | None = None
+    stiffness: float | None = None
+    damping: float | None = None
+    step: float | None = None
+    sampling_period_s: Positive | None = None
+    added_delay_samples: Annotated[int, Field(ge=0)] | None = None
+    grip: Grip | None = None
+
+    def given(self) -> dict[str, Any]:
+        """Return the conditions that are given."""
+        return {key: value for key in CONDITIONS if (value := getattr(self, key)) is not None}
+
+
+class Constants(Conditions):
+    """Conditions that hold for all files of a profile, and the motion of the device."""
+
+    motion: Motion = "translation"
+
+
+class ConditionUnits(Record):
+    """Units of conditions, wherever the profile takes them from; SI where none is given."""
+
+    stiffness: Name | None = None
+    damping: Name | None = None
+    step: Name | None = None
+    sampling_period_s: Name | None = None
+
+
+class Window(Record):
+    """Part of the rows, both ends included: by time [s] or by row, counted from 0 as read from the file."""
+
+    from_s: float | None = None
+    to_s: float | None = None
+    from_row: Annotated[int, Field(ge=0)] | None = None
+    to_row: Annotated[int, Field(ge=0)] | None = None
+
+    def window_problems(self, place: tuple[str | int, ...]) -> list[Problem]:
+        """Return what is wrong in the limits."""
+        problems: list[Problem] = []
+        for low, high in (("from_s", "to_s"), ("from_row", "to_row")):
+            start, end = getattr(self, low), getattr(self, high)
+            if start is not None and end is not None and end <= start:
+                problems.append(((*place, high), f"{end} is not above {low} = {start}"))
+        by_time, by_row = (self.from_s, self.to_s), (self.from_row, self.to_row)
+        if any(v is not None for v in by_time) and any(v is not None for v in by_row):
+            problems.append(((*place, "from_row"), "limits by row stand beside limits by time; expected one of them"))
+        return problems
+
+
+class StepTime(Record):
+    """When the step happens: found in the command, or declared by row (from 0), by time [s], or the first row."""
+
+    step_row: Annotated[int, Field(ge=0)] | None = None
+    step_time_s: float | None = None
+    step_at: Literal["command edge", "first row"] | None = None
+
+    @property
+    def declared(self) -> bool:
+        """Whether something is said about the step."""
+        return (self.step_row, self.step_time_s, self.step_at) != (None, None, None)
+
+    def step_missing(self, place: tuple[str | int, ...]) -> Problem:
+        """Return what to add where nothing is said about the step."""
+        return (
+            (*place, "step_at"),
+            'missing; add the line step_at = "command edge" (the step is found in the command, and rows before it are '
+            'recorded), step_at = "first row", step_row = <row, counted from 0> or step_time_s = <seconds>',
+        )
+
+    def step_problems(self, place: tuple[str | int, ...]) -> list[Problem]:
+        """Return whether the step is declared twice."""
+        given = [key for key in ("step_row", "step_time_s", "step_at") if getattr(self, key) is not None]
+        return [] if len(given) < 2 else [((*place, given[1]), f"given beside {given[0]}; expected one of them")]
+
+
+class FileEntry(Conditions, StepTime):
+    """Conditions, step and window of the files whose name fits a pattern."""
+
+    match: Name
+    window: Window | None = None
+
+
+class StepEntry(Conditions, StepTime, Window):
+    """One of several steps in a file: its rows, and what differs from the conditions of the file."""
+
+    label: Name
+
+
+class Profile(TextLayout, StepTime):
+    """How the files of one lab are read; keys of text files stand beside these (`TextLayout`).
+
+    Parameters
+    ----------
+    name, title : str
+    format : str
+        Reader; a native log brings columns and conditions itself.
+    files : tuple of str
+        Patterns of the file names that are claimed (``*``, ``?``, ``[...]``; case does not matter).
+    records : str, optional
+        Key of the list of records inside a JSON file, with dots where it is nested.
+    partner : Partner, optional
+    columns : Columns
+    constants : Constants
+    units : ConditionUnits
+    name_pattern : str, optional
+        Regular expression with named groups that reads conditions out of the file name, such as
+        ``B(?P<damping>[-0-9.]+)_K(?P<stiffness>[0-9.]+)``.
+    attributes, condition_columns : dict
+        Condition -> attribute of the file (a label of text lines, an HDF5 attribute) or column that gives it.
+    file : tuple of FileEntry
+        What holds for single files; one entry at most may fit a file.
+    trial_column : str, optional
+        Long form: rows with the same value in this column are one trial.
+    steps : tuple of StepEntry
+        Several steps in one file, each its own trial.
+    window : Window, optional
+        Rows outside are not stored.
+    step_row, step_time_s, step_at
+        See `StepTime`. One of them is needed, here or in every entry of file or steps, but where the step is the
+        constant 0.
+
+    Notes
+    -----
+    A condition is taken from the most special place that gives it: steps, file, condition_columns, attributes,
+    name_pattern, constants.
+    """
+
+    name: Name
+    title: str = ""
+    format: Format
+    files: Annotated[tuple[Name, ...], Field(min_length=1)]
+    records: Name | None = None
+    partner: Partner | None = None
+    columns: Columns | None = None
+    constants: Constants = Constants()
+    units: ConditionUnits = ConditionUnits()
+    name_pattern: str | None = None
+    attributes: dict[Condition, Name] = Field(default_factory=dict)
+    condition_columns: dict[Condition, Name] = Field(default_factory=dict)
+    file: tuple[FileEntry, ...] = ()
+    trial_column: Name | None = None
+    steps: tuple[StepEntry, ...] = ()
+    window: Window | None = None
+
+    @model_validator(mode="after")
+    def _parts_fit_together(self) -> Self:
+        problems = list(self._problems())
+        if problems:
+            text = "; ".join(f"key {'.'.join(map(str, place))!r}: {what}" for place, what in problems)
+            raise PydanticCustomError(PROBLEMS, "{text}", {"text": text, "problems": problems})
+        return self
+
+    def __hash__(self) -> int:
+        # tables by condition are not hashable; equal profiles have equal names and files
+        return hash((self.name, self.files))
+
+    def _problems(self) -> Iterator[Problem]:
+        if self.format == "native":
+            foreign = self.model_fields_set - {"name", "title", "format", "files"}
+            if foreign:
+                yield ("format",), f"a native log brings all of {sorted(foreign)}. Remove them, or correct the format"
+            return
+        text = self.format == "delimited"
+        if text:
+            yield from self.layout_problems()
+        else:
+            for key in sorted(self.model_fields_set & set(TextLayout.model_fields)):
+                yield (key,), f"for format delimited, found {self.format}. Remove it"
+        if self.records is not None and self.format != "json":
+            yield ("records",), f"for format json, found {self.format}. Remove it"
+        if self.columns is None:
+            yield ("columns",), "missing. Add [columns.time], [columns.command], [columns.position]"
+        else:
+            yield from column_problems(self.columns, self.constants.motion, text)
+        for key, source in self.column_sources().items():
+            if text and not self.header and source.name is not None:
+                yield ("columns", key, "name"), "the table has no names (header is false). Give column = <position>"
+        yield from self._partner_problems()
+        yield from self._part_problems()
+        yield from self._condition_problems()
+
+    def _partner_problems(self) -> Iterator[Problem]:
+        if self.partner is None:
+            for key, source in self.column_sources().items():
+                if source.file == "partner":
+                    yield (
+                        ("partner",),
+                        f"missing, but columns.{key} is of the partner. Add [partner] with replace, by",
+                    )
+        elif self.partner.replace in self.partner.by or self.partner.by in self.partner.replace:
+            found = f"found {self.partner.replace!r}, {self.partner.by!r}"
+            yield ("partner", "by"), f"'replace' and 'by' must not contain each other, {found}"
+        elif any(sign in self.partner.by for sign in "/\\\0"):
+            yield ("partner", "by"), f"must be part of a file name in the same folder, found {self.partner.by!r}"
+
+    def _part_problems(self) -> Iterator[Problem]:
+        yield from self.step_problems(())
+        yield from self._undeclared_steps()
+        if self.window is not None:
+            yield from self.window.window_problems(("window",))
+        for index, entry in enumerate(self.file):
+            yield from entry.step_problems(("file", index))
+            if entry.window is not None:
+                yield from entry.window.window_problems(("file", index, "window"))
+        labels = [step.label for step in self.steps]
+        for index, step in enumerate(self.steps):
+            yield from step.step_problems(("steps", index))
+            yield from step.window_problems(("steps", index))
+            if step.sampling_period_s is not None:
+                yield (
+                    ("steps", index, "sampling_period_s"),
+                    "one for the whole file is expected. Move it to [constants]",
+                )
+            if labels.index(step.label) != index:
+                yield ("steps", index, "label"), f"{step.label!r} is given twice; expected a name of its own"
+        windows = self.window is not None or any(entry.window for entry in self.file)
+        if self.steps and (self.trial_column is not None or windows):
+            yield ("steps",), "given beside trial_column or a window; expected one of them"
+
+    def _undeclared_steps(self) -> Iterator[Problem]:
+        """Yield where it is not said when the step happens: at the top, or in entries of [[steps]] or [[file]]."""
+        groups = frozenset[str]() if pattern_problem(self.name_pattern) else self.name_groups()
+        varies = "step" in groups | set(self.attributes) | set(self.condition_columns)
+        constant = None if varies else self.constants.step
+
+        def silent(entry: FileEntry | StepEntry) -> bool:
+            return not entry.declared and (constant if entry.step is None else entry.step) != 0
+
+        entries: dict[str, tuple[FileEntry | StepEntry, ...]] = {"steps": self.steps, "file": self.file}
+        if self.declared or (constant == 0 and not any(silent(entry) for part in entries.values() for entry in part)):
+            return
+        told = {key: part for key, part in entries.items() if any(entry.declared for entry in part)}
+        if not told:
+            yield self.step_missing(())
+        # steps whose file says it need not say it again, nor the other way round
+        elif all(any(silent(entry) for entry in part) for part in told.values()):
+            for key, part in told.items():
+                yield from (self.step_missing((key, index)) for index, entry in enumerate(part) if silent(entry))
+
+    def _condition_problems(self) -> Iterator[Problem]:
+        for key, quantities in CONDITION_QUANTITIES.items():
+            if (unit := getattr(self.units, key)) is None:
+                continue
+            try:
+                factor_to_si(unit, (quantities[self.constants.motion],))
+            except ParameterError as error:
+                yield ("units", key), f"{error} (motion is {self.constants.motion})"
+        problem = pattern_problem(self.name_pattern)
+        if problem:
+            yield ("name_pattern",), problem
+        groups = frozenset[str]() if problem else self.name_groups()
+        if unknown := sorted(groups - set(CONDITIONS)):
+            yield ("name_pattern",), f"unknown groups {unknown}; known are {list(CONDITIONS)}"
+        everywhere = groups | set(self.attributes) | set(self.condition_columns) | set(self.constants.given())
+        for key in REQUIRED_CONDITIONS:
+            entries = (*self.file, *self.steps)
+            if key not in everywhere and not any(getattr(entry, key) is not None for entry in entries):
+                line = f"{key} = {_EXAMPLES.get(key, '<number>')}"
+                others = "or give it by name_pattern, attributes, condition_columns, [[file]] or [[steps]]"
+                yield ("constants", key), f"missing. Add {line} to [constants], {others}"
+
+    def name_groups(self) -> frozenset[str]:
+        """Return the conditions that the file name gives."""
+        return frozenset(re.compile(self.name_pattern or "").groupindex)
+
+    def column_sources(self) -> dict[str, Source]:
+        """Return the columns by SI name: time, command, position, and what else there is."""
+        return {} if self.columns is None else self.columns.sources()
+
+    def wanted(self, file: Literal["source", "partner"] = "source") -> dict[str, str]:
+        """Return what a profile asks for of a file: key of the profile -> name of the column in a `Frame`."""
+        found = {
+            f"columns.{key}": source.key
+            for key, source in self.column_sources().items()
+            if source.file == file and (source.name is not None or source.column is not None)
+        }
+        time = self.columns.time if self.columns else None
+        if time is not None and time.fraction is not None and time.file == file:
+            found["columns.time.fraction"] = time.fraction.name
+        if file == "source":
+            found |= {f"condition_columns.{key}": name for key, name in self.condition_columns.items()}
+            if self.trial_column is not None:
+                found["trial_column"] = self.trial_column
+        return found
+
+    def factors(self) -> dict[str, float]:
+        """Return the signed factor to SI of each column that has a unit."""
+        motion = self.constants.motion
+        sources = self.column_sources().items()
+        return {key: factor(key, source, motion) for key, source in sources if source.unit is not None}
+
+    def condition_factor(self, key: str) -> float:
+        """Return the factor to SI of a condition."""
+        unit = getattr(self.units, key, None)
+        return 1.0 if unit is None else factor_to_si(unit, (CONDITION_QUANTITIES[key][self.constants.motion],))
+
+    def claims(self, name: str) -> bool:
+        """Return whether a file name is that of a log (not of a partner) of this profile."""
+        return _name_pattern(self.files).match(name.lower()) is not None
+
+    def partner_of(self, path: Path) -> Path | None:
+        """Return the partner file of a log, or None where a log is one file."""
+        if self.partner is None:
+            return None
+        return path.with_name(path.name.replace(self.partner.replace, self.partner.by))
+
+    def log_of_partner(self, path: Path) -> Path | None:
+        """Return the log that a file would be the partner of, or None where it is none."""
+        if self.partner is None or self.partner.by not in path.name:
+            return None
+        name = path.name.replace(self.partner.by, self.partner.replace)
+        return path.with_name(name) if self.claims(name) else None
+
+    def digest(self) -> str:
+        """Return the SHA-256 of all that decides how a file is read; layout and title of the TOML do not.
+
+        Keys at their default do not count, so that a new key leaves the hashes of profiles without it as they are.
+        """
+        values = self.model_dump(mode="json", exclude={"title"}, exclude_defaults=True)
+        return sha256(json.dumps(values, sort_keys=True).encode())
+
+
+@cache
+def _name_pattern(files: tuple[str, ...]) -> re.Pattern[str]:
+    """Return one pattern for all of `Profile.files`: thousands of names are held against each profile."""
+    return re.compile("|".join(translate(pattern.lower()) for pattern in files))

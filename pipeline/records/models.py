@@ -1,0 +1,391 @@
+"""Records that stages hand to each other and that users read: frozen, validated, SI.
+
+Units follow the motion of the device: N, N/m, Ns/m, kg and m for ``translation``; Nm, Nm/rad, Nms/rad,
+kg m^2 and rad for ``rotation``. ``docs/nomenclature.md`` lists the symbols. The JSON Schemas in ``schemas/``
+are generated from these classes.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+Motion = Literal["translation", "rotation"]
+Grip = Literal["none", "comfortable", "firm"]
+Stability = Literal["stable", "unstable", "undecided"]
+Name = Annotated[str, Field(min_length=1, max_length=200)]
+Positive = Annotated[float, Field(gt=0)]
+NonNegative = Annotated[float, Field(ge=0)]
+
+RESPONSE_CRITERIA = ("settle_1pct", "settle_2pct", "settle_5pct", "overshoot")
+ENERGY_CRITERIA = ("energy_step_w0", "energy_step_w1", "energy_step_w2")
+CRITERIA = RESPONSE_CRITERIA + ENERGY_CRITERIA
+"""Criteria that a step-response log can be judged by; costs as in `pipeline.measured.costs` and `pipeline.criteria`."""
+
+SETTLING_BANDS = {"settle_1pct": 0.01, "settle_2pct": 0.02, "settle_5pct": 0.05}
+"""Half width of the settling band relative to the final displacement, by criterion."""
+
+
+class Record(BaseModel):
+    """Base of all records: immutable, no unknown fields, no NaN or infinity."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, defer_build=True)
+
+
+class Sensor(Record):
+    """Position sensor: quantisation step and standard deviation of white noise before it, in m or rad."""
+
+    quantum: NonNegative = 0.0
+    noise: NonNegative = 0.0
+
+
+class Limits(Record):
+    """Largest distance from the workspace centre [m, rad] and, where known, largest force [N, Nm]."""
+
+    travel: Positive
+    force: Positive | None = None
+
+
+class Controller(Record):
+    """Wall controller: time constant of the first-order velocity filter in s, 0 for the plain difference."""
+
+    velocity_filter_s: NonNegative = 0.0
+
+
+class Experiment(Record):
+    """One course of measurements: configuration, plant as published, and the grid of (K, B) that is tested."""
+
+    name: Name
+    configuration: str = ""
+    grip: Grip = "none"
+    mass: Positive
+    damping: NonNegative = 0.0
+    stiffness: NonNegative = 0.0
+    delay_samples: NonNegative
+    added_delay_samples: Annotated[int, Field(ge=0)] = 0
+    jitter_samples: tuple[Annotated[int, Field(ge=0)], ...] = ()
+    damping_first: float = 0.0
+    damping_last: float
+    damping_step: Positive
+    stiffness_step: Positive
+
+    @model_validator(mode="after")
+    def _grid_is_ordered(self) -> Self:
+        if self.damping_last < self.damping_first:
+            raise ValueError(f"damping_last ({self.damping_last}) is below damping_first ({self.damping_first})")
+        return self
+
+
+class TableLayout(Record):
+    """One published table: which criteria, which experiments, and whose parameters theory uses."""
+
+    name: Name
+    criteria: tuple[str, ...]
+    experiments: tuple[Name, ...]
+    theory_from: Name
+    kind: Literal["optima", "delay"] = "optima"
+
+    @model_validator(mode="after")
+    def _criteria_are_known(self) -> Self:
+        unknown = [c for c in self.criteria if c not in CRITERIA]
+        if unknown:
+            raise ValueError(f"unknown criteria {unknown}; known are {list(CRITERIA)}")
+        return self
+
+
+class Device(Record):
+    """A haptic device as data: everything that simulation, theory and reports need to know of it."""
+
+    name: Name
+    title: str
+    source: str
+    motion: Motion = "translation"
+    sampling_period_s: Positive
+    step: Positive
+    centre: float = 0.0
+    duration_s: Positive
+    baseline_s: Positive
+    sensor: Sensor = Sensor()
+    limits: Limits
+    controller: Controller = Controller()
+    experiments: tuple[Experiment, ...] = Field(alias="experiment", min_length=1)
+    tables: tuple[TableLayout, ...] = Field(default=(), alias="table")
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, validate_by_name=True)
+
+    @model_validator(mode="after")
+    def _names_fit_together(self) -> Self:
+        names = [e.name for e in self.experiments]
+        double = sorted({n for n in names if names.count(n) > 1})
+        if double:
+            raise ValueError(f"experiment names must be unique; given more than once: {double}")
+        for table in self.tables:
+            missing = [n for n in (*table.experiments, table.theory_from) if n not in names]
+            if missing:
+                raise ValueError(f"table {table.name} names experiments that are not defined: {missing}")
+        if self.baseline_s >= self.duration_s:
+            raise ValueError(f"baseline_s ({self.baseline_s}) must be shorter than duration_s ({self.duration_s})")
+        return self
+
+
+class Trial(Record):
+    """One step response and where it came from."""
+
+    trial_id: Name
+    device: Name
+    experiment: Name
+    motion: Motion = "translation"
+    stiffness: float
+    damping: float
+    step: float
+    sampling_period_s: Positive
+    added_delay_samples: Annotated[int, Field(ge=0)] = 0
+    grip: Grip = "none"
+    simulated: bool = False
+    rows: Annotated[int, Field(gt=0)]
+    source_path: str
+    source_sha256: str
+    profile: str
+    profile_sha256: str
+    package_version: str
+
+
+DRIFTS = "drifts by"
+"""Beginning of a warning about a `Trend`, by which such warnings are told from others."""
+
+
+class Trend(Record):
+    """Slope of an estimate over the stiffness or damping of the trials with its 95 % interval.
+
+    ``span`` is the range of stiffness [N/m, Nm/rad] or damping [Ns/m, Nms/rad] over which it was found.
+    """
+
+    over: Literal["stiffness", "damping"]
+    slope: float
+    low: float
+    high: float
+    unit: str
+    significant: bool
+    span: float | None = None
+
+
+class Estimate(Record):
+    """A quantity with its 95 % interval and method, or no value and the reason for that.
+
+    ``spread`` is the standard deviation between trials beyond their own errors, ``within`` the median standard error of
+    one trial. ``trials`` were used; ``outliers`` are the ids of those that were not because they lie apart, ``refused``
+    is the number of those without an interval. ``warning`` says in words what is wrong with the value.
+    """
+
+    value: float | None
+    low: float | None = None
+    high: float | None = None
+    unit: str
+    method: str
+    reason: str | None = None
+    trials: int = 0
+    by_method: dict[str, Estimate] = Field(default_factory=dict)
+    spread: NonNegative | None = None
+    within: NonNegative | None = None
+    outliers: tuple[str, ...] = ()
+    refused: Annotated[int, Field(ge=0)] = 0
+    trend: tuple[Trend, ...] = ()
+    warning: str | None = None
+
+    @model_validator(mode="after")
+    def _a_missing_value_has_a_reason(self) -> Self:
+        if self.value is None and not self.reason:
+            raise ValueError("an estimate without a value needs a reason")
+        return self
+
+
+class ModelCheck(Record):
+    """How well the fitted model explains the logs of an experiment.
+
+    ``explained`` of ``trials`` fits are right within what sensor and chance allow. Medians over trials: ``misfit`` of
+    the whitened errors (1 where the sensor explains them), ``whiteness`` (p-value), ``ghost`` (root mean square of
+    log minus simulated loop, relative to the final displacement). ``left`` trials leave the model's noise band.
+    """
+
+    trials: int
+    explained: int
+    left: int
+    misfit: float | None
+    whiteness: float | None
+    ghost: float | None
+
+
+class Cost(Record):
+    """Cost of one trial by one criterion, or the reason why it has none."""
+
+    trial_id: Name
+    criterion: Name
+    cost: float | None
+    reason: str | None = None
+
+
+class BoundaryPoint(Record):
+    """Stability limit at one damping: largest stable stiffness below the smallest unstable one.
+
+    ``estimate`` is the limit by the growth rates with its 95 % interval; a censored point has ``low`` alone.
+    """
+
+    damping: float
+    stable: float | None
+    unstable: float | None
+    censored: bool
+    estimate: float | None = None
+    low: float | None = None
+    high: float | None = None
+    trials: int = 0
+
+
+class Optimum(Record):
+    """Trial (or theoretical point) with the smallest cost; censored where it lies at the edge of the tested range."""
+
+    stiffness: float
+    damping: float
+    cost: float
+    cost_low: float | None = None
+    cost_high: float | None = None
+    trial_id: str | None = None
+    ties: int = 1
+    censored: bool = False
+
+
+class ComparisonRow(Record):
+    """One row of Tables D.1 to D.6: computed or measured beside the published value.
+
+    ``experiment`` and ``trial_id`` name the trial that a measured row stands for; both are null on theory rows.
+    """
+
+    table: str
+    criterion: str
+    condition: str
+    delay_samples: float | None
+    stiffness: float | None
+    damping: float | None
+    cost: float | None
+    published_stiffness: float | None = None
+    published_damping: float | None = None
+    published_cost: float | None = None
+    deviation_percent: float | None = None
+    censored: bool = False
+    note: str | None = None
+    experiment: str | None = None
+    trial_id: str | None = None
+
+
+FigureKind = Literal["response", "boundaries", "plane", "maps", "residuals", "delay", "trials"]
+"""Figures of a report: first response (Fig. 6.2), boundaries (6.3, 6.4, 6.9), boundaries in the normalised plane, cost
+maps (6.5 to 6.7, 6.10, 6.11), measured minus theory, costs over delay (6.12), and the trials to look into."""
+
+Overlay = Literal["theory", "estimates", "band", "linear", "passive", "bound"]
+"""What is drawn over measured boundaries: theory by the device file, theory by the estimates, what their intervals
+leave open, the linear condition (3.25), the passive region (4.12), a linear upper bound as (6.5)."""
+
+
+class Shown(Record):
+    """What of a comparison is shown; None stands for all that there is data for.
+
+    ``tables`` are names of tables (``D.1``) or of other tables of the report (``boundary``). ``delays`` are delay
+    factors of the theoretical curves beside boundaries without operator, in place of those of the device file.
+    """
+
+    figures: tuple[FigureKind, ...] | None = None
+    tables: tuple[Name, ...] | None = None
+    overlays: tuple[Overlay, ...] | None = None
+    delays: tuple[NonNegative, ...] | None = None
+
+    def has_figure(self, kind: FigureKind) -> bool:
+        """Tell whether a figure is asked for."""
+        return self.figures is None or kind in self.figures
+
+    def has_table(self, name: str) -> bool:
+        """Tell whether a table is asked for."""
+        return self.tables is None or name in self.tables
+
+    def has_overlay(self, kind: Overlay) -> bool:
+        """Tell whether an overlay is asked for."""
+        return self.overlays is None or kind in self.overlays
+
+
+class Scene(Record):
+    """What one comparison needs; the plan of stages is made backwards from it."""
+
+    device: Name
+    experiments: tuple[Name, ...]
+    criteria: tuple[str, ...] = CRITERIA
+    delay_sweep: bool = False
+    operator: bool = False
+    shown: Shown = Shown()
+
+
+Band = Literal[1, 2, 5]
+"""Settling band [%] that a cost exists for."""
+
+CriterionWord = Literal[
+    "settle",
+    "settle_1pct",
+    "settle_2pct",
+    "settle_5pct",
+    "overshoot",
+    "energy_step_w0",
+    "energy_step_w1",
+    "energy_step_w2",
+]
+"""A criterion in a scene file; ``settle`` stands for the settling times of its ``bands``."""
+
+
+class SceneFile(Record):
+    """A scene as a file (TOML): what one report shows. Keys that are left out stand for all that there is data for.
+
+    Parameters
+    ----------
+    device : str
+    experiments : tuple of str, optional
+    criteria : tuple of str, optional
+    bands : tuple of int
+        Settling bands [%] of the criterion ``settle``.
+    delays, overlays, figures, tables : optional
+        As in `Shown`.
+    report : str, optional
+        HTML file, relative to the folder in which the command is called.
+    """
+
+    device: Name
+    experiments: tuple[Name, ...] | None = Field(default=None, min_length=1)
+    criteria: tuple[CriterionWord, ...] | None = Field(default=None, min_length=1)
+    bands: tuple[Band, ...] = Field(default=(1, 2, 5), min_length=1)
+    delays: tuple[NonNegative, ...] | None = Field(default=None, min_length=1)
+    overlays: tuple[Overlay, ...] | None = None
+    figures: tuple[FigureKind, ...] | None = None
+    tables: tuple[Name, ...] | None = None
+    report: Name | None = None
+
+    @property
+    def chosen_criteria(self) -> tuple[str, ...]:
+        """The criteria with ``settle`` spelt out, each once."""
+        settling = tuple(f"settle_{band}pct" for band in self.bands)
+        words = self.criteria or ("settle", "overshoot", *ENERGY_CRITERIA)
+        return tuple(dict.fromkeys(c for word in words for c in (settling if word == "settle" else (word,))))
+
+    @property
+    def shown(self) -> Shown:
+        """What of the comparison is shown."""
+        return Shown(figures=self.figures, tables=self.tables, overlays=self.overlays, delays=self.delays)
+
+
+SCHEMA_MODELS: dict[str, type[Record]] = {
+    "device": Device,
+    "experiment": Experiment,
+    "trial": Trial,
+    "estimate": Estimate,
+    "cost": Cost,
+    "boundary_point": BoundaryPoint,
+    "comparison_row": ComparisonRow,
+    "scene": Scene,
+    "scene_file": SceneFile,
+}
+"""Records whose JSON Schema is kept in ``schemas/<name>.json``."""

@@ -1,0 +1,251 @@
+"""The header of a native log: conditions of one step response as `# key: value` lines above the columns.
+
+    # device: lwr
+    # experiment: delay-2
+    # stiffness: 3200 [Nm/rad]
+    ...
+    time_s,command,position
+
+All values are SI. A note in square brackets behind a value is legal; a note that begins with a unit which is
+not SI (`[N/mm]`) is refused, because the value would be misread by that factor.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from typing import cast, get_args
+
+from pipeline.base.errors import LogError, ParameterError
+from pipeline.base.units import find_unit
+from pipeline.records.models import Grip, Motion
+
+COLUMN_LINE = "time_s,command,position"
+LONGEST_NAME = 200
+"""Longest device or experiment name in characters, as in `pipeline.records.models.Name`."""
+
+_REQUIRED = {
+    "device": "the name of the device, such as lwr",
+    "experiment": "the name of the experiment, such as delay-2",
+    "stiffness": "the virtual stiffness K in N/m (Nm/rad for a rotational device)",
+    "damping": "the virtual damping B in Ns/m (Nms/rad for a rotational device)",
+    "step": "the size of the external force step in N (Nm for a rotational device), 0 where none was commanded",
+    "sampling_period_s": "the sampling period T in s",
+}
+_OPTIONAL = ("added_delay_samples", "grip", "motion")
+# in each pattern a run of blanks can be taken in one way only: others take minutes for a line of 10^4 blanks
+_KEY_LINE = re.compile(r"#\s*([A-Za-z_][\w\s.\-/]*):\s*(.*)")
+_NOTE_BEHIND_TEXT = re.compile(r"(?:^|\s)\[.*$")
+_OPTIONAL_NOTE = re.compile(r"(?<!\s)\s{2,}optional\b.*$")
+
+
+@dataclass(frozen=True)
+class NativeHeader:
+    """Conditions of one step response as a native log states them.
+
+    Parameters
+    ----------
+    device, experiment : str
+    stiffness : float
+        Virtual stiffness K [N/m, Nm/rad].
+    damping : float
+        Virtual damping B [Ns/m, Nms/rad].
+    step : float
+        External force step F_0 [N, Nm]; 0 says that no step was commanded: such a trial has no response to judge.
+    sampling_period_s : float
+        Sampling period T [s].
+    added_delay_samples : int
+        Delay added on purpose [samples].
+    grip : {"none", "comfortable", "firm"}
+    motion : {"translation", "rotation"} or None
+        None where the log does not say it: a known device brings its own.
+    simulated : bool
+        Whether the log says ``# origin: simulated``.
+    extra : dict of str to str
+        Further keys of the header, as written; ``step_row`` among them declares the row of the step, counted from 0.
+    """
+
+    device: str
+    experiment: str
+    stiffness: float
+    damping: float
+    step: float
+    sampling_period_s: float
+    added_delay_samples: int = 0
+    grip: Grip = "none"
+    motion: Motion | None = None
+    simulated: bool = False
+    extra: dict[str, str] = field(default_factory=dict)
+
+
+def format_header(header: NativeHeader, motion: Motion | None = None) -> str:
+    """Write a header as text, ending with the line of column names and a line feed.
+
+    Parameters
+    ----------
+    header : NativeHeader
+    motion : {"translation", "rotation"}, optional
+        Motion of the device; it decides the unit notes and is written. Where it is None the header's own
+        motion is taken, and translation where that is None too.
+
+    Raises
+    ------
+    ParameterError
+        If `parse_header` would not give the same header back (a name with a line feed, a number that is NaN,
+        a contradiction between both motions, ...).
+    """
+    chosen: Motion = motion or header.motion or "translation"
+    force, length = ("Nm", "rad") if chosen == "rotation" else ("N", "m")
+    lines = [
+        f"# device: {header.device}",
+        f"# experiment: {header.experiment}",
+        f"# stiffness: {header.stiffness:.17g} [{force}/{length}]",
+        f"# damping: {header.damping:.17g} [{force}s/{length}]",
+        f"# step: {header.step:.17g} [{force}]",
+        f"# sampling_period_s: {header.sampling_period_s:.17g}",
+        f"# added_delay_samples: {header.added_delay_samples}",
+        f"# grip: {header.grip}",
+        f"# motion: {chosen}",
+    ]
+    if header.simulated:
+        lines.append("# origin: simulated")
+    lines += [f"# {key}: {value}" for key, value in header.extra.items()]
+    expected = replace(header, motion=header.motion or chosen)
+    try:
+        found = parse_header(lines)
+    except LogError as error:
+        raise ParameterError(f"header cannot be written as a native log: {error}") from error
+    if found != expected:
+        raise ParameterError(f"header cannot be written as a native log: {expected} would be read as {found}")
+    return "\n".join((*lines, COLUMN_LINE, ""))
+
+
+def parse_header(lines: Iterable[str]) -> NativeHeader:
+    """Read the header lines of a native log; reading stops at the first other line that is not blank.
+
+    Parameters
+    ----------
+    lines : iterable of str
+        First lines of the file, with or without line ends.
+
+    Raises
+    ------
+    LogError
+        If a required key is missing or given twice, or a value is not legal; with the line number.
+    """
+    values: dict[str, tuple[str, int]] = {}
+    extra: dict[str, str] = {}
+    for row, line in enumerate(lines, start=1):
+        text = line.removeprefix("\ufeff").strip() if row == 1 else line.strip()
+        if text and not text.startswith("#"):
+            break
+        match = _KEY_LINE.fullmatch(text)
+        if match is None:
+            continue
+        key, value = match[1].rstrip(), match[2]
+        if key in _REQUIRED or key in _OPTIONAL:
+            if key in values:
+                raise LogError(
+                    f"header gives {key!r} twice, first in line {values[key][1]}; expected it once. "
+                    "Remove the wrong line.",
+                    row,
+                    code="condition-wrong",
+                )
+            values[key] = (value, row)
+        else:
+            value = _NOTE_BEHIND_TEXT.sub("", value).strip()
+            # the same remark on several lines is common in logs; nothing of it gets lost
+            extra[key] = f"{extra[key]}; {value}" if key in extra else value
+    missing = [key for key in _REQUIRED if key not in values]
+    if missing:
+        found = ", ".join([*values, *extra]) or "no `# key: value` line"
+        raise LogError(
+            f"header has no {' and no '.join(repr(key) for key in missing)}; found {found}. "
+            + " ".join(f"Add a line `# {key}: <value>` with {_REQUIRED[key]}." for key in missing),
+            1,
+            code="condition-missing",
+        )
+    if "step_row" in extra:
+        _count("step_row", extra["step_row"], 1)
+    simulated = extra.get("origin") == "simulated"
+    if simulated:
+        del extra["origin"]
+    return NativeHeader(
+        device=_name("device", *values["device"]),
+        experiment=_name("experiment", *values["experiment"]),
+        stiffness=_number("stiffness", *values["stiffness"]),
+        damping=_number("damping", *values["damping"]),
+        step=_number("step", *values["step"]),
+        sampling_period_s=_period(*values["sampling_period_s"]),
+        added_delay_samples=_count("added_delay_samples", *values.get("added_delay_samples", ("0", 0))),
+        grip=cast(Grip, _choice("grip", get_args(Grip), *values.get("grip", ("none", 0)))),
+        motion=cast(Motion, _choice("motion", get_args(Motion), *values["motion"])) if "motion" in values else None,
+        simulated=simulated,
+        extra=extra,
+    )
+
+
+def _name(key: str, value: str, row: int) -> str:
+    name = _NOTE_BEHIND_TEXT.sub("", value).strip()
+    if not name or len(name) > LONGEST_NAME or not name.isprintable():
+        raise LogError(
+            f"{key} must be a printable name of 1 to {LONGEST_NAME} characters, found {name!r}. "
+            f"Write {_REQUIRED[key]}.",
+            row,
+            code="condition-wrong",
+        )
+    return name
+
+
+def _number(key: str, value: str, row: int) -> float:
+    text, bracket, note = value.partition("[")
+    text = text.strip()
+    unit = re.split(r"[\s,;\]]", note.strip(), maxsplit=1)[0] if bracket else ""
+    known = find_unit(unit)
+    if known is not None and known.factor != 1.0:
+        raise LogError(
+            f"{key} is given in {unit}; native logs are SI (N, m, rad, s). Multiply the value by "
+            f"{known.factor:.9g} and correct the note, or describe the file by a profile.",
+            row,
+            code="condition-wrong",
+        )
+    try:
+        # float() would take 1_000 and digits of every script, which no other reader does
+        number = float(text.replace("_", "?")) if text.isascii() else math.nan
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number):
+        raise LogError(
+            f"{key} must be a finite number with a decimal point, found {text!r}. Write `# {key}: <number>`; "
+            "a remark belongs into square brackets behind it.",
+            row,
+            code="condition-wrong",
+        )
+    return number
+
+
+def _period(value: str, row: int) -> float:
+    period = _number("sampling_period_s", value, row)
+    if period <= 0:
+        raise LogError(
+            f"sampling_period_s must be above 0 s, found {period:g}. Write the period, such as 0.001.",
+            row,
+            code="condition-wrong",
+        )
+    return period
+
+
+def _count(key: str, value: str, row: int) -> int:
+    number = _number(key, _OPTIONAL_NOTE.sub("", value), row)
+    if number < 0 or number != int(number):
+        raise LogError(f"{key} must be a whole number of samples >= 0, found {number:g}.", row, code="condition-wrong")
+    return int(number)
+
+
+def _choice(key: str, allowed: tuple[str, ...], value: str, row: int) -> str:
+    word = _OPTIONAL_NOTE.sub("", value.partition("[")[0]).strip()
+    if word not in allowed:
+        raise LogError(f"{key} must be one of {', '.join(allowed)}; found {word!r}.", row, code="condition-wrong")
+    return word

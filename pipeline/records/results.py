@@ -1,0 +1,124 @@
+"""Finished numbers of a comparison: what `compare --json` prints and what figures and report are drawn from.
+
+Records (pydantic) are the JSON document; `ReportData` adds the arrays of the figures (`figure_records`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from pydantic import Field
+
+from pipeline.records.accuracy import AccuracyReport
+from pipeline.records.figure_records import (
+    BoundaryFigure,
+    CostFigure,
+    DelayFigure,
+    ResidualFigure,
+    ResponseFigure,
+)
+from pipeline.records.models import BoundaryPoint, ComparisonRow, Estimate, ModelCheck, Motion, Optimum, Record
+from pipeline.records.score_records import Scores
+from pipeline.records.score_records import TheoryParameters as TheoryParameters
+from pipeline.records.trial_records import TrialPage
+
+
+class MassWindow(Record):
+    """Mass by the momentum balance of the thesis for one window: median and scatter of the trials that have one."""
+
+    window_s: float
+    mass: float | None
+    scatter: float | None
+    trials: int
+
+
+class OtherDefinitions(Record):
+    """Settling time [samples] and overshoot [1] of one trial by this report and by other tools."""
+
+    criterion: str
+    trial_id: str
+    stiffness: float
+    damping: float
+    settle_2pct: float | None
+    settle_matlab_final_value: float | None
+    settle_matlab_peak_error: float | None
+    settle_python_control: float | None
+    overshoot: float | None
+    overshoot_last_sample: float | None
+
+
+class ExperimentResult(Record):
+    """All that was found for one experiment."""
+
+    experiment: str
+    configuration: str
+    grip: str
+    simulated: bool
+    trials: int
+    verdicts: dict[str, int]
+    outcomes: dict[str, int] = Field(default_factory=dict)
+    model_check: ModelCheck | None = None
+    mass_windows: tuple[MassWindow, ...] = ()
+    other_definitions: tuple[OtherDefinitions, ...] = ()
+    estimates: dict[str, Estimate]
+    boundary: tuple[BoundaryPoint, ...]
+    optimum: dict[str, Optimum]
+    missing: dict[str, str] = Field(default_factory=dict)
+    theory: TheoryParameters | None = None
+    scores: tuple[Scores, ...] = ()
+
+
+class LogList(Record):
+    """The logs behind an experiment.
+
+    ``files`` is the SHA-256 of each by its path below ``folder``, ``sha256`` that of all of them together (sorted, one
+    a line), ``samples`` a hash of what was stored of them.
+    """
+
+    experiment: str
+    folder: str
+    files: dict[str, str]
+    sha256: str
+    samples: str
+
+
+class ComparisonResult(Record):
+    """The document that `pipeline compare --json` prints."""
+
+    device: str
+    title: str
+    motion: Motion
+    known_device: bool
+    simulated: bool
+    criteria: tuple[str, ...]
+    experiments: tuple[ExperimentResult, ...]
+    tables: tuple[ComparisonRow, ...]
+    summary: tuple[str, ...]
+    summary_sources: tuple[str, ...] = ()
+    """Anchor of the figure or table that each sentence of the summary rests on; empty where there is none."""
+    warnings: tuple[str, ...]
+    report: str | None = None
+    provenance: dict[str, str]
+    logs: tuple[LogList, ...] = ()
+
+
+@dataclass(frozen=True)
+class ReportData:
+    """Everything that one HTML report shows."""
+
+    result: ComparisonResult
+    boundaries: tuple[BoundaryFigure, ...] = ()
+    costs: tuple[CostFigure, ...] = ()
+    delays: tuple[DelayFigure, ...] = ()
+    responses: tuple[ResponseFigure, ...] = ()
+    residuals: tuple[ResidualFigure, ...] = ()
+    stages: tuple[tuple[str, str, str], ...] = field(default=())
+    """Stage, what was done with it (run, reuse, leave out), and why."""
+    accuracy: AccuracyReport | None = None
+    """Error and run time of the methods behind the theory, where `pipeline accuracy` was run with this code here."""
+    tables: tuple[str, ...] | None = None
+    """Names of the tables that are shown; None for all. What is missing, and the report's origin, is always shown."""
+    trials: TrialPage | None = None
+    """All trials for the interactive part."""
+    request: dict[str, object] = field(default_factory=dict)
+    """How the report was asked for, in the page's head: what `verify` computes it anew from."""

@@ -1,0 +1,214 @@
+"""How well theory predicts an experiment: finished scores, each with its unit; `docs/scores.md` defines them."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field
+
+from pipeline.records.models import Record
+
+
+class TheoryParameters(Record):
+    """Parameters of a theoretical curve or map: m [kg, kg m^2], b, k, T [s], d and where they come from."""
+
+    mass: float
+    damping: float
+    stiffness: float
+    sampling_period_s: float
+    delay_samples: float
+    source: str
+
+
+class RegionScore(Record):
+    """Measured and theoretical stable regions inside the tested window (areas in stiffness times damping).
+
+    ``overlap`` is intersection over union, ``covered`` the part of the theoretical region that is measured as stable,
+    ``area_ratio`` measured over theoretical area. ``low`` and ``high`` bound each of them by what the intervals of the
+    measured limits leave open. At ``censored`` of ``dampings`` the window ends at the stiffest stable trial.
+    """
+
+    overlap: float
+    overlap_low: float
+    overlap_high: float
+    covered: float
+    covered_low: float
+    covered_high: float
+    area_ratio: float
+    area_ratio_low: float
+    area_ratio_high: float
+    measured_area: float
+    theory_area: float
+    damping_low: float
+    damping_high: float
+    dampings: int
+    censored: int
+
+
+class DistanceScore(Record):
+    """Signed distance of the measured boundary from theory at the tested dampings.
+
+    ``median`` and ``largest`` are (K_measured - K_theory)/K_theory [1] over ``dampings``; ``rms`` [N/m, Nm/rad] is over
+    those and the ``near_zero`` ones, where the theoretical limit is too small to divide by. ``lower_bounds`` of the
+    dampings are censored with theory below the tested range: the distance is at least that large. ``open`` are
+    censored ones with theory above it: nothing is known there, and they are left out.
+    """
+
+    median: float
+    largest: float
+    largest_damping: float
+    rms: float
+    dampings: int
+    near_zero: int
+    lower_bounds: int
+    open: int
+
+
+class VerdictScore(Record):
+    """Verdicts of the trials against those of theory at the same (K, B), as numbers of trials.
+
+    ``agreement`` is the share of both diagonal entries. Left out are ``undecided`` trials and those ``without_wall``
+    (K <= 0), where stable has another meaning.
+    """
+
+    both_stable: int
+    both_unstable: int
+    only_theory_stable: int
+    only_log_stable: int
+    undecided: int
+    without_wall: int
+    agreement: float
+
+
+class StiffnessScore(Record):
+    """Largest stable stiffness [N/m, Nm/rad] measured and by theory, both over the tested dampings.
+
+    ``anywhere`` is that of theory over all dampings. ``lower_bound`` says that the tested stiffnesses ended there.
+    """
+
+    measured: float
+    measured_damping: float
+    lower_bound: bool
+    theory: float
+    theory_damping: float
+    anywhere: float
+    anywhere_damping: float
+    deviation_percent: float
+
+
+class OptimumScore(Record):
+    """Measured optimum of one criterion against the discrete theory: deviations in percent of theory.
+
+    ``reference`` names the table whose theory is meant. ``polynomial`` is the cost by (5.19), ``damped`` that of theory
+    with delta = 0.02 (Fig. 6.12, delay sweeps only); their deviations are those of the measured cost.
+    """
+
+    criterion: str
+    reference: str
+    stiffness_percent: float | None = None
+    damping_percent: float | None = None
+    cost_percent: float | None = None
+    censored: bool = False
+    polynomial: float | None = None
+    polynomial_percent: float | None = None
+    polynomial_valid: bool = False
+    damped: float | None = None
+    damped_percent: float | None = None
+
+
+class MapScore(Record):
+    """Measured costs against the theoretical ones at the same (K, B), over the trials that both call stable.
+
+    ``rank_correlation`` is Spearman's [-1, 1], ``median_ratio`` that of measured to theoretical cost over ``ratios``
+    trials, those with a theoretical cost above zero.
+    """
+
+    criterion: str
+    trials: int
+    rank_correlation: float | None
+    median_ratio: float | None
+    ratios: int
+    reason: str | None = None
+
+
+class DelayScore(Record):
+    """Delay [samples] that the boundary implies beside that of the trials, each with its 95 % interval.
+
+    They ``agree`` where the intervals share a value.
+    """
+
+    implied: float
+    implied_low: float
+    implied_high: float
+    trials: float
+    trials_low: float
+    trials_high: float
+    agree: bool
+
+
+class Departure(Record):
+    """Dampings, both ends included, between which the measured boundary lies outside the band on one side."""
+
+    side: Literal["above", "below"]
+    damping_low: float
+    damping_high: float
+    dampings: int
+
+
+class BandScore(Record):
+    """Measured limits against the band of theory that the intervals of m, b and d leave open.
+
+    A limit is ``inside`` where its interval meets the band [K_low(B), K_high(B)] (``low`` and ``high``, one a damping).
+    """
+
+    mass: tuple[float, float]
+    viscous_damping: tuple[float, float]
+    delay_samples: tuple[float, float]
+    damping: tuple[float, ...]
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+    points: int
+    inside: int
+    departures: tuple[Departure, ...] = ()
+
+    @property
+    def share(self) -> float:
+        """Share of the measured limits inside the band."""
+        return self.inside / self.points if self.points else 0.0
+
+
+class BoundScore(Record):
+    """Linear upper bound K <= K_0 - c B of the upper part of the measured boundary (6.1.3), with 95 % intervals.
+
+    K_0 [N/m, Nm/rad], c [1/s]; it holds from ``damping_low`` to ``damping_high``. ``cut`` is the part that it cuts off
+    the theoretical region, stretched to fit, ``p_value`` the chance of such a fit without a bound.
+    """
+
+    stiffness: float
+    stiffness_low: float
+    stiffness_high: float
+    slope: float
+    slope_low: float
+    slope_high: float
+    damping_low: float
+    damping_high: float
+    dampings: int
+    cut: float
+    p_value: float
+
+
+class Scores(Record):
+    """Scores of one experiment against one theory; what could not be had is None, with its reason in ``missing``."""
+
+    parameters: TheoryParameters
+    basis: Literal["device file", "estimates"]
+    region: RegionScore | None = None
+    distance: DistanceScore | None = None
+    verdicts: VerdictScore | None = None
+    stiffness: StiffnessScore | None = None
+    optima: tuple[OptimumScore, ...] = ()
+    maps: tuple[MapScore, ...] = ()
+    delay: DelayScore | None = None
+    band: BandScore | None = None
+    bound: BoundScore | None = None
+    missing: dict[str, str] = Field(default_factory=dict)

@@ -1,0 +1,350 @@
+"""The one dictionary of stored columns, and Parquet files that are checked against it.
+
+Each table is a tuple of column names; each column has one Arrow type, unit and meaning wherever it occurs.
+Writing checks a table against the dictionary and stamps units and meanings into the file's metadata; reading
+refuses a file whose columns or types differ. Files appear under their final name only when they are complete.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from pipeline.base.disk import replacing
+from pipeline.base.errors import StoreError
+
+Metadata = Mapping[str, str]
+
+GROUP_ROWS = 1 << 19
+"""Rows of a group, which is written and read as one: some 500 logs, which take 25 MB in memory with all columns."""
+
+WRITING: dict[str, Any] = {"compression": "zstd", "write_page_checksum": True}
+"""How Parquet is written. The compression alone does not notice a flipped byte, which would then be read as another
+number; checksums do."""
+
+
+@dataclass(frozen=True)
+class Column:
+    """A stored column: Arrow type, unit for translation, unit for rotation, meaning, whether it may be null."""
+
+    dtype: pa.DataType
+    unit: str
+    unit_rotation: str
+    meaning: str
+    nullable: bool = False
+
+
+def _same(dtype: pa.DataType, unit: str, meaning: str, nullable: bool = False) -> Column:
+    return Column(dtype, unit, unit, meaning, nullable)
+
+
+_F, _I, _S, _B = pa.float64(), pa.int64(), pa.string(), pa.bool_()
+
+COLUMNS: dict[str, Column] = {
+    # identity and conditions of a trial
+    "trial_id": _same(_S, "", "first 16 digits of the SHA-256 of the source log, or of that SHA-256 with the label"),
+    "label": _same(_S, "", "which trial of its source it is, where there are several", True),
+    "device": _same(_S, "", "device name as in the log"),
+    "experiment": _same(_S, "", "experiment name as in the log"),
+    "motion": _same(_S, "", "translation or rotation; decides the units of the other columns"),
+    "stiffness": Column(_F, "N/m", "Nm/rad", "virtual stiffness K"),
+    "damping": Column(_F, "Ns/m", "Nms/rad", "virtual damping B"),
+    "step": Column(_F, "N", "Nm", "size of the external force step F_0"),
+    "sampling_period_s": _same(_F, "s", "sampling period T"),
+    "added_delay_samples": _same(_I, "samples", "delay added on purpose"),
+    "grip": _same(_S, "", "none, comfortable or firm"),
+    "simulated": _same(_B, "", "true where the log says that it was simulated"),
+    "rows": _same(_I, "", "number of samples"),
+    "extra": _same(_S, "", "metadata of the log that has no column of its own, as JSON"),
+    "time_quality": _same(_S, "", "gaps, drops, jitter, and what was settled in the rows, as JSON"),
+    # where it came from
+    "source_path": _same(_S, "", "source log as found"),
+    "source_sha256": _same(_S, "", "SHA-256 of the source log (of both files, in order, for a pair)"),
+    "source_trials": _same(_I, "", "number of trials that the source holds"),
+    "source_size": _same(_I, "byte", "size of the source log"),
+    "source_mtime_ns": _same(_I, "ns", "modification time of the source log"),
+    "profile": _same(_S, "", "log profile that read it"),
+    "profile_sha256": _same(_S, "", "SHA-256 of that profile"),
+    "package_version": _same(_S, "", "version that stored it"),
+    "sample_file": _same(_S, "", "file below processed/ that holds the samples"),
+    "first_row": _same(_I, "", "row of that file with the first sample"),
+    # samples
+    "time_s": _same(_F, "s", "time stamp of the sample"),
+    "command": Column(_F, "N", "Nm", "total commanded force before any delay: external step minus wall force"),
+    "position": Column(_F, "m", "rad", "measured position"),
+    "force": Column(_F, "N", "Nm", "measured force, where the log has one", True),
+    "velocity": Column(_F, "m/s", "rad/s", "velocity as logged; no cost or estimate uses it", True),
+    "raw_time": _same(
+        _F, "", "time stamp as it stands in the source, where it is no whole number and not time_s", True
+    ),
+    "raw_count": _same(
+        _I,
+        "",
+        "time stamp as it stands in the source, where it is a whole number (a date: without its decimal sign)",
+        True,
+    ),
+    # response stage
+    "verdict": _same(_S, "", "stable, unstable or undecided, from the log alone"),
+    "reason": _same(_S, "", "why a value is missing or uncertain; empty where it is neither", True),
+    "growth_per_s": _same(_F, "1/s", "growth rate of the slowest visible mode; negative where it decays", True),
+    "edge_row": _same(_I, "", "row of the command edge k0, counted from 0", True),
+    "position_start": Column(_F, "m", "rad", "position at which the wall rests: the first one"),
+    "position_final_expected": Column(_F, "m", "rad", "x_0 + F_0/K (6.1)", True),
+    "position_final_measured": Column(_F, "m", "rad", "mean position over the last tenth of the log", True),
+    "sensor_quantum": Column(_F, "m", "rad", "smallest change of the position seen in the log", True),
+    "sensor_noise": Column(_F, "m", "rad", "standard deviation of the white noise of the position", True),
+    # outcome stage
+    "outcome": _same(_S, "", "what happened in the trial, see `outcome.OUTCOMES`"),
+    "evidence": _same(_S, "", "the evidence for it, in words"),
+    "outcome_row": _same(_I, "", "first row of the evidence, counted from 0", True),
+    "band": Column(_F, "m", "rad", "half width of the band about the final position that was used", True),
+    "amplitude_end": Column(_F, "m", "rad", "half of peak to peak over the last fifth of the log", True),
+    # delay, mass, damping and model stages
+    "delay_samples": _same(_I, "samples", "integer delay factor: onset where sure, else first change", True),
+    "first_change_samples": _same(_I, "samples", "integer delay factor by the first position change (6.2, 6.3)", True),
+    "onset_samples": _same(_F, "samples", "delay to the onset of motion, by the motion that the quantum hid", True),
+    "onset_error": _same(_F, "samples", "its standard error", True),
+    "model_mass": Column(_F, "kg", "kg m^2", "mass by the model fitted to the response", True),
+    "model_mass_error": Column(_F, "kg", "kg m^2", "its standard error", True),
+    "model_damping": Column(_F, "Ns/m", "Nms/rad", "viscous damping b by the model fitted to the response", True),
+    "model_damping_error": Column(_F, "Ns/m", "Nms/rad", "its standard error", True),
+    "model_delay": _same(_F, "samples", "mean delay of the command in force by the model", True),
+    "model_delay_error": _same(_F, "samples", "its standard error", True),
+    "model_jitter": _same(_F, "samples", "standard deviation of the delay within the trial", True),
+    "model_jitter_error": _same(_F, "samples", "its standard error", True),
+    "model_start": Column(_F, "m", "rad", "position before the step by the model", True),
+    "misfit": _same(
+        _F, "1", "root mean square of the whitened errors of the model; 1 where the sensor explains them", True
+    ),
+    "whiteness": _same(_F, "1", "p-value of a test that these errors are not correlated", True),
+    "ghost_deviation": Column(_F, "m", "rad", "root mean square of log minus simulated loop (ghost)", True),
+    "ghost_relative": _same(_F, "1", "the same relative to the final displacement", True),
+    "ghost_row": _same(_I, "", "first row where the log leaves the noise band about the ghost", True),
+    "leaves_row": _same(_I, "", "first row where the log leaves the noise band of the model", True),
+    "mass_momentum": Column(_F, "kg", "kg m^2", "mass by the momentum balance (6.4), biased by b", True),
+    "mass": Column(_F, "kg", "kg m^2", "mass by the momentum balance corrected for viscous damping", True),
+    "balance_mass": Column(_F, "kg", "kg m^2", "mass by the momentum balance with damping and friction", True),
+    "balance_mass_error": Column(_F, "kg", "kg m^2", "its standard error", True),
+    "force_mass": Column(_F, "kg", "kg m^2", "as balance_mass, by the measured force", True),
+    "force_mass_error": Column(_F, "kg", "kg m^2", "its standard error", True),
+    "viscous_damping": Column(_F, "Ns/m", "Nms/rad", "viscous damping b from the trial", True),
+    # cost stages
+    "overshoot": _same(_F, "1", "(max x - x_inf)/(x_inf - x_0), 0 where the position stays below", True),
+    "overshoot_floor": _same(_F, "1", "overshoot that sensor and chatter alone can cause"),
+    "overshoot_low": _same(_F, "1", "lower end of its 95 % interval", True),
+    "overshoot_high": _same(_F, "1", "upper end of its 95 % interval", True),
+    "settle_1pct": _same(_I, "samples", "discrete settling time, band 1 %", True),
+    "settle_2pct": _same(_I, "samples", "discrete settling time, band 2 %", True),
+    "settle_5pct": _same(_I, "samples", "discrete settling time, band 5 %", True),
+    **{
+        f"settle_{band}pct_{end}": _same(_I, "samples", f"{side} end of the 95 % interval, band {band} %", True)
+        for band in (1, 2, 5)
+        for end, side in (("low", "lower"), ("high", "upper"))
+    },
+    **{
+        name: column
+        for w in (0, 1, 2)
+        for name, column in {
+            f"energy_w{w}": _same(_F, "1", f"discrete energy cost, w = {w}: sum less its noise, plus the tail", True),
+            f"energy_w{w}_low": _same(_F, "1", "lower end of its 95 % interval", True),
+            f"energy_w{w}_high": _same(_F, "1", "upper end of its 95 % interval", True),
+            f"energy_w{w}_bias": _same(_F, "1", "what noise and quantum add to the sum, taken off", True),
+            f"energy_w{w}_tail": _same(_F, "1", "part of the cost that lies beyond the horizon, extrapolated", True),
+            f"energy_w{w}_half": _same(_F, "1", "plain sum up to half of the horizon", True),
+            f"energy_w{w}_full": _same(_F, "1", "plain sum up to the horizon", True),
+        }.items()
+    },
+    "horizon_samples": _same(_I, "samples", "number of samples summed before the noise floor or the end", True),
+    # definitions of other tools, beside the costs
+    "settle_matlab_final_value": _same(
+        _F, "samples", "settling time, 2 %, as MATLAB's stepinfo about the last sample", True
+    ),
+    "settle_matlab_peak_error": _same(
+        _F, "samples", "settling time, 2 % of the peak error, as MATLAB's stepinfo", True
+    ),
+    "settle_python_control": _same(_F, "samples", "settling time, 2 %, as python-control's step_info", True),
+    "overshoot_last_sample": _same(_F, "1", "overshoot about the last sample, as both tools take it", True),
+    # windows stage
+    "window_s": _same(_F, "s", "time from the command edge to the end of the momentum balance"),
+    "mass_median": Column(_F, "kg", "kg m^2", "median mass by (6.4) with that window", True),
+    "mass_scatter": Column(_F, "kg", "kg m^2", "scatter of the trials: interquartile range over 1.349", True),
+    # boundary stage
+    "stable": Column(_F, "N/m", "Nm/rad", "largest stable stiffness below the smallest unstable one", True),
+    "unstable": Column(_F, "N/m", "Nm/rad", "smallest unstable stiffness", True),
+    "censored": _same(_B, "", "true where the tested range ended before an unstable trial"),
+    "estimate": Column(_F, "N/m", "Nm/rad", "limit of the stiffness by the growth rates", True),
+    "low": Column(_F, "N/m", "Nm/rad", "lower end of its 95 % interval", True),
+    "high": Column(_F, "N/m", "Nm/rad", "upper end of its 95 % interval", True),
+    "trials": _same(_I, "", "trials with K > 0 at that damping"),
+}
+
+_ENERGY = tuple(
+    f"energy_w{w}{part}" for w in (0, 1, 2) for part in ("", "_low", "_high", "_bias", "_tail", "_half", "_full")
+)
+_SETTLE = tuple(f"settle_{band}pct{end}" for band in (1, 2, 5) for end in ("", "_low", "_high"))
+_MODEL = (
+    *("model_mass", "model_mass_error", "model_damping", "model_damping_error", "model_delay", "model_delay_error"),
+    *("model_jitter", "model_jitter_error", "model_start", "misfit", "whiteness", "leaves_row"),
+    *("ghost_deviation", "ghost_relative", "ghost_row"),
+)
+
+TABLES: dict[str, tuple[str, ...]] = {
+    "samples": ("trial_id", "time_s", "command", "position", "force", "velocity", "raw_time", "raw_count"),
+    "trials": (
+        *("trial_id", "label", "device", "experiment", "motion", "stiffness", "damping", "step", "sampling_period_s"),
+        *("added_delay_samples", "grip", "simulated", "rows", "extra", "time_quality", "source_path"),
+        *(
+            "source_sha256",
+            "source_trials",
+            "source_size",
+            "source_mtime_ns",
+            "profile",
+            "profile_sha256",
+            "package_version",
+        ),
+        *("sample_file", "first_row"),
+    ),
+    "response": (
+        *(
+            "trial_id",
+            "stiffness",
+            "damping",
+            "verdict",
+            "reason",
+            "growth_per_s",
+            "edge_row",
+            "position_start",
+        ),
+        *("position_final_expected", "position_final_measured", "sensor_quantum", "sensor_noise"),
+    ),
+    "outcome": ("trial_id", "stiffness", "damping", "outcome", "evidence", "outcome_row", "band", "amplitude_end"),
+    "delay": (
+        *("trial_id", "stiffness", "damping", "delay_samples", "first_change_samples", "onset_samples", "onset_error"),
+        "reason",
+    ),
+    "model": ("trial_id", "stiffness", "damping", *_MODEL, "reason"),
+    "mass": (
+        *("trial_id", "stiffness", "damping", "mass_momentum", "mass", "balance_mass", "balance_mass_error"),
+        *("force_mass", "force_mass_error", "reason"),
+    ),
+    "damping": ("trial_id", "stiffness", "damping", "viscous_damping", "reason"),
+    "overshoot": (
+        *("trial_id", "stiffness", "damping", "overshoot", "overshoot_floor", "overshoot_low", "overshoot_high"),
+        *("overshoot_last_sample", "reason"),
+    ),
+    "settling": (
+        *("trial_id", "stiffness", "damping", *_SETTLE),
+        *("settle_matlab_final_value", "settle_matlab_peak_error", "settle_python_control", "reason"),
+    ),
+    "windows": ("window_s", "mass_median", "mass_scatter", "trials", "reason"),
+    "energy": ("trial_id", "stiffness", "damping", *_ENERGY, "horizon_samples", "reason"),
+    "boundary": ("damping", "stable", "unstable", "censored", "estimate", "low", "high", "trials"),
+}
+
+
+def arrow_schema(table: str, *, rotation: bool = False, metadata: Metadata | None = None) -> pa.Schema:
+    """Return the Arrow schema of a stored table with unit and meaning on each field.
+
+    Parameters
+    ----------
+    table : str
+        A key of `TABLES`.
+    rotation : bool
+        Whether units are those of a rotational device.
+    metadata : mapping of str to str, optional
+        Provenance that is stamped into the file.
+    """
+    fields = []
+    for name in TABLES[table]:
+        column = COLUMNS[name]
+        unit = column.unit_rotation if rotation else column.unit
+        fields.append(pa.field(name, column.dtype, column.nullable, metadata={"unit": unit, "meaning": column.meaning}))
+    return pa.schema(fields, metadata={"pipeline.table": table, **(metadata or {})})
+
+
+def to_arrow(
+    table: str, columns: Mapping[str, Any], *, rotation: bool = False, metadata: Metadata | None = None
+) -> pa.Table:
+    """Build an Arrow table from arrays or lists, one per column of the dictionary; NaN in a nullable column is null."""
+    schema = arrow_schema(table, rotation=rotation, metadata=metadata)
+    arrays = []
+    for field in schema:
+        values = columns[field.name]
+        arrays.append(
+            values
+            if isinstance(values, (pa.Array, pa.ChunkedArray))
+            else pa.array(values, type=field.type, from_pandas=field.nullable)
+        )
+    return pa.table(arrays, schema=schema)
+
+
+def write_table(path: Path, data: pa.Table) -> None:
+    """Write a table to Parquet so that a reader sees all of it or nothing.
+
+    Raises
+    ------
+    StoreError
+        If the table does not equal its entry in `TABLES`.
+    """
+    _check(path, data.schema)
+    write_parquet(path, data)
+
+
+def write_parquet(path: Path, data: pa.Table) -> None:
+    """Write any Arrow table so that a reader sees all of it or nothing; `write_table` checks it too."""
+    with replacing(path) as stream:
+        pq.write_table(data, stream, row_group_size=GROUP_ROWS, **WRITING)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file (UTF-8) so that a reader sees all of it or nothing."""
+    with replacing(path) as stream:
+        stream.write(text.encode())
+
+
+def read_table(path: Path, columns: list[str] | None = None) -> pa.Table:
+    """Read a stored table (all or some columns) after checking it against the dictionary.
+
+    Raises
+    ------
+    StoreError
+        If the file is damaged, or was written with other columns or types.
+    """
+    try:
+        with pq.ParquetFile(path, page_checksum_verification=True) as file:
+            _check(path, file.schema_arrow)
+            return file.read(columns=columns)
+    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
+        raise StoreError(
+            f"{path}: cannot be read as Parquet ({error}). Expected a file written by `pipeline`; "
+            "remove it and run the command again, it will be made anew from the logs."
+        ) from error
+
+
+def read_metadata(path: Path) -> dict[str, str]:
+    """Return the metadata stamped into a stored file, or an empty dictionary where there is no readable one."""
+    try:
+        metadata = pq.read_schema(path).metadata or {}
+        return {key.decode(): value.decode() for key, value in metadata.items() if key.startswith(b"pipeline.")}
+    except (pa.ArrowException, OSError, UnicodeDecodeError):
+        return {}
+
+
+def _check(path: Path, schema: pa.Schema) -> None:
+    table = (schema.metadata or {}).get(b"pipeline.table", b"").decode()
+    if table not in TABLES:
+        raise StoreError(f"{path}: holds no known table (found {table!r}); expected one of {sorted(TABLES)}.")
+    found = [(f.name, str(f.type)) for f in schema]
+    expected = [(name, str(COLUMNS[name].dtype)) for name in TABLES[table]]
+    if found != expected:
+        missing = [c for c in expected if c not in found]
+        surplus = [c for c in found if c not in expected]
+        raise StoreError(
+            f"{path}: columns differ from table {table!r}; missing {missing}, not expected {surplus}. "
+            "It was written by another version: ingest the logs into a new folder (--processed)."
+        )

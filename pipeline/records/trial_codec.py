@@ -1,0 +1,158 @@
+"""Responses as few bytes: rows that can be seen, whole numbers of a small step, predicted from their past, packed.
+
+A response of 400 samples takes 200 bytes so, a JSON list of its positions 4,000. What is lost cannot be seen: rounding
+moves a line by a quarter of a pixel, and rows are left out only where several fall into one column of pixels.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import zlib
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+from pipeline.records.batch import Booleans, Floats, Integers
+
+LEVELS = 500
+"""Steps into which the range of a response is divided: a plot is 250 pixels high, half a step is a quarter of one."""
+
+COLUMNS = 700
+"""Columns of pixels of the plot: what a wide screen leaves for it."""
+
+WHOLE = 30
+"""Samples from the command edge on that are all kept: delay and onset are read from them."""
+
+
+LAGS = (1, 2, 3, 4)
+"""Samples before that predict one: two oscillations, or one with drift and offset; more save nothing."""
+
+PARTS = 4096
+"""Parts of one in which coefficients are written: a power of two, by which a browser divides exactly."""
+
+
+def visible_rows(signals: tuple[Floats, ...], edge: int, rows: int) -> Integers | None:
+    """Return the rows that a plot of some signals needs, or None where it needs all of them.
+
+    Parameters
+    ----------
+    signals : tuple of float64, shape (N,) each
+        Drawn over the same rows; NaN where there is nothing.
+    edge, rows : int
+        Row of the command edge, and number of rows.
+
+    Notes
+    -----
+    Of the rows in one column of pixels the lowest and highest value of each signal remain, and the first and last row
+    of all: what is drawn covers the same pixels. Rejected: every n-th row (loses peaks), largest triangles (Steinarsson
+    2013; a smoother line from fewer points, but of an oscillation faster than the pixels it keeps no envelope).
+    """
+    if rows <= COLUMNS + WHOLE:
+        return None
+    inside = np.arange(rows)
+    column = inside * COLUMNS // rows
+    starts = np.flatnonzero(np.diff(column, prepend=-1))
+    kept = [np.array([0, rows - 1]), inside[edge : edge + WHOLE]]
+    width = int(np.diff(starts, append=rows).max())
+    place = np.minimum(starts[:, None] + np.arange(width), np.append(starts[1:], rows)[:, None] - 1)
+    for signal in signals:
+        values = signal[:rows][place]
+        known = np.isfinite(values)
+        for extreme, filled in (
+            (np.argmin, np.where(known, values, np.inf)),
+            (np.argmax, np.where(known, values, -np.inf)),
+        ):
+            best = extreme(filled, axis=1)
+            kept.append(place[np.arange(len(place)), best][known.any(axis=1)])
+    return np.unique(np.concatenate(kept))
+
+
+def step_size(values: Floats, quantum: float) -> float:
+    """Return the step in whose multiples values are written: a sensor's quantum, or a part of the range if larger."""
+    known = values[np.isfinite(values)]
+    if not len(known):
+        return 1.0
+    return max(float(np.ptp(known)) / LEVELS, quantum) or 1.0
+
+
+def code(values: Floats, step: float) -> dict[str, list[int]] | None:
+    """Return a signal in steps as what a prediction from its past misses; None for a signal without any value.
+
+    Parameters
+    ----------
+    values : float64, shape (N,)
+        A value that is not finite repeats the one before.
+    step : float
+
+    Returns
+    -------
+    dict
+        ``c``: coefficients of the four samples before, the latest first, in parts of `PARTS`; ``r``: value minus
+        prediction [steps]. All are integers, so that a browser finds the same ones.
+
+    Notes
+    -----
+    A response of the loop is a sum of few decaying oscillations, each of which two samples predict. Rejected: second
+    differences (twice the bytes for an oscillation); the model simulated in the page (a second definition of the loop).
+    """
+    known: Booleans = np.isfinite(values)
+    if not known.any():
+        return None
+    last = np.maximum.accumulate(np.where(known, np.arange(len(values)), 0))
+    counted = np.rint(np.nan_to_num(values[last]) / step).astype(np.int64)
+    past = np.stack([np.concatenate([np.zeros(lag, np.int64), counted])[: len(counted)] for lag in LAGS], axis=1)
+    # the first samples have no past: they would bend the coefficients
+    fitted = np.linalg.lstsq(past[len(LAGS) :].astype(float), counted[len(LAGS) :].astype(float), rcond=None)[0]
+    coefficients = np.rint(fitted * PARTS).astype(np.int64)
+    missed = counted - (past @ coefficients + PARTS // 2) // PARTS
+    return {"c": coefficients.tolist(), "r": missed.tolist()}
+
+
+def decode(coded: dict[str, list[int]], step: float) -> Floats:
+    """Return the values that `code` coded, each within half a step."""
+    counted: list[int] = []
+    for missed in coded["r"]:
+        past = zip(coded["c"], reversed(counted), strict=False)
+        counted.append(missed + (sum(c * value for c, value in past) + PARTS // 2) // PARTS)
+    return np.asarray(counted, dtype=np.float64) * step
+
+
+def pack(content: Any) -> str:
+    """Return a JSON value as deflated text in base64, which a browser unpacks by itself (``DecompressionStream``)."""
+    return base64.b64encode(zlib.compress(_json(content), 9)).decode()
+
+
+def unpack(packed: str) -> Any:
+    """Return what `pack` packed."""
+    return json.loads(zlib.decompress(base64.b64decode(packed)))
+
+
+def pack_within(entries: Iterable[Any], budget: int | None) -> tuple[str, int]:
+    """Pack a list as `pack` does, as many of its first entries as a budget allows; return it and their number.
+
+    Parameters
+    ----------
+    entries : iterable
+        JSON values; those beyond the budget are not asked for, but for one.
+    budget : int or None
+        Largest number of characters; None takes all. An empty list is packed whatever the budget.
+    """
+    deflate, packed, count = zlib.compressobj(9), b"", 0
+    done = deflate.compress(b"[")
+    for entry in entries:
+        trial, ahead = deflate.copy(), done
+        ahead += trial.compress((b"," if count else b"") + _json(entry))
+        closed = trial.copy()
+        whole = ahead + closed.compress(b"]") + closed.flush()
+        if budget is not None and 4 * -(-len(whole) // 3) > budget:
+            break
+        deflate, done, packed, count = trial, ahead, whole, count + 1
+    if not count:
+        return pack([]), 0
+    return base64.b64encode(packed).decode(), count
+
+
+def _json(content: Any) -> bytes:
+    return json.dumps(content, separators=(",", ":"), allow_nan=False, ensure_ascii=True).encode()

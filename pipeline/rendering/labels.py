@@ -1,0 +1,137 @@
+"""What quantities are called and how numbers are printed in figures and reports."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from pipeline.records.models import Estimate, Motion
+
+MISSING = "–"
+KILO_ABOVE = 2000.0
+"""Stiffness axes that reach further than this [N/m, Nm/rad] count in thousands: long ticks crowd the axis."""
+
+
+DIGITS = 3
+"""Least digits of an estimate; a narrow interval asks for more."""
+
+MOST_DIGITS = 6
+"""Most digits of an estimate."""
+
+
+@dataclass(frozen=True)
+class Units:
+    """Unit of each physical quantity for one kind of motion."""
+
+    stiffness: str
+    damping: str
+    mass: str
+
+
+UNITS: dict[Motion, Units] = {
+    "translation": Units("N/m", "Ns/m", "kg"),
+    "rotation": Units("Nm/rad", "Nms/rad", "kg m²"),
+}
+
+CRITERION_NAMES = {
+    "settle_1pct": "settling time, 1 % band",
+    "settle_2pct": "settling time, 2 % band",
+    "settle_5pct": "settling time, 5 % band",
+    "overshoot": "overshoot",
+    "energy_step_w0": "energy cost, w = 0 (ISE-like)",
+    "energy_step_w1": "energy cost, w = 1 (ITSE-like)",
+    "energy_step_w2": "energy cost, w = 2 (ISTSE-like)",
+    "energy_impulse_w0": "energy cost of the impulse, w = 0",
+    "energy_impulse_w1": "energy cost of the impulse, w = 1",
+    "energy_impulse_w2": "energy cost of the impulse, w = 2",
+}
+
+
+def criterion_unit(criterion: str) -> str:
+    """Return the unit a cost is printed in: samples, % or nothing for the dimensionless energy costs."""
+    if criterion.startswith("settle"):
+        return "samples"
+    return "%" if criterion.startswith("overshoot") else ""
+
+
+def criterion_label(criterion: str) -> str:
+    """Return the name of a criterion with the unit of its cost, as in ``overshoot [%]``."""
+    name = CRITERION_NAMES.get(criterion, criterion.replace("_", " "))
+    unit = criterion_unit(criterion)
+    return f"{name} [{unit}]" if unit else name
+
+
+def condition_label(condition: str) -> str:
+    """Return the printed name of a table condition, such as ``theory, discrete cost C*``."""
+    known = {"theory_discrete": "theory, discrete cost C*", "theory_continuous": "theory, continuous cost C"}
+    return known.get(condition, condition.replace("_", " "))
+
+
+def table_label(name: str) -> str:
+    """Return what a table of optima is called: those of the thesis are numbered, the others bear an experiment."""
+    return f"Table {name}" if name[:1].isupper() and name[1:2] == "." else name
+
+
+def printed_scale(criterion: str) -> float:
+    """Return the factor from the stored cost to the printed one: overshoot is printed in %."""
+    return 100.0 if criterion_unit(criterion) == "%" else 1.0
+
+
+def decimal(value: float, places: int) -> str:
+    """Return a number with a fixed number of decimals and a true minus sign; whole numbers lose the zeros."""
+    text = f"{value:.{places}f}"
+    if "." in text and float(text) == int(float(text)):
+        text = text.split(".")[0]
+    return "0" if text == "-0" else text.replace("-", "\N{MINUS SIGN}")
+
+
+def significant(value: float, digits: int) -> str:
+    """Return a number rounded to significant digits, without exponent up to seven digits."""
+    if value == 0 or not math.isfinite(value):
+        return "0" if value == 0 else MISSING
+    size = math.floor(math.log10(abs(value)))
+    if not -4 <= size <= 6:  # longer strings of zeros are harder to read than an exponent
+        return f"{value:.{digits - 1}e}".replace("-", "\N{MINUS SIGN}")
+    return decimal(round(value, digits - 1 - size), max(digits - 1 - size, 0))
+
+
+def stiffness_text(value: float) -> str:
+    """Return a stiffness as printed in Tables D.1 to D.5: whole from 100 on, else four digits."""
+    return decimal(value, 0) if abs(value) >= 100 else significant(value, 4)
+
+
+def damping_text(value: float) -> str:
+    """Return a damping as printed in Tables D.1 to D.5: at most two decimals."""
+    return decimal(value, 2) if abs(value) >= 1 or value == 0 else significant(value, 3)
+
+
+def cost_text(criterion: str, value: float) -> str:
+    """Return a cost as printed in Tables D.1 to D.6: two decimals, one from 1000 on; overshoot in %."""
+    printed = value * printed_scale(criterion)
+    return decimal(printed, 2 if abs(printed) < 1000 else 1)
+
+
+def percent_text(value: float, places: int = 1) -> str:
+    """Return a deviation with its sign and one decimal, as in Table D.6."""
+    text = f"{value:+.{places}f}"
+    return f"{0:.{places}f}" if float(text) == 0 else text.replace("-", "\N{MINUS SIGN}")
+
+
+def estimate_texts(estimate: Estimate) -> tuple[str, str, str]:
+    """Return value and both ends of the interval with as many digits as tell them apart; empty where missing."""
+    given = (estimate.value, estimate.low, estimate.high)
+    known = {x for x in given if x is not None}
+    apart = (n for n in range(DIGITS, MOST_DIGITS + 1) if len({significant(x, n) for x in known}) == len(known))
+    digits = next(apart, DIGITS)  # what most digits do not tell apart is rounding
+    texts = ["" if x is None else significant(x, digits) for x in given]
+    if any("." in text for text in texts):  # beside decimals, a whole number shows that it has as many digits
+        texts = [t if x is None else _with_zeros(x, t, digits) for x, t in zip(given, texts, strict=True)]
+    value, low, high = texts
+    return value, low, high
+
+
+def _with_zeros(value: float, text: str, digits: int) -> str:
+    if value == 0 or not text.strip("\N{MINUS SIGN}").isdecimal():
+        return text
+    places = max(digits - 1 - math.floor(math.log10(abs(value))), 0)
+    return f"{value:.{places}f}".replace("-", "\N{MINUS SIGN}")

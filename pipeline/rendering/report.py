@@ -1,0 +1,162 @@
+"""One self-contained HTML file from finished numbers: no network, readable without its scripts, deterministic.
+
+The page holds every table cell under a name (see `report_tables`) and a digest over all of them; `cells`
+reads them back, which is what `pipeline verify` compares.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+from pipeline.base.errors import PipelineError
+from pipeline.base.wording import unbroken
+from pipeline.records import tables
+from pipeline.records.accuracy import AccuracyReport, duration, error_text, own_rungs
+from pipeline.records.results import ReportData
+from pipeline.rendering import (
+    report_estimates,
+    report_figures,
+    report_parts,
+    report_scores,
+    report_scripts,
+    report_tables,
+)
+
+TEMPLATES = Path(__file__).parent / "templates"
+_DIGEST_SLOT = "digest-of-cells"
+_PARTS_SLOT = "digests-of-parts"
+_SOURCE = re.compile(r' <a class="source" href="#([^"]*)">[^<]*</a>')
+"""Link behind a sentence; a scene may leave out what it leads to."""
+
+
+def render(data: ReportData) -> str:
+    """Return the report as one HTML document; sections without data are left out.
+
+    Raises
+    ------
+    PipelineError
+        If two cells got the same name, as from an experiment that occurs twice.
+    """
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined  # 0.1 s, not needed by other commands
+    from markupsafe import escape
+
+    environment = Environment(
+        loader=FileSystemLoader(TEMPLATES),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    result = data.result
+    trials = data.trials
+    inline = report_scripts.scripts(with_trials=trials is not None)
+    page = environment.get_template("report.html.j2").render(
+        result=result,
+        slot=_DIGEST_SLOT,
+        parts_slot=_PARTS_SLOT,
+        metas=report_parts,
+        request=json.dumps(data.request, sort_keys=True),
+        scripts=inline,
+        policy=report_scripts.policy(inline),
+        trials=trials,
+        trials_json=report_scripts.json_text(trials.content) if trials else "",
+        plot_style=report_scripts.plot_style() if trials else "",
+        footnote=report_tables.footnote,
+        energy=any(c.startswith("energy") for c in result.criteria),
+        settling=any(c.startswith("settle") for c in result.criteria),
+        **report_figures.drawings(data),
+        **_tables(data),
+    )
+    page = unbroken(page)
+    page = _SOURCE.sub(lambda link: link[0] if f'id="{link[1]}"' in page else "", page)
+    found = report_parts.take_apart(page)
+    if found.doubles:
+        raise PipelineError(
+            f"report of {result.device}: table cells with equal names {found.doubles[:3]}; expected one row "
+            "for each table, criterion and condition. Give each experiment and criterion once."
+        )
+    # The slot stands in the head, before anything a log could have written.
+    page = page.replace(_DIGEST_SLOT, report_parts.cells_digest(found), 1)
+    digests = report_parts.digests_of(page, found).model_dump_json()
+    return page.replace(_PARTS_SLOT, str(escape(digests)), 1)
+
+
+def write(data: ReportData, path: Path) -> None:
+    """Render a report and write it so that a reader sees all of it or nothing."""
+    tables.write_text(path, render(data))
+
+
+def cells(page: str) -> dict[str, str]:
+    """Return the text of every table cell of a report by name, as a reader sees it, notes' marks included.
+
+    Parameters
+    ----------
+    page : str
+        HTML made by `render`; other HTML has no named cells.
+    """
+    return report_parts.take_apart(page).cells
+
+
+def stored_digest(page: str) -> str | None:
+    """Return the digest over all cells that `render` stored in the page; None where there is none.
+
+    An untouched report has ``stored_digest(page) == provenance.digest(cells(page))``.
+    """
+    return report_parts.take_apart(page).metas.get(report_parts.CELLS_META)
+
+
+def _tables(data: ReportData) -> dict[str, Any]:
+    result = data.result
+    optima = report_tables.optimum_tables(result, data.trials)
+    provenance = sorted(result.provenance.items())
+    stages = ("stage", "what", "why")
+    found = {
+        "scores": report_scores.score_table(result),
+        "estimate_scores": report_scores.estimate_score_table(result),
+        "score_costs": report_scores.cost_score_table(result),
+        "score_rules": report_scores.rule_score_table(result),
+        "experiments": report_estimates.experiment_table(result) if result.experiments else None,
+        "outcomes": report_estimates.outcome_table(result),
+        "model": report_estimates.model_table(result),
+        "windows": report_estimates.window_table(result),
+        "definitions": report_estimates.definition_table(result, data.trials),
+        "methods": report_estimates.method_table(result),
+        "optima": optima,
+        "measured_optima": report_tables.measured_optimum_table(result, data.trials),
+        "delay_tables": report_tables.delay_tables(result, data.trials),
+        "boundary": report_tables.boundary_table(result, data.trials),
+        "missing": report_tables.missing_table(result),
+        "accuracy": _accuracy_table(data.accuracy),
+        "stages": report_tables.word_table("stages", "Plan of stages", stages, data.stages),
+        "provenance": report_tables.word_table("provenance", "Origin", ("entry", "value"), provenance),
+    }
+    return found if data.tables is None else {name: _asked(name, shown, data.tables) for name, shown in found.items()}
+
+
+ALWAYS = ("missing", "accuracy", "stages", "provenance")
+"""Tables that a reader needs to trust the others: no scene leaves them out."""
+
+
+PARTS = {"score_costs": "scores", "score_rules": "scores"}
+"""Tables that a scene asks for by the name of another one."""
+
+
+def _asked(name: str, shown: Any, names: tuple[str, ...]) -> Any:
+    """Return a table, or a list of tables, without those that are not asked for."""
+    if isinstance(shown, list):
+        return [table for table in shown if table.identifier in names]
+    if shown is None or {shown.identifier, PARTS.get(name, name)} & {*names, *ALWAYS}:
+        return shown
+    return None
+
+
+def _accuracy_table(accuracy: AccuracyReport | None) -> report_tables.Table | None:
+    """Error and run time of our own methods, one row a quantity."""
+    if accuracy is None:
+        return None
+    rows = [(r.quantity, r.setting, error_text(r.error), duration(r.seconds)) for r in own_rungs(accuracy)]
+    caption = f"Largest error and run time of the methods behind the theory, measured {accuracy.measured}"
+    return report_tables.word_table("accuracy", caption, ("quantity", "method", "largest error", "run time"), rows)

@@ -1,0 +1,254 @@
+"""Tables of a comparison as files for others: CSV and JSON with all digits, Markdown and LaTeX as printed.
+
+Names come from logs and may hold anything, so each format escapes what means something in it.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Literal, get_args
+from urllib.parse import quote
+
+from pipeline.base.errors import UsageError
+from pipeline.records.results import ComparisonResult
+from pipeline.records.tables import write_text
+from pipeline.rendering import report_estimates, report_scores, report_tables
+from pipeline.rendering.report_tables import Cell, Table, footnote
+from pipeline.rendering.table_values import Value, ValueTable, as_document, value_tables
+
+Format = Literal["csv", "json", "markdown", "latex"]
+FORMATS: tuple[Format, ...] = get_args(Format)
+
+_FORMULA = ("=", "+", "-", "@", "\t", "\r")
+"""First characters by which a spreadsheet takes a cell for a formula."""
+
+_LATEX = {
+    "\\": r"\textbackslash{}",
+    "&": r"\&",
+    "%": r"\%",
+    "$": r"\$",
+    "#": r"\#",
+    "_": r"\_",
+    "{": r"\{",
+    "}": r"\}",
+    "~": r"\textasciitilde{}",
+    "^": r"\textasciicircum{}",
+    "<": r"\textless{}",
+    ">": r"\textgreater{}",
+    '"': r"\textquotedbl{}",
+    "[": "{[}",  # behind a line's end it would begin the argument of \\
+    "]": "{]}",
+    "\N{MINUS SIGN}": "$-$",
+    "\N{EN DASH}": "--",
+    "\N{NO-BREAK SPACE}": "~",
+    "\N{PLUS-MINUS SIGN}": r"$\pm$",
+    "\N{SUPERSCRIPT TWO}": r"\textsuperscript{2}",
+    "\N{GREATER-THAN OR EQUAL TO}": r"$\geq$",
+    "\N{LESS-THAN OR EQUAL TO}": r"$\leq$",
+    "\N{MULTIPLICATION SIGN}": r"$\times$",
+    "\N{DEGREE SIGN}": r"\textdegree{}",
+    "α": r"$\alpha$",
+    "β": r"$\beta$",
+    "γ": r"$\gamma$",
+    "δ": r"$\delta$",
+    "ζ": r"$\zeta$",
+    "ω": r"$\omega$",
+    "“": "``",
+    "”": "''",
+}
+"""What stands for a character in LaTeX; other letters are UTF-8, which LaTeX reads since 2018."""
+
+_MARKDOWN = re.compile(r"[\\`*_{}\[\]<>|#~$!]")
+
+_HEAD = r"""% Written by pipeline compare. In the preamble: \usepackage{booktabs,longtable}
+"""
+
+
+def parse_formats(words: Sequence[str]) -> tuple[Format, ...]:
+    """Return formats by their names, each once; several may be joined by commas.
+
+    Raises
+    ------
+    UsageError
+        If one is not known.
+    """
+    names = dict.fromkeys(part.strip() for word in words for part in word.split(",") if part.strip())
+    known = {name: name for name in FORMATS}
+    unknown = [name for name in names if name not in known]
+    if unknown:
+        raise UsageError(f"unknown format of tables {unknown[0]!r}; expected some of {', '.join(FORMATS)}.")
+    return tuple(known[name] for name in FORMATS if name in names)
+
+
+def tables_folder(report: Path) -> Path:
+    """Return the folder beside a report that gets its tables."""
+    return report.with_name(f"{report.stem}-tables")
+
+
+def export_tables(result: ComparisonResult, folder: Path, formats: Sequence[Format]) -> tuple[Path, ...]:
+    """Write the tables of a comparison; files of the same name are replaced, others are left alone.
+
+    Parameters
+    ----------
+    result : ComparisonResult
+    folder : Path
+        Made if needed: one ``.csv`` a table, ``tables.json``, ``tables.md``, ``tables.tex``.
+    formats : sequence of {"csv", "json", "markdown", "latex"}
+
+    Returns
+    -------
+    tuple of Path
+        The files written.
+    """
+    values = value_tables(result)
+    printed = printed_tables(result)
+    files: dict[str, str] = {}
+    if "csv" in formats:
+        files |= {f"{_file_name(table.name)}.csv": csv_text(table) for table in values}
+    if "json" in formats:
+        files["tables.json"] = json.dumps(as_document(values), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    if "markdown" in formats:
+        files["tables.md"] = f"# {_markdown(result.title)}\n\n" + "\n".join(markdown_text(t) for t in printed)
+    if "latex" in formats:
+        files["tables.tex"] = _HEAD + "\n".join(latex_text(t) for t in printed)
+    for name, text in files.items():
+        write_text(folder / name, text)
+    return tuple(folder / name for name in files)
+
+
+def printed_tables(result: ComparisonResult) -> list[Table]:
+    """Return the tables of the report as printed, without those about its making."""
+    found = [
+        report_scores.score_table(result),
+        report_scores.estimate_score_table(result),
+        report_estimates.experiment_table(result) if result.experiments else None,
+        *report_tables.optimum_tables(result),
+        *report_tables.delay_tables(result),
+        report_tables.measured_optimum_table(result),
+        report_tables.boundary_table(result),
+        report_estimates.method_table(result),
+        report_estimates.model_table(result),
+        report_estimates.outcome_table(result),
+        report_estimates.window_table(result),
+        report_estimates.definition_table(result),
+        report_tables.missing_table(result),
+    ]
+    return [table for table in found if table is not None]
+
+
+def csv_text(table: ValueTable) -> str:
+    """Return a table as CSV (RFC 4180 with its CR LF, UTF-8).
+
+    Numbers have all digits; a cell is empty where a value is missing. A text that a spreadsheet would take for a
+    formula gets an apostrophe in front.
+    """
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\r\n")
+    writer.writerow([guarded(head) for head in table.heads])
+    writer.writerows([[_csv_cell(value) for value in row] for row in table.rows])
+    return stream.getvalue()
+
+
+def guarded(text: str) -> str:
+    """Return a text with an apostrophe in front where a spreadsheet would take it for a formula; numbers stay.
+
+    Examples
+    --------
+    >>> guarded("=1+1"), guarded("-2.5"), guarded("-a")
+    ("'=1+1", '-2.5', "'-a")
+    """
+    if not text.startswith(_FORMULA):
+        return text
+    try:
+        float(text)
+    except ValueError:
+        return f"'{text}"
+    return text if text[0] not in "\t\r" else f"'{text}"
+
+
+def _csv_cell(value: Value) -> str:
+    if value is None:
+        return ""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    return guarded(value) if isinstance(value, str) else repr(value)
+
+
+def markdown_text(table: Table) -> str:
+    """Return a table as GitHub-flavoured Markdown; headings above columns stand in front of the column heads."""
+    heads = [_markdown(f"{h.group}: {h.text}" if h.group else h.text) for h in table.heads]
+    lines = [f"**{_markdown(table.caption)}**", "", _markdown_row(heads)]
+    lines.append(_markdown_row(["---:" if h.numeric else ":---" for h in table.heads]))
+    for block, rows in table.blocks:
+        if block:
+            lines.append(_markdown_row([f"*{_markdown(block)}*", *[""] * (len(heads) - 1)]))
+        lines += [_markdown_row([_markdown_cell(cell) for cell in row]) for row in rows]
+    lines += ["", *(f"{footnote(n)}) {_markdown(note)}  " for n, note in enumerate(table.notes))]
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def _markdown_row(cells: Sequence[str]) -> str:
+    return f"| {' | '.join(cells)} |"
+
+
+def _markdown_cell(cell: Cell) -> str:
+    marks = f"<sup>{','.join(cell.marks)}</sup>" if cell.marks else ""
+    return _markdown(cell.text) + marks + (f" ({_markdown(cell.aside)})" if cell.aside else "")
+
+
+def _markdown(text: str) -> str:
+    return _MARKDOWN.sub(r"\\\g<0>", " ".join(text.split()))
+
+
+def latex_text(table: Table) -> str:
+    """Return a table as a ``longtable`` with the rules of ``booktabs``; notes stand below it."""
+    count = len(table.heads)
+    heads = " & ".join(_latex(h.text) for h in table.heads) + r" \\"
+    lines = [rf"\begin{{longtable}}{{{''.join('r' if h.numeric else 'l' for h in table.heads)}}}"]
+    lines += [rf"\caption{{{_latex(table.caption)}}}\\", r"\toprule", *_latex_groups(table), heads, r"\midrule"]
+    lines += [r"\endfirsthead", r"\toprule", heads, r"\midrule", r"\endhead", r"\bottomrule", r"\endfoot"]
+    for number, (block, rows) in enumerate(table.blocks):
+        if block:
+            lines += [r"\addlinespace"] if number else []
+            lines.append(rf"\multicolumn{{{count}}}{{l}}{{\emph{{{_latex(block)}}}}} \\")
+        lines += [" & ".join(_latex_cell(cell) for cell in row) + r" \\" for row in rows]
+    lines.append(r"\end{longtable}")
+    for number, note in enumerate(table.notes):
+        lines.append(rf"\noindent{{\footnotesize\textsuperscript{{{footnote(number)}}}{_latex(note)}\par}}")
+    return "\n".join(lines) + "\n"
+
+
+def _latex_groups(table: Table) -> list[str]:
+    """Headings above the column heads, each with a rule below."""
+    if not table.groups:
+        return []
+    cells, rules, first = [], [], 1
+    for text, span in table.groups:
+        cells.append(rf"\multicolumn{{{span}}}{{c}}{{{_latex(text)}}}")
+        if text:
+            rules.append(rf"\cmidrule(lr){{{first}-{first + span - 1}}}")
+        first += span
+    return [" & ".join(cells) + r" \\", "".join(rules)]
+
+
+def _latex_cell(cell: Cell) -> str:
+    marks = rf"\textsuperscript{{{','.join(cell.marks)}}}" if cell.marks else ""
+    return _latex(cell.text) + marks + (f" ({_latex(cell.aside)})" if cell.aside else "")
+
+
+def _latex(text: str) -> str:
+    # a no-break space is white space to split(), and stays one
+    plain = re.sub(r"[^\S\N{NO-BREAK SPACE}]+", " ", text).strip()
+    return "".join(_LATEX.get(character, character) for character in plain)
+
+
+def _file_name(name: str) -> str:
+    """Return a file name for a table: names of experiments may hold anything; long ones are cut."""
+    safe = quote(name, safe=" +=,@")
+    safe = "%2E" + safe[1:] if safe.startswith(".") else safe
+    return safe[:200]

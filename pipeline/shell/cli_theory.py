@@ -1,0 +1,212 @@
+"""Commands of `pipeline theory`: parse, call, print. Parameters are normalised (T = 1, m = 1)."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pipeline.shell import console
+
+app = typer.Typer(
+    no_args_is_help=True,
+    help="Stability boundary, costs and optimal points of the sampled, delayed loop. Parameters are normalised "
+    "by sampling period T and mass m: alpha = K T^2/m, beta = B T/m, gamma = k T^2/m, delta = b T/m.",
+)
+
+Delay = Annotated[float, typer.Option("--delay", help="Delay d in samples, integer or fractional.", show_default=False)]
+Gamma = Annotated[float, typer.Option("--gamma", help="Normalised stiffness of the device itself.")]
+Delta = Annotated[float, typer.Option("--delta", help="Normalised viscous damping of the device itself.")]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout.")]
+
+
+class Signal(StrEnum):
+    """Which response a cost is taken from."""
+
+    continuous = "continuous"
+    discrete = "discrete"
+
+
+@app.command("points")
+def points(
+    cases: Annotated[
+        Path,
+        typer.Argument(help="CSV file with the columns alpha, beta, gamma, delta, delay.", metavar="CSV"),
+    ],
+    as_json: Json = False,
+) -> None:
+    """Stability, spectral radius and costs of the points listed in a CSV file.
+
+    Example: pipeline theory points cases.csv --json
+    """
+    from pipeline.theory import cases as theory
+
+    documents = theory.point_costs(theory.read_cases(cases))
+    if as_json:
+        console.print_json(documents)
+        return
+    columns = ("alpha", "beta", "gamma", "delta", "delay", "stable", "spectral_radius")
+    for line in console.table(documents, (*columns, "settle_2pct", "overshoot", "energy_step_w0", "reason")):
+        console.say(line)
+
+
+@app.command("boundary")
+def boundary(delay: Delay, gamma: Gamma = 0.0, delta: Delta = 0.0, as_json: Json = False) -> None:
+    """Boundary of the stable region and its extreme points.
+
+    Example: pipeline theory boundary --delay 2 --gamma 0.001 --delta 0.02 --json
+    """
+    from pipeline.theory import cases as theory
+    from pipeline.theory.loop import Loop
+
+    document = theory.boundary_document(Loop(gamma, delta, delay))
+    if as_json:
+        console.print_json(document)
+        return
+    console.say(f"largest alpha {document['alpha_max']:.6g} at beta {document['beta_at_alpha_max']:.6g}")
+    console.say(f"largest beta  {document['beta_max']:.6g} at alpha {document['alpha_at_beta_max']:.6g}")
+    console.say(f"({len(document['alpha'])} points along the boundary: --json)")
+
+
+@app.command("optimum")
+def optimum(
+    criterion: Annotated[
+        str,
+        typer.Option(
+            "--criterion",
+            help="Such as settle_2pct, pole_radius, energy_impulse_w1; a wrong one lists all.",
+            show_default=False,
+        ),
+    ],
+    delay: Delay,
+    gamma: Gamma = 0.0,
+    delta: Delta = 0.0,
+    signal: Annotated[
+        Signal | None,
+        typer.Option("--signal", help="Response that is judged; as the criterion's name says where not given."),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Optimal virtual stiffness and damping for a criterion.
+
+    Example: pipeline theory optimum --criterion settle_2pct --delay 1 --signal discrete --json
+    """
+    from pipeline.theory import cases as theory
+    from pipeline.theory.loop import Loop
+
+    document = theory.optimum_document(Loop(gamma, delta, delay), criterion, signal.value if signal else None)
+    if as_json:
+        console.print_json(document)
+        return
+    cost = "" if document["cost"] is None else f", cost {document['cost']:.6g}"
+    console.say(f"{document['criterion']}: alpha {document['alpha']:.6g}, beta {document['beta']:.6g}{cost}")
+
+
+@app.command("map")
+def cost_map(
+    delay: Delay,
+    out: Annotated[Path, typer.Option("--out", help="Parquet file to write.", show_default=False)],
+    gamma: Gamma = 0.0,
+    delta: Delta = 0.0,
+    size: Annotated[int, typer.Option("--size", help="Grid points along each axis.")] = 251,
+    criteria: Annotated[
+        str | None,
+        typer.Option(
+            "--criteria",
+            help="Separated by commas; settle_2pct, overshoot and energy_step_w0..2 where not given.",
+        ),
+    ] = None,
+    longest: Annotated[
+        int | None,
+        typer.Option("--longest", help="Samples after which a response that still moves gets no cost."),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Costs on a grid over the bounding box of the stable region, as a Parquet file.
+
+    Example: pipeline theory map --delay 1 --criteria settle_2pct,energy_step_w0 --out map.parquet
+    """
+    from pipeline.theory import theory_map
+    from pipeline.theory.loop import Loop
+
+    names = theory_map.MAP_DEFAULT if criteria is None else split(criteria)
+    table = theory_map.map_table(
+        Loop(gamma, delta, delay), size, names, theory_map.MAP_LONGEST if longest is None else longest
+    )
+    theory_map.write_map(out, table)
+    stable = int(table.column("stable").to_numpy().sum())
+    if as_json:
+        console.print_json({"file": str(out), "rows": table.num_rows, "stable": stable})
+        return
+    console.say(f"{out}: {table.num_rows} points, {stable} of them stable, columns {table.column_names}")
+
+
+@app.command("tables")
+def tables(
+    table: Annotated[
+        list[str] | None,
+        typer.Option("--table", help="Such as B.1, C.3, 5.1(a); may be given again. All where not given."),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Tables B.1 to B.4, C.1 to C.3 and 5.1 of the thesis, computed anew beside the printed numbers.
+
+    Example: pipeline theory tables --table C.1 --table C.2
+    """
+    from pipeline.comparison import theory_tables
+    from pipeline.shell import theory_tables_text
+    from pipeline.store.published_theory import THEORY_TABLES
+
+    rows: list[theory_tables.TheoryRow] = []
+    for name, count, of_table in theory_tables.recomputed_tables(table or THEORY_TABLES):
+        found = []
+        with console.progress(f"Table {name}", "rows", silent=as_json) as advance:
+            for row in of_table:
+                found.append(row)
+                advance(len(found), count)
+        rows += found
+        if not as_json:
+            for line in theory_tables_text.table_lines(name, found):
+                console.say(line)
+    if as_json:
+        console.print_json(theory_tables_text.document(rows))
+        return
+    console.say(theory_tables_text.summary_line(rows))
+
+
+@app.command("figures")
+def figures(
+    out: Annotated[Path, typer.Option("--out", help="HTML file to write.")] = Path("reports/theory.html"),
+    figure: Annotated[
+        list[str] | None,
+        typer.Option("--figure", help="Such as 3.6; may be given again. All where not given."),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Data figures 3.5 to 5.16 of the thesis, computed anew, on one page.
+
+    Example: pipeline theory figures --figure 3.6 --figure 5.4 --out theory.html
+    """
+    from pipeline.comparison import theory_figures
+
+    asked = tuple(dict.fromkeys(figure or theory_figures.NUMBERS))
+    computed = theory_figures.compute(asked)  # refuses an unknown number before the drawing library is loaded
+    from pipeline.rendering import theory_drawings
+
+    drawn = []
+    with console.progress("theory figures", "figures", silent=as_json) as advance:
+        for done in computed:
+            drawn.append(done)
+            advance(len(drawn), len(asked))
+    theory_drawings.write(drawn, out)
+    if as_json:
+        console.print_json({"file": str(out), "figures": [done.number for done in drawn]})
+        return
+    console.say(f"{out}: {len(drawn)} figures")
+
+
+def split(text: str) -> tuple[str, ...]:
+    """Return the words between commas; an empty word is kept, so that its reader refuses it."""
+    return tuple(word.strip() for word in text.split(","))

@@ -1,0 +1,144 @@
+"""What a user sees: results on stdout, progress and notes on stderr, an error as message and exit status."""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import typer
+
+from pipeline.base.errors import PipelineError
+
+Advance = Callable[[int, int | None], None]
+"""Reports (things done, things in all or None where that is not known)."""
+
+QUIET_SECONDS = 2.0
+"""Least time between two progress lines where stderr is no terminal: a log file stays short."""
+
+_CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
+"""Control characters but for tab and line feed."""
+
+REFRESH = 8
+"""Redraws of the progress bar in a second."""
+
+
+def run_app(app: typer.Typer, arguments: Sequence[str] | None) -> None:
+    """Run the command line and leave with its exit status; a named error becomes a message on stderr.
+
+    Other exceptions are defects: they pass with their traceback.
+    """
+    try:
+        app(args=None if arguments is None else list(arguments))
+    except PipelineError as error:
+        note(f"Error: {error}")
+        sys.exit(error.exit_status)
+
+
+def print_json(document: object) -> None:
+    """Print one JSON document on stdout; ASCII only, so that no locale can break it."""
+    sys.stdout.write(json.dumps(document, indent=1, allow_nan=False) + "\n")
+
+
+def say(text: str) -> None:
+    """Print a line of a result on stdout; a character that the terminal cannot show, or would obey, is escaped."""
+    encoding = sys.stdout.encoding or "utf-8"
+    sys.stdout.write(_harmless(text).encode(encoding, "backslashreplace").decode(encoding) + "\n")
+
+
+def note(text: str) -> None:
+    """Print a line about the work itself on stderr."""
+    print(_harmless(text), file=sys.stderr, flush=True)
+
+
+def _harmless(text: str) -> str:
+    """Return a text without control characters: names and cells of logs may hold commands to the terminal."""
+    return _CONTROL.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
+
+
+def table(rows: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> list[str]:
+    """Return rows as lines of aligned columns with a header; None as an en dash, floats with six digits."""
+    cells = [list(columns), *([_text(row[name]) for name in columns] for row in rows)]
+    widths = [max(len(line[i]) for line in cells) for i in range(len(columns))]
+    return ["  ".join(cell.ljust(width) for cell, width in zip(line, widths, strict=True)).rstrip() for line in cells]
+
+
+def _text(value: object) -> str:
+    if value is None:
+        return "–"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+@contextmanager
+def progress(label: str, unit: str, silent: bool) -> Iterator[Advance]:
+    """Show progress on stderr: a bar on a terminal, a line now and then elsewhere, nothing where silent.
+
+    Parameters
+    ----------
+    label, unit : str
+        What is done, and what is counted.
+    silent : bool
+        With --json.
+    """
+    if silent:
+        yield lambda done, total: None
+    elif sys.stderr.isatty():
+        with _bar(label, unit) as advance:
+            yield advance
+    else:
+        yield _Lines(label, unit).advance
+
+
+class _Lines:
+    """Progress as lines, at most one in `QUIET_SECONDS`."""
+
+    def __init__(self, label: str, unit: str) -> None:
+        self.label, self.unit = label, unit
+        self.began = self.printed = time.monotonic()
+
+    def advance(self, done: int, total: int | None) -> None:
+        """Print a line when it is due."""
+        now = time.monotonic()
+        if now - self.printed >= QUIET_SECONDS:
+            self.printed = now
+            of = "" if total is None else f" of {total}"
+            note(f"{self.label}: {done}{of} {self.unit}{_pace(done, total, now - self.began)}")
+
+
+def _pace(done: int, total: int | None, seconds: float) -> str:
+    """Return things done in a second, and the time left where the total is known."""
+    if not done or seconds <= 0:
+        return ""
+    rate = done / seconds
+    left = "" if total is None else f", {max(total - done, 0) / rate:.3g} s left"
+    return f", {rate:.3g}/s{left}"
+
+
+@contextmanager
+def _bar(label: str, unit: str) -> Iterator[Advance]:
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    began = time.monotonic()
+
+    columns = (
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        TextColumn("{task.fields[count]}", markup=False),
+        TimeElapsedColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True), refresh_per_second=REFRESH, transient=True) as bar:
+        task = bar.add_task(label, total=None, count="")
+
+        def advance(done: int, total: int | None) -> None:
+            count = f"{done}{'' if total is None else f'/{total}'} {unit}"
+            pace = _pace(done, total, time.monotonic() - began)
+            bar.update(task, completed=done, total=total, count=count + pace)
+
+        yield advance

@@ -1,0 +1,166 @@
+"""The whole way from simulated logs to reports, in a minute: what `pipeline demo` runs."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+from pipeline.base.errors import PipelineError
+from pipeline.comparison.compare import compare
+from pipeline.records.results import ComparisonResult
+from pipeline.rendering.labels import UNITS
+from pipeline.rendering.report_index import INDEX_FILE, write_index
+from pipeline.simulation.course import run_course, write_course
+from pipeline.store.devices import load_device
+from pipeline.store.ingest import ingest
+from pipeline.theory.loop import Normalised
+from pipeline.theory.stability import boundary
+
+SEED = 1
+"""Seed of the demo's logs; any would do."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """A device of the demo: its experiments (empty for all), and which share of the trials is simulated."""
+
+    device: str
+    experiments: tuple[str, ...] = ()
+    coarsen: int = 1
+
+
+REDUCED = (Part("falcon", ("1", "2", "6"), coarsen=2), Part("lwr", coarsen=2))
+"""Half the dampings and half the stiffness steps: a fourth of the trials, and maps that look like the full ones."""
+
+FULL = (Part("falcon"), Part("lwr"))
+
+
+@dataclass(frozen=True)
+class DemoOutcome:
+    """Reports that were written, and the key result with their places as lines."""
+
+    reports: tuple[Path, ...]
+    results: tuple[ComparisonResult, ...]
+    lines: tuple[str, ...]
+
+
+def run_demo(
+    folder: Path = Path("."),
+    full: bool = False,
+    report_progress: Callable[[str], None] | None = None,
+    parts: Sequence[Part] | None = None,
+) -> DemoOutcome:
+    """Simulate logs, ingest them, compare them with theory, and write one report for each device.
+
+    Parameters
+    ----------
+    folder : Path
+        Gets ``raw/demo``, ``processed/demo`` and ``reports`` with an index page (with ``full``: ``raw/demo-full``,
+        ``processed/demo-full``). Logs of an earlier demo are replaced, other files are never touched.
+    full : bool
+        Thesis size: all experiments and all trials.
+    report_progress : callable, optional
+        Gets a line before each step.
+    parts : sequence of Part, optional
+        Other devices and experiments than those of the two demos.
+
+    Raises
+    ------
+    PipelineError
+        If a file cannot be written, or a simulated log was refused.
+    """
+    say = report_progress or (lambda _: None)
+    began = time.monotonic()
+    chosen = parts if parts is not None else FULL if full else REDUCED
+    name = "demo-full" if full else "demo"
+    raw, processed = folder / "raw" / name, folder / "processed" / name
+    logs = sum(_simulate(part, raw, say) for part in chosen)
+    say(f"ingest: {logs} logs")
+    report = ingest([raw], processed)
+    if report.quarantined:
+        first = report.quarantined[0]
+        raise PipelineError(
+            f"{first.path}: {first.reason} ({len(report.quarantined)} log(s) of {raw} were refused; expected "
+            "only simulated ones there). Remove the file, or the folder, and run the demo again."
+        )
+    reports, results = [], []
+    for part in chosen:
+        outcome = compare(
+            part.device,
+            processed,
+            experiments=part.experiments or None,
+            report=folder / "reports" / f"{part.device}.html",
+            progress=partial(_say_of, part.device, say),
+        )
+        assert outcome.result is not None, "only a dry run has no result"
+        assert outcome.report is not None, "a report was asked for"
+        reports.append(outcome.report)
+        results.append(outcome.result)
+    write_index(folder / "reports")
+    seconds = time.monotonic() - began
+    lines = [
+        f"{logs} simulated logs in {raw}, compared in {seconds:.0f} s; open in a browser:",
+        *(f"  {path}" for path in reports),
+        f"  {folder / 'reports' / INDEX_FILE}",
+        *(_stiffness_line(result) for result in results),
+        _deviation_line(results),
+    ]
+    return DemoOutcome(tuple(reports), tuple(results), tuple(line for line in lines if line))
+
+
+def _say_of(device: str, say: Callable[[str], None], text: str) -> None:
+    say(f"{device}: {text}")
+
+
+def _simulate(part: Part, raw: Path, say: Callable[[str], None]) -> int:
+    device = load_device(part.device)
+    written = 0
+    for name in part.experiments or tuple(e.name for e in device.experiments):
+        say(f"simulate: {device.name}, experiment {name}")
+        course = run_course(device, name, seed=SEED, coarsen=part.coarsen)
+        written += write_course(course, raw, overwrite=True)
+    return written
+
+
+def _stiffness_line(result: ComparisonResult) -> str:
+    """Largest stable stiffness of the first experiment beside that of theory."""
+    first = result.experiments[0]
+    stable = [(p.stable, p.damping) for p in first.boundary if p.stable is not None]
+    if not stable:
+        return ""
+    units = UNITS[result.motion]
+    stiffness, damping = max(stable)
+    line = (
+        f"{result.title}, experiment {first.experiment}: stable up to K = {_digits(stiffness)} {units.stiffness} "
+        f"at B = {damping:g} {units.damping}"
+    )
+    theory = first.theory
+    if theory is None:
+        return f"{line}."
+    normalised = Normalised(theory.mass, theory.sampling_period_s)
+    border = boundary(normalised.loop(theory.stiffness, theory.damping, theory.delay_samples))
+    return (
+        f"{line}; theory (d = {theory.delay_samples:g}): {_digits(border.alpha_max * normalised.stiffness)} at "
+        f"{border.beta_at_alpha_max * normalised.damping:.3g}."
+    )
+
+
+def _digits(value: float) -> str:
+    """Four digits without an exponent up to 999999."""
+    return f"{float(f'{value:.4g}'):g}"
+
+
+def _deviation_line(results: Sequence[ComparisonResult]) -> str:
+    """Median deviation of the measured optimal costs from the discrete theory."""
+    sizes = sorted(
+        abs(row.deviation_percent) for result in results for row in result.tables if row.deviation_percent is not None
+    )
+    if not sizes:
+        return ""
+    return (
+        f"Optimal costs of the simulated courses differ from the discrete theory by {sizes[len(sizes) // 2]:.0f} % "
+        f"in the median of {len(sizes)} table rows."
+    )

@@ -1,0 +1,1 @@
+"""Simulated devices, and the course of experiments that a lab would run on them."""

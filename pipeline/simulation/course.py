@@ -1,0 +1,311 @@
+"""A simulated course of experiments: which pairs (K, B) a lab would test, and the logs that it would keep.
+
+For each damping B the stiffness K is raised by the stiffness step until a trial is unstable, then once more
+from the last stable K in steps of 20 % (6.1.1). Trials at K = 0 with falling B follow, from which the
+physical damping is read (6.1.2). Whether a trial is unstable is judged from its log, as in the lab.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from math import floor, inf
+from pathlib import Path
+from typing import Any, Literal, Protocol
+
+import numpy as np
+
+from pipeline import __version__
+from pipeline.base.disk import TEMPORARY_ENDING
+from pipeline.base.errors import ParameterError, PipelineError, UsageError
+from pipeline.measured.verdict import judge as judge_log
+from pipeline.records.batch import Floats, Integers, TrialBatch
+from pipeline.records.models import Device, Experiment
+from pipeline.records.native import NativeHeader, format_header
+from pipeline.records.tables import write_text
+from pipeline.simulation.procedure import AT_ZERO_STIFFNESS, Climb, Strings
+from pipeline.simulation.simulate import MassSpringDamper, Setup, idealise, setup_of, simulate, spectral_radius
+from pipeline.store.devices import find_experiment
+from pipeline.store.storage import folder_name
+
+COLUMNS_AHEAD = 6
+"""Dampings beyond the tested range that are simulated ahead where the range is extended."""
+
+TRUTH_FILE = "truth.json"
+
+
+class _Judged(Protocol):
+    @property
+    def verdict(self) -> Any: ...
+
+
+Judge = Callable[[TrialBatch], _Judged]
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """Trials of one course in the order in which a lab would have recorded them, and what was true.
+
+    Parameters
+    ----------
+    device, experiment : Device, Experiment
+    setup : Setup
+        What was simulated: plant, delay, jitter, sensor, limits.
+    seed : int
+    batch : TrialBatch
+        ``trial_id`` is the file name of the log without its ending.
+    passes : int64, shape (n,)
+        1 for a trial of the coarse steps, 2 for one of the fine steps.
+    verdict : array of str, shape (n,)
+        What the course judged from the log: stable, unstable or undecided.
+    """
+
+    device: Device
+    experiment: Experiment
+    setup: Setup
+    seed: int
+    batch: TrialBatch
+    passes: Integers
+    verdict: Strings
+
+
+def run_course(
+    device: Device,
+    experiment: str,
+    *,
+    seed: int = 0,
+    ideal: bool = False,
+    quantum: float | None = None,
+    noise: float | None = None,
+    jitter: Sequence[int] | None = None,
+    duration_s: float | None = None,
+    damping_range: Literal["tested", "full"] = "tested",
+    coarsen: int = 1,
+    progress: Callable[[int], None] | None = None,
+    judge: Judge = judge_log,
+) -> Course:
+    """Simulate the course of one experiment.
+
+    Parameters
+    ----------
+    device : Device
+    experiment : str
+        Name of an experiment of the device.
+    seed : int
+        Seed of noise and jitter; the same seed gives the same logs.
+    ideal : bool
+        Without noise, quantum and jitter, unless they are given here.
+    quantum, noise : float, optional
+        Sensor quantum and noise [m, rad] in place of the device's.
+    jitter : sequence of int, optional
+        Delays [samples] to draw from in place of the experiment's; empty for a constant delay.
+    duration_s : float, optional
+        Length of a trial [s] in place of the device's.
+    damping_range : {"tested", "full"}
+        ``full`` goes on beyond the experiment's last damping until no stable K > 0 is found.
+    coarsen : int
+        Every n-th damping and n times the stiffness step, for a small course. K = 0 is tested in full.
+    progress : callable, optional
+        Called with the number of trials kept so far.
+    judge : callable
+        Verdict of each trial from its log; an undecided trial counts as stable.
+
+    Raises
+    ------
+    DeviceError
+        If the device has no such experiment.
+    ParameterError
+        If a value is out of range, or no unstable trial is found within `procedure.LONGEST_CLIMB` steps.
+
+    Notes
+    -----
+    The fifth fine step would repeat the unstable coarse trial and is left out. Where B = 0 is unstable
+    already at K = 0, the fine steps fall from one damping step above it, so that the limit is still enclosed.
+
+    Source: Hulin 2017, sec. 6.1.1, 6.1.2, 6.2.1.
+    """
+    if coarsen < 1:
+        raise ParameterError(f"coarsen = {coarsen}: expected 1 (every trial) or a larger whole number.")
+    if duration_s is not None and not 0 < duration_s < inf:
+        raise ParameterError(f"duration = {duration_s} s: expected a positive, finite length of a trial.")
+    conditions = find_experiment(device, experiment)
+    setup = setup_of(device, conditions)
+    setup = idealise(setup) if ideal else setup
+    setup = replace(
+        setup,
+        quantum=setup.quantum if quantum is None else quantum,
+        noise=setup.noise if noise is None else noise,
+        jitter_samples=setup.jitter_samples if jitter is None else tuple(jitter),
+        rows=setup.rows if duration_s is None else round(duration_s / setup.sampling_period_s),
+    )
+    stream = f"{device.name}/{conditions.name}"
+
+    def run(stiffness: Floats, damping: Floats) -> tuple[TrialBatch, Strings]:
+        batch = simulate(setup, stiffness, damping, seed=seed, stream=stream)
+        return batch, np.asarray(judge(batch).verdict, dtype=np.str_)
+
+    climb = Climb(run, coarsen * conditions.stiffness_step, conditions.damping_step, progress)
+    stride = coarsen * conditions.damping_step
+    tolerance = 1e-9  # of a step: 184/4 must not lose its last damping to rounding
+    count = floor((conditions.damping_last - conditions.damping_first) / stride + tolerance) + 1
+    climb.columns([(j, conditions.damping_first + j * stride) for j in range(count)])
+    last = count - 1
+    while damping_range == "full":
+        columns = range(last + 1, last + 1 + COLUMNS_AHEAD)
+        stable = climb.columns([(j, conditions.damping_first + j * stride) for j in columns])
+        if not stable.all():
+            last += 1 + int(np.argmin(stable))
+            break
+        last = columns[-1]
+    climb.columns([(AT_ZERO_STIFFNESS, None)])
+    batch, passes, verdict = climb.result(last)
+    names = tuple(map(_log_name, batch.stiffness, batch.damping, passes))
+    return Course(device, conditions, setup, seed, replace(batch, trial_id=names), passes, verdict)
+
+
+def _log_name(stiffness: float, damping: float, number: int) -> str:
+    return f"B{_digits(damping, 3)}_K{_digits(stiffness, 6)}_p{number}"
+
+
+def _digits(value: float, width: int) -> str:
+    """Return a number with leading zeros, so that names sort, and as many decimals as make it unique."""
+    text = np.format_float_positional(abs(value), trim="-")
+    whole, point, decimals = text.partition(".")
+    return ("-" if value < 0 else "") + whole.zfill(width) + point + decimals
+
+
+def write_course(course: Course, folder: Path, *, overwrite: bool = False) -> int:
+    """Write a course as native logs with ``truth.json`` below ``folder/<device>/<experiment>``.
+
+    Parameters
+    ----------
+    course : Course
+    folder : Path
+        Made where it is missing.
+    overwrite : bool
+        Replace the logs of an earlier simulation, those that the ``truth.json`` there lists. Other files
+        are never touched.
+
+    Returns
+    -------
+    int
+        Number of logs written.
+
+    Raises
+    ------
+    UsageError
+        If the folder holds an earlier simulation and ``overwrite`` is false, or a file that is not listed has
+        the name of a log; nothing is written then.
+    PipelineError
+        If a file cannot be written. The logs that are there are complete and listed in ``truth.json``.
+    """
+    target = folder / folder_name(course.device.name) / folder_name(course.experiment.name)
+    names = [f"{name}.csv" for name in course.batch.trial_id]
+    try:
+        earlier = _earlier_logs(target, overwrite)
+        foreign = [name for name in names if name not in earlier and (target / name).exists()]
+        if foreign:
+            raise UsageError(
+                f"{target / foreign[0]} ({len(foreign)} such file(s)) is no log of an earlier simulation "
+                f"by its {TRUTH_FILE}, and is not replaced. Choose another folder (--out)."
+            )
+        truth = _truth(course)
+        # what a broken run leaves behind is listed before it is written, so that the next run may replace it
+        pending = {"complete": False, "logs": [*sorted(earlier), *names]}
+        write_text(target / TRUTH_FILE, json.dumps({**truth, **pending}))
+        for name in earlier.difference(names):
+            (target / name).unlink(missing_ok=True)
+        _write_logs(course, target, names)
+        write_text(target / TRUTH_FILE, json.dumps(truth, indent=1))
+    except OSError as error:
+        raise PipelineError(
+            f"{error.filename or target}: simulated logs cannot be written ({error.strerror or error}). "
+            "Make room or choose another folder (--out), then run again with --overwrite."
+        ) from error
+    return len(names)
+
+
+def _write_logs(course: Course, target: Path, names: Sequence[str]) -> None:
+    device, experiment, batch = course.device, course.experiment, course.batch
+    both = np.stack((batch.command, batch.position), axis=2)
+    # time stamps are the same in every log, so they stand in the template as text
+    stamps = ["%.17g" % (k * course.setup.sampling_period_s) for k in range(both.shape[1])]
+    lines = [f"{stamp},%.17g,%.17g\n" for stamp in stamps]
+    templates = {int(rows): "".join(lines[:rows]) for rows in np.unique(batch.rows)}
+    temporary = target / f".{os.getpid()}{TEMPORARY_ENDING}"
+    try:
+        for i, name in enumerate(names):
+            rows = int(batch.rows[i])
+            header = NativeHeader(
+                device=device.name,
+                experiment=experiment.name,
+                stiffness=float(batch.stiffness[i]),
+                damping=float(batch.damping[i]),
+                step=float(batch.step[i]),
+                sampling_period_s=float(batch.sampling_period_s[i]),
+                added_delay_samples=experiment.added_delay_samples,
+                grip=experiment.grip,
+                motion=device.motion,
+                simulated=True,
+            )
+            text = format_header(header, device.motion) + templates[rows] % tuple(both[i, :rows].ravel().tolist())
+            temporary.write_bytes(text.encode())
+            temporary.replace(target / name)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def _earlier_logs(target: Path, overwrite: bool) -> set[str]:
+    """Return the names of the logs that an earlier simulation wrote here."""
+    path = target / TRUTH_FILE
+    if not path.exists():
+        return set()
+    if not overwrite:
+        raise UsageError(
+            f"{target} holds the logs of an earlier simulation. Give --overwrite to replace them, "
+            "or choose another folder (--out)."
+        )
+    try:
+        logs = json.loads(path.read_text(encoding="utf-8"))["logs"]
+        names = {str(name) for name in logs}
+    except (ValueError, KeyError, TypeError) as error:
+        raise UsageError(
+            f"{path} is not a list of simulated logs, so nothing here is replaced. "
+            "Remove the file or choose another folder (--out)."
+        ) from error
+    return {name for name in names if Path(name).name == name and name.endswith(".csv")}
+
+
+def _truth(course: Course) -> dict[str, Any]:
+    setup, experiment, batch = course.setup, course.experiment, course.batch
+    plant = MassSpringDamper(experiment.mass, experiment.damping, experiment.stiffness)
+    radius = spectral_radius(plant, setup, batch.stiffness, batch.damping)
+    rows = zip(batch.trial_id, batch.stiffness, batch.damping, course.verdict, radius, batch.rows, strict=True)
+    return {
+        "device": course.device.name,
+        "experiment": experiment.name,
+        "package_version": __version__,
+        "seed": course.seed,
+        "plant": {"mass": plant.mass, "damping": plant.damping, "stiffness": plant.stiffness},
+        "delay_samples": setup.delay_samples,
+        "jitter_samples": list(setup.jitter_samples),
+        "quantum": setup.quantum,
+        "noise": setup.noise,
+        "velocity_filter_s": setup.velocity_filter_s,
+        "step": setup.step,
+        "edge_row": setup.edge_row,
+        "sampling_period_s": setup.sampling_period_s,
+        "complete": True,
+        "logs": {
+            f"{name}.csv": {
+                "stiffness": float(K),
+                "damping": float(B),
+                "verdict": str(verdict),
+                "spectral_radius": float(rho),
+                "rows": int(count),
+            }
+            for name, K, B, verdict, rho, count in rows
+        },
+    }

@@ -1,0 +1,164 @@
+"""The order in which a lab tests pairs (K, B): in coarse steps to the first unstable trial, then fine ones.
+
+Ladders of several dampings are climbed side by side. Trials are simulated ahead in waves and those behind the
+first unstable one are thrown away, so that the result is that of testing one after the other.
+
+Source: Hulin 2017, sec. 6.1.1 and, for the trials without stiffness, 6.1.2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pipeline.base.errors import ParameterError
+from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
+
+Strings = NDArray[np.str_]
+
+FINE_STEPS = 5
+"""Fine steps in a coarse one: 20 % of the original value (6.1.1)."""
+
+WAVE = 12
+"""Trials simulated ahead for each damping: fewer cost more passes of the sample loop, more are discarded."""
+
+LONGEST_CLIMB = 2000
+"""Steps after which a course is given up; the stiffest column of the thesis needs 65 steps."""
+
+AT_ZERO_STIFFNESS = 1 << 30
+"""Column of the trials with K = 0, behind every damping."""
+
+
+@dataclass(frozen=True)
+class _Ladder:
+    """Pairs (K, B) in the order of testing: rung i lies ``origin + i * stride`` fine steps along K or -B."""
+
+    column: int
+    damping: float | None
+    origin: int
+    stride: int
+    last: int | None
+
+    @property
+    def number(self) -> int:
+        """Return which pass over the column it is: 1 coarse, 2 fine."""
+        return 1 if self.stride == FINE_STEPS else 2
+
+
+@dataclass
+class Climb:
+    """Runs ladders side by side up to the first unstable trial of each, and keeps those trials.
+
+    Parameters
+    ----------
+    run : callable
+        Trials and verdicts of stiffness [N/m, Nm/rad] and damping [Ns/m, Nms/rad], both of shape (n,).
+    stiffness_step, damping_step : float
+        Coarse step of K at a fixed damping, and of -B at K = 0.
+    progress : callable or None
+        Called with the number of trials kept so far.
+    kept, verdicts, order : list
+        Per wave: the trials that were kept, their verdicts, and (column, pass, rung) of each.
+    """
+
+    run: Callable[[Floats, Floats], tuple[TrialBatch, Strings]]
+    stiffness_step: float
+    damping_step: float
+    progress: Callable[[int], None] | None
+    kept: list[TrialBatch] = field(default_factory=list)
+    verdicts: list[Strings] = field(default_factory=list)
+    order: list[Integers] = field(default_factory=list)
+
+    def columns(self, columns: Sequence[tuple[int, float | None]]) -> Booleans:
+        """Run the coarse and the fine pass; return which columns had a stable trial.
+
+        Parameters
+        ----------
+        columns : sequence of (int, float or None)
+            Number of the column, which orders the result, and its damping B; None for the trials at K = 0.
+
+        Raises
+        ------
+        ParameterError
+            If no unstable trial is found within `LONGEST_CLIMB` steps.
+        """
+        coarse = [
+            # at K = 0 the first rung is B = 0, at a fixed damping it is K = one step
+            _Ladder(column, damping, -FINE_STEPS if damping is None else 0, FINE_STEPS, None)
+            for column, damping in columns
+        ]
+        reached = self._climb(coarse)
+        fine = [
+            replace(ladder, origin=ladder.origin + FINE_STEPS * int(rung), stride=1, last=FINE_STEPS - 1)
+            for ladder, rung in zip(coarse, reached, strict=True)
+        ]
+        return (reached > 0) | (self._climb(fine) > 0)
+
+    def _climb(self, ladders: Sequence[_Ladder]) -> Integers:
+        """Return the number of stable trials before the first unstable one of each ladder."""
+        reached = np.zeros(len(ladders), dtype=np.int64)
+        ahead = list(range(len(ladders)))
+        below = 0
+        while ahead:
+            last = ladders[ahead[0]].last
+            rungs = np.arange(below, min(below + WAVE, last or below + WAVE)) + 1
+            pairs = np.concatenate([self._pairs(ladders[i], rungs) for i in ahead])
+            batch, verdict = self.run(pairs[:, 0], pairs[:, 1])
+            unstable = (verdict == "unstable").reshape(len(ahead), len(rungs))
+            first = np.where(unstable.any(axis=1), unstable.argmax(axis=1), len(rungs))
+            keep = (np.arange(len(rungs)) <= first[:, None]).ravel()
+            place = [(ladders[i].column, ladders[i].number, rung) for i in ahead for rung in rungs]
+            self.kept.append(batch.select(keep))
+            self.verdicts.append(verdict[keep])
+            self.order.append(np.array(place, dtype=np.int64)[keep])
+            reached[ahead] += first
+            below = int(rungs[-1])
+            if self.progress is not None:
+                self.progress(sum(map(len, self.kept)))
+            ahead = [i for i, n in zip(ahead, first, strict=True) if n == len(rungs) and below != last]
+            if ahead and below >= LONGEST_CLIMB:
+                K, B = self._pairs(ladders[ahead[0]], rungs[-1:])[0]
+                raise ParameterError(
+                    f"no unstable trial after {below} steps (K = {K:g}, B = {B:g}); expected the limit of "
+                    "stability much earlier. Choose larger steps in the device file."
+                )
+        return reached
+
+    def _pairs(self, ladder: _Ladder, rungs: Integers) -> Floats:
+        steps = ladder.origin + ladder.stride * rungs
+        if ladder.damping is None:
+            return np.stack((np.zeros(len(rungs)), 0.0 - steps * self.damping_step / FINE_STEPS), axis=1)
+        return np.stack((steps * self.stiffness_step / FINE_STEPS, np.full(len(rungs), ladder.damping)), axis=1)
+
+    def result(self, last_column: int) -> tuple[TrialBatch, Integers, Strings]:
+        """Return trials, pass and verdict in the order of testing, without columns behind the last one."""
+        place = np.concatenate(self.order)
+        index = np.lexsort((place[:, 2], place[:, 1], place[:, 0]))
+        columns = place[index, 0]
+        index = index[(columns <= last_column) | (columns == AT_ZERO_STIFFNESS)]
+        return _join(self.kept).select(index), place[index, 1], np.concatenate(self.verdicts)[index]
+
+
+def _join(parts: Sequence[TrialBatch]) -> TrialBatch:
+    longest = max(part.position.shape[1] for part in parts)
+
+    def samples(name: str) -> Floats:
+        wide = np.full((sum(map(len, parts)), longest), np.nan)
+        row = 0
+        for part in parts:
+            values = getattr(part, name)
+            wide[row : row + len(part), : values.shape[1]] = values
+            row += len(part)
+        return wide
+
+    return TrialBatch(
+        tuple(name for part in parts for name in part.trial_id),
+        *(
+            np.concatenate([getattr(part, name) for part in parts])
+            for name in ("stiffness", "damping", "step", "sampling_period_s", "rows")
+        ),
+        *(samples(name) for name in ("time", "command", "position")),
+    )

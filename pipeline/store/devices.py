@@ -1,0 +1,145 @@
+"""Devices as data: TOML files that ship with the package, and those of a user's own folder.
+
+A device is a `pipeline.records.models.Device` in a TOML file. Shipped ones lie in ``schemas/devices``; the
+environment variable ``PIPELINE_DEVICES`` names a folder with further ones, which win over shipped ones of the
+same name.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import tomllib
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from pipeline.base.errors import DeviceError
+from pipeline.base.provenance import schema_folder
+from pipeline.records.models import Device, Experiment
+
+USER_FOLDER_VARIABLE = "PIPELINE_DEVICES"
+"""Environment variable that names a folder with device files of the user's own."""
+
+
+def known_devices() -> dict[str, Device]:
+    """Return all known devices by name, sorted: shipped ones, then replaced or joined by the user's own.
+
+    Raises
+    ------
+    DeviceError
+        If a device file is wrong, two files of one folder define the same name, or the folder that
+        ``PIPELINE_DEVICES`` names does not exist.
+    """
+    devices = _read_folder(schema_folder() / "devices")
+    own = os.environ.get(USER_FOLDER_VARIABLE)
+    if own:
+        folder = Path(own)
+        if not folder.is_dir():
+            raise DeviceError(
+                f"{folder}: {USER_FOLDER_VARIABLE} must name a folder with device files (*.toml), "
+                "found none there. "
+                "Create the folder or unset the variable."
+            )
+        devices |= _read_folder(folder)
+    return dict(sorted(devices.items()))
+
+
+def load_device(name: str) -> Device:
+    """Return a known device by its name.
+
+    Raises
+    ------
+    DeviceError
+        If no such device is known; the message lists those that are.
+    """
+    devices = known_devices()
+    if name not in devices:
+        raise DeviceError(
+            f"device {name!r} is not known; known are {', '.join(devices)}. "
+            f"Put a file {name}.toml into a folder and name that folder in {USER_FOLDER_VARIABLE}."
+        )
+    return devices[name]
+
+
+def find_experiment(device: Device, name: str) -> Experiment:
+    """Return an experiment of a device by its name.
+
+    Raises
+    ------
+    DeviceError
+        If the device has no such experiment; the message lists those it has.
+    """
+    for experiment in device.experiments:
+        if experiment.name == name:
+            return experiment
+    raise DeviceError(
+        f"device {device.name!r} has no experiment {name!r}; it has {', '.join(e.name for e in device.experiments)}."
+    )
+
+
+def read_device(path: Path) -> Device:
+    """Read one device file.
+
+    Parameters
+    ----------
+    path : Path
+        TOML file with the fields of `pipeline.records.models.Device`; experiments as ``[[experiment]]``, published
+        tables as ``[[table]]``. Numbers are not read from strings or booleans.
+
+    Raises
+    ------
+    DeviceError
+        If the file cannot be read, is no TOML, or any field is missing, unknown or out of range: all wrong
+        fields are named, with what was found and why it is refused.
+    """
+    try:
+        data = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise DeviceError(f"{path}: device file cannot be read ({error.strerror or error}).") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise DeviceError(f"{path}: device file is not valid TOML in UTF-8: {error}.") from error
+    try:
+        # by way of JSON: strict validation refuses mass = "0.58" and mass = true, yet takes arrays for tuples
+        return Device.model_validate_json(json.dumps(data, default=str), strict=True)
+    except ValidationError as error:
+        found = [_describe(dict(detail), data) for detail in error.errors(include_url=False)]
+        raise DeviceError(
+            f"{path}: wrong device file, {len(found)} field(s) to correct:\n" + "\n".join(found)
+        ) from error
+
+
+def _read_folder(folder: Path) -> dict[str, Device]:
+    devices: dict[str, Device] = {}
+    origin: dict[str, Path] = {}
+    for path in sorted(folder.glob("*.toml")):
+        device = read_device(path)
+        if device.name in devices:
+            raise DeviceError(
+                f"{path}: field name: found {device.name!r}, which {origin[device.name].name} defines too; "
+                "give each device its own name."
+            )
+        devices[device.name], origin[device.name] = device, path
+    return devices
+
+
+def _describe(detail: dict[str, Any], data: dict[str, Any]) -> str:
+    """Return one line for one wrong field: path in the file, what was found, why it is refused."""
+    location = detail["loc"]
+    field = "".join(f"[{part + 1}]" if isinstance(part, int) else f".{part}" for part in location).lstrip(".")
+    message = detail["msg"].removeprefix("Value error, ")
+    if detail["type"] == "missing":
+        return f"  {field}{_owner(location, data)}: found nothing; field required"
+    if not isinstance(detail["input"], dict | list):
+        return f"  {field}{_owner(location, data)}: found {detail['input']!r}; {message}"
+    return f"  {field or 'file as a whole'}{_owner(location, data)}: {message}"
+
+
+def _owner(location: tuple[int | str, ...], data: dict[str, Any]) -> str:
+    """Return the name of the experiment or table that a wrong field belongs to, where it has one."""
+    if len(location) < 2 or not isinstance(location[1], int):
+        return ""
+    entry = data[str(location[0])][location[1]]
+    name = entry.get("name") if isinstance(entry, dict) else None
+    return f" ({location[0]} {name!r})" if name is not None else ""

@@ -1,0 +1,394 @@
+"""Logs to Parquet: find, recognise what is known, read in batches, validate, store, and refuse with a reason.
+
+A log is known by its content; a source whose size and modification time are unchanged is not even opened.
+Every source ends as ingested, skipped or quarantined, and is never written, moved or locked. One ingest writes at a
+time (`lock`); what it stores becomes visible batch by batch, and an interrupted one is finished by the next.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Collection, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
+from functools import partial
+from pathlib import Path
+
+from pipeline.base.errors import LogError, StoreError, UsageError
+from pipeline.base.file_names import path_of_text, path_text, storable
+from pipeline.base.lock import WAIT_S, writing
+from pipeline.base.rerun import Folders, Search, folders_of, forget, remember
+from pipeline.profiles.profile_files import Profile, load_profile, shipped_profiles
+from pipeline.readers import Log
+from pipeline.store.compaction import merge_small
+from pipeline.store.devices import known_devices
+from pipeline.store.ingest_report import Action, ChangedSource, IngestReport, LogWarning, PlannedSource, Refusal
+from pipeline.store.quarantine import QuarantineRecord, list_quarantine, refuse, release
+from pipeline.store.reading import Read, batches_of, in_order, motion_of, read_and_check
+from pipeline.store.sources import Source, find_sources
+from pipeline.store.trialstore import Accepted, TrialWriter, trial_id
+from pipeline.store.versions import StoredSource, drop_superseded, repair, stored_sources
+
+__all__ = ["IngestReport", "LogWarning", "Refusal", "ingest"]
+
+PENDING_BYTES = 64 << 20
+"""Samples that are collected before they become visible: a course of 2,300 logs with 1,000 rows makes one file, and an
+interruption costs about a second's work."""
+
+
+def ingest(
+    paths: Sequence[Path],
+    processed: Path,
+    profile: str | Path | None = None,
+    jobs: int | None = None,
+    dry_run: bool = False,
+    rehash: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+    settle_s: float = 0.0,
+    growing: Collection[str] = (),
+    wait_s: float = WAIT_S,
+    say: Callable[[str], None] | None = None,
+) -> IngestReport:
+    """Store all new logs below some folders.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Folders (searched with those below) and files.
+    processed : Path
+        Folder of the stored tables; made if needed.
+    profile : str or Path, optional
+        Shipped profile by name, or a TOML file; by default each file is claimed by a shipped profile.
+    jobs : int, optional
+        Threads that read and parse; by default one per processor, at most four.
+    dry_run : bool
+        Read and validate, write nothing, and say for each source what would be done.
+    rehash : bool
+        Look at the content also where size and modification time are unchanged.
+    progress : callable, optional
+        Called with (logs done, logs found).
+    settle_s : float
+        Leave sources alone that were modified less than this time ago [s]: they may still be recorded. A source that
+        changes while it is read is refused in any case.
+    growing : collection of str
+        Absolute paths of files that somebody saw change a moment ago, whatever their times say; left alone, too.
+    wait_s : float
+        How long to wait for another command that writes to `processed` [s].
+    say : callable, optional
+        Gets a line when waiting begins.
+
+    Returns
+    -------
+    IngestReport
+
+    Raises
+    ------
+    UsageError
+        If a path does not exist or `jobs` is below 1.
+    ProfileError
+        If the profile is wrong, or two profiles claim one file.
+    StoreError
+        If `processed` is damaged, cannot be written, or another command writes there; what was stored stays valid.
+    """
+    if jobs is not None and jobs < 1:
+        raise UsageError(f"jobs must be at least 1, found {jobs}. Leave it out for one per processor.")
+    profiles = shipped_profiles() if profile is None else (load_profile(profile),)
+    folders = [Path(path) for path in paths]
+    search = Search(tuple(map(str, paths)), str(processed), None if profile is None else str(profile))
+    notices: list[LogWarning] = []
+
+    def noticed(folder: Path, text: str) -> None:
+        notices.append(LogWarning(path=path_text(folder), warning=text))
+
+    began_ns = time.time_ns()
+    sources = find_sources(folders, profiles, processed, noticed)
+    try:
+        with nullcontext(False) if dry_run else writing(processed, wait_s, say) as waited:
+            before = {} if dry_run else folders_of(search)
+            if waited:
+                notices.clear()
+                began_ns = time.time_ns()
+                sources = find_sources(folders, profiles, processed, noticed)
+            if not dry_run:
+                repair(processed)
+            settled, waiting = _settled(sources, settle_s, frozenset(growing))
+            digests = {p: p.digest() for p in profiles}
+            run = _Ingest(processed, dry_run, rehash, digests, len(settled), progress)
+            run.process(settled, jobs or min(4, os.cpu_count() or 1))
+            run.wait_for(waiting, settle_s)
+            run.find_removed(folders, sources)
+            report = run.report(notices)
+            if not dry_run:
+                run.remember(search, before, began_ns, report, notices)
+    except OSError as error:
+        raise StoreError(
+            f"{processed}: cannot be written ({error}). Logs stored so far are complete; "
+            "make room or correct the permissions and run the command again."
+        ) from error
+    return report
+
+
+def _settled(sources: Sequence[Source], settle_s: float, growing: frozenset[str]) -> tuple[list[Source], list[Source]]:
+    """Return the sources that were modified long enough ago, and the others."""
+    now = time.time_ns()
+    # a time in the future, by a clock that is wrong, is no reason to wait for ever
+    young = [
+        abs(now - s.mtime_ns) < settle_s * 1e9 or not growing.isdisjoint(os.path.abspath(f) for f in s.files)
+        for s in sources
+    ]
+    return (
+        [source for source, recent in zip(sources, young, strict=True) if not recent],
+        [source for source, recent in zip(sources, young, strict=True) if recent],
+    )
+
+
+class _Ingest:
+    """One run: what is stored already, what was decided so far."""
+
+    def __init__(
+        self,
+        processed: Path,
+        dry_run: bool,
+        rehash: bool,
+        digests: dict[Profile, str],
+        found: int,
+        progress: Callable[[int, int], None] | None,
+    ) -> None:
+        self.processed, self.dry_run, self.rehash, self.digests = processed, dry_run, rehash, digests
+        self.found, self.progress = found, progress
+        self.ingested = self.skipped = 0
+        self.refusals: list[Refusal] = []
+        self.warnings: list[LogWarning] = []
+        self.changed: list[ChangedSource] = []
+        self.removed: list[str] = []
+        self.waiting: list[str] = []
+        self.plan: list[PlannedSource] = []
+        self.looked_at: list[Source] = []
+        self.unread = False
+        self.writer = TrialWriter(processed, PENDING_BYTES)
+        self.motions = {name: device.motion for name, device in known_devices().items()}
+        self.stored = stored_sources(processed)
+        self.refused = {record.path: record for record in list_quarantine(processed)}
+        self.replaced: set[tuple[str, str, str]] = set()
+        # hash of a content -> hash of its profile, and its path; a source that is looked at again enters after that
+        self.known: dict[str, str] = {}
+        self.place: dict[str, str] = {}
+
+    def process(self, sources: list[Source], jobs: int) -> None:
+        """Decide on every source and store what is new."""
+        unsettled = [source for source in sources if not self._settled_unread(source)]
+        again = {source.key for source in unsettled}
+        for path, stored in self.stored.items():
+            if path not in again and stored.whole:
+                self.known[stored.sha256] = stored.profile_sha256
+                self.place[stored.sha256] = path
+        # stored sources come first: a log that was copied and touched is recognised at its old place
+        unsettled.sort(key=lambda source: (source.key not in self.stored, source.key))
+        read = partial(self._read, use_threads=jobs > 2)
+        with ThreadPoolExecutor(1) as pool:
+            self.writer.executor = pool if jobs > 1 else None
+            try:
+                for batch in in_order(read, batches_of(unsettled), jobs):
+                    for done in batch:
+                        self._settle(done)
+                self._written(self.writer.flush())
+            except BaseException:
+                self.writer.discard()
+                raise
+        if not self.dry_run:
+            drop_superseded(self.processed, self.replaced)
+            for device, experiment in sorted(self.writer.experiments):
+                merge_small(self.processed, device, experiment)
+
+    def wait_for(self, sources: Sequence[Source], settle_s: float) -> None:
+        """List sources that are left for later."""
+        for source in sources:
+            self.waiting.append(source.shown)
+            self._plan(source, "wait", f"modified less than {settle_s:g} s ago")
+
+    def find_removed(self, folders: Sequence[Path], sources: Sequence[Source]) -> None:
+        """List stored sources below the searched folders that are not there any more."""
+        present = {source.key for source in sources}
+        roots = tuple(os.path.join(path_text(os.path.abspath(folder)), "") for folder in folders if folder.is_dir())
+        gone = (key for key in self.stored if key not in present and key.startswith(roots))
+        self.removed = sorted(key for key in gone if not os.path.lexists(path_of_text(key)))
+
+    def report(self, notices: Sequence[LogWarning]) -> IngestReport:
+        """Return the counts."""
+        warnings = [*self.warnings, *notices]
+        return IngestReport(
+            found=self.found,
+            ingested=self.ingested,
+            skipped=self.skipped,
+            quarantined=tuple(sorted(self.refusals, key=lambda refusal: refusal.path)),
+            warnings=tuple(sorted(warnings, key=lambda warning: warning.path)),
+            removed=tuple(self.removed),
+            changed=tuple(sorted(self.changed, key=lambda source: source.path)),
+            waiting=tuple(sorted(self.waiting)),
+            plan=tuple(sorted(self.plan, key=lambda source: source.path)) if self.dry_run else None,
+        )
+
+    def remember(
+        self, search: Search, before: Folders, began_ns: int, report: IngestReport, notices: Sequence[LogWarning]
+    ) -> None:
+        """Leave a note for the next run of the same command, unless it has to read a source again."""
+        if self.waiting or self.unread:
+            forget(search)
+            return
+        files = [([os.path.abspath(file) for file in s.files], s.size, s.mtime_ns) for s in self.looked_at]
+        skipped = report.found - len(report.quarantined)
+        again = report.model_copy(update={"ingested": 0, "skipped": skipped, "warnings": tuple(notices)})
+        remember(search, before, began_ns, files, again.model_dump(mode="json"))
+
+    def _plan(self, source: Source, action: Action, reason: str) -> None:
+        if self.dry_run:
+            self.plan.append(PlannedSource(path=source.shown, action=action, reason=reason))
+
+    def _settled_unread(self, source: Source) -> bool:
+        if self.rehash:
+            return False
+        sign = (source.size, source.mtime_ns, self._digest(source))
+        stored, refused = self.stored.get(source.key), self.refused.get(source.key)
+        # what could not be read may be readable now: permissions leave size and time alone; old records have no code
+        readable = refused is not None and refused.sha256 is not None and refused.code is not None
+        if refused and readable and sign == (refused.size, refused.mtime_ns, refused.profile_sha256):
+            self._refused(source, refused)
+        elif stored and stored.whole and sign == (stored.size, stored.mtime_ns, stored.profile_sha256):
+            self._skip(source, "unchanged: size and modification time")
+        else:
+            return False
+        self.looked_at.append(source)
+        self._advance()
+        return True
+
+    def _digest(self, source: Source) -> str | None:
+        return self.digests[source.profile] if source.profile else None
+
+    def _read(self, sources: list[Source], use_threads: bool) -> list[Read]:
+        return read_and_check(sources, self.known, self._digest(sources[0]), use_threads)[0]
+
+    def _settle(self, read: Read) -> None:
+        source, profile = read.source, read.source.profile
+        self.looked_at.append(source)
+        try:
+            if isinstance(read.result, LogError):
+                raise read.result
+            assert profile is not None, "a source without a profile has a problem, which is a LogError"
+            assert read.sha256 is not None, "what was read has a hash"
+            self._accept(source, profile, read.sha256, read.result)
+        except LogError as error:
+            self._refuse(read, error)
+        self._advance()
+
+    def _accept(self, source: Source, profile: Profile, sha256: str, logs: tuple[Log, ...] | None) -> None:
+        profile_sha256 = self.digests[profile]
+        former = self.stored.get(source.key)
+        same = former is not None and (former.sha256, former.profile_sha256) == (sha256, profile_sha256)
+        stored_here = same and former is not None and former.whole
+        known = self.known.get(sha256)
+        if logs is None or stored_here or known == profile_sha256 or (known and not self._reprofiled(source, sha256)):
+            other = self.place.get(sha256)
+            self.known.setdefault(sha256, profile_sha256)
+            self.place.setdefault(sha256, source.key)
+            self._skip(source, "unchanged content" if other in (None, source.key) else f"same content as {other}")
+            if former is not None and not same:
+                # the content that stood here is gone, what stands here now is stored at another place
+                outcome = f"its content is now that of {other}; its former trials were removed"
+                self._replace(source, former, outcome)
+            return
+        accepted = [
+            Accepted(trial_id(sha256, log.label), sha256, source, log, motion, profile.name, profile_sha256, len(logs))
+            for log, motion in [(log, motion_of(log, self.motions)) for log in logs]
+        ]
+        self.known[sha256] = profile_sha256
+        self.place[sha256] = source.key
+        self.ingested += 1
+        texts = dict.fromkeys(text for log in logs for text in log.warnings)
+        self.warnings += [LogWarning(path=source.shown, warning=storable(text)) for text in texts]
+        self._plan(source, "ingest", _why_ingested(former, sha256, profile_sha256))
+        if former is not None and not same:
+            changed = former.sha256 != sha256
+            self._replace(source, former, "its trials were replaced by those of the new content" if changed else None)
+        if not self.dry_run:
+            # an interrupted run may have stored some trials of this source
+            present = former.trials if former is not None and same else frozenset[str]()
+            self._written(self.writer.add([a for a in accepted if a.trial_id not in present]))
+
+    def _reprofiled(self, source: Source, sha256: str) -> bool:
+        """Return whether this is the stored source of a content, now read by another profile, or stored in part."""
+        former = self.stored.get(source.key)
+        return former is not None and former.sha256 == sha256
+
+    def _replace(self, source: Source, former: StoredSource, outcome: str | None) -> None:
+        """Note that the stored trials of a source give way to others; without an outcome its content is the same."""
+        if outcome is not None:
+            self.changed.append(ChangedSource(path=source.shown, outcome=outcome))
+        if not self.dry_run:
+            self.replaced |= former.keys(source.key)
+
+    def _skip(self, source: Source, reason: str) -> None:
+        self.skipped += 1
+        self._plan(source, "skip", reason)
+        self._release(source)
+
+    def _refuse(self, read: Read, error: LogError) -> None:
+        source = read.source
+        record = QuarantineRecord(
+            path=source.key,
+            size=source.size,
+            mtime_ns=source.mtime_ns,
+            sha256=read.sha256,
+            row=error.row,
+            reason=storable(error.reason),
+            profile=source.profile.name if source.profile else None,
+            profile_sha256=self._digest(source),
+            code=error.code,
+            profile_line=None if error.profile_line is None else storable(error.profile_line),
+        )
+        self.unread |= read.sha256 is None
+        self._refused(source, record)
+        if not self.dry_run and not record.same_refusal(self.refused.get(source.key)):
+            refuse(self.processed, record, source.files, source.profile)
+
+    def _refused(self, source: Source, record: QuarantineRecord) -> None:
+        refusal = refusal_of(source, record)
+        self.refusals.append(refusal)
+        self._plan(source, "refuse", refusal.reason)
+        former = self.stored.get(source.key)
+        if former is not None and former.sha256 != record.sha256:
+            outcome = "its new content is refused; the trials of the former one stay stored"
+            self.changed.append(ChangedSource(path=source.shown, outcome=outcome))
+
+    def _written(self, written: Sequence[Source]) -> None:
+        for source in written:
+            self._release(source)
+
+    def _release(self, source: Source) -> None:
+        if not self.refused or self.dry_run:
+            return
+        for key in {source.key, *(path_text(os.path.abspath(file)) for file in source.files)} & self.refused.keys():
+            release(self.processed, key)
+
+    def _advance(self) -> None:
+        if self.progress:
+            self.progress(self.ingested + self.skipped + len(self.refusals), self.found)
+
+
+def _why_ingested(former: StoredSource | None, sha256: str, profile_sha256: str) -> str:
+    if former is None:
+        return "new"
+    if former.sha256 != sha256:
+        return "content changed"
+    return "profile changed" if former.profile_sha256 != profile_sha256 else "stored in part, by an interrupted run"
+
+
+def refusal_of(source: Source, record: QuarantineRecord) -> Refusal:
+    """Return what is reported of a source that is in quarantine."""
+    return Refusal(
+        path=source.shown,
+        reason=record.reason,
+        row=record.row,
+        code=record.code,
+        profile_line=record.profile_line,
+    )

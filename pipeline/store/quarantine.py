@@ -1,0 +1,207 @@
+"""Logs that were refused: a copy and the reason, one folder per source below ``processed/quarantine``.
+
+A source has at most one record: refusing it again replaces the record, accepting it removes the record. The
+source itself is never touched.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections.abc import Iterable
+from pathlib import Path
+
+from pydantic import ValidationError
+
+from pipeline.base.disk import make_folder, replacing
+from pipeline.base.errors import Code, StoreError, UsageError
+from pipeline.base.file_names import path_of_text, path_text
+from pipeline.base.provenance import digest
+from pipeline.base.regular_files import open_regular
+from pipeline.profiles.profile_files import Profile
+from pipeline.records.models import Record
+from pipeline.records.tables import write_text
+from pipeline.store.excerpt import NOTHING, Excerpt, excerpt_of
+
+LARGEST_COPY = 64 << 20
+"""Bytes up to which a refused file is copied; a log is well below 1 MB, what is larger was hardly one."""
+
+RECORD_FILE = "reason.json"
+
+LONGEST_COPY_NAME = 100
+"""Bytes of a file name that its copy keeps: a file system allows 255, with the endings of temporary files."""
+
+_TEXTS = ("native", "delimited", "json")
+"""Formats whose files have lines."""
+
+
+class QuarantineRecord(Record):
+    """Why a source was refused, and how to see whether it has changed since.
+
+    Parameters
+    ----------
+    path : str
+        Absolute path of the source (of the first file of a pair).
+    size, mtime_ns : int
+        Of all its files together [byte], and the newest modification [ns].
+    sha256 : str or None
+        Of its content; None where it could not be read or was too large to be a log.
+    row : int or None
+        Row at fault, counted from 1: the line of a text file, else record, sample or message.
+    reason : str
+    profile, profile_sha256 : str or None
+        Profile that claimed it; None where none did.
+    code : str or None
+        The reason for programs, one of `errors.Code`; None in records of earlier versions.
+    profile_line : str or None
+        Line of a profile by which it might be read.
+    byte : int or None
+        Offset of the row in the file, counted from 0; None where rows are no lines, or the file is packed.
+    excerpt : tuple of (int, str)
+        Lines around the row: number, counted from 1, and text with control characters escaped.
+    """
+
+    path: str
+    size: int
+    mtime_ns: int
+    sha256: str | None
+    row: int | None
+    reason: str
+    profile: str | None
+    profile_sha256: str | None
+    code: Code | None = None
+    profile_line: str | None = None
+    byte: int | None = None
+    excerpt: tuple[tuple[int, str], ...] = ()
+
+    def same_refusal(self, other: QuarantineRecord | None) -> bool:
+        """Return whether another record says the same of the same content; byte and excerpt follow from these."""
+        place = {"byte": None, "excerpt": ()}
+        return other is not None and self.model_copy(update=place) == other.model_copy(update=place)
+
+
+def quarantine_folder(processed: Path) -> Path:
+    """Return the folder of all refused logs."""
+    return processed / "quarantine"
+
+
+def list_quarantine(processed: Path) -> list[QuarantineRecord]:
+    """Return the records of all refused logs, sorted by path.
+
+    Raises
+    ------
+    StoreError
+        If a record is damaged.
+    """
+    records = []
+    for file in sorted(quarantine_folder(processed).glob(f"*/{RECORD_FILE}")):
+        try:
+            records.append(QuarantineRecord.model_validate_json(file.read_bytes()))
+        except ValidationError as error:
+            raise StoreError(
+                f"{file}: is no quarantine record ({error.error_count()} errors). Remove its folder and ingest again."
+            ) from error
+    return sorted(records, key=lambda record: record.path)
+
+
+def record_id(record: QuarantineRecord) -> str:
+    """Return the id of a record: the name of its folder."""
+    return digest(record.path)
+
+
+def find_record(processed: Path, wanted: str) -> QuarantineRecord:
+    """Return the record of a source by its id or path.
+
+    Parameters
+    ----------
+    processed : Path
+    wanted : str
+        Id, or path of the source: absolute, or from the current folder.
+
+    Raises
+    ------
+    UsageError
+        If nothing of this id or path is in quarantine.
+    """
+    path = wanted if path_of_text(wanted) != Path(wanted) else path_text(os.path.abspath(wanted))
+    for record in list_quarantine(processed):
+        if wanted == record_id(record) or path == record.path:
+            return record
+    raise UsageError(f"{wanted}: is not in quarantine. `pipeline quarantine list` shows ids and paths of what is.")
+
+
+def refuse(processed: Path, record: QuarantineRecord, files: Iterable[Path], profile: Profile | None) -> None:
+    """Keep a copy of each file (up to 64 MiB) and the reason, with the lines around it; the record appears last.
+
+    Parameters
+    ----------
+    processed : Path
+    record : QuarantineRecord
+        Without byte and excerpt, which are taken from the copy.
+    files : iterable of Path
+        All files of the source; the first is the one that rows belong to.
+    profile : Profile or None
+        What it was read by.
+    """
+    folder = _folder_of(processed, record.path)
+    make_folder(folder)
+    kept = {RECORD_FILE}
+    found: Excerpt | None = None
+    for file in files:
+        target = folder / _copy_name(file)
+        if _copy(file, target):
+            kept.add(target.name)
+            found = found or _excerpt(record, target, profile)
+    found = found or NOTHING
+    whole = record.model_copy(update={"byte": found.byte, "excerpt": found.lines})
+    write_text(folder / RECORD_FILE, whole.model_dump_json(indent=2) + "\n")
+    for old in folder.iterdir():
+        if old.name not in kept:
+            old.unlink(missing_ok=True)
+
+
+def release(processed: Path, path: str) -> None:
+    """Remove the record of a source, if there is one: it was repaired and is now stored."""
+    folder = _folder_of(processed, path)
+    if folder.is_dir():
+        # first the record: what is left after an interruption is no record any more
+        (folder / RECORD_FILE).unlink(missing_ok=True)
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _folder_of(processed: Path, path: str) -> Path:
+    return quarantine_folder(processed) / digest(path)
+
+
+def _copy_name(file: Path) -> str:
+    """Return the name of a copy: the file's own where it is short, printable and cannot be taken for anything else."""
+    name = file.name
+    plain = name.isprintable() and len(os.fsencode(name)) <= LONGEST_COPY_NAME
+    # neither may a copy be taken for the record, nor for a table: each *.parquet here is readable
+    ambiguous = name == RECORD_FILE or name.startswith(".") or name.lower().endswith((".parquet", ".tmp"))
+    if plain and not ambiguous:
+        return name
+    return f"{name}.refused" if plain else f"{digest(path_text(name))}.refused"
+
+
+def _excerpt(record: QuarantineRecord, copy: Path, profile: Profile | None) -> Excerpt:
+    """Return the lines around the row at fault, where rows of the format are lines."""
+    kind = profile.format if profile else None
+    if kind not in _TEXTS or (kind == "json" and record.code != "syntax" and record.row is not None):
+        # in JSON a row is a record, but for what is no JSON
+        return NOTHING
+    return excerpt_of(copy.name, copy.read_bytes(), record.row, kind, profile.encoding if profile else "utf-8")
+
+
+def _copy(source: Path, target: Path) -> bool:
+    """Copy a file and return whether it is there; one that cannot be read or is too large is left out."""
+    try:
+        stream = open_regular(source)
+    except OSError:  # the record says that it cannot be read
+        return False
+    with stream:
+        if os.fstat(stream.fileno()).st_size > LARGEST_COPY:
+            return False
+        with replacing(target) as copy:
+            shutil.copyfileobj(stream, copy, 1 << 20)
+    return True

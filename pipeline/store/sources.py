@@ -1,0 +1,177 @@
+"""Which files are logs: walks folders, lets a profile claim each file, joins the files of a pair or a bag."""
+
+from __future__ import annotations
+
+import os
+import stat
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from pipeline.base.errors import Code, UsageError
+from pipeline.base.file_names import path_text
+from pipeline.profiles.profile_files import Profile, claim
+from pipeline.store.bags import bag_of
+
+UNCOUNTED = frozenset({"truth.json", "readme", "readme.md", "readme.txt", "license", "license.md", "license.txt"})
+"""Files that stand beside logs and are none (the first by the simulator), in small letters; not counted in folders."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """One log before it is read.
+
+    Parameters
+    ----------
+    path : Path
+        First file, as found; the folder of a ROS 2 bag, which is one log.
+    key : str
+        Its absolute path as `file_names.path_text` has it: what `processed/` knows the log by, whatever folder the
+        command is called from.
+    files : tuple of Path
+        All files of the log.
+    size, mtime_ns : int
+        Size of all files together [byte] and newest modification time [ns].
+    profile : Profile or None
+        What reads it.
+    problem : str or None
+        Why it cannot be read at all.
+    code : str
+        The same as one of `errors.Code`.
+    """
+
+    path: Path
+    key: str
+    files: tuple[Path, ...]
+    size: int
+    mtime_ns: int
+    profile: Profile | None
+    problem: str | None = None
+    code: Code = "unreadable"
+
+    @property
+    def shown(self) -> str:
+        """The path as found, as text that can be stored."""
+        return path_text(self.path)
+
+
+Notice = Callable[[Path, str], None]
+"""Told of a folder that is not searched, and why."""
+
+
+def find_sources(
+    paths: Sequence[Path],
+    profiles: tuple[Profile, ...],
+    exclude: Path | None = None,
+    notice: Notice | None = None,
+) -> list[Source]:
+    """Return every log below the given folders and files, each once, in order of path.
+
+    Links to files are followed, wherever they lead; links to folders inside a searched folder are not, since they may
+    lead in a circle or out of the data. `notice` is told of these.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Folders, searched with all folders below, and files.
+    profiles : tuple of Profile
+        Profiles that may claim a file.
+    exclude : Path, optional
+        Folder that is left out (`processed/`, which may lie inside a searched folder).
+    notice : callable, optional
+        Called with each folder that is not searched, and why: it is a link, or may not be read.
+
+    Raises
+    ------
+    UsageError
+        If a path does not exist, may not be looked at, or lies in the excluded folder.
+    ProfileError
+        If two profiles claim one file.
+    """
+    found: dict[str, Source] = {}
+    excluded = None if exclude is None else Path(os.path.abspath(exclude))
+    for path in paths:
+        try:
+            there = path.exists()
+        except OSError as error:
+            raise UsageError(f"{path}: cannot be looked at ({error.strerror}). Correct its permissions.") from error
+        if not there:
+            raise UsageError(f"{path}: no such file or folder. Give folders with logs, or single logs.")
+        if excluded in (here := Path(os.path.abspath(path)), *here.parents):
+            raise UsageError(f"{path}: lies in {exclude}, where results are kept. Give folders with logs.")
+        for file in _walk(path, excluded, notice or _say_nothing) if path.is_dir() else [path]:
+            source = _source(file, profiles)
+            found.setdefault(source.key, source)
+    return [found[key] for key in sorted(found)]
+
+
+def _say_nothing(folder: Path, reason: str) -> None:
+    """Take no notice."""
+
+
+def _walk(folder: Path, exclude: Path | None, notice: Notice) -> Iterator[Path]:
+    def not_listed(error: OSError) -> None:
+        notice(Path(os.fsdecode(error.filename)), f"folder cannot be read ({error.strerror}). Correct its permissions.")
+
+    for here, folders, files in os.walk(folder, onerror=not_listed):
+        folders[:] = [f for f in folders if not f.startswith(".") and Path(os.path.abspath(here), f) != exclude]
+        for name in folders:
+            if os.path.islink(linked := os.path.join(here, name)):
+                notice(Path(linked), "is a link to a folder, which is not followed. Give that folder if it has logs.")
+        for name in files:
+            if not name.startswith(".") and name.lower() not in UNCOUNTED:
+                yield Path(here, name)
+
+
+_Problem = tuple[str, Code]
+"""Why a source cannot be read: in words, and as one of the codes."""
+
+
+def _source(file: Path, profiles: tuple[Profile, ...]) -> Source:
+    bag = bag_of(file)
+    profile, path, problem = _claimed(bag.files[0] if bag else file, profiles)
+    partner = profile.partner_of(path) if profile else None
+    files: tuple[Path, ...] = (path, partner) if partner else (path,)
+    if bag:
+        path, files, partner = bag.folder, bag.files, None
+        problem = (bag.problem, "partner-missing") if bag.problem else problem
+    size, mtime_ns, present = 0, 0, []
+    for part in files:
+        try:
+            status = part.stat()
+        except OSError as error:
+            if problem is None:
+                text = f"{part.name} cannot be read ({error.strerror}); expected it in {part.parent}."
+                problem = text, "unreadable"
+            if profile and part == partner and problem is not None:
+                text = f"{problem[0]} Profile {profile.name} reads a log from two files; add the second."
+                problem = text, "partner-missing"
+            continue
+        if not stat.S_ISREG(status.st_mode):
+            text = f"{part.name} is no regular file; expected a log. Copy the log's content to a file."
+            problem = problem or (text, "not-regular")
+            continue
+        present.append(part)
+        size += status.st_size
+        mtime_ns = max(mtime_ns, status.st_mtime_ns)
+    key = path_text(os.path.abspath(path))
+    return Source(path, key, tuple(present), size, mtime_ns, profile, *(problem or ()))
+
+
+def _claimed(file: Path, profiles: tuple[Profile, ...]) -> tuple[Profile | None, Path, _Problem | None]:
+    """Return the profile that claims a file, the log that the file belongs to, and the problem with it."""
+    for profile in profiles:
+        log = profile.log_of_partner(file)
+        if log is None:
+            continue
+        # unlike that of a path this takes names that no file system allows
+        if os.path.exists(log):
+            return profile, log, None
+        text = f"the other file of this log, {log.name}, is missing; expected it in {file.parent}."
+        return None, file, (text, "partner-missing")
+    claimant = claim(file.name, profiles)
+    if claimant is None:
+        accepted = "; ".join(f"{p.name}: {', '.join(p.files)}" for p in profiles)
+        text = f"no profile claims a file of this name; accepted are {accepted}. Remove it or give --profile."
+        return None, file, (text, "no-profile")
+    return claimant, file, None

@@ -1,0 +1,1 @@
+"""The sampled, delayed loop in closed form; it knows nothing of logs."""

@@ -1,0 +1,259 @@
+"""Numbers behind the theory commands: costs of listed points, boundaries and optima as documents.
+
+All parameters are normalised (Table 3.1). What cannot be computed is None, with the reason beside it.
+`pipeline.theory.theory_map` makes maps of the same costs.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.base.errors import ParameterError
+from pipeline.records.batch import Booleans, Floats
+from pipeline.theory.loop import Loop
+from pipeline.theory.optimum import COST_CRITERIA, POLE_CRITERIA, optimal_point
+from pipeline.theory.pointcosts import point_costs_by_name
+from pipeline.theory.rules import POINT_CRITERIA, marked_point
+from pipeline.theory.stability import boundary, spectral_radius
+from pipeline.theory.transient import LONGEST
+
+CASE_COLUMNS = ("alpha", "beta", "gamma", "delta", "delay")
+ENERGIES = {signal: tuple(f"energy_{signal}_w{w}" for w in (0, 1, 2)) for signal in ("step", "impulse")}
+
+POINT_COSTS = tuple(
+    name + suffix
+    for name in ("settle_2pct", "overshoot", *ENERGIES["step"], *ENERGIES["impulse"])
+    for suffix in ("", "_discrete")
+)
+"""Costs of a listed point."""
+
+UNSIGNALLED = (*POINT_CRITERIA, *POLE_CRITERIA)
+"""Criteria that do not depend on which response is looked at: points without a cost, and poles."""
+
+OPTIMUM_CRITERIA = (*POINT_CRITERIA, *COST_CRITERIA)
+
+MARGINAL = 1e-12
+"""Distance of the spectral radius from 1 below which no cost is given: the poles are rounded to about 1e-15
+and energy costs grow with the inverse distance to the power of w + 1, so hardly three digits would be left."""
+
+
+@dataclass(frozen=True, eq=False)
+class Cases:
+    """Points of a CSV file: values, shape (n, 5), in the order of `CASE_COLUMNS`, and the row of each."""
+
+    path: Path
+    values: Floats
+    row: tuple[int, ...]
+
+
+def read_cases(path: Path) -> Cases:
+    """Read points from a CSV file with a header; columns in any order, further ones are ignored.
+
+    Parameters
+    ----------
+    path : Path
+        Columns alpha, beta, gamma, delta, delay, all normalised.
+
+    Raises
+    ------
+    ParameterError
+        If the file cannot be read, a column is missing or a cell is no finite number; rows are counted from
+        1, header included.
+    """
+    values: list[list[float]] = []
+    rows: list[int] = []
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as stream:
+            reader = csv.reader(stream, strict=True)
+            header = [name.strip() for name in next(reader, [])]
+            missing = [name for name in CASE_COLUMNS if name not in header]
+            if missing:
+                raise ParameterError(
+                    f"{path}, row 1: no column {', '.join(missing)}; expected a header with "
+                    f"{', '.join(CASE_COLUMNS)}, found {', '.join(header) or 'nothing'}."
+                )
+            double = [name for name in CASE_COLUMNS if header.count(name) > 1]
+            if double:
+                raise ParameterError(f"{path}, row 1: column {double[0]} occurs twice; remove one.")
+            places = [header.index(name) for name in CASE_COLUMNS]
+            for cells in reader:
+                if any(cell.strip() for cell in cells):
+                    values.append(_numbers(path, reader.line_num, cells, len(header), places))
+                    rows.append(reader.line_num)
+    except OSError as error:
+        raise ParameterError(
+            f"{path}: cannot be read ({error.strerror or error}). Give a CSV file of points."
+        ) from error
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise ParameterError(f"{path}: is no CSV file in UTF-8 ({error}).") from error
+    return Cases(path, np.array(values, dtype=np.float64).reshape(-1, len(CASE_COLUMNS)), tuple(rows))
+
+
+def _numbers(path: Path, row: int, cells: list[str], width: int, places: list[int]) -> list[float]:
+    if len(cells) != width:
+        raise ParameterError(f"{path}, row {row}: expected {width} cells as in the header, found {len(cells)}.")
+    numbers = []
+    for name, place in zip(CASE_COLUMNS, places, strict=True):
+        try:
+            number = float(cells[place])
+        except ValueError:
+            number = math.nan
+        if not math.isfinite(number):
+            raise ParameterError(f"{path}, row {row}, column {name}: expected a finite number, found {cells[place]!r}.")
+        numbers.append(number)
+    return numbers
+
+
+def point_costs(cases: Cases) -> list[dict[str, Any]]:
+    """Return stability and costs of each point, in the order of the file.
+
+    Parameters
+    ----------
+    cases : Cases
+
+    Returns
+    -------
+    list of dict
+        The five parameters, ``stable``, ``spectral_radius``, each of `POINT_COSTS` (None where it cannot be
+        had) and ``reason`` (why costs are None, else None).
+
+    Raises
+    ------
+    ParameterError
+        If gamma, delta or delay of a row is outside its range.
+
+    Notes
+    -----
+    Points with alpha + gamma <= 0 have no final position, a real pole z >= 1, and are not stable.
+    """
+    documents: list[dict[str, Any]] = [{} for _ in cases.row]
+    plants, group = np.unique(cases.values[:, 2:], axis=0, return_inverse=True)
+    group = group.ravel()
+    for number, plant in enumerate(plants):
+        members = np.flatnonzero(group == number)
+        try:
+            loop = Loop(*(float(value) for value in plant))
+        except ParameterError as error:
+            raise ParameterError(f"{cases.path}, row {cases.row[members[0]]}: {error}") from error
+        alpha, beta = cases.values[members, 0], cases.values[members, 1]
+        for index, document in zip(members, _points_of_loop(loop, alpha, beta), strict=True):
+            documents[index] = document
+    return documents
+
+
+def _points_of_loop(loop: Loop, alpha: Floats, beta: Floats) -> list[dict[str, Any]]:
+    radius = spectral_radius(loop, alpha, beta)
+    stable = stable_points(loop, alpha, radius)
+    usable = np.flatnonzero(stable & (radius < 1 - MARGINAL))
+    costs = {name: np.full(len(alpha), np.nan) for name in POINT_COSTS}
+    if len(usable):
+        found = point_costs_by_name(loop, alpha[usable], beta[usable], POINT_COSTS, LONGEST)
+        for name, values in found.items():
+            costs[name][usable] = values
+    columns = {name: [None if math.isnan(v) else float(v) for v in values] for name, values in costs.items()}
+    result = []
+    for i in range(len(alpha)):
+        point = {name: column[i] for name, column in columns.items()}
+        result.append(
+            {
+                "alpha": float(alpha[i]),
+                "beta": float(beta[i]),
+                **_plant(loop),
+                "stable": bool(stable[i]),
+                "spectral_radius": float(radius[i]),
+                **point,
+                "reason": _reason(loop, float(alpha[i]), float(radius[i]), None in point.values()),
+            }
+        )
+    return result
+
+
+def _plant(loop: Loop) -> dict[str, float]:
+    return {"gamma": loop.gamma, "delta": loop.delta, "delay": loop.delay}
+
+
+def _reason(loop: Loop, alpha: float, radius: float, incomplete: bool) -> str | None:
+    if alpha + loop.gamma <= 0:
+        return "no final position: alpha + gamma <= 0"
+    if radius >= 1:
+        return "unstable"
+    if radius >= 1 - MARGINAL:
+        return f"spectral radius within {MARGINAL:g} of 1: costs would be rounding errors"
+    return f"still moves after {LONGEST} samples" if incomplete else None
+
+
+def stable_points(loop: Loop, alpha: Floats, radius: Floats) -> Booleans:
+    """Return where points of known spectral radius are stable.
+
+    With alpha + gamma <= 0 there is a real pole at or above z = 1, which rounding may show just below it.
+    """
+    return np.asarray((radius < 1) & (alpha + loop.gamma > 0))
+
+
+def boundary_document(loop: Loop, points: int = 400) -> dict[str, Any]:
+    """Return the stability boundary with its extreme points, as the document that `theory boundary` prints.
+
+    Source: Hulin 2017, sec. 3.4.
+    """
+    border = boundary(loop, points)
+    return {
+        **_plant(loop),
+        "alpha_max": border.alpha_max,
+        "beta_at_alpha_max": border.beta_at_alpha_max,
+        "beta_max": border.beta_max,
+        "alpha_at_beta_max": border.alpha_at_beta_max,
+        "alpha": border.alpha.tolist(),
+        "beta": border.beta.tolist(),
+    }
+
+
+def optimum_document(loop: Loop, criterion: str, signal: str | None = None) -> dict[str, Any]:
+    """Return the optimal point of a criterion as the document that `theory optimum` prints.
+
+    Parameters
+    ----------
+    loop : Loop
+    criterion : str
+        One of `OPTIMUM_CRITERIA`; for the sampled response with ``_discrete`` appended, or by `signal`.
+    signal : {"continuous", "discrete"}, optional
+        Which response the cost is taken from; by default as the criterion's name says.
+
+    Raises
+    ------
+    ParameterError
+        For a criterion or signal that is not supported, or where both contradict each other.
+    """
+    base = criterion.removesuffix("_discrete")
+    if base not in OPTIMUM_CRITERIA or (base in UNSIGNALLED and criterion != base):
+        raise ParameterError(
+            f"no optimum for criterion {criterion!r}; supported are {', '.join(OPTIMUM_CRITERIA)}, "
+            f"all but {', '.join(UNSIGNALLED)} also with _discrete appended."
+        )
+    if signal not in (None, "continuous", "discrete"):
+        raise ParameterError(f"signal {signal!r}: expected continuous or discrete.")
+    if signal == "continuous" and criterion != base:
+        raise ParameterError(f"criterion {criterion!r} is a discrete one, but the signal is continuous.")
+    document: dict[str, Any] = {"criterion": criterion, **_plant(loop)}
+    if base in POINT_CRITERIA:
+        mark = marked_point(loop, base)
+        reason = (
+            "a tuning rule has no cost"
+            if base == "ziegler_nichols"
+            else "a point of the stability boundary has no cost"
+        )
+        return {**document, "alpha": mark.alpha, "beta": mark.beta, "cost": None, "reason": reason}
+    name = f"{base}_discrete" if signal == "discrete" and base not in UNSIGNALLED else criterion
+    point = optimal_point(loop, name)
+    document["criterion"] = name
+    document |= {"alpha": point.alpha, "beta": point.beta, "cost": point.cost}
+    if not point.attained:
+        document["reason"] = "a limit at the edge of the stable region, which no stable point reaches"
+    if point.box is not None:
+        document["box"] = dict(zip(("alpha_low", "alpha_high", "beta_low", "beta_high"), point.box, strict=True))
+    return document

@@ -1,0 +1,160 @@
+"""Theoretical optima in physical units, computed in parallel and kept below `processed/theory/`."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterable, Mapping
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import asdict, dataclass, field
+from functools import cached_property
+from multiprocessing import get_context
+from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from pipeline.base.provenance import code_digest, digest
+from pipeline.records.results import TheoryParameters
+from pipeline.records.tables import write_text
+from pipeline.theory.loop import Loop, Normalised
+from pipeline.theory.optimum import optimal_point
+from pipeline.theory.search import OptimalPoint
+from pipeline.theory.stability import Boundary, boundary
+
+THEORY_CODE = (
+    *("plant", "loop", "stability", "branches", "region", "energy", "lagsums", "transient", "poles"),
+    *("search", "lines", "overshoot", "optimum"),
+)
+"""Modules on which an optimum or a map depends: what they found is valid while their source is the same."""
+
+BOUNDARY_POINTS = 160
+"""Points of a boundary that is drawn."""
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """Theoretical optimum: stiffness [N/m, Nm/rad], damping [Ns/m, Nms/rad], cost; region (K, K, B, B) if it is one."""
+
+    stiffness: float
+    damping: float
+    cost: float
+    region: tuple[float, float, float, float] | None
+
+
+@dataclass(frozen=True)
+class Theory:
+    """The loop that belongs to a set of physical parameters."""
+
+    parameters: TheoryParameters
+
+    @cached_property
+    def units(self) -> Normalised:
+        """Factors between physical and normalised parameters."""
+        return Normalised(self.parameters.mass, self.parameters.sampling_period_s)
+
+    @cached_property
+    def loop(self) -> Loop:
+        """Normalised loop."""
+        p = self.parameters
+        return self.units.loop(p.stiffness, p.damping, p.delay_samples)
+
+    @cached_property
+    def boundary(self) -> Boundary:
+        """Stability boundary, normalised."""
+        return boundary(self.loop, BOUNDARY_POINTS)
+
+    def physical(self, point: OptimalPoint) -> Prediction:
+        """Return an optimal point in physical units."""
+        k, b = self.units.stiffness, self.units.damping
+        region = point.box and (point.box[0] * k, point.box[1] * k, point.box[2] * b, point.box[3] * b)
+        return Prediction(point.alpha * k, point.beta * b, point.cost, region)
+
+
+Request = tuple[Loop, str]
+
+
+class _Kept(BaseModel):
+    """A file of kept optima; what else it holds is for people."""
+
+    optima: dict[str, OptimalPoint]
+
+    model_config = ConfigDict(allow_inf_nan=False)
+
+
+@dataclass
+class Predictions:
+    """Optima that are asked for, looked up or computed.
+
+    Parameters
+    ----------
+    folder : Path
+        Where computed optima are kept, one JSON file for each loop.
+    """
+
+    folder: Path
+    _known: dict[Request, OptimalPoint] = field(default_factory=dict)
+    _pending: dict[Request, Future[OptimalPoint]] = field(default_factory=dict)
+    _pool: ProcessPoolExecutor | None = None
+
+    def missing(self, requests: Iterable[Request]) -> list[Request]:
+        """Return the requests whose answer is not kept."""
+        wanted = dict.fromkeys(requests)
+        for loop in {loop for loop, _ in wanted}:
+            self._known |= {(loop, c): p for c, p in self._read(loop).items()}
+        return [request for request in wanted if request not in self._known]
+
+    def start(self, requests: Iterable[Request]) -> None:
+        """Begin to compute what is missing, in other processes where there is more than one optimum and processor."""
+        missing = self.missing(requests)
+        workers = min(len(missing), os.cpu_count() or 1)
+        if workers < 2:
+            self._store({request: optimal_point(*request) for request in missing})
+            return
+        # spawn: a fork would copy the locks of Arrow's threads in an unknown state
+        self._pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"))
+        # slow ones first, so that no processor ends up waiting for the last
+        order = sorted(
+            missing, key=lambda r: (not r[1].startswith("overshoot"), r[1].startswith("energy"), -r[0].delay)
+        )
+        self._pending = {request: self._pool.submit(optimal_point, *request) for request in order}
+
+    def finish(self) -> None:
+        """Wait for what `start` began, and keep it."""
+        try:
+            try:
+                found = {request: future.result() for request, future in self._pending.items()}
+            except BrokenProcessPool:
+                # a process was killed, or could not import the caller's main program (typed in, or without a guard)
+                found = {request: optimal_point(*request) for request in self._pending}
+            self._store(found)
+        finally:
+            self._pending = {}
+            if self._pool is not None:
+                self._pool.shutdown(cancel_futures=True)
+                self._pool = None
+
+    def get(self, theory: Theory, criterion: str) -> Prediction:
+        """Return an optimum that was asked for before, in physical units."""
+        return theory.physical(self._known[theory.loop, criterion])
+
+    def cost(self, loop: Loop, criterion: str) -> float:
+        """Return the cost of an optimum that was asked for before."""
+        return self._known[loop, criterion].cost
+
+    def _store(self, found: Mapping[Request, OptimalPoint]) -> None:
+        self._known |= found
+        for loop in {loop for loop, _ in found}:
+            points = self._read(loop) | {c: p for (other, c), p in found.items() if other == loop}
+            document = {"loop": asdict(loop), "optima": {c: asdict(p) for c, p in sorted(points.items())}}
+            write_text(self._file(loop), json.dumps(document, indent=1) + "\n")
+
+    def _file(self, loop: Loop) -> Path:
+        key = digest([loop.gamma, loop.delta, loop.delay, code_digest(*THEORY_CODE)])
+        return self.folder / f"{key}.json"
+
+    def _read(self, loop: Loop) -> dict[str, OptimalPoint]:
+        try:
+            return _Kept.model_validate_json(self._file(loop).read_bytes()).optima
+        except (FileNotFoundError, ValidationError):
+            return {}  # nothing is kept, or not in this form: it is computed anew
