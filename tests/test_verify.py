@@ -6,7 +6,9 @@ import json
 import random
 import re
 import shutil
+import zlib
 from dataclasses import dataclass
+from functools import partial
 from html import unescape
 from pathlib import Path
 
@@ -16,6 +18,8 @@ import pytest
 
 from pipeline.base.errors import UsageError
 from pipeline.comparison.compare import compare
+from pipeline.comparison.trial_data import trial_page
+from pipeline.records import trial_codec
 from pipeline.rendering import report_parts
 from pipeline.rendering.report_parts import take_apart
 from pipeline.shell import verify
@@ -142,6 +146,40 @@ def test_a_fresh_report_holds(original):
     assert found.checked["cells"] == len(take_apart(original.page()).cells) > 100
     assert found.checked["values"] > 300
     assert any("all equal" in line for line in verify.lines_of(found))
+
+
+def test_a_report_from_a_machine_that_packs_otherwise_holds(original, tmp_path, monkeypatch):
+    """The same content packs to other bytes by another build of zlib, and another number of responses fits in."""
+
+    class OtherZlib:
+        compress = staticmethod(lambda content, level: zlib.compress(content, 2))
+        compressobj = staticmethod(lambda level: zlib.compressobj(2))
+        decompress = staticmethod(zlib.decompress)
+
+    # so little that not all responses fit
+    monkeypatch.setattr("pipeline.comparison.compare.trial_page", partial(trial_page, budget=25_000))
+    texts = []
+    page = tmp_path / "report.html"
+    for packer in (zlib, OtherZlib):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(trial_codec, "zlib", packer)
+            page.unlink(missing_ok=True)
+            compare("falcon", original.processed, criteria=CRITERIA, report=page)
+        texts.append(take_apart(page.read_text(encoding="utf-8")).data["trial-data"])
+    here, there = ([e["shown"] for e in json.loads(text)["experiments"]] for text in texts)
+    assert 0 < there[0] < here[0] < 180
+    found = verify.verify(page, original.processed)
+    assert found.equal, found.differences
+    # what is packed is compared all the same
+    content = json.loads(texts[1])
+    columns = trial_codec.unpack(content["experiments"][0]["columns"])
+    columns["k"][5] += 20
+    content["experiments"][0]["columns"] = trial_codec.pack(columns)
+    assert texts[1] in page.read_text(encoding="utf-8")
+    changed = page.read_text(encoding="utf-8").replace(texts[1], json.dumps(content))
+    page.write_text(changed, encoding="utf-8")
+    names = [d.name for d in verify.verify(page, original.processed).differences]
+    assert names == ["trial-data/experiments/0/columns/k/5"]
 
 
 def test_one_digit_changed_in_each_of_twenty_random_cells_is_named(desk, quick):

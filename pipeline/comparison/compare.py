@@ -112,6 +112,7 @@ def compare(
     report: Path | None = None,
     dry_run: bool = False,
     full: bool = False,
+    responses: Sequence[int] | None = None,
     shown: Shown | None = None,
     scene_file: Path | None = None,
     progress: Callable[[str], None] | None = None,
@@ -133,6 +134,8 @@ def compare(
         Whether only the plan is made.
     full : bool
         Whether the report holds the response of every trial, whatever its size.
+    responses : sequence of int, optional
+        How many responses of each experiment the report holds; by default as many as its size allows.
     shown : Shown, optional
         Which figures, tables and overlays the report has; by default all that there is data for.
     scene_file : Path, optional
@@ -226,7 +229,9 @@ def compare(
             residuals=figures.residuals() if asked.has_figure("residuals") else (),
             stages=_rows(plan),
             accuracy=accuracy,
-            trials=trial_page(data, results, early, full=full) if asked.has_figure("trials") else None,
+            trials=trial_page(data, results, early, full=full, responses=responses)
+            if asked.has_figure("trials")
+            else None,
             tables=asked.tables,
             request=request(data, logs, processed, code_digest(*REPORT_CODE)) | {"full": full},
         )

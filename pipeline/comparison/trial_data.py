@@ -60,6 +60,7 @@ def trial_page(
     *,
     full: bool = False,
     budget: int = BUDGET,
+    responses: Sequence[int] | None = None,
 ) -> TrialPage:
     """Gather the trials of all experiments.
 
@@ -74,6 +75,9 @@ def trial_page(
         Whether every response goes into the page, whatever its size.
     budget : int
         Characters for all experiments together. The columns of all trials always go in, also beyond it.
+    responses : sequence of int, optional
+        How many responses of each experiment go in, whatever their size. How many a budget allows differs between
+        builds of zlib; a report that is checked elsewhere is made with the numbers that it has.
     """
     criteria = data.scene.criteria
     gathered = [
@@ -83,7 +87,8 @@ def trial_page(
     left = budget - sum(len(e.columns) for e in gathered)
     # experiments with few trials first: what they do not use is for the others
     for done, number in enumerate(sorted(range(len(gathered)), key=lambda n: len(gathered[n].verdict))):
-        left -= gathered[number].embed(None if full else max(left, 0) // (len(gathered) - done))
+        share = None if full or responses else max(left, 0) // (len(gathered) - done)
+        left -= gathered[number].embed(share, responses[number] if responses else None)
     motion: Motion = "rotation" if data.experiments[0].rotation else "translation"
     content = {
         "units": {"stiffness": UNITS[motion].stiffness, "damping": UNITS[motion].damping},
@@ -172,9 +177,9 @@ class _Experiment:
                     found[point.damping, stiffness] = row_there
         return found
 
-    def embed(self, budget: int | None) -> int:
-        """Pack as many responses as a budget allows; return how many characters they take."""
-        self.responses, self.embedded = pack_within(self._all_entries(), budget)
+    def embed(self, budget: int | None, most: int | None) -> int:
+        """Pack as many responses as a budget allows, ``most`` at most; return how many characters they take."""
+        self.responses, self.embedded = pack_within(self._all_entries(), budget, most)
         return len(self.responses)
 
     def _all_entries(self) -> Iterator[dict[str, Any]]:

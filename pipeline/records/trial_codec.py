@@ -10,6 +10,7 @@ import base64
 import json
 import zlib
 from collections.abc import Iterable
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -129,7 +130,7 @@ def unpack(packed: str) -> Any:
     return json.loads(zlib.decompress(base64.b64decode(packed)))
 
 
-def pack_within(entries: Iterable[Any], budget: int | None) -> tuple[str, int]:
+def pack_within(entries: Iterable[Any], budget: int | None, most: int | None = None) -> tuple[str, int]:
     """Pack a list as `pack` does, as many of its first entries as a budget allows; return it and their number.
 
     Parameters
@@ -138,10 +139,12 @@ def pack_within(entries: Iterable[Any], budget: int | None) -> tuple[str, int]:
         JSON values; those beyond the budget are not asked for, but for one.
     budget : int or None
         Largest number of characters; None takes all. An empty list is packed whatever the budget.
+    most : int, optional
+        Largest number of entries; by default the budget alone says how many.
     """
     deflate, packed, count = zlib.compressobj(9), b"", 0
     done = deflate.compress(b"[")
-    for entry in entries:
+    for entry in islice(entries, most):
         trial, ahead = deflate.copy(), done
         ahead += trial.compress((b"," if count else b"") + _json(entry))
         closed = trial.copy()

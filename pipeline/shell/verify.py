@@ -6,6 +6,7 @@ import json
 import math
 import shutil
 import tempfile
+import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -17,6 +18,7 @@ from pipeline.base.provenance import code_digest
 from pipeline.comparison.compare import REPORT_CODE, compare
 from pipeline.records.models import Record, Scene
 from pipeline.records.results import ComparisonResult
+from pipeline.records.trial_codec import unpack
 from pipeline.rendering import report_parts
 from pipeline.rendering.report_parts import Parts, take_apart
 from pipeline.shell.verify_logs import LogProblem, ReportedLogs, read_anew
@@ -31,6 +33,12 @@ MOST_CHARACTERS = 200
 """Characters of a part that are quoted."""
 
 MISSING = "(missing)"
+
+TRIAL_DATA = "trial-data"
+"""Data block with the trials of the page."""
+
+PACKED = ("/columns", "/responses")
+"""Ends of the places in it that `trial_codec.pack` packed."""
 
 
 class Difference(Record):
@@ -132,6 +140,7 @@ def verify(
                 criteria=request.scene.criteria,
                 report=again,
                 full=request.full,
+                responses=_responses(found, len(request.scene.experiments)),
                 shown=request.scene.shown,
                 progress=progress,
             )
@@ -257,6 +266,15 @@ def _compared(kind: Kind, expected: Mapping[str, str], found: Mapping[str, str])
             yield _difference(kind, name, new, old)
 
 
+def _responses(found: Parts, experiments: int) -> list[int] | None:
+    """Return how many responses of each experiment a page holds; None where it does not say."""
+    try:
+        numbers = [int(e["shown"]) for e in json.loads(found.data[TRIAL_DATA])["experiments"]]
+    except (KeyError, TypeError, ValueError):
+        return None
+    return numbers if len(numbers) == experiments and min(numbers, default=0) >= 0 else None
+
+
 def _data_differences(name: str, expected: str | None, found: str | None) -> Iterator[Difference]:
     if expected == found:
         return
@@ -284,8 +302,10 @@ def _comparable(result: ComparisonResult) -> Any:
 
 
 def _leaves(value: Any, place: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield place and value of everything in a document that is no list and no object."""
+    """Yield place and value of everything in a document that is no list and no object, also of what is packed in it."""
     items: Iterable[tuple[Any, Any]]
+    if place.endswith(PACKED):
+        value = _unpacked(value)
     if isinstance(value, dict):
         items = value.items()
     elif isinstance(value, list):
@@ -295,6 +315,14 @@ def _leaves(value: Any, place: str = "") -> Iterator[tuple[str, Any]]:
         return
     for key, part in items:
         yield from _leaves(part, f"{place}/{key}")
+
+
+def _unpacked(value: Any) -> Any:
+    """Return what is packed in a value; the value where nothing is. The same content packs to other bytes elsewhere."""
+    try:
+        return unpack(value)
+    except (TypeError, ValueError, zlib.error):
+        return value
 
 
 def _difference(kind: Kind, name: str, expected: str, found: str) -> Difference:
