@@ -127,6 +127,15 @@ def change_cell(page: str, name: str, number: int) -> str:
     return page[:start] + another_digit(page[start:stop], number) + page[stop:]
 
 
+def change_text(page: str, name: str, text: str) -> str:
+    """The page with the whole text of a cell changed."""
+    row, _, cell = name.rpartition("/")
+    start = page.index(f'<tr data-row="{row}"')
+    place = re.compile(rf'data-cell="{re.escape(cell)}"[^>]*>([^<]*)').search(page, start)
+    assert place is not None
+    return page[: place.start(1)] + text + page[place.end(1) :]
+
+
 def change_stored_sample(desk: Desk) -> None:
     """Add a nanometre to one stored sample, in a file that is valid in itself."""
     file = next((desk.processed / "samples").rglob("*.parquet"))
@@ -195,6 +204,33 @@ def test_one_digit_changed_in_each_of_twenty_random_cells_is_named(desk, quick):
         assert not found.equal
         assert [d.name for d in found.differences if d.kind == "cell"] == [name]
         assert found.differences[0].found == take_apart(changed).cells[name]
+
+
+def test_rounding_is_allowed_only_in_a_page_that_is_as_it_was_written(desk, recomputed, quick, monkeypatch):
+    """Another processor computes another last digit; so does a hand."""
+    page = desk.page()
+    cells = take_apart(page).cells
+    name = next(n for n, t in cells.items() if re.fullmatch(r"\d+\.\d+", t) and not report_parts.is_free_cell(n))
+    digits = cells[name].replace(".", "")
+    last = f"{cells[name][:-1]}{'8' if digits[-1] == '9' else int(digits[-1]) + 1}"
+    far = f"{cells[name][:-1]}{(int(digits[-1]) + 5) % 10}"
+
+    def elsewhere(text):
+        """The page as computed anew has another number in that cell."""
+
+        def compare_again(device, processed, *, report, **_):
+            report.write_text(change_text(recomputed, name, text), encoding="utf-8")
+            return type("Outcome", (), {"result": None})
+
+        monkeypatch.setattr(verify, "compare", compare_again)
+        return verify.verify(desk.report, desk.processed)
+
+    rounded = elsewhere(last)
+    assert rounded.equal
+    assert "1 part computed anew with other last digits" in rounded.notes[-1]
+    assert [d.name for d in elsewhere(far).differences] == [name]
+    desk.report.write_text(page.replace('<html lang="en">', '<html lang="en" class="x">'), encoding="utf-8")
+    assert [d.name for d in elsewhere(last).differences] == [name]
 
 
 def test_changed_figures_sentences_scripts_and_the_rest_of_the_page_are_named(desk, quick):

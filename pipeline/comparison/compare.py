@@ -233,7 +233,8 @@ def compare(
             if asked.has_figure("trials")
             else None,
             tables=asked.tables,
-            request=request(data, logs, processed, code_digest(*REPORT_CODE)) | {"full": full},
+            request=request(data, logs, processed, code_digest(*REPORT_CODE))
+            | {"full": full, "document": digest(result.numbers())},
         )
         write_report(page, report)
         write_text(report.with_suffix(".json"), result.model_dump_json(indent=1) + "\n")

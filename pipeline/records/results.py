@@ -6,6 +6,7 @@ Records (pydantic) are the JSON document; `ReportData` adds the arrays of the fi
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 from pydantic import Field
 
@@ -100,6 +101,10 @@ class ComparisonResult(Record):
     report: str | None = None
     provenance: dict[str, str]
     logs: tuple[LogList, ...] = ()
+
+    def numbers(self) -> dict[str, Any]:
+        """Return the document as JSON values, without what tells of files and runs."""
+        return self.model_dump(mode="json", exclude={"provenance", "logs", "report"})
 
 
 @dataclass(frozen=True)

@@ -2,52 +2,32 @@
 
 from __future__ import annotations
 
-import json
-import math
 import shutil
 import tempfile
-import zlib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Literal
 
 from pydantic import BaseModel, ValidationError
 
 from pipeline.base.errors import PipelineError, StoreError, UsageError
-from pipeline.base.provenance import code_digest
+from pipeline.base.provenance import code_digest, digest
+from pipeline.base.wording import counted
 from pipeline.comparison.compare import REPORT_CODE, compare
 from pipeline.records.models import Record, Scene
 from pipeline.records.results import ComparisonResult
-from pipeline.records.trial_codec import unpack
 from pipeline.rendering import report_parts
 from pipeline.rendering.report_parts import Parts, take_apart
+from pipeline.shell.verify_differences import (
+    MISSING,
+    Comparison,
+    Difference,
+    embedded_responses,
+    free_differences,
+    leaves,
+    part_differences,
+    value_differences,
+)
 from pipeline.shell.verify_logs import LogProblem, ReportedLogs, read_anew
-
-Kind = Literal["cell", "figure", "data", "sentence", "value", "page"]
-
-ROUNDING = 1e-9
-"""Relative difference of two values of the JSON document that counts as none: other processors and builds of numpy
-round the last digits of a sum in another way."""
-
-MOST_CHARACTERS = 200
-"""Characters of a part that are quoted."""
-
-MISSING = "(missing)"
-
-TRIAL_DATA = "trial-data"
-"""Data block with the trials of the page."""
-
-PACKED = ("/columns", "/responses")
-"""Ends of the places in it that `trial_codec.pack` packed."""
-
-
-class Difference(Record):
-    """A part of the report that differs: ``expected`` was computed anew, ``found`` stands in the report."""
-
-    name: str
-    kind: Kind
-    expected: str
-    found: str
 
 
 class Verification(Record):
@@ -80,6 +60,7 @@ class _Request(BaseModel):
     logs: dict[str, ReportedLogs]
     code: str
     full: bool = False
+    document: str = ""
 
 
 def verify(
@@ -140,7 +121,7 @@ def verify(
                 criteria=request.scene.criteria,
                 report=again,
                 full=request.full,
-                responses=_responses(found, len(request.scene.experiments)),
+                responses=embedded_responses(found, len(request.scene.experiments)),
                 shown=request.scene.shown,
                 progress=progress,
             )
@@ -149,7 +130,12 @@ def verify(
         except PipelineError as error:
             raise StoreError(f"{report}: its numbers cannot be computed anew: {error}") from error
         expected = take_apart(again.read_text(encoding="utf-8"))
-    differences = [*_part_differences(expected, found), *_free_differences(found)]
+    stored = found.digests
+    untouched = stored is not None and stored.page == report_parts.page_digest(page)
+    # what was changed by hand, or rests on other logs, must agree to the last digit
+    as_made = untouched and not fresh.problems
+    parts = Comparison(rounding=as_made)
+    differences = [*part_differences(expected, found, parts), *free_differences(found)]
     checked = {
         "cells": len(found.cells),
         "figures": len(found.figures),
@@ -157,11 +143,16 @@ def verify(
         "data": len(found.data),
     }
     if document and outcome.result:
-        values = list(_value_differences(outcome.result, document))
-        differences += values
-        checked["values"] = sum(1 for _ in _leaves(_comparable(document)))
-    stored = found.digests
-    if not differences and stored and stored.page != report_parts.page_digest(page):
+        values = Comparison(rounding=as_made and request.document == digest(document.numbers()))
+        differences += value_differences(outcome.result, document, values)
+        checked["values"] = sum(1 for _ in leaves(document.numbers()))
+        parts.rounded += values.rounded
+    if parts.rounded:
+        notes.append(
+            f"{counted(parts.rounded, 'part')} computed anew with other last digits, as on another processor; the "
+            "report is as it was written"
+        )
+    if not differences and stored and not untouched:
         text = "the page was changed outside its numbers, sentences and figures"
         differences.append(Difference(name="page", kind="page", expected=stored.page, found=text))
     return Verification(
@@ -186,8 +177,10 @@ def lines_of(verification: Verification) -> list[str]:
     counts = ", ".join(f"{count} {kind}" for kind, count in verification.checked.items())
     if verification.equal:
         return [*lines, f"{verification.report}: all equal ({counts})"]
+    number = len(verification.differences)
     told = (
-        f"{len(verification.differences)} parts differ, {len(verification.logs)} logs or stored samples are not those"
+        f"{counted(number, 'part')} {'differs' if number == 1 else 'differ'}, {counted(len(verification.logs), 'log')} or "
+        "stored samples are not those"
     )
     return [*lines, f"{verification.report}: {told} of the report ({counts} checked)"]
 
@@ -225,109 +218,3 @@ def _document(report: Path) -> tuple[ComparisonResult | None, list[str]]:
         return None, [
             f"{path}: is no result of this version ({place}: {first['msg']}), so that only the page was checked"
         ]
-
-
-def _part_differences(expected: Parts, found: Parts) -> Iterator[Difference]:
-    cells = [{n: t for n, t in p.cells.items() if not report_parts.is_free_cell(n)} for p in (expected, found)]
-    yield from _compared("cell", *cells)
-    for name in {**expected.figures, **found.figures}:
-        pair = (expected.figures.get(name), found.figures.get(name))
-        if pair[0] != pair[1]:
-            new, old = ("(missing)" if text is None else f"drawing {report_parts.short(text)}" for text in pair)
-            yield Difference(name=f"figure {name}", kind="figure", expected=new, found=old)
-    for name in {**expected.data, **found.data}:
-        yield from _data_differences(name, expected.data.get(name), found.data.get(name))
-    texts = [{n: t for n, t in p.texts.items() if not report_parts.is_free_text(n)} for p in (expected, found)]
-    yield from _compared("sentence", *texts)
-
-
-def _free_differences(found: Parts) -> Iterator[Difference]:
-    """Parts that no log determines, held against the hashes in the page."""
-    stored = found.digests
-    if stored is None:
-        yield Difference(name="page", kind="page", expected="hashes of the parts in the head", found=MISSING)
-        return
-    now = report_parts.digests_of("", found)
-    kinds: tuple[tuple[Kind, dict[str, str], dict[str, str], dict[str, str]], ...] = (
-        ("cell", stored.cells, now.cells, found.cells),
-        ("sentence", stored.texts, now.texts, found.texts),
-    )
-    for kind, before, after, texts in kinds:
-        for name in {**before, **after}:
-            if before.get(name) != after.get(name):
-                expected = f"a text with the hash {before[name]}" if name in before else MISSING
-                yield _difference(kind, name, expected, texts.get(name, MISSING))
-
-
-def _compared(kind: Kind, expected: Mapping[str, str], found: Mapping[str, str]) -> Iterator[Difference]:
-    for name in {**expected, **found}:
-        new, old = expected.get(name, MISSING), found.get(name, MISSING)
-        if new != old:
-            yield _difference(kind, name, new, old)
-
-
-def _responses(found: Parts, experiments: int) -> list[int] | None:
-    """Return how many responses of each experiment a page holds; None where it does not say."""
-    try:
-        numbers = [int(e["shown"]) for e in json.loads(found.data[TRIAL_DATA])["experiments"]]
-    except (KeyError, TypeError, ValueError):
-        return None
-    return numbers if len(numbers) == experiments and min(numbers, default=0) >= 0 else None
-
-
-def _data_differences(name: str, expected: str | None, found: str | None) -> Iterator[Difference]:
-    if expected == found:
-        return
-    try:
-        new, old = (dict(_leaves(json.loads(text or "null"))) for text in (expected, found))
-    except json.JSONDecodeError:
-        new, old = ({"": report_parts.short(text) if text is not None else None} for text in (expected, found))
-    for place in {**new, **old}:
-        if new.get(place) != old.get(place):
-            yield _difference("data", f"{name}{place}", str(new.get(place, MISSING)), str(old.get(place, MISSING)))
-
-
-def _value_differences(expected: ComparisonResult, found: ComparisonResult) -> Iterator[Difference]:
-    new, old = (dict(_leaves(_comparable(result))) for result in (expected, found))
-    for place in {**new, **old}:
-        a, b = new.get(place, MISSING), old.get(place, MISSING)
-        if a == b or (isinstance(a, float) and isinstance(b, float) and math.isclose(a, b, rel_tol=ROUNDING)):
-            continue
-        yield _difference("value", f"json{place}", str(a), str(b))
-
-
-def _comparable(result: ComparisonResult) -> Any:
-    """The document without what tells of files and runs."""
-    return result.model_dump(mode="json", exclude={"provenance", "logs", "report"})
-
-
-def _leaves(value: Any, place: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield place and value of everything in a document that is no list and no object, also of what is packed in it."""
-    items: Iterable[tuple[Any, Any]]
-    if place.endswith(PACKED):
-        value = _unpacked(value)
-    if isinstance(value, dict):
-        items = value.items()
-    elif isinstance(value, list):
-        items = enumerate(value)
-    else:
-        yield place, value
-        return
-    for key, part in items:
-        yield from _leaves(part, f"{place}/{key}")
-
-
-def _unpacked(value: Any) -> Any:
-    """Return what is packed in a value; the value where nothing is. The same content packs to other bytes elsewhere."""
-    try:
-        return unpack(value)
-    except (TypeError, ValueError, zlib.error):
-        return value
-
-
-def _difference(kind: Kind, name: str, expected: str, found: str) -> Difference:
-    return Difference(name=name, kind=kind, expected=_cut(expected), found=_cut(found))
-
-
-def _cut(text: str) -> str:
-    return text if len(text) <= MOST_CHARACTERS else f"{text[:MOST_CHARACTERS]} ..."
