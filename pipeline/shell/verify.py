@@ -178,10 +178,8 @@ def lines_of(verification: Verification) -> list[str]:
     if verification.equal:
         return [*lines, f"{verification.report}: all equal ({counts})"]
     number = len(verification.differences)
-    told = (
-        f"{counted(number, 'part')} {'differs' if number == 1 else 'differ'}, {counted(len(verification.logs), 'log')} or "
-        "stored samples are not those"
-    )
+    parts = f"{counted(number, 'part')} {'differs' if number == 1 else 'differ'}"
+    told = f"{parts}, {counted(len(verification.logs), 'log')} or stored samples are not those"
     return [*lines, f"{verification.report}: {told} of the report ({counts} checked)"]
 
 
