@@ -9,7 +9,7 @@ help:
 	@echo "make demo      simulate a small Falcon and LWR course, ingest it, write reports/*.html (FULL=1: thesis size)"
 	@echo "make test      lint, type check and the fast tests"
 	@echo "make test-all  the slow tests too"
-	@echo "make bench     speed and memory of the thesis-size experiment and of the measured branch; speed and errors of the theory"
+	@echo "make bench     speed and memory of ingest, estimates, theory, reports and watch, at thesis size"
 	@echo "make docs      regenerate schemas/*.json and the figure in the README"
 	@echo "make clean     remove what the other targets made (logs in raw/ that you recorded are kept)"
 
@@ -42,6 +42,7 @@ bench: .venv/.dev
 	$(BIN)/python benchmarks/measured.py
 	$(BIN)/python benchmarks/theory.py
 	$(BIN)/python benchmarks/watch.py
+	$(BIN)/python benchmarks/report.py --verify
 
 docs: .venv/.dev
 	$(BIN)/python docs/make_schemas.py

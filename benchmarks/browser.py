@@ -20,7 +20,6 @@ from playwright.sync_api import Browser, sync_playwright
 OPENED = 5
 DRAWN_S = 1.5
 TOTAL_MB = 2.0
-PARTS_MB = {"figures": 1.2, "trials and scripts": 0.6, "all else": 0.2}
 WATCH = """
 addEventListener("DOMContentLoaded", () => {
   const done = () => { if (document.querySelector("#trial-plot canvas")) { window.drawn ??= performance.now(); } };
@@ -71,7 +70,7 @@ def main() -> None:
             text = path.read_text(encoding="utf-8")
             print(f"\n{path.name}: {len(text.encode()) / 1e6:.2f} MB (limit {TOTAL_MB:g})")
             for name, size in sizes(text).items():
-                print(f"  {name:<22}{size:>6.2f} MB (limit {PARTS_MB[name]:g})")
+                print(f"  {name:<22}{size:>6.2f} MB")
             for name, time_s in seconds(browser, path).items():
                 print(f"  {name:<22}{time_s:>6.2f} s  (limit {DRAWN_S:g})")
         browser.close()

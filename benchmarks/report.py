@@ -1,7 +1,7 @@
 """Time and size of reports at thesis size, whole processes from stored samples: all, settling only, again, verify.
 
-Prints a table beside the limits. Nothing here fails on a slow machine. Without a folder the thesis-size Falcon is
-simulated (minutes).
+Prints a table beside the limits, and where Chromium and Playwright are there the time until the pages are drawn
+(`browser.py`). Nothing here fails on a slow machine. Without a folder the thesis-size courses are simulated (minutes).
 
     python benchmarks/report.py [PROCESSED] [--device falcon] [--verify]
 """
@@ -15,6 +15,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from importlib.util import find_spec
 from pathlib import Path
 
 PIPELINE = [sys.executable, "-c", "from pipeline.shell.cli import run; run()"]
@@ -58,35 +59,49 @@ def simulated(folder: Path, device: str) -> Path:
     return folder / "stored"
 
 
-def main() -> None:
-    arguments = argparse.ArgumentParser(description=__doc__)
-    arguments.add_argument("processed", nargs="?", type=Path)
-    arguments.add_argument("--device", default="falcon")
-    arguments.add_argument("--verify", action="store_true", help="verify the full report, too")
-    given = arguments.parse_args()
-    with tempfile.TemporaryDirectory() as temporary:
-        folder = Path(temporary)
-        stored = given.processed.resolve() if given.processed else simulated(folder, given.device)
-        (folder / "scene.toml").write_text(SCENE.format(device=given.device), encoding="utf-8")
-        copy_samples(stored, folder / "full")
-        copy_samples(stored, folder / "settling")
-        full = ["compare", "--device", given.device, "--processed", "full", "--report", "full.html"]
-        settling = ["compare", "--scene", "scene.toml", "--processed", "settling", "--report", "settling.html"]
-        rows = [("full, from samples", seconds(full, folder), f"{FULL_S:g} s")]
-        for name in ("full.html", "full.json"):
-            (folder / name).unlink()
-        rows.append(("full, from stored stages", seconds(full, folder), f"{AGAIN_S:g} s"))
-        rows.append(("full, nothing changed", seconds(full, folder), "1 s"))
-        limit = f"{SHARE:.0%} of full: {SHARE * rows[0][1]:.1f} s"
-        rows.append(("settling scene, from samples", seconds(settling, folder), limit))
-        if given.verify:
-            rows.append(("verify", seconds(["verify", "full.html"], folder), "–"))
-        sizes = {name: (folder / name).stat().st_size / MB for name in ("full.html", "settling.html")}
-    print(f"{given.device}, {os.cpu_count()} processors, load {os.getloadavg()[0]:.1f}")
+def measure(device: str, stored: Path, folder: Path, *, verified: bool) -> Path:
+    """Print the times of a device's reports; return the full one."""
+    (folder / "scene.toml").write_text(SCENE.format(device=device), encoding="utf-8")
+    copy_samples(stored, folder / "full")
+    copy_samples(stored, folder / "settling")
+    report = folder / f"{device}.html"
+    full = ["compare", "--device", device, "--processed", "full", "--report", report.name]
+    settling = ["compare", "--scene", "scene.toml", "--processed", "settling", "--report", "settling.html"]
+    rows = [("full, from samples", seconds(full, folder), f"{FULL_S:g} s")]
+    for path in (report, report.with_suffix(".json")):
+        path.unlink()
+    rows.append(("full, from stored stages", seconds(full, folder), f"{AGAIN_S:g} s"))
+    rows.append(("full, nothing changed", seconds(full, folder), "1 s"))
+    limit = f"{SHARE:.0%} of full: {SHARE * rows[0][1]:.1f} s"
+    rows.append(("settling scene, from samples", seconds(settling, folder), limit))
+    if verified:
+        rows.append(("verify", seconds(["verify", report.name], folder), "–"))
+    print(f"{device}, {os.cpu_count()} processors, load {os.getloadavg()[0]:.1f}")
     print(f"{'':32}{'time':>9}  limit")
     for what, time_s, limit in rows:
         print(f"{what:<32}{time_s:>7.1f} s  {limit}")
-    print(", ".join(f"{name} {size:.2f} MB" for name, size in sizes.items()))
+    sizes = {path.name: path.stat().st_size / MB for path in (report, folder / "settling.html")}
+    print(", ".join(f"{name} {size:.2f} MB" for name, size in sizes.items()), flush=True)
+    return report
+
+
+def main() -> None:
+    arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    arguments.add_argument("processed", nargs="?", type=Path)
+    arguments.add_argument("--device", action="append", help="falcon and lwr where not given")
+    arguments.add_argument("--verify", action="store_true", help="verify the full reports, too")
+    given = arguments.parse_args()
+    with tempfile.TemporaryDirectory() as temporary:
+        reports = []
+        for device in given.device or ["falcon", "lwr"]:
+            folder = Path(temporary) / device
+            folder.mkdir()
+            stored = given.processed.resolve() if given.processed else simulated(folder, device)
+            reports.append(measure(device, stored, folder, verified=given.verify))
+        if shutil.which("chromium") and find_spec("playwright"):
+            subprocess.run(
+                [sys.executable, str(Path(__file__).with_name("browser.py")), *map(str, reports)], check=True
+            )
 
 
 if __name__ == "__main__":
