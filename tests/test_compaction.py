@@ -149,10 +149,10 @@ def test_bytes_are_rewritten_once_for_each_factor(grow, monkeypatch):
     written: Counter[str] = Counter()
     original = compaction.NewBatch.publish
 
-    def publish(batch, trials):
+    def publish(batch, trials, number):
         column = trials["trial_id"]
         written.update(column if isinstance(column, list) else column.to_pylist())
-        return original(batch, trials)
+        return original(batch, trials, number)
 
     monkeypatch.setattr(compaction.NewBatch, "publish", publish)
     processed, logs = grow(26, rows=3, most_small=3)

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from pipeline.base.errors import DeviceError
-from pipeline.base.provenance import schema_folder
-from pipeline.store.devices import USER_FOLDER_VARIABLE, find_experiment, known_devices, load_device, read_device
+from pipeline.base.provenance import USER_FOLDER_VARIABLE, schema_folder
+from pipeline.store.devices import find_experiment, known_devices, load_device, read_device
 
 TABLES = Path(__file__).parents[2] / "shared" / "reference" / "tables"
 FALCON = schema_folder() / "devices" / "falcon.toml"
@@ -143,6 +143,27 @@ def test_all_wrong_fields_are_named_at_once(tmp_path: Path) -> None:
         read_device(path)
     for field in (r"experiment[1].mass", "limits.travel", "sensor.q"):
         assert field in str(refused.value)
+
+
+def test_a_list_of_wrong_entries_is_not_called_too_short_besides(tmp_path: Path) -> None:
+    path = altered(tmp_path)
+    path.write_text(path.read_text(encoding="utf-8").replace("\ngrip = ", "\ngrab = "), encoding="utf-8")
+    with pytest.raises(DeviceError, match=r"7 field\(s\) to correct") as refused:
+        read_device(path)
+    assert "at least 1" not in str(refused.value)
+    text = path.read_text(encoding="utf-8")
+    path.write_text("experiment = []\n" + text[: text.index("[[experiment]]")], encoding="utf-8")
+    with pytest.raises(DeviceError, match=r"experiment.*at least 1"):
+        read_device(path)
+
+
+def test_a_copied_file_that_bears_the_old_name_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    altered(tmp_path, name="mine.toml")
+    monkeypatch.setenv(USER_FOLDER_VARIABLE, str(tmp_path))
+    with pytest.raises(DeviceError, match=r"mine\.toml: field name: found 'falcon', expected 'mine'; correct it"):
+        load_device("mine")
+    with pytest.raises(DeviceError, match=r'Put a device file \(\.toml\) with name = "other" into a folder'):
+        load_device("other")
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:

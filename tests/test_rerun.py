@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from native_logs import FAULTS, log_text, short_log
 
-from pipeline.base import rerun
+from pipeline.base import regular_files, rerun
 from pipeline.base.rerun import NOTE_FILE, Search, recall
 from pipeline.store.ingest import ingest
 from pipeline.store.quarantine import list_quarantine
@@ -153,3 +153,52 @@ def test_a_changed_log_that_is_refused_keeps_its_trials(lab):
         assert changed.outcome == "its new content is refused; the trials of the former one stay stored"
     note = lab / "processed" / NOTE_FILE
     assert not note.exists() or json.loads(note.read_text())["report"]["changed"]
+
+
+def test_a_change_is_told_once_and_one_that_is_refused_always(lab):
+    (lab / "logs" / "0.csv").write_text(log_text(50.0))
+    (lab / "logs" / "2.csv").write_text(FAULTS["second value missing"][0])
+    settle(lab / "logs")
+    told = [ingest([lab / "logs"], lab / "processed", jobs=1).changed]
+    remembered = recall(search(lab))
+    assert remembered is not None
+    (lab / "processed" / NOTE_FILE).unlink()
+    again = ingest([lab / "logs"], lab / "processed", jobs=1)
+    told.append(again.changed)
+    assert [[Path(source.path).name for source in changed] for changed in told] == [["0.csv", "2.csv"], ["2.csv"]]
+    assert remembered == again.model_dump(mode="json")
+
+
+def test_a_folder_that_goes_away_meanwhile_leaves_no_note(lab, monkeypatch):
+    def gone(path, **_):
+        raise FileNotFoundError(2, os.strerror(2), str(path))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(rerun.os, "walk", gone)
+        assert rerun.folders_of(search(lab)) is None
+    (lab / "processed" / NOTE_FILE).write_text("old")
+    rerun.remember(search(lab), None, time.time_ns(), [], {})
+    assert not (lab / "processed" / NOTE_FILE).exists()
+
+
+def test_what_may_not_be_looked_at_is_not_gone_and_a_folder_is_no_log(lab, monkeypatch):
+    (lab / "logs" / "0.csv").unlink()
+    (lab / "logs" / "0.csv").mkdir()
+    assert ingest([lab / "logs"], lab / "processed", jobs=1).removed == (str(lab / "logs" / "0.csv"),)
+    original = os.lstat
+
+    def closed(path, *arguments, **more):
+        if "deep" in os.fspath(path):
+            raise PermissionError(13, os.strerror(13), str(path))
+        return original(path, *arguments, **more)
+
+    (lab / "logs" / "deep").rename(lab / "elsewhere")
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "lstat", closed)
+        assert [regular_files.is_gone(lab / "logs" / name) for name in ("deep/1.csv", "2.csv", "x")] == [
+            False,
+            False,
+            True,
+        ]
+        report = ingest([lab / "logs"], lab / "processed", jobs=1)
+    assert report.removed == (str(lab / "logs" / "0.csv"),)

@@ -18,6 +18,7 @@ import pytest
 from native_logs import FAULTS, log_text
 
 from pipeline.base import lock
+from pipeline.base.provenance import USER_FOLDER_VARIABLE
 from pipeline.comparison.compare import compare
 from pipeline.comparison.scene_file import read_scene
 from pipeline.rendering.report import cells
@@ -431,6 +432,24 @@ def test_nothing_is_done_while_nothing_changes_and_growing_files_are_named(tmp_p
     notes.unlink()
     follow(tmp_path, lambda events: passes(notes) and passes(notes)[-1]["at"] + 1.0 < time.monotonic())
     assert len(passes(notes)) == 1
+
+
+def test_a_device_file_that_changes_or_comes_has_a_pass_done(tmp_path, monkeypatch):
+    notes = pass_of(monkeypatch, tmp_path, "done()")
+    (tmp_path / "devices").mkdir()
+    (tmp_path / "devices" / "arm.toml").write_text("a")
+    monkeypatch.setenv(USER_FOLDER_VARIABLE, str(tmp_path / "devices"))
+    changes = {1: ("arm.toml", "ab"), 2: ("other.toml", "a")}
+
+    def until(events):
+        done = len(passes(notes))
+        if done in changes:
+            name, text = changes.pop(done)
+            (tmp_path / "devices" / name).write_text(text)
+        return done == 3
+
+    follow(tmp_path, until)
+    assert len(passes(notes)) == 3
 
 
 def test_a_scene_that_changes_and_a_folder_that_goes_and_comes(tmp_path, monkeypatch):

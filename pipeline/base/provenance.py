@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from collections.abc import Iterable, Mapping
 from functools import cache
 from pathlib import Path
@@ -17,6 +18,16 @@ def schema_folder() -> Path:
     """Return the folder with device, profile and schema files: in the package, or beside it in a source checkout."""
     installed = PACKAGE_FOLDER / "_schemas"
     return installed if installed.is_dir() else PACKAGE_FOLDER.parent / "schemas"
+
+
+USER_FOLDER_VARIABLE = "PIPELINE_DEVICES"
+"""Environment variable that names a folder with device files of the user's own."""
+
+
+def user_device_folder() -> Path | None:
+    """Return the folder with the user's own device files; None where none is named."""
+    own = os.environ.get(USER_FOLDER_VARIABLE)
+    return Path(own) if own else None
 
 
 def sha256(data: bytes) -> str:

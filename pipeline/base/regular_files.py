@@ -1,4 +1,4 @@
-"""Opens files that may be anything: pipes, devices and folders are never read."""
+"""Opens files that may be anything: pipes, devices and folders are never read; tells files that are gone."""
 
 from __future__ import annotations
 
@@ -29,3 +29,14 @@ def open_regular(path: Path) -> BinaryIO:
     except OSError:
         os.close(handle)
         raise
+
+
+def is_gone(path: Path) -> bool:
+    """Return whether nothing bears a path any more; what may not be looked at is not gone, as far as one can tell."""
+    try:
+        os.lstat(path)
+    except (FileNotFoundError, NotADirectoryError):
+        return True
+    except OSError:
+        return False
+    return False

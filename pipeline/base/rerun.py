@@ -49,16 +49,20 @@ class Search:
         return digest([__version__, code_digest(*_CODE), place, texts])
 
 
-def folders_of(search: Search) -> Folders:
+def folders_of(search: Search) -> Folders | None:
     """Return all folders that decide which logs are found, with their modification time, below hidden ones none.
 
-    Raises
-    ------
-    OSError
-        If a given path, or the folder around it, is not there.
+    None where one of them went away while it was looked at: what is remembered would not hold.
     """
+    try:
+        return _folders_of(search)
+    except OSError:
+        return None
+
+
+def _folders_of(search: Search) -> Folders:
     found: Folders = {}
-    processed = os.path.abspath(search.processed)
+    processed = os.path.realpath(search.processed)
     for path in search.paths:
         if not os.path.isdir(path):
             # the other file of a pair lies beside it
@@ -67,13 +71,13 @@ def folders_of(search: Search) -> Folders:
             continue
         for here, names, _ in os.walk(path):
             found[here] = os.stat(here).st_mtime_ns
-            names[:] = [n for n in names if n[0] != "." and os.path.abspath(os.path.join(here, n)) != processed]
+            names[:] = [n for n in names if n[0] != "." and os.path.realpath(os.path.join(here, n)) != processed]
     return found
 
 
 def remember(
     search: Search,
-    before: Folders,
+    before: Folders | None,
     began_ns: int,
     files: Iterable[tuple[Sequence[str], int, int]],
     report: Mapping[str, Any],
@@ -83,7 +87,7 @@ def remember(
     Parameters
     ----------
     search : Search
-    before : dict
+    before : dict or None
         `folders_of` the search before it was done.
     began_ns : int
         Time before that [ns since 1970].
@@ -92,8 +96,8 @@ def remember(
     report : mapping
         What the same command will report if nothing changes.
     """
-    clock = max(before.values(), default=0) + COARSEST_CLOCK_NS
-    if clock > began_ns or before != folders_of(search):
+    clock = 0 if before is None else max(before.values(), default=0) + COARSEST_CLOCK_NS
+    if before is None or clock > began_ns or before != folders_of(search):
         forget(search)
         return
     document = {

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import os
 from collections import Counter
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.parquet as pq
 
 from pipeline.base.disk import TEMPORARY_ENDING
 from pipeline.base.errors import PipelineError
 from pipeline.base.file_names import path_of_text
 from pipeline.base.lock import holder
+from pipeline.base.regular_files import is_gone
 from pipeline.comparison.compare import compare
 from pipeline.comparison.scene import RUN
 from pipeline.measured.stages import STAGES, ExperimentStages
@@ -22,7 +23,7 @@ from pipeline.profiles.profile_files import shipped_profiles
 from pipeline.records.models import Record
 from pipeline.store.compaction import find_orphans
 from pipeline.store.quarantine import list_quarantine
-from pipeline.store.storage import folder_name, natural_key, read_trials, stage_file
+from pipeline.store.storage import folder_name, natural_key, read_trials, samples_metadata, stage_file, steadily
 
 UNCODED = "other"
 """Key of refusals by a version that gave no codes."""
@@ -86,10 +87,13 @@ class Status(Record):
         time of the first is compared: `pipeline ingest` knows for certain.
     quarantined : dict of str to int
         Refused logs by the code of the reason.
+    refused_gone : tuple of str
+        Those of them whose file is gone.
     orphans : tuple of str
         Samples files that no trial names, left by an interrupted command.
     orphan_bytes, temporary_bytes : int
-        Their size, and that of incomplete files [byte]; `pipeline compact` removes both.
+        Their size, and that of incomplete files [byte]; `pipeline compact` removes both. Where another command writes
+        at this moment, they may be its own.
     lock : Writer or None
         Who writes at this moment.
     """
@@ -105,6 +109,7 @@ class Status(Record):
     removed: tuple[str, ...]
     changed: tuple[str, ...]
     quarantined: dict[str, int]
+    refused_gone: tuple[str, ...]
     orphans: tuple[str, ...]
     orphan_bytes: int
     temporary_bytes: int
@@ -126,12 +131,19 @@ def status(processed: Path, reports: Path | None = None) -> Status:
     StoreError
         If a file is damaged.
     """
+    return steadily(processed, lambda: _status(processed, reports))
+
+
+def _status(processed: Path, reports: Path | None) -> Status:
+    held = holder(processed)
     trials = read_trials(processed)
     experiments = _experiments(processed, trials)
     removed, changed = _sources(trials)
     orphans = find_orphans(processed)
-    sizes = {Path(here, name): os.lstat(os.path.join(here, name)).st_size for here, name in _walk(processed)}
-    held = holder(processed)
+    sizes = _sizes(processed)
+    refused = list_quarantine(processed)
+    # who ended meanwhile may have written what was just listed
+    held = held or holder(processed)
     return Status(
         processed=str(processed),
         devices=len({e.device for e in experiments}),
@@ -143,7 +155,8 @@ def status(processed: Path, reports: Path | None = None) -> Status:
         reports=_reports(processed, reports, sorted({e.device for e in experiments})),
         removed=removed,
         changed=changed,
-        quarantined=dict(sorted(Counter(r.code or UNCODED for r in list_quarantine(processed)).items())),
+        quarantined=dict(sorted(Counter(r.code or UNCODED for r in refused).items())),
+        refused_gone=tuple(r.path for r in refused if is_gone(path_of_text(r.path))),
         orphans=tuple(path.relative_to(processed).as_posix() for path in orphans),
         orphan_bytes=sum(sizes.get(path, 0) for path in orphans),
         temporary_bytes=sum(size for path, size in sizes.items() if path.name.endswith(TEMPORARY_ENDING)),
@@ -151,13 +164,21 @@ def status(processed: Path, reports: Path | None = None) -> Status:
     )
 
 
-def _walk(folder: Path) -> list[tuple[str, str]]:
-    return [(here, name) for here, _, names in os.walk(folder) for name in names]
+def _sizes(folder: Path) -> dict[Path, int]:
+    """Return the size of each file below a folder [byte]."""
+    sizes = {}
+    for here, _, names in os.walk(folder):
+        for name in names:
+            with suppress(FileNotFoundError):  # renamed or removed by who writes there
+                sizes[Path(here, name)] = os.lstat(os.path.join(here, name)).st_size
+    return sizes
 
 
 def _experiments(processed: Path, trials: pa.Table) -> tuple[ExperimentStatus, ...]:
     pairs = set(zip(trials.column("device").to_pylist(), trials.column("experiment").to_pylist(), strict=True))
     found = []
+    # in one piece: else each selection goes through as many pieces as there are batches
+    trials = trials.combine_chunks()
     for device, experiment in sorted(pairs, key=lambda pair: (pair[0], natural_key(pair[1]))):
         own = trials.filter(
             pc.and_(pc.equal(trials.column("device"), device), pc.equal(trials.column("experiment"), experiment))
@@ -176,7 +197,7 @@ def _experiments(processed: Path, trials: pa.Table) -> tuple[ExperimentStatus, .
                 trials=own.num_rows,
                 rows=int(np.sum(own.column("rows").to_numpy())),
                 batches=len(files),
-                row_groups=sum(pq.read_metadata(file).num_row_groups for file in files),
+                row_groups=sum(samples_metadata(file).num_row_groups for file in files),
                 bytes=sum(file.stat().st_size for file in files),
                 stale=tuple(stale),
             )
@@ -210,7 +231,9 @@ def _sources(trials: pa.Table) -> tuple[tuple[str, ...], tuple[str, ...]]:
         try:
             state = path.stat()
         except OSError:
-            removed.append(key)
+            # what may not be looked at is not known to have changed; a link that leads nowhere holds no log
+            if is_gone(path) or path.is_symlink():
+                removed.append(key)
             continue
         whole = profile in single and path.is_file()
         if (whole and (state.st_size, state.st_mtime_ns) != (size, mtime_ns)) or state.st_mtime_ns > mtime_ns:

@@ -186,13 +186,19 @@ def status(
         console.say(f"{report.report}: {'out of date' if report.stale else 'up to date'}")
         for reason in report.stale[:LISTED]:
             console.say(f"  {reason}")
-    for line in (*_listed("changed since ingested", list(found.changed)), *_listed("gone", list(found.removed))):
+    changed = _listed("changed or touched since ingested", list(found.changed))
+    for line in (*changed, *_listed("gone", list(found.removed))):
         console.say(line)
     for code, count in found.quarantined.items():
         console.say(f"in quarantine, {code}: {count}")
+    for line in _listed("in quarantine, and no longer where it was", list(found.refused_gone)):
+        console.say(line)
     if found.orphans or found.temporary_bytes:
         left = found.orphan_bytes + found.temporary_bytes
-        console.say(f"left by interrupted commands: {_mb(left)}; `pipeline compact` removes it")
+        if found.lock is None:
+            console.say(f"left by interrupted commands: {_mb(left)}; `pipeline compact` removes it")
+        else:
+            console.say(f"not complete, or left by interrupted commands: {_mb(left)}")
     if found.lock is not None:
         console.say(f"process {found.lock.pid} on {found.lock.host} writes there since {found.lock.since}")
 

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pipeline.base.provenance import PACKAGE_FOLDER
+from pipeline.base.provenance import PACKAGE_FOLDER, user_device_folder
 from pipeline.shell.watch_files import Arrivals, Look, look_at, wait_after
 
 RETRY_S, LONGEST_RETRY_S = 60.0, 3600.0
@@ -74,7 +74,12 @@ class Watched:
     @property
     def files(self) -> tuple[Path, ...]:
         """Single files a change of which changes reports."""
-        return (*self.scenes, *([Path(self.profile)] if self.profile and os.path.isfile(self.profile) else []))
+        devices = user_device_folder()
+        return (
+            *self.scenes,
+            *([Path(self.profile)] if self.profile and os.path.isfile(self.profile) else []),
+            *(sorted(devices.glob("*.toml")) if devices else []),
+        )
 
 
 class Watch:

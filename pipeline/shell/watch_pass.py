@@ -133,6 +133,9 @@ def run_pass(request: PassRequest, emit: Emit, check: Callable[[], None]) -> Pas
             emit({"event": "busy", "reason": f"{other} is at work on {request.processed}" if other else str(error)})
             outcome.retry = True
             return outcome
+        except OSError as error:
+            _fail(emit, outcome, "pass", f"{request.processed}: cannot be written ({error})", retry=True)
+            return outcome
         _ingest(request, emit, check, outcome)
         _reports(request, emit, check, outcome)
         check()

@@ -46,16 +46,18 @@ class NewBatch:
             self._writer.write_table(samples, row_group_size=samples.num_rows)
             self.rows += samples.num_rows
 
-    def publish(self, trials: Mapping[str, Sequence[Any] | pa.ChunkedArray]) -> Path:
+    def publish(self, trials: Mapping[str, Sequence[Any] | pa.ChunkedArray], number: int) -> Path:
         """Make the batch visible and return its trials file.
 
         Parameters
         ----------
         trials : mapping of str to column
             All columns of the trials table but ``sample_file``.
+        number : int
+            Its number, above that of all visible batches (`next_number`).
         """
         identity = zip(*(_values(trials[name]) for name in ("source_path", "trial_id", "profile_sha256")), strict=True)
-        name = f"{next_number(self.processed):06d}-{digest(sorted(identity))}.parquet"
+        name = f"{number:06d}-{digest(sorted(identity))}.parquet"
         self._writer.close()
         path = self._file.publish(name)
         file = path.relative_to(self.processed).as_posix()

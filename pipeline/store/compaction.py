@@ -22,8 +22,15 @@ from pipeline.base.errors import StoreError
 from pipeline.base.lock import WAIT_S, writing
 from pipeline.records.models import Motion, Record
 from pipeline.records.tables import GROUP_ROWS, TABLES, read_table
-from pipeline.store.batch_files import NewBatch, remove_batches
-from pipeline.store.storage import list_devices, list_experiments, trials_files
+from pipeline.store.batch_files import NewBatch, next_number, remove_batches
+from pipeline.store.storage import (
+    list_devices,
+    list_experiments,
+    read_versions,
+    samples_metadata,
+    steadily,
+    trials_files,
+)
 from pipeline.store.versions import repair
 
 MOST_SMALL = 8
@@ -93,7 +100,7 @@ def compact(
         If a file is damaged or cannot be written, or another command writes there. Each trial stays stored, once.
     """
     if dry_run:
-        return _compacted(processed, dry_run=True)
+        return steadily(processed, lambda: _compacted(processed, dry_run=True))
     try:
         with writing(processed, wait_s, say):
             repair(processed)
@@ -139,11 +146,11 @@ def merge_small(processed: Path, device: str, experiment: str) -> None:
 
 def find_orphans(processed: Path) -> list[Path]:
     """Return the samples files that no trials file names: an interrupted writer left them."""
-    named = set()
-    for file in trials_files(processed):
-        named |= set(read_table(file, ["sample_file"]).column("sample_file").unique().to_pylist())
+    # listed first: what a writer makes visible meanwhile is no orphan
     files = sorted((processed / "samples").rglob("*.parquet"))
-    return [file for file in files if file.relative_to(processed).as_posix() not in named]
+    table, _ = read_versions(processed, None, None, ["sample_file"])
+    named = set(table.column("sample_file").unique().to_pylist())
+    return [file for file in files if file.relative_to(processed).as_posix() not in named and file.exists()]
 
 
 def _tier(rows: int) -> int:
@@ -173,7 +180,7 @@ def _by_motion(batches: Sequence[_Batch]) -> Iterator[list[_Batch]]:
 
 
 def _has_gaps(batch: _Batch) -> bool:
-    stored = sum(int(pq.read_metadata(path).num_rows) for path in batch.samples)
+    stored = sum(int(samples_metadata(path).num_rows) for path in batch.samples)
     return stored > batch.rows
 
 
@@ -210,7 +217,8 @@ def _merge(processed: Path, device: str, experiment: str, batches: Sequence[_Bat
                 tables.append(copier.copy(file, table.take(pa.array(own))))
         copier.finish()
         trials = pa.concat_tables(tables)
-        path = new.publish({name: trials.column(name) for name in TABLES["trials"] if name != "sample_file"})
+        columns = {name: trials.column(name) for name in TABLES["trials"] if name != "sample_file"}
+        path = new.publish(columns, next_number(processed))
     except BaseException:
         new.discard()
         raise

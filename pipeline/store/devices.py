@@ -8,7 +8,6 @@ same name.
 from __future__ import annotations
 
 import json
-import os
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -16,11 +15,8 @@ from typing import Any
 from pydantic import ValidationError
 
 from pipeline.base.errors import DeviceError
-from pipeline.base.provenance import schema_folder
+from pipeline.base.provenance import USER_FOLDER_VARIABLE, schema_folder, user_device_folder
 from pipeline.records.models import Device, Experiment
-
-USER_FOLDER_VARIABLE = "PIPELINE_DEVICES"
-"""Environment variable that names a folder with device files of the user's own."""
 
 
 def known_devices() -> dict[str, Device]:
@@ -33,9 +29,8 @@ def known_devices() -> dict[str, Device]:
         ``PIPELINE_DEVICES`` names does not exist.
     """
     devices = _read_folder(schema_folder() / "devices")
-    own = os.environ.get(USER_FOLDER_VARIABLE)
-    if own:
-        folder = Path(own)
+    folder = user_device_folder()
+    if folder is not None:
         if not folder.is_dir():
             raise DeviceError(
                 f"{folder}: {USER_FOLDER_VARIABLE} must name a folder with device files (*.toml), "
@@ -55,12 +50,19 @@ def load_device(name: str) -> Device:
         If no such device is known; the message lists those that are.
     """
     devices = known_devices()
-    if name not in devices:
+    if name in devices:
+        return devices[name]
+    unknown = f"device {name!r} is not known; known are {', '.join(devices)}."
+    own = user_device_folder()
+    if own is not None and (file := own / f"{name}.toml").is_file():
+        # a copied file still bears the name of the device that it was copied from
         raise DeviceError(
-            f"device {name!r} is not known; known are {', '.join(devices)}. "
-            f"Put a file {name}.toml into a folder and name that folder in {USER_FOLDER_VARIABLE}."
+            f"{unknown} {file}: field name: found {read_device(file).name!r}, expected {name!r}; correct it there."
         )
-    return devices[name]
+    raise DeviceError(
+        f"{unknown} Put a device file (.toml) with name = {json.dumps(name)} into a folder, and name that folder in "
+        f"{USER_FOLDER_VARIABLE}."
+    )
 
 
 def find_experiment(device: Device, name: str) -> Experiment:
@@ -104,7 +106,17 @@ def read_device(path: Path) -> Device:
         # by way of JSON: strict validation refuses mass = "0.58" and mass = true, yet takes arrays for tuples
         return Device.model_validate_json(json.dumps(data, default=str), strict=True)
     except ValidationError as error:
-        found = [_describe(dict(detail), data) for detail in error.errors(include_url=False)]
+        details = error.errors(include_url=False)
+        places = [detail["loc"] for detail in details]
+        # a list of which each entry was refused is called too short besides
+        found = [
+            _describe(dict(detail), data)
+            for detail in details
+            if detail["type"] != "too_short"
+            or not any(
+                len(place) > len(detail["loc"]) and place[: len(detail["loc"])] == detail["loc"] for place in places
+            )
+        ]
         raise DeviceError(
             f"{path}: wrong device file, {len(found)} field(s) to correct:\n" + "\n".join(found)
         ) from error

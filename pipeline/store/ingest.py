@@ -18,17 +18,26 @@ from pathlib import Path
 from pipeline.base.errors import LogError, StoreError, UsageError
 from pipeline.base.file_names import path_of_text, path_text, storable
 from pipeline.base.lock import WAIT_S, writing
+from pipeline.base.regular_files import is_gone
 from pipeline.base.rerun import Folders, Search, folders_of, forget, remember
 from pipeline.profiles.profile_files import Profile, load_profile, shipped_profiles
 from pipeline.readers import Log
 from pipeline.store.compaction import merge_small
 from pipeline.store.devices import known_devices
-from pipeline.store.ingest_report import Action, ChangedSource, IngestReport, LogWarning, PlannedSource, Refusal
-from pipeline.store.quarantine import QuarantineRecord, list_quarantine, refuse, release
+from pipeline.store.ingest_report import (
+    Action,
+    ChangedSource,
+    IngestReport,
+    LogWarning,
+    PlannedSource,
+    Refusal,
+    refusal_of,
+)
+from pipeline.store.quarantine import QuarantineRecord, list_quarantine, record_of, refuse, release
 from pipeline.store.reading import Read, batches_of, in_order, motion_of, read_and_check
-from pipeline.store.sources import Source, find_sources
+from pipeline.store.sources import Source, by_rest, find_sources
 from pipeline.store.trialstore import Accepted, TrialWriter, trial_id
-from pipeline.store.versions import StoredSource, drop_superseded, repair, stored_sources
+from pipeline.store.versions import StoredSource, drop_superseded, repair, stored_sources, why_ingested
 
 __all__ = ["IngestReport", "LogWarning", "Refusal", "ingest"]
 
@@ -105,14 +114,14 @@ def ingest(
     sources = find_sources(folders, profiles, processed, noticed)
     try:
         with nullcontext(False) if dry_run else writing(processed, wait_s, say) as waited:
-            before = {} if dry_run else folders_of(search)
+            before = None if dry_run else folders_of(search)
             if waited:
                 notices.clear()
                 began_ns = time.time_ns()
                 sources = find_sources(folders, profiles, processed, noticed)
             if not dry_run:
                 repair(processed)
-            settled, waiting = _settled(sources, settle_s, frozenset(growing))
+            settled, waiting = by_rest(sources, settle_s, frozenset(growing))
             digests = {p: p.digest() for p in profiles}
             run = _Ingest(processed, dry_run, rehash, digests, len(settled), progress)
             run.process(settled, jobs or min(4, os.cpu_count() or 1))
@@ -127,20 +136,6 @@ def ingest(
             "make room or correct the permissions and run the command again."
         ) from error
     return report
-
-
-def _settled(sources: Sequence[Source], settle_s: float, growing: frozenset[str]) -> tuple[list[Source], list[Source]]:
-    """Return the sources that were modified long enough ago, and the others."""
-    now = time.time_ns()
-    # a time in the future, by a clock that is wrong, is no reason to wait for ever
-    young = [
-        abs(now - s.mtime_ns) < settle_s * 1e9 or not growing.isdisjoint(os.path.abspath(f) for f in s.files)
-        for s in sources
-    ]
-    return (
-        [source for source, recent in zip(sources, young, strict=True) if not recent],
-        [source for source, recent in zip(sources, young, strict=True) if recent],
-    )
 
 
 class _Ingest:
@@ -174,15 +169,20 @@ class _Ingest:
         # hash of a content -> hash of its profile, and its path; a source that is looked at again enters after that
         self.known: dict[str, str] = {}
         self.place: dict[str, str] = {}
+        # hash of a content -> path where it stood, and nothing stands any more
+        self.gone: dict[str, str] = {}
+        self.renamed: set[str] = set()
 
     def process(self, sources: list[Source], jobs: int) -> None:
         """Decide on every source and store what is new."""
         unsettled = [source for source in sources if not self._settled_unread(source)]
-        again = {source.key for source in unsettled}
+        again, present = {source.key for source in unsettled}, {source.key for source in sources}
         for path, stored in self.stored.items():
             if path not in again and stored.whole:
                 self.known[stored.sha256] = stored.profile_sha256
                 self.place[stored.sha256] = path
+                if path not in present and is_gone(path_of_text(path)):
+                    self.gone[stored.sha256] = path
         # stored sources come first: a log that was copied and touched is recognised at its old place
         unsettled.sort(key=lambda source: (source.key not in self.stored, source.key))
         read = partial(self._read, use_threads=jobs > 2)
@@ -211,8 +211,10 @@ class _Ingest:
         """List stored sources below the searched folders that are not there any more."""
         present = {source.key for source in sources}
         roots = tuple(os.path.join(path_text(os.path.abspath(folder)), "") for folder in folders if folder.is_dir())
-        gone = (key for key in self.stored if key not in present and key.startswith(roots))
-        self.removed = sorted(key for key in gone if not os.path.lexists(path_of_text(key)))
+        missed = (key for key in self.stored if key not in present and key.startswith(roots))
+        # what may not be looked at is told as such; a folder in the place of a log is none
+        gone = (key for key in missed if is_gone(path := path_of_text(key)) or path.is_dir())
+        self.removed = sorted(key for key in gone if key not in self.renamed)
 
     def report(self, notices: Sequence[LogWarning]) -> IngestReport:
         """Return the counts."""
@@ -230,7 +232,7 @@ class _Ingest:
         )
 
     def remember(
-        self, search: Search, before: Folders, began_ns: int, report: IngestReport, notices: Sequence[LogWarning]
+        self, search: Search, before: Folders | None, began_ns: int, report: IngestReport, notices: Sequence[LogWarning]
     ) -> None:
         """Leave a note for the next run of the same command, unless it has to read a source again."""
         if self.waiting or self.unread:
@@ -238,7 +240,10 @@ class _Ingest:
             return
         files = [([os.path.abspath(file) for file in s.files], s.size, s.mtime_ns) for s in self.looked_at]
         skipped = report.found - len(report.quarantined)
-        again = report.model_copy(update={"ingested": 0, "skipped": skipped, "warnings": tuple(notices)})
+        refused = {refusal.path for refusal in report.quarantined}
+        changed = tuple(source for source in report.changed if source.path in refused)  # others are stored by now
+        update = {"ingested": 0, "skipped": skipped, "warnings": tuple(notices), "changed": changed}
+        again = report.model_copy(update=update)
         remember(search, before, began_ns, files, again.model_dump(mode="json"))
 
     def _plan(self, source: Source, action: Action, reason: str) -> None:
@@ -266,7 +271,12 @@ class _Ingest:
         return self.digests[source.profile] if source.profile else None
 
     def _read(self, sources: list[Source], use_threads: bool) -> list[Read]:
-        return read_and_check(sources, self.known, self._digest(sources[0]), use_threads)[0]
+        profile, known = sources[0].profile, self.known
+        if self.gone and profile is not None and profile.reads_names:
+            known = known.copy()  # other threads add to it
+            for sha256 in list(self.gone):
+                known.pop(sha256, None)
+        return read_and_check(sources, known, self._digest(sources[0]), use_threads)[0]
 
     def _settle(self, read: Read) -> None:
         source, profile = read.source, read.source.profile
@@ -287,26 +297,42 @@ class _Ingest:
         same = former is not None and (former.sha256, former.profile_sha256) == (sha256, profile_sha256)
         stored_here = same and former is not None and former.whole
         known = self.known.get(sha256)
+        gone = self.gone.get(sha256) if logs is not None and profile.reads_names else None
+        if gone is not None:
+            # another name may state other conditions: a corrected name is no copy
+            known = None
         if logs is None or stored_here or known == profile_sha256 or (known and not self._reprofiled(source, sha256)):
             other = self.place.get(sha256)
             self.known.setdefault(sha256, profile_sha256)
             self.place.setdefault(sha256, source.key)
             self._skip(source, "unchanged content" if other in (None, source.key) else f"same content as {other}")
-            if former is not None and not same:
-                # the content that stood here is gone, what stands here now is stored at another place
+            if profile.reads_names and other is not None and path_of_text(other).name != source.path.name:
+                text = f"has the content of {other} under another name; left out. Remove the one that is wrong."
+                self.warnings.append(LogWarning(path=source.shown, warning=text))
+            if former is not None and not (same and other in (None, source.key)):
+                # what stands here now is stored at another place, by this run where it stood here before
                 outcome = f"its content is now that of {other}; its former trials were removed"
+                if same:
+                    outcome = f"{other} now has the same content; its trials are stored as those of that log"
                 self._replace(source, former, outcome)
             return
+        name = path_text(source.path.name) if profile.reads_names else None
         accepted = [
-            Accepted(trial_id(sha256, log.label), sha256, source, log, motion, profile.name, profile_sha256, len(logs))
+            Accepted(
+                trial_id(sha256, log.label, name), sha256, source, log, motion, profile.name, profile_sha256, len(logs)
+            )
             for log, motion in [(log, motion_of(log, self.motions)) for log in logs]
         ]
+        # from here on nothing is refused
         self.known[sha256] = profile_sha256
         self.place[sha256] = source.key
         self.ingested += 1
+        if gone is not None:
+            self._rename(source, self.gone.pop(sha256))
         texts = dict.fromkeys(text for log in logs for text in log.warnings)
         self.warnings += [LogWarning(path=source.shown, warning=storable(text)) for text in texts]
-        self._plan(source, "ingest", _why_ingested(former, sha256, profile_sha256))
+        reason = why_ingested(former, sha256, profile_sha256) if gone is None else f"its name was {gone}"
+        self._plan(source, "ingest", reason)
         if former is not None and not same:
             changed = former.sha256 != sha256
             self._replace(source, former, "its trials were replaced by those of the new content" if changed else None)
@@ -327,6 +353,13 @@ class _Ingest:
         if not self.dry_run:
             self.replaced |= former.keys(source.key)
 
+    def _rename(self, source: Source, gone: str) -> None:
+        """Note that the trials of a log that bore another name give way to those that are read by its present one."""
+        self.renamed.add(gone)
+        self.changed.append(ChangedSource(path=gone, outcome=f"is now {source.shown}; its trials were read anew"))
+        if not self.dry_run:
+            self.replaced |= self.stored[gone].keys(gone)
+
     def _skip(self, source: Source, reason: str) -> None:
         self.skipped += 1
         self._plan(source, "skip", reason)
@@ -334,18 +367,7 @@ class _Ingest:
 
     def _refuse(self, read: Read, error: LogError) -> None:
         source = read.source
-        record = QuarantineRecord(
-            path=source.key,
-            size=source.size,
-            mtime_ns=source.mtime_ns,
-            sha256=read.sha256,
-            row=error.row,
-            reason=storable(error.reason),
-            profile=source.profile.name if source.profile else None,
-            profile_sha256=self._digest(source),
-            code=error.code,
-            profile_line=None if error.profile_line is None else storable(error.profile_line),
-        )
+        record = record_of(source, read.sha256, error, self._digest(source))
         self.unread |= read.sha256 is None
         self._refused(source, record)
         if not self.dry_run and not record.same_refusal(self.refused.get(source.key)):
@@ -373,22 +395,3 @@ class _Ingest:
     def _advance(self) -> None:
         if self.progress:
             self.progress(self.ingested + self.skipped + len(self.refusals), self.found)
-
-
-def _why_ingested(former: StoredSource | None, sha256: str, profile_sha256: str) -> str:
-    if former is None:
-        return "new"
-    if former.sha256 != sha256:
-        return "content changed"
-    return "profile changed" if former.profile_sha256 != profile_sha256 else "stored in part, by an interrupted run"
-
-
-def refusal_of(source: Source, record: QuarantineRecord) -> Refusal:
-    """Return what is reported of a source that is in quarantine."""
-    return Refusal(
-        path=source.shown,
-        reason=record.reason,
-        row=record.row,
-        code=record.code,
-        profile_line=record.profile_line,
-    )

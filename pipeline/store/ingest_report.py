@@ -6,6 +6,8 @@ from typing import Literal
 
 from pipeline.base.errors import Code
 from pipeline.records.models import Record
+from pipeline.store.quarantine import QuarantineRecord
+from pipeline.store.sources import Source
 
 Action = Literal["ingest", "skip", "refuse", "wait"]
 
@@ -72,3 +74,14 @@ class IngestReport(Record):
     changed: tuple[ChangedSource, ...] = ()
     waiting: tuple[str, ...] = ()
     plan: tuple[PlannedSource, ...] | None = None
+
+
+def refusal_of(source: Source, record: QuarantineRecord) -> Refusal:
+    """Return what is reported of a source that is in quarantine."""
+    return Refusal(
+        path=source.shown,
+        reason=record.reason,
+        row=record.row,
+        code=record.code,
+        profile_line=record.profile_line,
+    )

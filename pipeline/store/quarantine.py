@@ -14,14 +14,15 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from pipeline.base.disk import make_folder, replacing
-from pipeline.base.errors import Code, StoreError, UsageError
-from pipeline.base.file_names import path_of_text, path_text
+from pipeline.base.errors import Code, LogError, StoreError, UsageError
+from pipeline.base.file_names import path_of_text, path_text, storable
 from pipeline.base.provenance import digest
 from pipeline.base.regular_files import open_regular
 from pipeline.profiles.profile_files import Profile
 from pipeline.records.models import Record
 from pipeline.records.tables import write_text
 from pipeline.store.excerpt import NOTHING, Excerpt, excerpt_of
+from pipeline.store.sources import Source
 
 LARGEST_COPY = 64 << 20
 """Bytes up to which a refused file is copied; a log is well below 1 MB, what is larger was hardly one."""
@@ -92,11 +93,20 @@ def list_quarantine(processed: Path) -> list[QuarantineRecord]:
     ------
     StoreError
         If a record is damaged.
+    OSError
+        If the folder may not be read.
     """
     records = []
-    for file in sorted(quarantine_folder(processed).glob(f"*/{RECORD_FILE}")):
+    try:
+        names = sorted(os.listdir(quarantine_folder(processed)))
+    except FileNotFoundError:
+        return []
+    for name in names:
+        file = quarantine_folder(processed) / name / RECORD_FILE
         try:
             records.append(QuarantineRecord.model_validate_json(file.read_bytes()))
+        except (FileNotFoundError, NotADirectoryError):  # its log was accepted meanwhile, or it is no record
+            continue
         except ValidationError as error:
             raise StoreError(
                 f"{file}: is no quarantine record ({error.error_count()} errors). Remove its folder and ingest again."
@@ -128,6 +138,22 @@ def find_record(processed: Path, wanted: str) -> QuarantineRecord:
         if wanted == record_id(record) or path == record.path:
             return record
     raise UsageError(f"{wanted}: is not in quarantine. `pipeline quarantine list` shows ids and paths of what is.")
+
+
+def record_of(source: Source, sha256: str | None, error: LogError, profile_sha256: str | None) -> QuarantineRecord:
+    """Return the record of a refused source, without byte and excerpt."""
+    return QuarantineRecord(
+        path=source.key,
+        size=source.size,
+        mtime_ns=source.mtime_ns,
+        sha256=sha256,
+        row=error.row,
+        reason=storable(error.reason),
+        profile=source.profile.name if source.profile else None,
+        profile_sha256=profile_sha256,
+        code=error.code,
+        profile_line=None if error.profile_line is None else storable(error.profile_line),
+    )
 
 
 def refuse(processed: Path, record: QuarantineRecord, files: Iterable[Path], profile: Profile | None) -> None:
@@ -196,12 +222,14 @@ def _excerpt(record: QuarantineRecord, copy: Path, profile: Profile | None) -> E
 def _copy(source: Path, target: Path) -> bool:
     """Copy a file and return whether it is there; one that cannot be read or is too large is left out."""
     try:
-        stream = open_regular(source)
+        with open_regular(source) as stream:
+            size = os.fstat(stream.fileno()).st_size
+            # at once: whatever fails here is the source's fault, which must not end the ingest of all others
+            data = stream.read(LARGEST_COPY + 1) if size <= LARGEST_COPY else None
     except OSError:  # the record says that it cannot be read
         return False
-    with stream:
-        if os.fstat(stream.fileno()).st_size > LARGEST_COPY:
-            return False
-        with replacing(target) as copy:
-            shutil.copyfileobj(stream, copy, 1 << 20)
+    if data is None or len(data) > LARGEST_COPY:
+        return False
+    with replacing(target) as copy:
+        copy.write(data)
     return True

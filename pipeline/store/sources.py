@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import stat
+import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -89,7 +90,8 @@ def find_sources(
         If two profiles claim one file.
     """
     found: dict[str, Source] = {}
-    excluded = None if exclude is None else Path(os.path.abspath(exclude))
+    # what a link leads to may be reached by its own name, too
+    excluded = frozenset() if exclude is None else frozenset((os.path.realpath(exclude),))
     for path in paths:
         try:
             there = path.exists()
@@ -97,7 +99,8 @@ def find_sources(
             raise UsageError(f"{path}: cannot be looked at ({error.strerror}). Correct its permissions.") from error
         if not there:
             raise UsageError(f"{path}: no such file or folder. Give folders with logs, or single logs.")
-        if excluded in (here := Path(os.path.abspath(path)), *here.parents):
+        here = Path(os.path.realpath(path))
+        if not excluded.isdisjoint(map(str, (here, *here.parents))):
             raise UsageError(f"{path}: lies in {exclude}, where results are kept. Give folders with logs.")
         for file in _walk(path, excluded, notice or _say_nothing) if path.is_dir() else [path]:
             source = _source(file, profiles)
@@ -105,16 +108,40 @@ def find_sources(
     return [found[key] for key in sorted(found)]
 
 
+def by_rest(sources: Sequence[Source], settle_s: float, growing: frozenset[str]) -> tuple[list[Source], list[Source]]:
+    """Return the sources that were modified long enough ago, and the others.
+
+    Parameters
+    ----------
+    sources : sequence of Source
+    settle_s : float
+        Time that must have passed [s].
+    growing : frozenset of str
+        Absolute paths of files that are not at rest, whatever their times say.
+    """
+    now = time.time_ns()
+    # a time in the future, by a clock that is wrong, is no reason to wait for ever
+    young = [
+        abs(now - s.mtime_ns) < settle_s * 1e9 or not growing.isdisjoint(os.path.abspath(f) for f in s.files)
+        for s in sources
+    ]
+    return (
+        [source for source, recent in zip(sources, young, strict=True) if not recent],
+        [source for source, recent in zip(sources, young, strict=True) if recent],
+    )
+
+
 def _say_nothing(folder: Path, reason: str) -> None:
     """Take no notice."""
 
 
-def _walk(folder: Path, exclude: Path | None, notice: Notice) -> Iterator[Path]:
+def _walk(folder: Path, excluded: frozenset[str], notice: Notice) -> Iterator[Path]:
     def not_listed(error: OSError) -> None:
         notice(Path(os.fsdecode(error.filename)), f"folder cannot be read ({error.strerror}). Correct its permissions.")
 
     for here, folders, files in os.walk(folder, onerror=not_listed):
-        folders[:] = [f for f in folders if not f.startswith(".") and Path(os.path.abspath(here), f) != exclude]
+        real = os.path.realpath(here)
+        folders[:] = [f for f in folders if not f.startswith(".") and os.path.join(real, f) not in excluded]
         for name in folders:
             if os.path.islink(linked := os.path.join(here, name)):
                 notice(Path(linked), "is a link to a folder, which is not followed. Give that folder if it has logs.")

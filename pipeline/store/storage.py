@@ -15,11 +15,14 @@ from __future__ import annotations
 import json
 import os
 import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import TypeVar
 from urllib.parse import quote, unquote
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.parquet as pq
 
 from pipeline.base.errors import StoreError
 from pipeline.records.batch import Booleans, Integers, TrialBatch, pad
@@ -27,6 +30,8 @@ from pipeline.records.tables import TABLES, arrow_schema, read_table
 
 _OPTIONAL = ("force", "velocity")
 """Columns of samples that a log may lack."""
+
+Result = TypeVar("Result")
 
 _SAMPLES = ("time_s", "command", "position", *_OPTIONAL)
 
@@ -127,6 +132,43 @@ def _listing(folder: str) -> dict[str, tuple[int, int, int]]:
     return found
 
 
+def steadily(processed: Path, read: Callable[[], Result]) -> Result:
+    """Return what a function reads of a store without a lock; where files moved meanwhile, it is called again.
+
+    Raises
+    ------
+    StoreError
+        If it fails although nothing moved, or others write there all the time.
+    """
+    root = _trials_root(processed, None, None)
+    for _ in range(ATTEMPTS):
+        before = _listing(root)
+        try:
+            return read()
+        except (StoreError, FileNotFoundError):
+            if _listing(root) == before:
+                raise
+        time.sleep(_PAUSE_S)
+    raise StoreError(f"{root}: changed during each of {ATTEMPTS} attempts to read it. Wait for other commands.")
+
+
+def samples_metadata(file: Path) -> pq.FileMetaData:
+    """Return the metadata of a samples file: its rows and groups of rows.
+
+    Raises
+    ------
+    StoreError
+        If it is missing or damaged.
+    """
+    try:
+        return pq.read_metadata(file)
+    except (pa.ArrowException, OSError) as error:
+        raise StoreError(
+            f"{file}: samples file is missing or damaged ({error}), but its trials are stored. "
+            "Remove the trials file of the same name below trials/ and ingest the logs again."
+        ) from error
+
+
 def read_trials(
     processed: Path, device: str | None = None, experiment: str | None = None, columns: list[str] | None = None
 ) -> pa.Table:
@@ -213,18 +255,20 @@ def read_versions(
 def newest_versions(table: pa.Table) -> Booleans:
     """Return which rows of `read_versions` are the newest of their source path, each trial once.
 
-    Newer is the higher batch number; among files without one, the later modification of the source.
+    Newer is the higher batch number; among files without one, the later modification of the source. A log that stands
+    under two paths, as while one is renamed, is returned under the newer.
     """
-    paths = table.column("source_path").to_pylist()
-    if len(set(paths)) == len(paths):
+    paths, trials = (table.column(name).to_pylist() for name in ("source_path", "trial_id"))
+    sources = table.column("source_sha256").to_pylist()
+    if len(set(paths)) == len(set(sources)) == len(paths):
         return np.ones(table.num_rows, dtype=np.bool_)
-    trials, sources, profiles = (
-        table.column(name).to_pylist() for name in ("trial_id", "source_sha256", "profile_sha256")
-    )
+    profiles = table.column("profile_sha256").to_pylist()
     stamps, numbers = (table.column(name).to_numpy() for name in ("source_mtime_ns", BATCH))
     order = np.lexsort((np.arange(len(paths)), stamps, numbers)).tolist()
     newest = {paths[row]: (sources[row], profiles[row]) for row in order}
-    kept = {(paths[row], trials[row]): row for row in order if newest[paths[row]] == (sources[row], profiles[row])}
+    current = [row for row in order if newest[paths[row]] == (sources[row], profiles[row])]
+    place = {sources[row]: paths[row] for row in current}
+    kept = {trials[row]: row for row in current if place[sources[row]] == paths[row]}
     mask = np.zeros(table.num_rows, dtype=np.bool_)
     mask[list(kept.values())] = True
     return mask

@@ -20,7 +20,7 @@ from pipeline.readers.time_axis import step_flags
 from pipeline.records.batch import Floats, Integers
 from pipeline.records.models import Motion
 from pipeline.records.tables import GROUP_ROWS, to_arrow
-from pipeline.store.batch_files import NewBatch
+from pipeline.store.batch_files import NewBatch, next_number
 from pipeline.store.sources import Source
 
 
@@ -52,7 +52,8 @@ class TrialWriter:
     """Collects accepted logs and writes them as one batch per device, experiment and motion.
 
     Samples go to disk group by group, so that memory does not grow with a batch; with an executor one group is written
-    while the next is collected.
+    while the next is collected. The file of a batch is opened for its first group: logs of thousands of experiments
+    wait in memory, of which `limit` is the bound, and not in as many open files.
 
     Parameters
     ----------
@@ -77,7 +78,7 @@ class TrialWriter:
             header = one.log.header
             key = header.device, header.experiment, one.motion
             if key not in self._batches:
-                self._batches[key] = _Batch(NewBatch(self.processed, *key), self.executor)
+                self._batches[key] = _Batch(self.processed, *key, self.executor)
             self.experiments.add(key[:2])
             self._batches[key].add(one)
             self._bytes += one.bytes
@@ -86,10 +87,13 @@ class TrialWriter:
 
     def flush(self) -> list[Source]:
         """Make all that was collected visible and return its sources; after an error all that is stored is valid."""
+        # the caller holds the lock, so that nobody else takes a number meanwhile
+        number = next_number(self.processed) if self._batches else 0
         while self._batches:
             key = next(iter(self._batches))
-            self._batches[key].publish()
+            self._batches[key].publish(number)
             del self._batches[key]
+            number += 1
         sources, self._sources, self._bytes = self._sources, [], 0
         return sources
 
@@ -102,8 +106,11 @@ class TrialWriter:
 class _Batch:
     """Logs of one experiment on their way into a pair of files."""
 
-    def __init__(self, file: NewBatch, executor: Executor | None) -> None:
-        self.file, self.executor = file, executor
+    def __init__(
+        self, processed: Path, device: str, experiment: str, motion: Motion, executor: Executor | None
+    ) -> None:
+        self.place, self.executor = (processed, device, experiment, motion), executor
+        self.file: NewBatch | None = None
         self.writing: Future[None] | None = None
         self.pending: list[Accepted] = []
         self.pending_rows = 0
@@ -115,35 +122,39 @@ class _Batch:
         if self.pending_rows >= GROUP_ROWS:
             self._write_pending()
 
-    def publish(self) -> None:
+    def publish(self, number: int) -> None:
         if self.pending:
             self._write_pending()
         if self.writing is not None:
             self.writing.result()
-        self.file.publish(self.trials)
+        assert self.file is not None, "a batch is made for a log, which is pending or written"
+        self.file.publish(self.trials, number)
 
     def discard(self) -> None:
         if self.writing is not None:
             # what it raised was raised to who waited for it, or comes from the same cause
             self.writing.exception()
-        self.file.discard()
+        if self.file is not None:
+            self.file.discard()
 
     def _write_pending(self) -> None:
         members, self.pending, self.pending_rows = self.pending, [], 0
+        if self.file is None:
+            self.file = NewBatch(*self.place)
         if self.executor is None:
-            self._write_group(members)
+            self._write_group(self.file, members)
             return
         if self.writing is not None:
             # groups stand in order, and no more than one waits in memory
             self.writing.result()
-        self.writing = self.executor.submit(self._write_group, members)
+        self.writing = self.executor.submit(self._write_group, self.file, members)
 
-    def _write_group(self, members: Sequence[Accepted]) -> None:
+    def _write_group(self, file: NewBatch, members: Sequence[Accepted]) -> None:
         rows = np.array([len(m.log.time) for m in members], dtype=np.int64)
         time = np.concatenate([m.log.time for m in members])
         period = np.array([m.log.header.sampling_period_s for m in members], dtype=np.float64)
         flags = step_flags(time, rows, period)
-        first = self.file.rows + np.cumsum(rows) - rows
+        first = file.rows + np.cumsum(rows) - rows
         for member, flag, count, at in zip(members, flags, rows.tolist(), first.tolist(), strict=True):
             for name, value in _trial(member, flag).items():
                 self.trials[name].append(value)
@@ -163,7 +174,7 @@ class _Batch:
             "raw_time": _optional([_raw(m.log, "f") for m in members], rows, pa.float64()),
             "raw_count": _optional([_raw(m.log, "i") for m in members], rows, pa.int64()),
         }
-        self.file.write(to_arrow("samples", samples))
+        file.write(to_arrow("samples", samples))
 
 
 def _trial(accepted: Accepted, flags: Mapping[str, Any]) -> dict[str, object]:
@@ -212,8 +223,8 @@ def _nulls(rows: int, dtype: pa.DataType) -> pa.ChunkedArray:
     return pa.chunked_array([*([piece] * whole), piece[:rest]], type=dtype)
 
 
-def trial_id(sha256: str, label: str | None) -> str:
-    """Return the id of a trial: of its source, or of source and label where the source holds several.
+def trial_id(sha256: str, label: str | None, name: str | None = None) -> str:
+    """Return the id of a trial: of its source, with its label where the source holds several.
 
     Parameters
     ----------
@@ -221,5 +232,9 @@ def trial_id(sha256: str, label: str | None) -> str:
         Of the source, 64 hexadecimal digits.
     label : str or None
         Which trial of the source it is.
+    name : str, optional
+        File name, where conditions are read from it: under another name the same samples are another trial.
     """
-    return sha256[:16] if label is None else hash_of((sha256 + label).encode())[:16]
+    parts = [part for part in (label, name) if part is not None]
+    # no name of a file holds a NUL
+    return hash_of((sha256 + "\0".join(parts)).encode())[:16] if parts else sha256[:16]

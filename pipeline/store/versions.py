@@ -62,6 +62,15 @@ def stored_sources(processed: Path) -> dict[str, StoredSource]:
     }
 
 
+def why_ingested(former: StoredSource | None, sha256: str, profile_sha256: str) -> str:
+    """Return why a source with this content and profile is stored anew, by what was stored of it before."""
+    if former is None:
+        return "new"
+    if former.sha256 != sha256:
+        return "content changed"
+    return "profile changed" if former.profile_sha256 != profile_sha256 else "stored in part, by an interrupted run"
+
+
 def repair(processed: Path) -> None:
     """Finish what an interrupted writer left: remove its incomplete files and the superseded trials; hold the lock."""
     for name in ("trials", "samples", "quarantine"):
