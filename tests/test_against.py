@@ -228,6 +228,20 @@ def test_two_delays_differ_as_the_theory_says(lwr):
     assert [t.identifier for t in pair_tables(pair, "rotation")] == ["estimates-0", "optima-0", "costs-0", "boundary-0"]
 
 
+def test_a_device_that_turns_keeps_its_units_beside_one_that_does_not(falcon, lwr, tmp_path):
+    both = tmp_path / "processed"
+    for lab in (falcon, lwr):
+        shutil.copytree(lab.processed, both, dirs_exist_ok=True)
+    page = against_experiments(both, ("falcon", "1"), ("lwr", "delay-2"), ("overshoot", "settle_2pct"))
+    (pair,) = page.result.pairs
+    units = {v.name: v.unit for v in pair.estimates}
+    assert units["damping"] == "Ns/m and Nms/rad"
+    assert units["delay_samples"] == "samples"
+    html = render(page)
+    assert "delay [samples]" in html
+    assert "delay samples" not in html
+
+
 def test_an_experiment_of_an_unknown_device_is_compared_in_the_normalised_plane(falcon, unknown, tmp_path):
     both = tmp_path / "processed"
     for lab in (falcon, unknown):

@@ -85,6 +85,24 @@ def test_jitter_magnifies_the_errors_and_that_is_seen():
     assert np.median(measured(2e-6, 5e-7)[3].excess) < 1.3
 
 
+def test_a_mode_that_decays_slowly_is_no_rest():
+    """LWR at d = 7: the last fifths of the stiffly damped trials shrink by 0.65 to 0.75, far above the sensor."""
+    K = np.array([1000.0, 800.0, 800.0, 600.0, 600.0, 480.0, 800.0, 800.0])
+    B = np.array([30.0, 31.0, 32.0, 33.0, 34.0, 35.0, 20.0, 21.0])
+    plant_ = MassSpringDamper(0.19, 0.0)
+    batch = simulate_device(Setup(plant_, 1e-3, 15.0, 350, EDGE, 7.0, (), 0.0, 1.0, quantum=5e-6), K, B, seed=1)
+    error = reading_error(batch, find_response(batch), 7)
+    # the model of a constant delay explains the sensor's part: nothing exceeds it
+    assert (error.excess < 2).all()
+    # so that the last two, which end in the sensor's noise, are summed down to it: 60 samples would end at 5 %
+    verdicts = judge(batch)
+    found = energy_interval(batch, find_response(batch), verdicts, error, 7, 0.19)
+    assert (found.horizon_samples[-2:] > 120).all()
+    ideal = simulate_device(Setup(plant_, 1e-3, 15.0, 2000, EDGE, 7.0, (), 0.0, 1.0), K, B, seed=1)
+    true = costs.energy(ideal, find_response(ideal), judge(ideal), 7)
+    np.testing.assert_allclose(found.value[-2:], (true.potential + 0.19 * true.kinetic)[-2:], rtol=0.01)
+
+
 @pytest.mark.parametrize(("quantum", "noise"), SENSORS)
 def test_intervals_hold_the_truth(quantum, noise):
     batch, response, verdicts, error = measured(quantum, noise)

@@ -1,5 +1,8 @@
 from __future__ import annotations
 
+import re
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import simulated
@@ -8,6 +11,7 @@ from pipeline.comparison.boundary_curves import estimated_theory, linear_curve, 
 from pipeline.comparison.compare_experiment import nominal_theories
 from pipeline.comparison.figure_data import FigureBuilder, requests_of_delay_figure
 from pipeline.comparison.scene import open_scene
+from pipeline.records.models import Shown, TableLayout
 from pipeline.theory.predictions import Predictions, Theory
 
 
@@ -93,6 +97,61 @@ def test_boundary_figures_of_a_sweep(of_lwr):
     panels = dict(figures["boundaries-delay"].panels)
     assert [c.label for c in panels["theory"]] == ["d = 2", "d = 4"]
     assert [c.label for c in panels["measured"]] == ["delay-2", "delay-4"]
+
+
+def test_captions_tell_of_nothing_that_is_not_drawn(of_falcon, of_lwr, lwr):
+    def captions(builder, **shown):
+        scene = builder.data.scene.model_copy(update={"shown": Shown(**shown)})
+        return {f.identifier: f.caption for f in replace(builder, data=replace(builder.data, scene=scene)).boundaries()}
+
+    assert "Theory for m" in captions(of_falcon)["boundaries-free"]
+    assert "passive region" in captions(of_falcon)["boundaries-estimates"]
+    assert "passive region" not in captions(of_lwr)["boundaries-estimates"]  # b = 0: no wall is passive
+    for builder in (of_falcon, of_lwr):
+        alone = captions(builder, overlays=("estimates",))
+        for name, caption in alone.items():
+            assert "Shaded" not in caption
+            assert "passive region" not in caption
+            assert name == "boundaries-estimates" or not re.search("[Tt]heor", caption)
+    found = known_predictions(of_lwr, lwr)
+    assert all("Optima as in" in f.caption for f in of_lwr.costs(found))
+    scene = of_lwr.data.scene.model_copy(update={"shown": Shown(tables=())})
+    unlisted = replace(of_lwr, data=replace(of_lwr.data, scene=scene)).costs(found)
+    assert unlisted
+    assert not any("Optima as in" in f.caption for f in unlisted)
+
+
+def test_experiments_of_one_delay_are_all_drawn_over_delay(of_lwr, lwr, lwr_outcome):
+    rows = [r for r in lwr_outcome.result.tables if r.table == "D.6"]
+    again = [
+        r if r.condition == "theory_discrete" else r.model_copy(update={"experiment": "again", "cost": r.cost + 1})
+        for r in rows
+        if r.delay_samples == 2
+    ]
+    (figure,) = of_lwr.delays([*rows, *again], known_predictions(of_lwr, lwr))
+    for panel in figure.panels:
+        costs = [r.cost for r in rows if r.criterion == panel.criterion and r.condition == "experiment"]
+        assert panel.delay_samples.tolist() == [2, 2, 4]
+        assert panel.measured.tolist() == [costs[0], costs[0] + 1, costs[1]]
+        assert panel.theory[0] == panel.theory[1]
+
+
+def test_cost_figures_name_the_figure_of_the_thesis_and_bear_names_of_their_own(of_lwr, lwr):
+    figures = of_lwr.costs(known_predictions(of_lwr, lwr))
+    told = {f.identifier: re.search(r"Fig\. ([\d.]+)\.", f.caption)[1] for f in figures}
+    assert told["D-4-settle_2pct"] == "6.10"
+    assert told["D-5-energy_step_w2"] == "6.11"
+
+
+def test_names_that_differ_in_punctuation_give_figures_of_different_names(of_lwr, lwr, monkeypatch):
+    """Equal identifiers would let one drawing refer to the clip path of the other."""
+    layout = TableLayout(name="x", criteria=("overshoot",), experiments=("delay-2",), theory_from="delay-2")
+    names = ("experiment a b", "experiment a-b", "experiment a/b")
+    made = tuple(layout.model_copy(update={"name": name}) for name in names)
+    predictions = known_predictions(of_lwr, lwr)
+    monkeypatch.setattr("pipeline.comparison.figure_data.layouts", lambda data: made)
+    found = [f.identifier for f in of_lwr.costs(predictions)]
+    assert found == [f"experiment-a-b-overshoot{end}" for end in ("", "-2", "-3")]
 
 
 def test_no_overlay_without_the_estimates_it_needs(falcon, falcon_outcome):

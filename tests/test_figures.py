@@ -201,3 +201,14 @@ def test_shaded_areas_follow_their_ends_and_normalised_axes_are_named() -> None:
     areas = [p.get("d", "") for p in shaded if float(p.get("opacity", p.get("fill-opacity", "1"))) < 0.5]
     assert len(areas) == 3
     assert areas[0] == areas[1], "the measured band has the same ends"
+
+
+def test_long_names_are_cut_in_a_drawing_and_whole_in_its_words() -> None:
+    figure = boundary_figures()[0]
+    name = "experiment " + "x" * 190
+    curves = tuple(replace(curve, label=name) for curve in figure.panels[0][1] if curve.kind == "measured")
+    drawn = figures.boundaries(replace(figure, panels=((name, curves),)))[0]
+    longest = [text for text in texts(drawn) if "xxx" in text]
+    assert longest
+    assert all(text.endswith("…") and len(text) < 75 for text in longest)
+    assert name in drawn  # in its title and description

@@ -219,3 +219,71 @@ def test_write_leaves_one_complete_file(tmp_path: Path, numbers: str) -> None:
     report.write(report_data(full=False), tmp_path / "reports" / "r.html")
     assert [p.name for p in (tmp_path / "reports").iterdir()] == ["r.html"]
     assert (tmp_path / "reports" / "r.html").read_text(encoding="utf-8") == numbers
+
+
+def optimum_rows(measured_delay: float) -> tuple[ComparisonRow, ...]:
+    """A table of optima whose experiment has another delay than theory supposes."""
+    return tuple(
+        ComparisonRow(table="D.1", criterion=c, condition=condition, delay_samples=delay, stiffness=k, damping=70.0,
+                      cost=cost)
+        for c, cost in (("settle_2pct", 24.0), ("energy_step_w0", 13.8))
+        for condition, delay, k in (("theory_discrete", 4.0, 4470.0), ("experiment_1", measured_delay, 5200.0))
+    )  # fmt: skip
+
+
+def test_optima_stay_a_table_of_optima_where_the_estimated_delay_is_not_that_of_theory() -> None:
+    data = report_data(full=False)
+    result = data.result.model_copy(update={"tables": optimum_rows(3.0)})
+    found = report.cells(report.render(replace(data, result=result)))
+    assert found["D.1/settle_2pct/experiment_1/stiffness"] == "5200"
+    assert found["D.1/energy_step_w0/theory_discrete/stiffness"] == "4470"
+    assert not any(name.startswith("D.1/d=") for name in found)
+
+
+def test_two_experiments_of_one_delay_both_stand_in_the_table_over_delay() -> None:
+    rows = [
+        ComparisonRow(table="delay", criterion="settle_2pct", condition=condition, delay_samples=delay, stiffness=None,
+                      damping=None, cost=cost, experiment=experiment)
+        for name, delay, theory, measured in (("a", 3.0, 20.0, 22.0), ("b", 5.0, 30.0, 33.0), ("c", 5.0, 29.0, 31.0),
+                                              ("d", None, None, 40.0))
+        for condition, cost, experiment in (("theory_discrete", theory, None), ("experiment", measured, name))
+        if cost is not None
+    ]  # fmt: skip
+    data = report_data(full=False)
+    page = report.render(replace(data, result=data.result.model_copy(update={"tables": tuple(rows)})))
+    found = report.cells(page)
+    read = {name: text for name, text in found.items() if name.startswith("delay/") and "deviation" not in name}
+    assert read == {
+        "delay/d=3/delay": "3", "delay/d=3/settle_2pct/theory": "20", "delay/d=3/settle_2pct/experiment": "22",
+        "delay/d=5/b/delay": "5 experiment b", "delay/d=5/b/settle_2pct/theory": "30",
+        "delay/d=5/b/settle_2pct/experiment": "33",
+        "delay/d=5/c/delay": "5 experiment c", "delay/d=5/c/settle_2pct/theory": "29",
+        "delay/d=5/c/settle_2pct/experiment": "31",
+        "delay/d=–/d/delay": "– experiment d", "delay/d=–/d/settle_2pct/theory": "–",
+        "delay/d=–/d/settle_2pct/experiment": "40",
+    }  # fmt: skip
+    assert "published values in brackets" not in page
+
+
+def test_published_values_have_the_digits_that_were_published() -> None:
+    row = ComparisonRow(table="D.2", criterion="energy_step_w2", condition="theory_discrete", delay_samples=4.0,
+                        stiffness=5645.0, damping=90.79, cost=1329.8412, published_stiffness=5645.0,
+                        published_damping=90.8, published_cost=1329.84)  # fmt: skip
+    data = report_data(full=False)
+    found = report.cells(report.render(replace(data, result=data.result.model_copy(update={"tables": (row,)}))))
+    at = "D.2/energy_step_w2/theory_discrete"
+    assert [found[f"{at}/{name}"] for name in ("cost", "published_damping", "published_cost")] == [
+        "1329.8",
+        "90.8",
+        "1329.84",
+    ]
+
+
+def test_scores_against_the_estimates_alone_are_shown(falcon_outcome) -> None:
+    """A scene may ask for this table without the one in whose shade it stands."""
+    result = falcon_outcome.result
+    data = ReportData(result, (), (), (), tables=("estimate_scores",))
+    page = report.render(data)
+    assert any(name.startswith("scores-estimates/overlap/") for name in report.cells(page))
+    assert not any(name.startswith("scores/") for name in report.cells(page))
+    assert 'href="#sec-theory"' in page

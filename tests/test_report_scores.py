@@ -126,3 +126,11 @@ def test_page_shows_the_scores_with_names(falcon_outcome, result):
     for name in ("scores/overlap/1", "scores-costs/map/settle_2pct/1", "scores-estimates/overlap/1"):
         assert found[name]
     assert found["scores/distance_rms/1"] == text(table, "distance_rms/1").text
+
+
+def test_an_experiment_may_bear_the_name_of_a_column(result):
+    renamed = result.experiments[0].model_copy(update={"experiment": "score"})
+    table = score_table(result.model_copy(update={"experiments": (renamed,)}))
+    names = [cell.name for _, rows in table.blocks for row in rows for cell in row]
+    assert len(names) == len(set(names))
+    assert text(table, "band/score").text == "100"

@@ -9,6 +9,7 @@ from pipeline.comparison.scene import open_scene
 from pipeline.comparison.summary import summarise
 from pipeline.comparison.summary_warnings import warnings_of
 from pipeline.records.models import Estimate, Optimum, Trend
+from pipeline.rendering.labels import share_text
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +38,7 @@ def test_summary_answers_in_order(result):
 def test_summary_tells_the_numbers_of_the_result(result):
     experiment = result.experiments[0]
     region, distance = experiment.scores[0].region, experiment.scores[0].distance
-    assert f"is {region.area_ratio:.2f} times as large (overlap {100 * region.overlap:.0f} %)" in result.summary[0]
+    assert f"is {region.area_ratio:.2f} times as large (overlap {share_text(region.overlap, 0)} %)" in result.summary[0]
     assert f"in the median of {distance.dampings} dampings" in result.summary[2]
     stable = max(p.stable for p in experiment.boundary if p.stable is not None)
     measured, at, predicted, where, percent = re.search(
@@ -60,6 +61,42 @@ def test_deviations_of_the_summary_are_those_of_the_tables(result):
     assert f"in the median of {len(sizes)} comparisons" in text
     found = [float(x.replace("−", "-")) for x in re.findall(r"\(([+−][\d.]+) %\)", text)]
     assert [round(abs(x), 1) for x in found] == [round(sizes[0], 1), round(sizes[-1], 1)]
+
+
+@pytest.mark.parametrize(("sizes", "middle"), [((1.0, 2.0, 10.0), 2), ((1.0, 2.0, 10.0, 40.0), 6)])
+def test_median_of_an_even_number_lies_between_both_middle_ones(data, result, sizes, middle):
+    row = next(r for r in result.tables if r.deviation_percent is not None)
+    rows = [row.model_copy(update={"deviation_percent": -size}) for size in sizes]
+    costs = next(s.text for s in summarise(data, result.experiments, rows) if s.source == "sec-costs")
+    assert f"by {middle} % in the median of {len(sizes)} comparisons" in costs
+
+
+def test_a_region_that_is_almost_all_is_not_called_all(data, result):
+    scores = result.experiments[0].scores[0]
+    changes = {"overlap": 0.9997, "covered": 0.996, "censored": 2, "dampings": 5}
+    region = scores.region.model_copy(update=changes)
+    changed = result.experiments[0].model_copy(update={"scores": (scores.model_copy(update={"region": region}),)})
+    text = summarise(data, [changed], result.tables)[0].text
+    assert "covers 99.6 %" in text
+    assert "(overlap 99.9 %)" in text
+    assert "at 2 of 5 dampings no trial was unstable" in text
+
+
+def test_without_an_unstable_trial_nothing_is_said_to_be_predicted(data, result):
+    """Where each damping is censored the compared window holds stable trials only, and any overlap is 1."""
+    scores = result.experiments[0].scores[0]
+    region = scores.region.model_copy(update={"overlap": 1.0, "censored": 4, "dampings": 4})
+    bound = {"lower_bound": True, "measured": 300.0, "deviation_percent": -98.2}
+    changes = {"region": region, "stiffness": scores.stiffness.model_copy(update=bound)}
+    open_end = result.experiments[0].model_copy(update={"scores": (scores.model_copy(update=changes),)})
+    sentences = [s.text for s in summarise(data, [open_end], result.tables)]
+    assert sentences[0].startswith("How well theory predicts where this device becomes unstable is not known")
+    assert sentences[0].endswith("theory calls 100 % of the tested region stable.")
+    assert any("at least 300 N/m" in s for s in sentences)
+    assert not any("98.2" in s for s in sentences)
+    # an experiment with a limit speaks for the device
+    other = result.experiments[0].model_copy(update={"experiment": "2"})
+    assert summarise(data, [open_end, other], result.tables)[0].text.startswith("Theory predicts well")
 
 
 def test_each_sentence_names_what_it_rests_on(falcon_outcome):

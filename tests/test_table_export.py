@@ -154,6 +154,14 @@ def test_latex_specials_are_escaped_each_in_its_own_way():
     assert r"\textsuperscript{a}note \{1\}" in text
 
 
+def test_no_row_of_latex_begins_with_what_a_line_end_would_take():
+    table = Table("t", "x", (Head("a", numeric=False),))
+    for row, name in enumerate(("*x", "[1pt]", "* y")):
+        table.add("", str(row), ("a",), (Cell(name),))
+    body = latex_text(table).split(r"\endfoot")[1].splitlines()[1:4]
+    assert body == [r"{*}x \\", r"{[}1pt{]} \\", r"{*} y \\"]
+
+
 def test_hostile_names_become_file_names_and_the_files_can_be_read(tmp_path):
     result = report_data(full=False, hostile=True).result
     names = ["../../up", ".hidden", "=1+1", HOSTILE, "x" * 300]

@@ -93,7 +93,10 @@ def choice(result: ExperimentResult, units: Units) -> str:
         return text + "; how far it is from the stability limit is not known."
     factor = room.limit / best.stiffness
     least = "at least " if room.bound else ""
-    ends = f"B = {damping_text(room.damping_low)} to {damping_text(room.damping_high)} {units.damping}"
+    ends = f"B = {damping_text(room.damping_low)}"
+    if room.damping_high > room.damping_low:
+        ends += f" to {damping_text(room.damping_high)}"
+    ends += f" {units.damping}" + ("" if room.damping_high > room.damping_low else " only")
     if factor < NARROW:
         return (
             f"{text}; the limit is only {least}{significant(factor, 3)} times as stiff and K is stable for {ends}: "

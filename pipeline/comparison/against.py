@@ -7,6 +7,7 @@ from math import hypot
 
 import numpy as np
 
+from pipeline.base.wording import counted
 from pipeline.records.against_records import (
     BoundaryDifference,
     CostDifference,
@@ -64,7 +65,13 @@ def compare_pair(
         optima = compare_optima(a.optimum, b.optimum, units.stiffness, units.damping)
     else:
         estimates = tuple(
-            ValueDifference(name=n, unit=e.unit, first=e.value, second=b.estimates[n].value, reason="devices differ")
+            ValueDifference(
+                name=n,
+                unit=_both_units(e.unit, b.estimates[n].unit),
+                first=e.value,
+                second=b.estimates[n].value,
+                reason="devices differ",
+            )
             for n, e in a.estimates.items()
             if n in b.estimates
         )
@@ -94,8 +101,13 @@ def compare_estimates(first: Mapping[str, Estimate], second: Mapping[str, Estima
     return tuple(_difference(name, a, b) for name, (a, b) in pairs.items())
 
 
+def _both_units(first: str, second: str) -> str:
+    """Unit of two values; those of a device that turns and of one that does not differ."""
+    return first if first == second else f"{first} and {second}"
+
+
 def _difference(name: str, a: Estimate, b: Estimate) -> ValueDifference:
-    values = ValueDifference(name=name, unit=a.unit, first=a.value, second=b.value)
+    values = ValueDifference(name=name, unit=_both_units(a.unit, b.unit), first=a.value, second=b.value)
     if a.value is None or b.value is None:
         return values.model_copy(update={"reason": a.reason if a.value is None else b.reason})
     if a.unit != b.unit:
@@ -281,11 +293,12 @@ def sentences_of(pair: PairDifference) -> tuple[str, ...]:
         where = f"{'B' if pair.plane == 'physical' else 'β'} = {significant(edge.largest_damping, 3)}"
         found.append(
             f"The boundary of {b} lies {percent_text(edge.median_percent)} % from that of {a} in stiffness (median of "
-            f"{len(edge.points)} dampings; at most {percent_text(edge.largest_percent)} % at {where}); "
-            f"{edge.significant} of {edge.judged} limits with intervals differ significantly."
+            f"{counted(len(edge.points), 'damping')}; at most {percent_text(edge.largest_percent)} % at {where}); "
+            f"{edge.significant} of {counted(edge.judged, 'limit')} with intervals "
+            f"{'differs' if edge.judged == 1 else 'differ'} significantly."
         )
     told = [v for v in pair.estimates if v.significant is not None]
-    differ = [v.name.replace("_", " ") for v in told if v.significant]
+    differ = [v.name.removesuffix("_samples").replace("_", " ") for v in told if v.significant]
     if told:
         found.append(
             f"Of {len(told)} estimates with intervals, {', '.join(differ) if differ else 'none'} "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pipeline.base.wording import counted
 from pipeline.records.models import Estimate, Trend
 from pipeline.records.results import ExperimentResult
 from pipeline.records.score_records import BandScore, BoundScore
@@ -64,13 +65,13 @@ def _band(band: BandScore, units: Units) -> str:
     ranges = f"m, b and d = {low} to {high}" if low != high else "m, b and d"
     if band.share >= MOSTLY:
         return (
-            f"The intervals of {ranges} allow this deviation: {band.inside} of {band.points} limits meet the band of "
-            "theory that they span."
+            f"The intervals of {ranges} allow this deviation: {band.inside} of {counted(band.points, 'limit')} meet "
+            "the band of theory that they span."
         )
     where = max(band.departures, key=lambda d: d.dampings)
     return (
-        f"The intervals of {ranges} do not explain it: only {band.inside} of {band.points} limits meet their band; "
-        f"the boundary lies {where.side} it from B = {damping_text(where.damping_low)} to "
+        f"The intervals of {ranges} do not explain it: only {band.inside} of {counted(band.points, 'limit')} meet "
+        f"their band; the boundary lies {where.side} it from B = {damping_text(where.damping_low)} to "
         f"{damping_text(where.damping_high)} {units.damping}."
     )
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 
+from pipeline.comparison.boundary_curves import too_late
 from pipeline.comparison.implied_delay import implied_delay
 from pipeline.comparison.implied_slope import DeviceParameters
 from pipeline.comparison.scene import SceneData, needed_stages
@@ -15,6 +16,7 @@ from pipeline.measured.stages import ExperimentStages
 from pipeline.records.models import Estimate, Experiment, Motion, Optimum
 from pipeline.records.results import ExperimentResult, MassWindow, OtherDefinitions, TheoryParameters
 from pipeline.rendering.labels import UNITS, Units
+from pipeline.theory.loop import LARGEST_DELAY
 from pipeline.theory.predictions import Theory
 
 
@@ -24,7 +26,10 @@ def motion_of(data: SceneData) -> Motion:
 
 
 def nominal_theories(data: SceneData) -> dict[str, Theory]:
-    """Theory by the device file, for all of its experiments (a table may take the parameters of another one)."""
+    """Theory by the device file, for all of its experiments (a table may take the parameters of another one).
+
+    A delay that is longer than theory is computed for leaves an experiment without.
+    """
     if data.device is None:
         return {}
     device = data.device
@@ -40,15 +45,16 @@ def nominal_theories(data: SceneData) -> dict[str, Theory]:
             )
         )
         for e in device.experiments
+        if e.delay_samples <= LARGEST_DELAY
     }
 
 
 def estimated_theories(results: Sequence[ExperimentResult], data: SceneData) -> dict[str, Theory]:
-    """Theory by the estimates of each experiment, where mass, damping and delay are known."""
+    """Theory by the estimates of each experiment, where mass, damping and delay are known and within its range."""
     theories = {}
     for result, stages in zip(results, data.experiments, strict=True):
         mass, damping, delay = (result.estimates[n].value for n in ("mass", "damping", "delay_samples"))
-        if mass is None or damping is None or delay is None:
+        if mass is None or damping is None or delay is None or too_late(result.estimates["delay_samples"]):
             continue
         theories[result.experiment] = Theory(
             TheoryParameters(

@@ -40,17 +40,19 @@ def boundary_figures(
     figures.append(builder.estimates())
     shown = [(f"experiment {r.experiment}", r, theories[r.experiment]) for r in results if r.experiment in theories]
     if len(shown) > 1:
-        figures.append(plane_figure(shown))
+        figures.append(plane_figure(shown, predicted=data.scene.shown.has_overlay("theory")))
     return tuple(figure for figure in figures if figure is not None)
 
 
-def plane_figure(entries: Sequence[tuple[str, ExperimentResult, Theory]]) -> BoundaryFigure:
+def plane_figure(entries: Sequence[tuple[str, ExperimentResult, Theory]], *, predicted: bool = True) -> BoundaryFigure:
     """Return measured boundaries of experiments, also of several devices, in the plane of alpha and beta.
 
     Parameters
     ----------
     entries : sequence of (str, ExperimentResult, Theory)
         Label, result, and the theory whose mass and sampling period normalise it.
+    predicted : bool
+        Whether the boundaries of these theories stand beside.
 
     Source: Hulin 2017, Table 3.1 (alpha = K T^2/m, beta = B T/m).
     """
@@ -61,14 +63,14 @@ def plane_figure(entries: Sequence[tuple[str, ExperimentResult, Theory]]) -> Bou
         )
         for label, r, theory in entries
     ]
-    predicted = [normalised(theory_curve(theory, "_theory"), theory) for _, _, theory in entries]
+    theories = [normalised(theory_curve(theory, "_theory"), theory) for _, _, theory in entries if predicted]
     return BoundaryFigure(
         "boundaries-normalised",
         "Boundaries in the normalised plane",
-        "Measured boundaries and theory in α = K T²/m and β = B T/m. Curves that differ in mass or sampling period "
-        "alone coincide here; what still differs is due to delay, to the relative damping δ = b T/m, or to what the "
-        "model does not hold.",
-        (("", (*measured, *predicted)),),
+        f"Measured boundaries{' and theory' if predicted else ''} in α = K T²/m and β = B T/m. Curves that differ in "
+        "mass or sampling period alone coincide here; what still differs is due to delay, to the relative damping "
+        "δ = b T/m, or to what the model does not hold.",
+        (("", (*measured, *theories)),),
         normalised=True,
         theory_label="theory (same colour)",
     )
@@ -81,6 +83,11 @@ class _Builder:
     data: SceneData
     theories: Mapping[str, Theory]
     results: Sequence[ExperimentResult]
+
+    @property
+    def predicted(self) -> bool:
+        """Whether the scene asks for theory beside the measured curves."""
+        return self.data.scene.shown.has_overlay("theory")
 
     def free(self) -> BoundaryFigure | None:
         """Experiments without operator, with theory for each delay that the device file names (Fig. 6.3)."""
@@ -107,12 +114,14 @@ class _Builder:
         m, b, k = values[0]
         units = UNITS["rotation" if self.data.experiments[0].rotation else "translation"]
         others = ", ".join(f"{other[1]:g}" for other in values[1:])
+        beside = (
+            f" Theory for m = {m:g} {units.mass}, b = {b:g} {units.damping}, k = {k:g} {units.stiffness} and the delay "
+            f"factors at the curves{f'; thin dots: the same with b = {others} {units.damping}' if others else ''}."
+        )
         return BoundaryFigure(
             "boundaries-free",
             "Stability boundaries without operator",
-            f"Measured: last stable stiffness at each damping. Theory for m = {m:g} {units.mass}, b = {b:g} "
-            f"{units.damping}, k = {k:g} {units.stiffness} and the delay factors at the curves"
-            f"{f'; thin dots: the same with b = {others} {units.damping}' if others else ''}. "
+            f"Measured: last stable stiffness at each damping.{beside if self.predicted else ''} "
             "In the manner of Fig. 6.3.",
             (("", tuple(curves)),),
             theory_label=f"theory, b = {b:g}",
@@ -132,7 +141,8 @@ class _Builder:
         return BoundaryFigure(
             "boundaries-operator",
             "Influence of the operator on the stability boundary",
-            "Measured and theoretical boundaries for each grip; theory for the parameters in the table. "
+            f"Measured{' and theoretical' if self.predicted else ''} boundaries for each grip"
+            f"{', theory with the parameters of each experiment' if self.predicted else ''}. "
             "In the manner of Fig. 6.4.",
             tuple(panels),
         )
@@ -149,7 +159,8 @@ class _Builder:
         return BoundaryFigure(
             "boundaries-delay",
             "Influence of delay on the stability boundary",
-            "Theory left, measured right, for each total delay. In the manner of Fig. 6.9.",
+            f"{'Theory left, measured right,' if theory and self.predicted else 'Measured,'} for each total delay. "
+            "In the manner of Fig. 6.9.",
             (*panels, ("measured", tuple(measured))),
         )
 
@@ -169,12 +180,20 @@ class _Builder:
             panels.append((f"experiment {name}", (*curves, *(c for c in more if c is not None))))
         if not panels:
             return None
+        shown = self.data.scene.shown
+        kinds = {curve.kind for _, curves in panels for curve in curves}
+        told = []
+        if "envelope" in kinds and shown.has_overlay("band"):
+            told.append(
+                " Shaded: what the 95 % intervals of these estimates leave open in theory, and the intervals of the "
+                "measured limits."
+            )
+        if "passive" in kinds and shown.has_overlay("passive"):  # without damping there is no passive wall
+            told.append(" Thin outline: passive region (4.12), far inside the stable one.")
         return BoundaryFigure(
             "boundaries-estimates",
             "Boundaries predicted from what the logs say",
-            "Theory with the estimated mass, damping and delay of each experiment. Shaded: what the 95 % intervals of "
-            "these estimates leave open in theory, and the intervals of the measured limits. Thin outline: passive "
-            "region (4.12), far inside the stable one.",
+            "Theory with the estimated mass, damping and delay of each experiment." + "".join(told),
             tuple(panels),
         )
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import count
 
 import numpy as np
 
@@ -32,7 +33,8 @@ from pipeline.records.figure_records import (
 from pipeline.records.models import ComparisonRow, Optimum, TableLayout
 from pipeline.records.results import ExperimentResult, TheoryParameters
 from pipeline.rendering.labels import criterion_label, table_label
-from pipeline.theory.loop import Loop
+from pipeline.rendering.report_tables import delay_points
+from pipeline.theory.loop import LARGEST_DELAY, Loop
 from pipeline.theory.maps import cost_maps
 from pipeline.theory.predictions import Prediction, Predictions, Request, Theory
 
@@ -41,6 +43,9 @@ MAP_POINTS = 101
 
 DAMPED = 0.02
 """Relative damping delta of the second theory curve of Fig. 6.12, the upper end of the range of 3.3."""
+
+FIGURES = {"D.1": "6.5", "D.2": "6.6", "D.3": "6.7", "D.4": "6.10", "D.5": "6.11"}
+"""Figure of the thesis whose optima a table holds; other tables are drawn as the first two."""
 
 _EMPTY = np.empty(0)
 
@@ -72,7 +77,7 @@ class FigureBuilder:
     def costs(self, predictions: Predictions) -> tuple[CostFigure, ...]:
         """Return one cost figure for each criterion of each table of optima."""
         stages = {e.experiment: e for e in self.data.experiments}
-        figures = []
+        figures: dict[str, CostFigure] = {}
         for table in layouts(self.data):
             if table.kind == "delay":
                 continue
@@ -88,8 +93,13 @@ class FigureBuilder:
                 panels += [_measured_panel(r, stages[r.experiment], criterion) for r in shown if criterion in r.optimum]
                 if not panels:
                     continue
-                figures.append(_cost_figure(table, criterion, tuple(panels), theory))
-        return tuple(figures)
+                listed = self.data.scene.shown.has_table(table.name)
+                figure = _cost_figure(table, criterion, tuple(panels), theory, listed=listed)
+                # experiments "a b" and "a-b" would share an identifier, and so references into each other's drawing
+                taken = (f"{figure.identifier}-{n}" if n > 1 else figure.identifier for n in count(1))
+                name = next(name for name in taken if name not in figures)
+                figures[name] = replace(figure, identifier=name)
+        return tuple(figures.values())
 
     def responses(self) -> tuple[ResponseFigure, ...]:
         """Return the figure of the first response, if a log shows one."""
@@ -117,12 +127,16 @@ class FigureBuilder:
             panels = []
             for criterion in table.criteria:
                 of = [r for r in rows if r.table == table.name and r.criterion == criterion]
-                delays = sorted({r.delay_samples for r in of if r.delay_samples is not None})
-                theory = _by_delay(of, "theory_discrete", delays)
-                measured = _by_delay(of, "experiment", delays)
-                damped = [self._damped_cost(d, criterion, predictions) for d in delays]
+                points = [p for p in delay_points(of) if p.delay is not None]
+                delays = np.array([p.delay for p in points], dtype=np.float64)
+                theory = np.array([_cost(p.theory.get(criterion)) for p in points])
+                measured = np.array([_cost(p.measured.get(criterion)) for p in points])
+                damped = np.array([self._damped_cost(float(d), criterion, predictions) for d in delays])
                 label = f"theory, δ = {DAMPED:g}"
-                panels.append(DelayPanel(criterion, np.array(delays), theory, np.array(damped), label, measured))
+                if len(points):
+                    panels.append(DelayPanel(criterion, delays, theory, damped, label, measured))
+            if not panels:
+                continue
             figures.append(
                 DelayFigure(
                     "delay",
@@ -134,6 +148,8 @@ class FigureBuilder:
         return tuple(figures)
 
     def _damped_cost(self, delay: float, criterion: str, predictions: Predictions) -> float:
+        if delay > LARGEST_DELAY:
+            return np.nan
         parameters = TheoryParameters(
             mass=1.0, damping=DAMPED, stiffness=0.0, sampling_period_s=1.0, delay_samples=delay, source="normalised"
         )
@@ -144,9 +160,8 @@ def _as_optimum(prediction: Prediction) -> Optimum:
     return Optimum(stiffness=prediction.stiffness, damping=prediction.damping, cost=prediction.cost)
 
 
-def _by_delay(rows: Sequence[ComparisonRow], condition: str, delays: Sequence[float]) -> Floats:
-    found = {r.delay_samples: r.cost for r in rows if r.condition == condition and r.cost is not None}
-    return np.array([found.get(d, np.nan) for d in delays])
+def _cost(row: ComparisonRow | None) -> float:
+    return np.nan if row is None or row.cost is None else row.cost
 
 
 def _theory_maps(theory: Theory, window: tuple[float, float, float], table: TableLayout) -> dict[str, Floats]:
@@ -215,14 +230,18 @@ def _stiffness_axis(stiffness: Floats, levels: int, optimum: Optimum | None) -> 
     return axis if len(axis) > 1 else np.array([0.0, 1.0])
 
 
-def _cost_figure(table: TableLayout, criterion: str, panels: tuple[CostMap, ...], theory: Theory | None) -> CostFigure:
+def _cost_figure(
+    table: TableLayout, criterion: str, panels: tuple[CostMap, ...], theory: Theory | None, *, listed: bool
+) -> CostFigure:
     name = criterion_label(criterion)
     label = table_label(table.name)
+    optima = f" Optima as in {label if label != table.name else f'the table of {label}'}." if listed else ""
+    thesis = FIGURES.get(table.name, "6.6" if criterion.startswith("energy") else "6.5")
     return CostFigure(
         re.sub(r"[^A-Za-z0-9_-]", "-", f"{table.name}-{criterion}"),
         f"Cost maps, {name}",
         f"Costs of the sampled response in the stable region{', theory left' if theory else ''}; below, the least cost "
-        f"for each stiffness and all trials. Optima as in {label if label != table.name else f'the table of {label}'}.",
+        f"for each stiffness and all trials.{optima} In the manner of Fig. {thesis}.",
         criterion,
         panels,
     )

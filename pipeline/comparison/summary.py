@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from statistics import median
 
 from pipeline.base.wording import counted
 from pipeline.comparison.advice import choice, passive_choice
@@ -11,7 +12,16 @@ from pipeline.comparison.causes import causes
 from pipeline.comparison.scene import SceneData
 from pipeline.records.models import ComparisonRow
 from pipeline.records.results import ExperimentResult
-from pipeline.rendering.labels import CRITERION_NAMES, UNITS, Units, damping_text, decimal, estimate_texts, percent_text
+from pipeline.records.score_records import RegionScore
+from pipeline.rendering.labels import (
+    CRITERION_NAMES,
+    UNITS,
+    Units,
+    damping_text,
+    estimate_texts,
+    percent_text,
+    share_text,
+)
 
 MOST_CAUSES = 2
 """Causes that are named: with more nobody reads on, and the table of scores holds all."""
@@ -51,7 +61,8 @@ def summarise(
     all where there are more.
     """
     units = UNITS["rotation" if data.experiments[0].rotation else "translation"]
-    lead = next((r for r in results if r.scores and r.scores[0].region), None)
+    scored = [r for r in results if r.scores and r.scores[0].region]
+    lead = next((r for r in scored if not all(p.censored for p in r.boundary)), scored[0] if scored else None)
     best = next((r for r in results if choice(r, units)), None)
     found = [
         Sentence(_region(results), SCORES),
@@ -77,20 +88,36 @@ def summarise(
 def _region(results: Sequence[ExperimentResult]) -> str:
     """Does theory predict where the device is stable: overlap of the regions."""
     found = [(r.experiment, r.scores[0].region) for r in results if r.scores]
-    known = [(name, region) for name, region in found if region is not None]
+    scored = [(name, region) for name, region in found if region is not None]
+    # without any unstable trial the compared window ends with the stable ones, and both regions fill it
+    known = [(name, region) for name, region in scored if region.censored < region.dampings]
     if not known:
-        return ""
+        return _no_limit(*scored[0]) if scored else ""
     name, first = known[0]
     word = "well" if first.overlap >= WELL else "roughly" if first.overlap >= ROUGHLY else "poorly"
     text = (
         f"Theory predicts {word} where this device is stable: the measured region of experiment {name} covers "
-        f"{decimal(100 * first.covered, 0)} % of the theoretical one and is {first.area_ratio:.2f} times as large "
-        f"(overlap {decimal(100 * first.overlap, 0)} %"
+        f"{share_text(first.covered, 0)} % of the theoretical one and is {first.area_ratio:.2f} times as large "
+        f"(overlap {share_text(first.overlap, 0)} %"
     )
     if len(known) > 1:
         overlaps = sorted(region.overlap for _, region in known)
-        text += f"; {decimal(100 * overlaps[0], 0)} to {decimal(100 * overlaps[-1], 0)} % over {len(known)} experiments"
-    return text + ")" + (f"; tested was up to B = {damping_text(first.damping_high)}." if first.censored else ".")
+        text += f"; {share_text(overlaps[0], 0)} to {share_text(overlaps[-1], 0)} % over {len(known)} experiments"
+    if not first.censored:
+        return f"{text})."
+    return (
+        f"{text}); at {first.censored} of {first.dampings} dampings no trial was unstable, and only the tested "
+        "stiffness is compared there."
+    )
+
+
+def _no_limit(name: str, region: RegionScore) -> str:
+    """What can be said of the stable region where no trial was unstable."""
+    return (
+        f"How well theory predicts where this device becomes unstable is not known: in experiment {name} no trial was "
+        f"unstable at any of {counted(region.dampings, 'tested damping')}; theory calls "
+        f"{share_text(region.overlap, 0)} % of the tested region stable."
+    )
 
 
 def _costs(results: Sequence[ExperimentResult], rows: Sequence[ComparisonRow]) -> str:
@@ -102,16 +129,16 @@ def _costs(results: Sequence[ExperimentResult], rows: Sequence[ComparisonRow]) -
     parts = []
     if ranks:
         parts.append(
-            f"Costs of the trials are ordered as in theory with a rank correlation of {ranks[len(ranks) // 2]:.2f} in "
-            f"the median of {len(ranks)} cost maps (least {ranks[0]:.2f})"
+            f"Costs of the trials are ordered as in theory with a rank correlation of {median(ranks):.2f} in "
+            f"the median of {counted(len(ranks), 'cost map')} (least {ranks[0]:.2f})"
         )
     if deviations:
         smallest, largest = min(deviations, key=_size), max(deviations, key=_size)
-        median = sorted(_size(r) for r in deviations)[len(deviations) // 2]
+        middle = median(_size(r) for r in deviations)
         least = f"{_named(smallest)} ({percent_text(smallest.deviation_percent or 0.0)} %)"
         parts.append(
-            f"{'optimal' if parts else 'Optimal'} costs differ from the discrete theory by {median:.0f} % in the "
-            f"median of {len(deviations)} comparisons: least for {least}, "
+            f"{'optimal' if parts else 'Optimal'} costs differ from the discrete theory by {middle:.0f} % in the "
+            f"median of {counted(len(deviations), 'comparison')}: least for {least}, "
             f"most for {_named(largest)} ({percent_text(largest.deviation_percent or 0.0)} %)"
         )
     return "; ".join(parts) + "." if parts else ""
@@ -125,14 +152,18 @@ def _distance(result: ExperimentResult, units: Units) -> str:
         where = f"B = {damping_text(distance.largest_damping)} {units.damping}"
         parts.append(
             f"the measured boundary differs from theory by {percent_text(100 * distance.median)} % in stiffness in the "
-            f"median of {distance.dampings} dampings, most at {where} ({percent_text(100 * distance.largest)} %)"
+            f"median of {counted(distance.dampings, 'damping')}, most at {where} "
+            f"({percent_text(100 * distance.largest)} %)"
         )
     if stiffness is not None:
         least = "at least " if stiffness.lower_bound else ""
+        # a lower bound below theory is no deviation
+        told = not stiffness.lower_bound or stiffness.deviation_percent > 0
         parts.append(
             f"the largest stable stiffness measured is {least}{stiffness.measured:.0f} {units.stiffness} (at B = "
             f"{stiffness.measured_damping:g} {units.damping}), theory says {stiffness.theory:.0f} {units.stiffness} at "
-            f"{stiffness.theory_damping:.3g} {units.damping} ({percent_text(stiffness.deviation_percent)} %)"
+            f"{stiffness.theory_damping:.3g} {units.damping}"
+            + (f" ({percent_text(stiffness.deviation_percent)} %)" if told else "")
         )
     return f"Experiment {result.experiment}: {'; '.join(parts)}." if parts else ""
 
@@ -143,8 +174,9 @@ def _stiffest(results: Sequence[ExperimentResult], units: Units) -> str:
         stable = [(p.stable, p.damping) for p in result.boundary if p.stable is not None]
         if stable:
             stiffness, damping = max(stable)
+            least = "at least " if any(p.censored for p in result.boundary) else ""
             return (
-                f"Experiment {result.experiment}: the largest stable stiffness measured is {stiffness:.0f} "
+                f"Experiment {result.experiment}: the largest stable stiffness measured is {least}{stiffness:.0f} "
                 f"{units.stiffness} (at B = {damping:g} {units.damping})."
             )
     return ""
@@ -156,8 +188,12 @@ def _device(results: Sequence[ExperimentResult]) -> str:
         text = _estimates(result)
         if text:
             check = result.model_check
-            share = f"; the model explains {check.explained} of {check.trials} logs" if check and check.trials else ""
-            return f"Experiment {result.experiment} ({result.trials} trials): {text}{share}."
+            share = (
+                f"; the model explains {check.explained} of {counted(check.trials, 'log')}"
+                if check and check.trials
+                else ""
+            )
+            return f"Experiment {result.experiment} ({counted(result.trials, 'trial')}): {text}{share}."
     return ""
 
 
@@ -181,6 +217,5 @@ def _size(row: ComparisonRow) -> float:
 
 
 def _named(row: ComparisonRow) -> str:
-    name = CRITERION_NAMES.get(row.criterion, row.criterion)
-    where = f"d = {row.delay_samples:g}" if row.condition == "experiment" else row.condition.replace("_", " ")
-    return f"{name}, {where}"
+    # several experiments may have the same delay
+    return f"{CRITERION_NAMES.get(row.criterion, row.criterion)}, experiment {row.experiment}"

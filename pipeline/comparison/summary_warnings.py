@@ -8,10 +8,12 @@ from math import isclose
 import numpy as np
 
 from pipeline.base.wording import listed, percent, true_minus
+from pipeline.comparison.boundary_curves import too_late
 from pipeline.comparison.scene import SceneData
 from pipeline.records.models import DRIFTS, ENERGY_CRITERIA, Device, Estimate, Trend
 from pipeline.records.results import ExperimentResult
 from pipeline.rendering.labels import percent_text
+from pipeline.theory.loop import LARGEST_DELAY
 
 Drift = tuple[str, Estimate, Trend]
 """Experiment, its estimate, and a trend of that which is worth a warning."""
@@ -94,7 +96,10 @@ def _estimates(results: Sequence[ExperimentResult]) -> list[str]:
                     if any(f"the tested {trend.over} " in clause for clause in told):
                         drifts.setdefault((quantity, trend.over), []).append((result.experiment, estimate, trend))
     total = len(results)
-    found = [f"{_of(names, total)}: no {quantity} estimate ({why})." for (quantity, why), names in missing.items()]
+    late = [result.experiment for result in results if too_late(result.estimates["delay_samples"])]
+    beyond = f"the delay is longer than the {LARGEST_DELAY} samples that theory is computed for"
+    found = [f"{_of(late, total)}: {beyond}; there is none from its estimates."] if late else []
+    found += [f"{_of(names, total)}: no {quantity} estimate ({why})." for (quantity, why), names in missing.items()]
     found += _drifts(drifts, total)
     for quantity, cases in doubtful.items():
         first, warning = cases[0]
@@ -181,6 +186,12 @@ def _conflicts(data: SceneData, device: Device) -> list[str]:
         texts.append(
             f"The device file of {device.name!r} has no experiment {', '.join(foreign)}: its tables have no theory, "
             "only the curves from its estimates."
+        )
+    late = [e.name for e in device.experiments if e.name in data.scene.experiments and e.delay_samples > LARGEST_DELAY]
+    if late:
+        texts.append(
+            f"The device file of {device.name!r} has a delay of more than the {LARGEST_DELAY} samples that theory is "
+            f"computed for in {_named(late)}: there is no theory by it."
         )
     for stages in data.experiments:
         periods = set(stages.trials.column("sampling_period_s").to_pylist())

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.measured.response import Response
-from pipeline.records.batch import Floats, Integers, TrialBatch
+from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
 
 NO_DELAY = -1
 """Stands where no delay factor could be had."""
@@ -71,7 +71,8 @@ def first_change(batch: TrialBatch, response: Response, *, threshold: Floats | N
     10 um, 3 ms for 60 um. That stands as it was seen; `onset.motion_onset` takes it back.
 
     A device that moves before the step by more than the sensor explains (chatter at high B) gives no delay but
-    a reason: its motion cannot be told from the answer to the step.
+    a reason: its motion cannot be told from the answer to the step. So does one that first moves against the step: a
+    sign is wrong, and its swing back would be taken for the answer.
 
     Source: Hulin 2017, eqs. 6.2 and 6.3.
     """
@@ -83,12 +84,13 @@ def first_change(batch: TrialBatch, response: Response, *, threshold: Floats | N
     # without a baseline of some rows nothing says that it is constant
     quanta = np.where(response.sensor_noise == 0, QUANTA_AT_REST, QUANTA)
     limit = quanta * response.sensor_quantum + SIGMAS * noise if threshold is None else threshold
-    moved = (away > limit[:, None]) & (column > edge[:, None])
-    # noise passes the threshold now and then, but only a response stays beyond it and goes on to rise
-    moved[:, :-1] &= away[:, 1:] > limit[:, None]
-    moved[:, :-RISE_ROWS] &= away[:, RISE_ROWS:] > RISE * limit[:, None]
+    after = column > edge[:, None]
+    moved, opposite = _response(away, limit) & after, _response(-away, limit) & after
     seen = moved.any(axis=1) & response.has_edge
-    found = seen & (response.baseline_motion == 0)
+    # with a sign that is wrong the response is taken for rest, and its swing back for the response
+    against = opposite.any(axis=1) & response.has_edge
+    against &= ~seen | (np.argmax(opposite, axis=1) < np.argmax(moved, axis=1))
+    found = seen & ~against & (response.baseline_motion == 0)
     first = np.where(found, np.argmax(moved, axis=1), np.maximum(edge, 0) + 1)
     trial = np.arange(len(batch))
     row = np.minimum(first, batch.position.shape[1] - 1)
@@ -96,7 +98,14 @@ def first_change(batch: TrialBatch, response: Response, *, threshold: Floats | N
     reason = tuple(
         _reason(*trial)
         for trial in zip(
-            response.has_edge, response.edge_reason, seen, response.baseline_motion, response.floor, limit, strict=True
+            response.has_edge,
+            response.edge_reason,
+            seen,
+            against,
+            response.baseline_motion,
+            response.floor,
+            limit,
+            strict=True,
         )
     )
     return Delays(
@@ -108,7 +117,20 @@ def first_change(batch: TrialBatch, response: Response, *, threshold: Floats | N
     )
 
 
-def _reason(has_edge: bool, edge_reason: str, seen: bool, motion: float, floor: float, limit: float) -> str:
+def _response(away: Floats, limit: Floats) -> Booleans:
+    """Return the rows from which on the position stays beyond a limit, shape (n, N).
+
+    Noise passes it now and then, but only a response stays beyond it and goes on to rise.
+    """
+    moved = away > limit[:, None]
+    moved[:, :-1] &= away[:, 1:] > limit[:, None]
+    moved[:, :-RISE_ROWS] &= away[:, RISE_ROWS:] > RISE * limit[:, None]
+    return moved
+
+
+def _reason(
+    has_edge: bool, edge_reason: str, seen: bool, against: bool, motion: float, floor: float, limit: float
+) -> str:
     if not has_edge:
         return f"delay not identifiable: {edge_reason}"
     if motion > 0:
@@ -116,4 +138,6 @@ def _reason(has_edge: bool, edge_reason: str, seen: bool, motion: float, floor: 
             f"moving before the step: {motion:.3g} peak to peak, above the sensor floor of {floor:.3g}; "
             "let the device come to rest before the step"
         )
+    if against:
+        return "the position moves against the step at first; check the signs of position, command and step"
     return "" if seen else f"no position change above {limit:.3g} after the command edge"

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.base.errors import ParameterError
+from pipeline.measured.horizon import REST_FLOORS
 from pipeline.measured.response import Response
 from pipeline.records.batch import Booleans, Floats, TrialBatch
 
@@ -22,7 +23,8 @@ LAST_PART = 5
 """Part of the response (a fifth) at its end in which its motion at rest is seen, and before it once more."""
 
 LASTING = 0.7
-"""Motion of the last fifth relative to the fifth before from which on it does not decay."""
+"""Motion of the last fifth relative to the fifth before from which on it does not decay; one of more than `REST_FLOORS`
+sensor floors also relative to the fifth before that, since a slow mode may keep 0.7 a fifth (LWR, d = 7)."""
 
 CHUNK = 64
 """Trials that are computed at once: an array of theirs, 0.5 MB at 1,000 rows, stays in a processor's cache."""
@@ -121,8 +123,8 @@ def reading_error(batch: TrialBatch, response: Response, delay_samples: int = 0)
 
     The loop may answer by more than its step response tells: where the delay jitters, the forces of two successive
     errors no longer cancel (Falcon, 3 to 5 samples: 4 to 7 times the deviation). That is seen in the motion at
-    rest at the end of the log, where it neither decays nor is as large as `LARGEST_REST`; the fed back part is
-    scaled to it. Trials that have not come to rest take the median of the others. So do limit cycles and errors
+    rest at the end of the log, where it neither decays (`LASTING`) nor is as large as `LARGEST_REST`; the fed back
+    part is scaled to it. Trials that have not come to rest take the median of the others. So do limit cycles and errors
     that depend on each other. Two standard errors then hold 94 to 99 % of the readings of simulated Falcon trials
     (2 and 10 um quantum, noise of 0 to 1 um), 90 to 92 % with jitter, and 86 % at 60 um.
 
@@ -222,7 +224,7 @@ def _motion_at_rest(batch: TrialBatch, response: Response, predicted: Floats, kn
     part = np.maximum((batch.rows - response.edge_row) // LAST_PART, 1)
     distance = (batch.position - response.position_final_expected[:, None]) ** 2
     squares, expected = [], []
-    for number in (1, 2):
+    for number in (1, 2, 3):
         last = column >= (batch.rows - number * part)[:, None]
         last &= column < (batch.rows - (number - 1) * part)[:, None]
         last &= batch.valid
@@ -233,4 +235,6 @@ def _motion_at_rest(batch: TrialBatch, response: Response, predicted: Floats, kn
     travel = np.abs(response.position_final_expected - response.position_start)
     rests = known & (np.sqrt(squares[0]) <= LARGEST_REST * travel) & (expected[0] > 0)
     rests &= squares[0] >= LASTING**2 * squares[1]
+    small = squares[0] <= (REST_FLOORS * response.floor) ** 2
+    rests &= small | (squares[0] >= LASTING**2 * squares[2])
     return np.where(rests, np.sqrt(squares[0] / np.where(rests, expected[0], 1.0)), np.nan)

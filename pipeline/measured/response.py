@@ -124,6 +124,10 @@ def find_response(batch: TrialBatch, *, edge_samples: int = EDGE_SAMPLES) -> Res
     filter or a force limit it is wrong once the device moves, but not before, so that the edge stays right
     for any delay of at least one sample.
 
+    A command of wrong sign or size, or another signal, has no edge: the wall force alone would cross half the step,
+    too, only later. Such a log is known by a command that has not reached half the step by then
+    (a chatter may be larger, of either sign), or by a force that first stays beyond half the step on the other side.
+
     The noise is that of the second differences of the baseline, var = 6 sigma^2 for white noise. A device that
     chatters before the step (at high B one quantum commands newtons) hardly adds to them while its period is
     long: a chatter of amplitude a and period of p samples adds a variance of (2 pi/p)^4 a^2/12, 1 % of a for
@@ -133,10 +137,7 @@ def find_response(batch: TrialBatch, *, edge_samples: int = EDGE_SAMPLES) -> Res
     Source: Hulin 2017, sec. 6.1.1 (procedure) and eq. 6.1 (final position).
     """
     edge, no_edge = _edge(batch, edge_samples)
-    baseline = np.arange(batch.position.shape[1])[None, :] < edge[:, None]
     quantum = _quantum(batch)
-    noise = _white_noise(batch.position, baseline)
-    floor = quantum + NOISE_FACTOR * np.nan_to_num(noise)
     with np.errstate(divide="ignore", invalid="ignore"):
         travel = np.where(batch.stiffness > 0, batch.step / batch.stiffness, np.nan)
     start = batch.position[:, :1].reshape(-1)
@@ -150,9 +151,7 @@ def find_response(batch: TrialBatch, *, edge_samples: int = EDGE_SAMPLES) -> Res
         position_final_expected=start + travel,
         position_final_measured=_last_tenth(batch),
         sensor_quantum=quantum,
-        sensor_noise=noise,
-        floor=floor,
-        baseline_motion=_motion(batch.displacement, baseline, floor),
+        **_baseline(batch, quantum, edge),
         reason=reason,
         edge_reason=tuple(no_edge),
     )
@@ -167,8 +166,9 @@ def declare_edge(batch: TrialBatch, response: Response, edge_row: int | Integers
     response : Response
         Of the same trials.
     edge_row : int or int64, shape (n,)
-        Row in which the command first holds the step, counted from 0; it replaces what the log shows. Row 0 is
-        legal: such a log has no baseline, so that its noise stays unknown. -1 leaves a trial as it is.
+        Row in which the command first holds the step, counted from 0; it replaces what the log shows, and the rows
+        before it are the baseline. Row 0 is legal: such a log has none, so that its noise is unknown. -1 leaves a
+        trial as it is.
 
     Returns
     -------
@@ -189,9 +189,11 @@ def declare_edge(batch: TrialBatch, response: Response, edge_row: int | Integers
             "Correct the declared row."
         )
     final = ("" if k > 0 else _no_final(k) for k in batch.stiffness)
+    edge = np.where(kept, response.edge_row, edge)
     return replace(
         response,
-        edge_row=np.where(kept, response.edge_row, edge),
+        edge_row=edge,
+        **_baseline(batch, response.sensor_quantum, edge),
         reason=tuple(old if same else new for same, old, new in zip(kept, response.reason, final, strict=True)),
         edge_reason=tuple(old if same else "" for same, old in zip(kept, response.edge_reason, strict=True)),
     )
@@ -208,16 +210,17 @@ def external_force(batch: TrialBatch) -> Floats:
 
 
 def _edge(batch: TrialBatch, samples: int) -> tuple[Integers, list[str]]:
-    sign = np.sign(batch.step)[:, None]
-    above = np.nan_to_num(external_force(batch) * sign) > 0.5 * np.abs(batch.step)[:, None]
-    stays = above.copy()
-    for shift in range(1, samples):
-        stays[:, :-shift] &= above[:, shift:]
-        stays[:, -shift:] = False
-    first = np.argmax(stays, axis=1).astype(np.int64) if stays.shape[1] else np.zeros(len(batch), dtype=np.int64)
-    found = stays.any(axis=1)
+    sign, half = np.sign(batch.step)[:, None], 0.5 * np.abs(batch.step)[:, None]
+    external = np.nan_to_num(external_force(batch) * sign)
+    first, found = _first_run(external > half, samples)
+    opposite, against = _first_run(external < -half, samples)
+    against &= opposite < first
+    # where the command has a wrong unit or is another signal, the wall force alone crosses half the step, only later;
+    # a chatter before the step may be larger than it, of either sign
+    early = np.arange(external.shape[1])[None, :] < first[:, None] + samples
+    moves = np.any((np.nan_to_num(np.abs(batch.command)) > half) & early, axis=1, keepdims=True)[:, 0]
     reasons = []
-    for k, has, step in zip(first, np.atleast_1d(found), batch.step, strict=True):
+    for trial, (k, has, step) in enumerate(zip(first, found, batch.step, strict=True)):
         if step == 0:
             reasons.append("no step was commanded (step is 0)")
         elif not has:
@@ -230,9 +233,30 @@ def _edge(batch: TrialBatch, samples: int) -> tuple[Integers, list[str]]:
                 "no baseline, the step is already there in row 0: the command edge is not identifiable; "
                 "record at least one row before the step"
             )
+        elif not moves[trial]:
+            reasons.append(
+                f"no command edge: command plus wall force reaches half the step ({step:g}) in row {k}, but the "
+                "command itself has not; check the units, the step, and that it is the total command"
+            )
+        elif against[trial]:
+            reasons.append(
+                f"no command edge: command plus wall force first jumps against the step ({step:g}), in row "
+                f"{opposite[trial]}; check the sign of command, position and step"
+            )
         else:
             reasons.append("")
-    return np.where(found & (first > 0), first, NO_ROW).astype(np.int64), reasons
+    return np.where(found & (first > 0) & moves & ~against, first, NO_ROW).astype(np.int64), reasons
+
+
+def _first_run(rows: Booleans, samples: int) -> tuple[Integers, Booleans]:
+    """Return the first row from which on so many rows are true, shape (n,), and whether there is one."""
+    stays = rows.copy()
+    for shift in range(1, samples):
+        stays[:, :-shift] &= rows[:, shift:]
+        stays[:, -shift:] = False
+    first = np.argmax(stays, axis=1) if stays.shape[1] else np.zeros(len(stays))
+    found: Booleans = np.any(stays, axis=1, keepdims=True)[:, 0]
+    return first.astype(np.int64), found
 
 
 def _no_final(stiffness: float) -> str:
@@ -318,6 +342,14 @@ def _exact_grid(size: Floats, changes: int, rounding: Floats) -> Floats:
         on_grid = (error < GRID_TOLERANCE) & (grid > rounding[open_trials] / GRID_TOLERANCE)
         quantum[open_trials[on_grid]] = grid[on_grid]
     return quantum
+
+
+def _baseline(batch: TrialBatch, quantum: Floats, edge: Integers) -> dict[str, Floats]:
+    """Return what the rows before the edge tell: noise, sensor floor and motion, each of shape (n,)."""
+    baseline = np.arange(batch.position.shape[1])[None, :] < edge[:, None]
+    noise = _white_noise(batch.position, baseline)
+    floor = quantum + NOISE_FACTOR * np.nan_to_num(noise)
+    return {"sensor_noise": noise, "floor": floor, "baseline_motion": _motion(batch.displacement, baseline, floor)}
 
 
 def _white_noise(position: Floats, baseline: Booleans) -> Floats:

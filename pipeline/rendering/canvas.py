@@ -23,7 +23,7 @@ from pipeline.records.batch import Floats
 from pipeline.records.figure_records import CostMap, Curve
 from pipeline.records.models import Motion
 from pipeline.rendering import style
-from pipeline.rendering.labels import KILO_ABOVE, UNITS
+from pipeline.rendering.labels import KILO_ABOVE, UNITS, shortened
 
 DOTS_PER_INCH = 72.0
 MARGIN = 1.06
@@ -34,6 +34,8 @@ LABEL_OF_ORDINATE = 44.0
 """Distance of the ordinate's label from its axis [px]: room for tick labels of four digits."""
 LABEL_OF_ABSCISSA = 32.0
 """Distance of the abscissa's label from its axis [px]."""
+TITLE_LETTER = 6.6
+"""Mean width of a letter in a title [px]; longer titles, as of experiments with long names, are cut."""
 ROUNDING = 1e-9
 """Error, relative to the step, up to which a tick counts as the round number that it stands for."""
 
@@ -115,6 +117,7 @@ def frame(
     if x_label:
         axes.text((box.x0 + box.x1) / 2, box.y0 - LABEL_OF_ABSCISSA, x_label, ha="center", va="baseline", **look)
     if title:
+        title = shortened(title, int(box.width / TITLE_LETTER))
         axes.text(box.x0, box.y1 + 6.0, title, ha="left", va="baseline", **look)
 
 

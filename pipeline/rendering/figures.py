@@ -26,11 +26,18 @@ from pipeline.rendering.labels import (
     damping_text,
     decimal,
     printed_scale,
+    shortened,
     stiffness_text,
 )
 
 LEGEND_ORDER = ("measured", "theory", "band", "linear", "bound", "passive", "envelope")
 """Kinds of curves in the order of a legend: what is compared first."""
+
+LETTER = 6.2
+"""Width of a wide letter in a legend [pixels]; a lab may give an experiment a name of 200 of them."""
+
+HALF = 0.56
+"""Part of the letters of a whole line that a legend of two columns holds: words of usual letters are narrower."""
 
 
 def boundaries(figure: BoundaryFigure, motion: Motion = "translation") -> tuple[str, ...]:
@@ -53,7 +60,8 @@ def boundaries(figure: BoundaryFigure, motion: Motion = "translation") -> tuple[
     largest, damping = reach[0], (reach[1], reach[2])
     width = 350.0 if len(figure.panels) > 2 else 440.0
     longest = max((len(curve.label) for curve in curves), default=0)
-    columns = 4 if longest <= panels.SHORT_LABEL else 2
+    letters = int((width - 80) / LETTER)  # of a label that has the width for itself, beside its line
+    columns = 4 if longest <= panels.SHORT_LABEL else 2 if longest <= HALF * letters else 1
     # One height for all panels, so that they line up: room for the longest legend.
     lines = max(
         (
@@ -77,7 +85,7 @@ def boundaries(figure: BoundaryFigure, motion: Motion = "translation") -> tuple[
             if figure.normalised:
                 names = ("α = K T²/m", "β = B T/m")
             canvas.frame(axes, *names, title=title)
-            handles = _handles(axes, panel, written, figure.theory_label)
+            handles = _handles(axes, panel, written, figure.theory_label, letters)
             if handles:
                 place = (52 / width, legend_height / height)
                 drawing.legend(handles=handles, ncols=columns, loc="upper left", bbox_to_anchor=place, **look)
@@ -86,7 +94,7 @@ def boundaries(figure: BoundaryFigure, motion: Motion = "translation") -> tuple[
     return tuple(result)
 
 
-def _handles(axes: Axes, curves: Sequence[Curve], written: set[str], theory_label: str) -> list[Artist]:
+def _handles(axes: Axes, curves: Sequence[Curve], written: set[str], theory_label: str, letters: int) -> list[Artist]:
     """Return what the legend holds: curves without a label beside them, measured ones and theory first."""
     kinds = {curve.label: curve.kind for curve in curves}
     named = [(str(artist.get_label()), artist) for artist in (*axes.get_lines(), *axes.patches)]
@@ -100,6 +108,8 @@ def _handles(axes: Axes, curves: Sequence[Curve], written: set[str], theory_labe
         line = Line2D([], [], color=colour, ls=style.LINES["theory"], lw=panels.LINE_WIDTHS["theory"])
         line.set_label(theory_label)
         shown.append((LEGEND_ORDER.index("theory"), line))
+    for _, artist in shown:
+        artist.set_label(shortened(str(artist.get_label()), letters))
     return [artist for _, artist in sorted(shown, key=lambda entry: entry[0])]
 
 

@@ -18,6 +18,9 @@ DIGITS = 3
 MOST_DIGITS = 6
 """Most digits of an estimate."""
 
+ALL_BUT_ROUNDING = 1e-9
+"""Distance from 1 up to which a share is all: sums of 1e4 areas round by 1e-12."""
+
 
 @dataclass(frozen=True)
 class Units:
@@ -77,6 +80,11 @@ def printed_scale(criterion: str) -> float:
     return 100.0 if criterion_unit(criterion) == "%" else 1.0
 
 
+def shortened(text: str, longest: int) -> str:
+    """Return a text of at most so many characters, its end replaced by an ellipsis where it is longer."""
+    return text if len(text) <= longest else f"{text[: longest - 1].rstrip()}…"
+
+
 def decimal(value: float, places: int) -> str:
     """Return a number with a fixed number of decimals and a true minus sign; whole numbers lose the zeros."""
     text = f"{value:.{places}f}"
@@ -111,10 +119,33 @@ def cost_text(criterion: str, value: float) -> str:
     return decimal(printed, 2 if abs(printed) < 1000 else 1)
 
 
+def published_text(value: float) -> str:
+    """Return a published value with the digits that were published (six at most), no more and no fewer."""
+    return f"{value:.7g}".replace("-", "\N{MINUS SIGN}")
+
+
 def percent_text(value: float, places: int = 1) -> str:
     """Return a deviation with its sign and one decimal, as in Table D.6."""
     text = f"{value:+.{places}f}"
     return f"{0:.{places}f}" if float(text) == 0 else text.replace("-", "\N{MINUS SIGN}")
+
+
+def share_text(value: float, places: int = 1) -> str:
+    """Return a share in percent; what is not quite all is not rounded to all.
+
+    Parameters
+    ----------
+    value : float
+        Share, 1 for all.
+    places : int
+        Decimals; one where none would round to 100 % or 0 % what is neither.
+    """
+    if value == 0.0 or abs(value - 1) <= ALL_BUT_ROUNDING:
+        return decimal(100 * value, 0)
+    text = f"{100 * value:.{places}f}"
+    if float(text) in (0.0, 100.0):
+        text = f"{100 * value:.1f}"
+    return "99.9" if text == "100.0" else text
 
 
 def estimate_texts(estimate: Estimate) -> tuple[str, str, str]:

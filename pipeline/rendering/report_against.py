@@ -95,7 +95,7 @@ def _value_table(name: str, caption: str, pair: PairDifference, values: tuple[Va
     table = Table(name, f"{caption}: second minus first", heads)
     columns = ("name", "first", "second", "difference", "interval", "significant")
     for v in values:
-        unit = f" [{v.unit}]" if v.unit else ""
+        unit = f" [{v.unit.replace('^2', '²')}]" if v.unit else ""
         reason = v.reason or "not available"
         numbers = [Cell(significant(x, DIGITS)) if x is not None else missing_cell(reason) for x in (v.first, v.second)]
         difference = missing_cell(reason) if v.difference is None else Cell(significant(v.difference, DIGITS))
@@ -114,7 +114,7 @@ def _judgement(v: ValueDifference | CostDifference) -> list[Cell]:
 
 def _words(name: str) -> str:
     criterion, _, what = name.partition("/")
-    words = CRITERION_NAMES.get(criterion, criterion.replace("_", " "))
+    words = CRITERION_NAMES.get(criterion, criterion.removesuffix("_samples").replace("_", " "))
     return f"{words}: {what}" if what else words
 
 

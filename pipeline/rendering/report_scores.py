@@ -20,6 +20,7 @@ from pipeline.rendering.labels import (
     damping_text,
     decimal,
     percent_text,
+    share_text,
     significant,
 )
 from pipeline.rendering.report_tables import Cell, Head, Table, missing_cell, text_cell
@@ -114,9 +115,12 @@ def _table(identifier: str, caption: str, result: ComparisonResult, found: Mappi
 
 def _add(table: Table, block: str, row: _Row, result: ComparisonResult, found: Mapping[str, Scores]) -> None:
     names = [head.text for head in table.heads[1:]]
+    head = "score"
+    while head in names:  # an experiment may have any name
+        head += "'"
     nothing = missing_cell("no scores: theory or the estimates that it needs are not known")
     cells = [row.cell(found[name]) if name in found else nothing for name in names]
-    table.add(block, row.name, ("score", *names), [text_cell(row.head), *cells])
+    table.add(block, row.name, (head, *names), [text_cell(row.head), *cells])
 
 
 def _stability_rows(units: Units) -> list[_Row]:
@@ -126,13 +130,16 @@ def _stability_rows(units: Units) -> list[_Row]:
         r = s.region
         if r is None:
             return missing_cell(s.missing.get("region", _NOT_KNOWN))
-        return Cell(_share(r.covered), aside=_range(_share, r.covered_low, r.covered_high))
+        return Cell(share_text(r.covered), aside=_range(share_text, r.covered_low, r.covered_high))
 
     def shared(s: Scores) -> Cell:
         r = s.region
         if r is None:
             return missing_cell(s.missing.get("region", _NOT_KNOWN))
-        return Cell(_share(r.overlap), aside=_range(_share, r.overlap_low, r.overlap_high))
+        aside = _range(share_text, r.overlap_low, r.overlap_high)
+        if r.censored:
+            aside += f"; no unstable trial at {r.censored} of {r.dampings} dampings"
+        return Cell(share_text(r.overlap), aside=aside)
 
     def ratio(s: Scores) -> Cell:
         r = s.region
@@ -165,7 +172,7 @@ def _stability_rows(units: Units) -> list[_Row]:
         if v is None:
             return _gone(s, "verdicts")
         text = f"{v.only_theory_stable} : {v.only_log_stable}"
-        return Cell(_share(v.agreement), aside=text)
+        return Cell(share_text(v.agreement), aside=text)
 
     return [
         _Row("covered", "share of the theoretical region that is measured as stable [%]", covered),
@@ -191,7 +198,7 @@ def _band_row() -> _Row:
             + " to ".join(dict.fromkeys((damping_text(d.damping_low), damping_text(d.damping_high))))
             for d in b.departures
         ]
-        return Cell(_share(b.share), aside="; ".join(where[:2]) + (" ..." if len(where) > 2 else ""))
+        return Cell(share_text(b.share), aside="; ".join(where[:2]) + (" ..." if len(where) > 2 else ""))
 
     return _Row("band", "limits inside the band of the estimates' intervals [%]", cell)
 
@@ -212,7 +219,7 @@ def _evidence_rows(units: Units) -> list[_Row]:
         reach = (
             f"{_three(b.stiffness_low)} to {_three(b.stiffness_high)}; {_three(b.slope_low)} to {_three(b.slope_high)}"
         )
-        return Cell(f"{_three(b.stiffness)} − {_three(b.slope)} B", aside=f"{reach}; cuts off {_share(b.cut)} %")
+        return Cell(f"{_three(b.stiffness)} − {_three(b.slope)} B", aside=f"{reach}; cuts off {share_text(b.cut)} %")
 
     return [
         _Row("delay", "delay implied by the boundary [samples]", delay),
@@ -268,14 +275,6 @@ def _map(scores: Scores, criterion: str) -> MapScore | None:
 
 def _gone(scores: Scores, what: str) -> Cell:
     return missing_cell(scores.missing.get(what, _NOT_KNOWN))
-
-
-def _share(value: float) -> str:
-    """Percent with one decimal, but for all and nothing; what is not quite all is not rounded to all."""
-    if value in (0.0, 1.0) or abs(value - 1) <= 1e-9:
-        return decimal(100 * value, 0)
-    text = _decimals(100 * value, 1)
-    return "99.9" if text == "100.0" else text
 
 
 def _decimals(value: float, places: int) -> str:

@@ -6,6 +6,7 @@ compares cells by name, and a test can ask for one of them.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -22,6 +23,8 @@ from pipeline.rendering.labels import (
     criterion_label,
     damping_text,
     percent_text,
+    printed_scale,
+    published_text,
     significant,
     stiffness_text,
     table_label,
@@ -145,8 +148,52 @@ def delay_tables(result: ComparisonResult, trials: TrialPage | None = None) -> l
 
 
 def is_delay_table(rows: Sequence[ComparisonRow]) -> bool:
-    """Tell whether rows form a table over delay: each has a delay and there is more than one."""
-    return all(row.delay_samples is not None for row in rows) and len({row.delay_samples for row in rows}) > 1
+    """Tell whether rows form a table over delay: its measured rows differ in their experiment only.
+
+    In a table of optima each criterion has one row a condition, and delays may differ from theory to experiment.
+    """
+    measured = [row for row in rows if not _is_theory(row)]
+    kinds = {(row.criterion, row.condition) for row in measured}
+    places = {(row.criterion, row.condition, row.experiment, row.delay_samples) for row in measured}
+    return len(kinds) < len(measured) == len(places)
+
+
+@dataclass(frozen=True)
+class DelayPoint:
+    """One experiment in a table over delay: its theoretical and measured rows by criterion.
+
+    ``delay`` is the total delay in samples, None where it is not known.
+    """
+
+    delay: float | None
+    experiment: str | None
+    theory: dict[str, ComparisonRow]
+    measured: dict[str, ComparisonRow]
+
+
+def delay_points(rows: Sequence[ComparisonRow]) -> list[DelayPoint]:
+    """Return the experiments of a table over delay, in order of delay; several may have the same.
+
+    Parameters
+    ----------
+    rows : sequence of ComparisonRow
+        Theory of each experiment and criterion directly before the measured row that it belongs to. Deviations refer
+        to the discrete theory, which therefore stands in the table where there are both.
+    """
+    points: dict[tuple[float | None, str | None], DelayPoint] = {}
+    theory: dict[str, ComparisonRow] = {}
+    for row in rows:
+        if _is_theory(row):
+            if row.condition == "theory_discrete" or row.criterion not in theory:
+                theory[row.criterion] = row
+            continue
+        point = points.setdefault(
+            (row.delay_samples, row.experiment), DelayPoint(row.delay_samples, row.experiment, {}, {})
+        )
+        point.measured[row.criterion] = row
+        if row.criterion in theory:
+            point.theory[row.criterion] = theory.pop(row.criterion)
+    return sorted(points.values(), key=lambda point: float("inf") if point.delay is None else point.delay)
 
 
 def measured_optimum_table(result: ComparisonResult, trials: TrialPage | None = None) -> Table | None:
@@ -275,35 +322,35 @@ def _deviation_cell(row: ComparisonRow) -> Cell:
 
 
 def _published_cells(row: ComparisonRow) -> list[Cell]:
-    why = "not published"
-    return [
-        Cell(stiffness_text(row.published_stiffness)) if row.published_stiffness is not None else missing_cell(why),
-        Cell(damping_text(row.published_damping)) if row.published_damping is not None else missing_cell(why),
-        Cell(cost_text(row.criterion, row.published_cost)) if row.published_cost is not None else missing_cell(why),
-    ]
+    cost = None if row.published_cost is None else row.published_cost * printed_scale(row.criterion)
+    values = (row.published_stiffness, row.published_damping, cost)
+    return [missing_cell("not published") if v is None else Cell(published_text(v)) for v in values]
 
 
 def _delay_table(name: str, rows: Sequence[ComparisonRow], trials: TrialPage | None) -> Table:
     criteria = list(dict.fromkeys(row.criterion for row in rows))
-    # Deviations refer to the discrete theory, which therefore stands in the table where there are both.
-    theory = [r for r in rows if r.condition == "theory_discrete"] or [r for r in rows if _is_theory(r)]
-    at_theory = {(row.criterion, row.delay_samples): row for row in theory}
-    at_measured = {(row.criterion, row.delay_samples): row for row in rows if not _is_theory(row)}
+    points = delay_points(rows)
+    shared = Counter(point.delay for point in points)
     heads = [Head("delay d")]
     columns = ["delay"]
     for criterion in criteria:
         heads += [Head(text, criterion_label(criterion)) for text in ("theory", "experiment", "dev. %")]
         columns += [f"{criterion}/{text}" for text in ("theory", "experiment", "deviation")]
     title = table_label(name) if table_label(name) != name else name.capitalize()
-    caption = f"{title}. Optimal costs over total delay; published values in brackets"
+    caption = f"{title}. Optimal costs over total delay"
+    if any(row.published_cost is not None for row in rows):
+        caption += "; published values in brackets"
     table = Table(name, caption, tuple(heads))
-    for delay in sorted({row.delay_samples for row in rows if row.delay_samples is not None}):
-        cells = [Cell(significant(delay, 3))]
+    for point in points:
+        delay = MISSING if point.delay is None else significant(point.delay, 3)
+        alone = shared[point.delay] == 1 and point.delay is not None
+        cells = [Cell(delay, aside="" if alone else f"experiment {point.experiment}")]
         for criterion in criteria:
-            measured = at_measured.get((criterion, delay))
-            cells += [_cost_cell(table, row, trials) for row in (at_theory.get((criterion, delay)), measured)]
+            measured = point.measured.get(criterion)
+            cells.append(_cost_cell(table, point.theory.get(criterion), trials, "theory is not known at this delay"))
+            cells.append(_cost_cell(table, measured, trials, "no trials at this delay"))
             cells.append(_deviation_cell(measured) if measured else missing_cell("not measured"))
-        table.add("", f"d={significant(delay, 3)}", columns, cells)
+        table.add("", f"d={delay}" if alone else f"d={delay}/{point.experiment}", columns, cells)
     return table
 
 
@@ -311,10 +358,11 @@ def _is_theory(row: ComparisonRow) -> bool:
     return row.condition.startswith("theory")
 
 
-def _cost_cell(table: Table, row: ComparisonRow | None, trials: TrialPage | None) -> Cell:
+def _cost_cell(table: Table, row: ComparisonRow | None, trials: TrialPage | None, without: str) -> Cell:
     if row is None:
-        return missing_cell("no trials at this delay")
-    printed = f"({cost_text(row.criterion, row.published_cost)})" if row.published_cost is not None else ""
+        return missing_cell(without)
+    published = None if row.published_cost is None else row.published_cost * printed_scale(row.criterion)
+    printed = "" if published is None else f"({published_text(published)})"
     marks = table.mark([row.note, CENSORED if row.censored else None])
     if row.cost is None:
         return Cell(MISSING, aside=printed, why=row.note or "not available", marks=marks)

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
+from pipeline.base.wording import counted
 from pipeline.records.batch import Floats
 from pipeline.records.figure_records import ResidualFigure, ResidualMap
 from pipeline.records.models import Motion
@@ -109,6 +110,7 @@ def _describe(shown: ResidualMap, criterion: str) -> str:
     above, below = int((shown.residual >= steps[0]).sum()), int((shown.residual <= -steps[0]).sum())
     same = len(shown.residual) - above - below
     return (
-        f"Measured against theory in {len(shown.residual)} cells with {shown.trials} trials: median "
-        f"{departure(shown.median, criterion)}; larger in {above} cells, smaller in {below}, about equal in {same}."
+        f"Measured against theory in {counted(len(shown.residual), 'cell')} with {counted(shown.trials, 'trial')}: "
+        f"median {departure(shown.median, criterion)}; larger in {counted(above, 'cell')}, smaller in {below}, about "
+        f"equal in {same}."
     )

@@ -43,6 +43,7 @@ _LATEX = {
     '"': r"\textquotedbl{}",
     "[": "{[}",  # behind a line's end it would begin the argument of \\
     "]": "{]}",
+    "*": "{*}",  # likewise: \\\\* is a line's end of its own
     "\N{MINUS SIGN}": "$-$",
     "\N{EN DASH}": "--",
     "\N{NO-BREAK SPACE}": "~",

@@ -40,7 +40,7 @@ class Plane {
     this.trials = trials;
     this.cursor = -1;
     this.picked = -1;
-    const ends = (values) => [Math.min(0, ...values), Math.max(...values) * 1.04 || 1];
+    const ends = (values) => [Math.min(0, ...values), Math.max(0, ...values) * 1.04 || 1];
     this.kEnds = ends([...trials.k, ...(trials.theory?.[0] ?? [])].filter((x) => x !== null));
     this.bEnds = ends([...trials.b, ...(trials.theory?.[1] ?? [])].filter((x) => x !== null));
     this.order = [...trials.k.keys()].sort((i, j) => trials.b[i] - trials.b[j] || trials.k[i] - trials.k[j]);
@@ -165,7 +165,8 @@ class Plane {
     pen.textAlign = "center";
     for (const k of ticks(this.kEnds, kStep)) {
       rule(this.x(k), this.top, this.x(k), bottom, faint);
-      pen.fillText(plain(k), this.x(k), bottom + 16);
+      // the last number ends at the edge of the canvas, where it would be cut
+      pen.fillText(plain(k), Math.min(this.x(k), right + 12 - pen.measureText(plain(k)).width / 2), bottom + 16);
     }
     pen.fillText(`stiffness K [${this.trials.units.stiffness}]`, this.left + this.width / 2, bottom + 36);
     pen.textAlign = "right";
