@@ -11,7 +11,7 @@ help:
 	@echo "make test-all  the slow tests too"
 	@echo "make bench     speed and memory of ingest, estimates, theory, reports and watch, at thesis size"
 	@echo "make docs      regenerate schemas/*.json and the figure in the README"
-	@echo "make clean     remove what the other targets made (logs in raw/ that you recorded are kept)"
+	@echo "make clean     remove environment, caches and the demo's logs and tables (what you recorded and ingested, and reports/, are kept)"
 
 .venv/.run: pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv
@@ -49,5 +49,5 @@ docs: .venv/.dev
 	$(BIN)/python docs/make_figure.py
 
 clean:
-	rm -rf .venv processed reports raw/demo raw/demo-full .pytest_cache .mypy_cache .ruff_cache .hypothesis dist
+	rm -rf .venv raw/demo raw/demo-full processed/demo processed/demo-full .pytest_cache .mypy_cache .ruff_cache .hypothesis dist
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

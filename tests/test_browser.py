@@ -350,3 +350,25 @@ def test_no_sideways_scrolling_on_narrow_screens(browser: Any, measured: Path, w
         page.evaluate("document.querySelectorAll('details').forEach((part) => { part.open = true; })")
         assert page.evaluate("document.documentElement.scrollWidth") <= width
         assert page.locator("#plane").bounding_box()["width"] <= width
+
+
+def test_no_number_at_the_plane_is_cut(browser: Any, measured: Path) -> None:
+    """The last number of the stiffness axis may stand at the very edge of the canvas."""
+    with Opened(browser, measured, width=390) as page:
+        page.evaluate("""() => {
+          window.cut = [];
+          const real = CanvasRenderingContext2D.prototype.fillText;
+          CanvasRenderingContext2D.prototype.fillText = function (text, x, y) {
+            const half = this.measureText(text).width / 2;
+            if (this.canvas.id === "plane" && this.textAlign === "center" && this.getTransform().b === 0
+                && x + half > this.canvas.clientWidth + 0.5) window.cut.push(text);
+            real.call(this, text, x, y);
+          };
+          const plane = document.getElementById("plane");
+          plane.focus();
+        }""")
+        # the axis ends 4 % beyond the stiffest trial: make that the round number that ends it
+        page.evaluate("explorer.plane.kEnds = [0, 10000 * (1 + 1e-6)]")
+        page.keyboard.press("ArrowRight")
+        page.wait_for_timeout(100)
+        assert page.evaluate("window.cut") == []

@@ -123,6 +123,8 @@ def test_choice_tells_how_near_the_limit_is(result):
     assert choice(near, FALCON).endswith(
         "the limit there is 2 times as stiff, and this K is stable for B = 10 to 30 Ns/m."
     )
+    alone = result.model_copy(update={"boundary": points[2:3], "optimum": best})
+    assert choice(alone, FALCON).endswith("and this K is stable for B = 20 Ns/m only.")
     close = {"settle_2pct": Optimum(stiffness=4800, damping=20, cost=24)}
     text = choice(result.model_copy(update={"boundary": points, "optimum": close}), FALCON)
     assert "only 1.06 times as stiff" in text

@@ -8,13 +8,14 @@ from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
+import typer
 from native_logs import FAULTS, log_text
 
 from pipeline import __version__
 from pipeline.base.errors import StoreError
 from pipeline.comparison import compare
 from pipeline.shell import console
-from pipeline.shell.cli import run
+from pipeline.shell.cli import app, run
 
 COMMANDS = {
     "demo": ["--full"],
@@ -65,6 +66,25 @@ def test_help_names_purpose_options_and_an_example(call, command):
     assert status == 0
     assert [option for option in COMMANDS[command] if option not in out] == []
     assert f"Example: pipeline {command}" in out
+
+
+def leaves(command, words=()):
+    """Each command with the words that call it."""
+    if not hasattr(command, "commands"):
+        return [(words, command)]
+    return [leaf for name, below in command.commands.items() for leaf in leaves(below, (*words, name))]
+
+
+@pytest.mark.parametrize(
+    ("words", "command"),
+    leaves(typer.main.get_command(app)),
+    ids=lambda part: " ".join(part) if isinstance(part, tuple) else "",
+)
+def test_help_shows_every_word_of_what_options_say(call, words, command):
+    shown = "".join(re.sub("[│╭╮╰╯─]", " ", call(*words, "--help")[1]).split())
+    for parameter in command.params:
+        if parameter.help and not parameter.hidden:  # square brackets would be taken for a style, and vanish
+            assert "".join(parameter.help.split()) in shown, parameter.name
 
 
 def test_help_and_version_need_none_of_the_heavy_packages():
@@ -325,13 +345,69 @@ def test_compare_prints_one_document_and_writes_the_report(call, course, tmp_pat
         (["--device", "lwr", "--experiment", "delay-2"], 1, "delay-2"),
         (["--device", "lwr", "--criteria", "overshoot,speed"], 2, "speed"),
         (["--device", "lwr", "--criteria", ""], 2, "criterion ''"),
+        (["--device", "lwr", "--report", ""], 2, "is a folder; expected a file"),
+        (["--device", "lwr", "--report", "stored"], 2, "is a folder; expected a file"),
+        (["--device", "lwr", "--report", "a.json"], 2, "Give a.html."),
+        (["--device", "lwr", "--report", "stored/file/new/a.html"], 1, "since stored/file takes no files (Not a dir"),
     ],
 )
 def test_wrong_comparisons_are_refused(call, course, arguments, status, message, tmp_path):
+    (tmp_path / "stored").mkdir()
+    (tmp_path / "stored" / "file").touch()
     found, out, err = call("compare", *arguments, "--processed", course)
     assert (found, out) == (status, "")
     assert message in err
-    assert not (tmp_path / "reports").exists()
+    assert sorted(path.name for path in tmp_path.rglob("*")) == ["file", "stored"]
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        *(["theory", "figures", "--figure", "3.6", "--out"], ["theory", "map", "--delay", "1", "--out"]),
+        *(
+            ["accuracy", "--quick", "--out"],
+            ["profile", "draft", "s.csv", "--out"],
+            ["scene", "draft", "--device", "lwr", "--out"],
+        ),
+    ],
+)
+def test_a_file_that_cannot_be_written_is_told_before_the_work(call, words, tmp_path):
+    (tmp_path / "file").touch()
+    refused = ((".", 2, "--out .: is a folder"), ("file/a.html", 1, "since file takes no files (Not a directory)"))
+    for place, expected, message in refused:
+        status, out, err = call(*words, place)
+        assert (status, out) == (expected, "")
+        assert message in err
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+def test_reports_that_cannot_be_written_stop_demo_and_comparison_at_once(call, course, tmp_path):
+    (tmp_path / "reports").touch()
+    for words in (["demo"], ["compare", "--device", "lwr", "--processed", course]):
+        status, out, err = call(*words)
+        assert (status, out) == (1, "")
+        assert "since reports takes no files (Not a directory)" in err
+    assert [path.name for path in tmp_path.iterdir()] == ["reports"]
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        *(["--against", "delay-4", "--dry-run"], ["--against", "delay-4", "--full"]),
+        *(["--against", "delay-4", "--tables-format", "csv"], ["--against-device", "lwr", "--dry-run"]),
+        *(["--against-report", "a.json", "--tables-format", "csv"], ["--against", "x", "--against-report", "a.json"]),
+    ],
+)
+def test_options_without_effect_on_the_page_of_two_are_refused(call, course, words, tmp_path):
+    status, out, err = call("compare", "--device", "lwr", "-e", "delay-8", *words, "--processed", course)
+    assert (status, out, list(tmp_path.iterdir())) == (2, "", [])
+    assert "do not go together" in err
+
+
+def test_the_page_on_accuracy_is_not_replaced_by_its_document(call, tmp_path):
+    status, _, err = call("accuracy", "--quick", "--out", "a.json")
+    assert (status, list(tmp_path.iterdir())) == (2, [])
+    assert "Give a.html." in err
 
 
 # theory

@@ -201,6 +201,8 @@ def test_wrong_requests_are_refused() -> None:
         run_course(FALCON, "9")
     with pytest.raises(ParameterError, match="coarsen = 0"):
         run_course(FALCON, "1", coarsen=0)
+    with pytest.raises(ParameterError, match=r"duration = 1000000000.0 s: expected at most 20 s \(20000 samples\)"):
+        run_course(FALCON, "1", duration_s=1e9)
 
 
 @pytest.fixture(scope="module")

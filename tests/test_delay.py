@@ -97,6 +97,23 @@ def test_a_declared_step_row_replaces_the_baseline():
             declare_edge(batch, response, row)
 
 
+def test_what_the_baseline_tells_is_read_from_the_rows_before_the_declared_step():
+    """A log whose command shows no step, so that nothing is known of its sensor until the step is declared."""
+    batch = simulate([3000.0] * 50, [50.0] * 50, **FALCON, baseline=40, noise=5e-6, quantum=1e-7)
+    found = find_response(batch)
+    hidden = find_response(dataclasses.replace(batch, command=-batch.command))
+    assert np.isnan(hidden.sensor_noise).all()
+    declared = declare_edge(batch, hidden, found.edge_row)
+    np.testing.assert_array_equal(declared.sensor_noise, found.sensor_noise)
+    np.testing.assert_array_equal(declared.floor, found.floor)
+    np.testing.assert_array_equal(declared.baseline_motion, found.baseline_motion)
+    # fifteen rows of noise, read where the trial says and not where the command shows it
+    early = declare_edge(batch, found, 15)
+    assert (early.sensor_noise != found.sensor_noise).mean() > 0.9
+    np.testing.assert_allclose(np.median(early.sensor_noise), 5e-6, rtol=0.15)
+    assert np.isnan(declare_edge(batch, found, 0).sensor_noise).all()
+
+
 def test_jitter_shows_as_the_factors_3_to_5():
     batch = simulate(np.repeat(K, 10), np.repeat(B, 10), **FALCON, jitter=(3, 4, 5), seed=3)
     found = first_change(batch, find_response(batch)).delay_samples
@@ -118,3 +135,15 @@ def test_reasons():
     found = first_change(still, response)
     assert found.delay_samples.tolist() == [-1]
     assert "no position change" in found.reason[0]
+
+
+def test_a_position_that_counts_the_other_way_has_no_delay():
+    """Its response would be taken for rest, and its swing back, tens of samples later, for the response."""
+    batch = simulate(K, B, **FALCON, quantum=1e-5)
+    mirrored = dataclasses.replace(batch, position=2 * batch.position[:, :1] - batch.position)
+    response = find_response(mirrored)
+    assert response.has_edge.sum() > 30
+    found = first_change(mirrored, response)
+    assert set(found.delay_samples.tolist()) == {-1}
+    words = [text for text in found.reason if "against the step at first; check the signs of position" in text]
+    assert len(words) > 30

@@ -49,6 +49,13 @@ def test_key_result_holds_the_largest_stable_stiffness_of_the_course(first):
     assert predicted == pytest.approx(0.00680 * 0.19 / 1e-6, rel=1e-3)
 
 
+def test_clean_keeps_what_was_ingested_and_reported():
+    makefile = (Path(__file__).parents[1] / "Makefile").read_text(encoding="utf-8")
+    removed = makefile.split("\nclean:\n")[1].splitlines()[0].split()
+    assert {"raw/demo", "processed/demo"} <= set(removed)
+    assert not {"raw", "processed", "reports"} & set(removed)
+
+
 def test_second_demo_stores_nothing_anew(first):
     folder, outcome, _ = first
     before = stamps(folder / "processed")

@@ -124,6 +124,7 @@ def test_size_of_the_state() -> None:
         ((0.0, 0.0, math.nan), "delay"),
         ((0.0, 0.0, math.inf), "delay"),
         ((0.0, 0.0, LARGEST_DELAY + 0.5), "at most 256"),
+        ((0.0, 1e300, 0.0), r"delta = 1e\+300: expected at most 1e\+100"),  # its square overflows
         ((math.pi**2 * (1 + 1e-12), 0.0, 0.0), r"\(4.15\)"),
         ((math.pi**2 + 1.01, 2.0, 0.0), r"\(4.15\)"),
     ],
@@ -134,7 +135,7 @@ def test_parameters_out_of_range_are_named(values: tuple[float, float, float], w
 
 
 def test_extreme_parameters_are_accepted() -> None:
-    for values in [(math.pi**2, 0.0, 0.0), (math.pi**2 + 25, 10.0, 64.0), (5e-324, 0.0, 256.0)]:
+    for values in [(math.pi**2, 0.0, 0.0), (math.pi**2 + 25, 10.0, 64.0), (5e-324, 0.0, 256.0), (0.0, 1e100, 2.0)]:
         assert np.isfinite(Loop(*values).matrix(np.array([0.1]), np.array([0.1]))).all()
 
 

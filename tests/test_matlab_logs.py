@@ -76,7 +76,7 @@ def objects_73():
         series.attrs["MATLAB_object_decode"] = np.int32(3)
         file.create_group("#subsystem#")
 
-    return version_73(write), ("t", "ts.Data", "ts.Data")
+    return version_73(write), ("t", "ts.Data", "ts.Time")
 
 
 def zero_length():

@@ -377,8 +377,10 @@ def test_a_draft_of_each_format_reads_its_sample_when_answered(kind, call, tmp_p
     answers = {
         "columns.time.name": json.dumps(columns["time"]),
         "columns.time.unit": '"ns"' if "stamp" in columns["time"] else '"s"',
-        # the samples have no command: any column of numbers will do
-        "columns.command.name": json.dumps(columns["position"]),
+        # the samples have no command: any other column of numbers will do
+        "columns.command.name": json.dumps(
+            columns["position"].replace("[0]", "[1]").replace("/arm/force", "/arm/count")
+        ),
         "columns.command.unit": '"N"',
         "columns.position.name": json.dumps(columns["position"]),
         "columns.position.unit": '"m"',
@@ -445,6 +447,14 @@ def test_quarantine_is_listed_and_shown(call, refused, tmp_path):
     assert shown["excerpt"] == [[number, lines[number - 1]] for number in range(row - 3, last + 1)]
     status, _, err = call("quarantine", "show", "logs/good.csv")
     assert (status, "is not in quarantine" in err) == (2, True)
+
+
+@pytest.mark.parametrize("words", [["list"], ["list", "--json"], ["show", "bad.csv"], ["retry"]])
+def test_a_mistyped_folder_is_not_one_without_refusals(call, refused, words, tmp_path):
+    status, out, err = call("quarantine", *words, "--processed", "procesed")
+    assert (status, out) == (2, "")
+    assert err.startswith("Error: procesed: no such folder.")
+    assert not (tmp_path / "procesed").exists()
 
 
 def test_a_repaired_log_is_tried_again(call, refused, tmp_path):

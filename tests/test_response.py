@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 
 import numpy as np
 import pytest
@@ -143,6 +144,29 @@ def test_a_short_flicker_is_no_edge():
     command = batch.command.copy()
     command[0, 5:7] += 8.0
     assert find_response(dataclasses.replace(batch, command=command)).edge_row.tolist() == [20]
+
+
+def test_a_command_of_another_size_sign_or_kind_has_no_edge():
+    """The wall force alone crosses half the step as well, only later: an edge there would give a wrong delay."""
+    batch = simulate([3000.0, 4000.0], [20.0, 30.0], **FALCON, quantum=1e-5)
+    late = {
+        "row (2|3|4)\\d, but the command itself has not": (0.0, 1e-3, 0.1),
+        "first jumps against the step \\(8\\), in row 20": (-1.0,),
+    }
+    for words, factors in late.items():
+        for factor in factors:
+            found = find_response(dataclasses.replace(batch, command=factor * batch.command))
+            assert found.edge_row.tolist() == [-1, -1], factor
+            for reason in found.edge_reason:
+                assert re.search(words, reason), (factor, reason)
+
+
+def test_chatter_larger_than_the_step_does_not_hide_the_edge():
+    # unstable from noise alone: long before the step the command swings by many newtons
+    batch = simulate([6000.0] * 5, [60.0] * 5, **{**LWR, "delay": 8}, noise=1e-5, baseline=90)
+    found = find_response(batch)
+    assert (np.abs(batch.command[:, :90]).max(axis=1) > 15).any()
+    assert found.edge_row.tolist() == [90] * 5
 
 
 def test_measured_final_position_is_the_mean_of_the_last_tenth():

@@ -38,6 +38,15 @@ def step_response(alpha, beta, delta, delay, count):
     return np.array(positions)
 
 
+def test_a_cost_that_takes_too_long_is_named_and_the_others_stand(tmp_path, monkeypatch):
+    monkeypatch.setattr(theory, "LONGEST", 8000)
+    (found,) = points(tmp_path, (1e-4, 0.01, 0, 0.1, 3))
+    # one slow pole: ln(50) / -ln(radius) samples into the band, and 7.7 times as many until no overshoot can come
+    assert found["settle_2pct"] == pytest.approx(np.log(50) / -np.log(found["spectral_radius"]), abs=15)
+    assert found["overshoot"] is None
+    assert found["reason"] == "still moves after 8000 samples: no overshoot, overshoot_discrete"
+
+
 CASES = [(0.05, 0.3, 0, 0.02, 1), (0.02, 0.2, 0, 0.0, 3), (0.4, 0.9, 0, 0.1, 0), (0.1, 0.5, 0, 0.02, 1)]
 
 

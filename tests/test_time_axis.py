@@ -82,6 +82,18 @@ def test_sampled_time_needs_no_stamps_and_agrees_with_coarse_ones():
         stamps(late, kind="sampled")
 
 
+def test_sampled_time_sees_one_lost_sample_where_each_stamp_differs():
+    lost = np.delete(np.arange(30.0), 12)  # ms, one for each sample but the thirteenth
+    with pytest.raises(LogError, match=r"row 12 lies at 0\.012 s"):
+        stamps(lost, kind="sampled")
+    dates = np.delete(1.7e9 + np.arange(30) * 1e-3, 12)  # in floats, right to 0.24 us
+    with pytest.raises(LogError, match=r"row 12 lies at 0\.012 s"):
+        stamps(dates, kind="sampled", unit="s")
+    # late by less than one period, and back in time
+    late = np.arange(30.0) + np.random.default_rng(1).uniform(0, 0.99, 30)
+    assert len(stamps(np.sort(late), kind="sampled").time) == 30
+
+
 def test_rows_out_of_order_are_refused_or_sorted():
     time, rows = np.array([0.3, 0.4, 0.1, 0.2, 0.5]), np.arange(5) + 2
     with pytest.raises(

@@ -245,6 +245,17 @@ def test_a_search_may_ask_for_less() -> None:
     assert np.isnan(unfinished["overshoot"]).all()
 
 
+def test_a_slow_response_settles_before_it_is_known_not_to_overshoot() -> None:
+    loop, alpha, beta = Loop(0, 0.1, 3), 1e-4, 0.01
+    # one slow pole carries the response: the closed form of its decay, to the samples that the fast poles last
+    slow = -1 / math.log(spectral_radius(loop, alpha, beta)[0])
+    found = transient_costs(loop, alpha, beta, (0.02,), longest=8000)
+    assert found["settle_2pct"][0] == pytest.approx(slow * math.log(50), abs=15)
+    assert found["settle_2pct_discrete"][0] == math.ceil(found["settle_2pct"][0])
+    assert np.isnan(found["overshoot"][0])  # that takes ln(1e13)/ln(50) = 7.7 times as long
+    assert np.isnan(transient_costs(loop, alpha, beta, (0.02,), longest=4000)["settle_2pct"][0])
+
+
 @pytest.mark.parametrize("bands", [(0.0,), (1.0,), (-0.02,), (2.0,), (0.02, math.nan)])
 def test_bands_must_be_fractions(bands: tuple[float, ...]) -> None:
     with pytest.raises(ParameterError, match="between 0 and 1"):

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from pipeline.base.errors import ParameterError
 from pipeline.base.units import factor_to_si
-from pipeline.profiles.profile_text import Problem
-from pipeline.records.models import Motion, Name, Positive, Record
+from pipeline.profiles.profile_text import Number, Problem
+from pipeline.records.models import Motion, Name, Record
 
 QUANTITIES: dict[str, dict[Motion, str]] = {
     "time": {"translation": "time", "rotation": "time"},
@@ -58,11 +58,11 @@ class Source(Record):
     """
 
     name: str | None = None
-    column: Annotated[int, Field(ge=1)] | None = None
+    column: Annotated[int, Field(ge=1, strict=True)] | None = None
     file: Literal["source", "partner"] = "source"
     unit: Name | None = None
-    counts_per_unit: Positive | None = None
-    sentinels: tuple[float, ...] = ()
+    counts_per_unit: Annotated[Number, Field(gt=0)] | None = None
+    sentinels: tuple[Number, ...] = ()
     blanks: Literal["refuse", "hold", "skip"] = "refuse"
     provenance: str = ""
 
@@ -70,6 +70,13 @@ class Source(Record):
     def key(self) -> str:
         """Name of the column in a `Frame`."""
         return str(self.column) if self.name is None else self.name
+
+
+def _no_truth(value: object) -> object:
+    """Refuse true, which Python takes for 1."""
+    if isinstance(value, bool):
+        raise ValueError("Input should be 1 or -1")
+    return value
 
 
 class ColumnSource(Source):
@@ -84,7 +91,7 @@ class ColumnSource(Source):
         kept with each trial.
     """
 
-    sign: Literal[1, -1] | None = None
+    sign: Annotated[Literal[1, -1], BeforeValidator(_no_truth)] | None = None
     stands_for: Name | None = None
 
 
@@ -114,7 +121,7 @@ class TimeSource(Source):
     """
 
     kind: Literal["absolute", "steps", "counter", "sampled"] = "absolute"
-    wrap: Positive | None = None
+    wrap: Annotated[Number, Field(gt=0)] | None = None
     fraction: Fraction | None = None
     order: Literal["file", "sort"] = "file"
     duplicates: Literal["refuse", "keep first", "keep last"] = "refuse"
@@ -164,8 +171,17 @@ def column_problems(columns: Columns, motion: Motion, position_allowed: bool) ->
     for key in ("time", "command", "position"):
         if getattr(columns, key) is None:
             problems.append((("columns", key), f"missing. Add [columns.{key}] with name and unit"))
+    taken: dict[tuple[str, str], str] = {}
     for key, source in columns.sources().items():
         problems += _source_problems(key, source, motion, position_allowed)
+        if source.name is None and source.column is None:
+            continue
+        other = taken.setdefault((source.file, source.key), key)
+        if other != key:
+            place = "column" if source.name is None else "name"
+            problems.append(
+                (("columns", key, place), f"{source.key!r} is columns.{other}, too; expected another column")
+            )
     if columns.time is not None:
         problems += _time_problems(columns.time)
     return problems

@@ -29,6 +29,13 @@ _NOT_ASKED: dict[str, tuple[str, ...]] = {
 }
 """Keys beside a wrong one that are missing only because the wrong one was taken out."""
 
+_WORDS = {
+    "tuple_type": "Input should be a list in brackets",
+    "model_type": "Input should be a table of keys",
+    "dict_type": "Input should be a table of keys",
+}
+"""Kinds of values in the words of TOML, not of Python."""
+
 _ROUNDS = 5
 """Times a profile is checked again without its mistakes; each round removes what the one before found, and nothing in a
 profile is nested deeper."""
@@ -109,7 +116,7 @@ def _explain(error: dict[str, Any]) -> Iterator[tuple[Place, str]]:
     elif error["type"] == "missing":
         yield place, f"{_key(place)}: missing. Add it."
     else:
-        message = str(error["msg"]).removeprefix("Value error, ")
+        message = _WORDS.get(error["type"], str(error["msg"]).removeprefix("Value error, "))
         yield place, f"{_key(place)}: {message}, found {error['input']!r}."
 
 

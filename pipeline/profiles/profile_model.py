@@ -20,8 +20,8 @@ from pipeline.base.errors import ParameterError
 from pipeline.base.provenance import sha256
 from pipeline.base.units import factor_to_si
 from pipeline.profiles.profile_columns import Columns, Source, column_problems, factor
-from pipeline.profiles.profile_text import Problem, TextLayout, pattern_problem
-from pipeline.records.models import Grip, Motion, Name, Positive, Record
+from pipeline.profiles.profile_text import Count, Number, Problem, TextLayout, pattern_problem
+from pipeline.records.models import Grip, Motion, Name, Record
 
 Format = Literal[
     "native", "delimited", "json", "parquet", "feather", "matlab", "hdf5", "rosbag", "mcap", "tdms"
@@ -55,11 +55,11 @@ class Conditions(Record):
 
     device: Name | None = None
     experiment: Name | None = None
-    stiffness: float | None = None
-    damping: float | None = None
-    step: float | None = None
-    sampling_period_s: Positive | None = None
-    added_delay_samples: Annotated[int, Field(ge=0)] | None = None
+    stiffness: Number | None = None
+    damping: Number | None = None
+    step: Number | None = None
+    sampling_period_s: Annotated[Number, Field(gt=0)] | None = None
+    added_delay_samples: Count | None = None
     grip: Grip | None = None
 
     def given(self) -> dict[str, Any]:
@@ -85,10 +85,10 @@ class ConditionUnits(Record):
 class Window(Record):
     """Part of the rows, both ends included: by time [s] or by row, counted from 0 as read from the file."""
 
-    from_s: float | None = None
-    to_s: float | None = None
-    from_row: Annotated[int, Field(ge=0)] | None = None
-    to_row: Annotated[int, Field(ge=0)] | None = None
+    from_s: Number | None = None
+    to_s: Number | None = None
+    from_row: Count | None = None
+    to_row: Count | None = None
 
     def window_problems(self, place: tuple[str | int, ...]) -> list[Problem]:
         """Return what is wrong in the limits."""
@@ -106,8 +106,8 @@ class Window(Record):
 class StepTime(Record):
     """When the step happens: found in the command, or declared by row (from 0), by time [s], or the first row."""
 
-    step_row: Annotated[int, Field(ge=0)] | None = None
-    step_time_s: float | None = None
+    step_row: Count | None = None
+    step_time_s: Number | None = None
     step_at: Literal["command edge", "first row"] | None = None
 
     @property
@@ -302,6 +302,10 @@ class Profile(TextLayout, StepTime):
             except ParameterError as error:
                 yield ("units", key), f"{error} (motion is {self.constants.motion})"
         problem = pattern_problem(self.name_pattern)
+        if problem is None and self.name_pattern is not None and not self.name_groups():
+            problem = (
+                "has no named group, so that it gives no condition. Write (?P<stiffness>[0-9.]+) in place of (...)"
+            )
         if problem:
             yield ("name_pattern",), problem
         groups = frozenset[str]() if problem else self.name_groups()
@@ -314,6 +318,11 @@ class Profile(TextLayout, StepTime):
                 line = f"{key} = {_EXAMPLES.get(key, '<number>')}"
                 others = "or give it by name_pattern, attributes, condition_columns, [[file]] or [[steps]]"
                 yield ("constants", key), f"missing. Add {line} to [constants], {others}"
+
+    @property
+    def reads_names(self) -> bool:
+        """Whether the name of a file decides what is read of it: a renamed file may be another log."""
+        return self.name_pattern is not None or bool(self.file)
 
     def name_groups(self) -> frozenset[str]:
         """Return the conditions that the file name gives."""

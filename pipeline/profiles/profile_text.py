@@ -12,6 +12,12 @@ from pipeline.records.models import Record
 BLANKS = "blanks"
 """Delimiter of tables whose columns are parted by runs of blanks and tabs."""
 
+Number = Annotated[float, Field(strict=True)]
+"""A number as such: "300" in quotation marks and true are mistakes, not 300 and 1."""
+
+Count = Annotated[int, Field(ge=0, strict=True)]
+"""A whole number from 0."""
+
 Problem = tuple[tuple[str | int, ...], str]
 """Place of a key in a profile, and what is wrong there."""
 
@@ -50,7 +56,7 @@ class TextLayout(Record):
     delimiter: Annotated[str, Field(min_length=1)] = ","
     decimal: Literal[".", ","] | None = None
     encoding: Literal["utf-8", "utf-16", "latin-1", "cp1252"] = "utf-8"
-    skip_rows: Annotated[int, Field(ge=0)] = 0
+    skip_rows: Count = 0
     header: bool = True
     header_after: str | None = None
     header_at: str | None = None

@@ -81,7 +81,8 @@ def frame_of_arrays(
 
     An array with one axis longer than 1 is one column; the axes of length 1 do not matter. Of a matrix, the axis
     that is as long as the wanted columns (without any: as the vectors of the file) is time, the first one where
-    both fit; the other axes give elements ``name[0]``, ``name[1]``, ..., counted from 0.
+    both fit, and the longer one where nothing fits; the other axes give elements ``name[0]``, ``name[1]``, ..., counted
+    from 0.
 
     Parameters
     ----------
@@ -173,8 +174,15 @@ def vector_lengths(arrays: Mapping[str, StoredArray]) -> set[int]:
 
 
 def time_axis(shape: tuple[int, ...], lengths: set[int]) -> int:
-    """Return the axis that is time: the first or the last that has one of the lengths, else the first."""
-    return next((axis for axis in (0, len(shape) - 1) if shape and shape[axis] in lengths), 0)
+    """Return the axis that is time: the first or the last that has one of the lengths, else the longer one of both.
+
+    A matrix alone, such as Simulink's "To File" writes with one signal in each row, says no length; a log has more
+    samples than signals.
+    """
+    if not shape:
+        return 0
+    ends = (0, len(shape) - 1)
+    return next((axis for axis in ends if shape[axis] in lengths), max(ends, key=lambda axis: shape[axis]))
 
 
 def unknown_column(name: str, wanted: str, known: Sequence[str], more: str = "") -> LogError:

@@ -90,7 +90,8 @@ def frame_here(name: str, data: bytes, wanted: Sequence[str]) -> Frame:
                 )
         columns = {key: columns[key] for key in wanted or columns}
         row = np.arange(1, table.num_rows + 1, dtype=np.int64)
-        return Frame(columns, row, "record", _attributes(schema))
+        units = {key: "ns" for key in columns if _is_time(leaves.get(key))}
+        return Frame(columns, row, "record", _attributes(schema), units=units)
 
 
 def columns_here(name: str, data: bytes) -> list[ColumnInfo]:
@@ -242,6 +243,11 @@ def _values(name: str, key: str, column: Any) -> Array | None:
     return plain_column(np.asarray(column.cast(pa.float64()).to_numpy(zero_copy_only=False)))
 
 
+def _is_time(kind: pa.DataType | None) -> bool:
+    """Return whether values are read as whole nanoseconds."""
+    return kind is not None and (pa.types.is_timestamp(kind) or pa.types.is_duration(kind) or pa.types.is_time(kind))
+
+
 def _attributes(schema: pa.Schema) -> dict[str, Scalar]:
     attributes: dict[str, Scalar] = {}
     for prefix, metadata in [("", schema.metadata), *((f"{field.name}@", field.metadata) for field in schema)]:
@@ -250,6 +256,6 @@ def _attributes(schema: pa.Schema) -> dict[str, Scalar]:
             if key not in (b"ARROW:schema", b"pandas") and len(text) <= _LONGEST_TEXT:
                 attributes[prefix + key.decode("utf-8", "replace")] = text
     for key, kind in _leaves(schema):
-        if pa.types.is_timestamp(kind) or pa.types.is_duration(kind) or pa.types.is_time(kind):
+        if _is_time(kind):
             attributes[f"{key}@unit"] = "ns"
     return attributes

@@ -96,7 +96,9 @@ def conditions_of(
                 code="condition-missing",
                 profile_line=line,
             )
-    return {key: _in_si(profile, where, key, value) for key, value in given.items()}
+    # names of files have points also where the numbers in them have commas
+    inside = (set(profile.attributes) | set(profile.condition_columns)) - set(special)
+    return {key: _in_si(profile, where, key, value, key in inside) for key, value in given.items()}
 
 
 def places_of(profile: Profile, name: str, entry: FileEntry | None, step: StepEntry | None) -> dict[str, str]:
@@ -180,8 +182,11 @@ def _of_column(where: str, frame: Frame, rows: Integers, key: str, column: str) 
     return value
 
 
-def _in_si(profile: Profile, where: str, key: str, value: Scalar) -> Scalar:
-    """Return a condition in SI; a unit that stands behind the value in the file counts."""
+def _in_si(profile: Profile, where: str, key: str, value: Scalar, inside: bool = False) -> Scalar:
+    """Return a condition in SI; a unit that stands behind the value in the file counts.
+
+    ``inside`` says that the value stands in the file: where numbers have a decimal comma, a point may part thousands.
+    """
     if key not in CONDITION_QUANTITIES:
         # 1.0 of a column of floats is the experiment "1"
         return int(value) if isinstance(value, float) and value.is_integer() else value
@@ -192,6 +197,12 @@ def _in_si(profile: Profile, where: str, key: str, value: Scalar) -> Scalar:
     # what is longer is no number with a unit, and takes the pattern its length squared
     match = _QUANTITY.fullmatch(text) if len(text) <= LONGEST_QUANTITY else None
     number, unit = match.groups() if match else (text, None)
+    if inside and profile.decimal_sign == "," and "." in number:
+        raise LogError(
+            f"{where}: the {key} is {text[:200]!r}, but the decimal sign is ',': the point may part thousands. Write "
+            "the number with a comma, or give the condition elsewhere (name_pattern, [[file]], [constants]).",
+            code="condition-wrong",
+        )
     try:
         magnitude = float(number.replace(profile.decimal_sign, ".").replace("_", "?"))
     except ValueError:

@@ -29,7 +29,7 @@ LONGEST_BANNER = 10_000
 SHOWN_VALUES = 3
 """First values of a column that `list_columns` gives."""
 
-_INTEGER = r"^[+-]?[0-9]{1,19}$"
+_INTEGER = r"^[+-]?[0-9]{1,20}$"
 _LABEL_BEGINS = re.compile(r"\s*[^\W\d]")
 """A label begins with a letter: "12:30" is a time of day."""
 
@@ -128,13 +128,13 @@ def list_columns(name: str, data: bytes, profile: Profile | None = None) -> list
             kinds.get(values.dtype.kind, "text"),
             len(values),
             tuple(str(value) for value in values[:SHOWN_VALUES]),
-            units[index] if index < len(units) else "",
+            units[index].strip("[]() ") if index < len(units) else "",
         )
         for index, (column, values) in enumerate(frame.columns.items())
     ]
 
 
-def _find_table(layout: TextLayout, name: str, data: bytes) -> _Table:
+def _find_table(layout: Profile, name: str, data: bytes) -> _Table:
     """Return the table: what stands above it is skipped, or read as labels."""
     text, whole = plain_text(layout, name, data)
     attributes: dict[str, Scalar] = {}
@@ -150,11 +150,11 @@ def _find_table(layout: TextLayout, name: str, data: bytes) -> _Table:
         if at is not None and number > layout.skip_rows and at.search(line):
             at = None
         elif number <= layout.skip_rows or at is not None or below is not None or _is_comment(layout, line):
-            _take_label(layout, line, attributes)
+            _take_label(layout, name, line, number, attributes)
             if below is not None and number > layout.skip_rows and below.search(line):
                 below = None
             continue
-        elif layout.labels is not None and (not line.strip() or _take_label(layout, line, attributes)):
+        elif layout.labels is not None and (not line.strip() or _take_label(layout, name, line, number, attributes)):
             continue
         top = number
         if layout.header:
@@ -190,8 +190,11 @@ def _is_comment(layout: TextLayout, line: str) -> bool:
     return layout.comment is not None and line.lstrip().startswith(layout.comment)
 
 
-def _take_label(layout: TextLayout, line: str, attributes: dict[str, Scalar]) -> bool:
-    """Keep a line "label: value" as an attribute; return whether it is one."""
+def _take_label(layout: Profile, name: str, line: str, row: int, attributes: dict[str, Scalar]) -> bool:
+    """Keep a line "label: value" as an attribute; return whether it is one.
+
+    Of a label that stands several times the last value is kept, but a condition must not change.
+    """
     if layout.labels is None:
         return False
     if _is_comment(layout, line):
@@ -199,7 +202,17 @@ def _take_label(layout: TextLayout, line: str, attributes: dict[str, Scalar]) ->
     label, sign, value = line.partition(layout.labels)
     if not sign or not _LABEL_BEGINS.match(label):
         return False
-    attributes[label.strip()] = value.strip()
+    label, value = label.strip(), value.strip()
+    key = next((key for key, wanted in layout.attributes.items() if wanted == label), None)
+    if key is not None and attributes.get(label, value) != value:
+        raise LogError(
+            f"{name}: the label {label!r}, which gives the {key}, is {attributes[label]!r} and here {value!r}; "
+            "expected one value for a log. Give the condition by [[file]] or [[steps]] and remove it from "
+            "[attributes], or part the file.",
+            row,
+            code="condition-wrong",
+        )
+    attributes[label] = value
     return True
 
 
@@ -284,9 +297,7 @@ def _places(profile: Profile, name: str, table: _Table, wanted: Sequence[str]) -
     return places
 
 
-def _cells(
-    layout: TextLayout, name: str, table: _Table, places: list[int]
-) -> tuple[dict[int, pa.ChunkedArray], set[int]]:
+def _cells(layout: Profile, name: str, table: _Table, places: list[int]) -> tuple[dict[int, pa.ChunkedArray], set[int]]:
     """Return the cells of columns as text, and the rows (counted from 0) that were left out."""
     width, count = len(table.names), table.body.count("\n")
     bad: list[tuple[int, int, str]] = []
@@ -328,14 +339,16 @@ def _cells(
         )
     for row, found, text in bad:
         last_is_cut = row == count - 1 and found < width and row > 0
-        if not last_is_cut and not _take_label(layout, text, table.attributes):
+        line = int(table.row(count)[row])
+        if not last_is_cut and not _take_label(layout, name, text, line, table.attributes):
             one_more = found == width + 1 and text.rstrip().endswith(layout.delimiter)
+            one_more |= found == width - 1 and not table.names[-1]  # of the line of names
             hint = ", or add trailing_delimiter = true" if one_more else ""
             commas = layout.delimiter == "," and found > width
             decimal = ', or write decimal = "," and another delimiter.' if commas else "."
             raise LogError(
                 f"{name}: expected {width} values, found {found} ({text[:200]!r}). Repair the row{hint}{decimal}",
-                int(table.row(count)[row]),
+                line,
                 code="row-length",
                 profile_line="trailing_delimiter = true" if one_more else None,
             )
@@ -366,12 +379,13 @@ def _values(layout: TextLayout, column: pa.ChunkedArray) -> NDArray[Any]:
     blank = pc.is_null(number)
     if layout.decimal == "," and pc.any(pc.and_not(pc.match_substring(text, "."), blank)).as_py():
         return np.array(text.to_pylist(), dtype=np.str_)
-    try:
-        if not pc.any(blank).as_py() and pc.all(pc.match_substring_regex(number, _INTEGER)).as_py():
-            integers: NDArray[Any] = pc.cast(pc.utf8_ltrim(number, "+"), pa.int64()).to_numpy(zero_copy_only=False)
-            return integers
-    except pa.ArrowInvalid:  # beyond 64 bits
-        pass
+    if not pc.any(blank).as_py() and pc.all(pc.match_substring_regex(number, _INTEGER)).as_py():
+        for kind in (pa.int64(), pa.uint64()):
+            try:
+                integers: NDArray[Any] = pc.cast(pc.utf8_ltrim(number, "+"), kind).to_numpy(zero_copy_only=False)
+                return integers
+            except pa.ArrowInvalid:  # does not fit
+                continue
     try:
         floats: NDArray[Any] = pc.cast(number, pa.float64()).to_numpy(zero_copy_only=False)
         return floats

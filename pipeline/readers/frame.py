@@ -46,6 +46,9 @@ class Frame:
         What was accepted and should be known, such as a last row that was cut.
     dates : mapping of str to (int64 array of shape (rows,), int)
         Stamps as `pipeline.readers.dates.whole_dates` has them, of a column that is float64 in ``columns``.
+    units : mapping of str to str
+        Units of times that their type in the file states beyond doubt, such as ns of a ROS stamp; a profile that says
+        otherwise is refused. Units in names, headers and attributes are no such units: they are shown only.
     """
 
     columns: Mapping[str, NDArray[Any]]
@@ -54,6 +57,7 @@ class Frame:
     attributes: Mapping[str, Scalar] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     dates: Mapping[str, tuple[Integers, int]] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.row)

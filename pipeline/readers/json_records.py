@@ -78,6 +78,8 @@ def read_frame(profile: Profile, name: str, data: bytes, wanted: Sequence[str]) 
         columns = {key: _column(place, key, values, False) for key, values in cells.items()}
         row = np.asarray(place.lines or range(1, len(records) + 1), dtype=np.int64)
         dates = _dates(source, cells.get(source.key)) if source else {}
+        if place.cut:
+            attributes["cut_last_row"] = place.cut
         return Frame(columns, row, place.row_name, attributes, warnings, dates)
 
 

@@ -1,4 +1,4 @@
-"""JSON text to Python values, with what the standard reader drops: doubled keys are refused, digits of dates kept."""
+"""JSON text, packed or not, to Python values. What the standard reader drops is kept: doubled keys, digits of dates."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from pipeline.base.errors import LogError
+from pipeline.readers.plain_text import unpacked
 
 LARGEST_JSON = 64 << 20
 """Bytes of a JSON file: 10^5 records of 600 characters; numbers as objects take forty times their text."""
@@ -22,11 +23,12 @@ what printing a float gives."""
 
 @dataclass(frozen=True)
 class Place:
-    """What messages say about a file: its name, its size [byte], the line of each record where each has one."""
+    """What is said of a file: name, size [byte], line of each record where each has one, last line where it is cut."""
 
     name: str
     size: int
     lines: list[int] | None
+    cut: str = ""
 
     @property
     def row_name(self) -> str:
@@ -117,8 +119,9 @@ def parse_json(name: str, data: bytes) -> tuple[Any, Place, tuple[str, ...]]:
     Raises
     ------
     LogError
-        If it is too large, is no JSON, or a key stands twice in one object.
+        If it cannot be unpacked, is too large, is no JSON, or a key stands twice in one object.
     """
+    data = unpacked(name, data)
     if len(data) > LARGEST_JSON:
         raise LogError(
             f"{name} has {len(data)} bytes of JSON; expected at most {LARGEST_JSON}. Export it as CSV or Parquet.",
@@ -140,8 +143,12 @@ def parse_json(name: str, data: bytes) -> tuple[Any, Place, tuple[str, ...]]:
                 error.lineno,
                 code="syntax",
             ) from error
-    records, lines, warnings = _parse_lines(name, text)
-    return records, Place(name, len(data), lines), warnings
+    records, lines, cut = _parse_lines(name, text)
+    warnings: tuple[str, ...] = ()
+    if cut:
+        row = text.count("\n", 0, text.rfind(cut)) + 1
+        warnings = (f"last row is cut: {cut[:200]!r} (line {row}) was left out and is kept verbatim",)
+    return records, Place(name, len(data), lines, cut), warnings
 
 
 def _doubled(name: str, error: DoubledKeyError, where: str, row: int | None) -> LogError:
@@ -154,10 +161,10 @@ def _doubled(name: str, error: DoubledKeyError, where: str, row: int | None) -> 
     )
 
 
-def _parse_lines(name: str, text: str) -> tuple[list[Any], list[int], tuple[str, ...]]:
+def _parse_lines(name: str, text: str) -> tuple[list[Any], list[int], str]:
+    """Return the records, the line of each, and the last line where it is cut."""
     lines = [(number, line) for number, line in enumerate(text.split("\n"), start=1) if line.strip()]
     records, rows = [], []
-    warnings: tuple[str, ...] = ()
     for number, line in lines:
         try:
             records.append(load_json(line))
@@ -166,11 +173,10 @@ def _parse_lines(name: str, text: str) -> tuple[list[Any], list[int], tuple[str,
             raise _doubled(name, error, f"line {number}", number) from error
         except json.JSONDecodeError as error:
             if number == lines[-1][0] and not text.endswith("\n"):
-                warnings = (f"last row is cut: {line[:200]!r} (line {number}) was left out and is kept verbatim",)
-                break
+                return records, rows, line
             raise LogError(
                 f"{name} is no JSON with one record a line: {error.msg} at column {error.colno}. Repair the line.",
                 number,
                 code="syntax",
             ) from error
-    return records, rows, warnings
+    return records, rows, ""

@@ -111,9 +111,13 @@ def text_layout(name: str, data: bytes) -> Layout:
     if any(not line.strip() for line in between):
         layout.keys["blank_lines"] = "skip"
     above = lines[: layout.keys.get("skip_rows", 0)]
-    signs = Counter(match[2] for line in (*above, *between) if (match := _LABEL.fullmatch(line.lstrip("#%/ "))))
-    if signs:
-        layout.keys["labels"] = signs.most_common(1)[0][0]
+    labels = [(line, match[2]) for line in (*above, *between) if (match := _LABEL.fullmatch(line.lstrip("#%/ ")))]
+    if labels:
+        layout.keys["labels"] = sign = Counter(sign for _, sign in labels).most_common(1)[0][0]
+        # labels in remarks are read where the profile says what begins a remark
+        marks = {mark[1] for line, found in labels if found == sign and (mark := re.match(r"\s*([#%/]+)", line))}
+        if len(marks) == 1:
+            layout.keys["comment"] = marks.pop()
     return layout
 
 

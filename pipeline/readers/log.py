@@ -11,6 +11,12 @@ from pipeline.base.errors import LogError
 from pipeline.records.batch import Floats, Integers
 from pipeline.records.native import NativeHeader
 
+MOST_PERIODS = 2.0**53
+"""Periods that a log may last, and logs that a period may: rows beyond cannot be told apart by a float64."""
+
+LONGEST_S = 1e100
+"""Largest time, and sampling period [s]: sums and squares of it are finite, and no clock shows more."""
+
 
 @dataclass(frozen=True)
 class RawLog:
@@ -74,8 +80,8 @@ def check_samples(
     Raises
     ------
     LogError
-        If there are fewer than two samples, a step of 0 is said to be in some row, a value is not finite, or time does
-        not increase strictly.
+        If there are fewer than two samples, a step of 0 is said to be in some row, a value is not finite, time does
+        not increase strictly, or no sampling period can count it (`MOST_PERIODS`, `LONGEST_S`).
     """
 
     def place(at: int) -> int | None:
@@ -123,4 +129,18 @@ def check_samples(
             place(at),
             code="time-backwards",
         )
+    _check_period(header.sampling_period_s, float(time[0]), float(time[-1]), place(0))
     return Log(header, time, command, position, force, velocity)
+
+
+def _check_period(period: float, first: float, last: float, row: int | None) -> None:
+    """Refuse a period [s] by which the samples cannot be counted: an exponent that lost or won digits."""
+    span = last - first  # infinite where it has no number
+    countable = span <= MOST_PERIODS * period and period <= MOST_PERIODS * span
+    if not countable or max(abs(first), abs(last), period) > LONGEST_S:
+        raise LogError(
+            f"time runs from {first:.9g} s to {last:.9g} s, which is not to be counted in sampling periods of "
+            f"{period:.9g} s. Correct sampling_period_s, or the time of the first or last row.",
+            row,
+            code="time-wrong",
+        )

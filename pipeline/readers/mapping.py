@@ -9,13 +9,15 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from importlib import import_module
+from math import isclose
 from typing import Any, Literal
 
 import numpy as np
 
 from pipeline.base.errors import LogError, ProfileError
 from pipeline.base.file_names import storable
-from pipeline.profiles.profile_columns import ColumnSource
+from pipeline.base.units import factor_to_si
+from pipeline.profiles.profile_columns import QUANTITIES, ColumnSource
 from pipeline.profiles.profile_files import Profile
 from pipeline.profiles.profile_model import REQUIRED_CONDITIONS, StepTime, Window
 from pipeline.readers.conditions import conditions_of, entry_of, header_of
@@ -33,7 +35,12 @@ MODULES = {
 """Format modules whose name is not that of the format."""
 
 WINDOW_TOLERANCE = 1e-6
-"""Part of a sampling period by which a stamp may lie outside a limit: 3 x 0.1 s is above 0.3 s by rounding alone."""
+"""Part of a sampling period by which a stamp may lie outside a limit, or before the declared time of the step: by
+rounding alone 3 x 0.1 s is above 0.3 s, 501 x 1e-6 s below 0.000501 s."""
+
+PACE = 10.0
+"""Ratio of the median step between rows to the sampling period, or the reverse, from which on a log is warned of: units
+of time differ by 60 at least, a log that drops half of its samples has a ratio of 2."""
 
 KEPT_ATTRIBUTES = 100
 """Attributes of a file that are kept beside each of its trials; a workspace dump may hold thousands."""
@@ -84,7 +91,7 @@ def read_frames(profile: Profile, raw: RawLog) -> list[Frame]:
     Raises
     ------
     LogError
-        If a file cannot be read, is of another kind, or lacks a column.
+        If a file cannot be read, is of another kind, lacks a column, or has times of a unit that the profile denies.
     """
     module = format_module(profile)
     frames = []
@@ -107,8 +114,25 @@ def read_frames(profile: Profile, raw: RawLog) -> list[Frame]:
                     "Correct the name in the profile, or the file.",
                     code="column-missing",
                 )
+        _check_units(profile, name, role, frame)
         frames.append(frame)
     return frames
+
+
+def _check_units(profile: Profile, name: str, role: str, frame: Frame) -> None:
+    """Refuse a unit of the profile that contradicts the type of its column."""
+    for key, source in profile.column_sources().items():
+        typed = frame.units.get(source.key) if source.file == role else None
+        if typed is None or source.unit is None:
+            continue
+        stated = factor_to_si(source.unit, tuple(QUANTITIES[key].values())) / (source.counts_per_unit or 1.0)
+        if not isclose(stated, factor_to_si(typed, ("time",))):
+            raise LogError(
+                f"{name}: {source.key!r} holds times, which are read in {typed}; profile {profile.name} says unit = "
+                f'{source.unit!r} for columns.{key}. Write unit = "{typed}", whatever the file shows.',
+                code="profile-wrong",
+                profile_line=f'[columns.{key}]\nunit = "{typed}"',
+            )
 
 
 def logs_of(profile: Profile, names: Sequence[str], frames: Sequence[Frame]) -> list[Log]:
@@ -216,13 +240,14 @@ def _log(
     time, number, row = rows.time[inside], rows.number[inside], rows.row[inside]
     if len(time) < 2:
         limits = "" if window is None else " inside its window"
+        remedy = "Was the recording cut off? Record it again" if window is None else "Correct the window in the profile"
         limits += f", of {_span(rows.time)}" if window is not None and len(rows.time) else ""
         at = int(frame.row[0]) if len(frame) else None
         text = f"{where} has {len(time)} samples{limits}; expected at least 2."
-        raise LogError(f"{text} Correct the window in the profile, or leave this log out.", at, code="too-short")
+        raise LogError(f"{text} {remedy}, or leave this log out.", at, code="too-short")
     factors = profile.factors()
     columns = {key: values[inside] * factors[key] for key, values in rows.columns.items()}
-    extra = _extra(profile, frame, _step_row(where, step, time, number, row))
+    extra = _extra(profile, frame, _step_row(where, step, time, number, row, period))
     if rows.raw_decimals:
         extra["raw_count_decimals"] = str(rows.raw_decimals)
     header = header_of(profile, where, given, extra)
@@ -234,7 +259,19 @@ def _log(
     if len(time) < len(rows.time):
         counts["outside_window"] = len(rows.time) - len(time)
     raw = None if rows.raw_time is None else rows.raw_time[inside]
-    return replace(log, raw_time=raw, counts=counts, warnings=frame.warnings, label=label)
+    warnings = (*frame.warnings, *_other_pace(time, period))
+    return replace(log, raw_time=raw, counts=counts, warnings=warnings, label=label)
+
+
+def _other_pace(time: Floats, period: float) -> list[str]:
+    """Return the warning that stamps and sampling period do not go together, where they do not."""
+    step = float(np.median(np.diff(time)))
+    if period / PACE < step < period * PACE:
+        return []
+    return [
+        f"rows are {step:.3g} s apart in the median, but sampling_period_s is {period:.3g} s; check the unit of time "
+        "and the sampling period"
+    ]
 
 
 def _span(time: Floats) -> str:
@@ -256,7 +293,7 @@ def _inside(window: Window, rows: Rows, period: float) -> Booleans:
     return inside
 
 
-def _step_row(where: str, step: StepTime, time: Floats, number: Integers, row: Integers) -> int | None:
+def _step_row(where: str, step: StepTime, time: Floats, number: Integers, row: Integers, period: float) -> int | None:
     """Return the declared row of the step among the stored ones, or None where it is to be found in the command."""
     if step.step_at == "first row":
         return 0
@@ -271,14 +308,15 @@ def _step_row(where: str, step: StepTime, time: Floats, number: Integers, row: I
             )
         return int(found[0])
     if step.step_time_s is not None:
-        if not time[0] <= step.step_time_s <= time[-1]:
+        slack = WINDOW_TOLERANCE * period
+        if not time[0] - slack <= step.step_time_s <= time[-1] + slack:
             raise LogError(
                 f"{where}: step_time_s is {step.step_time_s:g}, outside the samples ({time[0]:.9g} to {time[-1]:.9g} "
                 "s). Correct it, or the window.",
                 int(row[0]),
                 code="profile-wrong",
             )
-        return int(np.searchsorted(time, step.step_time_s))
+        return int(np.searchsorted(time, step.step_time_s - slack))
     return None
 
 

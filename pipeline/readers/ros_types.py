@@ -81,6 +81,11 @@ class Decoder:
         names = getattr(message, "__dataclass_fields__", {})
         return {key: _plain(getattr(message, key)) for key in names if not key.startswith("__")}
 
+    def is_time(self, value: Any, step: str | int) -> bool:
+        """Return whether a field or element of a message is a time or duration, which `part` gives in ns."""
+        inner = value[step] if isinstance(step, int) else getattr(value, step, None)
+        return getattr(inner, "__msgtype__", None) in _TIMES
+
     def part(self, value: Any, step: str | int) -> Any:
         """Return a field or element of a message, or None where it has none."""
         if isinstance(step, int):

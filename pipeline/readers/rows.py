@@ -6,6 +6,7 @@ Rows are left out only where the profile says so, and each kind is counted.
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -23,6 +24,10 @@ from pipeline.records.batch import Booleans, Floats, Integers
 SENTINEL_TOLERANCE = 1e-6
 """Relative distance at which a number is the sentinel: single precision rounds by 6e-8, the next sensor reading lies
 farther away (a count of 16 bits by 1.5e-5)."""
+
+
+_CLOCK = re.compile(r"\d:\d\d|\d-\d\d?-\d")
+"""What dates and times of day have, and numbers do not."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,7 +165,17 @@ def _columns(
         if values.dtype.kind not in "iufb":
             raise _no_number(profile, place, frame, values, index, key, source)
         # 64 bits without sign may hold more than 64 bits with one
-        whole = values.dtype.kind in "iub" and not (values > np.iinfo(np.int64).max).any()
+        large = values > np.iinfo(np.int64).max if values.dtype.kind == "u" else np.zeros(len(values), dtype=np.bool_)
+        whole = values.dtype.kind in "iub" and not large.any()
+        if key == "time" and large.any():
+            row = int(frame.row[index[int(np.argmax(large))]])
+            raise LogError(
+                f"{place}: the stamp {values[large][0]} (column {source.key!r}{_called(frame, row)}) is above "
+                f"{np.iinfo(np.int64).max}; expected whole numbers of 63 bits, which are kept exactly. Export stamps "
+                "that count from the start of the log.",
+                row,
+                code="time-wrong",
+            )
         values = values.astype(np.int64) if whole else values.astype(np.float64)
         missing = np.zeros(len(values), dtype=np.bool_) if whole else np.isnan(values)
         for sentinel in source.sentinels:
@@ -182,18 +197,32 @@ def _no_number(
     at, cell = 0, ""
     for number, value in enumerate(values.tolist()):
         at, cell = number, str(value).strip()
-        try:
-            float(cell.replace(profile.decimal_sign, ".").replace("_", "?") or "nan")
-        except ValueError:
+        if not _reads_as_number(cell, profile):
             break
-        if "." in cell and profile.decimal_sign == ",":
-            break
+    if profile.format != "delimited" and _reads_as_number(cell, profile):
+        row = int(frame.row[index[0]])
+        return LogError(
+            f"{where}: {key} must be a number, but column {source.key!r} holds texts, such as "
+            f"{str(values[0])[:200]!r}{_called(frame, row)}. Export its values as numbers, or take another column.",
+            row,
+            code="not-a-number",
+        )
     other = "," if profile.decimal_sign == "." else "."
     text = profile.format == "delimited"
     sign = f", decimal sign {profile.decimal_sign!r}" if text else ""
-    hint = f'Write decimal = "{other}" in profile {profile.name} if that is its decimal sign. ' if other in cell else ""
-    listed = f'If it means "no value", add missing = ["{cell[:40]}"]. ' if not hint else ""
     row = int(frame.row[index[at]])
+    hint = f'Write decimal = "{other}" in profile {profile.name} if that is its decimal sign. ' if other in cell else ""
+    if key == "time" and _CLOCK.search(cell):
+        return LogError(
+            f"{where}: time must be a number (column {source.key!r}), found {cell[:200]!r}{_called(frame, row)}: dates "
+            'and times of day are not read. Export seconds, or give kind = "sampled" in [columns.time] with no column.',
+            row,
+            code="not-a-number",
+            profile_line='[columns.time]\nkind = "sampled"',
+        )
+    # a cell with digits is a number written in another way, such as "1 234" or "5 N", which must not get lost
+    word = not hint and not any(sign.isdigit() for sign in cell)
+    listed = f'If it means "no value", add missing = ["{cell[:40]}"]. ' if word else ""
     return LogError(
         f"{where}: {key} must be a number (column {source.key!r}{sign}), found {cell[:200]!r}{_called(frame, row)}. "
         f"{hint + listed if text else ''}Repair the row, or leave this log out.",
@@ -203,8 +232,18 @@ def _no_number(
         if not text
         else f'decimal = "{other}"'
         if hint
-        else f"missing = [{json.dumps(cell[:40], ensure_ascii=False)}]",
+        else f"missing = [{json.dumps(cell[:40], ensure_ascii=False)}]"
+        if word
+        else None,
     )
+
+
+def _reads_as_number(cell: str, profile: Profile) -> bool:
+    try:
+        float(cell.replace(profile.decimal_sign, ".").replace("_", "?") or "nan")
+    except ValueError:
+        return False
+    return not ("." in cell and profile.decimal_sign == ",")
 
 
 def _no_value(profile: Profile, key: str, column: _Column, row: Integers, at: int) -> LogError:

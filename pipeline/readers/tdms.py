@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from io import BytesIO
 from typing import Any
@@ -74,7 +75,10 @@ def frame_here(name: str, data: bytes, wanted: Sequence[str]) -> Frame:
         plain = [key for key in wanted if key != TIME]
         if TIME in wanted:
             arrays[TIME] = _waveform_time(name, plain or list(arrays), arrays, attributes, len(data))
-        return frame_of_arrays(name, arrays, wanted, attributes)
+        frame = frame_of_arrays(name, arrays, wanted, attributes)
+        channels = [(f"/{group.name}/{one.name}", one) for group in file.groups() for one in group.channels()]
+        stamps = {path: "ns" for path, channel in channels if channel.dtype.kind == "M"}
+        return replace(frame, units={TIME: "s", **stamps})
 
 
 def columns_here(name: str, data: bytes) -> list[ColumnInfo]:

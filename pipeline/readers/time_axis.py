@@ -21,6 +21,10 @@ from pipeline.records.batch import Booleans, Floats, Integers
 GAP = 1.5
 """Step between samples, in sampling periods, from which on samples are missing: the nearest multiple is 2 or more."""
 
+ROUNDING = 1e-3
+"""Part of a sampling period by which two stamps that are one period apart may differ from it: two dates in floats, the
+coarsest stamps, by 2.4e-7 s."""
+
 FractionValues = NDArray[Any] | None
 
 
@@ -145,9 +149,11 @@ def _sampled(stamps: Floats, period: float, place: str, row: Integers) -> Floats
     """Return one row each sampling period if the stamps agree with it."""
     time: Floats = np.arange(len(stamps), dtype=np.float64) * period
     steps = np.abs(np.diff(stamps))
-    # a printed stamp lies up to its own last digit beside the true one, which may be late by less than one period
-    allowed = (steps[steps > 0].min() if (steps > 0).any() else 0.0) + period
-    apart = np.abs(stamps - stamps[:1] - time) > allowed
+    # a sample is late by less than one period; a stamp that is printed so coarsely that several samples share it lies
+    # up to its own last digit beside the true one. Where none is shared, each step is seen, and so is a lost sample
+    coarse = (steps == 0).any() and (steps > 0).any()
+    allowed = (steps[steps > 0].min() if coarse else 0.0) + period
+    apart = np.abs(stamps - stamps[:1] - time) > allowed - ROUNDING * period
     if apart.any():
         at = int(np.argmax(apart))
         raise LogError(

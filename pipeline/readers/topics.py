@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -110,7 +111,8 @@ def frame_of_topics(
         )
     axis = STAMP if STAMP in wanted else RECEIVED
     times = {topic: _times(name, decoder, recording, topic, axis) for topic in fields}
-    return _join(name, recording, wanted, axis, times, columns, number, size)
+    frame = _join(name, recording, wanted, axis, times, columns, number, size)
+    return replace(frame, units=_units(decoder, recording, fields))
 
 
 def list_topics(name: str, recording: Recording, size: int) -> list[ColumnInfo]:
@@ -179,6 +181,21 @@ def _paths(decoder: Decoder, recording: Recording, topic: str) -> list[str]:
             inner = value if isinstance(value, dict) else decoder.fields(value)
             waiting += [(f"{path}.{key}" if path else key, part) for key, part in inner.items()][::-1]
     return found
+
+
+def _units(decoder: Decoder, recording: Recording, fields: dict[str, list[str]]) -> dict[str, str]:
+    """Return the unit of each column that holds ROS times or durations."""
+    units = {STAMP: "ns", RECEIVED: "ns"}
+    for topic, paths in fields.items():
+        first = decoder.decode(topic, recording.data[topic][0])
+        for path in paths:
+            *steps, last = [field or int(index) for field, index in _STEP.findall(path)]
+            value = first
+            for step in steps:
+                value = decoder.part(value, step)
+            if path == RECEIVED or decoder.is_time(value, last):
+                units[f"{topic}.{path}"] = "ns"
+    return units
 
 
 def _read_topic(

@@ -14,6 +14,7 @@ import typer
 from pipeline import __version__
 from pipeline.base.errors import UsageError
 from pipeline.shell import cli_profiles, cli_report, cli_storage, cli_theory, cli_watch, console
+from pipeline.shell.outputs import check_output
 
 if TYPE_CHECKING:
     from pipeline.records.models import Device
@@ -78,12 +79,14 @@ def demo(
 ) -> None:
     """Simulate, ingest and compare a small course of the Falcon and of the light-weight robot.
 
-    Writes raw/demo/, processed/demo/, reports/falcon.html and reports/lwr.html below the current folder.
+    Writes raw/demo/, processed/demo/, reports/falcon.html and reports/lwr.html below the current folder, and
+    replaces files of these names.
 
     Example: pipeline demo
     """
     from pipeline.shell.demo import run_demo
 
+    check_output(Path("reports/falcon.html"), "", document_beside=True)
     for line in run_demo(full=full, report_progress=console.note).lines:
         console.say(line)
 
@@ -101,17 +104,18 @@ def simulate(
     seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of noise and jitter.")] = 0,
     ideal: Annotated[bool, typer.Option("--ideal", help="Without noise, quantum and jitter.")] = False,
     quantum: Annotated[
-        float | None, typer.Option("--quantum", help="Sensor quantum [m, rad] in place of the device's.")
+        float | None, typer.Option("--quantum", help="Sensor quantum in m or rad, in place of the device's.")
     ] = None,
     noise: Annotated[
-        float | None, typer.Option("--noise", help="Sensor noise [m, rad] in place of the device's.")
+        float | None,
+        typer.Option("--noise", help="Standard deviation of the sensor noise in m or rad, in place of the device's."),
     ] = None,
     jitter: Annotated[
         str | None,
         typer.Option("--jitter", help='Delays to draw from, such as "3,4,5", or "none".'),
     ] = None,
     duration: Annotated[
-        float | None, typer.Option("--duration", help="Length of a trial [s] in place of the device's.")
+        float | None, typer.Option("--duration", help="Length of a trial in s, in place of the device's.")
     ] = None,
     damping_range: Annotated[
         DampingRange,
@@ -201,6 +205,7 @@ def accuracy(
     from pipeline.records.tables import write_text
     from pipeline.rendering import accuracy_report
 
+    check_output(out, "--out", document_beside=True)
     progress = None if as_json else console.note
     report = results.without_theory(quick) if only == AccuracyPart.measured else measure(quick, progress)
     if only != AccuracyPart.theory:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -9,6 +10,7 @@ import typer
 
 from pipeline.base.errors import EXIT_QUARANTINED, UsageError
 from pipeline.shell import console
+from pipeline.shell.outputs import check_output
 
 profile_app = typer.Typer(
     no_args_is_help=True,
@@ -72,6 +74,8 @@ def draft(
     from pipeline.records.tables import write_text
     from pipeline.shell.profile_draft import draft_profile
 
+    if out is not None:
+        check_output(out, "--out")
     if out is not None and out.exists() and not overwrite:
         raise UsageError(f"{out}: exists. Give another file, or --overwrite.")
     text = draft_profile(sample)
@@ -88,6 +92,12 @@ def draft(
         console.say(f"{out}: {len(questions)} questions are open")
 
 
+def _see_folder(processed: Path) -> None:
+    """Refuse a folder that is not there: a mistyped one must not look like one without refusals."""
+    if not processed.is_dir():
+        raise UsageError(f"{processed}: no such folder. Give the folder of the stored tables (--processed).")
+
+
 @quarantine_app.command("list")
 def list_(processed: Processed = Path("processed"), as_json: Json = False) -> None:
     """List the logs in quarantine with id, path, row, code and reason, and a line of a profile that might help.
@@ -98,6 +108,7 @@ def list_(processed: Processed = Path("processed"), as_json: Json = False) -> No
     """
     from pipeline.store.quarantine import list_quarantine, record_id
 
+    _see_folder(processed)
     records = list_quarantine(processed)
     if as_json:
         console.print_json([{"id": record_id(record), **record.model_dump(mode="json")} for record in records])
@@ -123,6 +134,7 @@ def show(
     """
     from pipeline.store.quarantine import find_record, record_id
 
+    _see_folder(processed)
     record = find_record(processed, wanted)
     if as_json:
         console.print_json({"id": record_id(record), **record.model_dump(mode="json")})
@@ -159,12 +171,14 @@ def retry(
     """
     from pipeline.base.file_names import path_of_text
     from pipeline.store.ingest import ingest
-    from pipeline.store.quarantine import find_record, list_quarantine
+    from pipeline.store.quarantine import find_record, list_quarantine, quarantine_folder, record_id
 
+    _see_folder(processed)
     records = [find_record(processed, path) for path in paths] if paths else list_quarantine(processed)
     sources = {record.path: path_of_text(record.path) for record in records}
-    present = [source for source in sources.values() if source.exists()]
-    gone = [path for path, source in sources.items() if not source.exists()]
+    ids = {record.path: record_id(record) for record in records}
+    gone = [path for path, source in sources.items() if not os.path.exists(source)]
+    present = [source for path, source in sources.items() if path not in gone]
     report = ingest(present, processed, profile, rehash=True)
     if as_json:
         console.print_json({**report.model_dump(mode="json"), "gone": gone})
@@ -175,6 +189,7 @@ def retry(
             row = "" if refusal.row is None else f", row {refusal.row}"
             console.say(f"{refusal.path}{row}: {refusal.reason}")
         for path in gone:
-            console.say(f"{path}: is no longer there. Put it back, or remove its folder in {processed / 'quarantine'}.")
+            folder = quarantine_folder(processed) / ids[path]
+            console.say(f"{path}: is no longer there, or may not be looked at. Put it back, or remove {folder}.")
     if report.quarantined or gone:
         raise typer.Exit(EXIT_QUARANTINED)

@@ -10,6 +10,7 @@ import typer
 
 from pipeline.base.errors import EXIT_ERROR, UsageError
 from pipeline.shell import cli_theory, console
+from pipeline.shell.outputs import check_output
 
 if TYPE_CHECKING:
     from pipeline.rendering.report_against import AgainstPage
@@ -78,17 +79,24 @@ def compare(
     from pipeline.rendering.table_export import export_tables, parse_formats, tables_folder
     from pipeline.store.storage import folder_name
 
+    two = against is not None or against_device is not None
+    if two:
+        _refuse("--against", dry_run=dry_run, full=full, against_report=against_report is not None)
+    if two or against_report is not None:
+        _refuse("--against" if two else "--against-report", tables_format=tables_format is not None)
     asked = None if scene is None else read_scene(scene)
     name = device or (asked.device if asked else None)
     if name is None:
         raise typer.BadParameter("no device is given. Name it here, or in a scene file.", param_hint="--device")
     formats = parse_formats(tables_format or ())
     wanted = cli_theory.split(criteria) if criteria is not None else asked.chosen_criteria if asked else None
-    if against is not None or against_device is not None:
+    if two:
         names = experiment or (asked.experiments if asked else None)
         _compare_against(name, names, against, against_device, processed, wanted, report, as_json)
         return
     target = report or Path(asked.report if asked and asked.report else f"reports/{folder_name(name)}.html")
+    if not dry_run:
+        check_output(target, "--report", document_beside=True)
     outcome = compare_device(
         name,
         processed,
@@ -155,11 +163,22 @@ def _compare_against(
             )
         against = stored[0]
     second = names_of(against, device, against_device, list_experiments(processed, device))
+    other = second[1] if second[0] == device else f"{second[0]}-{second[1]}"
+    target = report or Path("reports") / f"{folder_name(f'{device}-{first}-against-{other}')}.html"
+    check_output(target, "--report", document_beside=True)
     progress = None if as_json else console.note
     page = against_experiments(processed, (device, first), second, criteria, progress)
-    other = second[1] if second[0] == device else f"{second[0]}-{second[1]}"
-    name = folder_name(f"{device}-{first}-against-{other}")
-    _print_against(page, report or Path("reports") / f"{name}.html", None, as_json)
+    _print_against(page, target, None, as_json)
+
+
+def _refuse(option: str, **others: bool) -> None:
+    """Refuse options that another one would leave without effect."""
+    for other, given in others.items():
+        if given:
+            raise UsageError(
+                f"{option} and --{other.replace('_', '-')} do not go together: the page of two experiments knows no "
+                "such choice. Leave one of them out."
+            )
 
 
 def _print_against(page: AgainstPage, report: Path, name: str | None, as_json: bool) -> None:
@@ -227,6 +246,8 @@ def draft(
     from pipeline.comparison.scene_file import draft_scene
     from pipeline.records.tables import write_text
 
+    if out is not None:
+        check_output(out, "--out")
     if out is not None and out.exists() and not overwrite:
         raise UsageError(f"{out}: exists. Give another file, or --overwrite.")
     text = draft_scene(device, processed)

@@ -9,6 +9,7 @@ from typing import Annotated
 import typer
 
 from pipeline.shell import console
+from pipeline.shell.outputs import check_output
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -16,7 +17,9 @@ app = typer.Typer(
     "by sampling period T and mass m: alpha = K T^2/m, beta = B T/m, gamma = k T^2/m, delta = b T/m.",
 )
 
-Delay = Annotated[float, typer.Option("--delay", help="Delay d in samples, integer or fractional.", show_default=False)]
+Delay = Annotated[
+    float, typer.Option("--delay", help="Delay d in samples, integer or fractional, at most 256.", show_default=False)
+]
 Gamma = Annotated[float, typer.Option("--gamma", help="Normalised stiffness of the device itself.")]
 Delta = Annotated[float, typer.Option("--delta", help="Normalised viscous damping of the device itself.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout.")]
@@ -131,6 +134,7 @@ def cost_map(
     from pipeline.theory import theory_map
     from pipeline.theory.loop import Loop
 
+    check_output(out, "--out")
     names = theory_map.MAP_DEFAULT if criteria is None else split(criteria)
     table = theory_map.map_table(
         Loop(gamma, delta, delay), size, names, theory_map.MAP_LONGEST if longest is None else longest
@@ -191,6 +195,7 @@ def figures(
     """
     from pipeline.comparison import theory_figures
 
+    check_output(out, "--out")
     asked = tuple(dict.fromkeys(figure or theory_figures.NUMBERS))
     computed = theory_figures.compute(asked)  # refuses an unknown number before the drawing library is loaded
     from pipeline.rendering import theory_drawings

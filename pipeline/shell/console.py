@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 import re
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, NoReturn
 
 import typer
 
-from pipeline.base.errors import PipelineError
+from pipeline.base.errors import EXIT_ERROR, PipelineError
 
 Advance = Callable[[int, int | None], None]
 """Reports (things done, things in all or None where that is not known)."""
@@ -27,27 +29,85 @@ REFRESH = 8
 """Redraws of the progress bar in a second."""
 
 
+OUTSIDE = frozenset(
+    {
+        errno.ENOSPC,
+        errno.EDQUOT,
+        errno.EROFS,
+        errno.EACCES,
+        errno.EPERM,
+        errno.EIO,
+        errno.EFBIG,
+        errno.EMFILE,
+        errno.ENFILE,
+    }
+)
+"""Errors of the operating system that no command can foresee: a full or read-only disk, permissions, limits."""
+
+
 def run_app(app: typer.Typer, arguments: Sequence[str] | None) -> None:
     """Run the command line and leave with its exit status; a named error becomes a message on stderr.
 
-    Other exceptions are defects: they pass with their traceback.
+    So does an error of the operating system that is no defect of the program (`OUTSIDE`). Other exceptions are defects:
+    they pass with their traceback.
     """
     try:
         app(args=None if arguments is None else list(arguments))
+        _flush()
     except PipelineError as error:
         note(f"Error: {error}")
         sys.exit(error.exit_status)
+    except SystemExit:
+        _flush()
+        raise
+    except OSError as error:
+        if error.errno not in OUTSIDE:
+            raise
+        _leave(error)
+
+
+def _flush() -> None:
+    """Write out what was said, while an error can still be told by name and status."""
+    try:
+        if sys.stdout is not None:
+            sys.stdout.flush()
+    except BrokenPipeError:  # who read it has seen enough
+        _drop_output()
+        sys.exit(EXIT_ERROR)
+    except OSError as error:
+        _leave(error)
+
+
+def _leave(error: OSError) -> NoReturn:
+    place = "standard output" if error.filename is None else os.fsdecode(error.filename)
+    note(
+        f"Error: {place}: cannot be read or written ({error.strerror}). Make room or correct the permissions, and run "
+        "the command again."
+    )
+    _drop_output()
+    sys.exit(EXIT_ERROR)
+
+
+def _drop_output() -> None:
+    """Let what could not be written go nowhere: the end of the process would try again, and fail again."""
+    if sys.stdout is not None:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _write(text: str) -> None:
+    if sys.stdout is not None:  # started without one, as by `>&-`: nobody listens
+        sys.stdout.write(text)
 
 
 def print_json(document: object) -> None:
     """Print one JSON document on stdout; ASCII only, so that no locale can break it."""
-    sys.stdout.write(json.dumps(document, indent=1, allow_nan=False) + "\n")
+    _write(json.dumps(document, indent=1, allow_nan=False) + "\n")
 
 
 def say(text: str) -> None:
     """Print a line of a result on stdout; a character that the terminal cannot show, or would obey, is escaped."""
-    encoding = sys.stdout.encoding or "utf-8"
-    sys.stdout.write(_harmless(text).encode(encoding, "backslashreplace").decode(encoding) + "\n")
+    encoding = getattr(sys.stdout, "encoding", None) or "utf-8"
+    _write(_harmless(text).encode(encoding, "backslashreplace").decode(encoding) + "\n")
 
 
 def note(text: str) -> None:

@@ -59,7 +59,8 @@ def run_demo(
     ----------
     folder : Path
         Gets ``raw/demo``, ``processed/demo`` and ``reports`` with an index page (with ``full``: ``raw/demo-full``,
-        ``processed/demo-full``). Logs of an earlier demo are replaced, other files are never touched.
+        ``processed/demo-full``). Logs of an earlier demo, and reports of its devices as
+        `compare` writes them, are replaced; other files are never touched.
     full : bool
         Thesis size: all experiments and all trials.
     report_progress : callable, optional

@@ -24,6 +24,7 @@ from pipeline.readers.mapping import format_module
 from pipeline.readers.time_axis import step_flags
 from pipeline.records.batch import TrialBatch
 from pipeline.records.models import Motion, Record
+from pipeline.shell.profile_warnings import other_step, other_units
 from pipeline.store.devices import known_devices
 from pipeline.store.reading import load_source, motion_of
 from pipeline.store.sources import find_sources
@@ -138,16 +139,19 @@ def _infos(profile: Profile, name: str, data: bytes) -> list[ColumnInfo]:
 def _trial(profile: Profile, name: str, log: Log, motion: Motion, hints: dict[str, str]) -> CheckedTrial:
     rows = np.array([len(log.time)])
     (flags,) = step_flags(log.time, rows, np.array([log.header.sampling_period_s]))
-    step_row, step = _step(log)
+    batch = _batch(log)
+    step_row, step = _step(log, batch)
+    columns = tuple(_columns(profile, log, motion, hints))
+    said = {column.column: column.file_says for column in columns}
     return CheckedTrial(
         label=log.label,
         conditions=_conditions(profile, name, log, motion),
         rows=len(log.time),
-        columns=tuple(_columns(profile, log, motion, hints)),
+        columns=columns,
         time=flags | dict(log.counts),
         step_row=step_row,
         step=step,
-        warnings=log.warnings,
+        warnings=(*log.warnings, *other_units(profile, said), *other_step(log, step_row, batch)),
     )
 
 
@@ -198,13 +202,9 @@ def _columns(profile: Profile, log: Log, motion: Motion, hints: dict[str, str]) 
     return columns
 
 
-def _step(log: Log) -> tuple[int | None, str]:
-    """Return the row of the step, and how it is known."""
-    if "step_row" in log.header.extra:
-        row = int(log.header.extra["step_row"])
-        return row, f"declared, at {log.time[row]:.9g} s"
+def _batch(log: Log) -> TrialBatch:
     header = log.header
-    batch = TrialBatch(
+    return TrialBatch(
         ("sample",),
         stiffness=np.array([header.stiffness]),
         damping=np.array([header.damping]),
@@ -215,6 +215,13 @@ def _step(log: Log) -> tuple[int | None, str]:
         command=log.command[None],
         position=log.position[None],
     )
+
+
+def _step(log: Log, batch: TrialBatch) -> tuple[int | None, str]:
+    """Return the row of the step, and how it is known."""
+    if "step_row" in log.header.extra:
+        row = int(log.header.extra["step_row"])
+        return row, f"declared, at {log.time[row]:.9g} s"
     found = find_response(batch)
     row = int(found.edge_row[0])
     if row == NO_ROW:

@@ -21,6 +21,7 @@ from pipeline.profiles.profile_model import Format, Profile
 from pipeline.readers.frame import ColumnInfo, Frame
 from pipeline.readers.layout import Layout, format_of, text_layout
 from pipeline.readers.mapping import format_module
+from pipeline.readers.plain_text import is_packed, unpacked
 
 LISTED_CHOICES = 10
 """Columns that a question names; with more it points to the list."""
@@ -61,6 +62,8 @@ def draft_profile(sample: Path) -> str:
     except OSError as error:
         raise UsageError(f"{sample}: cannot be read ({error.strerror}). Give a log.") from error
     kind = format_of(sample.name, data)
+    if kind == "delimited" and is_packed(data):
+        kind = format_of(sample.name, unpacked(sample.name, data))
     if kind == "native":
         raise ProfileError(f"{sample} is a native log, which needs no profile: `pipeline ingest {sample}` reads it.")
     try:
@@ -206,7 +209,8 @@ def _time_questions(info: ColumnInfo | None, frame: Frame | None) -> Iterator[st
     values = None if info is None or frame is None else frame.columns.get(info.name)
     if values is None or values.dtype.kind not in "iuf" or len(values) < 2:
         return
-    steps = np.diff(values.astype(np.float64))
+    # whole numbers such as ns since 1970 lose digits as floats, their distances do not
+    steps = np.diff(values - values.min() if values.dtype.kind in "iu" else values).astype(np.float64)
     if np.isnan(steps).any():
         yield from _question(
             "columns.time.blanks", 'some stamps are blank. Leave such rows out ("skip")?', 'blanks = "skip"'

@@ -71,8 +71,8 @@ class Comparison:
 
 def part_differences(expected: Parts, found: Parts, comparison: Comparison) -> Iterator[Difference]:
     """Yield which cells, drawings, data and sentences of a page (``found``) are not those computed anew."""
-    cells = [{n: t for n, t in p.cells.items() if not report_parts.is_free_cell(n)} for p in (expected, found)]
-    yield from _text_differences("cell", *cells, comparison)
+    cells = ({n: t for n, t in p.cells.items() if not report_parts.is_free_cell(n)} for p in (expected, found))
+    yield from _text_differences("cell", comparison, *cells)
     for name in {**expected.figures, **found.figures}:
         pair = (expected.figures.get(name), found.figures.get(name))
         if not comparison.equal(*pair, same_drawing):
@@ -80,8 +80,8 @@ def part_differences(expected: Parts, found: Parts, comparison: Comparison) -> I
             yield Difference(name=f"figure {name}", kind="figure", expected=new, found=old)
     for name in {**expected.data, **found.data}:
         yield from _data_differences(name, expected.data.get(name), found.data.get(name), comparison)
-    texts = [{n: t for n, t in p.texts.items() if not report_parts.is_free_text(n)} for p in (expected, found)]
-    yield from _text_differences("sentence", *texts, comparison)
+    texts = ({n: t for n, t in p.texts.items() if not report_parts.is_free_text(n)} for p in (expected, found))
+    yield from _text_differences("sentence", comparison, *texts)
 
 
 def free_differences(found: Parts) -> Iterator[Difference]:
@@ -103,7 +103,7 @@ def free_differences(found: Parts) -> Iterator[Difference]:
 
 
 def _text_differences(
-    kind: Kind, expected: Mapping[str, str], found: Mapping[str, str], comparison: Comparison
+    kind: Kind, comparison: Comparison, expected: Mapping[str, str], found: Mapping[str, str]
 ) -> Iterator[Difference]:
     for name in {**expected, **found}:
         new, old = expected.get(name), found.get(name)

@@ -33,6 +33,10 @@ from pipeline.store.storage import folder_name
 COLUMNS_AHEAD = 6
 """Dampings beyond the tested range that are simulated ahead where the range is extended."""
 
+LONGEST_TRIAL = 20_000
+"""Samples of a trial, 20 s at 1 kHz: fifty times as long as those of the thesis. All trials of a course are simulated
+together, so that each array of 2,300 of them has 370 MB then."""
+
 TRUTH_FILE = "truth.json"
 
 
@@ -102,7 +106,7 @@ def run_course(
     jitter : sequence of int, optional
         Delays [samples] to draw from in place of the experiment's; empty for a constant delay.
     duration_s : float, optional
-        Length of a trial [s] in place of the device's.
+        Length of a trial [s] in place of the device's, at most `LONGEST_TRIAL` samples.
     damping_range : {"tested", "full"}
         ``full`` goes on beyond the experiment's last damping until no stable K > 0 is found.
     coarsen : int
@@ -130,6 +134,9 @@ def run_course(
         raise ParameterError(f"coarsen = {coarsen}: expected 1 (every trial) or a larger whole number.")
     if duration_s is not None and not 0 < duration_s < inf:
         raise ParameterError(f"duration = {duration_s} s: expected a positive, finite length of a trial.")
+    longest_s = LONGEST_TRIAL * device.sampling_period_s
+    if duration_s is not None and duration_s > longest_s:
+        raise ParameterError(f"duration = {duration_s} s: expected at most {longest_s:g} s ({LONGEST_TRIAL} samples).")
     conditions = find_experiment(device, experiment)
     setup = setup_of(device, conditions)
     setup = idealise(setup) if ideal else setup

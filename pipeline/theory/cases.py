@@ -168,7 +168,9 @@ def _points_of_loop(loop: Loop, alpha: Floats, beta: Floats) -> list[dict[str, A
                 "stable": bool(stable[i]),
                 "spectral_radius": float(radius[i]),
                 **point,
-                "reason": _reason(loop, float(alpha[i]), float(radius[i]), None in point.values()),
+                "reason": _reason(
+                    loop, float(alpha[i]), float(radius[i]), [name for name in point if point[name] is None]
+                ),
             }
         )
     return result
@@ -178,14 +180,14 @@ def _plant(loop: Loop) -> dict[str, float]:
     return {"gamma": loop.gamma, "delta": loop.delta, "delay": loop.delay}
 
 
-def _reason(loop: Loop, alpha: float, radius: float, incomplete: bool) -> str | None:
+def _reason(loop: Loop, alpha: float, radius: float, missing: list[str]) -> str | None:
     if alpha + loop.gamma <= 0:
         return "no final position: alpha + gamma <= 0"
     if radius >= 1:
         return "unstable"
     if radius >= 1 - MARGINAL:
         return f"spectral radius within {MARGINAL:g} of 1: costs would be rounding errors"
-    return f"still moves after {LONGEST} samples" if incomplete else None
+    return f"still moves after {LONGEST} samples: no {', '.join(missing)}" if missing else None
 
 
 def stable_points(loop: Loop, alpha: Floats, radius: Floats) -> Booleans:

@@ -22,6 +22,9 @@ from pipeline.theory.plant import Flow, flow, horner, motion_series
 LARGEST_DELAY = 256
 """Largest delay factor; beyond it the loop matrices of a map no longer fit into memory sensibly."""
 
+LARGEST_DELTA = 1e100
+"""Largest normalised damping of the device; far above it the products that describe its motion overflow."""
+
 
 @dataclass(frozen=True)
 class Normalised:
@@ -73,7 +76,7 @@ class Loop:
     Parameters
     ----------
     gamma, delta : float
-        Normalised physical stiffness and damping, >= 0.
+        Normalised physical stiffness and damping, >= 0; gamma <= pi^2 + delta^2/4, delta <= 1e100.
     delay : float
         Delay factor d = t_d/T, 0 <= d <= 256, integer or fractional.
 
@@ -98,6 +101,8 @@ class Loop:
                 raise ParameterError(f"{name} = {value}: expected a finite number that is not negative.")
         if self.delay > LARGEST_DELAY:
             raise ParameterError(f"delay = {self.delay} samples: expected at most {LARGEST_DELAY}.")
+        if self.delta > LARGEST_DELTA:
+            raise ParameterError(f"delta = {self.delta}: expected at most {LARGEST_DELTA:g}.")
         largest = math.pi**2 + self.delta**2 / 4
         if self.gamma > largest:
             raise ParameterError(

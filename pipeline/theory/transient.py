@@ -75,12 +75,14 @@ class _Active:
     lever: Floats
     forces: list[Floats]
     quiet: Floats = field(init=False)
+    calm: Floats = field(init=False)
 
     def __post_init__(self) -> None:
         self.quiet = np.zeros_like(self.alpha)
+        self.calm = np.zeros_like(self.alpha)
 
     def keep(self, mask: np.ndarray) -> None:
-        for name in ("index", "alpha", "beta", "position", "before", "velocity", "lever", "quiet"):
+        for name in ("index", "alpha", "beta", "position", "before", "velocity", "lever", "quiet", "calm"):
             setattr(self, name, getattr(self, name)[mask])
         self.forces = [f[mask] for f in self.forces]
 
@@ -131,7 +133,8 @@ def transient_costs(
         ``settle_<band in percent>pct_discrete`` [samples]: smallest k with all samples from k on inside the band;
         ``settle_<..>pct`` [samples]: last entry of the continuous position into the band; ``overshoot`` and
         ``overshoot_discrete``: largest excess over the final position relative to the final displacement, >= 0.
-        NaN where the response still moves after ``longest`` samples.
+        NaN where the response still moves too much after ``longest`` samples to know; a settling time may be known
+        where the overshoot, which has the finer limit, is not.
 
     Source: Hulin 2017, eqs. 5.10 to 5.12.
     """
@@ -175,13 +178,16 @@ def transient_costs(
             if overshoot:
                 found = _SETTLED * peaks["overshoot_discrete"][run.index]
                 limit = np.minimum(limit, np.maximum(found, quiet))
-            moving = size + run.lever * np.abs(run.velocity) > limit
-            run.quiet = np.where(moving, 0.0, run.quiet + 1)
+            motion = size + run.lever * np.abs(run.velocity)
+            run.quiet = np.where(motion > limit, 0.0, run.quiet + 1)
+            run.calm = np.where(motion > calm, 0.0, run.calm + 1)
             done = run.quiet * _BLOCK > loop.oldest_force + 2
             if not bands:
                 done |= np.maximum(peaks["overshoot"], peaks["overshoot_discrete"])[run.index] > enough
             if done.any():
                 run.keep(~done)
+    # a slow response may have settled long before it is known not to overshoot
+    restless = np.concatenate([run.index[run.calm * _BLOCK <= loop.oldest_force + 2], *given_up])
     unfinished = np.concatenate([run.index, *given_up])
     result: dict[str, Floats] = {}
     for band in bands:
@@ -194,7 +200,9 @@ def transient_costs(
         if continuous:
             result["overshoot"] = np.maximum(peaks["overshoot"], peaks["overshoot_discrete"])
     for name, values in result.items():
-        if not (unfinished_overshoot and name.startswith("overshoot")):
+        if name.startswith("settle"):
+            values[restless] = np.nan
+        elif not unfinished_overshoot:
             values[unfinished] = np.nan
     return result
 
