@@ -36,7 +36,11 @@ test: lint
 test-all: lint
 	$(BIN)/python -m pytest -n auto
 
-bench: .venv/.dev
+.venv/.bench: .venv/.dev
+	$(PIP) -e '.[bench]'
+	@touch $@
+
+bench: .venv/.bench
 	$(BIN)/python benchmarks/ingest.py
 	$(BIN)/python benchmarks/spine.py
 	$(BIN)/python benchmarks/measured.py

@@ -11,17 +11,10 @@ from pipeline.store.storage import load_batch, read_trials
 
 PAGE = (Path(__file__).parents[1] / "docs" / "storage.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"^```python\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
-OPTIONAL = ("pandas", "polars", "duckdb")
-"""Not needed by the package, so that they may be absent."""
 
 
 @pytest.mark.parametrize("block", BLOCKS, ids=lambda text: text.split()[1].split(".")[0])
 def test_examples_read_what_is_stored(block, tmp_path, monkeypatch):
-    needed = [name for name in OPTIONAL if f"import {name}" in block]
-    for name in needed:
-        pytest.importorskip(name)
-    if "duckdb" in needed:
-        pytest.importorskip("pandas")
     monkeypatch.chdir(tmp_path)
     for number in range(4):
         Path(f"{number}.csv").write_text(log_text(100.0 * number, experiment="1" if number < 3 else "2"))
