@@ -42,5 +42,5 @@ def test_examples_read_what_is_stored(block, tmp_path, monkeypatch):
 
 
 def test_each_way_is_shown():
-    for word in (*OPTIONAL, "pyarrow", "parquetread", "load_batch"):
+    for word in ("pandas", "polars", "duckdb", "pyarrow", "parquetread", "load_batch"):
         assert any(word in block for block in (*BLOCKS, *re.findall(r"```matlab\n(.*?)```", PAGE, re.DOTALL)))
