@@ -98,6 +98,17 @@ def test_help_and_version_need_none_of_the_heavy_packages():
         assert process.stderr.strip() == "[]", arguments
 
 
+def test_no_command_imports_pandas_where_it_is_installed(tmp_path):
+    """Pyarrow would, for 0.2 s of each command."""
+    script = (
+        "import sys\nfrom pipeline.shell.cli import run\nsys.argv[0] = 'pipeline'\n"
+        "try:\n    run()\nfinally:\n    print(sys.modules.get('pandas'), 'pyarrow' in sys.modules, file=sys.stderr)"
+    )
+    words = ["theory", "map", "--delay", "2", "--size", "5", "--out", str(tmp_path / "map.parquet")]
+    process = subprocess.run([sys.executable, "-c", script, *words], capture_output=True, text=True, check=True)
+    assert process.stderr.splitlines()[-1] == "None True"
+
+
 def test_version(call):
     assert call("--version") == (0, f"pipeline {__version__}\n", "")
 

@@ -334,6 +334,8 @@ def test_units_of_stored_stages_follow_the_motion(falcon, lwr):
 
 
 def test_energy_without_a_mass_says_why(falcon, monkeypatch):
+    for stage in STAGES:
+        falcon.stages("1").table(stage)
     of = falcon.stages("1")
     nothing = of.mass_estimate.model_copy(update={"value": None, "reason": "no trial moved"})
     of.__dict__["mass_estimate"] = nothing

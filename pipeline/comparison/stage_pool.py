@@ -9,6 +9,7 @@ from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import get_context
 from pathlib import Path
 
+from pipeline.base.process import leave_out_pandas
 from pipeline.measured.stages import STAGES, ExperimentStages
 from pipeline.store.storage import read_trials
 
@@ -32,7 +33,7 @@ def compute_stages(experiments: Collection[ExperimentStages], needed: Collection
     # the longest first, so that no processor ends up waiting for the last
     waiting.sort(key=lambda e: -e.trials.num_rows)
     # spawn: a fork would copy the locks of Arrow's threads in an unknown state
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+    with ProcessPoolExecutor(workers, get_context("spawn"), leave_out_pandas) as pool:
         jobs = [pool.submit(_compute, e.processed, e.device, e.experiment, tuple(needed)) for e in waiting]
         try:
             for job in jobs:

@@ -20,6 +20,7 @@ from importlib import import_module
 from typing import Any, BinaryIO
 
 from pipeline.base.errors import LogError
+from pipeline.base.process import leave_out_pandas
 from pipeline.readers.safety import LARGEST_FRAME
 
 CPU_SECONDS = 0.6
@@ -97,6 +98,7 @@ def isolated(
 
 def serve() -> None:
     """Work on calls from standard input until it ends; the main loop of a worker process."""
+    leave_out_pandas()
     _bound_memory()
     calls, results = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
     # whatever a library prints must not get between the results

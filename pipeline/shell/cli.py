@@ -13,6 +13,7 @@ import typer
 
 from pipeline import __version__
 from pipeline.base.errors import UsageError
+from pipeline.base.process import leave_out_pandas
 from pipeline.shell import cli_profiles, cli_report, cli_storage, cli_theory, cli_watch, console
 from pipeline.shell.outputs import check_output
 
@@ -232,4 +233,6 @@ def accuracy(
 
 def run(arguments: Sequence[str] | None = None) -> None:
     """Run the command line, by default with the arguments of the process, and leave with its exit status."""
+    if arguments is None:
+        leave_out_pandas()
     console.run_app(app, arguments)

@@ -21,6 +21,7 @@ from pathlib import Path
 from pipeline.base.errors import EXIT_ERROR, EXIT_OK, EXIT_QUARANTINED, PipelineError, StoreError
 from pipeline.base.file_names import path_of_text, path_text
 from pipeline.base.lock import WAIT_S, holder, writing
+from pipeline.base.process import leave_out_pandas
 from pipeline.base.provenance import digest
 from pipeline.comparison.compare import compare
 from pipeline.comparison.scene import RUN
@@ -273,6 +274,7 @@ def main() -> None:
 
     SIGTERM and SIGINT end it after what was begun last, and so does the end of the process that started it.
     """
+    leave_out_pandas()
     asked = threading.Event()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda *_: asked.set())

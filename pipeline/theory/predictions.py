@@ -14,6 +14,7 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from pipeline.base.process import leave_out_pandas
 from pipeline.base.provenance import code_digest, digest
 from pipeline.records.results import TheoryParameters
 from pipeline.records.tables import write_text
@@ -112,7 +113,7 @@ class Predictions:
             self._store({request: optimal_point(*request) for request in missing})
             return
         # spawn: a fork would copy the locks of Arrow's threads in an unknown state
-        self._pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"))
+        self._pool = ProcessPoolExecutor(workers, get_context("spawn"), leave_out_pandas)
         # slow ones first, so that no processor ends up waiting for the last
         order = sorted(
             missing, key=lambda r: (not r[1].startswith("overshoot"), r[1].startswith("energy"), -r[0].delay)
