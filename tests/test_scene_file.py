@@ -12,6 +12,8 @@ from typer.testing import CliRunner
 
 from pipeline.base.errors import DeviceError, SceneError
 from pipeline.comparison.compare import compare
+from pipeline.comparison.compare_experiment import nominal_theories
+from pipeline.comparison.figure_data import DAMPED, requests_of_delay_figure
 from pipeline.comparison.scene import LEAVE_OUT, open_scene
 from pipeline.comparison.scene_file import draft_scene, read_scene
 from pipeline.comparison.scene_parts import with_overlays
@@ -159,6 +161,22 @@ def test_what_the_scene_leaves_out_is_not_computed(falcon, tmp_path, monkeypatch
     assert asked == [], "no table and no map asks for an optimum"
     page = take_apart((tmp_path / "r.html").read_text(encoding="utf-8"))
     assert {name.rsplit("-", 1)[0] for name in page.figures} == {"boundaries-free"}
+
+
+@pytest.mark.parametrize(
+    ("shown", "wanted"),
+    [
+        (Shown(), True),
+        (Shown(figures=("delay",), tables=()), True),
+        (Shown(figures=(), tables=("scores", "D.6")), True),
+        (Shown(figures=("boundaries", "maps"), tables=("D.4", "D.6")), False),
+    ],
+)
+def test_the_damped_curve_is_computed_only_where_it_is_shown(lwr, shown, wanted):
+    data = open_scene("lwr", lwr.processed, None, ["settle_2pct"], shown)
+    asked = requests_of_delay_figure(data, nominal_theories(data))
+    assert bool(asked) is wanted
+    assert all(loop.delta == DAMPED for loop, _ in asked)
 
 
 def test_dry_run_tells_of_figures_and_tables(falcon, tmp_path):

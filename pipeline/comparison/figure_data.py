@@ -50,8 +50,15 @@ FIGURES = {"D.1": "6.5", "D.2": "6.6", "D.3": "6.7", "D.4": "6.10", "D.5": "6.11
 _EMPTY = np.empty(0)
 
 
+def shows_damped(data: SceneData) -> bool:
+    """Tell whether a scene shows the damped curve of Fig. 6.12: in the delay figure, or in the scores."""
+    return data.scene.shown.has_figure("delay") or data.scene.shown.has_table("scores")
+
+
 def requests_of_delay_figure(data: SceneData, theories: Mapping[str, Theory]) -> list[Request]:
-    """Return the theoretical optima of the damped curve of the delay figure."""
+    """Return the theoretical optima of the damped curve of the delay figure, where that is shown."""
+    if not shows_damped(data):
+        return []
     return [
         (Loop(0.0, DAMPED, theories[e].parameters.delay_samples), f"{criterion}_discrete")
         for table in layouts(data)

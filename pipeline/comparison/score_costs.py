@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from pipeline.comparison.agreement import rank_agreement
-from pipeline.comparison.figure_data import DAMPED
+from pipeline.comparison.figure_data import DAMPED, shows_damped
 from pipeline.comparison.scene import SceneData
 from pipeline.comparison.tables_d import layouts
 from pipeline.measured.aggregate import NO_OVERSHOOT, without_overshoot
@@ -90,7 +90,7 @@ def optimum_scores(
     results : sequence of ExperimentResult
     theories : mapping of experiment to Theory
     predictions : Predictions
-        Must hold the optima of the tables, and for a sweep those of the damped curve.
+        Must hold the optima of the tables, and for a sweep those of the damped curve where it is shown.
 
     Notes
     -----
@@ -104,13 +104,14 @@ def optimum_scores(
     for table in layouts(data):
         for experiment in table.experiments:
             swept = table.kind == "delay"
+            damped_curve = swept and shows_damped(data)
             theory = theories.get(experiment if swept else table.theory_from)
             if theory is None:
                 continue
             for criterion in table.criteria:
                 optimum = measured[experiment].optimum.get(criterion)
                 if optimum is not None:
-                    score = _optimum(optimum, criterion, theory, predictions, table.name, swept=swept)
+                    score = _optimum(optimum, criterion, theory, predictions, table.name, damped_curve=damped_curve)
                     earlier = found.setdefault(experiment, {}).get(criterion)
                     if (
                         earlier is not None
@@ -122,14 +123,14 @@ def optimum_scores(
 
 
 def _optimum(
-    optimum: Optimum, criterion: str, theory: Theory, predictions: Predictions, table: str, *, swept: bool
+    optimum: Optimum, criterion: str, theory: Theory, predictions: Predictions, table: str, *, damped_curve: bool
 ) -> OptimumScore:
     prediction = predictions.get(theory, f"{criterion}_discrete")
     p = theory.parameters
     factor = _printed_factors().get(f"{criterion}_discrete")
     polynomial = float(approximate_cost(criterion, p.delay_samples, factor)[0]) if factor else None
     damped = None
-    if swept:
+    if damped_curve:
         damped = predictions.cost(Loop(0.0, DAMPED, p.delay_samples), f"{criterion}_discrete")
     return OptimumScore(
         criterion=criterion,
