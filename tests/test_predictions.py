@@ -141,7 +141,7 @@ def test_physical_values_scale_with_mass_and_period():
 class FailingPool:
     """A pool whose processes have died."""
 
-    def __init__(self, workers, mp_context):
+    def __init__(self, workers, mp_context, initializer):
         self.closed = False
 
     def submit(self, *_):
