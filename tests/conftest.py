@@ -117,3 +117,17 @@ def record_property(record_property):
         record_property(name, value.item() if isinstance(value, np.generic) else value)
 
     return record
+
+
+@pytest.fixture
+def logs(tmp_path) -> Path:
+    """An empty folder for logs."""
+    folder = tmp_path / "logs"
+    folder.mkdir()
+    return folder
+
+
+@pytest.fixture
+def processed(tmp_path) -> Path:
+    """Where tables go; not made yet."""
+    return tmp_path / "processed"

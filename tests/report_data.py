@@ -17,10 +17,25 @@ from pipeline.records.figure_records import (
 )
 from pipeline.records.models import BoundaryPoint, ComparisonRow, Estimate, Motion, Optimum
 from pipeline.records.results import ComparisonResult, ExperimentResult, ReportData, TheoryParameters
+from pipeline.records.score_records import BoundScore
 from pipeline.rendering.labels import criterion_label
 
 CRITERIA = ("settle_2pct", "overshoot", "energy_step_w0", "energy_step_w1", "energy_step_w2")
 MINIMA = {"settle_2pct": 20.0, "energy_step_w0": 8.87, "energy_step_w1": 64.68, "energy_step_w2": 726.1}
+BOUND = BoundScore(
+    stiffness=38000,
+    stiffness_low=37000,
+    stiffness_high=39000,
+    slope=230,
+    slope_low=220,
+    slope_high=240,
+    damping_low=100,
+    damping_high=160,
+    dampings=16,
+    cut=0.2,
+    p_value=1e-9,
+)
+"""Linear upper bound in the manner of (6.5)."""
 HOSTILE = "<script>alert('x')</script> & $K_1$"
 
 

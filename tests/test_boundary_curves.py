@@ -79,7 +79,9 @@ def test_bound_and_band_are_those_of_the_scores() -> None:
     assert line is not None
     assert envelope is not None
     assert line.stiffness.tolist() == [38e3 - 230 * 90, 38e3 - 230 * 150]  # (6.5)
-    assert (envelope.low.tolist(), envelope.high.tolist()) == ([90, 400], [200, 800])  # type: ignore[union-attr]
+    assert envelope.low is not None
+    assert envelope.high is not None
+    assert (envelope.low.tolist(), envelope.high.tolist()) == ([90, 400], [200, 800])
     assert bound_curve(experiment("1")) is envelope_curve(experiment("1")) is None
 
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from report_data import BOUND
 
 from pipeline.comparison.advice import choice, margin, passive_choice, recommended
 from pipeline.comparison.causes import causes
 from pipeline.comparison.overlap import MeasuredLimits
 from pipeline.records.models import BoundaryPoint, Estimate, Optimum, Trend
 from pipeline.records.results import TheoryParameters
-from pipeline.records.score_records import BandScore, BoundScore, DelayScore, Departure
+from pipeline.records.score_records import BandScore, DelayScore, Departure
 from pipeline.rendering.labels import UNITS
 
 FALCON = UNITS["translation"]
@@ -54,22 +55,9 @@ def test_band_explains_a_deviation_or_not(result):
 
 
 def test_bound_is_named_first(result):
-    bound = BoundScore(
-        stiffness=38000,
-        stiffness_low=37000,
-        stiffness_high=39000,
-        slope=230,
-        slope_low=220,
-        slope_high=240,
-        damping_low=100,
-        damping_high=160,
-        dampings=16,
-        cut=0.2,
-        p_value=1e-9,
-    )
     gone = Departure(side="below", damping_low=100, damping_high=180, dampings=19)
     band = BandScore(**BAND, points=20, inside=1, departures=(gone,))
-    texts = causes(with_scores(result, bound=bound, band=band), FALCON)
+    texts = causes(with_scores(result, bound=BOUND, band=band), FALCON)
     assert texts[0].startswith("From B = 100 Ns/m on the boundary is a straight line, K ≤ 38000 N/m − 230 s⁻¹ B")
     assert "20 % of the region" in texts[0]
     assert len(texts) == 2

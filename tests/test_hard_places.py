@@ -24,18 +24,6 @@ from pipeline.store.storage import list_experiments, read_trials, steadily
 PIPELINE = [sys.executable, "-c", "from pipeline.shell.cli import run; run()"]
 
 
-@pytest.fixture
-def logs(tmp_path):
-    folder = tmp_path / "logs"
-    folder.mkdir()
-    return folder
-
-
-@pytest.fixture
-def processed(tmp_path):
-    return tmp_path / "processed"
-
-
 def test_more_experiments_than_files_may_be_open(logs, processed):
     """A lab may call each recording an experiment of its own; no batch keeps a file open while others are collected."""
     for number in range(40):

@@ -57,18 +57,6 @@ TABLE = "t,F,x\n0,0,0\n1,1,0\n2,1,1\n"
 
 
 @pytest.fixture
-def logs(tmp_path):
-    folder = tmp_path / "logs"
-    folder.mkdir()
-    return folder
-
-
-@pytest.fixture
-def processed(tmp_path):
-    return tmp_path / "processed"
-
-
-@pytest.fixture
 def lab(tmp_path):
     path = tmp_path / "lab.toml"
     path.write_text(PROFILE)

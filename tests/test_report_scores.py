@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import pytest
+from report_data import BOUND
 
-from pipeline.records.score_records import BoundScore, MapScore
+from pipeline.records.score_records import MapScore
 from pipeline.rendering.report import cells
 from pipeline.rendering.report_scores import cost_score_table, estimate_score_table, rule_score_table, score_table
 
@@ -96,20 +97,7 @@ def test_missing_scores_tell_why(result):
 
 
 def test_bound_is_printed_with_its_intervals(result):
-    bound = BoundScore(
-        stiffness=38000,
-        stiffness_low=37000,
-        stiffness_high=39000,
-        slope=230,
-        slope_low=220,
-        slope_high=240,
-        damping_low=100,
-        damping_high=160,
-        dampings=16,
-        cut=0.2,
-        p_value=1e-9,
-    )
-    cell = text(score_table(changed(result, bound=bound)), "bound/1")
+    cell = text(score_table(changed(result, bound=BOUND)), "bound/1")
     assert cell.text == "38000 \N{MINUS SIGN} 230 B"
     assert cell.aside == "37000 to 39000; 220 to 240; cuts off 20.0 %"
 

@@ -14,7 +14,8 @@ from report_data import HOSTILE, report_data
 from trial_pages import trial_page
 
 from pipeline.rendering import report, report_scripts
-from pipeline.rendering.report_scripts import TEMPLATES, json_text, page_files, policy, scripts
+from pipeline.rendering.page_template import TEMPLATES
+from pipeline.rendering.report_scripts import json_text, page_files, policy, scripts
 
 NAMES = (
     HOSTILE,

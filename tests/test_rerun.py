@@ -8,10 +8,11 @@ from pathlib import Path
 import pytest
 from native_logs import FAULTS, log_text, short_log
 
-from pipeline.base import regular_files, rerun
-from pipeline.base.rerun import NOTE_FILE, Search, recall
+from pipeline.base import regular_files
+from pipeline.store import rerun
 from pipeline.store.ingest import ingest
 from pipeline.store.quarantine import list_quarantine
+from pipeline.store.rerun import NOTE_FILE, Search, recall
 
 LONG_AGO = time.time_ns() - 60 * 10**9
 

@@ -36,10 +36,8 @@ def response_by_dlsim(
     signal: ModuleType, plant: Sampled, case: Case, alpha: Floats, beta: Floats, samples: int
 ) -> Floats:
     """Return the deviation at the samples of a step from `scipy.signal.dlsim`, shape (samples, n)."""
-    size = case.delay + 3
-    start = np.full(size, -1.0)
-    start[1] = 0.0
-    columns = []
+    start = _step_state(case.delay)
+    size, columns = len(start), []
     for matrix in matrices(plant, case.delay, alpha, beta):
         system = (matrix, np.zeros((size, 1)), np.eye(1, size), np.zeros((1, 1)), 1.0)
         columns.append(np.asarray(signal.dlsim(system, np.zeros((samples, 1)), x0=start)[1])[:, 0])
@@ -78,12 +76,17 @@ def response_by_control(
     control: ModuleType, plant: Sampled, case: Case, alpha: Floats, beta: Floats, samples: int
 ) -> Floats:
     """Return the deviation at the samples of a step from `control.forced_response`, shape (samples, n)."""
-    size = case.delay + 3
-    start = np.full(size, -1.0)
-    start[1] = 0.0
-    columns = []
+    start = _step_state(case.delay)
+    size, columns = len(start), []
     for matrix in matrices(plant, case.delay, alpha, beta):
         system = control.ss(matrix, np.zeros((size, 1)), np.eye(1, size), np.zeros((1, 1)), 1.0)
         found = control.forced_response(system, np.arange(samples), np.zeros(samples), start)
         columns.append(np.ravel(found.outputs))
     return np.array(columns).T
+
+
+def _step_state(delay: int) -> Floats:
+    """Return the state at the step, shape (delay + 3,): all positions one away from the final one, at rest."""
+    start = np.full(delay + 3, -1.0)
+    start[1] = 0.0
+    return start

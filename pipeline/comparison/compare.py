@@ -89,7 +89,17 @@ REPORT_CODE = (
         "models",
         "accuracy",
     ),
-    *("wording", "report_scripts", "trial_data", "trial_codec", "trial_records", "ghost", *page_files()),
+    *(
+        "wording",
+        "page_template",
+        "delay_rows",
+        "report_scripts",
+        "trial_data",
+        "trial_codec",
+        "trial_records",
+        "ghost",
+        *page_files(),
+    ),
     *THEORY_CODE,
 )
 

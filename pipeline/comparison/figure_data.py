@@ -20,6 +20,7 @@ from pipeline.comparison.tables_d import layouts
 from pipeline.measured.aggregate import without_overshoot
 from pipeline.measured.stages import ExperimentStages
 from pipeline.records.batch import Floats
+from pipeline.records.delay_rows import delay_points
 from pipeline.records.figure_records import (
     BoundaryFigure,
     CostFigure,
@@ -33,7 +34,6 @@ from pipeline.records.figure_records import (
 from pipeline.records.models import ComparisonRow, Optimum, TableLayout
 from pipeline.records.results import ExperimentResult, TheoryParameters
 from pipeline.rendering.labels import criterion_label, table_label
-from pipeline.rendering.report_tables import delay_points
 from pipeline.theory.loop import LARGEST_DELAY, Loop
 from pipeline.theory.maps import cost_maps
 from pipeline.theory.predictions import Prediction, Predictions, Request, Theory

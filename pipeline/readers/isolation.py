@@ -17,7 +17,7 @@ import subprocess
 import sys
 import threading
 from importlib import import_module
-from typing import Any, BinaryIO
+from typing import IO, Any
 
 from pipeline.base.errors import LogError
 from pipeline.base.process import leave_out_pandas
@@ -153,8 +153,8 @@ class _Worker:
         )
         assert self.process.stdin is not None
         assert self.process.stdout is not None
-        self.calls: BinaryIO = self.process.stdin  # type: ignore[assignment]
-        self.results: BinaryIO = self.process.stdout  # type: ignore[assignment]
+        self.calls: IO[bytes] = self.process.stdin
+        self.results: IO[bytes] = self.process.stdout
 
     def call(self, call: tuple[str, tuple[str, ...], tuple[Any, ...], float], wait: float) -> tuple[bool, Any] | None:
         """Return what a call gives, or None where the process died of it."""

@@ -9,8 +9,7 @@ from pathlib import Path
 from pipeline.records import tables
 from pipeline.records.accuracy import OURS, WRONG, AccuracyReport, Rung, Sweep, duration, error_text
 from pipeline.records.accuracy_advice import compared, fails, longest, name_of, place_of
-
-TEMPLATES = Path(__file__).parent / "templates"
+from pipeline.rendering.page_template import fill_template
 
 MEANING = {
     "plant": "numerator of the sampled plant, over 20 plants",
@@ -61,7 +60,6 @@ PATHS = {
 
 def render(report: AccuracyReport) -> str:
     """Return the page as one HTML document."""
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined  # as matplotlib, only needed here
 
     from pipeline.rendering import accuracy_figures, accuracy_measured_report
 
@@ -84,15 +82,9 @@ def render(report: AccuracyReport) -> str:
         if found:
             svg = accuracy_figures.sweep(path.title, path.abscissa, found, f"sweep-{index}", rising=path.rising)
             paths.append({"path": path, "svg": svg, "rows": [_sweep_row(s) for s in found], "longest": longest(found)})
-    environment = Environment(
-        loader=FileSystemLoader(TEMPLATES),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
     measured = report.measured_branch
-    return environment.get_template("accuracy.html.j2").render(
+    return fill_template(
+        "accuracy.html.j2",
         report=report,
         ladders=ladders,
         paths=paths,

@@ -24,8 +24,8 @@ from pipeline.rendering import (
     report_scripts,
     report_tables,
 )
+from pipeline.rendering.page_template import fill_template
 
-TEMPLATES = Path(__file__).parent / "templates"
 _DIGEST_SLOT = "digest-of-cells"
 _PARTS_SLOT = "digests-of-parts"
 _SOURCE = re.compile(r' <a class="source" href="#([^"]*)">[^<]*</a>')
@@ -40,20 +40,13 @@ def render(data: ReportData) -> str:
     PipelineError
         If two cells got the same name, as from an experiment that occurs twice.
     """
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined  # 0.1 s, not needed by other commands
     from markupsafe import escape
 
-    environment = Environment(
-        loader=FileSystemLoader(TEMPLATES),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
     result = data.result
     trials = data.trials
     inline = report_scripts.scripts(with_trials=trials is not None)
-    page = environment.get_template("report.html.j2").render(
+    page = fill_template(
+        "report.html.j2",
         result=result,
         slot=_DIGEST_SLOT,
         parts_slot=_PARTS_SLOT,

@@ -18,10 +18,9 @@ from pipeline.records.figure_records import BoundaryFigure
 from pipeline.records.models import Motion
 from pipeline.rendering import report_tables
 from pipeline.rendering.labels import CRITERION_NAMES, UNITS, percent_text, significant
+from pipeline.rendering.page_template import fill_template
 from pipeline.rendering.report_figures import Drawing
 from pipeline.rendering.report_tables import Cell, Head, Table, missing_cell, text_cell
-
-TEMPLATES = Path(__file__).parent / "templates"
 
 DIGITS = 4
 """Digits of a printed value; differences of few per cent are told apart."""
@@ -38,23 +37,17 @@ class AgainstPage:
 
 def render(page: AgainstPage) -> str:
     """Return the page as one HTML document."""
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined  # as matplotlib, only needed here
 
     from pipeline.rendering import figures
 
-    environment = Environment(
-        loader=FileSystemLoader(TEMPLATES),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
     parts = []
     for number, (pair, figure) in enumerate(zip(page.result.pairs, page.figures, strict=True)):
         drawing = Drawing(figure.identifier, figure.title, figure.caption, figures.boundaries(figure, page.motion), "")
         parts.append({"pair": pair, "figure": drawing, "tables": pair_tables(pair, page.motion, number)})
-    template = environment.get_template("report_against.html.j2")
-    return unbroken(template.render(result=page.result, parts=parts, footnote=report_tables.footnote))
+    page_text = fill_template(
+        "report_against.html.j2", result=page.result, parts=parts, footnote=report_tables.footnote
+    )
+    return unbroken(page_text)
 
 
 def write(page: AgainstPage, path: Path) -> AgainstResult:

@@ -23,12 +23,12 @@ from pipeline.base.wording import unbroken
 from pipeline.records import tables
 from pipeline.records.models import BoundaryPoint, Motion
 from pipeline.rendering.labels import UNITS, decimal, percent_text, stiffness_text
+from pipeline.rendering.page_template import fill_template
 
 INDEX_FILE = "index.html"
 INDEX_MARK = '<meta name="generator" content="pipeline index">'
 """Tells our index from a page of somebody else, which is never replaced."""
 
-TEMPLATES = Path(__file__).parent / "templates"
 
 LARGEST_DOCUMENT = 256 << 20
 """Bytes of JSON that are read at most: a report of 2,300 trials has 1.4 MB, so what is larger is something else."""
@@ -174,17 +174,9 @@ def read_reports(folder: Path) -> tuple[tuple[IndexEntry, ...], tuple[OtherPage,
 
 def render_index(entries: Sequence[IndexEntry], others: Sequence[OtherPage] = ()) -> str:
     """Return the index as one HTML document that needs no network and has no scripts."""
-    from jinja2 import Environment, FileSystemLoader, StrictUndefined  # 0.1 s, not needed by other commands
 
-    environment = Environment(
-        loader=FileSystemLoader(TEMPLATES),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    template = environment.get_template("index.html.j2")
-    page = template.render(
+    page = fill_template(
+        "index.html.j2",
         mark=INDEX_MARK,
         entries=[entry for entry in entries if not entry.problem],
         damaged=[entry for entry in entries if entry.problem],

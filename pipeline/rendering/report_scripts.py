@@ -9,10 +9,10 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
-from pathlib import Path
 from typing import Any
 
-TEMPLATES = Path(__file__).parent / "templates"
+from pipeline.rendering.page_template import TEMPLATES
+
 TABLES_SCRIPT = "report/tables.js"
 TRIALS_SCRIPTS = ("report/plane.js", "report/response.js", "report/trials.js")
 PLOT = "vendor/uPlot.iife.min.js"

@@ -11,6 +11,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from pipeline.base.wording import shared_notes
+from pipeline.records.delay_rows import delay_points, is_delay_table
 from pipeline.records.models import BoundaryPoint, ComparisonRow, Motion, Optimum
 from pipeline.records.results import ComparisonResult, ExperimentResult
 from pipeline.records.trial_records import TrialPage
@@ -145,55 +146,6 @@ def delay_tables(result: ComparisonResult, trials: TrialPage | None = None) -> l
     names = dict.fromkeys(row.table for row in result.tables)
     groups = [(name, [row for row in result.tables if row.table == name]) for name in names]
     return [_delay_table(name, rows, trials) for name, rows in groups if is_delay_table(rows)]
-
-
-def is_delay_table(rows: Sequence[ComparisonRow]) -> bool:
-    """Tell whether rows form a table over delay: its measured rows differ in their experiment only.
-
-    In a table of optima each criterion has one row a condition, and delays may differ from theory to experiment.
-    """
-    measured = [row for row in rows if not _is_theory(row)]
-    kinds = {(row.criterion, row.condition) for row in measured}
-    places = {(row.criterion, row.condition, row.experiment, row.delay_samples) for row in measured}
-    return len(kinds) < len(measured) == len(places)
-
-
-@dataclass(frozen=True)
-class DelayPoint:
-    """One experiment in a table over delay: its theoretical and measured rows by criterion.
-
-    ``delay`` is the total delay in samples, None where it is not known.
-    """
-
-    delay: float | None
-    experiment: str | None
-    theory: dict[str, ComparisonRow]
-    measured: dict[str, ComparisonRow]
-
-
-def delay_points(rows: Sequence[ComparisonRow]) -> list[DelayPoint]:
-    """Return the experiments of a table over delay, in order of delay; several may have the same.
-
-    Parameters
-    ----------
-    rows : sequence of ComparisonRow
-        Theory of each experiment and criterion directly before the measured row that it belongs to. Deviations refer
-        to the discrete theory, which therefore stands in the table where there are both.
-    """
-    points: dict[tuple[float | None, str | None], DelayPoint] = {}
-    theory: dict[str, ComparisonRow] = {}
-    for row in rows:
-        if _is_theory(row):
-            if row.condition == "theory_discrete" or row.criterion not in theory:
-                theory[row.criterion] = row
-            continue
-        point = points.setdefault(
-            (row.delay_samples, row.experiment), DelayPoint(row.delay_samples, row.experiment, {}, {})
-        )
-        point.measured[row.criterion] = row
-        if row.criterion in theory:
-            point.theory[row.criterion] = theory.pop(row.criterion)
-    return sorted(points.values(), key=lambda point: float("inf") if point.delay is None else point.delay)
 
 
 def measured_optimum_table(result: ComparisonResult, trials: TrialPage | None = None) -> Table | None:
@@ -352,10 +304,6 @@ def _delay_table(name: str, rows: Sequence[ComparisonRow], trials: TrialPage | N
             cells.append(_deviation_cell(measured) if measured else missing_cell("not measured"))
         table.add("", f"d={delay}" if alone else f"d={delay}/{point.experiment}", columns, cells)
     return table
-
-
-def _is_theory(row: ComparisonRow) -> bool:
-    return row.condition.startswith("theory")
 
 
 def _cost_cell(table: Table, row: ComparisonRow | None, trials: TrialPage | None, without: str) -> Cell:

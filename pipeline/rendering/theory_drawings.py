@@ -8,7 +8,6 @@ from typing import Any
 
 import matplotlib
 import numpy as np
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
@@ -20,8 +19,7 @@ from pipeline.records.batch import Floats
 from pipeline.records.theory_panels import Area, Contours, Note, Panel, TheoryFigure, Trace
 from pipeline.rendering import style
 from pipeline.rendering.labels import decimal
-
-TEMPLATES = Path(__file__).parent / "templates"
+from pipeline.rendering.page_template import fill_template
 
 CHAPTERS = {"3": "Stability", "4": "Passivity", "5": "Control design"}
 """Chapters of the thesis with data figures of theory."""
@@ -87,15 +85,8 @@ def render(figures: Sequence[TheoryFigure]) -> str:
         (number, title, [(figure, draw(figure)) for figure in figures if figure.number.split(".")[0] == number])
         for number, title in CHAPTERS.items()
     ]
-    environment = Environment(
-        loader=FileSystemLoader(TEMPLATES),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    page = environment.get_template("theory.html.j2")
-    return page.render(chapters=[chapter for chapter in chapters if chapter[2]], version=__version__)
+    shown = [chapter for chapter in chapters if chapter[2]]
+    return fill_template("theory.html.j2", chapters=shown, version=__version__)
 
 
 def write(figures: Sequence[TheoryFigure], path: Path) -> None:

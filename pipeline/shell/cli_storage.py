@@ -50,7 +50,7 @@ def ingest(
 
     Example: pipeline ingest raw --profile lab.toml --wait 600
     """
-    from pipeline.base.rerun import Search, recall
+    from pipeline.store.rerun import Search, recall
 
     if jobs is not None and jobs < 1:
         raise UsageError(f"jobs must be at least 1, found {jobs}. Leave it out for one per processor.")

@@ -19,7 +19,6 @@ from pipeline.base.errors import LogError, StoreError, UsageError
 from pipeline.base.file_names import path_of_text, path_text, storable
 from pipeline.base.lock import WAIT_S, writing
 from pipeline.base.regular_files import is_gone
-from pipeline.base.rerun import Folders, Search, folders_of, forget, remember
 from pipeline.profiles.profile_files import Profile, load_profile, shipped_profiles
 from pipeline.readers import Log
 from pipeline.store.compaction import merge_small
@@ -35,6 +34,7 @@ from pipeline.store.ingest_report import (
 )
 from pipeline.store.quarantine import QuarantineRecord, list_quarantine, record_of, refuse, release
 from pipeline.store.reading import Read, batches_of, in_order, motion_of, read_and_check
+from pipeline.store.rerun import Folders, Search, folders_of, forget, remember
 from pipeline.store.sources import Source, by_rest, find_sources
 from pipeline.store.trialstore import Accepted, TrialWriter, trial_id
 from pipeline.store.versions import StoredSource, drop_superseded, repair, stored_sources, why_ingested

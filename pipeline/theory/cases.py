@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 
 from pipeline.base.errors import ParameterError
-from pipeline.records.batch import Booleans, Floats
+from pipeline.records.batch import Floats
 from pipeline.theory.loop import Loop
 from pipeline.theory.optimum import COST_CRITERIA, POLE_CRITERIA, optimal_point
 from pipeline.theory.pointcosts import point_costs_by_name
 from pipeline.theory.rules import POINT_CRITERIA, marked_point
-from pipeline.theory.stability import boundary, spectral_radius
+from pipeline.theory.stability import boundary, spectral_radius, stable_by_radius
 from pipeline.theory.transient import LONGEST
 
 CASE_COLUMNS = ("alpha", "beta", "gamma", "delta", "delay")
@@ -149,7 +149,7 @@ def point_costs(cases: Cases) -> list[dict[str, Any]]:
 
 def _points_of_loop(loop: Loop, alpha: Floats, beta: Floats) -> list[dict[str, Any]]:
     radius = spectral_radius(loop, alpha, beta)
-    stable = stable_points(loop, alpha, radius)
+    stable = stable_by_radius(loop, alpha, radius)
     usable = np.flatnonzero(stable & (radius < 1 - MARGINAL))
     costs = {name: np.full(len(alpha), np.nan) for name in POINT_COSTS}
     if len(usable):
@@ -188,14 +188,6 @@ def _reason(loop: Loop, alpha: float, radius: float, missing: list[str]) -> str 
     if radius >= 1 - MARGINAL:
         return f"spectral radius within {MARGINAL:g} of 1: costs would be rounding errors"
     return f"still moves after {LONGEST} samples: no {', '.join(missing)}" if missing else None
-
-
-def stable_points(loop: Loop, alpha: Floats, radius: Floats) -> Booleans:
-    """Return where points of known spectral radius are stable.
-
-    With alpha + gamma <= 0 there is a real pole at or above z = 1, which rounding may show just below it.
-    """
-    return np.asarray((radius < 1) & (alpha + loop.gamma > 0))
 
 
 def boundary_document(loop: Loop, points: int = 400) -> dict[str, Any]:

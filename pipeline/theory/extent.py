@@ -159,7 +159,13 @@ def linear_error(loop: Loop, beta: object) -> Floats:
     """Return the relative error of the linear condition at each beta, with its sign.
 
     (alpha_lin - alpha)/(alpha + gamma), alpha_lin = (beta + delta)/(1/2 + d) and alpha on the boundary; (3.28) is its
-    modulus. Positive where the linear condition calls unstable walls stable; nan where no alpha is stable.
+    modulus. Positive where the linear condition calls unstable walls stable; nan where no alpha is stable. Beta and
+    result have the shape (n,).
+
+    Raises
+    ------
+    ParameterError
+        If a beta is not finite.
 
     Source: Hulin 2017, eqs. 3.27 and 3.28, Fig. 3.11.
     """

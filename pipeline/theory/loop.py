@@ -134,7 +134,10 @@ class Loop:
         return motion_series(self.gamma, self.delta)
 
     def position_after(self, time: Floats, position: Floats, velocity: Floats, force: Floats) -> Floats:
-        """Return the deviation after times in [0, 1] with constant input, from position and velocity at its start."""
+        """Return the deviation after times in [0, 1] with constant input, from position and velocity at its start.
+
+        All have one shape, that of the result, and are normalised (Table 3.1).
+        """
         if self._series is not None:
             impulse, gain = self._series
             moved: Floats = time * (velocity * horner(impulse, time))
@@ -165,7 +168,7 @@ class Loop:
         return rows
 
     def segment_maps(self, alpha: Floats, beta: Floats) -> list[tuple[Floats, Floats]]:
-        """Return for each segment the maps from z to (e, v) at its start and to its input.
+        """Return for each segment the maps from z to (e, v) at its start (n, 2, states) and to its input (n, states).
 
         A last entry holds the end of the interval.
         """
@@ -202,7 +205,7 @@ class Loop:
 
 
 def as_points(alpha: object, beta: object) -> tuple[Floats, Floats]:
-    """Return alpha and beta as equally long, finite float arrays.
+    """Return alpha and beta as equally long, finite float arrays of shape (n,).
 
     Raises
     ------

@@ -32,7 +32,7 @@ _CLOSE_TO_LINE = 1e-7
 def outline(loop: Loop, points: int = 300) -> tuple[Floats, Floats]:
     """Return alpha and beta along the closed outline of the stable region, for ordinary loops.
 
-    For loops whose first branch does not enclose the region use `outline_in`.
+    For loops whose first branch does not enclose the region use `outline_in`. Both have the shape (points + 2,).
     """
     border = boundary(loop, points)
     start = boundary_points(loop, np.array([1e-4]))[1]  # the limit theta -> 0, off by theta^2

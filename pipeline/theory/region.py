@@ -346,7 +346,7 @@ def is_inside(loop: Loop, alpha: object, beta: object) -> Booleans:
 
 
 def is_well_inside(loop: Loop, alpha: Floats, beta: Floats, share: float = 1e-9) -> Booleans:
-    """Return where points are stable and stay so when alpha is moved either way by a share of alpha + gamma.
+    """Return where points are stable and stay so when alpha is moved either way by a share of alpha + gamma, (n,).
 
     Costs of points closer to the boundary are sums over billions of samples, and rounding errors.
     """
@@ -386,7 +386,7 @@ def _margins(r: Region, alpha: Floats, beta: Floats) -> Floats:
 
 
 def stiffness_limit(loop: Loop, beta: object) -> Floats:
-    """Return the largest stable alpha at each beta, -inf where there is none.
+    """Return the largest stable alpha at each beta, -inf where there is none; both (n,), errors as of `is_inside`.
 
     Source: Hulin 2017, sec. 3.4.
     """

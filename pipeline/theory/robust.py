@@ -79,7 +79,24 @@ def robust_limits(delta: float, delay: float, beta: object) -> tuple[Floats, Flo
 
 
 def is_robustly_stable(delta: float, delay: float, alpha: object, beta: object) -> Booleans:
-    """Return which walls lie between alpha = 0 and the robust limit at their beta, both excluded."""
+    """Return which walls lie between alpha = 0 and the robust limit at their beta, both excluded.
+
+    Parameters
+    ----------
+    delta, delay : float
+        Normalised damping of the device; delay factor.
+    alpha, beta : array_like, shape (n,)
+        Normalised virtual stiffness and damping.
+
+    Returns
+    -------
+    bool, shape (n,)
+
+    Raises
+    ------
+    ParameterError
+        If lengths differ, a value is not finite, or `Loop` refuses delta or delay.
+    """
     a, b = as_points(alpha, beta)
     levels, of = np.unique(b, return_inverse=True)
     return np.asarray((a > 0) & (a < robust_limits(delta, delay, levels)[0][of]))

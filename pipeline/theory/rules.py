@@ -176,6 +176,8 @@ def approximate_cost(criterion: str, delay: object, factor: float | None = None)
 def approximation_error(criterion: str, delay: object, factor: float | None = None) -> Floats:
     """Return the relative error rho of `approximate_cost` against the exact optimal cost at gamma = delta = 0.
 
+    Parameters and errors as for `approximate_cost`; shape (n,), as the delays.
+
     Source: Hulin 2017, eq. 5.20.
     """
     d = np.atleast_1d(np.asarray(delay, dtype=np.float64))

@@ -62,11 +62,34 @@ def spectral_radius(loop: Loop, alpha: object, beta: object) -> Floats:
 def is_stable(loop: Loop, alpha: object, beta: object) -> Booleans:
     """Return where all poles lie inside the unit circle.
 
-    On alpha = -gamma a pole lies at z = 1 whatever beta is; there the sign of alpha + gamma decides and not the
-    last bit of an eigenvalue.
+    Parameters
+    ----------
+    loop : Loop
+    alpha, beta : array_like, shape (n,)
+        Normalised virtual stiffness and damping.
+
+    Returns
+    -------
+    bool, shape (n,)
+
+    Raises
+    ------
+    ParameterError
+        If lengths differ or a value is not finite.
+
+    Source: Hulin 2017, sec. 3.4 (poles of 3.9).
     """
     a, b = as_points(alpha, beta)
-    return np.asarray((spectral_radius(loop, a, b) < 1) & (a + loop.gamma > 0))
+    return stable_by_radius(loop, a, spectral_radius(loop, a, b))
+
+
+def stable_by_radius(loop: Loop, alpha: Floats, radius: Floats) -> Booleans:
+    """Return where points of known alpha and spectral radius are stable, shape (n,) all.
+
+    With alpha + gamma <= 0 there is a real pole at or above z = 1, whatever beta is, which rounding may show just below
+    it: there the sign of alpha + gamma decides and not the last bit of an eigenvalue.
+    """
+    return np.asarray((radius < 1) & (alpha + loop.gamma > 0))
 
 
 def boundary_points(loop: Loop, theta: Floats) -> tuple[Floats, Floats]:
@@ -322,7 +345,7 @@ def _maximise(function: Callable[[Floats], Floats], theta: Floats) -> float:
 
 
 def linear_condition(loop: Loop, alpha: object) -> Floats:
-    """Return the smallest beta that the linear condition calls stable: alpha (1/2 + d) - delta.
+    """Return the smallest beta that the linear condition calls stable, alpha (1/2 + d) - delta, shape as alpha (n,).
 
     Valid near the origin (alpha, beta << 1); above its crossing with the exact boundary it is not safe (3.5).
 
