@@ -12,7 +12,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -65,18 +65,18 @@ def cost(work: Work) -> Cost:
     return Cost(seconds, used.ru_utime + used.ru_stime, used.ru_maxrss * 1024 / MIB)
 
 
-def table(title: str, unit: str, works: Sequence[Work]) -> Iterator[tuple[Work, Cost]]:
-    """Print a table while it is measured, and yield each row: time and memory by size, with exponents and limits."""
-    print(
-        f"\n{title}\n{unit:>14} {'time s':>9} {'cpu s':>9} {'MiB':>8} {'time ~':>7} {'memory ~':>8}  wanted", flush=True
-    )
-    former: tuple[Work, Cost] | None = None
+def table(title: str, unit: str, works: Sequence[Work]) -> list[tuple[Work, Cost]]:
+    """Print a table while it is measured, and return its rows: time and memory by size, with exponents and limits."""
+    print(f"\n{title}")
+    print(f"{unit:>14} {'time s':>9} {'cpu s':>9} {'MiB':>8} {'time ~':>7} {'memory ~':>8}  wanted", flush=True)
+    rows: list[tuple[Work, Cost]] = []
     for work in works:
         spent = cost(work)
         exponents = ["", ""]
-        if former is not None and former[0].size != work.size:
-            step = math.log(work.size / former[0].size)
-            pairs = ((spent.seconds, former[1].seconds), (spent.mebibytes, former[1].mebibytes))
+        if rows and rows[-1][0].size != work.size:
+            smaller, less = rows[-1]
+            step = math.log(work.size / smaller.size)
+            pairs = ((spent.seconds, less.seconds), (spent.mebibytes, less.mebibytes))
             exponents = [f"{math.log(now / before) / step:.2f}" for now, before in pairs]
         wanted = [
             f"{limit:g} {name}: {'yes' if found <= limit else 'NO'}"
@@ -90,5 +90,5 @@ def table(title: str, unit: str, works: Sequence[Work]) -> Iterator[tuple[Work, 
             f"{exponents[0]:>7} {exponents[1]:>8}  {', '.join(wanted)}",
             flush=True,
         )
-        yield work, spent
-        former = work, spent
+        rows.append((work, spent))
+    return rows
