@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import math
-import os
-import platform
-import shutil
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
+from kernels import WITHOUT, environment
 
 from pipeline.comparison.compare import compare
 from pipeline.rendering.svg_paths import compact_path
+from pipeline.shell.demo import run_demo
 from pipeline.shell.verify_rounding import SEEN, same_drawing, same_text, same_value
+from pipeline.simulation.course import run_course, write_course
+from pipeline.store.devices import load_device
+from pipeline.store.ingest import ingest
 
 FRAME = (
     '<svg viewBox="0 0 3500 4300"><title>cost 106.57</title><path stroke="{colour}" d="{data}"/>'
@@ -119,20 +122,37 @@ def test_values_may_differ_by_what_flat_optima_leave_open(place, a, b, same):
     assert same_value(place, a, b) is same_value(place, b, a) is same
 
 
-@pytest.mark.slow
-@pytest.mark.skipif(platform.machine() != "x86_64", reason="names the instructions of x86 processors")
-def test_a_report_holds_on_a_processor_of_2008(falcon, tmp_path):
-    """Numpy and its linear algebra with the instructions of then: other sums, other last digits."""
-    shutil.copytree(falcon.raw, tmp_path / "raw")
-    report = tmp_path / "report.html"
-    compare("falcon", falcon.processed, report=report)
-    old = {"OPENBLAS_CORETYPE": "Nehalem", "NPY_DISABLE_CPU_FEATURES": "X86_V3 X86_V4"}
+def verified(report: Path, processed: Path, kernel: str) -> None:
+    """Verify a report as on another processor."""
     run = subprocess.run(
-        [sys.executable, "-m", "pipeline", "verify", str(report), "--processed", str(falcon.processed)],
-        env=os.environ | old,
+        [sys.executable, "-m", "pipeline", "verify", str(report), "--processed", str(processed)],
+        env=environment(kernel),
         capture_output=True,
         text=True,
         check=False,
     )
-    assert run.returncode == 0, run.stdout
+    assert run.returncode == 0, run.stdout + run.stderr
     assert "all equal" in run.stdout
+
+
+def test_a_small_report_holds_on_a_processor_of_2008(tmp_path, one_process):
+    write_course(run_course(load_device("lwr"), "delay-8", seed=5, coarsen=8), tmp_path / "raw")
+    processed, report = tmp_path / "processed", tmp_path / "lwr.html"
+    ingest([tmp_path / "raw"], processed)
+    compare("lwr", processed, criteria=("settle_2pct", "energy_step_w0"), report=report)
+    verified(report, processed, "Nehalem")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kernel", WITHOUT)
+def test_the_reports_of_the_demo_hold_with_each_kernel(demonstrated, kernel):
+    folder, reports = demonstrated
+    assert len(reports) == 2
+    for report in reports:
+        verified(report, folder / "processed" / "demo", kernel)
+
+
+@pytest.fixture(scope="module")
+def demonstrated(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("demo")
+    return folder, run_demo(folder).reports

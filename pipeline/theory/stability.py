@@ -92,6 +92,45 @@ def stable_by_radius(loop: Loop, alpha: Floats, radius: Floats) -> Booleans:
     return np.asarray((radius < 1) & (alpha + loop.gamma > 0))
 
 
+@dataclass(frozen=True)
+class SampledPlant:
+    """The plant behind its delay, G = sum of z^-age (slope zeta + offset) / (zeta^2 + linear zeta + constant).
+
+    Parameters
+    ----------
+    linear, constant : float
+        Of the denominator in zeta = z - 1.
+    pushes : tuple of (int, float, float)
+        Age [samples], slope and offset of each part of a sampling interval.
+    """
+
+    linear: float
+    constant: float
+    pushes: tuple[tuple[int, float, float], ...]
+
+
+def sampled_plant(loop: Loop) -> SampledPlant:
+    """Return the transfer function from the wall's force to the sampled position.
+
+    Notes
+    -----
+    With velocity gain S and position gain G of a sampling interval, zeta = z - 1, the denominator is zeta^2 +
+    zeta (2 gamma G + delta S) + gamma (G (gamma G + delta S) + S^2): a sum without cancellation for small zeta and
+    stiffness.
+
+    Source: Hulin 2017, eqs. 3.9 and 3.11, in another form; modified z-transform for fractional d.
+    """
+    gain, impulse = (float(entry) for entry in loop.period.gain)
+    slip = loop.gamma * gain + loop.delta * impulse  # 1 - transition[1, 1]
+    pushes = []
+    for index, (segment, motion) in enumerate(zip(loop.segments, loop.flows, strict=True)):
+        push = motion.gain
+        for later in loop.flows[index + 1 :]:
+            push = later.transition @ push
+        pushes.append((segment.age, float(push[0]), float(push[0] * slip + impulse * push[1])))
+    return SampledPlant(loop.gamma * gain + slip, loop.gamma * (gain * slip + impulse**2), tuple(pushes))
+
+
 def boundary_points(loop: Loop, theta: Floats) -> tuple[Floats, Floats]:
     """Return the points (alpha, beta) at which a pole pair lies on the unit circle at the angles +-theta.
 
@@ -103,23 +142,11 @@ def boundary_points(loop: Loop, theta: Floats) -> tuple[Floats, Floats]:
     loop : Loop
     theta : float64, shape (n,)
         Angles, 0 < theta < pi.
-
-    Notes
-    -----
-    With zeta = z - 1 the plant's denominator is zeta^2 + zeta (2 gamma G + delta S) + gamma (G (gamma G + delta S) +
-    S^2), S and G being velocity and position gain: a sum without cancellation for small angles and stiffness.
     """
     zeta = -2 * np.sin(theta / 2) ** 2 + 1j * np.sin(theta)
-    gain, impulse = (float(entry) for entry in loop.period.gain)
-    slip = loop.gamma * gain + loop.delta * impulse  # 1 - transition[1, 1]
-    denominator = zeta**2 + zeta * (loop.gamma * gain + slip) + loop.gamma * (gain * slip + impulse**2)
-    response = np.zeros_like(zeta)
-    for index, (segment, motion) in enumerate(zip(loop.segments, loop.flows, strict=True)):
-        push = motion.gain
-        for later in loop.flows[index + 1 :]:
-            push = later.transition @ push
-        numerator = push[0] * (zeta + slip) + impulse * push[1]
-        response = response + numerator * np.exp(-1j * theta * segment.age)
+    plant = sampled_plant(loop)
+    denominator = zeta**2 + zeta * plant.linear + plant.constant
+    response = sum(np.exp(-1j * theta * age) * (slope * zeta + offset) for age, slope, offset in plant.pushes)
     w = -denominator / response
     beta = w.imag / np.sin(theta)
     return w.real - 2 * beta * np.sin(theta / 2) ** 2, beta
