@@ -170,8 +170,8 @@ def test_links_pipes_and_devices(logs, store, tmp_path):
     report = store(logs)
     assert (report.found, report.ingested) == (7, 2)
     found = {name: refusal.code for name, refusal in refusals(report).items()}
-    not_regular = dict.fromkeys(("zero.csv", "terminal.csv", "pipe.csv"), "not-regular")
-    assert found == {"gone.csv": "unreadable", "round.csv": "unreadable", **not_regular}
+    outside = dict.fromkeys(("link.csv", "zero.csv", "terminal.csv"), "link-outside")
+    assert found == {"gone.csv": "unreadable", "round.csv": "unreadable", "pipe.csv": "not-regular", **outside}
     assert {Path(warning.path).name for warning in report.warnings} == {"self", "up", "folder"}
     assert all("link to a folder" in warning.warning for warning in report.warnings)
     # a link that is named is followed

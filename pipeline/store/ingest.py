@@ -32,7 +32,7 @@ from pipeline.store.ingest_report import (
     Refusal,
     refusal_of,
 )
-from pipeline.store.quarantine import QuarantineRecord, list_quarantine, record_of, refuse, release
+from pipeline.store.quarantine import QuarantineRecord, Refused, list_quarantine, record_of, refuse, release
 from pipeline.store.reading import Read, batches_of, in_order, motion_of, read_and_check
 from pipeline.store.rerun import Folders, Search, folders_of, forget, remember
 from pipeline.store.sources import Source, by_rest, find_sources
@@ -44,6 +44,9 @@ __all__ = ["IngestReport", "LogWarning", "Refusal", "ingest"]
 PENDING_BYTES = 64 << 20
 """Samples that are collected before they become visible: a course of 2,300 logs with 1,000 rows makes one file, and an
 interruption costs about a second's work."""
+
+REFUSED_TOGETHER = 64
+"""Refused logs that go into quarantine at once; each holds a file or two open until then, of 256 that macOS allows."""
 
 
 def ingest(
@@ -154,6 +157,7 @@ class _Ingest:
         self.found, self.progress = found, progress
         self.ingested = self.skipped = 0
         self.refusals: list[Refusal] = []
+        self.to_keep: list[Refused] = []
         self.warnings: list[LogWarning] = []
         self.changed: list[ChangedSource] = []
         self.removed: list[str] = []
@@ -186,12 +190,13 @@ class _Ingest:
         # stored sources come first: a log that was copied and touched is recognised at its old place
         unsettled.sort(key=lambda source: (source.key not in self.stored, source.key))
         read = partial(self._read, use_threads=jobs > 2)
-        with ThreadPoolExecutor(1) as pool:
+        with ThreadPoolExecutor(jobs) as pool:
             self.writer.executor = pool if jobs > 1 else None
             try:
                 for batch in in_order(read, batches_of(unsettled), jobs):
                     for done in batch:
                         self._settle(done)
+                    self._keep_refused()
                 self._written(self.writer.flush())
             except BaseException:
                 self.writer.discard()
@@ -371,7 +376,15 @@ class _Ingest:
         self.unread |= read.sha256 is None
         self._refused(source, record)
         if not self.dry_run and not record.same_refusal(self.refused.get(source.key)):
-            refuse(self.processed, record, source.files, source.profile)
+            self.to_keep.append(Refused(source, record))
+            if len(self.to_keep) >= REFUSED_TOGETHER:
+                self._keep_refused()
+
+    def _keep_refused(self) -> None:
+        """Put what was refused into quarantine."""
+        if self.to_keep:
+            refuse(self.processed, self.to_keep)
+            self.to_keep.clear()
 
     def _refused(self, source: Source, record: QuarantineRecord) -> None:
         refusal = refusal_of(source, record)

@@ -132,7 +132,7 @@ def load_source(source: Source) -> tuple[RawLog, str, Source]:
     size, mtime_ns = 0, 0
     for file in source.files:
         try:
-            with open_regular(file) as stream:
+            with open_regular(file, source.within) as stream:
                 before = os.fstat(stream.fileno())
                 data.append(stream.read(min(before.st_size, LARGEST_LOG) + 1))
                 after = os.fstat(stream.fileno())

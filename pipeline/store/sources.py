@@ -11,6 +11,7 @@ from pathlib import Path
 
 from pipeline.base.errors import Code, UsageError
 from pipeline.base.file_names import path_text
+from pipeline.base.regular_files import OutsideError, real_file
 from pipeline.profiles.profile_files import Profile, claim
 from pipeline.store.bags import bag_of
 
@@ -39,6 +40,8 @@ class Source:
         Why it cannot be read at all.
     code : str
         The same as one of `errors.Code`.
+    within : str or None
+        Real path of the folder that no link may lead out of; None for a link that was given itself.
     """
 
     path: Path
@@ -49,6 +52,7 @@ class Source:
     profile: Profile | None
     problem: str | None = None
     code: Code = "unreadable"
+    within: str | None = None
 
     @property
     def shown(self) -> str:
@@ -68,8 +72,8 @@ def find_sources(
 ) -> list[Source]:
     """Return every log below the given folders and files, each once, in order of path.
 
-    Links to files are followed, wherever they lead; links to folders inside a searched folder are not, since they may
-    lead in a circle or out of the data. `notice` is told of these.
+    Links to files are followed where they stay inside the searched folder, and where they are given themselves. Links
+    to folders inside a searched folder are not, since they may lead in a circle or out of the data: `notice` is told.
 
     Parameters
     ----------
@@ -102,8 +106,11 @@ def find_sources(
         here = Path(os.path.realpath(path))
         if not excluded.isdisjoint(map(str, (here, *here.parents))):
             raise UsageError(f"{path}: lies in {exclude}, where results are kept. Give folders with logs.")
-        for file in _walk(path, excluded, notice or _say_nothing) if path.is_dir() else [path]:
-            source = _source(file, profiles)
+        folder = path if path.is_dir() else path.parent
+        # a link that is given itself is the user's own choice
+        within = None if folder != path and path.is_symlink() else os.path.realpath(folder)
+        for file in _walk(path, excluded, notice or _say_nothing) if folder == path else [path]:
+            source = _source(file, profiles, within)
             found.setdefault(source.key, source)
     return [found[key] for key in sorted(found)]
 
@@ -154,8 +161,8 @@ _Problem = tuple[str, Code]
 """Why a source cannot be read: in words, and as one of the codes."""
 
 
-def _source(file: Path, profiles: tuple[Profile, ...]) -> Source:
-    bag = bag_of(file)
+def _source(file: Path, profiles: tuple[Profile, ...], within: str | None) -> Source:
+    bag = bag_of(file, within)
     profile, path, problem = _claimed(bag.files[0] if bag else file, profiles)
     partner = profile.partner_of(path) if profile else None
     files: tuple[Path, ...] = (path, partner) if partner else (path,)
@@ -164,25 +171,33 @@ def _source(file: Path, profiles: tuple[Profile, ...]) -> Source:
         problem = (bag.problem, "partner-missing") if bag.problem else problem
     size, mtime_ns, present = 0, 0, []
     for part in files:
-        try:
-            status = part.stat()
-        except OSError as error:
-            if problem is None:
-                text = f"{part.name} cannot be read ({error.strerror}); expected it in {part.parent}."
-                problem = text, "unreadable"
-            if profile and part == partner and problem is not None:
-                text = f"{problem[0]} Profile {profile.name} reads a log from two files; add the second."
-                problem = text, "partner-missing"
+        status = _status(part, within)
+        if isinstance(status, os.stat_result):
+            present.append(part)
+            size += status.st_size
+            mtime_ns = max(mtime_ns, status.st_mtime_ns)
             continue
-        if not stat.S_ISREG(status.st_mode):
-            text = f"{part.name} is no regular file; expected a log. Copy the log's content to a file."
-            problem = problem or (text, "not-regular")
-            continue
-        present.append(part)
-        size += status.st_size
-        mtime_ns = max(mtime_ns, status.st_mtime_ns)
+        if profile and part == partner and status[1] == "unreadable":
+            text = f"{(problem or status)[0]} Profile {profile.name} reads a log from two files; add the second."
+            problem = text, "partner-missing"
+        problem = problem or status
     key = path_text(os.path.abspath(path))
-    return Source(path, key, tuple(present), size, mtime_ns, profile, *(problem or ()))
+    reason, code = problem or (None, "unreadable")
+    return Source(path, key, tuple(present), size, mtime_ns, profile, reason, code, within)
+
+
+def _status(file: Path, within: str | None) -> os.stat_result | _Problem:
+    """Return size and times of a file of a log, or why it is not read."""
+    try:
+        status = os.stat(file if within is None else real_file(file, within))
+    except OutsideError as error:
+        text = f"{file.name} {error.strerror}, which was not given. Copy the log, or give the link itself to ingest it."
+        return text, "link-outside"
+    except OSError as error:
+        return f"{file.name} cannot be read ({error.strerror}); expected it in {file.parent}.", "unreadable"
+    if not stat.S_ISREG(status.st_mode):
+        return f"{file.name} is no regular file; expected a log. Copy the log's content to a file.", "not-regular"
+    return status
 
 
 def _claimed(file: Path, profiles: tuple[Profile, ...]) -> tuple[Profile | None, Path, _Problem | None]:
