@@ -53,7 +53,7 @@ def bag_of(file: Path, within: str | None = None) -> Bag | None:
     within : str, optional
         As for `open_regular`: metadata elsewhere are not opened.
     """
-    if file.name != METADATA and file.suffix.lower() not in ENDINGS:
+    if not may_belong(file):
         return None
     folder = file.parent
     title = os.path.basename(os.path.abspath(folder))
@@ -92,6 +92,11 @@ def bag_of(file: Path, within: str | None = None) -> Bag | None:
     elif more:
         problem = f"{more} of the bag {title} are not listed in {METADATA}. Run `ros2 bag reindex` on the folder."
     return Bag(folder, tuple(listed), problem)
+
+
+def may_belong(file: Path) -> bool:
+    """Return whether a file may be part of a bag, by its name."""
+    return file.name == METADATA or file.suffix.lower() in ENDINGS
 
 
 def _names(folder: Path) -> list[str]:

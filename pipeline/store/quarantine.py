@@ -28,6 +28,9 @@ LARGEST_COPY = 64 << 20
 
 RECORD_FILE = "reason.json"
 
+REFUSED_TOGETHER = 64
+"""Refused logs that go into quarantine at once; each holds a file or two open until then, of 256 that macOS allows."""
+
 LONGEST_COPY_NAME = 100
 """Bytes of a file name that its copy keeps: a file system allows 255, with the endings of temporary files."""
 
@@ -161,6 +164,26 @@ class Refused:
 
     source: Source
     record: QuarantineRecord
+
+
+class Keeper:
+    """Collects refused sources and puts them into quarantine together; what is collected is kept by `flush`."""
+
+    def __init__(self, processed: Path) -> None:
+        self.processed = processed
+        self._refused: list[Refused] = []
+
+    def add(self, source: Source, record: QuarantineRecord) -> None:
+        """Take a source and its record."""
+        self._refused.append(Refused(source, record))
+        if len(self._refused) >= REFUSED_TOGETHER:
+            self.flush()
+
+    def flush(self) -> None:
+        """Put into quarantine what was collected."""
+        if self._refused:
+            refuse(self.processed, self._refused)
+            self._refused.clear()
 
 
 def refuse(processed: Path, refused: Sequence[Refused]) -> None:

@@ -13,10 +13,8 @@ from pipeline.base.errors import Code, UsageError
 from pipeline.base.file_names import path_text
 from pipeline.base.regular_files import OutsideError, real_file
 from pipeline.profiles.profile_files import Profile, claim
-from pipeline.store.bags import bag_of
-
-UNCOUNTED = frozenset({"truth.json", "readme", "readme.md", "readme.txt", "license", "license.md", "license.txt"})
-"""Files that stand beside logs and are none (the first by the simulator), in small letters; not counted in folders."""
+from pipeline.store.bags import bag_of, may_belong
+from pipeline.store.listing import Folder, Notice, list_folders
 
 
 @dataclass(frozen=True)
@@ -59,9 +57,11 @@ class Source:
         """The path as found, as text that can be stored."""
         return path_text(self.path)
 
-
-Notice = Callable[[Path, str], None]
-"""Told of a folder that is not searched, and why."""
+    @property
+    def stands_alone(self) -> bool:
+        """Whether no other file, one that may come later included, decides how it is read."""
+        own = self.profile is not None and self.profile.partner is None and not may_belong(self.path)
+        return own and self.problem is None
 
 
 def find_sources(
@@ -69,6 +69,7 @@ def find_sources(
     profiles: tuple[Profile, ...],
     exclude: Path | None = None,
     notice: Notice | None = None,
+    choose: Callable[[Folder], Sequence[str]] | None = None,
 ) -> list[Source]:
     """Return every log below the given folders and files, each once, in order of path.
 
@@ -85,6 +86,8 @@ def find_sources(
         Folder that is left out (`processed/`, which may lie inside a searched folder).
     notice : callable, optional
         Called with each folder that is not searched, and why: it is a link, or may not be read.
+    choose : callable, optional
+        Called with each folder; returns the names of the files in it that are wanted, by default all.
 
     Raises
     ------
@@ -109,10 +112,19 @@ def find_sources(
         folder = path if path.is_dir() else path.parent
         # a link that is given itself is the user's own choice
         within = None if folder != path and path.is_symlink() else os.path.realpath(folder)
-        for file in _walk(path, excluded, notice or _say_nothing) if folder == path else [path]:
+        files = _files(path, excluded, notice or _say_nothing, choose) if folder == path else [path]
+        for file in files:
             source = _source(file, profiles, within)
             found.setdefault(source.key, source)
     return [found[key] for key in sorted(found)]
+
+
+def _files(
+    folder: Path, excluded: frozenset[str], notice: Notice, choose: Callable[[Folder], Sequence[str]] | None
+) -> Iterator[Path]:
+    for here in list_folders(folder, excluded, notice):
+        for name in (*here.plain, *here.others) if choose is None else choose(here):
+            yield Path(here.path, name)
 
 
 def by_rest(sources: Sequence[Source], settle_s: float, growing: frozenset[str]) -> tuple[list[Source], list[Source]]:
@@ -126,10 +138,8 @@ def by_rest(sources: Sequence[Source], settle_s: float, growing: frozenset[str])
     growing : frozenset of str
         Absolute paths of files that are not at rest, whatever their times say.
     """
-    now = time.time_ns()
-    # a time in the future, by a clock that is wrong, is no reason to wait for ever
     young = [
-        abs(now - s.mtime_ns) < settle_s * 1e9 or not growing.isdisjoint(os.path.abspath(f) for f in s.files)
+        not is_settled(s.mtime_ns, settle_s) or not growing.isdisjoint(os.path.abspath(f) for f in s.files)
         for s in sources
     ]
     return (
@@ -138,23 +148,14 @@ def by_rest(sources: Sequence[Source], settle_s: float, growing: frozenset[str])
     )
 
 
+def is_settled(mtime_ns: int, settle_s: float) -> bool:
+    """Return whether a time [ns] is so long ago [s] that a file is not recorded to any more."""
+    # one in the future, by a clock that is wrong, is no reason to wait for ever
+    return abs(time.time_ns() - mtime_ns) >= settle_s * 1e9
+
+
 def _say_nothing(folder: Path, reason: str) -> None:
     """Take no notice."""
-
-
-def _walk(folder: Path, excluded: frozenset[str], notice: Notice) -> Iterator[Path]:
-    def not_listed(error: OSError) -> None:
-        notice(Path(os.fsdecode(error.filename)), f"folder cannot be read ({error.strerror}). Correct its permissions.")
-
-    for here, folders, files in os.walk(folder, onerror=not_listed):
-        real = os.path.realpath(here)
-        folders[:] = [f for f in folders if not f.startswith(".") and os.path.join(real, f) not in excluded]
-        for name in folders:
-            if os.path.islink(linked := os.path.join(here, name)):
-                notice(Path(linked), "is a link to a folder, which is not followed. Give that folder if it has logs.")
-        for name in files:
-            if not name.startswith(".") and name.lower() not in UNCOUNTED:
-                yield Path(here, name)
 
 
 _Problem = tuple[str, Code]

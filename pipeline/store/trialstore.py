@@ -26,7 +26,7 @@ from pipeline.store.batch_files import NewBatch, next_number, publish_batches
 from pipeline.store.sources import Source
 from pipeline.store.storage import samples_folder, trials_folder
 
-PUBLISHED_TOGETHER = 32
+PUBLISHED_TOGETHER = 8
 """Batches that become visible at once, with two open files each: their syncs take the time of one."""
 
 
@@ -174,10 +174,10 @@ class _Batch:
         period = np.array([m.log.header.sampling_period_s for m in members], dtype=np.float64)
         flags = step_flags(time, rows, period)
         first = file.rows + np.cumsum(rows) - rows
-        for member, flag, count, at in zip(members, flags, rows.tolist(), first.tolist(), strict=True):
+        for member, flag, length, at in zip(members, flags, rows.tolist(), first.tolist(), strict=True):
             for name, value in _trial(member, flag).items():
                 self.trials[name].append(value)
-            self.trials["rows"].append(count)
+            self.trials["rows"].append(length)
             self.trials["first_row"].append(at)
         samples = {
             "trial_id": _repeated([m.trial_id for m in members], rows),
