@@ -46,7 +46,7 @@ def pattern_problem(pattern: str | None) -> str | None:
         (reason,) = error.args
         found = reason.decode() if isinstance(reason, bytes) else reason
         return (
-            f"not possible in a pattern: {found}. A pattern is found in one pass, which has no lookahead, lookbehind or "
-            "backreference. Write out what stands there, or give the condition by [[file]]"
+            f"not possible in a pattern: {found}. A pattern is found in one pass, which has no lookahead, lookbehind "
+            "or backreference. Write out what stands there, or give the condition by [[file]]"
         )
     return None

@@ -150,9 +150,11 @@ def load_dataset(name: str, dataset: Any, size: int) -> Array:
     Raises
     ------
     LogError
-        If it claims more memory than `safety.allowed_bytes`.
+        If it, or one of its chunks, claims more memory than `safety.allowed_bytes`.
     """
-    check_claim(name, f"dataset {dataset.name!r}", prod(dataset.shape) * max(dataset.dtype.itemsize, 1), size)
+    # of one value a whole chunk is unpacked
+    for what, shape in (("dataset", dataset.shape), ("a chunk of dataset", dataset.chunks or ())):
+        check_claim(name, f"{what} {dataset.name!r}", prod(shape) * max(dataset.dtype.itemsize, 1), size)
     values: Array = dataset.asstr()[()] if is_text(dataset) else dataset[()]
     return np.asarray(values)
 

@@ -17,11 +17,12 @@ import subprocess
 import sys
 import threading
 from importlib import import_module
+from pathlib import Path
 from typing import IO, Any
 
 from pipeline.base.errors import LogError
 from pipeline.base.process import leave_out_pandas
-from pipeline.readers.safety import LARGEST_FRAME
+from pipeline.readers.safety import LARGEST_FRAME, allowed_bytes
 
 CPU_SECONDS = 0.6
 """Processor time for any file: a hundred times what reading a log of 1 MB takes."""
@@ -34,6 +35,9 @@ WALL_FACTOR = 30
 
 MEMORY = 4 * LARGEST_FRAME
 """Address space of a worker [byte]: file, unpacked arrays, their columns and the libraries themselves."""
+
+COPIES = 3
+"""Times that a call may hold what its file may unpack to, and the file itself: as read, as numbers, as columns."""
 
 GRACE_SECONDS = 2.0
 """Wait for a worker to end by itself once its pipes are closed; ending takes some milliseconds."""
@@ -115,11 +119,13 @@ def serve() -> None:
             with contextlib.suppress(ImportError):
                 import_module(needed)
         _alarm(seconds)
+        _bound_memory(COPIES * (allowed_bytes(len(arguments[1])) + len(arguments[1])))
         try:
             outcome: tuple[bool, Any] = (True, work(*arguments))
         except LogError as error:
             outcome = (False, error)
         _alarm(0.0)
+        _bound_memory()
         pickle.dump(outcome, results, pickle.HIGHEST_PROTOCOL)
         results.flush()
 
@@ -130,10 +136,15 @@ def _alarm(seconds: float) -> None:
         signal.setitimer(signal.ITIMER_PROF, seconds)
 
 
-def _bound_memory() -> None:
+def _bound_memory(more: int | None = None) -> None:
+    """Bound the address space, where the system can: by `MEMORY`, or by so many bytes above what is in use now."""
     with contextlib.suppress(ImportError, OSError, ValueError):
         resource = import_module("resource")
-        resource.setrlimit(resource.RLIMIT_AS, (MEMORY, resource.getrlimit(resource.RLIMIT_AS)[1]))
+        most = MEMORY
+        if more is not None:
+            pages = int(Path("/proc/self/statm").read_text().split()[0])
+            most = min(MEMORY, pages * resource.getpagesize() + more)
+        resource.setrlimit(resource.RLIMIT_AS, (most, resource.getrlimit(resource.RLIMIT_AS)[1]))
         # a crash is expected here and its image of no use
         resource.setrlimit(resource.RLIMIT_CORE, (0, resource.getrlimit(resource.RLIMIT_CORE)[1]))
 
