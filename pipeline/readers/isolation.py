@@ -16,6 +16,7 @@ import signal
 import subprocess
 import sys
 import threading
+from collections.abc import Iterator
 from importlib import import_module
 from pathlib import Path
 from typing import IO, Any
@@ -41,6 +42,9 @@ COPIES = 3
 
 GRACE_SECONDS = 2.0
 """Wait for a worker to end by itself once its pipes are closed; ending takes some milliseconds."""
+
+SLACK = 32 << 20
+"""Memory that a library takes for itself [byte]: caches, buffers, pieces that its allocator asks for."""
 
 _SERVE = "from pipeline.readers.isolation import serve; serve()"
 
@@ -119,13 +123,12 @@ def serve() -> None:
             with contextlib.suppress(ImportError):
                 import_module(needed)
         _alarm(seconds)
-        _bound_memory(COPIES * (allowed_bytes(len(arguments[1])) + len(arguments[1])))
         try:
-            outcome: tuple[bool, Any] = (True, work(*arguments))
+            with memory_for(allowed_bytes(len(arguments[1])) + len(arguments[1])):
+                outcome: tuple[bool, Any] = (True, work(*arguments))
         except LogError as error:
             outcome = (False, error)
         _alarm(0.0)
-        _bound_memory()
         pickle.dump(outcome, results, pickle.HIGHEST_PROTOCOL)
         results.flush()
 
@@ -136,17 +139,37 @@ def _alarm(seconds: float) -> None:
         signal.setitimer(signal.ITIMER_PROF, seconds)
 
 
-def _bound_memory(more: int | None = None) -> None:
-    """Bound the address space, where the system can: by `MEMORY`, or by so many bytes above what is in use now."""
+def _bound_memory() -> None:
     with contextlib.suppress(ImportError, OSError, ValueError):
         resource = import_module("resource")
-        most = MEMORY
-        if more is not None:
-            pages = int(Path("/proc/self/statm").read_text().split()[0])
-            most = min(MEMORY, pages * resource.getpagesize() + more)
-        resource.setrlimit(resource.RLIMIT_AS, (most, resource.getrlimit(resource.RLIMIT_AS)[1]))
+        resource.setrlimit(resource.RLIMIT_AS, (MEMORY, resource.getrlimit(resource.RLIMIT_AS)[1]))
         # a crash is expected here and its image of no use
         resource.setrlimit(resource.RLIMIT_CORE, (0, resource.getrlimit(resource.RLIMIT_CORE)[1]))
+
+
+@contextlib.contextmanager
+def memory_for(claimed: int) -> Iterator[None]:
+    """Let a library take no more memory than what it says that it will unpack needs; only on Linux, in a worker.
+
+    Parameters
+    ----------
+    claimed : int
+        Bytes.
+    """
+    try:
+        resource = import_module("resource")
+        pages = int(Path("/proc/self/statm").read_text().split()[0])
+        soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+    except (ImportError, OSError):
+        yield
+        return
+    most = pages * resource.getpagesize() + COPIES * claimed + SLACK
+    # the process that asks workers has no limit, and gets none
+    resource.setrlimit(resource.RLIMIT_AS, (soft if soft == resource.RLIM_INFINITY else min(most, soft), hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
 
 
 class _Worker:
