@@ -30,11 +30,13 @@ from pipeline.store.ingest_report import (
     PlannedSource,
     Refusal,
     refusal_of,
+    repeated,
+    when_stopped,
 )
 from pipeline.store.quarantine import Keeper, QuarantineRecord, list_quarantine, record_of, release
 from pipeline.store.reading import Read, batches_of, in_order, motion_of, read_and_check
 from pipeline.store.rerun import Look, Search
-from pipeline.store.sources import Source, by_rest, find_sources, is_settled
+from pipeline.store.sources import Source, by_rest, find_sources, is_settled, removed_below
 from pipeline.store.trialstore import Accepted, TrialWriter, trial_id
 from pipeline.store.versions import StoredSource, StoredSources, drop_superseded, repair, why_ingested
 
@@ -120,6 +122,7 @@ def ingest(
         return look, find_sources(folders, profiles, processed, noticed, look.passes)
 
     look, sources = looked(not (dry_run or rehash))
+    run: _Ingest | None = None
     try:
         with nullcontext(False) if dry_run else writing(processed, wait_s, say) as waited:
             if waited or not look.holds():
@@ -136,6 +139,10 @@ def ingest(
             report = run.report(notices)
             if not dry_run:
                 run.remember(report, notices)
+    except KeyboardInterrupt as error:
+        stored, kept = (0, 0) if run is None else (len(run.writer.visible), run.keeper.kept)
+        error.add_note(when_stopped(processed, stored, kept))
+        raise
     except OSError as error:
         raise StoreError(
             f"{processed}: cannot be written ({error}). Logs stored so far are complete; "
@@ -218,10 +225,7 @@ class _Ingest:
 
     def find_removed(self, folders: Sequence[Path], present: Set[str]) -> None:
         """List stored sources below the searched folders that are not there any more."""
-        roots = tuple(os.path.join(path_text(os.path.abspath(folder)), "") for folder in folders if folder.is_dir())
-        missed = (key for key in self.stored if key not in present and key.startswith(roots))
-        # what may not be looked at is told as such; a folder in the place of a log is none
-        gone = (key for key in missed if is_gone(path := path_of_text(key)) or path.is_dir())
+        gone = removed_below(folders, self.stored, present)
         self.removed = sorted(key for key in gone if key not in self.renamed)
 
     def report(self, notices: Sequence[LogWarning]) -> IngestReport:
@@ -242,14 +246,8 @@ class _Ingest:
     def remember(self, report: IngestReport, notices: Sequence[LogWarning]) -> None:
         """Leave a note for the next run of the same command, which says nothing if that has to read a source again."""
         stored = ((source.key, source.size, source.mtime_ns) for source in self.kept if source.stands_alone)
-        if self.waiting or self.unread:
-            self.look.remember(stored, None)
-            return
-        skipped = report.found - len(report.quarantined)
-        refused = {refusal.path for refusal in report.quarantined}
-        changed = tuple(source for source in report.changed if source.path in refused)  # others are stored by now
-        update = {"ingested": 0, "skipped": skipped, "warnings": tuple(notices), "changed": changed}
-        self.look.remember(stored, report.model_copy(update=update).model_dump(mode="json"))
+        again = None if self.waiting or self.unread else repeated(report, tuple(notices)).model_dump(mode="json")
+        self.look.remember(stored, again)
 
     def _plan(self, source: Source, action: Action, reason: str) -> None:
         if self.dry_run:

@@ -171,6 +171,7 @@ class Keeper:
 
     def __init__(self, processed: Path) -> None:
         self.processed = processed
+        self.kept = 0
         self._refused: list[Refused] = []
 
     def add(self, source: Source, record: QuarantineRecord) -> None:
@@ -183,6 +184,7 @@ class Keeper:
         """Put into quarantine what was collected."""
         if self._refused:
             refuse(self.processed, self._refused)
+            self.kept += len(self._refused)
             self._refused.clear()
 
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import os
 import stat
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence, Set
 from dataclasses import dataclass
 from pathlib import Path
 
 from pipeline.base.errors import Code, UsageError
-from pipeline.base.file_names import path_text
-from pipeline.base.regular_files import OutsideError, real_file
+from pipeline.base.file_names import path_of_text, path_text
+from pipeline.base.regular_files import OutsideError, is_gone, real_file
 from pipeline.profiles.profile_files import Profile, claim
 from pipeline.store.bags import bag_of, may_belong
 from pipeline.store.listing import Folder, Notice, list_folders
@@ -125,6 +125,17 @@ def _files(
     for here in list_folders(folder, excluded, notice):
         for name in (*here.plain, *here.others) if choose is None else choose(here):
             yield Path(here.path, name)
+
+
+def removed_below(folders: Sequence[Path], stored: Iterable[str], present: Set[str]) -> Iterator[str]:
+    """Yield the stored sources below some folders that are not there any more; `present` is what was found."""
+    roots = tuple(os.path.join(path_text(os.path.abspath(folder)), "") for folder in folders if folder.is_dir())
+    for key in stored:
+        if key not in present and key.startswith(roots):
+            path = path_of_text(key)
+            # what may not be looked at is told as such; a folder in the place of a log is none
+            if is_gone(path) or path.is_dir():
+                yield key
 
 
 def by_rest(sources: Sequence[Source], settle_s: float, growing: frozenset[str]) -> tuple[list[Source], list[Source]]:

@@ -78,6 +78,8 @@ class TrialWriter:
         self._bytes = 0
         self.experiments: set[tuple[str, str]] = set()
         """Device and experiment of all that was collected."""
+        self.visible: set[str] = set()
+        """Paths of the sources of trials that were made visible."""
 
     def add(self, accepted: Sequence[Accepted]) -> list[Source]:
         """Take the logs of one more source; return the sources that became visible because the limit was reached."""
@@ -105,7 +107,8 @@ class TrialWriter:
             # each waits for what it has begun to write, which stands before it in the queue
             each = map if self.executor is None else self.executor.map
             publish_batches(list(each(_Batch.finished, batches, count(number))))
-            for key in keys:
+            for key, batch in zip(keys, batches, strict=True):
+                self.visible.update(batch.trials["source_path"])
                 del self._batches[key]
             number += len(keys)
         sources, self._sources, self._bytes = self._sources, [], 0
