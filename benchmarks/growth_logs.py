@@ -2,8 +2,8 @@
 
     python benchmarks/growth_logs.py [--logs 2220 --logs 22200 --logs 101000 --logs 202000] [--refused 2000]
 
-Logs are short (10 rows), so that what grows is the work for each file. Beside the table: ingest of 2,220 logs of 900 rows
-in 20 experiments beside a bare loop over pyarrow.csv, and what quarantine takes for each log.
+Logs are short (10 rows), so that what grows is the work for each file. Beside the table: ingest of 2,220 logs of 900
+rows in 20 experiments beside a bare loop over pyarrow.csv, and what quarantine takes for each log.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import shutil
 import sys
 import tempfile
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -76,7 +77,7 @@ def quarantine(folder: Path, sizes: Sequence[int]) -> None:
     command = [*PIPELINE, "ingest", "raw", "--json"]
     works = [Work(n, command, folder=folder / f"refused{n}") for n in sizes]
     rows = table("refused logs", "logs", works)
-    for (smaller, less), (work, spent) in zip(rows, rows[1:], strict=False):
+    for (smaller, less), (work, spent) in pairwise(rows):
         assert work.folder is not None
         each = (spent.seconds - less.seconds) / (work.size - smaller.size)
         memory = (spent.mebibytes - less.mebibytes) * (1 << 20) / (work.size - smaller.size)

@@ -171,8 +171,7 @@ class _Ingest:
         self.keeper = Keeper(processed)
         self.warnings: list[LogWarning] = []
         self.changed: list[ChangedSource] = []
-        self.removed: list[str] = []
-        self.waiting: list[str] = []
+        self.removed, self.waiting = list[str](), list[str]()
         self.plan: list[PlannedSource] = []
         self.kept: list[Source] = []
         self.unread = False
@@ -282,18 +281,19 @@ class _Ingest:
         return read_and_check(sources, known, self._digest(sources[0]), use_threads)[0]
 
     def _settle(self, read: Read) -> None:
-        source, profile = read.source, read.source.profile
-        try:
-            if isinstance(read.result, LogError):
-                raise read.result
-            assert profile is not None, "a source without a profile has a problem, which is a LogError"
-            assert read.sha256 is not None, "what was read has a hash"
-            self._accept(source, profile, read.sha256, read.result)
-        except LogError as error:
-            self._refuse(read, error)
+        if isinstance(read.result, LogError):
+            self._refuse(read, read.result)
+        else:
+            try:
+                self._accept(read, read.result)
+            except LogError as error:
+                self._refuse(read, error)
         self._advance()
 
-    def _accept(self, source: Source, profile: Profile, sha256: str, logs: tuple[Log, ...] | None) -> None:
+    def _accept(self, read: Read, logs: tuple[Log, ...] | None) -> None:
+        source, profile, sha256 = read.source, read.source.profile, read.sha256
+        assert profile is not None, "a source without a profile has a problem, which is a LogError"
+        assert sha256 is not None, "what was read has a hash"
         profile_sha256 = self.digests[profile]
         former = self.stored.get(source.key)
         same = former is not None and (former.sha256, former.profile_sha256) == (sha256, profile_sha256)
