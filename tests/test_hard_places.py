@@ -54,7 +54,7 @@ def test_a_log_on_a_bad_sector_costs_itself_alone(logs, processed, monkeypatch):
     class BadDisk:
         """Opens, and fails when it is read."""
 
-        def __init__(self, path):
+        def __init__(self, path, within=None):
             self.stream = open(path, "rb")  # noqa: SIM115
 
         def __enter__(self):

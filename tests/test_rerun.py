@@ -1,6 +1,5 @@
 """The note of the last ingest is believed only where nothing that it rests on has changed."""
 
-import json
 import os
 import time
 from pathlib import Path
@@ -9,7 +8,8 @@ import pytest
 from native_logs import FAULTS, log_text, short_log
 
 from pipeline.base import regular_files
-from pipeline.store import rerun
+from pipeline.store import ingest as ingest_module
+from pipeline.store import reading, rerun, sources
 from pipeline.store.ingest import ingest
 from pipeline.store.quarantine import list_quarantine
 from pipeline.store.rerun import NOTE_FILE, Search, recall
@@ -89,18 +89,107 @@ def test_a_profile_file_is_part_of_the_search(lab):
     assert recall(search(lab, str(profile))) is None
 
 
-def test_a_folder_that_changed_a_moment_ago_is_searched_again(lab):
-    os.utime(lab / "logs" / "deep")
-    ingest([lab / "logs"], lab / "processed", jobs=1)
-    assert not (lab / "processed" / NOTE_FILE).exists()
+def test_a_folder_that_changed_a_moment_ago_is_known_all_the_same(lab):
+    (lab / "logs" / "new.csv").write_text(log_text(9.0))
+    assert ingest([lab / "logs"], lab / "processed", jobs=1).ingested == 1
+    assert recall(search(lab)) is not None
 
 
 def test_what_could_not_be_read_is_tried_again(lab):
     (lab / "logs" / "gone.csv").symlink_to(lab / "nowhere")
-    settle(lab / "logs")
     ingest([lab / "logs"], lab / "processed", jobs=1)
     assert len(list_quarantine(lab / "processed")) == 2
-    assert not (lab / "processed" / NOTE_FILE).exists()
+    assert recall(search(lab)) is None
+
+
+@pytest.fixture
+def opened(monkeypatch):
+    """Names of the logs that are opened."""
+    names = []
+    original = reading.open_regular
+
+    def noted(path, within=None):
+        names.append(Path(path).name)
+        return original(path, within)
+
+    monkeypatch.setattr(reading, "open_regular", noted)
+    return names
+
+
+def test_of_one_more_log_only_that_is_looked_at(lab, opened, monkeypatch):
+    made = []
+    source = sources._source
+    monkeypatch.setattr(sources, "_source", lambda file, *more: made.append(file.name) or source(file, *more))
+    (lab / "logs" / "deep" / "new.csv").write_text(log_text(9.0))
+    report = ingest([lab / "logs"], lab / "processed", jobs=1)
+    assert (report.found, report.ingested, report.skipped, len(report.quarantined)) == (6, 1, 4, 1)
+    assert opened == ["new.csv"]
+    # what was refused has a record, which is told
+    assert sorted(made) == ["bad.csv", "new.csv"]
+
+
+UNNOTICED = {
+    "size": lambda log: log.write_text(log_text(0.0, rows=31)),
+    "time": lambda log: (log.write_text(log.read_text().replace("0,", "1,", 1)), os.utime(log, ns=(1, 2))),
+    "time that goes back": lambda log: os.utime(log, ns=(1, 1)),
+}
+
+
+@pytest.mark.parametrize("change", UNNOTICED)
+def test_a_changed_log_is_opened_among_others(lab, opened, change):
+    UNNOTICED[change](lab / "logs" / "0.csv")
+    (lab / "logs" / "new.csv").write_text(log_text(9.0))
+    ingest([lab / "logs"], lab / "processed", jobs=1)
+    assert {"0.csv", "new.csv"} <= set(opened)
+
+
+def test_content_is_looked_at_when_asked(lab, opened):
+    ingest([lab / "logs"], lab / "processed", jobs=1, rehash=True)
+    assert sorted(opened) == ["0.csv", "1.csv", "2.csv", "3.csv", "bad.csv"]
+
+
+def test_a_copy_is_ingested_when_its_original_changes(lab):
+    (lab / "logs" / "copy.csv").write_bytes((lab / "logs" / "0.csv").read_bytes())
+    assert ingest([lab / "logs"], lab / "processed", jobs=1).ingested == 0
+    (lab / "logs" / "0.csv").write_text(log_text(50.0))
+    assert ingest([lab / "logs"], lab / "processed", jobs=1).ingested == 2
+
+
+def test_an_index_of_another_store_is_not_believed(lab, opened):
+    next((lab / "processed" / "trials").rglob("*.parquet")).unlink()
+    ingest([lab / "logs"], lab / "processed", jobs=1)
+    assert sorted(opened) == ["0.csv", "1.csv", "2.csv", "3.csv"]
+
+
+def test_a_store_that_another_changes_before_the_lock_is_looked_at_again(lab, monkeypatch):
+    """Between the search and the lock another command may remove what the index calls stored."""
+    held = ingest_module.writing
+
+    def late(*arguments):
+        for file in (lab / "processed" / "trials").rglob("*.parquet"):
+            file.unlink()
+        return held(*arguments)
+
+    monkeypatch.setattr(ingest_module, "writing", late)
+    assert ingest([lab / "logs"], lab / "processed", jobs=1).ingested == 4
+
+
+@pytest.mark.parametrize("text", ["{", "{}\n", "\n\n", "[]\n[]\n", "HEAD\n", "HEAD\n[]\n", "HEAD\n{\n"])
+def test_a_damaged_note_costs_time_alone(lab, text):
+    note = lab / "processed" / NOTE_FILE
+    note.write_text(text.replace("HEAD", note.read_text().split("\n")[0]))
+    report = ingest([lab / "logs"], lab / "processed", jobs=1)
+    assert (report.found, report.skipped, len(report.quarantined)) == (5, 4, 1)
+    assert recall(search(lab)) is not None
+
+
+def test_logs_given_by_name_know_what_lies_beside(lab):
+    log = lab / "logs" / "0.csv"
+    ingest([log], lab / "processed", jobs=1)
+    given = Search((str(log),), str(lab / "processed"), None)
+    assert recall(given) is not None
+    (lab / "logs" / "beside.csv").write_text("x")
+    assert recall(given) is None
 
 
 def test_a_dry_run_leaves_the_note(lab):
@@ -152,8 +241,9 @@ def test_a_changed_log_that_is_refused_keeps_its_trials(lab):
         (changed,) = ingest([lab / "logs"], lab / "processed", jobs=1).changed
         assert changed.path == str(lab / "logs" / "0.csv")
         assert changed.outcome == "its new content is refused; the trials of the former one stay stored"
-    note = lab / "processed" / NOTE_FILE
-    assert not note.exists() or json.loads(note.read_text())["report"]["changed"]
+    remembered = recall(search(lab))
+    assert remembered is not None
+    assert remembered["changed"]
 
 
 def test_a_change_is_told_once_and_one_that_is_refused_always(lab):
@@ -168,18 +258,6 @@ def test_a_change_is_told_once_and_one_that_is_refused_always(lab):
     told.append(again.changed)
     assert [[Path(source.path).name for source in changed] for changed in told] == [["0.csv", "2.csv"], ["2.csv"]]
     assert remembered == again.model_dump(mode="json")
-
-
-def test_a_folder_that_goes_away_meanwhile_leaves_no_note(lab, monkeypatch):
-    def gone(path, **_):
-        raise FileNotFoundError(2, os.strerror(2), str(path))
-
-    with monkeypatch.context() as patch:
-        patch.setattr(rerun.os, "walk", gone)
-        assert rerun.folders_of(search(lab)) is None
-    (lab / "processed" / NOTE_FILE).write_text("old")
-    rerun.remember(search(lab), None, time.time_ns(), [], {})
-    assert not (lab / "processed" / NOTE_FILE).exists()
 
 
 def test_what_may_not_be_looked_at_is_not_gone_and_a_folder_is_no_log(lab, monkeypatch):

@@ -3,40 +3,71 @@
 A new file is written under a temporary name, synced, renamed, and its folder synced. After that its name and content
 are on the disk; before the rename nobody sees it. A removal is on the disk when `sync_folder` returns. POSIX promises
 no order between two folders without that call, and no name of a new folder without a sync of the folder around it.
+Many small files are synced together (`publish_all`): a journal then writes once for all that wait.
 """
 
 from __future__ import annotations
 
 import io
 import os
-from collections.abc import Iterator
+import secrets
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import BinaryIO, cast
+from typing import BinaryIO, TypeVar, cast
 
 TEMPORARY_ENDING = ".tmp"
 """Ending of a file that is not complete; readers look for other endings."""
 
-_LONGEST_NAME = 100
-"""Characters of the final name that are kept in the temporary one: file systems allow 255 bytes."""
+_LONGEST_NAME = 200
+"""Bytes of the final name that are kept in the temporary one: file systems allow 255."""
 
 _BUFFER = 1 << 20
 """Bytes collected before they are written: Parquet writes its headers in pieces of some bytes."""
 
+_SYNCS = 16
+"""Syncs that wait at a time: one after the other 500 took 2.5 s on ext4, 16 at a time 0.1 s, 64 no less."""
+
+_NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_BINARY", 0)
+
+Item = TypeVar("Item")
+
+_READABLE = 0o666
+"""Bits of a mode that a file without a program in it may have."""
+
 
 def make_folder(folder: Path) -> None:
     """Create a folder and the missing ones around it, so that all of them survive a loss of power."""
-    missing = []
-    here = folder
-    while not os.path.isdir(here):
-        missing.append(here)
-        if here.parent == here:
-            break
-        here = here.parent
-    for new in reversed(missing):
-        with suppress(FileExistsError):  # another process may have made it meanwhile
-            os.mkdir(new)
-        sync_folder(new.parent)
+    make_folders([folder])
+
+
+def make_folders(folders: Iterable[Path]) -> None:
+    """Do what `make_folder` does for many folders, with one sync for each folder around them."""
+    parents: dict[Path, None] = {}
+    for folder in folders:
+        missing = []
+        here = folder
+        while not os.path.isdir(here):
+            missing.append(here)
+            if here.parent == here:
+                break
+            here = here.parent
+        for new in reversed(missing):
+            with suppress(FileExistsError):  # another process may have made it meanwhile
+                os.mkdir(new)
+            parents[new.parent] = None
+    _for_each(sync_folder, list(parents))
+
+
+def _for_each(work: Callable[[Item], None], items: Sequence[Item]) -> None:
+    """Call a function that waits for the disk with each item, `_SYNCS` at a time."""
+    if len(items) < 2:
+        for item in items:
+            work(item)
+        return
+    with ThreadPoolExecutor(min(_SYNCS, len(items))) as pool:
+        list(pool.map(work, items))
 
 
 def sync_folder(folder: Path) -> None:
@@ -57,9 +88,9 @@ def remove(path: Path) -> None:
 class _Descriptor(io.RawIOBase):
     """A file descriptor as a stream, so that each write passes through ``os.write``."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, mode: int) -> None:
         super().__init__()
-        self.number = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o666)
+        self.number = os.open(path, _NEW, mode)
 
     def writable(self) -> bool:
         return True
@@ -86,25 +117,35 @@ class NewFile:
     folder : Path
         Where it will lie; made if needed.
     label : str
-        Part of the temporary name: two new files in one folder need two labels. The process makes it its own.
+        Part of the temporary name, which no other file has: threads may write one file at a time.
+    like : sequence of os.stat_result
+        Of files that it holds parts of: who may not read one of these may not read this.
     """
 
-    def __init__(self, folder: Path, label: str) -> None:
+    def __init__(self, folder: Path, label: str, like: Sequence[os.stat_result] = ()) -> None:
         make_folder(folder)
         self._folder = folder
-        self._temporary = folder / f".{label[-_LONGEST_NAME:]}.{os.getpid()}{TEMPORARY_ENDING}"
-        self._raw = _Descriptor(self._temporary)
+        self._temporary = folder / f".{_short(label)}.{secrets.token_hex(8)}{TEMPORARY_ENDING}"
+        self._raw = _Descriptor(self._temporary, 0o600 if like else _READABLE)
+        if like and hasattr(os, "fchmod"):
+            os.fchmod(self._raw.number, _shared_mode(like, os.fstat(self._raw.number)))
         self.stream: BinaryIO = cast(BinaryIO, io.BufferedWriter(self._raw, _BUFFER))
 
     def publish(self, name: str) -> Path:
         """Give the complete file its name, in place of a former one; return its path when all is on the disk."""
+        (path,) = publish_all([(self, name)])
+        return path
+
+    def sync(self) -> None:
+        """Return when the content is on the disk."""
         self.stream.flush()
         os.fsync(self._raw.number)
         self._raw.close()
-        path = self._folder / name
-        os.replace(self._temporary, path)
-        sync_folder(self._folder)
-        return path
+
+    def named(self, name: str) -> Path:
+        """Give the file its name; on the disk after `sync_folder`."""
+        os.replace(self._temporary, self._folder / name)
+        return self._folder / name
 
     def discard(self) -> None:
         """Remove what was written, if it was not published."""
@@ -113,6 +154,32 @@ class NewFile:
         with suppress(ValueError):
             self.stream.close()
         remove(self._temporary)
+
+
+def _short(label: str) -> str:
+    return os.fsdecode(os.fsencode(label)[-_LONGEST_NAME:])
+
+
+def publish_all(*groups: Sequence[tuple[NewFile, str]]) -> list[Path]:
+    """Give complete files their names; return their paths when all is on the disk.
+
+    The names of one group are on the disk before the next group gets its own.
+    """
+    _for_each(NewFile.sync, [new for group in groups for new, _ in group])
+    paths: list[Path] = []
+    for group in groups:
+        named = [new.named(name) for new, name in group]
+        _for_each(sync_folder, list({path.parent: None for path in named}))
+        paths += named
+    return paths
+
+
+def _shared_mode(like: Sequence[os.stat_result], own: os.stat_result) -> int:
+    """Return the mode that files have in common; a group has no rights by a file of another group."""
+    mode = _READABLE
+    for status in like:
+        mode &= status.st_mode if status.st_gid == own.st_gid else status.st_mode & ~0o060
+    return mode
 
 
 @contextmanager

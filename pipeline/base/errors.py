@@ -32,6 +32,7 @@ Code = Literal[
     "unpacks-too-large",
     "unreadable",
     "not-regular",
+    "link-outside",
     "changed-while-read",
     "syntax",
     "damaged",

@@ -76,7 +76,7 @@ def writing(processed: Path, wait_s: float = WAIT_S, say: Callable[[str], None] 
         raise UsageError(f"wait must be 0 s or more, found {wait_s:g}. 0 does not wait for another command.")
     make_folder(processed)
     path = processed / LOCK_FILE
-    descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o666)
     try:
         waited = _acquire(descriptor, path, wait_s, say)
         _note(descriptor)

@@ -19,8 +19,9 @@ from pydantic_core import PydanticCustomError
 from pipeline.base.errors import ParameterError
 from pipeline.base.provenance import sha256
 from pipeline.base.units import factor_to_si
+from pipeline.profiles.patterns import group_names, pattern_problem
 from pipeline.profiles.profile_columns import Columns, Source, column_problems, factor
-from pipeline.profiles.profile_text import Count, Number, Problem, TextLayout, pattern_problem
+from pipeline.profiles.profile_text import Count, Number, Problem, TextLayout
 from pipeline.records.models import Grip, Motion, Name, Record
 
 Format = Literal[
@@ -326,7 +327,7 @@ class Profile(TextLayout, StepTime):
 
     def name_groups(self) -> frozenset[str]:
         """Return the conditions that the file name gives."""
-        return frozenset(re.compile(self.name_pattern or "").groupindex)
+        return group_names(self.name_pattern or "")
 
     def column_sources(self) -> dict[str, Source]:
         """Return the columns by SI name: time, command, position, and what else there is."""

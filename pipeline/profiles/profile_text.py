@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import re
 from typing import Annotated, Literal
 
 from pydantic import Field
 
+from pipeline.profiles.patterns import pattern_problem
 from pipeline.records.models import Record
 
 BLANKS = "blanks"
@@ -93,12 +93,3 @@ class TextLayout(Record):
         if self.unit_line and not self.header:
             problems.append((("unit_line",), "there is no line of column names above it (header is false)"))
         return problems
-
-
-def pattern_problem(pattern: str | None) -> str | None:
-    """Return why a text is no regular expression, or None where it is one."""
-    try:
-        re.compile(pattern or "")
-    except re.error as error:
-        return f"no regular expression: {error}"
-    return None

@@ -12,6 +12,7 @@ import numpy as np
 
 from pipeline.base.errors import LogError, ParameterError
 from pipeline.base.units import factor_to_si
+from pipeline.profiles.patterns import find_groups
 from pipeline.profiles.profile_files import Profile
 from pipeline.profiles.profile_model import CONDITION_QUANTITIES, REQUIRED_CONDITIONS, FileEntry, StepEntry
 from pipeline.readers.frame import Frame, Scalar
@@ -155,14 +156,14 @@ def header_of(profile: Profile, where: str, given: Mapping[str, Any], extra: dic
 def _of_name(profile: Profile, name: str) -> dict[str, str]:
     if profile.name_pattern is None:
         return {}
-    match = re.search(profile.name_pattern, name)
-    if match is None:
+    found = find_groups(profile.name_pattern, name)
+    if found is None:
         raise LogError(
             f"file name {name!r} does not fit name_pattern {profile.name_pattern!r} of {profile.name}. "
             "Rename the file or correct the profile.",
             code="profile-wrong",
         )
-    return {key: value for key, value in match.groupdict().items() if value is not None}
+    return found
 
 
 def _of_column(where: str, frame: Frame, rows: Integers, key: str, column: str) -> Scalar:

@@ -15,6 +15,7 @@ import pyarrow.csv as pacsv
 from numpy.typing import NDArray
 
 from pipeline.base.errors import LogError
+from pipeline.profiles.patterns import find_groups
 from pipeline.profiles.profile_files import Profile
 from pipeline.profiles.profile_text import BLANKS, TextLayout
 from pipeline.readers.dates import whole_dates
@@ -138,8 +139,7 @@ def _find_table(layout: Profile, name: str, data: bytes) -> _Table:
     """Return the table: what stands above it is skipped, or read as labels."""
     text, whole = plain_text(layout, name, data)
     attributes: dict[str, Scalar] = {}
-    below = re.compile(layout.header_after) if layout.header_after is not None else None
-    at = re.compile(layout.header_at) if layout.header_at is not None else None
+    below, at = layout.header_after, layout.header_at
     start, number, top = 0, 0, 1
     names: tuple[str, ...] = ()
     while start < len(text) and number < layout.skip_rows + LONGEST_BANNER:
@@ -147,11 +147,11 @@ def _find_table(layout: Profile, name: str, data: bytes) -> _Table:
         end = text.find("\n", start) + 1
         line = text[start:end].rstrip("\n")
         before, start = start, end
-        if at is not None and number > layout.skip_rows and at.search(line):
+        if at is not None and number > layout.skip_rows and find_groups(at, line) is not None:
             at = None
         elif number <= layout.skip_rows or at is not None or below is not None or _is_comment(layout, line):
             _take_label(layout, name, line, number, attributes)
-            if below is not None and number > layout.skip_rows and below.search(line):
+            if below is not None and number > layout.skip_rows and find_groups(below, line) is not None:
                 below = None
             continue
         elif layout.labels is not None and (not line.strip() or _take_label(layout, name, line, number, attributes)):

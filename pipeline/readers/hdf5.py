@@ -19,7 +19,7 @@ from pipeline.base.errors import LogError
 from pipeline.profiles.profile_files import Profile
 from pipeline.readers.arrays import Array, StoredArray, frame_of_arrays, list_arrays
 from pipeline.readers.frame import ColumnInfo, Frame, Scalar
-from pipeline.readers.isolation import isolated
+from pipeline.readers.isolation import isolated, memory_for
 from pipeline.readers.safety import check_claim, library, reading
 
 KIND = "an HDF5 file"
@@ -150,10 +150,16 @@ def load_dataset(name: str, dataset: Any, size: int) -> Array:
     Raises
     ------
     LogError
-        If it claims more memory than `safety.allowed_bytes`.
+        If it, or one of its chunks, claims more memory than `safety.allowed_bytes`.
     """
-    check_claim(name, f"dataset {dataset.name!r}", prod(dataset.shape) * max(dataset.dtype.itemsize, 1), size)
-    values: Array = dataset.asstr()[()] if is_text(dataset) else dataset[()]
+    # of one value a whole chunk is unpacked
+    parts = {"dataset": dataset.shape, "a chunk of dataset": dataset.chunks or ()}
+    claims = {what: prod(shape) * max(dataset.dtype.itemsize, 1) for what, shape in parts.items()}
+    for what, claimed in claims.items():
+        check_claim(name, f"{what} {dataset.name!r}", claimed, size)
+    # what is packed may be more than what is claimed; texts are not claimed, and stand in the file as they are
+    with memory_for(sum(claims.values()) + (size if is_text(dataset) else 0)):
+        values: Array = dataset.asstr()[()] if is_text(dataset) else dataset[()]
     return np.asarray(values)
 
 

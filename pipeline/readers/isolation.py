@@ -16,12 +16,14 @@ import signal
 import subprocess
 import sys
 import threading
+from collections.abc import Iterator
 from importlib import import_module
+from pathlib import Path
 from typing import IO, Any
 
 from pipeline.base.errors import LogError
 from pipeline.base.process import leave_out_pandas
-from pipeline.readers.safety import LARGEST_FRAME
+from pipeline.readers.safety import LARGEST_FRAME, allowed_bytes
 
 CPU_SECONDS = 0.6
 """Processor time for any file: a hundred times what reading a log of 1 MB takes."""
@@ -35,8 +37,14 @@ WALL_FACTOR = 30
 MEMORY = 4 * LARGEST_FRAME
 """Address space of a worker [byte]: file, unpacked arrays, their columns and the libraries themselves."""
 
+COPIES = 3
+"""Times that a call may hold what its file may unpack to, and the file itself: as read, as numbers, as columns."""
+
 GRACE_SECONDS = 2.0
 """Wait for a worker to end by itself once its pipes are closed; ending takes some milliseconds."""
+
+SLACK = 32 << 20
+"""Memory that a library takes for itself [byte]: caches, buffers, pieces that its allocator asks for."""
 
 _SERVE = "from pipeline.readers.isolation import serve; serve()"
 
@@ -116,7 +124,8 @@ def serve() -> None:
                 import_module(needed)
         _alarm(seconds)
         try:
-            outcome: tuple[bool, Any] = (True, work(*arguments))
+            with memory_for(allowed_bytes(len(arguments[1])) + len(arguments[1])):
+                outcome: tuple[bool, Any] = (True, work(*arguments))
         except LogError as error:
             outcome = (False, error)
         _alarm(0.0)
@@ -136,6 +145,31 @@ def _bound_memory() -> None:
         resource.setrlimit(resource.RLIMIT_AS, (MEMORY, resource.getrlimit(resource.RLIMIT_AS)[1]))
         # a crash is expected here and its image of no use
         resource.setrlimit(resource.RLIMIT_CORE, (0, resource.getrlimit(resource.RLIMIT_CORE)[1]))
+
+
+@contextlib.contextmanager
+def memory_for(claimed: int) -> Iterator[None]:
+    """Let a library take no more memory than what it says that it will unpack needs; only on Linux, in a worker.
+
+    Parameters
+    ----------
+    claimed : int
+        Bytes.
+    """
+    try:
+        resource = import_module("resource")
+        pages = int(Path("/proc/self/statm").read_text().split()[0])
+        soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+    except (ImportError, OSError):
+        yield
+        return
+    most = pages * resource.getpagesize() + COPIES * claimed + SLACK
+    # the process that asks workers has no limit, and gets none
+    resource.setrlimit(resource.RLIMIT_AS, (soft if soft == resource.RLIM_INFINITY else min(most, soft), hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
 
 
 class _Worker:

@@ -106,6 +106,12 @@ def reading(name: str, kind: str) -> Iterator[None]:
             "Export the samples as a table.",
             code="too-deep",
         ) from error
+    except MemoryError as error:
+        raise LogError(
+            f"{name} takes more memory than a file of its size may. It is damaged or no log of one step response. "
+            "Export it again, with the columns that are needed.",
+            code="unpacks-too-large",
+        ) from error
     except Exception as error:  # libraries document no complete list of what damage makes them raise
         found = " ".join(str(error).split())[:200] or type(error).__name__
         raise LogError(

@@ -15,7 +15,7 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from pipeline.base.disk import replacing
+from pipeline.base.disk import NewFile, replacing
 from pipeline.base.errors import StoreError
 
 Metadata = Mapping[str, str]
@@ -291,8 +291,23 @@ def write_table(path: Path, data: pa.Table) -> None:
     StoreError
         If the table does not equal its entry in `TABLES`.
     """
+    new = new_table(path, data)
+    try:
+        new.publish(path.name)
+    finally:
+        new.discard()
+
+
+def new_table(path: Path, data: pa.Table) -> NewFile:
+    """Write what `write_table` writes to a file that is still to be published under the name in ``path``."""
     _check(path, data.schema)
-    write_parquet(path, data)
+    new = NewFile(path.parent, path.name)
+    try:
+        pq.write_table(data, new.stream, row_group_size=GROUP_ROWS, **WRITING)
+    except BaseException:
+        new.discard()
+        raise
+    return new
 
 
 def write_parquet(path: Path, data: pa.Table) -> None:

@@ -178,10 +178,13 @@ def retry(
     sources = {record.path: path_of_text(record.path) for record in records}
     ids = {record.path: record_id(record) for record in records}
     gone = [path for path, source in sources.items() if not os.path.exists(source)]
-    present = [source for path, source in sources.items() if path not in gone]
+    # to follow a link that leads out of its folder is for who names it
+    outside = {record.path for record in records if record.code == "link-outside" and not paths}
+    links = [path for path in outside if path not in gone and os.path.islink(sources[path])]
+    present = [source for path, source in sources.items() if path not in gone and path not in links]
     report = ingest(present, processed, profile, rehash=True)
     if as_json:
-        console.print_json({**report.model_dump(mode="json"), "gone": gone})
+        console.print_json({**report.model_dump(mode="json"), "gone": gone, "links": links})
     else:
         accepted = report.ingested + report.skipped
         console.say(f"{len(records)} tried, {accepted} accepted, {len(report.quarantined)} refused, {len(gone)} gone")
@@ -191,5 +194,7 @@ def retry(
         for path in gone:
             folder = quarantine_folder(processed) / ids[path]
             console.say(f"{path}: is no longer there, or may not be looked at. Put it back, or remove {folder}.")
-    if report.quarantined or gone:
+        for path in links:
+            console.say(f"{path}: is a link that leads out of its folder. Give its path to follow it.")
+    if report.quarantined or gone or links:
         raise typer.Exit(EXIT_QUARANTINED)

@@ -42,7 +42,7 @@ class Bag:
     problem: str | None = None
 
 
-def bag_of(file: Path) -> Bag | None:
+def bag_of(file: Path, within: str | None = None) -> Bag | None:
     """Return the bag that a file belongs to, or None where it stands for itself.
 
     Parameters
@@ -50,8 +50,10 @@ def bag_of(file: Path) -> Bag | None:
     file : Path
         A recorded file, or ``metadata.yaml``. Other files, and those that their folder's metadata does not list, belong
         to no bag.
+    within : str, optional
+        As for `open_regular`: metadata elsewhere are not opened.
     """
-    if file.name != METADATA and file.suffix.lower() not in ENDINGS:
+    if not may_belong(file):
         return None
     folder = file.parent
     title = os.path.basename(os.path.abspath(folder))
@@ -62,7 +64,7 @@ def bag_of(file: Path) -> Bag | None:
         if (match := re.fullmatch(rf"{re.escape(title)}_(\d+)({'|'.join(map(re.escape, ENDINGS))})", name))
     )
     try:
-        with open_regular(folder / METADATA) as stream:
+        with open_regular(folder / METADATA, within) as stream:
             text = stream.read(LARGEST_METADATA).decode("utf-8", "replace")
     except OSError:
         if len(own) < 2 or file.name not in {name for _, name in own}:
@@ -90,6 +92,11 @@ def bag_of(file: Path) -> Bag | None:
     elif more:
         problem = f"{more} of the bag {title} are not listed in {METADATA}. Run `ros2 bag reindex` on the folder."
     return Bag(folder, tuple(listed), problem)
+
+
+def may_belong(file: Path) -> bool:
+    """Return whether a file may be part of a bag, by its name."""
+    return file.name == METADATA or file.suffix.lower() in ENDINGS
 
 
 def _names(folder: Path) -> list[str]:

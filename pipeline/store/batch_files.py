@@ -14,10 +14,10 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from pipeline.base.disk import NewFile, remove, sync_folder
+from pipeline.base.disk import NewFile, publish_all, remove, sync_folder
 from pipeline.base.provenance import digest, stamp
 from pipeline.records.models import Motion
-from pipeline.records.tables import WRITING, arrow_schema, to_arrow, write_table
+from pipeline.records.tables import WRITING, arrow_schema, new_table, to_arrow
 from pipeline.store.storage import batch_number, samples_folder, trials_files, trials_folder
 
 
@@ -35,6 +35,8 @@ class NewBatch:
         self.processed, self.device, self.experiment = processed, device, experiment
         self.rotation = motion == "rotation"
         self.rows = 0
+        self.name = ""
+        self._trials: NewFile | None = None
         metadata = stamp(device=device, experiment=experiment)
         self._schema = arrow_schema("samples", rotation=self.rotation, metadata=metadata)
         self._file = NewFile(samples_folder(processed, device, experiment), f"samples-{motion}")
@@ -56,16 +58,32 @@ class NewBatch:
         number : int
             Its number, above that of all visible batches (`next_number`).
         """
+        self.finish(trials, number)
+        publish_batches([self])
+        return self.trials_file
+
+    def finish(self, trials: Mapping[str, Sequence[Any] | pa.ChunkedArray], number: int) -> None:
+        """Write all that is left, for `publish_batches`; takes what `publish` takes."""
         identity = zip(*(_values(trials[name]) for name in ("source_path", "trial_id", "profile_sha256")), strict=True)
-        name = f"{number:06d}-{digest(sorted(identity))}.parquet"
+        self.name = f"{number:06d}-{digest(sorted(identity))}.parquet"
         self._writer.close()
-        path = self._file.publish(name)
+        path = samples_folder(self.processed, self.device, self.experiment) / self.name
         file = path.relative_to(self.processed).as_posix()
         columns = {**trials, "sample_file": [file] * len(trials["trial_id"])}
         metadata = stamp(device=self.device, experiment=self.experiment)
-        target = trials_folder(self.processed, self.device, self.experiment) / name
-        write_table(target, to_arrow("trials", columns, rotation=self.rotation, metadata=metadata))
-        return target
+        self._trials = new_table(
+            self.trials_file, to_arrow("trials", columns, rotation=self.rotation, metadata=metadata)
+        )
+
+    @property
+    def trials_file(self) -> Path:
+        """Where its trials will be seen."""
+        return trials_folder(self.processed, self.device, self.experiment) / self.name
+
+    def files(self) -> tuple[NewFile, NewFile]:
+        """Return its files of samples and of trials, when it is finished."""
+        assert self._trials is not None, "a batch is finished before it is published"
+        return self._file, self._trials
 
     def discard(self) -> None:
         """Remove what was written, if it was not made visible."""
@@ -73,6 +91,14 @@ class NewBatch:
         with suppress(OSError, ValueError, pa.ArrowException):
             self._writer.close()
         self._file.discard()
+        if self._trials is not None:
+            self._trials.discard()
+
+
+def publish_batches(batches: Sequence[NewBatch]) -> None:
+    """Make finished batches visible: the samples of all are on the disk before any trial is seen."""
+    files = [(batch.files(), batch.name) for batch in batches]
+    publish_all([(samples, name) for (samples, _), name in files], [(trials, name) for (_, trials), name in files])
 
 
 def _values(column: Sequence[Any] | pa.ChunkedArray) -> Sequence[Any]:

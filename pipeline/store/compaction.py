@@ -133,7 +133,7 @@ def _compacted(processed: Path, dry_run: bool) -> CompactReport:
 
 def merge_small(processed: Path, device: str, experiment: str) -> None:
     """Merge small batches of like size, if an experiment has many; the caller holds the lock."""
-    while True:
+    while len(trials_files(processed, device, experiment)) >= MOST_SMALL:
         tiers: dict[tuple[Motion, int], list[_Batch]] = defaultdict(list)
         for batch in _batches(processed, device, experiment):
             if batch.rows < LARGE_ROWS:

@@ -14,8 +14,8 @@ from pipeline.records.batch import Integers
 EXCERPT_ROWS = 3
 """Lines shown before and behind the row at fault."""
 
-LONGEST_SHOWN = 500
-"""Characters of a line that are shown."""
+LONGEST_SHOWN = 160
+"""Characters of a line that are shown: two lines of a terminal; seven such lines make a record of 2 kB at most."""
 
 _WIDEST = 4
 """Bytes of the widest character."""

@@ -8,8 +8,7 @@ time (`lock`); what it stores becomes visible batch by batch, and an interrupted
 from __future__ import annotations
 
 import os
-import time
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Sequence, Set
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from functools import partial
@@ -31,13 +30,15 @@ from pipeline.store.ingest_report import (
     PlannedSource,
     Refusal,
     refusal_of,
+    repeated,
+    when_stopped,
 )
-from pipeline.store.quarantine import QuarantineRecord, list_quarantine, record_of, refuse, release
+from pipeline.store.quarantine import Keeper, QuarantineRecord, list_quarantine, record_of, release
 from pipeline.store.reading import Read, batches_of, in_order, motion_of, read_and_check
-from pipeline.store.rerun import Folders, Search, folders_of, forget, remember
-from pipeline.store.sources import Source, by_rest, find_sources
+from pipeline.store.rerun import Look, Search
+from pipeline.store.sources import Source, by_rest, find_sources, is_settled, removed_below
 from pipeline.store.trialstore import Accepted, TrialWriter, trial_id
-from pipeline.store.versions import StoredSource, drop_superseded, repair, stored_sources, why_ingested
+from pipeline.store.versions import StoredSource, StoredSources, drop_superseded, repair, why_ingested
 
 __all__ = ["IngestReport", "LogWarning", "Refusal", "ingest"]
 
@@ -107,29 +108,41 @@ def ingest(
     search = Search(tuple(map(str, paths)), str(processed), None if profile is None else str(profile))
     notices: list[LogWarning] = []
 
-    def noticed(folder: Path, text: str) -> None:
-        notices.append(LogWarning(path=path_text(folder), warning=text))
+    def at_rest(path: str, mtime_ns: int) -> bool:
+        return is_settled(mtime_ns, settle_s) and path not in growing
 
-    began_ns = time.time_ns()
-    sources = find_sources(folders, profiles, processed, noticed)
+    def looked(believe: bool) -> tuple[Look, list[Source]]:
+        look = Look(search, believe, at_rest if settle_s or growing else None)
+        notices.clear()
+
+        def noticed(folder: Path, text: str) -> None:
+            notices.append(LogWarning(path=path_text(folder), warning=text))
+            look.notice(folder, text)
+
+        return look, find_sources(folders, profiles, processed, noticed, look.passes)
+
+    look, sources = looked(not (dry_run or rehash))
+    run: _Ingest | None = None
     try:
         with nullcontext(False) if dry_run else writing(processed, wait_s, say) as waited:
-            before = None if dry_run else folders_of(search)
-            if waited:
-                notices.clear()
-                began_ns = time.time_ns()
-                sources = find_sources(folders, profiles, processed, noticed)
+            if waited or not look.holds():
+                look, sources = looked(not (dry_run or rehash))
             if not dry_run:
-                repair(processed)
+                repair(processed, superseded=look.store is None)
             settled, waiting = by_rest(sources, settle_s, frozenset(growing))
             digests = {p: p.digest() for p in profiles}
-            run = _Ingest(processed, dry_run, rehash, digests, len(settled), progress)
-            run.process(settled, jobs or min(4, os.cpu_count() or 1))
+            run = _Ingest(processed, dry_run, rehash, digests, look, len(settled), progress)
+            present = look.passed.union(source.key for source in sources)
+            run.process(settled, jobs or min(4, os.cpu_count() or 1), present)
             run.wait_for(waiting, settle_s)
-            run.find_removed(folders, sources)
+            run.find_removed(folders, present)
             report = run.report(notices)
             if not dry_run:
-                run.remember(search, before, began_ns, report, notices)
+                run.remember(report, notices)
+    except KeyboardInterrupt as error:
+        stored, kept = (0, 0) if run is None else (len(run.writer.visible), run.keeper.kept)
+        error.add_note(when_stopped(processed, stored, kept))
+        raise
     except OSError as error:
         raise StoreError(
             f"{processed}: cannot be written ({error}). Logs stored so far are complete; "
@@ -147,23 +160,24 @@ class _Ingest:
         dry_run: bool,
         rehash: bool,
         digests: dict[Profile, str],
+        look: Look,
         found: int,
         progress: Callable[[int, int], None] | None,
     ) -> None:
         self.processed, self.dry_run, self.rehash, self.digests = processed, dry_run, rehash, digests
-        self.found, self.progress = found, progress
-        self.ingested = self.skipped = 0
+        self.look, self.found, self.progress = look, found + len(look.passed), progress
+        self.ingested, self.skipped = 0, len(look.passed)
         self.refusals: list[Refusal] = []
+        self.keeper = Keeper(processed)
         self.warnings: list[LogWarning] = []
         self.changed: list[ChangedSource] = []
-        self.removed: list[str] = []
-        self.waiting: list[str] = []
+        self.removed, self.waiting = list[str](), list[str]()
         self.plan: list[PlannedSource] = []
-        self.looked_at: list[Source] = []
+        self.kept: list[Source] = []
         self.unread = False
         self.writer = TrialWriter(processed, PENDING_BYTES)
         self.motions = {name: device.motion for name, device in known_devices().items()}
-        self.stored = stored_sources(processed)
+        self.stored = StoredSources(processed)
         self.refused = {record.path: record for record in list_quarantine(processed)}
         self.replaced: set[tuple[str, str, str]] = set()
         # hash of a content -> hash of its profile, and its path; a source that is looked at again enters after that
@@ -173,25 +187,26 @@ class _Ingest:
         self.gone: dict[str, str] = {}
         self.renamed: set[str] = set()
 
-    def process(self, sources: list[Source], jobs: int) -> None:
-        """Decide on every source and store what is new."""
+    def process(self, sources: list[Source], jobs: int, present: Set[str]) -> None:
+        """Decide on every source and store what is new; `present` are the paths of all that was found."""
         unsettled = [source for source in sources if not self._settled_unread(source)]
-        again, present = {source.key for source in unsettled}, {source.key for source in sources}
-        for path, stored in self.stored.items():
-            if path not in again and stored.whole:
-                self.known[stored.sha256] = stored.profile_sha256
-                self.place[stored.sha256] = path
+        again = {source.key for source in unsettled}
+        for path, sha256, profile_sha256 in self.stored.whole():
+            if path not in again:
+                self.known[sha256] = profile_sha256
+                self.place[sha256] = path
                 if path not in present and is_gone(path_of_text(path)):
-                    self.gone[stored.sha256] = path
+                    self.gone[sha256] = path
         # stored sources come first: a log that was copied and touched is recognised at its old place
         unsettled.sort(key=lambda source: (source.key not in self.stored, source.key))
         read = partial(self._read, use_threads=jobs > 2)
-        with ThreadPoolExecutor(1) as pool:
+        with ThreadPoolExecutor(jobs) as pool:
             self.writer.executor = pool if jobs > 1 else None
             try:
                 for batch in in_order(read, batches_of(unsettled), jobs):
                     for done in batch:
                         self._settle(done)
+                    self.keeper.flush()
                 self._written(self.writer.flush())
             except BaseException:
                 self.writer.discard()
@@ -207,13 +222,9 @@ class _Ingest:
             self.waiting.append(source.shown)
             self._plan(source, "wait", f"modified less than {settle_s:g} s ago")
 
-    def find_removed(self, folders: Sequence[Path], sources: Sequence[Source]) -> None:
+    def find_removed(self, folders: Sequence[Path], present: Set[str]) -> None:
         """List stored sources below the searched folders that are not there any more."""
-        present = {source.key for source in sources}
-        roots = tuple(os.path.join(path_text(os.path.abspath(folder)), "") for folder in folders if folder.is_dir())
-        missed = (key for key in self.stored if key not in present and key.startswith(roots))
-        # what may not be looked at is told as such; a folder in the place of a log is none
-        gone = (key for key in missed if is_gone(path := path_of_text(key)) or path.is_dir())
+        gone = removed_below(folders, self.stored, present)
         self.removed = sorted(key for key in gone if key not in self.renamed)
 
     def report(self, notices: Sequence[LogWarning]) -> IngestReport:
@@ -231,20 +242,11 @@ class _Ingest:
             plan=tuple(sorted(self.plan, key=lambda source: source.path)) if self.dry_run else None,
         )
 
-    def remember(
-        self, search: Search, before: Folders | None, began_ns: int, report: IngestReport, notices: Sequence[LogWarning]
-    ) -> None:
-        """Leave a note for the next run of the same command, unless it has to read a source again."""
-        if self.waiting or self.unread:
-            forget(search)
-            return
-        files = [([os.path.abspath(file) for file in s.files], s.size, s.mtime_ns) for s in self.looked_at]
-        skipped = report.found - len(report.quarantined)
-        refused = {refusal.path for refusal in report.quarantined}
-        changed = tuple(source for source in report.changed if source.path in refused)  # others are stored by now
-        update = {"ingested": 0, "skipped": skipped, "warnings": tuple(notices), "changed": changed}
-        again = report.model_copy(update=update)
-        remember(search, before, began_ns, files, again.model_dump(mode="json"))
+    def remember(self, report: IngestReport, notices: Sequence[LogWarning]) -> None:
+        """Leave a note for the next run of the same command, which says nothing if that has to read a source again."""
+        stored = ((source.key, source.size, source.mtime_ns) for source in self.kept if source.stands_alone)
+        again = None if self.waiting or self.unread else repeated(report, tuple(notices)).model_dump(mode="json")
+        self.look.remember(stored, again)
 
     def _plan(self, source: Source, action: Action, reason: str) -> None:
         if self.dry_run:
@@ -261,9 +263,9 @@ class _Ingest:
             self._refused(source, refused)
         elif stored and stored.whole and sign == (stored.size, stored.mtime_ns, stored.profile_sha256):
             self._skip(source, "unchanged: size and modification time")
+            self.kept.append(source)
         else:
             return False
-        self.looked_at.append(source)
         self._advance()
         return True
 
@@ -279,19 +281,19 @@ class _Ingest:
         return read_and_check(sources, known, self._digest(sources[0]), use_threads)[0]
 
     def _settle(self, read: Read) -> None:
-        source, profile = read.source, read.source.profile
-        self.looked_at.append(source)
-        try:
-            if isinstance(read.result, LogError):
-                raise read.result
-            assert profile is not None, "a source without a profile has a problem, which is a LogError"
-            assert read.sha256 is not None, "what was read has a hash"
-            self._accept(source, profile, read.sha256, read.result)
-        except LogError as error:
-            self._refuse(read, error)
+        if isinstance(read.result, LogError):
+            self._refuse(read, read.result)
+        else:
+            try:
+                self._accept(read, read.result)
+            except LogError as error:
+                self._refuse(read, error)
         self._advance()
 
-    def _accept(self, source: Source, profile: Profile, sha256: str, logs: tuple[Log, ...] | None) -> None:
+    def _accept(self, read: Read, logs: tuple[Log, ...] | None) -> None:
+        source, profile, sha256 = read.source, read.source.profile, read.sha256
+        assert profile is not None, "a source without a profile has a problem, which is a LogError"
+        assert sha256 is not None, "what was read has a hash"
         profile_sha256 = self.digests[profile]
         former = self.stored.get(source.key)
         same = former is not None and (former.sha256, former.profile_sha256) == (sha256, profile_sha256)
@@ -324,6 +326,7 @@ class _Ingest:
             for log, motion in [(log, motion_of(log, self.motions)) for log in logs]
         ]
         # from here on nothing is refused
+        self.kept.append(source)
         self.known[sha256] = profile_sha256
         self.place[sha256] = source.key
         self.ingested += 1
@@ -371,7 +374,7 @@ class _Ingest:
         self.unread |= read.sha256 is None
         self._refused(source, record)
         if not self.dry_run and not record.same_refusal(self.refused.get(source.key)):
-            refuse(self.processed, record, source.files, source.profile)
+            self.keeper.add(source, record)
 
     def _refused(self, source: Source, record: QuarantineRecord) -> None:
         refusal = refusal_of(source, record)

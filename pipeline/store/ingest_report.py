@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Literal
 
 from pipeline.base.errors import Code
@@ -74,6 +75,29 @@ class IngestReport(Record):
     changed: tuple[ChangedSource, ...] = ()
     waiting: tuple[str, ...] = ()
     plan: tuple[PlannedSource, ...] | None = None
+
+
+def repeated(report: IngestReport, notices: tuple[LogWarning, ...]) -> IngestReport:
+    """Return what the same command will report if nothing changes.
+
+    Parameters
+    ----------
+    report : IngestReport
+    notices : tuple of LogWarning
+        Warnings of folders, which are told again; those of logs are not.
+    """
+    refused = {refusal.path for refusal in report.quarantined}
+    changed = tuple(source for source in report.changed if source.path in refused)  # others are stored by now
+    skipped = report.found - len(report.quarantined)
+    return report.model_copy(update={"ingested": 0, "skipped": skipped, "warnings": notices, "changed": changed})
+
+
+def when_stopped(processed: Path, stored: int, kept: int) -> str:
+    """Say what an interrupted ingest has stored: new logs, and records in quarantine."""
+    return (
+        f"Stopped: {stored} new logs are stored in {processed} and {kept} more are in quarantine; nothing is "
+        "half-written. The same command finds the rest again."
+    )
 
 
 def refusal_of(source: Source, record: QuarantineRecord) -> Refusal:

@@ -8,19 +8,18 @@ from __future__ import annotations
 
 import os
 import shutil
-from collections.abc import Iterable
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from pydantic import ValidationError
 
-from pipeline.base.disk import make_folder, replacing
+from pipeline.base.disk import NewFile, make_folders, publish_all, remove
 from pipeline.base.errors import Code, LogError, StoreError, UsageError
 from pipeline.base.file_names import path_of_text, path_text, storable
 from pipeline.base.provenance import digest
 from pipeline.base.regular_files import open_regular
-from pipeline.profiles.profile_files import Profile
 from pipeline.records.models import Record
-from pipeline.records.tables import write_text
 from pipeline.store.excerpt import NOTHING, Excerpt, excerpt_of
 from pipeline.store.sources import Source
 
@@ -28,6 +27,9 @@ LARGEST_COPY = 64 << 20
 """Bytes up to which a refused file is copied; a log is well below 1 MB, what is larger was hardly one."""
 
 RECORD_FILE = "reason.json"
+
+REFUSED_TOGETHER = 64
+"""Refused logs that go into quarantine at once; each holds a file or two open until then, of 256 that macOS allows."""
 
 LONGEST_COPY_NAME = 100
 """Bytes of a file name that its copy keeps: a file system allows 255, with the endings of temporary files."""
@@ -156,34 +158,85 @@ def record_of(source: Source, sha256: str | None, error: LogError, profile_sha25
     )
 
 
-def refuse(processed: Path, record: QuarantineRecord, files: Iterable[Path], profile: Profile | None) -> None:
-    """Keep a copy of each file (up to 64 MiB) and the reason, with the lines around it; the record appears last.
+@dataclass(frozen=True)
+class Refused:
+    """A source that is refused, and its record without byte and excerpt, which are taken from its content."""
 
-    Parameters
-    ----------
-    processed : Path
-    record : QuarantineRecord
-        Without byte and excerpt, which are taken from the copy.
-    files : iterable of Path
-        All files of the source; the first is the one that rows belong to.
-    profile : Profile or None
-        What it was read by.
+    source: Source
+    record: QuarantineRecord
+
+
+class Keeper:
+    """Collects refused sources and puts them into quarantine together; what is collected is kept by `flush`."""
+
+    def __init__(self, processed: Path) -> None:
+        self.processed = processed
+        self.kept = 0
+        self._refused: list[Refused] = []
+
+    def add(self, source: Source, record: QuarantineRecord) -> None:
+        """Take a source and its record."""
+        self._refused.append(Refused(source, record))
+        if len(self._refused) >= REFUSED_TOGETHER:
+            self.flush()
+
+    def flush(self) -> None:
+        """Put into quarantine what was collected."""
+        if self._refused:
+            refuse(self.processed, self._refused)
+            self.kept += len(self._refused)
+            self._refused.clear()
+
+
+def refuse(processed: Path, refused: Sequence[Refused]) -> None:
+    """Keep a copy of each file (up to 64 MiB) and the reason, with the lines around it; the records appear last.
+
+    Copy and record may be read by whom the source may be read by. All are on the disk when this returns: files that
+    are synced together take a twentieth of the time of one after the other.
     """
-    folder = _folder_of(processed, record.path)
-    make_folder(folder)
-    kept = {RECORD_FILE}
+    folders = [_folder_of(processed, one.record.path) for one in refused]
+    former = [set(os.listdir(folder)) if folder.is_dir() else set() for folder in folders]
+    make_folders(folders)
+    new: list[NewFile] = []
+    copies: list[tuple[NewFile, str]] = []
+    records: list[tuple[NewFile, str]] = []
+    try:
+        for folder, one, stale in zip(folders, refused, former, strict=True):
+            copied, record = _prepared(folder, one, new)
+            copies += copied
+            records.append((record, RECORD_FILE))
+            stale -= {RECORD_FILE, *(name for _, name in copied)}
+        publish_all(copies, records)
+    finally:
+        for file in new:
+            file.discard()
+    for folder, stale in zip(folders, former, strict=True):
+        for name in stale:
+            remove(folder / name)
+
+
+def _prepared(folder: Path, refused: Refused, new: list[NewFile]) -> tuple[list[tuple[NewFile, str]], NewFile]:
+    """Write the copies and the record of a source under temporary names, which `new` is told of."""
+    copies: list[tuple[NewFile, str]] = []
+    like: list[os.stat_result] = []
     found: Excerpt | None = None
-    for file in files:
-        target = folder / _copy_name(file)
-        if _copy(file, target):
-            kept.add(target.name)
-            found = found or _excerpt(record, target, profile)
+    for file in refused.source.files:
+        content = _content(file, refused.source.within)
+        if content is None:
+            continue
+        data, status = content
+        like.append(status)
+        copy = NewFile(folder, file.name, (status,))
+        new.append(copy)
+        copy.stream.write(data)
+        copies.append((copy, _copy_name(file)))
+        found = found or _excerpt(refused, storable(file.name), data)
     found = found or NOTHING
-    whole = record.model_copy(update={"byte": found.byte, "excerpt": found.lines})
-    write_text(folder / RECORD_FILE, whole.model_dump_json(indent=2) + "\n")
-    for old in folder.iterdir():
-        if old.name not in kept:
-            old.unlink(missing_ok=True)
+    whole = refused.record.model_copy(update={"byte": found.byte, "excerpt": found.lines})
+    record = NewFile(folder, RECORD_FILE, like)
+    new.append(record)
+    record.stream.write(f"{whole.model_dump_json()}\n".encode())
+    return copies, record
 
 
 def release(processed: Path, path: str) -> None:
@@ -210,26 +263,23 @@ def _copy_name(file: Path) -> str:
     return f"{name}.refused" if plain else f"{digest(path_text(name))}.refused"
 
 
-def _excerpt(record: QuarantineRecord, copy: Path, profile: Profile | None) -> Excerpt:
+def _excerpt(refused: Refused, name: str, data: bytes) -> Excerpt:
     """Return the lines around the row at fault, where rows of the format are lines."""
+    record, profile = refused.record, refused.source.profile
     kind = profile.format if profile else None
     if kind not in _TEXTS or (kind == "json" and record.code != "syntax" and record.row is not None):
         # in JSON a row is a record, but for what is no JSON
         return NOTHING
-    return excerpt_of(copy.name, copy.read_bytes(), record.row, kind, profile.encoding if profile else "utf-8")
+    return excerpt_of(name, data, record.row, kind, profile.encoding if profile else "utf-8")
 
 
-def _copy(source: Path, target: Path) -> bool:
-    """Copy a file and return whether it is there; one that cannot be read or is too large is left out."""
+def _content(file: Path, within: str | None) -> tuple[bytes, os.stat_result] | None:
+    """Return a file's content and status; None for one that cannot be read or is too large to be copied."""
     try:
-        with open_regular(source) as stream:
-            size = os.fstat(stream.fileno()).st_size
+        with open_regular(file, within) as stream:
+            status = os.fstat(stream.fileno())
             # at once: whatever fails here is the source's fault, which must not end the ingest of all others
-            data = stream.read(LARGEST_COPY + 1) if size <= LARGEST_COPY else None
+            data = stream.read(LARGEST_COPY + 1) if status.st_size <= LARGEST_COPY else None
     except OSError:  # the record says that it cannot be read
-        return False
-    if data is None or len(data) > LARGEST_COPY:
-        return False
-    with replacing(target) as copy:
-        copy.write(data)
-    return True
+        return None
+    return None if data is None or len(data) > LARGEST_COPY else (data, status)

@@ -105,11 +105,19 @@ def read_and_check(
         for (index, (seen, sha256)), outcome in zip(loaded.items(), outcomes, strict=True):
             reads[index] = Read(seen, sha256, outcome)
     done = [read for read in reads if read is not None]
+    for read in done:
+        if isinstance(read.result, LogError):
+            _forget_frames(read.result)
     logs = [read.result for read in done if isinstance(read.result, tuple)]
     refused = sum(isinstance(read.result, LogError) for read in done)
     rows = sum(len(log.time) for source_logs in logs for log in source_logs)
     seconds = time.perf_counter() - began
     return done, Metrics(len(done), len(logs), len(done) - len(logs) - refused, refused, size, rows, seconds)
+
+
+def _forget_frames(error: BaseException) -> None:
+    """Let go of the frames in which an error was raised: they hold the bytes of logs until cycles are collected."""
+    error.__traceback__ = error.__cause__ = error.__context__ = None
 
 
 def load_source(source: Source) -> tuple[RawLog, str, Source]:
@@ -132,7 +140,7 @@ def load_source(source: Source) -> tuple[RawLog, str, Source]:
     size, mtime_ns = 0, 0
     for file in source.files:
         try:
-            with open_regular(file) as stream:
+            with open_regular(file, source.within) as stream:
                 before = os.fstat(stream.fileno())
                 data.append(stream.read(min(before.st_size, LARGEST_LOG) + 1))
                 after = os.fstat(stream.fileno())

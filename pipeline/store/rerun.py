@@ -1,8 +1,10 @@
-"""Sees in a tenth of a second that an ingest would find nothing new, without opening a stored table.
+"""Sees what the last ingest has looked at: nothing new needs no ingest, and of one log more only that is looked at.
 
-After an ingest a note in `processed/` says what was looked at: each searched folder with its modification time, each
-file with size and modification time, and the state of the store. Where all of it is as it was, the same command would
-find the same logs, all known. Anything else, a note that is damaged included, means that the ingest is done.
+After an ingest a note in `processed/` says which files were found, with size and modification time, which of them are
+stored, and the state of the store. Its first line tells whether anything changed at all, without opening a stored
+table: the same command would find the same logs, all known. The second line is the index by which an ingest passes over
+each stored log that is as it was. A note of another command, store, version or profile, or one that is damaged, is not
+believed: then everything is looked at.
 """
 
 from __future__ import annotations
@@ -10,25 +12,23 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from pipeline import __version__
-from pipeline.base.disk import remove, replacing
+from pipeline.base.disk import replacing
 from pipeline.base.provenance import code_digest, digest, schema_folder
+from pipeline.store.listing import Folder, list_folders
 
 NOTE_FILE = ".last_ingest.json"
 
-COARSEST_CLOCK_NS = 2_000_000_000
-"""A folder that changed less than this before it was searched may change again with the same time: FAT counts 2 s."""
-
-_CODE = ("ingest", "sources", "reading", "profile_files", "profile_model", "rerun")
+_CODE = ("ingest", "sources", "reading", "profile_files", "profile_model", "listing", "rerun")
 """Modules that decide which files are logs, and which of them are known."""
 
-Folders = dict[str, int]
-"""Modification time [ns] of each folder, by path."""
+Index = dict[str, dict[str, str]]
+"""Size and modification time of stored logs, as `listing.Folder` has them, by folder and name."""
 
 
 @dataclass(frozen=True)
@@ -49,90 +49,145 @@ class Search:
         return digest([__version__, code_digest(*_CODE), place, texts])
 
 
-def folders_of(search: Search) -> Folders | None:
-    """Return all folders that decide which logs are found, with their modification time, below hidden ones none.
-
-    None where one of them went away while it was looked at: what is remembered would not hold.
-    """
-    try:
-        return _folders_of(search)
-    except OSError:
-        return None
-
-
-def _folders_of(search: Search) -> Folders:
-    found: Folders = {}
-    processed = os.path.realpath(search.processed)
-    for path in search.paths:
-        if not os.path.isdir(path):
-            # the other file of a pair lies beside it
-            path = os.path.dirname(os.path.abspath(path))
-            found[path] = os.stat(path).st_mtime_ns
-            continue
-        for here, names, _ in os.walk(path):
-            found[here] = os.stat(here).st_mtime_ns
-            names[:] = [n for n in names if n[0] != "." and os.path.realpath(os.path.join(here, n)) != processed]
-    return found
-
-
-def remember(
-    search: Search,
-    before: Folders | None,
-    began_ns: int,
-    files: Iterable[tuple[Sequence[str], int, int]],
-    report: Mapping[str, Any],
-) -> None:
-    """Write the note, or remove it where a folder changed so recently that it might change unseen.
+class Look:
+    """What a search finds now, beside what the last ingest left.
 
     Parameters
     ----------
     search : Search
-    before : dict or None
-        `folders_of` the search before it was done.
-    began_ns : int
-        Time before that [ns since 1970].
-    files : iterable of (paths, size, mtime_ns)
-        The files of each log with the size of all [byte] and the newest modification [ns] that are known for it.
-    report : mapping
-        What the same command will report if nothing changes.
+    believe : bool
+        Whether the note of the last ingest counts.
+    at_rest : callable, optional
+        Whether a file (path, modification time [ns]) is not recorded to any more; by default all are at rest.
     """
-    clock = 0 if before is None else max(before.values(), default=0) + COARSEST_CLOCK_NS
-    if before is None or clock > began_ns or before != folders_of(search):
-        forget(search)
-        return
-    document = {
-        "key": search.key,
-        "store": _store(search.processed),
-        "folders": before,
-        "files": [[list(paths), size, mtime_ns] for paths, size, mtime_ns in files],
-        "report": report,
-    }
-    with replacing(Path(search.processed) / NOTE_FILE) as stream:
-        stream.write(json.dumps(document).encode())
 
+    def __init__(self, search: Search, believe: bool, at_rest: Callable[[str, int], bool] | None = None) -> None:
+        self.search, self.at_rest = search, at_rest
+        head, index = _read(search) if believe else ({}, {})
+        self.store = head.get("store")
+        """State of the store that the index holds for; None without an index."""
+        self._index = index
+        self._lines = _beside(search)
+        self._new: Index = {}
+        self._found: dict[str, Folder] = {}
+        self.passed: set[str] = set()
+        """Paths of stored logs that are as they were."""
 
-def forget(search: Search) -> None:
-    """Remove the note, so that the next run looks at the files."""
-    remove(Path(search.processed) / NOTE_FILE)
+    def passes(self, folder: Folder) -> list[str]:
+        """Return the names in a folder that are to be looked at: all but stored logs that are as they were."""
+        self._lines.append(_line(folder))
+        self._found[folder.absolute] = folder
+        plain, known = folder.plain, self._index.get(folder.absolute, {})
+        same = {name: state for name, state in plain.items() if known.get(name) == state}
+        if self.at_rest is not None:
+            same = {n: s for n, s in same.items() if self.at_rest(_path(folder.absolute, n), int(s.split()[1]))}
+        self._new[folder.absolute] = same
+        self.passed.update(_path(folder.absolute, name) for name in same)
+        return [*(name for name in plain if name not in same), *folder.others]
+
+    def notice(self, folder: Path, text: str) -> None:
+        """Note a folder that is not searched."""
+        self._lines.append(f"{folder}\0{text}")
+
+    def holds(self) -> bool:
+        """Return whether the store still is as the index says."""
+        return self.store is None or self.store == _store(self.search.processed)
+
+    def remember(self, stored: Iterable[tuple[str, int, int]], report: Mapping[str, Any] | None) -> None:
+        """Write the note.
+
+        Parameters
+        ----------
+        stored : iterable of (path, size, mtime_ns)
+            Logs that are stored under their path, beside those that were passed: size [byte] and time [ns] when read.
+        report : mapping or None
+            What the same command will report if nothing changes; None where it has to look at a file again.
+        """
+        for path, size, mtime_ns in stored:
+            folder, name = os.path.split(path)
+            state = f"{size} {mtime_ns}"
+            if folder in self._found and self._found[folder].plain.get(name) == state:
+                self._new[folder][name] = state
+        head = {"key": self.search.key, "store": _store(self.search.processed), "report": report}
+        if report is not None:
+            head["found"] = _digest(self._lines)
+        with replacing(Path(self.search.processed) / NOTE_FILE) as stream:
+            stream.write(f"{json.dumps(head)}\n{json.dumps(self._new, separators=(',', ':'))}\n".encode())
 
 
 def recall(search: Search) -> dict[str, Any] | None:
     """Return the report of an ingest that would find nothing new, None where it has to be done."""
-    try:
-        document = json.loads((Path(search.processed) / NOTE_FILE).read_bytes())
-        if document["key"] != search.key or document["store"] != _store(search.processed):
-            return None
-        for path, mtime_ns in document["folders"].items():
-            if os.stat(path).st_mtime_ns != mtime_ns:
-                return None
-        for paths, size, mtime_ns in document["files"]:
-            states = [os.stat(path) for path in paths]
-            if sum(s.st_size for s in states) != size or max(s.st_mtime_ns for s in states) != mtime_ns:
-                return None
-        report: dict[str, Any] = document["report"]
-        return report
-    except (OSError, ValueError, KeyError, TypeError):
+    head = _believed(search, lambda stream: stream.readline())
+    if head.get("report") is None or head.get("found") != _found(search):
         return None
+    report: dict[str, Any] = head["report"]
+    return report
+
+
+def _read(search: Search) -> tuple[dict[str, Any], Index]:
+    """Return both lines of the note, where they are to be believed."""
+    lines: list[bytes] = []
+
+    def first(stream: BinaryIO) -> bytes:
+        lines.extend(stream.read().split(b"\n"))
+        return lines[0]
+
+    head = _believed(search, first)
+    try:
+        index = json.loads(lines[1]) if head else {}
+    except (ValueError, IndexError):
+        return {}, {}
+    return (head, index) if isinstance(index, dict) else ({}, {})
+
+
+def _believed(search: Search, first: Callable[[BinaryIO], bytes]) -> dict[str, Any]:
+    """Return the first line of the note; nothing where it is of another command or store, or damaged."""
+    try:
+        with open(Path(search.processed) / NOTE_FILE, "rb") as stream:
+            head = json.loads(first(stream))
+        if head["key"] == search.key and head["store"] == _store(search.processed):
+            return dict(head)
+    except (OSError, ValueError, KeyError, TypeError):
+        pass
+    return {}
+
+
+def _found(search: Search) -> str:
+    """Return the hash of all that a search finds."""
+    lines = _beside(search)
+    excluded = frozenset((os.path.realpath(search.processed),))
+
+    def notice(folder: Path, text: str) -> None:
+        lines.append(f"{folder}\0{text}")
+
+    for path in search.paths:
+        if os.path.isdir(path):
+            lines += map(_line, list_folders(path, excluded, notice))
+    return _digest(lines)
+
+
+def _beside(search: Search) -> list[str]:
+    """Return what lies beside each file that is given itself: the other one of a pair, or a bag."""
+    lines: list[str] = []
+    for path in search.paths:
+        if not os.path.isdir(path):
+            around = list_folders(os.path.dirname(os.path.abspath(path)), frozenset(), lambda *_: None, deep=False)
+            lines += map(_line, around)
+    return lines
+
+
+def _line(folder: Folder) -> str:
+    # in the order of the folder, which stays while nothing in it changes
+    return f"{folder.path}\0{folder.plain}{folder.others}"
+
+
+def _path(folder: str, name: str) -> str:
+    return f"{folder.rstrip(os.sep)}{os.sep}{name}"
+
+
+def _digest(lines: Iterable[str]) -> str:
+    """Return a hash of lines in any order."""
+    return hashlib.sha256("\n".join(sorted(lines)).encode("utf-8", "surrogateescape")).hexdigest()
 
 
 def _store(processed: str) -> str:

@@ -5,17 +5,16 @@ from __future__ import annotations
 import os
 import stat
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence, Set
 from dataclasses import dataclass
 from pathlib import Path
 
 from pipeline.base.errors import Code, UsageError
-from pipeline.base.file_names import path_text
+from pipeline.base.file_names import path_of_text, path_text
+from pipeline.base.regular_files import OutsideError, is_gone, real_file
 from pipeline.profiles.profile_files import Profile, claim
-from pipeline.store.bags import bag_of
-
-UNCOUNTED = frozenset({"truth.json", "readme", "readme.md", "readme.txt", "license", "license.md", "license.txt"})
-"""Files that stand beside logs and are none (the first by the simulator), in small letters; not counted in folders."""
+from pipeline.store.bags import bag_of, may_belong
+from pipeline.store.listing import Folder, Notice, list_folders
 
 
 @dataclass(frozen=True)
@@ -39,6 +38,8 @@ class Source:
         Why it cannot be read at all.
     code : str
         The same as one of `errors.Code`.
+    within : str or None
+        Real path of the folder that no link may lead out of; None for a link that was given itself.
     """
 
     path: Path
@@ -49,15 +50,18 @@ class Source:
     profile: Profile | None
     problem: str | None = None
     code: Code = "unreadable"
+    within: str | None = None
 
     @property
     def shown(self) -> str:
         """The path as found, as text that can be stored."""
         return path_text(self.path)
 
-
-Notice = Callable[[Path, str], None]
-"""Told of a folder that is not searched, and why."""
+    @property
+    def stands_alone(self) -> bool:
+        """Whether no other file, one that may come later included, decides how it is read."""
+        own = self.profile is not None and self.profile.partner is None and not may_belong(self.path)
+        return own and self.problem is None
 
 
 def find_sources(
@@ -65,11 +69,12 @@ def find_sources(
     profiles: tuple[Profile, ...],
     exclude: Path | None = None,
     notice: Notice | None = None,
+    choose: Callable[[Folder], Sequence[str]] | None = None,
 ) -> list[Source]:
     """Return every log below the given folders and files, each once, in order of path.
 
-    Links to files are followed, wherever they lead; links to folders inside a searched folder are not, since they may
-    lead in a circle or out of the data. `notice` is told of these.
+    Links to files are followed where they stay inside the searched folder, and where they are given themselves. Links
+    to folders inside a searched folder are not, since they may lead in a circle or out of the data: `notice` is told.
 
     Parameters
     ----------
@@ -81,6 +86,8 @@ def find_sources(
         Folder that is left out (`processed/`, which may lie inside a searched folder).
     notice : callable, optional
         Called with each folder that is not searched, and why: it is a link, or may not be read.
+    choose : callable, optional
+        Called with each folder; returns the names of the files in it that are wanted, by default all.
 
     Raises
     ------
@@ -102,10 +109,33 @@ def find_sources(
         here = Path(os.path.realpath(path))
         if not excluded.isdisjoint(map(str, (here, *here.parents))):
             raise UsageError(f"{path}: lies in {exclude}, where results are kept. Give folders with logs.")
-        for file in _walk(path, excluded, notice or _say_nothing) if path.is_dir() else [path]:
-            source = _source(file, profiles)
+        folder = path if path.is_dir() else path.parent
+        # a link that is given itself is the user's own choice
+        within = None if folder != path and path.is_symlink() else os.path.realpath(folder)
+        files = _files(path, excluded, notice or _say_nothing, choose) if folder == path else [path]
+        for file in files:
+            source = _source(file, profiles, within)
             found.setdefault(source.key, source)
     return [found[key] for key in sorted(found)]
+
+
+def _files(
+    folder: Path, excluded: frozenset[str], notice: Notice, choose: Callable[[Folder], Sequence[str]] | None
+) -> Iterator[Path]:
+    for here in list_folders(folder, excluded, notice):
+        for name in (*here.plain, *here.others) if choose is None else choose(here):
+            yield Path(here.path, name)
+
+
+def removed_below(folders: Sequence[Path], stored: Iterable[str], present: Set[str]) -> Iterator[str]:
+    """Yield the stored sources below some folders that are not there any more; `present` is what was found."""
+    roots = tuple(os.path.join(path_text(os.path.abspath(folder)), "") for folder in folders if folder.is_dir())
+    for key in stored:
+        if key not in present and key.startswith(roots):
+            path = path_of_text(key)
+            # what may not be looked at is told as such; a folder in the place of a log is none
+            if is_gone(path) or path.is_dir():
+                yield key
 
 
 def by_rest(sources: Sequence[Source], settle_s: float, growing: frozenset[str]) -> tuple[list[Source], list[Source]]:
@@ -119,10 +149,8 @@ def by_rest(sources: Sequence[Source], settle_s: float, growing: frozenset[str])
     growing : frozenset of str
         Absolute paths of files that are not at rest, whatever their times say.
     """
-    now = time.time_ns()
-    # a time in the future, by a clock that is wrong, is no reason to wait for ever
     young = [
-        abs(now - s.mtime_ns) < settle_s * 1e9 or not growing.isdisjoint(os.path.abspath(f) for f in s.files)
+        not is_settled(s.mtime_ns, settle_s) or not growing.isdisjoint(os.path.abspath(f) for f in s.files)
         for s in sources
     ]
     return (
@@ -131,31 +159,22 @@ def by_rest(sources: Sequence[Source], settle_s: float, growing: frozenset[str])
     )
 
 
+def is_settled(mtime_ns: int, settle_s: float) -> bool:
+    """Return whether a time [ns] is so long ago [s] that a file is not recorded to any more."""
+    # one in the future, by a clock that is wrong, is no reason to wait for ever
+    return abs(time.time_ns() - mtime_ns) >= settle_s * 1e9
+
+
 def _say_nothing(folder: Path, reason: str) -> None:
     """Take no notice."""
-
-
-def _walk(folder: Path, excluded: frozenset[str], notice: Notice) -> Iterator[Path]:
-    def not_listed(error: OSError) -> None:
-        notice(Path(os.fsdecode(error.filename)), f"folder cannot be read ({error.strerror}). Correct its permissions.")
-
-    for here, folders, files in os.walk(folder, onerror=not_listed):
-        real = os.path.realpath(here)
-        folders[:] = [f for f in folders if not f.startswith(".") and os.path.join(real, f) not in excluded]
-        for name in folders:
-            if os.path.islink(linked := os.path.join(here, name)):
-                notice(Path(linked), "is a link to a folder, which is not followed. Give that folder if it has logs.")
-        for name in files:
-            if not name.startswith(".") and name.lower() not in UNCOUNTED:
-                yield Path(here, name)
 
 
 _Problem = tuple[str, Code]
 """Why a source cannot be read: in words, and as one of the codes."""
 
 
-def _source(file: Path, profiles: tuple[Profile, ...]) -> Source:
-    bag = bag_of(file)
+def _source(file: Path, profiles: tuple[Profile, ...], within: str | None) -> Source:
+    bag = bag_of(file, within)
     profile, path, problem = _claimed(bag.files[0] if bag else file, profiles)
     partner = profile.partner_of(path) if profile else None
     files: tuple[Path, ...] = (path, partner) if partner else (path,)
@@ -164,25 +183,33 @@ def _source(file: Path, profiles: tuple[Profile, ...]) -> Source:
         problem = (bag.problem, "partner-missing") if bag.problem else problem
     size, mtime_ns, present = 0, 0, []
     for part in files:
-        try:
-            status = part.stat()
-        except OSError as error:
-            if problem is None:
-                text = f"{part.name} cannot be read ({error.strerror}); expected it in {part.parent}."
-                problem = text, "unreadable"
-            if profile and part == partner and problem is not None:
-                text = f"{problem[0]} Profile {profile.name} reads a log from two files; add the second."
-                problem = text, "partner-missing"
+        status = _status(part, within)
+        if isinstance(status, os.stat_result):
+            present.append(part)
+            size += status.st_size
+            mtime_ns = max(mtime_ns, status.st_mtime_ns)
             continue
-        if not stat.S_ISREG(status.st_mode):
-            text = f"{part.name} is no regular file; expected a log. Copy the log's content to a file."
-            problem = problem or (text, "not-regular")
-            continue
-        present.append(part)
-        size += status.st_size
-        mtime_ns = max(mtime_ns, status.st_mtime_ns)
+        if profile and part == partner and status[1] == "unreadable":
+            text = f"{(problem or status)[0]} Profile {profile.name} reads a log from two files; add the second."
+            problem = text, "partner-missing"
+        problem = problem or status
     key = path_text(os.path.abspath(path))
-    return Source(path, key, tuple(present), size, mtime_ns, profile, *(problem or ()))
+    reason, code = problem or (None, "unreadable")
+    return Source(path, key, tuple(present), size, mtime_ns, profile, reason, code, within)
+
+
+def _status(file: Path, within: str | None) -> os.stat_result | _Problem:
+    """Return size and times of a file of a log, or why it is not read."""
+    try:
+        status = os.stat(file if within is None else real_file(file, within))
+    except OutsideError as error:
+        text = f"{file.name} {error.strerror}, which was not given. Copy the log, or give the link itself to ingest it."
+        return text, "link-outside"
+    except OSError as error:
+        return f"{file.name} cannot be read ({error.strerror}); expected it in {file.parent}.", "unreadable"
+    if not stat.S_ISREG(status.st_mode):
+        return f"{file.name} is no regular file; expected a log. Copy the log's content to a file.", "not-regular"
+    return status
 
 
 def _claimed(file: Path, profiles: tuple[Profile, ...]) -> tuple[Profile | None, Path, _Problem | None]:

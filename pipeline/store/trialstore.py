@@ -7,6 +7,7 @@ from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor, Future
 from dataclasses import dataclass
+from itertools import count, islice
 from pathlib import Path
 from typing import Any
 
@@ -14,14 +15,19 @@ import numpy as np
 import pyarrow as pa
 
 from pipeline import __version__
+from pipeline.base.disk import make_folders
 from pipeline.base.provenance import sha256 as hash_of
 from pipeline.readers import Log
 from pipeline.readers.time_axis import step_flags
 from pipeline.records.batch import Floats, Integers
 from pipeline.records.models import Motion
 from pipeline.records.tables import GROUP_ROWS, to_arrow
-from pipeline.store.batch_files import NewBatch, next_number
+from pipeline.store.batch_files import NewBatch, next_number, publish_batches
 from pipeline.store.sources import Source
+from pipeline.store.storage import samples_folder, trials_folder
+
+PUBLISHED_TOGETHER = 8
+"""Batches that become visible at once, with two open files each: their syncs take the time of one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,9 +57,10 @@ class Accepted:
 class TrialWriter:
     """Collects accepted logs and writes them as one batch per device, experiment and motion.
 
-    Samples go to disk group by group, so that memory does not grow with a batch; with an executor one group is written
-    while the next is collected. The file of a batch is opened for its first group: logs of thousands of experiments
-    wait in memory, of which `limit` is the bound, and not in as many open files.
+    Samples go to disk group by group, so that memory does not grow with a batch; with an executor one group of a batch
+    is written while the next is collected, and those of several batches at a time. The file of a batch is opened for
+    its first group: logs of thousands of experiments wait in memory, of which `limit` is the bound, and not in as many
+    open files.
 
     Parameters
     ----------
@@ -71,6 +78,8 @@ class TrialWriter:
         self._bytes = 0
         self.experiments: set[tuple[str, str]] = set()
         """Device and experiment of all that was collected."""
+        self.visible: set[str] = set()
+        """Paths of the sources of trials that were made visible."""
 
     def add(self, accepted: Sequence[Accepted]) -> list[Source]:
         """Take the logs of one more source; return the sources that became visible because the limit was reached."""
@@ -90,10 +99,18 @@ class TrialWriter:
         # the caller holds the lock, so that nobody else takes a number meanwhile
         number = next_number(self.processed) if self._batches else 0
         while self._batches:
-            key = next(iter(self._batches))
-            self._batches[key].publish(number)
-            del self._batches[key]
-            number += 1
+            keys = list(islice(self._batches, PUBLISHED_TOGETHER))
+            batches = [self._batches[key] for key in keys]
+            make_folders(f(self.processed, *key[:2]) for key in keys for f in (samples_folder, trials_folder))
+            for batch in batches:
+                batch.write_rest()
+            # each waits for what it has begun to write, which stands before it in the queue
+            each = map if self.executor is None else self.executor.map
+            publish_batches(list(each(_Batch.finished, batches, count(number))))
+            for key, batch in zip(keys, batches, strict=True):
+                self.visible.update(batch.trials["source_path"])
+                del self._batches[key]
+            number += len(keys)
         sources, self._sources, self._bytes = self._sources, [], 0
         return sources
 
@@ -122,13 +139,18 @@ class _Batch:
         if self.pending_rows >= GROUP_ROWS:
             self._write_pending()
 
-    def publish(self, number: int) -> None:
+    def write_rest(self) -> None:
+        """Begin to write what is pending."""
         if self.pending:
             self._write_pending()
+
+    def finished(self, number: int) -> NewBatch:
+        """Return the files of the batch when all of it is written."""
         if self.writing is not None:
             self.writing.result()
         assert self.file is not None, "a batch is made for a log, which is pending or written"
-        self.file.publish(self.trials, number)
+        self.file.finish(self.trials, number)
+        return self.file
 
     def discard(self) -> None:
         if self.writing is not None:
@@ -155,17 +177,13 @@ class _Batch:
         period = np.array([m.log.header.sampling_period_s for m in members], dtype=np.float64)
         flags = step_flags(time, rows, period)
         first = file.rows + np.cumsum(rows) - rows
-        for member, flag, count, at in zip(members, flags, rows.tolist(), first.tolist(), strict=True):
+        for member, flag, length, at in zip(members, flags, rows.tolist(), first.tolist(), strict=True):
             for name, value in _trial(member, flag).items():
                 self.trials[name].append(value)
-            self.trials["rows"].append(count)
+            self.trials["rows"].append(length)
             self.trials["first_row"].append(at)
-        trial = pa.DictionaryArray.from_arrays(
-            pa.array(np.repeat(np.arange(len(members), dtype=np.int32), rows)),
-            pa.array([m.trial_id for m in members]),
-        )
         samples = {
-            "trial_id": trial.dictionary_decode(),
+            "trial_id": _repeated([m.trial_id for m in members], rows),
             "time_s": time,
             "command": np.concatenate([m.log.command for m in members]),
             "position": np.concatenate([m.log.position for m in members]),
@@ -214,6 +232,13 @@ def _optional(columns: Sequence[Floats | Integers | None], rows: Integers, dtype
         for values, count in zip(columns, rows, strict=True)
     ]
     return pa.chunked_array(parts, type=dtype)
+
+
+def _repeated(ids: Sequence[str], rows: Integers) -> pa.StringArray:
+    """Return a column of the id of each row's trial; ids have one length, so that no text is touched row by row."""
+    column = np.repeat(np.array(ids, dtype=np.bytes_), rows)
+    offsets = np.arange(len(column) + 1, dtype=np.int32) * np.int32(column.dtype.itemsize)
+    return pa.StringArray.from_buffers(len(column), pa.py_buffer(offsets), pa.py_buffer(column))
 
 
 def _nulls(rows: int, dtype: pa.DataType) -> pa.ChunkedArray:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Collection
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -13,17 +12,16 @@ import pyarrow as pa
 from pipeline.base.disk import remove_temporary
 from pipeline.records.tables import read_table, write_table
 from pipeline.store.batch_files import remove_batches
-from pipeline.store.storage import FILE, VERSION_COLUMNS, newest_versions, read_versions
+from pipeline.store.storage import BATCH, FILE, VERSION_COLUMNS, newest_versions, read_versions
 
 
-@dataclass(frozen=True)
-class StoredSource:
+class StoredSource(NamedTuple):
     """What is stored of a source.
 
     Parameters
     ----------
-    sha256, size, mtime_ns, profile_sha256
-        Content, size [byte], modification time [ns] and profile when it was read.
+    sha256, profile_sha256, size, mtime_ns
+        Content, profile, size [byte] and modification time [ns] when it was read.
     trials : frozenset of str
         Ids of its trials.
     whole : bool
@@ -31,9 +29,9 @@ class StoredSource:
     """
 
     sha256: str
+    profile_sha256: str
     size: int
     mtime_ns: int
-    profile_sha256: str
     trials: frozenset[str]
     whole: bool
 
@@ -42,24 +40,44 @@ class StoredSource:
         return {(path, trial, self.profile_sha256) for trial in self.trials}
 
 
-def stored_sources(processed: Path) -> dict[str, StoredSource]:
-    """Return what is stored of each source, by its path."""
-    columns = ["source_trials", "source_size", *VERSION_COLUMNS]
-    table, _ = read_versions(processed, None, None, columns)
-    newest = newest_versions(table)
-    names = ("source_path", "trial_id", "source_sha256", "source_size", "source_mtime_ns", "profile_sha256")
-    trials: dict[str, set[str]] = defaultdict(set)
-    values: dict[str, tuple[str, int, int, str, int]] = {}
-    columns_of = (table.column(name).to_pylist() for name in (*names, "source_trials"))
-    for keep, path, trial, *rest in zip(newest.tolist(), *columns_of, strict=True):
-        if not keep:
-            continue
-        trials[path].add(trial)
-        values[path] = tuple(rest)
-    return {
-        path: StoredSource(sha256, size, mtime_ns, profile, frozenset(trials[path]), len(trials[path]) >= count)
-        for path, (sha256, size, mtime_ns, profile, count) in values.items()
-    }
+class StoredSources(Mapping[str, StoredSource]):
+    """What is stored of each source, by its path; a record is made when it is asked for, of 100,000 hardly any."""
+
+    def __init__(self, processed: Path) -> None:
+        table, _ = read_versions(processed, None, None, ["source_trials", "source_size", *VERSION_COLUMNS])
+        self._columns = {n: table.column(n).to_pylist() for n in table.column_names if n not in (BATCH, FILE)}
+        paths = self._columns["source_path"]
+        rows = np.flatnonzero(newest_versions(table)).tolist()
+        self._last: dict[str, int] = {paths[row]: row for row in rows}
+        # of sources with several trials alone: a list for each of 100,000 takes longer than all else
+        self._several: dict[str, list[int]] = {}
+        if len(self._last) < len(rows):
+            for row in rows:
+                self._several.setdefault(paths[row], []).append(row)
+
+    def __getitem__(self, path: str) -> StoredSource:
+        last = self._last[path]
+        size, mtime_ns = (self._columns[name][last] for name in ("source_size", "source_mtime_ns"))
+        trials = frozenset(self._columns["trial_id"][row] for row in self._several.get(path, (last,)))
+        return StoredSource(*self._content(last), size, mtime_ns, trials, self._is_whole(path, last))
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._last)
+
+    def __len__(self) -> int:
+        return len(self._last)
+
+    def whole(self) -> Iterator[tuple[str, str, str]]:
+        """Yield path, hash of the content and hash of the profile of all sources that are stored as a whole."""
+        for path, last in self._last.items():
+            if self._is_whole(path, last):
+                yield path, *self._content(last)
+
+    def _is_whole(self, path: str, last: int) -> bool:
+        return len(self._several.get(path, (last,))) >= int(self._columns["source_trials"][last])
+
+    def _content(self, row: int) -> tuple[str, str]:
+        return self._columns["source_sha256"][row], self._columns["profile_sha256"][row]
 
 
 def why_ingested(former: StoredSource | None, sha256: str, profile_sha256: str) -> str:
@@ -71,12 +89,20 @@ def why_ingested(former: StoredSource | None, sha256: str, profile_sha256: str) 
     return "profile changed" if former.profile_sha256 != profile_sha256 else "stored in part, by an interrupted run"
 
 
-def repair(processed: Path) -> None:
-    """Finish what an interrupted writer left: remove its incomplete files and the superseded trials; hold the lock."""
+def repair(processed: Path, superseded: bool = True) -> None:
+    """Finish what an interrupted writer left: remove its incomplete files and the superseded trials; hold the lock.
+
+    Parameters
+    ----------
+    processed : Path
+    superseded : bool
+        Whether there may be superseded trials: not where the store is as an ingest left it that came to its end.
+    """
     for name in ("trials", "samples", "quarantine"):
         remove_temporary(processed / name)
-    table, files = read_versions(processed, None, None, list(VERSION_COLUMNS))
-    _drop(processed, files, table.column(FILE).to_numpy(), ~newest_versions(table))
+    if superseded:
+        table, files = read_versions(processed, None, None, list(VERSION_COLUMNS))
+        _drop(processed, files, table.column(FILE).to_numpy(), ~newest_versions(table))
 
 
 def drop_superseded(processed: Path, replaced: Collection[tuple[str, str, str]]) -> None:
