@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.base.wording import percent
+from pipeline.base.wording import commonest, percent
 from pipeline.measured.momentum import acting_force, balance
 from pipeline.measured.response import Response
 from pipeline.records.batch import Floats, Integers, TrialBatch
@@ -221,13 +221,8 @@ def window_scan(
     for i in np.flatnonzero(trials > 1):
         low, median[i], high = np.nanquantile(masses[:, i], (0.25, 0.5, 0.75))
         scatter[i] = (high - low) / 1.349
-    reasons = tuple(_commonest(f.reason) for f in found)
+    reasons = tuple(commonest(f.reason) for f in found)
     return WindowScan(np.asarray(windows_s, dtype=np.float64), masses, median, scatter, trials, reasons)
-
-
-def _commonest(reasons: tuple[str, ...]) -> str:
-    given = [reason for reason in reasons if reason]
-    return max(sorted(set(given)), key=given.count) if given else ""
 
 
 def correct(masses: Masses, viscous_damping: float | Floats) -> Floats:

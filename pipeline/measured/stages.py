@@ -17,6 +17,7 @@ import pyarrow as pa
 
 from pipeline.base.errors import StoreError
 from pipeline.base.provenance import code_digest, digest, stamp
+from pipeline.base.wording import commonest
 from pipeline.measured import aggregate, estimates, response, verdict
 from pipeline.measured.stage_columns import COMPUTE
 from pipeline.records.batch import Floats, TrialBatch
@@ -256,7 +257,7 @@ class ExperimentStages:
     def cost(self, criterion: str) -> tuple[Floats, str]:
         """Return the cost of each trial by a criterion (NaN where there is none) and, if none has one, why."""
         stage, column = cost_column(criterion)
-        return self.column(stage, column), estimates.commonest(self.texts(stage, "reason"))
+        return self.column(stage, column), commonest(self.texts(stage, "reason"))
 
     def cost_interval(self, criterion: str) -> tuple[Floats, Floats]:
         """Return lower and upper end of the 95 % interval of each trial's cost, NaN where there is none."""
