@@ -7,6 +7,7 @@ no order between two folders without that call, and no name of a new folder with
 
 from __future__ import annotations
 
+import errno
 import io
 import os
 from collections.abc import Iterator
@@ -113,6 +114,20 @@ class NewFile:
         with suppress(ValueError):
             self.stream.close()
         remove(self._temporary)
+
+
+READ_ONLY = frozenset({errno.EROFS, errno.EACCES, errno.EPERM})
+"""Errors by which an operating system says that a place may only be read."""
+
+
+@contextmanager
+def if_writable() -> Iterator[None]:
+    """Leave out the writes of a block where the place may only be read: what they would keep can be made again."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno not in READ_ONLY:
+            raise
 
 
 @contextmanager

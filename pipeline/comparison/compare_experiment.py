@@ -11,7 +11,7 @@ from pipeline.comparison.implied_slope import DeviceParameters
 from pipeline.comparison.scene import SceneData, needed_stages
 from pipeline.measured.boundary_band import boundary_area
 from pipeline.measured.estimates import with_model_delay
-from pipeline.measured.stage_columns import standard_error
+from pipeline.measured.stage_given import standard_error
 from pipeline.measured.stages import STAGES, ExperimentStages
 from pipeline.records.models import Estimate, Experiment, Motion, Optimum
 from pipeline.records.results import ExperimentResult, MassWindow, OtherDefinitions, TheoryParameters
