@@ -8,7 +8,7 @@ reused whose samples are the same, computed by the same code with the same value
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property, partial
@@ -25,7 +25,7 @@ from pipeline.base.wording import commonest
 from pipeline.measured import aggregate, estimates, verdict
 from pipeline.measured.stage_columns import stage_rows
 from pipeline.measured.stage_given import GIVEN, WHOLE
-from pipeline.measured.stage_groups import TrialGroup
+from pipeline.measured.stage_groups import Given, TrialGroup
 from pipeline.records.batch import Floats
 from pipeline.records.groups import TrialGroups
 from pipeline.records.models import ENERGY_CRITERIA, SETTLING_BANDS, BoundaryPoint, Estimate, ModelCheck, Optimum
@@ -105,16 +105,14 @@ class ExperimentStages:
     device, experiment : str
     trials : pyarrow.Table
         Rows of the trials table that belong to the experiment.
-    mapped : callable
-        Applies a function to groups of trials, as ``map`` does: here, or in other processes.
     """
 
     processed: Path
     device: str
     experiment: str
     trials: pa.Table
-    mapped: Callable[..., Iterable[Any]] = map
     _tables: dict[str, pa.Table] = field(default_factory=dict)
+    _mapped: Callable[..., Iterable[Any]] = map
 
     @cached_property
     def rotation(self) -> bool:
@@ -159,7 +157,7 @@ class ExperimentStages:
 
     def of_each(self, function: Callable[..., Result], **given: Any) -> list[Result]:
         """Return the results of a function of each group, `TrialGroup` and what is given, in order of the groups."""
-        return list(self.mapped(partial(function, given=given), self._judged))
+        return list(self._mapped(partial(function, given=given), self._judged))
 
     def key(self, stage: str) -> str:
         """Return the key under which the result of a stage is valid."""
@@ -192,20 +190,42 @@ class ExperimentStages:
                     write_table(self._file(stage), self._tables[stage])
         return self._tables[stage]
 
+    def compute(self, stages: Sequence[str], mapped: Callable[..., Iterable[Any]]) -> None:
+        """Compute and store some stages, in this order, by a ``map`` that may send groups to other processes."""
+        self._mapped = mapped
+        try:
+            for stage in stages:
+                self.table(stage)
+        finally:
+            self._mapped = map
+
+    def take_over(self, tables: Mapping[str, pa.Table]) -> None:
+        """Take results that another process has computed of the same trials."""
+        self._tables |= tables
+
+    def count_new_trials(self) -> int:
+        """Return how many trials have no stored row of the first stage that would be reused."""
+        former = self._former(SAMPLED, self._common(SAMPLED, {}))
+        return len(set(self.samples.of_trials("digests").tolist()) - set(former.column(ROW_KEY).to_pylist()))
+
+    def _common(self, stage: str, given: Given) -> str:
+        """Return a hash of all that the rows of a stage rest on beside their samples."""
+        code = code_digest(*_SHARED_CODE, *(name for each in required([stage]) for name in _CODE[each]))
+        return digest([stage, code, given, self.rotation])
+
     def _whole(self, stage: str) -> pa.Table:
         return to_arrow(stage, WHOLE[stage](self), rotation=self.rotation, metadata=self._stamp(stage))
 
     def _of_trials(self, stage: str) -> pa.Table:
         """Compute a stage with one row a trial, but for the rows that are stored and rest on the same."""
         given = GIVEN[stage](self)
-        code = code_digest(*_SHARED_CODE, *(name for each in required([stage]) for name in _CODE[each]))
-        common = digest([stage, code, given, self.rotation])
+        common = self._common(stage, given)
         former = self._former(stage, common)
         kept = set(former.column(ROW_KEY).to_pylist())
         groups = self._groups if stage == SAMPLED else self._judged
         new = [group.select(np.array([key not in kept for key in group.batch.digests])) for group in groups]
         compute = partial(stage_rows, stage=stage, given=given, rotation=self.rotation)
-        rows = pa.concat_tables([former, *self.mapped(compute, [group for group in new if len(group.batch)])])
+        rows = pa.concat_tables([former, *self._mapped(compute, [group for group in new if len(group.batch)])])
         place = {key: row for row, key in enumerate(rows.column(ROW_KEY).to_pylist())}
         order = [place[key] for key in self.samples.of_trials("digests").tolist()]
         samples = {"samples": self.samples.digest} if stage == SAMPLED else {}
