@@ -114,7 +114,7 @@ def _damping(of: TrialGroup, given: Given) -> Columns:
 
 def _mass(of: TrialGroup, given: Given) -> Columns:
     nothing = np.full(len(of.batch), np.nan)
-    samples, b = given["delay"], given["viscous_damping"]
+    samples = given["delay"]
     found = mass.by_momentum(of.batch, of.found, samples)
     terms: tuple[str, ...] = BALANCE_TERMS
     if given["open_loop"]:
@@ -123,7 +123,8 @@ def _mass(of: TrialGroup, given: Given) -> Columns:
     balance = friction.fit_balance(of.batch, of.found, samples, terms=terms)
     columns = _conditions(of) | {
         "mass_momentum": found.mass_momentum,
-        "mass": nothing if b is None else mass.correct(found, b),
+        "damping_share": found.damping_share,
+        "mass": nothing,
         "balance_mass": balance.mass,
         "balance_mass_error": balance.mass_error,
         "force_mass": nothing,

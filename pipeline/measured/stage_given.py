@@ -14,7 +14,7 @@ from pipeline.measured.boundary_band import boundary_band
 from pipeline.measured.disturbance import Device, largest_force, learn_device, with_typical
 from pipeline.measured.events import usual_length
 from pipeline.measured.intervals import NORMAL_95
-from pipeline.measured.mass import by_momentum, scan_of
+from pipeline.measured.mass import Masses, by_momentum, correct, scan_of
 from pipeline.measured.reading_error import motion_at_rest, sensor_error, usual_rest
 from pipeline.measured.response import NO_ROW, sensor_floor
 from pipeline.measured.stage_groups import Columns, Given, TrialGroup
@@ -109,7 +109,6 @@ def _mass(of: Experiment) -> Given:
     walls = (of.trials.column(name).to_numpy() for name in ("stiffness", "damping"))
     return {
         **_with_delay(of),
-        "viscous_damping": of.damping_estimate.value,
         "open_loop": not any(values.any() for values in walls),
         "rotation": of.rotation,
     }
@@ -158,6 +157,17 @@ GIVEN: dict[str, Callable[[Experiment], Given]] = {
     "energy": _energy,
 }
 """What each stage with one row a trial takes from the whole experiment."""
+
+
+def _corrected_mass(of: Experiment, rows: pa.Table) -> Columns:
+    plain, share = (rows.column(name).to_numpy() for name in ("mass_momentum", "damping_share"))
+    found = Masses(plain, share, ())
+    b = of.damping_estimate.value
+    return {"mass": np.full(rows.num_rows, np.nan) if b is None else correct(found, b)}
+
+
+DERIVED: dict[str, Callable[[Experiment, pa.Table], Columns]] = {"mass": _corrected_mass}
+"""Columns that follow from the others of a stage by a value of the whole experiment, and are made anew with each."""
 
 
 def _boundary(of: Experiment) -> Columns:

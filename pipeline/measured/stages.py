@@ -24,7 +24,7 @@ from pipeline.base.provenance import code_digest, digest, stamp
 from pipeline.base.wording import commonest
 from pipeline.measured import aggregate, estimates, verdict
 from pipeline.measured.stage_columns import stage_rows
-from pipeline.measured.stage_given import GIVEN, WHOLE
+from pipeline.measured.stage_given import DERIVED, GIVEN, WHOLE
 from pipeline.measured.stage_groups import Given, TrialGroup
 from pipeline.records.batch import Floats
 from pipeline.records.groups import TrialGroups
@@ -226,6 +226,10 @@ class ExperimentStages:
         new = [group.select(np.array([key not in kept for key in group.batch.digests])) for group in groups]
         compute = partial(stage_rows, stage=stage, given=given, rotation=self.rotation)
         rows = pa.concat_tables([former, *self._mapped(compute, [group for group in new if len(group.batch)])])
+        if stage in DERIVED:
+            for name, values in DERIVED[stage](self, rows).items():
+                index = rows.schema.get_field_index(name)
+                rows = rows.set_column(index, rows.schema.field(name), pa.array(values, from_pandas=True))
         place = {key: row for row, key in enumerate(rows.column(ROW_KEY).to_pylist())}
         order = [place[key] for key in self.samples.of_trials("digests").tolist()]
         samples = {"samples": self.samples.digest} if stage == SAMPLED else {}

@@ -129,6 +129,7 @@ COLUMNS: dict[str, Column] = {
     "ghost_row": _same(_I, "", "first row where the log leaves the noise band about the ghost", True),
     "leaves_row": _same(_I, "", "first row where the log leaves the noise band of the model", True),
     "mass_momentum": Column(_F, "kg", "kg m^2", "mass by the momentum balance (6.4), biased by b", True),
+    "damping_share": _same(_F, "s", "what viscous damping b adds to mass_momentum, divided by b", True),
     "mass": Column(_F, "kg", "kg m^2", "mass by the momentum balance corrected for viscous damping", True),
     "balance_mass": Column(_F, "kg", "kg m^2", "mass by the momentum balance with damping and friction", True),
     "balance_mass_error": Column(_F, "kg", "kg m^2", "its standard error", True),
@@ -246,6 +247,7 @@ TABLES: dict[str, tuple[str, ...]] = {
         *(
             *_TRIAL,
             "mass_momentum",
+            "damping_share",
             "mass",
             "balance_mass",
             "balance_mass_error",
