@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.records.batch import TrialBatch, pad
+from pipeline.records.batch import TrialBatch
 from pipeline.simulation.simulate import Setup, idealise, setup_of, simulate, spectral_radius
 from pipeline.store.devices import find_experiment, load_device
 
@@ -76,6 +76,22 @@ class Labelled:
     label: np.ndarray
     kind: np.ndarray
     near: np.ndarray
+
+
+def pad(values: np.ndarray, first: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Cut a long column into trials: row i holds ``values[first[i] : first[i] + rows[i]]``, then NaN.
+
+    Parameters
+    ----------
+    values : float64, shape (m,)
+    first, rows : int64, shape (n,)
+        Start and length of each trial in ``values``.
+    """
+    longest = int(rows.max(initial=0))
+    offset = np.arange(longest)
+    inside = offset[None, :] < rows[:, None]
+    taken = values[np.minimum(first[:, None] + offset[None, :], max(len(values) - 1, 0))]
+    return np.where(inside, taken, np.nan)
 
 
 def join(batches: list[TrialBatch]) -> TrialBatch:

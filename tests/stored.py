@@ -6,7 +6,8 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 
-from pipeline.store.storage import load_batch, read_trials
+from pipeline.store.samples import load_batch
+from pipeline.store.storage import read_trials
 
 
 def stored_rows(processed: Path) -> Counter[str]:

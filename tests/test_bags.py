@@ -13,7 +13,8 @@ from pipeline.profiles.profile_files import load_profile
 from pipeline.shell.profile_check import check_samples
 from pipeline.store.bags import bag_of
 from pipeline.store.ingest import ingest
-from pipeline.store.storage import load_batch, read_trials
+from pipeline.store.samples import load_batch
+from pipeline.store.storage import read_trials
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 KINDS = {"db3": "rosbag", "mcap": "mcap"}

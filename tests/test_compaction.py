@@ -17,7 +17,8 @@ from pipeline.records import tables
 from pipeline.store import compaction, storage
 from pipeline.store.compaction import compact, find_orphans
 from pipeline.store.ingest import ingest
-from pipeline.store.storage import load_batch, read_trials, trials_files
+from pipeline.store.samples import load_batch
+from pipeline.store.storage import read_trials, trials_files
 
 
 @pytest.fixture

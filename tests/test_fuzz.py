@@ -21,7 +21,8 @@ from pipeline.readers import Log, RawLog
 from pipeline.readers.native import read
 from pipeline.store.ingest import ingest
 from pipeline.store.quarantine import list_quarantine
-from pipeline.store.storage import load_batch, read_trials
+from pipeline.store.samples import load_batch
+from pipeline.store.storage import read_trials
 
 CONSTANTS = """
 step_at = "command edge"

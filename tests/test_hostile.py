@@ -30,8 +30,9 @@ from pipeline.shell.cli import run as run_cli
 from pipeline.store.excerpt import LONGEST_SHOWN, excerpt_of
 from pipeline.store.ingest import ingest
 from pipeline.store.quarantine import RECORD_FILE, list_quarantine
+from pipeline.store.samples import load_batch
 from pipeline.store.sources import find_sources
-from pipeline.store.storage import list_devices, load_batch, read_trials
+from pipeline.store.storage import list_devices, read_trials
 
 PACKAGE = Path(__file__).parents[1] / "pipeline"
 LOGS_PAGE = (Path(__file__).parents[1] / "docs" / "logs.md").read_text(encoding="utf-8")

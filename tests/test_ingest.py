@@ -20,7 +20,8 @@ from pipeline.store import compaction, reading
 from pipeline.store import ingest as ingest_module
 from pipeline.store.ingest import ingest
 from pipeline.store.quarantine import list_quarantine
-from pipeline.store.storage import list_devices, list_experiments, load_batch, read_trials
+from pipeline.store.samples import load_batch
+from pipeline.store.storage import list_devices, list_experiments, read_trials
 
 PENDULUM = Path(__file__).parents[2] / "shared" / "real" / "dfki_pendulum"
 

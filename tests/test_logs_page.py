@@ -80,7 +80,8 @@ def test_from_a_foreign_csv_to_a_report(capsys):
 
 def test_the_foreign_course_gives_the_same_trials_as_the_simulated_logs(capsys):
     from pipeline.store.ingest import ingest
-    from pipeline.store.storage import load_batch, read_trials
+    from pipeline.store.samples import load_batch
+    from pipeline.store.storage import read_trials
 
     text = section("## From a foreign CSV to a report")
     follow(text[: text.index("**When a log is refused")].replace("pipeline compare --device bench\n", ""), capsys)

@@ -13,7 +13,8 @@ from pipeline.base import disk
 from pipeline.records.tables import read_table
 from pipeline.store import ingest as ingest_module
 from pipeline.store.ingest import ingest
-from pipeline.store.storage import load_batch, read_trials
+from pipeline.store.samples import load_batch
+from pipeline.store.storage import read_trials
 
 HEAD = """
 name = "lab"

@@ -8,7 +8,8 @@ import scipy.io
 from foreign_files import hdf5_file, matlab_class
 
 from pipeline.store.ingest import ingest
-from pipeline.store.storage import load_batch, read_trials
+from pipeline.store.samples import load_batch
+from pipeline.store.storage import read_trials
 
 TIME = 25.372 + np.arange(6) / 1000
 FORCE = np.array([0.0, 0.0, -5.0, -5.0, -5.0, -5.0])

@@ -132,7 +132,8 @@ def test_check_names_the_most_special_place(call, lab):
 
 
 def test_check_shows_what_ingest_stores(call, lab):
-    from pipeline.store.storage import load_batch, read_trials
+    from pipeline.store.samples import load_batch
+    from pipeline.store.storage import read_trials
 
     (trial,) = json.loads(call("profile", "check", "lab.toml", "K300.csv", "--json")[1])["samples"][0]["trials"]
     assert call("ingest", "K300.csv", "--profile", "lab.toml")[0] == 0

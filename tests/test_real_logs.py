@@ -20,7 +20,8 @@ from pipeline.measured.onset import motion_onset
 from pipeline.measured.response import declare_edge, find_response
 from pipeline.records.batch import TrialBatch
 from pipeline.store.ingest import ingest
-from pipeline.store.storage import load_batch, read_trials
+from pipeline.store.samples import load_batch
+from pipeline.store.storage import read_trials
 
 REAL = Path(__file__).parents[2] / "shared" / "real"
 pytestmark = pytest.mark.skipif(not REAL.is_dir(), reason="logs of real hardware are not beside the repository")

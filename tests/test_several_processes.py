@@ -19,7 +19,8 @@ from stored import check_whole, stored_rows
 from pipeline.base import lock
 from pipeline.base.errors import StoreError, UsageError
 from pipeline.store.ingest import ingest
-from pipeline.store.storage import load_batch, read_trials
+from pipeline.store.samples import load_batch
+from pipeline.store.storage import read_trials
 
 READY = "ready"
 INGEST = f"""

@@ -10,11 +10,11 @@ from pipeline.base.errors import StoreError
 from pipeline.records.native import NativeHeader, format_header
 from pipeline.records.tables import COLUMNS, TABLES, read_table, to_arrow, write_table
 from pipeline.store.ingest import ingest
+from pipeline.store.samples import load_batch
 from pipeline.store.storage import (
     folder_name,
     list_devices,
     list_experiments,
-    load_batch,
     name_of_folder,
     natural_key,
     read_trials,

@@ -8,6 +8,7 @@ Many small files are synced together (`publish_all`): a journal then writes once
 
 from __future__ import annotations
 
+import errno
 import io
 import os
 import secrets
@@ -180,6 +181,20 @@ def _shared_mode(like: Sequence[os.stat_result], own: os.stat_result) -> int:
     for status in like:
         mode &= status.st_mode if status.st_gid == own.st_gid else status.st_mode & ~0o060
     return mode
+
+
+READ_ONLY = frozenset({errno.EROFS, errno.EACCES, errno.EPERM})
+"""Errors by which an operating system says that a place may only be read."""
+
+
+@contextmanager
+def if_writable() -> Iterator[None]:
+    """Leave out the writes of a block where the place may only be read: what they would keep can be made again."""
+    try:
+        yield
+    except OSError as error:
+        if error.errno not in READ_ONLY:
+            raise
 
 
 @contextmanager

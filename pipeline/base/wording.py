@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterable, Sequence
 
 _MINUS = re.compile(r"(?<![\w.\-/])-(?=\d|\.\d)|(?<=\d[eE])-(?=\d)")
 """A hyphen before a number that stands by itself, and one of an exponent; none inside names, dates and options."""
@@ -36,6 +37,15 @@ def counted(number: int, noun: str) -> str:
 def listed(names: Sequence[str]) -> str:
     """Return names as in a sentence: ``1``, ``1 and 2``, ``1, 2 and 3``."""
     return " and ".join(filter(None, [", ".join(names[:-1]), *names[-1:]]))
+
+
+def commonest(reasons: Iterable[str]) -> str:
+    """Return the reason that is given most often, of equally common ones the first; empty where there is none.
+
+    >>> commonest(["", "b", "a", "a", "b"])
+    'b'
+    """
+    return max(counts, key=counts.__getitem__) if (counts := Counter(filter(None, reasons))) else ""
 
 
 def percent(share: float, places: int = 0) -> str:

@@ -11,8 +11,8 @@ from pipeline.comparison.implied_slope import DeviceParameters
 from pipeline.comparison.scene import SceneData, needed_stages
 from pipeline.measured.boundary_band import boundary_area
 from pipeline.measured.estimates import with_model_delay
-from pipeline.measured.stage_columns import standard_error
-from pipeline.measured.stages import ExperimentStages
+from pipeline.measured.stage_given import standard_error
+from pipeline.measured.stages import STAGES, ExperimentStages
 from pipeline.records.models import Estimate, Experiment, Motion, Optimum
 from pipeline.records.results import ExperimentResult, MassWindow, OtherDefinitions, TheoryParameters
 from pipeline.rendering.labels import UNITS, Units
@@ -72,7 +72,7 @@ def estimated_theories(results: Sequence[ExperimentResult], data: SceneData) -> 
 def experiment_result(data: SceneData, stages: ExperimentStages, theory: Theory | None) -> ExperimentResult:
     """Compute what is needed of one experiment and gather it."""
     needed = needed_stages(data)
-    for stage in needed:
+    for stage in sorted(needed, key=STAGES.index):
         stages.table(stage)
     units = UNITS[motion_of(data)]
     named: dict[str, Experiment] = {e.name: e for e in data.device.experiments} if data.device else {}

@@ -14,7 +14,7 @@ from pipeline.records.batch import Booleans, Floats
 from pipeline.records.figure_records import ResponseFigure
 from pipeline.records.models import Motion
 from pipeline.rendering.labels import UNITS, damping_text, decimal, stiffness_text
-from pipeline.store.storage import load_batch
+from pipeline.store.samples import load_batch
 
 CANDIDATES = 8
 """Trials that are looked at: at the lowest stiffness a log may end before its second maximum, eight times that

@@ -17,9 +17,9 @@ from pipeline.comparison.boundary_curves import measured_curve, theory_curve
 from pipeline.comparison.scene import SceneData, needed_stages
 from pipeline.measured.ghost import simulate_ghost
 from pipeline.measured.outcome import OUTCOMES
-from pipeline.measured.response import declare_edge, find_response
+from pipeline.measured.stage_groups import TrialGroup
 from pipeline.measured.stages import ExperimentStages, cost_column
-from pipeline.records.batch import Floats, Integers
+from pipeline.records.batch import Floats, Integers, TrialBatch
 from pipeline.records.figure_records import Curve
 from pipeline.records.models import SETTLING_BANDS, Motion
 from pipeline.records.results import ExperimentResult
@@ -203,11 +203,15 @@ class _Experiment:
 
     def _entries(self, rows: Integers) -> list[dict[str, Any]]:
         """Responses of some trials."""
-        stages = self.stages
-        batch = stages.batch.select(rows)
-        found = find_response(batch)
-        if batch.step_row is not None:
-            found = declare_edge(batch, found, batch.step_row)
+        entries = {
+            int(place): entry
+            for index, batch in self.stages.samples.pick(rows)
+            for place, entry in zip(index, self._entries_of(rows[index], batch), strict=True)
+        }
+        return [entries[place] for place in range(len(rows))]
+
+    def _entries_of(self, rows: Integers, batch: TrialBatch) -> list[dict[str, Any]]:
+        stages, found = self.stages, TrialGroup(batch).found
         nothing = np.full(len(rows), np.nan)
         model = {
             name: stages.column("model", f"model_{name}")[rows] if self.modelled else nothing

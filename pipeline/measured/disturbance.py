@@ -6,12 +6,14 @@ and delay that fit the experiment's trials best are taken for known; what is lef
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from pipeline.measured.response import NO_ROW, Response
-from pipeline.records.batch import Floats, Integers, TrialBatch
+from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
+from pipeline.records.groups import TrialGroups
 
 LONGEST_DELAY = 12
 """Largest delay that is tried [samples], as many as the window of `modes` has room for."""
@@ -26,6 +28,12 @@ samples or hide behind a coarse sensor."""
 
 FITTED_TRIALS = 64
 """Trials, evenly spread over the experiment, that the device is fitted to: more tell three numbers no better."""
+
+FITTED_ROWS = 4096
+"""Rows of a longer log that the device is fitted to, from the step on: its rest would outweigh the other logs."""
+
+LEAD = 32
+"""Rows before the step that a longer log keeps there: what the longest delay and twice the lag reach back."""
 
 FIT_ROUNDS = 6
 """Rounds of reweighting towards the least absolute error, so that trials with a disturbance do not count."""
@@ -93,17 +101,23 @@ class Disturbance:
 
 
 @dataclass(frozen=True)
-class _Motion:
-    """Device that fits an experiment: m, b, k, delay and the deviation of single commands from it [samples]."""
+class Device:
+    """Device that fits an experiment: m, b, k, delay and the deviation of single commands from it [samples].
+
+    ``span`` are the rows before and after a row from which its force is told; ``typical`` is the largest force of the
+    middle trial in units of the smallest that would be reported, 0 where trials are too few to tell.
+    """
 
     mass: float
     damping: float
     stiffness: float
     delay: int
     jitter: int
+    span: int = 0
+    typical: float = 0.0
 
 
-def find_disturbance(batch: TrialBatch, response: Response) -> Disturbance:
+def find_disturbance(batch: TrialBatch, response: Response, device: Device | None = None) -> Disturbance:
     """Find the force that acts beside the command.
 
     Parameters
@@ -112,6 +126,8 @@ def find_disturbance(batch: TrialBatch, response: Response) -> Disturbance:
         Trials of one experiment: they share device and delay. Few and disturbed trials are judged worse.
     response : Response
         Of the same trials.
+    device : Device, optional
+        What was learnt from all trials of the experiment (`learn_device`, `with_typical`); by default from these.
 
     Returns
     -------
@@ -126,49 +142,93 @@ def find_disturbance(batch: TrialBatch, response: Response) -> Disturbance:
     """
     n = len(batch)
     first, largest, force = np.full(n, NO_ROW), np.full(n, NO_ROW), np.zeros(n)
-    usable = response.has_edge & (batch.rows > response.edge_row + 2 * SHORTEST_SPAN)
-    device = _fit(batch, response, np.flatnonzero(usable))
     if device is None:
+        device = learn_device(
+            *(TrialGroups((np.arange(n),), (batch,)), response.edge_row, response.floor, batch.rows, batch.step),
+            batch.sampling_period_s,
+        )
+        device = with_typical(device, largest_force(batch, response, device))
+    if not device.mass > 0:
         unknown = "no motion in the experiment's trials from which to know the device"
         return Disturbance(first, largest, 0, force, (unknown,) * n)
-    sensor = SENSOR_FACTOR * np.percentile(response.floor[usable], UPPER) * device.mass
-    smallest = SMALLEST_FORCE * float(np.median(np.abs(batch.step[usable])))
-    period = float(np.median(batch.sampling_period_s))
-    span = int(np.clip(np.ceil(np.sqrt(sensor / smallest) / period), SHORTEST_SPAN, LONGEST_SPAN))
-    # the largest force of each trial in units of the smallest that would be reported there
-    size = np.zeros(n)
-    typical = 0.0
-    for again in (False, True):
-        for start in range(0, n, CHUNK):
-            index = np.arange(start, min(start + CHUNK, n))
-            index = index[usable[index] & (not again or size[index] > 1)]
-            if not len(index):
-                continue
-            trials, floor, edge = batch.select(index), response.floor[index], response.edge_row[index]
-            left, limit = _left_over(trials, device, span, floor)
-            column = np.arange(left.shape[1])[None, :] + span
-            inside = (column > edge[:, None]) & (column < (trials.rows - span)[:, None])
-            ratio = np.where(inside, np.abs(left) / limit, 0.0)
-            if not again:
-                size[index] = ratio.max(axis=1, initial=0.0)
-                continue
-            broken = ratio > max(1.0, TYPICAL_FACTOR * typical)
-            found = broken.any(axis=1)
-            first[index[found]] = np.argmax(broken[found], axis=1) + span
-            peak = np.argmax(ratio[found], axis=1)
-            largest[index[found]] = peak + span
-            force[index[found]] = left[found, peak]
-        typical = float(np.median(size[usable])) if usable.sum() >= FEWEST_TRIALS else 0.0
+    usable = _usable(response.edge_row, batch.rows)
+    for index, ratio, left in _ratios(batch, response, device):
+        broken = ratio > max(1.0, TYPICAL_FACTOR * device.typical)
+        found = broken.any(axis=1)
+        first[index[found]] = np.argmax(broken[found], axis=1) + device.span
+        peak = np.argmax(ratio[found], axis=1)
+        largest[index[found]] = peak + device.span
+        force[index[found]] = left[found, peak]
     reason = tuple("" if good else "too few samples after the step for a balance of forces" for good in usable)
-    return Disturbance(first, largest, span, force, reason)
+    return Disturbance(first, largest, device.span, force, reason)
 
 
-def _fit(batch: TrialBatch, response: Response, usable: Integers) -> _Motion | None:
-    """Fit mass, damping, stiffness and delay to trials of an experiment; None without motion."""
+def largest_force(batch: TrialBatch, response: Response, device: Device) -> Floats:
+    """Return the largest force beside the command of each trial in units of the smallest that would be reported there.
+
+    NaN where the balance cannot be told, shape (n,).
+    """
+    size = np.full(len(batch), np.nan)
+    if device.mass > 0:
+        for index, ratio, _ in _ratios(batch, response, device):
+            size[index] = ratio.max(axis=1, initial=0.0)
+    return size
+
+
+def with_typical(device: Device, size: Floats) -> Device:
+    """Return the device with the force of the middle trial, from `largest_force` of all trials."""
+    told = size[np.isfinite(size)]
+    return replace(device, typical=float(np.median(told)) if len(told) >= FEWEST_TRIALS else 0.0)
+
+
+def learn_device(
+    groups: TrialGroups, edge_row: Integers, floor: Floats, rows: Integers, step: Floats, period_s: Floats
+) -> Device:
+    """Fit the device of an experiment to some of its trials; its mass is 0 where they show no motion.
+
+    Parameters
+    ----------
+    groups : TrialGroups
+        All samples of the experiment.
+    edge_row, floor, rows, step, period_s : shape (n,)
+        Of all trials, in its order: command edge (-1 for none), sensor floor [m, rad], number of samples, step
+        [N, Nm], sampling period [s].
+    """
+    nothing = Device(0.0, 0.0, 0.0, 0, 0)
+    usable = np.flatnonzero(_usable(edge_row, rows))
     if not len(usable):
-        return None
+        return nothing
     some = usable[np.unique(np.linspace(0, len(usable) - 1, FITTED_TRIALS).astype(np.int64))]
-    trials, edge = batch.select(some), response.edge_row[some]
+    first = np.where(rows[some] > FITTED_ROWS, np.maximum(edge_row[some] - LEAD, 0), 0)
+    trials = groups.cut(some, first, np.minimum(rows[some] - first, FITTED_ROWS))
+    device = _fit(trials, edge_row[some] - first, floor[some])
+    if device is None:
+        return nothing
+    sensor = SENSOR_FACTOR * np.percentile(floor[usable], UPPER) * device.mass
+    smallest = SMALLEST_FORCE * float(np.median(np.abs(step[usable])))
+    span = np.ceil(np.sqrt(sensor / smallest) / float(np.median(period_s)))
+    return replace(device, span=int(np.clip(span, SHORTEST_SPAN, LONGEST_SPAN)))
+
+
+def _usable(edge_row: Integers, rows: Integers) -> Booleans:
+    usable: Booleans = (edge_row >= 0) & (rows > edge_row + 2 * SHORTEST_SPAN)
+    return usable
+
+
+def _ratios(batch: TrialBatch, response: Response, device: Device) -> Iterator[tuple[Integers, Floats, Floats]]:
+    """Yield indices of trials, their forces in units of the smallest reported one, and the forces, from row span on."""
+    usable = np.flatnonzero(_usable(response.edge_row, batch.rows))
+    for start in range(0, len(usable), CHUNK):
+        index = usable[start : start + CHUNK]
+        trials = batch.select(index)
+        left, limit = _left_over(trials, device, device.span, response.floor[index])
+        column = np.arange(left.shape[1])[None, :] + device.span
+        inside = (column > response.edge_row[index][:, None]) & (column < (trials.rows - device.span)[:, None])
+        yield index, np.where(inside, np.abs(left) / limit, 0.0), left
+
+
+def _fit(trials: TrialBatch, edge: Integers, floor: Floats) -> Device | None:
+    """Fit mass, damping, stiffness and delay to trials of an experiment; None without motion."""
     acceleration = _second_difference(trials.displacement, FIT_SPAN) / (trials.sampling_period_s[:, None]) ** 2
     velocity, position = _triangle(_velocity(trials), FIT_SPAN), _triangle(np.nan_to_num(trials.displacement), FIT_SPAN)
     column = np.arange(acceleration.shape[1])[None, :] + FIT_SPAN
@@ -197,16 +257,16 @@ def _fit(batch: TrialBatch, response: Response, usable: Integers) -> _Motion | N
     sharp = min(next_to) > SHARP_DELAY * at
     # the smallest jitter that leaves nothing over in the middle trial
     for jitter in range(0 if sharp else 1, WIDEST_JITTER + 1):
-        device = _Motion(1 / inertia, -damping / inertia, -stiffness / inertia, best, jitter)
-        left, limit = _left_over(trials, device, FIT_SPAN, response.floor[some])
-        sensor = _sensor_force(trials, device, FIT_SPAN, response.floor[some])
+        device = Device(1 / inertia, -damping / inertia, -stiffness / inertia, best, jitter)
+        left, limit = _left_over(trials, device, FIT_SPAN, floor)
+        sensor = _sensor_force(trials, device, FIT_SPAN, floor)
         beyond = np.where(inside, np.maximum(np.abs(left) - sensor, 0.0) / limit, 0.0)
         if np.median(beyond.max(axis=1, initial=0.0)) < 1 / TYPICAL_FACTOR:
             break
     return device
 
 
-def _left_over(trials: TrialBatch, device: _Motion, span: int, floor: Floats) -> tuple[Floats, Floats]:
+def _left_over(trials: TrialBatch, device: Device, span: int, floor: Floats) -> tuple[Floats, Floats]:
     """Force beyond all commands that may be in force, and the smallest one to be believed, from row span on."""
     period = trials.sampling_period_s[:, None]
     weight = float(span * span)
@@ -225,7 +285,7 @@ def _left_over(trials: TrialBatch, device: _Motion, span: int, floor: Floats) ->
     return left, np.maximum(SMALLEST_FORCE * np.abs(trials.step)[:, None], sensor) + model
 
 
-def _sensor_force(trials: TrialBatch, device: _Motion, span: int, floor: Floats) -> Floats:
+def _sensor_force(trials: TrialBatch, device: Device, span: int, floor: Floats) -> Floats:
     """Largest force that the sensor feigns, shape (n, 1) [N, Nm]."""
     result: Floats = SENSOR_FACTOR * device.mass * floor[:, None] / (trials.sampling_period_s[:, None] * span) ** 2
     return result

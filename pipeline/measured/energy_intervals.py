@@ -260,14 +260,14 @@ def _sensor_error(
     The slope of the sum to each reading, correlated with the wall's answer to an error, is the slope to each error.
     """
     result = np.zeros((len(spring), len(WEIGHTS)))
-    columns = int(terms.stop.max(initial=1))
+    columns = error.weight.shape[1]
     length = 1 << (2 * columns - 1).bit_length()
-    answer = np.conj(np.fft.rfft(error.weight[:, :columns], length))
-    position = spring[:, None] * terms.error[:, :columns]
-    speed = inertia[:, None] * terms.change[:, :columns]
+    answer = np.conj(np.fft.rfft(error.weight, length))
+    position = spring[:, None] * terms.error
+    speed = inertia[:, None] * terms.change
     for w, k in enumerate(weight):
-        moving = k[:, :columns] * speed
-        slope = 2 * (k[:, :columns] * position + moving)
+        moving = k * speed
+        slope = 2 * (k * position + moving)
         slope[:, :-1] -= 2 * moving[:, 1:]
         each = np.fft.irfft(np.fft.rfft(slope, length) * answer, length)[:, 1:columns]
         # the first reading is the reference of all others

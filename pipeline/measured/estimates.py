@@ -6,11 +6,11 @@ when it is wrong. Else the methods of the thesis stand, with a warning that says
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Protocol
 
 import numpy as np
 
+from pipeline.base.wording import commonest
 from pipeline.measured import aggregate, damping
 from pipeline.measured.combine import combine, with_sign_warning
 from pipeline.measured.response import NO_ROW
@@ -39,12 +39,6 @@ class Stored(Protocol):
 
     def texts(self, stage: str, name: str) -> list[str]:
         """Text column of a stage, null as an empty string."""
-
-
-def commonest(reasons: Sequence[str]) -> str:
-    """Return the reason that most trials have; empty where none has one."""
-    given = [reason for reason in reasons if reason]
-    return max(set(given), key=given.count) if given else ""
 
 
 def delay_estimate(of: Stored) -> Estimate:

@@ -57,15 +57,22 @@ CHUNK = 64
 """Trials that are looked at together: an array of theirs, 0.5 MB at 1,000 rows, stays in a processor's cache."""
 
 
-def left_travel(batch: TrialBatch, response: Response) -> Integers:
+def usual_length(rows: Integers) -> int:
+    """Return the number of rows that most logs have, of equally common ones the largest; 0 without logs."""
+    lengths, counts = np.unique(rows, return_counts=True)
+    return int(lengths[len(counts) - 1 - np.argmax(counts[::-1])]) if len(counts) else 0
+
+
+def left_travel(batch: TrialBatch, response: Response, usual: int) -> Integers:
     """Return the last row of logs that ended because the device left its travel, -1 for others, shape (n,).
 
     Parameters
     ----------
     batch : TrialBatch
-        Trials of one experiment: a log ended early if it is shorter than most of them.
     response : Response
         Of the same trials.
+    usual : int
+        Rows of most logs of the experiment: a shorter one ended early.
 
     Notes
     -----
@@ -74,8 +81,6 @@ def left_travel(batch: TrialBatch, response: Response) -> Integers:
     recording was stopped by hand at that moment looks the same. In an experiment whose logs all end early, or
     of a single log, it cannot be told.
     """
-    lengths, counts = np.unique(batch.rows, return_counts=True)
-    usual = lengths[len(counts) - 1 - np.argmax(counts[::-1])] if len(counts) else 0
     centre = np.where(batch.stiffness > 0, response.position_final_expected, response.position_start)
     distance = np.where(batch.valid, np.abs(batch.position - centre[:, None]), 0.0)
     end, before = (_row(distance, batch.rows - back) for back in (1, 2))

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.measured.fit_motion import Order, Step, acting, step_changes, step_of
+from pipeline.measured.fit_noise import over_rows
 from pipeline.records.batch import Booleans, Floats, Integers
 
 START, GAIN, DELAY, DAMPING, STIFFNESS = range(5)
@@ -212,15 +213,15 @@ def filter_gains(weighed: Floats, run: Floats, shock: Floats, parameters: Floats
     if not shock.any():
         spread = np.where(inside, weighed, 1.0)
         correction = None
-        information = np.where(inside, 1 / run, 0.0).sum(axis=0)
+        information = over_rows("kn->n", np.where(inside, 1 / run, 0.0))
     else:
         correction, spread = _kalman(weighed, shock, parameters, order)
         spread = np.where(inside, spread, 1.0)
         # of the variance of an error, the reading's part counts once a run
         reading = np.where(inside, weighed, 0.0) / spread
-        information = np.where(inside, 1 - reading * (1 - 1 / run), 0.0).sum(axis=0)
+        information = over_rows("kn->n", np.where(inside, 1 - reading * (1 - 1 / run), 0.0))
     weight = np.where(inside, 1 / np.sqrt(spread), 0.0)
-    return Gains(correction, weight, np.log(spread).sum(axis=0), information)
+    return Gains(correction, weight, over_rows("kn->n", np.log(spread)), information)
 
 
 def _kalman(weighed: Floats, shock: Floats, parameters: Floats, order: Order) -> tuple[Floats, Floats]:

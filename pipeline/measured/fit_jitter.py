@@ -9,7 +9,7 @@ import numpy as np
 
 from pipeline.measured.fit_filter import STIFFNESS, Gains, filter_gains
 from pipeline.measured.fit_motion import Order
-from pipeline.measured.fit_noise import portmanteau
+from pipeline.measured.fit_noise import over_rows, portmanteau
 from pipeline.measured.fit_search import (
     SEARCH_REACH,
     SEARCH_ROWS,
@@ -226,13 +226,13 @@ def _inflation(columns: Floats, normal: Floats, covariance: Floats) -> Floats:
     error put back to what it was before the fit took its share of it (leverage). A few hundred rows tell this sum
     poorly, so that it is at least what commands that do not overtake make of a steadily changing force.
     """
-    weight_of = np.einsum("nij,kjn->kin", inverse(normal), columns[:, 1:])
-    leverage = np.einsum("kin,kin->kn", weight_of, columns[:, 1:])
+    weight_of = over_rows("ijn,kjn->kin", np.moveaxis(inverse(normal), 0, -1), columns[:, 1:])
+    leverage = over_rows("kin,kin->kn", weight_of, columns[:, 1:])
     share = weight_of * (columns[:, 0] / (1 - np.minimum(leverage, LARGEST_LEVERAGE)))[:, None, :]
-    total = np.einsum("kin,kin->in", share, share)
+    total = over_rows("kin,kin->in", share, share)
     for lag in range(1, CORRELATED_ROWS + 1):
         weight = 2 * (1 - lag / (CORRELATED_ROWS + 1))
-        total += weight * np.einsum("kin,kin->in", share[lag:], share[:-lag])
+        total += weight * over_rows("kin,kin->in", share[lag:], share[:-lag])
     expected = np.einsum("nii->in", covariance)
     result: Floats = np.sqrt(np.maximum(total / expected, 1 + 2 * ARRIVAL_CORRELATION))
     return result
@@ -250,7 +250,7 @@ def deviance(window: Window, parameters: Floats, jitter: Floats, order: Order) -
 
 def _deviance(window: Window, parameters: Floats, gains: Gains, jitter: Floats, order: Order) -> Floats:
     white = predicted(window, parameters, gains, jitter, order, derivatives=False)[:, 0]
-    cost = np.einsum("kn,kn->n", white, white)
+    cost = over_rows("kn,kn->n", white, white)
     mean = cost / np.maximum(gains.information - len(parameters), 1.0)
     lowest = np.where(window.noise_known, smallest_scale(window), 1e-300)
     highest = np.where(window.noise_known, LARGEST_SCALE, np.inf)
@@ -265,7 +265,7 @@ def steady_force_deviance(window: Window, parameters: Floats, jitter: Floats, or
     In place of the jitter there is an unknown force of the same variance in every row: jitter acts only where the
     command changes, friction and resonances act all the time.
     """
-    mean = (shock_at(window, parameters, jitter) * window.inside).sum(axis=0) / window.inside.sum(axis=0)
+    mean = over_rows("kn->n", shock_at(window, parameters, jitter) * window.inside) / window.inside.sum(axis=0)
     shares = np.array(STEADY_SHARES)
 
     def at(trials: Integers, rung: Integers) -> Floats:

@@ -11,6 +11,16 @@ PORTMANTEAU_LAGS = 20
 waves that a wrong model leaves, short enough for 100 rows."""
 
 
+def over_rows(subscripts: str, *factors: Floats) -> Floats:
+    """Return a sum by ``numpy.einsum`` whose last axis is the trials, rounded the same for one trial as for several.
+
+    Of a single trial numpy would add the rows in another order, and a trial's fit must not depend on its company.
+    """
+    several = factors if factors[0].shape[-1] != 1 else tuple(np.repeat(factor, 2, axis=-1) for factor in factors)
+    result: Floats = np.einsum(subscripts, *several)
+    return result[..., : factors[0].shape[-1]]
+
+
 def runs(readings: Floats, inside: Booleans) -> Floats:
     """Return the length of the run of equal readings around each one, shape (N, n), time along the first axis."""
     N, n = readings.shape
@@ -48,13 +58,13 @@ def portmanteau(white: Floats, counted: Booleans, *, lags: int = PORTMANTEAU_LAG
     ones = counted.astype(np.float64)
     count = counted.sum(axis=0)
     enough = count >= 2 * lags
-    variance = np.einsum("kn,kn->n", used, used) / np.maximum(count, 1)
+    variance = over_rows("kn,kn->n", used, used) / np.maximum(count, 1)
     enough &= variance > 0
     variance = np.where(enough, variance, 1.0)
     statistic = np.zeros(white.shape[1])
     for lag in range(1, min(lags, len(white) - 1) + 1):
-        pairs = np.einsum("kn,kn->n", ones[lag:], ones[:-lag])
-        product = np.einsum("kn,kn->n", used[lag:], used[:-lag])
+        pairs = over_rows("kn,kn->n", ones[lag:], ones[:-lag])
+        product = over_rows("kn,kn->n", used[lag:], used[:-lag])
         statistic += product**2 / (np.maximum(pairs, 1) * variance**2)
     return np.where(enough, _chi_square_tail(statistic, lags), np.nan)
 

@@ -19,6 +19,7 @@ from pipeline.measured.fit_filter import (
     spread_force,
 )
 from pipeline.measured.fit_motion import LARGEST_RATE, Order
+from pipeline.measured.fit_noise import over_rows
 from pipeline.measured.fit_window import ROUNDING, Window
 from pipeline.records.batch import Booleans, Floats, Integers
 
@@ -133,10 +134,10 @@ def starting_values(window: Window, lag: Integers, *, stiffness: bool, order: Or
         for column, source in zip(columns, sources, strict=False):
             column[:shift] = 0.0
             column[shift:] = source[: rows - shift] if shift < rows else 0.0
-        normal = np.stack([[np.einsum("kn,kn,kn->n", a, b, weight) for b in columns] for a in columns])
-        right = np.stack([np.einsum("kn,kn->n", a * weight, z) for a in columns])
+        normal = np.stack([[over_rows("kn,kn,kn->n", a, b, weight) for b in columns] for a in columns])
+        right = np.stack([over_rows("kn,kn->n", a * weight, z) for a in columns])
         solved = _solve(np.moveaxis(normal, 2, 0), right.T, 0.0)
-        residual = np.einsum("kn,kn->n", z * weight, z) - np.einsum("nc,cn->n", solved, right)
+        residual = over_rows("kn,kn->n", z * weight, z) - np.einsum("nc,cn->n", solved, right)
         with np.errstate(divide="ignore", invalid="ignore"):
             delta = np.clip(np.nan_to_num(solved[:, 1] / solved[:, 0]), 0.0, 0.3 * LARGEST_RATE)
         better = (residual < cost) & (solved[:, 0] > 0)
@@ -223,7 +224,7 @@ def _solution(position: Floats, force: Floats, gains: Gains, parameters: Floats,
     columns = predict(position, force, gains, parameters, order=order)
     for i in range(1 + P):
         for j in range(i + 1):
-            product[:, i, j] = product[:, j, i] = np.einsum("kn,kn->n", columns[:, i], columns[:, j])
+            product[:, i, j] = product[:, j, i] = over_rows("kn,kn->n", columns[:, i], columns[:, j])
     return Solution(
         parameters=parameters.copy(),
         normal=product[:, 1:, 1:],

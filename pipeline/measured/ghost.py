@@ -17,6 +17,12 @@ from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
 BAND_SIGMAS = 6.0
 """Distance from the log, in errors of a reading, that the sensor alone does not make: one in 1e6 samples does."""
 
+LONGEST_ROWS = 1 << 17
+"""Rows that are simulated of a ghost that does not come to rest: two minutes at 1 kHz, and some seconds of computing."""
+
+REST_ROWS, REST = 4096, 1e-15
+"""A ghost rests that moved over so many rows by no more than this part of what it may reach: by rounding alone."""
+
 
 @dataclass(frozen=True, eq=False)
 class Ghost:
@@ -54,7 +60,8 @@ def simulate_ghost(batch: TrialBatch, response: Response, mass: Floats, damping:
     Notes
     -----
     Ideal sensor, constant delay, exact motion between samples. The device rests until the command edge. An unstable
-    ghost grows as its log does; it is cut where it exceeds a hundred times what the log shows.
+    ghost grows as its log does; it is cut where it exceeds a hundred times what the log shows. A ghost that comes to rest
+    stays there; one that does not is simulated for `LONGEST_ROWS` and has no position behind them.
 
     Source: Hulin 2017, eqs. 3.3 to 3.8 and 3.18 (fractional delay: sec. 7.2).
     """
@@ -67,16 +74,23 @@ def simulate_ghost(batch: TrialBatch, response: Response, mass: Floats, damping:
     s = step_of(b * T / m, np.zeros(n), d - whole, "second")
     scale = T * T / m
     reach = 100 * np.nanmax(np.abs(batch.displacement), axis=1, initial=0.0)
-    command = np.zeros((rows + 1, n))  # the last row stands for what was commanded before the log: nothing
-    position = np.zeros((rows, n))
+    # the last row stands for what was commanded before the log: nothing
+    command = np.zeros((min(rows, LONGEST_ROWS) + 1, n))
+    position = np.full((rows, n), np.nan)
+    rests, done = ~known, 0
     x, v, before = np.zeros(n), np.zeros(n), np.zeros(n)
     trial = np.arange(n)
-    for k in range(rows):
+    for k in range(len(command) - 1):
+        if k % REST_ROWS == 0 and k:
+            moved = np.ptp(position[k - REST_ROWS : k], axis=0)
+            rests |= (moved <= REST * reach) & (response.edge_row < k - REST_ROWS)
+            if rests.all():
+                break
         position[k] = x
         outer = np.where(k >= response.edge_row, batch.step, 0.0)
         command[k] = outer - batch.stiffness * x - batch.damping * (x - before) / T
         before = x
-        new, old = (np.where(row >= 0, row, rows) for row in (k - whole, k - whole - 1))
+        new, old = (np.where(row >= 0, row, len(command) - 1) for row in (k - whole, k - whole - 1))
         u_old, u_new = scale * command[old, trial], scale * command[new, trial]
         x, v = (
             s.xx * x + s.xv * v + s.old_x * u_old + s.new_x * u_new,
@@ -84,13 +98,15 @@ def simulate_ghost(batch: TrialBatch, response: Response, mass: Floats, damping:
         )
         inside = np.abs(x) <= reach
         x, v = np.where(inside, x, 0.0), np.where(inside, v, 0.0)
+        x, done = np.where(rests, before, x), k + 1
+    position[done:, rests] = x[rests]
     simulated = batch.position[:, :1] + np.where(known[:, None] & batch.valid, position.T, np.nan)
     return _beside(batch, response, simulated, known)
 
 
 def _beside(batch: TrialBatch, response: Response, simulated: Floats, known: Booleans) -> Ghost:
     column = np.arange(batch.position.shape[1])[None, :]
-    counted = batch.valid & (column >= response.edge_row[:, None]) & known[:, None]
+    counted = batch.valid & (column >= response.edge_row[:, None]) & np.isfinite(simulated)
     error = np.where(counted, batch.position - simulated, 0.0)
     rms = np.sqrt((error**2).sum(axis=1) / np.maximum(counted.sum(axis=1), 1))
     reading = np.hypot(np.nan_to_num(response.sensor_noise), response.sensor_quantum / np.sqrt(12))

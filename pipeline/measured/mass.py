@@ -5,11 +5,12 @@ It knows the device as a mass alone; `friction.fit_balance` corrects for damping
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.base.wording import percent
+from pipeline.base.wording import commonest, percent
 from pipeline.measured.momentum import acting_force, balance
 from pipeline.measured.response import Response
 from pipeline.records.batch import Floats, Integers, TrialBatch
@@ -216,18 +217,18 @@ def window_scan(
         for window in windows_s
     ]
     masses = np.reshape([f.mass_momentum for f in found], (len(found), len(batch))).T
+    return scan_of(windows_s, masses, [f.reason for f in found])
+
+
+def scan_of(windows_s: Floats, masses: Floats, reasons: Sequence[Sequence[str]]) -> WindowScan:
+    """Return what the masses of all trials show, shape (n, w); ``reasons`` say for each window why trials have none."""
     trials = np.isfinite(masses).sum(axis=0)
-    median, scatter = np.full(len(found), np.nan), np.full(len(found), np.nan)
+    median, scatter = np.full((2, len(windows_s)), np.nan)
     for i in np.flatnonzero(trials > 1):
         low, median[i], high = np.nanquantile(masses[:, i], (0.25, 0.5, 0.75))
         scatter[i] = (high - low) / 1.349
-    reasons = tuple(_commonest(f.reason) for f in found)
-    return WindowScan(np.asarray(windows_s, dtype=np.float64), masses, median, scatter, trials, reasons)
-
-
-def _commonest(reasons: tuple[str, ...]) -> str:
-    given = [reason for reason in reasons if reason]
-    return max(sorted(set(given)), key=given.count) if given else ""
+    most = tuple(commonest(why) for why in reasons)
+    return WindowScan(np.asarray(windows_s, dtype=np.float64), masses, median, scatter, trials, most)
 
 
 def correct(masses: Masses, viscous_damping: float | Floats) -> Floats:

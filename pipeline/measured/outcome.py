@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.measured.disturbance import find_disturbance
-from pipeline.measured.events import UNMOVED_SAMPLES, first_clipped, first_stop, free_samples, left_travel
+from pipeline.measured.disturbance import Device, find_disturbance
+from pipeline.measured.events import UNMOVED_SAMPLES, first_clipped, first_stop, free_samples, left_travel, usual_length
 from pipeline.measured.modes import FEWEST_SAMPLES
 from pipeline.measured.response import NO_ROW, Response
 from pipeline.measured.verdict import Verdicts
@@ -116,7 +116,14 @@ class _End:
     amplitude: Floats
 
 
-def classify(batch: TrialBatch, response: Response, verdicts: Verdicts) -> Outcomes:
+def classify(
+    batch: TrialBatch,
+    response: Response,
+    verdicts: Verdicts,
+    *,
+    usual_rows: int | None = None,
+    device: Device | None = None,
+) -> Outcomes:
     """Say of each trial what happened in it.
 
     Parameters
@@ -125,6 +132,8 @@ def classify(batch: TrialBatch, response: Response, verdicts: Verdicts) -> Outco
         Trials of one experiment: its usual length tells early ends, its device what is a disturbance.
     response, verdicts : Response, Verdicts
         Of the same trials.
+    usual_rows, device : int, Device, optional
+        `usual_length` of the logs of the experiment, and its device (`find_disturbance`); by default by these trials.
 
     Returns
     -------
@@ -146,8 +155,11 @@ def classify(batch: TrialBatch, response: Response, verdicts: Verdicts) -> Outco
     band = np.where(batch.stiffness > 0, np.maximum(BAND * travel, response.floor), np.nan)
     end = _end(batch, response, verdicts, band)
     clipped, limit = first_clipped(batch)
-    push = find_disturbance(batch, response)
-    stop, left = first_stop(batch, response, push), left_travel(batch, response)
+    push = find_disturbance(batch, response, device)
+    stop, left = (
+        first_stop(batch, response, push),
+        left_travel(batch, response, usual_length(batch.rows) if usual_rows is None else usual_rows),
+    )
     free = free_samples(batch, response)
     waiting = (free == 0) & (batch.rows - response.edge_row <= UNMOVED_SAMPLES)
     unmoved = (free == 0) & ~waiting & ~(travel <= band)

@@ -87,7 +87,51 @@ class _Variances:
     rest: Floats
 
 
-def reading_error(batch: TrialBatch, response: Response, delay_samples: int = 0) -> ReadingError:
+def sensor_error(noise: Floats, quantum: Floats) -> float:
+    """Return the standard deviation of the error of one reading [m, rad], one for all trials of an experiment.
+
+    Parameters
+    ----------
+    noise, quantum : float64, shape (n,)
+        Of each trial [m, rad]; NaN where not known. The median of many short baselines is far surer than each of them.
+    """
+    variance = np.maximum(noise**2, UNIFORM_VARIANCE * quantum**2)
+    seen = np.isfinite(variance)
+    return float(np.sqrt(np.median(variance[seen]))) if seen.any() else float("nan")
+
+
+def usual_rest(rest: Floats) -> float:
+    """Return the motion at rest that trials without any of their own take: the median of the others, 1 or more."""
+    rests = np.isfinite(rest)
+    return max(float(np.median(rest[rests])), 1.0) if rests.any() else 1.0
+
+
+def motion_at_rest(batch: TrialBatch, response: Response, delay_samples: int, sensor: float) -> Floats:
+    """Return the motion at the end of each trial relative to what the sensor explains, NaN where none, shape (n,).
+
+    Parameters
+    ----------
+    batch, response, delay_samples
+        As in `reading_error`.
+    sensor : float
+        Standard deviation of the error of one reading [m, rad], see `sensor_error`.
+    """
+    known = response.has_edge & np.isfinite(sensor)
+    found = (
+        _variances(part, response.select(some), delay_samples, np.full(len(part), sensor), known[some]).rest
+        for some, part in batch.portions(CHUNK)
+    )
+    return np.concatenate(list(found))
+
+
+def reading_error(
+    batch: TrialBatch,
+    response: Response,
+    delay_samples: int = 0,
+    *,
+    sensor: float | None = None,
+    rest: float | None = None,
+) -> ReadingError:
     """Return the standard error of each reading against the same trial with an ideal sensor.
 
     Parameters
@@ -98,6 +142,8 @@ def reading_error(batch: TrialBatch, response: Response, delay_samples: int = 0)
     delay_samples : int
         Integer delay factor, up to which nothing can be fed back; a smaller one (0 where none is known) does no
         harm but takes the noise of some more samples for an answer.
+    sensor, rest : float, optional
+        `sensor_error` and `usual_rest` of the experiment; by default those of these trials.
 
     Returns
     -------
@@ -135,27 +181,23 @@ def reading_error(batch: TrialBatch, response: Response, delay_samples: int = 0)
     if delay_samples < 0:
         raise ParameterError(f"delay of {delay_samples} samples: expected an integer >= 0.")
     n, columns = batch.position.shape
-    variance = np.maximum(response.sensor_noise**2, UNIFORM_VARIANCE * response.sensor_quantum**2)
-    seen = np.isfinite(variance)
-    # one sensor for all: the median of many short baselines is far surer than each of them
-    sensor = np.full(n, np.sqrt(np.median(variance[seen])) if seen.any() else np.nan)
+    one = sensor_error(response.sensor_noise, response.sensor_quantum) if sensor is None else sensor
     reason = tuple(
         ("" if edge >= 0 else f"no start of the response: {why}")
-        or ("" if known else "noise of the sensor not known: too few rows before the step in all trials")
-        for edge, why, known in zip(response.edge_row, response.edge_reason, np.isfinite(sensor), strict=True)
+        or ("" if np.isfinite(one) else "noise of the sensor not known: too few rows before the step in all trials")
+        for edge, why in zip(response.edge_row, response.edge_reason, strict=True)
     )
     known = np.array([not text for text in reason], dtype=np.bool_)
-    sensor = np.where(known, sensor, np.nan)
+    each = np.where(known, one, np.nan)
     found = [
-        _variances(part, response.select(some), delay_samples, sensor[some], known[some])
+        _variances(part, response.select(some), delay_samples, each[some], known[some])
         for some, part in batch.portions(CHUNK)
     ]
-    weight, weight_noise, change_noise, rest = (
+    weight, weight_noise, change_noise, own = (
         np.concatenate([getattr(part, name) for part in found])
         for name in ("weight", "weight_noise", "change_noise", "rest")
     )
-    rests = np.isfinite(rest)
-    excess = np.maximum(np.where(rests, rest, float(np.median(rest[rests])) if rests.any() else 1.0), 1.0)
+    excess = np.maximum(np.where(np.isfinite(own), own, usual_rest(own) if rest is None else rest), 1.0)
     deviation, change = np.empty((n, columns)), np.empty((n, columns))
     for (some, part), variances in zip(batch.portions(CHUNK), found, strict=True):
         hidden = ~(known[some, None] & part.valid)
@@ -166,11 +208,11 @@ def reading_error(batch: TrialBatch, response: Response, delay_samples: int = 0)
         # slow motion, which hardly adds to the changes from reading to reading
         square = variances.kept + np.maximum(gain, 1.0) * variances.answered
         for result, value in ((deviation, square), (change, variances.change)):
-            result[some] = np.where(hidden, np.nan, sensor[some, None] * np.sqrt(value))
+            result[some] = np.where(hidden, np.nan, each[some, None] * np.sqrt(value))
             # the first reading is its own reference
             result[some, 0] = np.where(hidden[:, 0], np.nan, 0.0)
     return ReadingError(
-        sensor=sensor,
+        sensor=each,
         excess=excess,
         weight=weight,
         weight_noise=weight_noise,

@@ -199,6 +199,12 @@ def declare_edge(batch: TrialBatch, response: Response, edge_row: int | Integers
     )
 
 
+def sensor_floor(quantum: Floats, noise: Floats) -> Floats:
+    """Return the position amplitude that quantum and noise alone can cause [m, rad]; a noise of NaN counts as none."""
+    floor: Floats = quantum + NOISE_FACTOR * np.nan_to_num(noise)
+    return floor
+
+
 def external_force(batch: TrialBatch) -> Floats:
     """Return command plus wall force, shape (n, N) [N, Nm]: the external step as the controller added it.
 
@@ -348,7 +354,7 @@ def _baseline(batch: TrialBatch, quantum: Floats, edge: Integers) -> dict[str, F
     """Return what the rows before the edge tell: noise, sensor floor and motion, each of shape (n,)."""
     baseline = np.arange(batch.position.shape[1])[None, :] < edge[:, None]
     noise = _white_noise(batch.position, baseline)
-    floor = quantum + NOISE_FACTOR * np.nan_to_num(noise)
+    floor = sensor_floor(quantum, noise)
     return {"sensor_noise": noise, "floor": floor, "baseline_motion": _motion(batch.displacement, baseline, floor)}
 
 

@@ -1,28 +1,37 @@
 """Stages of the measured branch: each takes the samples of one experiment and writes one table.
 
 A stage is reused while its key is the same: a hash of the trials (source and profile hashes), of the code that
-computes it, and of the values it takes from stages before it.
+computes it, and of the values it takes from stages before it. Where it is not, the rows of those trials are still
+reused whose samples are the same, computed by the same code with the same values of the experiment.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 import pyarrow as pa
 
+from pipeline.base.disk import if_writable
 from pipeline.base.errors import StoreError
 from pipeline.base.provenance import code_digest, digest, stamp
-from pipeline.measured import aggregate, estimates, response, verdict
-from pipeline.measured.stage_columns import COMPUTE
-from pipeline.records.batch import Floats, TrialBatch
+from pipeline.base.wording import commonest
+from pipeline.measured import aggregate, estimates, verdict
+from pipeline.measured.stage_columns import stage_rows
+from pipeline.measured.stage_given import DERIVED, GIVEN, WHOLE
+from pipeline.measured.stage_groups import Given, TrialGroup
+from pipeline.records.batch import Floats
+from pipeline.records.groups import TrialGroups
 from pipeline.records.models import ENERGY_CRITERIA, SETTLING_BANDS, BoundaryPoint, Estimate, ModelCheck, Optimum
-from pipeline.records.tables import read_metadata, read_table, to_arrow, write_table
-from pipeline.store.storage import load_batch, stage_file
+from pipeline.records.tables import arrow_schema, read_metadata, read_table, to_arrow, write_table
+from pipeline.store.samples import load_groups
+from pipeline.store.storage import stage_file
 
 STAGES = (
     *("response", "outcome", "boundary", "delay", "model", "damping", "mass"),
@@ -50,7 +59,10 @@ SAMPLED = "response"
 
 _SHARED_CODE = (
     "batch",
+    "groups",
     "stages",
+    "stage_groups",
+    "stage_given",
     "stage_columns",
     "aggregate",
     "estimates",
@@ -77,6 +89,11 @@ _CODE: dict[str, tuple[str, ...]] = {
     "windows": (*_BALANCE, "mass"),
 }
 
+ROW_KEY = "samples_sha256"
+"""Column by which a row of a stage is known; what else it rests on is the same for all rows of a file."""
+
+Result = TypeVar("Result")
+
 
 @dataclass
 class ExperimentStages:
@@ -95,6 +112,7 @@ class ExperimentStages:
     experiment: str
     trials: pa.Table
     _tables: dict[str, pa.Table] = field(default_factory=dict)
+    _mapped: Callable[..., Iterable[Any]] = map
 
     @cached_property
     def rotation(self) -> bool:
@@ -122,16 +140,24 @@ class ExperimentStages:
         return digest(sorted("|".join(map(str, row)) for row in rows))
 
     @cached_property
-    def batch(self) -> TrialBatch:
+    def samples(self) -> TrialGroups:
         """All samples of the experiment, read when a stage has to be computed."""
-        return load_batch(self.processed, self.trials)
+        return load_groups(self.processed, self.trials)
 
     @cached_property
-    def found(self) -> response.Response:
-        """Edge and resolution of each trial; a declared step row stands for what the log does not show."""
-        found = response.find_response(self.batch)
-        declared = self.batch.step_row
-        return found if declared is None else response.declare_edge(self.batch, found, declared)
+    def _groups(self) -> list[TrialGroup]:
+        return [TrialGroup(part) for part in self.samples.parts]
+
+    @cached_property
+    def _judged(self) -> list[TrialGroup]:
+        """The groups with the verdicts of their trials."""
+        for group, places in zip(self._groups, self.samples.places, strict=True):
+            group.verdicts = self.verdicts.select(places)
+        return self._groups
+
+    def of_each(self, function: Callable[..., Result], **given: Any) -> list[Result]:
+        """Return the results of a function of each group, `TrialGroup` and what is given, in order of the groups."""
+        return list(self._mapped(partial(function, given=given), self._judged))
 
     def key(self, stage: str) -> str:
         """Return the key under which the result of a stage is valid."""
@@ -159,33 +185,73 @@ class ExperimentStages:
             if self.is_stored(stage):
                 self._tables[stage] = read_table(self._file(stage))
             else:
-                columns = COMPUTE[stage](self)
-                metadata = stamp(
-                    stage=stage,
-                    key=self.key(stage),
-                    inputs=self.inputs_digest,
-                    code=code_digest(*_SHARED_CODE, *_CODE[stage]),
-                    parameters=json.dumps(self._parameters(stage)),
-                    **({"samples": self.batch.digest} if stage == SAMPLED else {}),
-                )
-                result = to_arrow(stage, columns, rotation=self.rotation, metadata=metadata)
-                write_table(self._file(stage), result)
-                self._tables[stage] = result
+                self._tables[stage] = self._whole(stage) if stage in WHOLE else self._of_trials(stage)
+                with if_writable():
+                    write_table(self._file(stage), self._tables[stage])
         return self._tables[stage]
+
+    def compute(self, stages: Sequence[str], mapped: Callable[..., Iterable[Any]]) -> None:
+        """Compute and store some stages, in this order, by a ``map`` that may send groups to other processes."""
+        self._mapped = mapped
+        try:
+            for stage in stages:
+                self.table(stage)
+        finally:
+            self._mapped = map
+
+    def take_over(self, tables: Mapping[str, pa.Table]) -> None:
+        """Take results that another process has computed of the same trials."""
+        self._tables |= tables
+
+    def count_new_trials(self) -> int:
+        """Return how many trials have no stored row of the first stage that would be reused."""
+        former = self._former(SAMPLED, self._common(SAMPLED, {}))
+        return len(set(self.samples.of_trials("digests").tolist()) - set(former.column(ROW_KEY).to_pylist()))
+
+    def _common(self, stage: str, given: Given) -> str:
+        """Return a hash of all that the rows of a stage rest on beside their samples."""
+        code = code_digest(*_SHARED_CODE, *(name for each in required([stage]) for name in _CODE[each]))
+        return digest([stage, code, given, self.rotation])
+
+    def _whole(self, stage: str) -> pa.Table:
+        return to_arrow(stage, WHOLE[stage](self), rotation=self.rotation, metadata=self._stamp(stage))
+
+    def _of_trials(self, stage: str) -> pa.Table:
+        """Compute a stage with one row a trial, but for the rows that are stored and rest on the same."""
+        given = GIVEN[stage](self)
+        common = self._common(stage, given)
+        former = self._former(stage, common)
+        kept = set(former.column(ROW_KEY).to_pylist())
+        groups = self._groups if stage == SAMPLED else self._judged
+        new = [group.select(np.array([key not in kept for key in group.batch.digests])) for group in groups]
+        compute = partial(stage_rows, stage=stage, given=given, rotation=self.rotation)
+        rows = pa.concat_tables([former, *self._mapped(compute, [group for group in new if len(group.batch)])])
+        if stage in DERIVED:
+            for name, values in DERIVED[stage](self, rows).items():
+                index = rows.schema.get_field_index(name)
+                rows = rows.set_column(index, rows.schema.field(name), pa.array(values, from_pandas=True))
+        place = {key: row for row, key in enumerate(rows.column(ROW_KEY).to_pylist())}
+        order = [place[key] for key in self.samples.of_trials("digests").tolist()]
+        samples = {"samples": self.samples.digest} if stage == SAMPLED else {}
+        metadata = self._stamp(stage, given=json.dumps(given), common=common, **samples)
+        return rows.take(order).cast(arrow_schema(stage, rotation=self.rotation, metadata=metadata))
+
+    def _former(self, stage: str, common: str) -> pa.Table:
+        """Return the stored rows of a stage that rest on the same of the experiment; none where they are damaged."""
+        schema = arrow_schema(stage, rotation=self.rotation)
+        if read_metadata(self._file(stage)).get("pipeline.common") == common:
+            with suppress(StoreError):
+                return read_table(self._file(stage)).replace_schema_metadata(schema.metadata)
+        return schema.empty_table()
+
+    def _stamp(self, stage: str, **more: str) -> Mapping[str, str]:
+        code = code_digest(*_SHARED_CODE, *_CODE[stage])
+        return stamp(stage=stage, key=self.key(stage), inputs=self.inputs_digest, code=code, **more)
 
     @property
     def samples_digest(self) -> str:
         """Hash of the samples that the results rest on, as they were when the first stage was computed."""
         return str(self.table(SAMPLED).schema.metadata[b"pipeline.samples"].decode())
-
-    def _parameters(self, stage: str) -> dict[str, float | None]:
-        """Values from earlier stages that a stage was computed with."""
-        parameters: dict[str, float | None] = {}
-        if "delay" in NEEDS[stage]:
-            parameters["delay_samples"] = self.delay_estimate.value
-        if "damping" in NEEDS[stage]:
-            parameters["viscous_damping"] = self.damping_estimate.value
-        return parameters
 
     def column(self, stage: str, name: str) -> Floats:
         """Return a numeric column of a stage as float64, null as NaN."""
@@ -256,7 +322,7 @@ class ExperimentStages:
     def cost(self, criterion: str) -> tuple[Floats, str]:
         """Return the cost of each trial by a criterion (NaN where there is none) and, if none has one, why."""
         stage, column = cost_column(criterion)
-        return self.column(stage, column), estimates.commonest(self.texts(stage, "reason"))
+        return self.column(stage, column), commonest(self.texts(stage, "reason"))
 
     def cost_interval(self, criterion: str) -> tuple[Floats, Floats]:
         """Return lower and upper end of the 95 % interval of each trial's cost, NaN where there is none."""

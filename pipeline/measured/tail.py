@@ -115,7 +115,8 @@ def extrapolate(
     """
     horizon = stop - first
     width = np.maximum(horizon // WINDOW_PART, 1)
-    longest = int(width.max(initial=1))
+    # of the whole array, not of these trials: where a row stands decides how its sums are rounded
+    longest = max(error.shape[1] // WINDOW_PART, 1)
     # column 0 lies `longest` samples before the last but one of the horizon: the last has no sample after it
     lag = np.arange(longest, 0, -1)[None, :]
     inside = (lag <= width[:, None]) & (lag < horizon[:, None])

@@ -59,9 +59,10 @@ class Verdicts:
     growth_per_s: Floats
     reason: tuple[str, ...]
 
-    def select(self, some: slice) -> Verdicts:
-        """Return the verdicts of the trials in a slice."""
-        return Verdicts(self.verdict[some], self.growth_per_s[some], self.reason[some])
+    def select(self, some: Integers | slice) -> Verdicts:
+        """Return the verdicts of the trials at indices or in a slice."""
+        reason = self.reason[some] if isinstance(some, slice) else tuple(self.reason[i] for i in some)
+        return Verdicts(self.verdict[some], self.growth_per_s[some], reason)
 
 
 def judge(batch: TrialBatch, response: Response | None = None) -> Verdicts:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from hashlib import sha256
 
@@ -13,6 +13,14 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Integers = NDArray[np.int64]
 Booleans = NDArray[np.bool_]
+
+SAMPLED = ("time", "command", "position", "force", "velocity")
+"""Fields of a batch with a value a sample; the last two only where a log has them."""
+
+NO_STEP_ROW = -1
+"""Stands for the command edge of a trial that declares none."""
+
+_CONDITIONS = ("stiffness", "damping", "step", "sampling_period_s")
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,12 +66,20 @@ class TrialBatch:
         return np.arange(self.position.shape[1])[None, :] < self.rows[:, None]
 
     @cached_property
-    def digest(self) -> str:
-        """Hash of all conditions and samples; equal values give equal hashes, however they are stored."""
-        joined = sha256("\n".join(self.trial_id).encode())
-        for item in fields(self)[1:]:
-            values = getattr(self, item.name)
-            joined.update(item.name.encode() if values is None else np.ascontiguousarray(values).data)
+    def digests(self) -> tuple[str, ...]:
+        """Hash of name, conditions and samples of each trial: the same for equal values, however they are stored."""
+        return tuple(self._digest(trial) for trial in range(len(self)))
+
+    def _digest(self, trial: int) -> str:
+        joined = sha256(self.trial_id[trial].encode())
+        declared = NO_STEP_ROW if self.step_row is None else int(self.step_row[trial])
+        joined.update(np.array([getattr(self, name)[trial] for name in _CONDITIONS]).data)
+        joined.update(np.array([self.rows[trial], declared], dtype=np.int64).data)
+        for name in SAMPLED:
+            values = getattr(self, name)
+            if values is not None and not np.isnan(own := values[trial, : self.rows[trial]]).all():
+                joined.update(name.encode())
+                joined.update(np.ascontiguousarray(own).data)
         return joined.hexdigest()[:16]
 
     @cached_property
@@ -71,8 +87,10 @@ class TrialBatch:
         """Position relative to the first one, where the wall rests, shape (n, N) [m, rad]."""
         return self.position - self.position[:, :1]
 
-    def select(self, which: Booleans | Integers) -> TrialBatch:
-        """Return the trials picked by a mask or by indices, in that order."""
+    def select(self, which: Booleans | Integers | slice) -> TrialBatch:
+        """Return the trials picked by a mask, by indices, in that order, or by a slice, which shares the arrays."""
+        if isinstance(which, slice):
+            return self._taken(self.trial_id[which], which)
         index = np.arange(len(self))[which]
         return self._taken(tuple(self.trial_id[i] for i in index), index)
 
@@ -83,31 +101,46 @@ class TrialBatch:
         """
         for first in range(0, max(len(self), 1), trials):
             some = slice(first, min(first + trials, len(self)))
-            yield some, self._taken(self.trial_id[some], some)
+            yield some, self.select(some)
+
+    def window(self, first: int, rows: int) -> TrialBatch:
+        """Return the same rows of all trials, none of which may be padding."""
+        sampled = {name: values for name in SAMPLED if (values := getattr(self, name)) is not None}
+        return replace(
+            self,
+            rows=np.full(len(self), rows, dtype=np.int64),
+            step_row=None if self.step_row is None else np.where(self.step_row < 0, NO_STEP_ROW, self.step_row - first),
+            **{name: values[:, first : first + rows] for name, values in sampled.items()},
+        )
+
+    @classmethod
+    def joined(cls, parts: Sequence[TrialBatch]) -> TrialBatch:
+        """Return the trials of several batches, one at least, as one, padded to the longest."""
+        declared = [np.full(len(p), NO_STEP_ROW) if p.step_row is None else p.step_row for p in parts]
+        return cls(
+            trial_id=tuple(name for part in parts for name in part.trial_id),
+            step_row=None if all(part.step_row is None for part in parts) else np.concatenate(declared),
+            **{name: np.concatenate([getattr(p, name) for p in parts]) for name in (*_CONDITIONS, "rows")},
+            # only force and velocity may be missing
+            **{name: _padded([getattr(part, name) for part in parts], parts) for name in SAMPLED},  # type: ignore[arg-type]
+        )
 
     def _taken(self, trial_id: tuple[str, ...], which: Integers | slice) -> TrialBatch:
         return TrialBatch(
             trial_id,
-            *(getattr(self, name)[which] for name in ("stiffness", "damping", "step", "sampling_period_s", "rows")),
-            *(getattr(self, name)[which] for name in ("time", "command", "position")),
-            *(
-                None if (values := getattr(self, name)) is None else values[which]
-                for name in ("force", "velocity", "step_row")
-            ),
+            *(getattr(self, name)[which] for name in (*_CONDITIONS, "rows")),
+            *(None if (values := getattr(self, name)) is None else values[which] for name in (*SAMPLED, "step_row")),
         )
 
 
-def pad(values: Floats, first: Integers, rows: Integers) -> Floats:
-    """Cut a long column into trials: row i holds ``values[first[i] : first[i] + rows[i]]``, then NaN.
-
-    Parameters
-    ----------
-    values : float64, shape (m,)
-    first, rows : int64, shape (n,)
-        Start and length of each trial in ``values``.
-    """
-    longest = int(rows.max(initial=0))
-    offset = np.arange(longest)
-    inside = offset[None, :] < rows[:, None]
-    taken = values[np.minimum(first[:, None] + offset[None, :], max(len(values) - 1, 0))]
-    return np.where(inside, taken, np.nan)
+def _padded(values: Sequence[Floats | None], parts: Sequence[TrialBatch]) -> Floats | None:
+    """Samples of several batches in one array, NaN where there are none; None where none has any."""
+    if all(one is None for one in values):
+        return None
+    wide = np.full((sum(map(len, parts)), max(part.position.shape[1] for part in parts)), np.nan)
+    row = 0
+    for one, part in zip(values, parts, strict=True):
+        if one is not None:
+            wide[row : row + len(part), : one.shape[1]] = one
+        row += len(part)
+    return wide

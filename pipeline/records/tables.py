@@ -88,6 +88,8 @@ COLUMNS: dict[str, Column] = {
         "time stamp as it stands in the source, where it is a whole number (a date: without its decimal sign)",
         True,
     ),
+    # stages with a row a trial
+    "samples_sha256": _same(_S, "", "first 16 digits of the SHA-256 of conditions and samples that the row rests on"),
     # response stage
     "verdict": _same(_S, "", "stable, unstable or undecided, from the log alone"),
     "reason": _same(_S, "", "why a value is missing or uncertain; empty where it is neither", True),
@@ -127,6 +129,7 @@ COLUMNS: dict[str, Column] = {
     "ghost_row": _same(_I, "", "first row where the log leaves the noise band about the ghost", True),
     "leaves_row": _same(_I, "", "first row where the log leaves the noise band of the model", True),
     "mass_momentum": Column(_F, "kg", "kg m^2", "mass by the momentum balance (6.4), biased by b", True),
+    "damping_share": _same(_F, "s", "what viscous damping b adds to mass_momentum, divided by b", True),
     "mass": Column(_F, "kg", "kg m^2", "mass by the momentum balance corrected for viscous damping", True),
     "balance_mass": Column(_F, "kg", "kg m^2", "mass by the momentum balance with damping and friction", True),
     "balance_mass_error": Column(_F, "kg", "kg m^2", "its standard error", True),
@@ -192,6 +195,7 @@ _MODEL = (
     *("model_jitter", "model_jitter_error", "model_start", "misfit", "whiteness", "leaves_row"),
     *("ghost_deviation", "ghost_relative", "ghost_row"),
 )
+_TRIAL = ("trial_id", "samples_sha256", "stiffness", "damping")
 
 TABLES: dict[str, tuple[str, ...]] = {
     "samples": ("trial_id", "time_s", "command", "position", "force", "velocity", "raw_time", "raw_count"),
@@ -211,9 +215,7 @@ TABLES: dict[str, tuple[str, ...]] = {
     ),
     "response": (
         *(
-            "trial_id",
-            "stiffness",
-            "damping",
+            *_TRIAL,
             "verdict",
             "reason",
             "growth_per_s",
@@ -222,27 +224,53 @@ TABLES: dict[str, tuple[str, ...]] = {
         ),
         *("position_final_expected", "position_final_measured", "sensor_quantum", "sensor_noise"),
     ),
-    "outcome": ("trial_id", "stiffness", "damping", "outcome", "evidence", "outcome_row", "band", "amplitude_end"),
+    "outcome": (
+        *_TRIAL,
+        "outcome",
+        "evidence",
+        "outcome_row",
+        "band",
+        "amplitude_end",
+    ),
     "delay": (
-        *("trial_id", "stiffness", "damping", "delay_samples", "first_change_samples", "onset_samples", "onset_error"),
+        *(
+            *_TRIAL,
+            "delay_samples",
+            "first_change_samples",
+            "onset_samples",
+            "onset_error",
+        ),
         "reason",
     ),
-    "model": ("trial_id", "stiffness", "damping", *_MODEL, "reason"),
+    "model": (*_TRIAL, *_MODEL, "reason"),
     "mass": (
-        *("trial_id", "stiffness", "damping", "mass_momentum", "mass", "balance_mass", "balance_mass_error"),
+        *(
+            *_TRIAL,
+            "mass_momentum",
+            "damping_share",
+            "mass",
+            "balance_mass",
+            "balance_mass_error",
+        ),
         *("force_mass", "force_mass_error", "reason"),
     ),
-    "damping": ("trial_id", "stiffness", "damping", "viscous_damping", "reason"),
+    "damping": (*_TRIAL, "viscous_damping", "reason"),
     "overshoot": (
-        *("trial_id", "stiffness", "damping", "overshoot", "overshoot_floor", "overshoot_low", "overshoot_high"),
+        *(
+            *_TRIAL,
+            "overshoot",
+            "overshoot_floor",
+            "overshoot_low",
+            "overshoot_high",
+        ),
         *("overshoot_last_sample", "reason"),
     ),
     "settling": (
-        *("trial_id", "stiffness", "damping", *_SETTLE),
+        *(*_TRIAL, *_SETTLE),
         *("settle_matlab_final_value", "settle_matlab_peak_error", "settle_python_control", "reason"),
     ),
     "windows": ("window_s", "mass_median", "mass_scatter", "trials", "reason"),
-    "energy": ("trial_id", "stiffness", "damping", *_ENERGY, "horizon_samples", "reason"),
+    "energy": (*_TRIAL, *_ENERGY, "horizon_samples", "reason"),
     "boundary": ("damping", "stable", "unstable", "censored", "estimate", "low", "high", "trials"),
 }
 

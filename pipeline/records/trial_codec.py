@@ -30,6 +30,9 @@ WHOLE = 30
 LAGS = (1, 2, 3, 4)
 """Samples before that predict one: two oscillations, or one with drift and offset; more save nothing."""
 
+EFFORT = 7
+"""Level of the compression: 9 takes eight times as long for 6 % fewer bytes."""
+
 PARTS = 4096
 """Parts of one in which coefficients are written: a power of two, by which a browser divides exactly."""
 
@@ -122,7 +125,7 @@ def decode(coded: dict[str, list[int]], step: float) -> Floats:
 
 def pack(content: Any) -> str:
     """Return a JSON value as deflated text in base64, which a browser unpacks by itself (``DecompressionStream``)."""
-    return base64.b64encode(zlib.compress(_json(content), 9)).decode()
+    return base64.b64encode(zlib.compress(_json(content), EFFORT)).decode()
 
 
 def unpack(packed: str) -> Any:
@@ -142,7 +145,7 @@ def pack_within(entries: Iterable[Any], budget: int | None, most: int | None = N
     most : int, optional
         Largest number of entries; by default the budget alone says how many.
     """
-    deflate, packed, count = zlib.compressobj(9), b"", 0
+    deflate, packed, count = zlib.compressobj(EFFORT), b"", 0
     done = deflate.compress(b"[")
     for entry in islice(entries, most):
         trial, ahead = deflate.copy(), done

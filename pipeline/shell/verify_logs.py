@@ -22,7 +22,8 @@ from pipeline.records.models import Record
 from pipeline.records.results import LogList
 from pipeline.records.tables import write_table
 from pipeline.store.ingest import ingest
-from pipeline.store.storage import load_batch, read_trials, trials_folder
+from pipeline.store.samples import load_groups
+from pipeline.store.storage import read_trials, trials_folder
 
 _COLUMNS = ("time", "command", "position", "force", "velocity")
 
@@ -218,14 +219,17 @@ def _compare_samples(
     store: FreshStore, device: str, experiment: str, processed: Path, trials: pa.Table, said: ReportedLogs
 ) -> None:
     """Hold what is stored against what was read just now, and against the hash in the report."""
-    stored = load_batch(processed, trials)
-    fresh = load_batch(store.folder, read_trials(store.folder, device, experiment))
-    both = sorted(set(stored.trial_id) & set(fresh.trial_id))
+    stored = load_groups(processed, trials)
+    fresh = load_groups(store.folder, read_trials(store.folder, device, experiment))
+    both = sorted(set(stored.of_trials("trial_id")) & set(fresh.of_trials("trial_id")))
     paths = dict(zip(*(trials.column(c).to_pylist() for c in ("trial_id", "source_path")), strict=True))
     before = len(store.problems)
-    for trial, words, expected, found in _differences(_pick(fresh, both), _pick(stored, both)):
-        problem = f"its stored {words} differs from the log (experiment {experiment}, trial {trial})"
-        store.problems.append(LogProblem(path=paths[trial], problem=problem, expected=expected, found=found))
+    for trial in both:
+        differs = _difference(fresh.named(trial), stored.named(trial))
+        if differs is not None:
+            words, expected, found = differs
+            problem = f"its stored {words} differs from the log (experiment {experiment}, trial {trial})"
+            store.problems.append(LogProblem(path=paths[trial], problem=problem, expected=expected, found=found))
     told = len(store.problems) > before
     same_logs = joint_sha256(trials.column("source_sha256").to_pylist()) == said.sha256
     if same_logs and not told and stored.digest != said.samples:
@@ -235,27 +239,21 @@ def _compare_samples(
         )
 
 
-def _pick(batch: TrialBatch, trials: Sequence[str]) -> TrialBatch:
-    place = {name: row for row, name in enumerate(batch.trial_id)}
-    return batch.select(np.array([place[name] for name in trials], dtype=np.int64))
-
-
-def _differences(fresh: TrialBatch, stored: TrialBatch) -> list[tuple[str, str, str, str]]:
-    """Return trial, what differs, value by the log and stored value; the first difference of each trial."""
-    found: dict[int, tuple[str, str, str]] = {}
+def _difference(fresh: TrialBatch, stored: TrialBatch) -> tuple[str, str, str] | None:
+    """Return what differs first in one trial, its value by the log and the stored one; None where nothing does."""
+    if fresh.digests == stored.digests:
+        return None
     for name in ("rows", "stiffness", "damping", "step", "sampling_period_s"):
-        a, b = getattr(fresh, name), getattr(stored, name)
-        for row in np.flatnonzero(a != b).tolist():
-            found.setdefault(row, (name.replace("_", " "), repr(a[row].item()), repr(b[row].item())))
-    width = min(fresh.position.shape[1], stored.position.shape[1])
+        a, b = getattr(fresh, name)[0].item(), getattr(stored, name)[0].item()
+        if a != b:
+            return name.replace("_", " "), repr(a), repr(b)
     for name in _COLUMNS:
-        a, b = (_samples(batch, name)[:, :width] for batch in (fresh, stored))
-        differ = (a != b) & ~(np.isnan(a) & np.isnan(b))
-        for row in np.flatnonzero(differ.any(axis=1)).tolist():
-            sample = int(np.argmax(differ[row]))
-            by_log, stored_value = (repr(x[row, sample].item()) for x in (a, b))
-            found.setdefault(row, (f"{name} of sample {sample}", by_log, stored_value))
-    return [(fresh.trial_id[row], *found[row]) for row in sorted(found)]
+        x, y = (_samples(batch, name)[0, : int(batch.rows[0])] for batch in (fresh, stored))
+        differ = (x != y) & ~(np.isnan(x) & np.isnan(y))
+        if differ.any():
+            sample = int(np.argmax(differ))
+            return f"{name} of sample {sample}", repr(x[sample].item()), repr(y[sample].item())
+    return None
 
 
 def _samples(batch: TrialBatch, column: str) -> Floats:

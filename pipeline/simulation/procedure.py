@@ -139,26 +139,4 @@ class Climb:
         index = np.lexsort((place[:, 2], place[:, 1], place[:, 0]))
         columns = place[index, 0]
         index = index[(columns <= last_column) | (columns == AT_ZERO_STIFFNESS)]
-        return _join(self.kept).select(index), place[index, 1], np.concatenate(self.verdicts)[index]
-
-
-def _join(parts: Sequence[TrialBatch]) -> TrialBatch:
-    longest = max(part.position.shape[1] for part in parts)
-
-    def samples(name: str) -> Floats:
-        wide = np.full((sum(map(len, parts)), longest), np.nan)
-        row = 0
-        for part in parts:
-            values = getattr(part, name)
-            wide[row : row + len(part), : values.shape[1]] = values
-            row += len(part)
-        return wide
-
-    return TrialBatch(
-        tuple(name for part in parts for name in part.trial_id),
-        *(
-            np.concatenate([getattr(part, name) for part in parts])
-            for name in ("stiffness", "damping", "step", "sampling_period_s", "rows")
-        ),
-        *(samples(name) for name in ("time", "command", "position")),
-    )
+        return TrialBatch.joined(self.kept).select(index), place[index, 1], np.concatenate(self.verdicts)[index]

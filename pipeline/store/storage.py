@@ -7,12 +7,11 @@
 
 A samples file is written before the trials file that names it, so a trial that can be seen can be read. Readers take no
 lock: they look at the folder again after reading and start anew where it changed meanwhile (`read_trials`), and look up
-samples again that were merged into another file (`load_batch`).
+samples again that were merged into another file (`samples.load_batch`).
 """
 
 from __future__ import annotations
 
-import json
 import os
 import time
 from collections.abc import Callable
@@ -25,15 +24,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from pipeline.base.errors import StoreError
-from pipeline.records.batch import Booleans, Integers, TrialBatch, pad
+from pipeline.records.batch import Booleans
 from pipeline.records.tables import TABLES, arrow_schema, read_table
 
-_OPTIONAL = ("force", "velocity")
-"""Columns of samples that a log may lack."""
-
 Result = TypeVar("Result")
-
-_SAMPLES = ("time_s", "command", "position", *_OPTIONAL)
 
 
 def folder_name(name: str) -> str:
@@ -274,102 +268,3 @@ def newest_versions(table: pa.Table) -> Booleans:
     mask = np.zeros(table.num_rows, dtype=np.bool_)
     mask[list(kept.values())] = True
     return mask
-
-
-def load_batch(processed: Path, trials: pa.Table) -> TrialBatch:
-    """Read the samples of trials into padded arrays, ordered by damping, stiffness and trial id.
-
-    Parameters
-    ----------
-    processed : Path
-    trials : pyarrow.Table
-        Rows of the trials table, as `read_trials` returns them.
-
-    Raises
-    ------
-    StoreError
-        If a samples file is missing or shorter than its trials say, or a trial was removed meanwhile.
-    """
-    trials = trials.sort_by([("damping", "ascending"), ("stiffness", "ascending"), ("trial_id", "ascending")])
-    for _ in range(ATTEMPTS):
-        files = sorted(set(trials.column("sample_file").to_pylist()))
-        missing = next((processed / file for file in files if not (processed / file).is_file()), None)
-        if missing is None:
-            try:
-                samples = [read_table(processed / file, list(_SAMPLES)) for file in files]
-                break
-            except StoreError:
-                missing = next((processed / file for file in files if not (processed / file).is_file()), None)
-                if missing is None:
-                    raise
-        located = _located(processed, trials)
-        if located.equals(trials):
-            raise StoreError(
-                f"{missing}: samples file is missing, but its trials are stored. "
-                "Remove the trials file of the same name below trials/ and ingest the logs again."
-            )
-        trials = located
-    else:
-        raise StoreError(f"{processed}: samples were moved during each of {ATTEMPTS} attempts to read them.")
-    length = np.array([table.num_rows for table in samples], dtype=np.int64)
-    index = {file: place for place, file in enumerate(files)}
-    owner = np.array([index[file] for file in trials.column("sample_file").to_pylist()], dtype=np.int64)
-    rows = trials.column("rows").to_numpy().astype(np.int64)
-    first = trials.column("first_row").to_numpy().astype(np.int64)
-    if (first + rows > length[owner]).any():
-        raise StoreError(f"{processed}: a samples file is shorter than its trials say; ingest the logs again.")
-    first = first + (np.cumsum(length) - length)[owner]
-    padded = {
-        name: pad(np.concatenate([t.column(name).to_numpy() for t in samples]) if samples else np.empty(0), first, rows)
-        for name in _SAMPLES
-    }
-    present = {name: None if np.isnan(padded[name]).all() else padded[name] for name in _OPTIONAL}
-    return TrialBatch(
-        trial_id=tuple(trials.column("trial_id").to_pylist()),
-        stiffness=trials.column("stiffness").to_numpy(),
-        damping=trials.column("damping").to_numpy(),
-        step=trials.column("step").to_numpy(),
-        sampling_period_s=trials.column("sampling_period_s").to_numpy(),
-        rows=rows,
-        time=padded["time_s"],
-        command=padded["command"],
-        position=padded["position"],
-        **present,
-        step_row=_declared_step_rows(trials.column("extra").to_pylist()),
-    )
-
-
-def _located(processed: Path, trials: pa.Table) -> pa.Table:
-    """Return trials with the present place of their samples, which a merge of batches may have moved."""
-    keys = ("source_path", "trial_id", "profile_sha256")
-    present = read_trials(processed, columns=[*keys, "sample_file", "first_row"]).to_pydict()
-    places = dict(
-        zip(
-            zip(*(present[key] for key in keys), strict=True),
-            zip(present["sample_file"], present["first_row"], strict=True),
-            strict=True,
-        )
-    )
-    wanted = list(zip(*(trials.column(key).to_pylist() for key in keys), strict=True))
-    gone = [key for key in wanted if key not in places]
-    if gone:
-        raise StoreError(
-            f"{processed}: {len(gone)} trials were removed while they were read, the first of {gone[0][0]}: "
-            "their source changed. Run the command again."
-        )
-    moved = {
-        "sample_file": pa.array([places[key][0] for key in wanted]),
-        "first_row": pa.array([places[key][1] for key in wanted], pa.int64()),
-    }
-    for name, values in moved.items():
-        index = trials.schema.get_field_index(name)
-        trials = trials.set_column(index, trials.schema.field(index), values)
-    return trials
-
-
-def _declared_step_rows(extra: list[str]) -> Integers | None:
-    """Rows of the command edge that profiles or logs declare (``step_row``), -1 for the others."""
-    declared = [json.loads(text).get("step_row") if "step_row" in text else None for text in extra]
-    if not any(declared):
-        return None
-    return np.array([-1 if row is None else int(row) for row in declared], dtype=np.int64)
