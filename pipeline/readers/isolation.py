@@ -16,11 +16,13 @@ import signal
 import subprocess
 import sys
 import threading
+from functools import partial
 from importlib import import_module
+from queue import SimpleQueue
 from typing import IO, Any
 
 from pipeline.base.errors import LogError
-from pipeline.base.process import leave_out_pandas
+from pipeline.base.process import end_when, ended_through, leave_out_pandas
 from pipeline.readers.safety import LARGEST_FRAME
 
 CPU_SECONDS = 0.6
@@ -97,17 +99,16 @@ def isolated(
 
 
 def serve() -> None:
-    """Work on calls from standard input until it ends; the main loop of a worker process."""
+    """Work on calls from standard input; the main loop of a worker process, which ends when its parent does."""
     leave_out_pandas()
     _bound_memory()
-    calls, results = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
+    pipe, results = sys.stdin.fileno(), os.fdopen(os.dup(1), "wb")
     # whatever a library prints must not get between the results
     os.dup2(2, 1)
+    calls: SimpleQueue[Any] = SimpleQueue()
+    end_when(partial(_receive, pipe, calls))
     while True:
-        try:
-            place, imports, arguments, seconds = pickle.load(calls)
-        except EOFError:
-            return
+        place, imports, arguments, seconds = calls.get()
         module, _, function = place.partition(":")
         work = getattr(import_module(module), function)
         for needed in imports:
@@ -115,13 +116,21 @@ def serve() -> None:
             with contextlib.suppress(ImportError):
                 import_module(needed)
         _alarm(seconds)
-        try:
-            outcome: tuple[bool, Any] = (True, work(*arguments))
-        except LogError as error:
-            outcome = (False, error)
+        with ended_through(pipe):  # nothing is sent before there is a result
+            try:
+                outcome: tuple[bool, Any] = (True, work(*arguments))
+            except LogError as error:
+                outcome = (False, error)
         _alarm(0.0)
         pickle.dump(outcome, results, pickle.HIGHEST_PROTOCOL)
         results.flush()
+
+
+def _receive(pipe: int, calls: SimpleQueue[Any]) -> None:
+    """Hand calls on until the parent has no more, or is gone."""
+    with open(pipe, "rb", closefd=False) as stream, contextlib.suppress(EOFError, pickle.UnpicklingError):
+        while True:
+            calls.put(pickle.load(stream))
 
 
 def _alarm(seconds: float) -> None:
