@@ -268,6 +268,34 @@ def test_a_report_that_fails_stops_no_other(tmp_path, compared, capsys):
     assert set(outcome.failed) == {"alpha", "bench"}
 
 
+def test_every_device_has_a_report_of_its_own_beside_our_pages(tmp_path, monkeypatch):
+    reports = {}
+
+    def fake(device, processed, report, **options):
+        report.parent.mkdir(exist_ok=True)
+        report.write_text(device)
+        reports[device] = report
+
+        class Found:
+            result, stages = None, (("report", "run", ""),)
+
+        return Found
+
+    monkeypatch.setattr(watch_pass, "compare", fake)
+    devices = ["index", "Index", "accuracy", "theory", "arm", "ARM", "arm-1-against-2", "con"]
+    for device in devices:
+        write_logs(tmp_path / "raw", 1, device=device)
+    assert run_pass(request(tmp_path), lambda event: None).status == 0
+    assert {device: path.read_text() for device, path in reports.items()} == {device: device for device in devices}
+    names = [path.name.casefold() for path in reports.values()]
+    assert len(set(names)) == len(devices)
+    assert not {"index.html", "accuracy.html", "theory.html", "arm-1-against-2.html"} & set(names)
+    assert "pipeline index" in (tmp_path / "reports" / "index.html").read_text()
+    former = dict(reports)
+    run_pass(request(tmp_path), lambda event: None)
+    assert reports == former
+
+
 @pytest.mark.parametrize("error", [OSError(28, "No space left on device"), "store"])
 def test_what_may_pass_without_a_change_is_to_be_tried_again(tmp_path, compared, error):
     from pipeline.base.errors import StoreError

@@ -28,8 +28,9 @@ from pipeline.comparison.scene_file import read_scene
 from pipeline.records.models import SceneFile
 from pipeline.rendering.report_index import write_index
 from pipeline.store.ingest import IngestReport, Refusal, ingest
+from pipeline.store.names import report_of
 from pipeline.store.quarantine import list_quarantine
-from pipeline.store.storage import folder_name, list_devices, read_trials
+from pipeline.store.storage import list_devices, read_trials
 
 PASS_FOLDER = ".watch"
 """Folder below `processed/` with the lock that lets one pass work at a time; an ingest by hand is not kept waiting."""
@@ -216,7 +217,7 @@ def _reports(request: PassRequest, emit: Emit, outcome: PassOutcome) -> None:
 
 def _report(request: PassRequest, what: str, device: str, scene: SceneFile | None, emit: Emit) -> None:
     """Bring one report up to date."""
-    report = Path(scene.report if scene and scene.report else Path(request.reports, f"{folder_name(device)}.html"))
+    report = Path(scene.report) if scene and scene.report else report_of(Path(request.reports), device)
     began = time.monotonic()
     found = compare(
         device,
