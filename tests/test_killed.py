@@ -61,11 +61,9 @@ def report(folder: Path) -> object:
 
 
 def stored(folder: Path) -> object:
-    """Trials and samples, in whatever files."""
-    table = read_trials(folder / "processed").drop_columns(
-        ["sample_file", "first_row", "source_mtime_ns", "ingested_at"]
-    )
-    return sorted(map(str, table.drop_columns(["source_path"]).to_pylist()))
+    """Trials, in whatever files."""
+    table = read_trials(folder / "processed").drop_columns(["sample_file", "first_row"])
+    return sorted(map(str, table.to_pylist()))
 
 
 def printed(out: str) -> Callable[[Path], object]:

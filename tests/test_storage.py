@@ -9,7 +9,7 @@ from pathlib import Path, PureWindowsPath
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pipeline.base.errors import StoreError
@@ -60,6 +60,7 @@ def test_names_that_some_system_refuses_are_written_otherwise(name, tmp_path):
     assert report.stem.casefold() not in pages
 
 
+@settings(deadline=None)  # it makes folders
 @given(st.lists(st.text(st.sampled_from("aAbB%46. ſß"), min_size=1, max_size=3), min_size=1, max_size=8, unique=True))
 def test_names_that_differ_in_case_are_different_files_everywhere(names):
     with tempfile.TemporaryDirectory() as text:
