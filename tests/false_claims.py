@@ -19,8 +19,7 @@ from typing import Any
 import h5py
 import numpy as np
 import pyarrow as pa
-from backports import zstd
-from foreign_files import arrow_log, bag_file, hdf5_file, joint_log, matlab5_log, matlab_class, tdms_log
+from foreign_files import arrow_log, bag_file, hdf5_file, joint_log, matlab5_log, matlab_class, tdms_log, zstd
 from pyarrow import parquet
 
 from pipeline.base.errors import LogError

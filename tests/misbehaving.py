@@ -1,5 +1,6 @@
 """Readers as a damaged file may make them; called in worker processes by the tests of isolation."""
 
+import ctypes
 import os
 import signal
 
@@ -13,6 +14,13 @@ def hang(name: str, data: bytes) -> None:
 
 def crash(name: str, data: bytes) -> None:
     os.kill(os.getpid(), signal.SIGSEGV)
+
+
+def keep(name: str, data: bytes) -> None:
+    """As a library does that neither comes to an end nor lets the interpreter go."""
+    with open(data, "w") as stream:
+        stream.write(str(os.getpid()))
+    ctypes.PyDLL(None).sleep(3600)
 
 
 def starve(name: str, data: bytes) -> int:

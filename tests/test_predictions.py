@@ -139,44 +139,44 @@ def test_physical_values_scale_with_mass_and_period():
 
 
 class FailingPool:
-    """A pool whose processes have died."""
+    """A pool whose calls all fail."""
 
-    def __init__(self, workers, mp_context, initializer):
-        self.closed = False
+    def __init__(self, error):
+        self.error, self.ended_by = error, None
+
+    def __call__(self, workers):
+        return self
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, kind, *_):
+        self.ended_by = kind
 
     def submit(self, *_):
         future = Future()
-        future.set_exception(BrokenProcessPool("died"))
+        future.set_exception(self.error)
         return future
-
-    def shutdown(self, cancel_futures):
-        self.closed = True
 
 
 def test_optima_are_computed_here_where_other_processes_die(tmp_path, monkeypatch):
     monkeypatch.setattr(os, "cpu_count", lambda: 4)
-    monkeypatch.setattr(predictions, "ProcessPoolExecutor", FailingPool)
-    wanted = Predictions(tmp_path)
-    wanted.start(REQUESTS)
-    wanted.finish()
+    monkeypatch.setattr(predictions, "process_pool", FailingPool(BrokenProcessPool("died")))
+    with Predictions(tmp_path) as wanted:
+        wanted.start(REQUESTS)
+        wanted.finish()
     assert Predictions(tmp_path).missing(REQUESTS) == []
 
 
-def test_other_errors_are_not_hidden_and_close_the_pool(tmp_path, monkeypatch):
-    class Wrong(FailingPool):
-        def submit(self, *_):
-            future = Future()
-            future.set_exception(ZeroDivisionError("a fault of the code"))
-            return future
-
+def test_other_errors_are_not_hidden_and_end_the_pool(tmp_path, monkeypatch):
+    pool = FailingPool(ZeroDivisionError("a fault of the code"))
     monkeypatch.setattr(os, "cpu_count", lambda: 4)
-    monkeypatch.setattr(predictions, "ProcessPoolExecutor", Wrong)
+    monkeypatch.setattr(predictions, "process_pool", pool)
     wanted = Predictions(tmp_path)
     wanted.start(REQUESTS)
-    pool = wanted._pool
-    with pytest.raises(ZeroDivisionError):
+    with pytest.raises(ZeroDivisionError), wanted:
         wanted.finish()
-    assert pool.closed
+    assert pool.ended_by is ZeroDivisionError
     assert list(tmp_path.iterdir()) == []
 
 

@@ -15,7 +15,6 @@ import lz4.frame
 import misbehaving
 import numpy as np
 import pytest
-from backports import zstd
 from foreign_files import (
     arrow_log,
     bag_file,
@@ -27,6 +26,7 @@ from foreign_files import (
     matlab73_log,
     profile,
     tdms_log,
+    zstd,
 )
 
 from pipeline.base.errors import LogError

@@ -1,21 +1,26 @@
 """Layout of processed/: names survive as folder names, versions and damage are handled."""
 
+import ntpath
+import os
+import re
+import tempfile
+from pathlib import Path, PureWindowsPath
+
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pipeline.base.errors import StoreError
 from pipeline.records.native import NativeHeader, format_header
 from pipeline.records.tables import COLUMNS, TABLES, read_table, to_arrow, write_table
 from pipeline.store.ingest import ingest
+from pipeline.store.names import folder_name, name_of_folder, place_of, report_of
 from pipeline.store.samples import load_batch
 from pipeline.store.storage import (
-    folder_name,
     list_devices,
     list_experiments,
-    name_of_folder,
     natural_key,
     read_trials,
 )
@@ -32,6 +37,67 @@ def test_any_name_survives_as_one_visible_folder(name):
     assert name_of_folder(folder) == name
     assert "/" not in folder
     assert not folder.startswith(".")
+
+
+def refused_by_windows(name: str) -> bool:
+    """By the rules that Python itself keeps for Windows."""
+    reserved = getattr(ntpath, "isreserved", None) or (lambda text: PureWindowsPath(text).is_reserved())
+    return bool(re.search(r'[<>:"/\\|?*\x00-\x1f]|[. ]$', name)) or reserved(name)
+
+
+ODD = ["CON", "nul", "aux", "prn.txt", "com1", "LPT9.tar.gz", "con ", "x.", "x ", "a<b>c", 'q"|?*', "index", "a:b", "."]
+
+
+@pytest.mark.parametrize("name", [*ODD, "Index", "accuracy", "THEORY", "lwr-1-against-2", "lwr-against-earlier", "%41"])
+def test_names_that_some_system_refuses_are_written_otherwise(name, tmp_path):
+    folder = place_of(tmp_path, name).name
+    assert name_of_folder(folder) == name
+    assert not refused_by_windows(folder)
+    report = report_of(tmp_path, name)
+    assert name_of_folder(report.stem) == name
+    assert not refused_by_windows(report.name)
+    pages = ("index", "accuracy", "theory", *(folder_name(f"lwr{x}") for x in ("-1-against-2", "-against-earlier")))
+    assert report.stem.casefold() not in pages
+
+
+@settings(deadline=None)  # it makes folders
+@given(st.lists(st.text(st.sampled_from("aAbB%46. ſß"), min_size=1, max_size=3), min_size=1, max_size=8, unique=True))
+def test_names_that_differ_in_case_are_different_files_everywhere(names):
+    with tempfile.TemporaryDirectory() as text:
+        parent = Path(text)
+        for name in names:
+            place_of(parent, name).mkdir()
+            report_of(parent, name).touch()
+        found = os.listdir(parent)
+        assert len({entry.casefold() for entry in found}) == len(found) == 2 * len(names)
+        assert {name_of_folder(entry) for entry in found if not entry.endswith(".html")} == set(names)
+        assert [name_of_folder(place_of(parent, name).name) for name in names] == names
+        assert [name_of_folder(report_of(parent, name).stem) for name in names] == names
+        assert all(place_of(parent, name).is_dir() and report_of(parent, name).is_file() for name in names)
+
+
+def test_devices_that_differ_in_case_are_stored_apart_and_former_stores_are_read(tmp_path):
+    for number, device in enumerate(("arm", "Arm", "CON")):
+        write_log(tmp_path / f"{number}.csv", float(number), device=device)
+    processed = tmp_path / "processed"
+    ingest(sorted(tmp_path.glob("*.csv")), processed)
+    assert list_devices(processed) == ["Arm", "CON", "arm"]
+    for tree in ("trials", "samples"):
+        folders = os.listdir(processed / tree)
+        assert len({folder.casefold() for folder in folders}) == 3
+        assert not any(refused_by_windows(folder) for folder in folders)
+        # as earlier versions wrote it
+        (processed / tree / "%43ON").rename(processed / tree / "CON")
+    for file in processed.glob("trials/CON/*/*.parquet"):
+        table = pq.read_table(file)
+        moved = [name.replace("%43ON", "CON") for name in table.column("sample_file").to_pylist()]
+        pq.write_table(table.set_column(table.schema.get_field_index("sample_file"), "sample_file", [moved]), file)
+    for number, device in enumerate(("arm", "Arm", "CON")):
+        assert load_batch(processed, read_trials(processed, device)).stiffness.tolist() == [number]
+    write_log(tmp_path / "3.csv", 3.0, device="CON")
+    ingest([tmp_path / "3.csv"], processed)
+    assert load_batch(processed, read_trials(processed, "CON")).stiffness.tolist() == [2, 3]
+    assert sorted(os.listdir(processed / "samples")) == sorted(os.listdir(processed / "trials"))
 
 
 def test_experiments_are_sorted_as_people_do():

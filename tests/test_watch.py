@@ -26,7 +26,7 @@ from pipeline.shell import watch, watch_pass
 from pipeline.shell.cli import run
 from pipeline.shell.cli_watch import line_of
 from pipeline.shell.watch import Watch, Watched
-from pipeline.shell.watch_pass import PASS_FOLDER, PassRequest, Stopped, run_pass
+from pipeline.shell.watch_pass import PASS_FOLDER, PassRequest, run_pass
 from pipeline.simulation.course import run_course, write_course
 from pipeline.store.devices import load_device
 from pipeline.store.ingest import ingest
@@ -149,6 +149,9 @@ def follow_a_course(tmp_path: Path, logs: list[Path], seconds: float, options: t
             process.kill()
             process = Process(tmp_path, *options)
     process.wait_for("report", 120, trials=len(logs))
+    while process.events()[-1]["event"] != "index":  # it comes last, and an end takes what is not written away
+        time.sleep(0.05)
+        assert process.process.poll() is None
     process.stop()
     events = process.events()
 
@@ -211,10 +214,6 @@ def request(folder: Path, **more: object) -> PassRequest:
     return PassRequest(folders=(str(folder / "raw"),), **places, **more)
 
 
-def no_check() -> None:
-    pass
-
-
 @pytest.fixture
 def compared(monkeypatch):
     """Comparisons by device, not done; a value that is an exception is raised."""
@@ -225,9 +224,8 @@ def compared(monkeypatch):
         result = None
         stages = (("report", "run", ""),)
 
-    def fake(device, *arguments, progress, **options):
+    def fake(device, *arguments, **options):
         asked.append(device)
-        progress("experiment 1")
         if device in answers:
             raise answers[device]
         return Found
@@ -248,7 +246,7 @@ def test_a_report_that_fails_stops_no_other(tmp_path, compared, capsys):
         write_logs(tmp_path / "raw", device=device)
     answers |= {"alpha": DeviceError("too few logs"), "bench": ZeroDivisionError("a defect")}
     events: list[dict] = []
-    outcome = run_pass(request(tmp_path), events.append, no_check)
+    outcome = run_pass(request(tmp_path), events.append)
     assert asked == ["alpha", "bench", "gamma"]
     assert kinds(events) == ["ingest", "failed", "failed", "report", "index"]
     assert [e["reason"] for e in events[1:3]] == [
@@ -261,13 +259,41 @@ def test_a_report_that_fails_stops_no_other(tmp_path, compared, capsys):
     # tried again when its logs change, and not before
     again = request(tmp_path, failed=outcome.failed, quiet=True)
     asked.clear()
-    assert run_pass(again, events.append, no_check).failed == outcome.failed
+    assert run_pass(again, events.append).failed == outcome.failed
     assert asked == ["gamma"]
     (tmp_path / "raw" / "one-more.csv").write_text(log_text(77.0, device="alpha"))
     asked.clear()
-    outcome = run_pass(again, events.append, no_check)
+    outcome = run_pass(again, events.append)
     assert asked == ["alpha", "gamma"]
     assert set(outcome.failed) == {"alpha", "bench"}
+
+
+def test_every_device_has_a_report_of_its_own_beside_our_pages(tmp_path, monkeypatch):
+    reports = {}
+
+    def fake(device, processed, report, **options):
+        report.parent.mkdir(exist_ok=True)
+        report.write_text(device)
+        reports[device] = report
+
+        class Found:
+            result, stages = None, (("report", "run", ""),)
+
+        return Found
+
+    monkeypatch.setattr(watch_pass, "compare", fake)
+    devices = ["index", "Index", "accuracy", "theory", "arm", "ARM", "arm-1-against-2", "con"]
+    for device in devices:
+        write_logs(tmp_path / "raw", 1, device=device)
+    assert run_pass(request(tmp_path), lambda event: None).status == 0
+    assert {device: path.read_text() for device, path in reports.items()} == {device: device for device in devices}
+    names = [path.name.casefold() for path in reports.values()]
+    assert len(set(names)) == len(devices)
+    assert not {"index.html", "accuracy.html", "theory.html", "arm-1-against-2.html"} & set(names)
+    assert "pipeline index" in (tmp_path / "reports" / "index.html").read_text()
+    former = dict(reports)
+    run_pass(request(tmp_path), lambda event: None)
+    assert reports == former
 
 
 @pytest.mark.parametrize("error", [OSError(28, "No space left on device"), "store"])
@@ -276,7 +302,7 @@ def test_what_may_pass_without_a_change_is_to_be_tried_again(tmp_path, compared,
 
     write_logs(tmp_path / "raw")
     compared[1]["bench"] = StoreError("damaged") if error == "store" else error
-    outcome = run_pass(request(tmp_path), lambda event: None, no_check)
+    outcome = run_pass(request(tmp_path), lambda event: None)
     assert (outcome.status, outcome.retry, outcome.failed) == (1, True, {})
 
 
@@ -284,17 +310,17 @@ def test_what_did_not_change_is_told_once(tmp_path, compared):
     write_logs(tmp_path / "raw")
     (tmp_path / "raw" / "broken.csv").write_text(FAULTS["text cell"][0])
     events: list[dict] = []
-    assert run_pass(request(tmp_path, quiet=True), events.append, no_check).status == 3
+    assert run_pass(request(tmp_path, quiet=True), events.append).status == 3
     assert kinds(events) == ["ingest", "refused", "report", "index"]
     assert (events[1]["path"], events[1]["row"]) == (str(tmp_path / "raw" / "broken.csv"), 17)
     events.clear()
-    assert run_pass(request(tmp_path, quiet=True), events.append, no_check).status == 3
+    assert run_pass(request(tmp_path, quiet=True), events.append).status == 3
     assert kinds(events) == ["report"]
     # a log that was good is overwritten by a broken one
     (tmp_path / "raw" / "bench0.csv").write_text(FAULTS["text cell"][0] + "\n")
     for told in (["ingest", "refused", "changed", "report"], ["report"]):
         events.clear()
-        run_pass(request(tmp_path, quiet=True), events.append, no_check)
+        run_pass(request(tmp_path, quiet=True), events.append)
         assert kinds(events) == told
 
 
@@ -302,37 +328,18 @@ def test_young_logs_are_left_and_told(tmp_path, compared):
     write_logs(tmp_path / "raw")
     (tmp_path / "raw" / "young.csv").write_text(log_text(99.0))
     events: list[dict] = []
-    outcome = run_pass(request(tmp_path, settle_s=60.0), events.append, no_check)
+    outcome = run_pass(request(tmp_path, settle_s=60.0), events.append)
     assert (events[0]["ingested"], events[0]["waiting"]) == (4, [str(tmp_path / "raw" / "young.csv")])
     assert outcome.late
-    assert not run_pass(request(tmp_path), events.append, no_check).late
+    assert not run_pass(request(tmp_path), events.append).late
     assert read_trials(tmp_path / "processed").num_rows == 5
-
-
-def test_a_pass_ends_when_asked_and_the_next_does_what_is_left(tmp_path):
-    write_logs(tmp_path / "raw", 12)
-    calls = 0
-
-    def check():
-        nonlocal calls
-        calls += 1
-        if calls == 5:
-            raise Stopped
-
-    with pytest.raises(Stopped):
-        run_pass(request(tmp_path), lambda event: None, check)
-    assert not list((tmp_path / "processed").rglob("*.tmp"))
-    events: list[dict] = []
-    assert ingest([tmp_path / "raw"], tmp_path / "processed").found == 12
-    run_pass(request(tmp_path), events.append, no_check)
-    assert read_trials(tmp_path / "processed").num_rows == 12
 
 
 def test_one_pass_at_a_time(tmp_path, compared):
     write_logs(tmp_path / "raw")
     events: list[dict] = []
     with lock.writing(tmp_path / "processed" / PASS_FOLDER):
-        outcome = run_pass(request(tmp_path, wait_s=0.0), events.append, no_check)
+        outcome = run_pass(request(tmp_path, wait_s=0.0), events.append)
     assert kinds(events) == ["busy"]
     assert f"process {os.getpid()}" in events[0]["reason"]
     assert (outcome.status, outcome.retry) == (0, True)
@@ -345,7 +352,7 @@ def test_one_pass_at_a_time(tmp_path, compared):
 def pass_of(monkeypatch, tmp_path: Path, body: str) -> Path:
     """Have passes done by a script that notes each request in a file; returns that file."""
     notes = tmp_path / "passes.jsonl"
-    script = "import json, os, signal, sys, time\nrequest = json.load(sys.stdin)\n"
+    script = "import json, os, signal, sys, time\nrequest = json.loads(sys.stdin.readline())\n"
     script += (
         f"with open({str(notes)!r}, 'a') as f: f.write(json.dumps(request | {{'at': time.monotonic()}}) + '\\n')\n"
     )

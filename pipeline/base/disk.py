@@ -72,7 +72,12 @@ def _for_each(work: Callable[[Item], None], items: Sequence[Item]) -> None:
 
 
 def sync_folder(folder: Path) -> None:
-    """Return when names that came into a folder, or went from it, are on the disk."""
+    """Return when names that came into a folder, or went from it, are on the disk.
+
+    Windows opens no folders; there the journal of the file system keeps the order.
+    """
+    if not hasattr(os, "O_DIRECTORY"):
+        return
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)

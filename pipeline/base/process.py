@@ -1,9 +1,30 @@
-"""What a process of this package does before anything else."""
+"""Processes of this package: what each does before anything else, and when it ends.
+
+No process outlives the one that started it, whatever ends that. A worker waits on a pipe the other end of which its
+parent alone holds: the operating system closes it when the parent ends. (The death signal of Linux would come when the
+*thread* ends that started the worker.) A signal that asks for an end becomes an exception, so that files which are not
+complete are taken away; a second one ends the process where it stands.
+"""
 
 from __future__ import annotations
 
+import os
+import select
+import signal
 import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from importlib import import_module
 from importlib.abc import MetaPathFinder
+from types import FrameType
+
+from pipeline.base.errors import EXIT_ERROR
+
+STOP_SIGNALS = tuple(
+    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGBREAK") if hasattr(signal, name)
+)
+"""Signals that ask for an end: Ctrl-C, a service manager, a terminal that is closed; as far as the system has them."""
 
 
 class _NoPandas(MetaPathFinder):
@@ -21,3 +42,78 @@ def leave_out_pandas() -> None:
     missing for everybody.
     """
     sys.meta_path.insert(0, _NoPandas())
+
+
+class Ended(BaseException):
+    """A signal asked for the end of this process. No handler of errors catches it by accident.
+
+    Parameters
+    ----------
+    number : int
+        Of the signal.
+    """
+
+    def __init__(self, number: int) -> None:
+        super().__init__(signal.Signals(number).name)
+        self.number = number
+
+    def leave(self) -> None:
+        """End this process as the signal does where nobody handles it, so that its parent is told of it."""
+        signal.signal(self.number, signal.SIG_DFL)
+        signal.raise_signal(self.number)
+
+
+@contextmanager
+def on_stop_signals(handler: Callable[[int, FrameType | None], object]) -> Iterator[None]:
+    """Call a handler on signals that ask for an end; one that is ignored (nohup) stays so."""
+    former = {number: signal.getsignal(number) for number in STOP_SIGNALS}
+    handled = [number for number, before in former.items() if before not in (signal.SIG_IGN, None)]
+    try:
+        for number in handled:
+            signal.signal(number, handler)
+        yield
+    finally:
+        for number in handled:
+            signal.signal(number, former[number])
+
+
+def raise_ended(number: int, frame: FrameType | None) -> None:
+    """Handle a signal: raise `Ended`, and let the next signal end the process at once, which is safe, too."""
+    for other in STOP_SIGNALS:
+        if signal.getsignal(other) == raise_ended:
+            signal.signal(other, signal.SIG_DFL)
+    raise Ended(number)
+
+
+def end_when(gone: Callable[[], object]) -> None:
+    """End this process when a function returns that waits for the end of its parent."""
+
+    def wait() -> None:
+        try:
+            gone()
+        finally:
+            os._exit(EXIT_ERROR)
+
+    threading.Thread(target=wait, name="end with the parent", daemon=True).start()
+
+
+@contextmanager
+def ended_through(pipe: int) -> Iterator[None]:
+    """Let the kernel end this process when the other end of a pipe closes, or writes, while the block runs.
+
+    For libraries that keep the interpreter to themselves, so that `end_when` has no say. Only Linux does so; elsewhere
+    the block runs as it is.
+    """
+    if sys.platform != "linux":
+        yield
+        return
+    fcntl = import_module("fcntl")
+    flags = fcntl.fcntl(pipe, fcntl.F_GETFL)
+    fcntl.fcntl(pipe, fcntl.F_SETOWN, os.getpid())
+    fcntl.fcntl(pipe, fcntl.F_SETFL, flags | os.O_ASYNC)  # its signal, SIGIO, ends a process that does not handle it
+    try:
+        if select.select([pipe], [], [], 0)[0]:  # closed before
+            os._exit(EXIT_ERROR)
+        yield
+    finally:
+        fcntl.fcntl(pipe, fcntl.F_SETFL, flags)

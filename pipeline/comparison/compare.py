@@ -185,10 +185,10 @@ def compare(
         return Outcome(None, _rows(plan), None)
 
     builder = TableBuilder(data, early)
-    if known:
-        say("theory: optima (in the background)")
-        predictions.start(builder.requests() + requests_of_delay_figure(data, early))
-    try:
+    with predictions:
+        if known:
+            say("theory: optima (in the background)")
+            predictions.start(builder.requests() + requests_of_delay_figure(data, early))
         compute_stages(data.experiments, needed_stages(data))
         results = []
         for stages in data.experiments:
@@ -203,7 +203,6 @@ def compare(
                 r.model_copy(update={"theory": early[r.experiment].parameters if r.experiment in early else None})
                 for r in results
             ]
-    finally:
         predictions.finish()
     rows = builder.rows(predictions, results)
     results = add_scores(data, results, early, predictions)

@@ -16,7 +16,7 @@ from pipeline.comparison.scene_parts import FIGURE_NAMES
 from pipeline.comparison.tables_d import layouts
 from pipeline.profiles.profile_lines import Mistake, Place, key_lines
 from pipeline.records.models import CRITERIA, SceneFile
-from pipeline.store.storage import folder_name
+from pipeline.store.names import report_of
 
 REPORT_TABLES = {
     "scores": "measured against theory",
@@ -139,7 +139,7 @@ def draft_scene(device: str, processed: Path) -> str:
         "# tables: " + "; ".join(f"{name}: {words}" for name, words in REPORT_TABLES.items()),
         f"tables = {_list([*(t.name for t in layouts(data)), *REPORT_TABLES])}",
         "",
-        f"report = {_quoted(f'reports/{folder_name(device)}.html')}",
+        f"report = {_quoted(report_of(Path('reports'), device).as_posix())}",
     ]
     return "\n".join(lines) + "\n"
 

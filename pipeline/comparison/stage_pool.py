@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import os
 from collections.abc import Collection
-from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from multiprocessing import get_context
 from pathlib import Path
 
 import pyarrow as pa
 
-from pipeline.base.process import leave_out_pandas
+from pipeline.base.process_pool import process_pool
 from pipeline.measured.stages import STAGES, ExperimentStages
 from pipeline.store.storage import read_trials
 
@@ -42,9 +40,7 @@ def compute_stages(experiments: Collection[ExperimentStages], needed: Collection
     # the longest first, so that no processor ends up waiting for the last
     small.sort(key=lambda e: -e.trials.num_rows)
     wanted = tuple(sorted(needed, key=STAGES.index))
-    workers = processors if large else min(len(small), processors)
-    # spawn: a fork would copy the locks of Arrow's threads in an unknown state
-    with ProcessPoolExecutor(workers, get_context("spawn"), leave_out_pandas) as pool:
+    with process_pool(processors if large else min(len(small), processors)) as pool:
         jobs = [pool.submit(_compute, e.processed, e.device, e.experiment, wanted) for e in small]
         try:
             for experiment in large:

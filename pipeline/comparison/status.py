@@ -22,8 +22,9 @@ from pipeline.measured.stages import STAGES, ExperimentStages
 from pipeline.profiles.profile_files import shipped_profiles
 from pipeline.records.models import Record
 from pipeline.store.compaction import find_orphans
+from pipeline.store.names import report_of
 from pipeline.store.quarantine import list_quarantine
-from pipeline.store.storage import folder_name, natural_key, read_trials, samples_metadata, stage_file, steadily
+from pipeline.store.storage import natural_key, read_trials, samples_metadata, stage_file, steadily
 
 UNCODED = "other"
 """Key of refusals by a version that gave no codes."""
@@ -209,7 +210,7 @@ def _reports(processed: Path, reports: Path | None, devices: list[str]) -> tuple
     found = []
     for device in devices if reports is not None else ():
         assert reports is not None
-        file = reports / f"{folder_name(device)}.html"
+        file = report_of(reports, device)
         if not file.is_file():
             continue
         try:

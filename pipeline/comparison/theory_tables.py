@@ -13,14 +13,14 @@ from __future__ import annotations
 import os
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
-from multiprocessing import get_context
 from typing import Literal
 
 import numpy as np
 
+from pipeline.base.process_pool import process_pool
 from pipeline.records.batch import Floats
 from pipeline.store.published_theory import THEORY_TABLES, PrintedNumber, PublishedPoint, published_points
 from pipeline.theory.energy import energy_costs
@@ -225,14 +225,10 @@ def recomputed_tables(
         for name, of_table in rows.items():
             yield name, len(of_table), map(recompute, of_table)
         return
-    # spawn: a fork would copy the locks of Arrow's threads in an unknown state
-    pool = ProcessPoolExecutor(count, mp_context=get_context("spawn"))
-    try:
+    with process_pool(count) as pool:
         pending = {point: pool.submit(recompute, point) for point in searched}
         for name, of_table in rows.items():
             yield name, len(of_table), (_result(point, pending) for point in of_table)
-    finally:
-        pool.shutdown(cancel_futures=True)
 
 
 def _result(point: PublishedPoint, pending: dict[PublishedPoint, Future[TheoryRow]]) -> TheoryRow:

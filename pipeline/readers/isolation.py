@@ -17,12 +17,14 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator
+from functools import partial
 from importlib import import_module
 from pathlib import Path
+from queue import SimpleQueue
 from typing import IO, Any
 
 from pipeline.base.errors import LogError
-from pipeline.base.process import leave_out_pandas
+from pipeline.base.process import end_when, ended_through, leave_out_pandas
 from pipeline.readers.safety import LARGEST_FRAME, allowed_bytes
 
 CPU_SECONDS = 0.6
@@ -105,17 +107,16 @@ def isolated(
 
 
 def serve() -> None:
-    """Work on calls from standard input until it ends; the main loop of a worker process."""
+    """Work on calls from standard input; the main loop of a worker process, which ends when its parent does."""
     leave_out_pandas()
     _bound_memory()
-    calls, results = sys.stdin.buffer, os.fdopen(os.dup(1), "wb")
+    pipe, results = sys.stdin.fileno(), os.fdopen(os.dup(1), "wb")
     # whatever a library prints must not get between the results
     os.dup2(2, 1)
+    calls: SimpleQueue[Any] = SimpleQueue()
+    end_when(partial(_receive, pipe, calls))
     while True:
-        try:
-            place, imports, arguments, seconds = pickle.load(calls)
-        except EOFError:
-            return
+        place, imports, arguments, seconds = calls.get()
         module, _, function = place.partition(":")
         work = getattr(import_module(module), function)
         for needed in imports:
@@ -123,14 +124,22 @@ def serve() -> None:
             with contextlib.suppress(ImportError):
                 import_module(needed)
         _alarm(seconds)
-        try:
-            with memory_for(allowed_bytes(len(arguments[1])) + len(arguments[1])):
+        size = len(arguments[1])
+        with ended_through(pipe), memory_for(allowed_bytes(size) + size):  # nothing is sent before there is a result
+            try:
                 outcome: tuple[bool, Any] = (True, work(*arguments))
-        except LogError as error:
-            outcome = (False, error)
+            except LogError as error:
+                outcome = (False, error)
         _alarm(0.0)
         pickle.dump(outcome, results, pickle.HIGHEST_PROTOCOL)
         results.flush()
+
+
+def _receive(pipe: int, calls: SimpleQueue[Any]) -> None:
+    """Hand calls on until the parent has no more, or is gone."""
+    with open(pipe, "rb", closefd=False) as stream, contextlib.suppress(EOFError, pickle.UnpicklingError):
+        while True:
+            calls.put(pickle.load(stream))
 
 
 def _alarm(seconds: float) -> None:

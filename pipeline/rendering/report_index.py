@@ -199,8 +199,7 @@ def write_index(folder: Path, only_renew: bool = False) -> Path | None:
     Returns
     -------
     Path or None
-        The page; None where it is as it was, or a page of somebody else (a report of a device called "index") has its
-        name.
+        The page; None where it is as it was, or a page of somebody else has its name.
 
     Raises
     ------

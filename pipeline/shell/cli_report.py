@@ -77,7 +77,7 @@ def compare(
     from pipeline.comparison.scene_file import read_scene
     from pipeline.rendering.report_index import write_index
     from pipeline.rendering.table_export import export_tables, parse_formats, tables_folder
-    from pipeline.store.storage import folder_name
+    from pipeline.store.names import AGAINST, report_of
 
     two = against is not None or against_device is not None
     if two:
@@ -94,7 +94,8 @@ def compare(
         names = experiment or (asked.experiments if asked else None)
         _compare_against(name, names, against, against_device, processed, wanted, report, as_json)
         return
-    target = report or Path(asked.report if asked and asked.report else f"reports/{folder_name(name)}.html")
+    drawn = Path(asked.report) if asked and asked.report else report_of(Path("reports"), name)
+    target = report or drawn
     if not dry_run:
         check_output(target, "--report", document_beside=True)
     outcome = compare_device(
@@ -123,7 +124,7 @@ def compare(
         from pipeline.comparison.against_run import against_document
 
         _print_against(
-            against_document(outcome.result, against_report), target, f"{target.stem}-against-earlier", as_json
+            against_document(outcome.result, against_report), target, f"{target.stem}{AGAINST}earlier", as_json
         )
         return
     written = export_tables(outcome.result, tables_folder(target), formats) if formats else ()
@@ -150,7 +151,8 @@ def _compare_against(
 ) -> None:
     """Compare two experiments and print what differs."""
     from pipeline.comparison.against_run import against_experiments, names_of
-    from pipeline.store.storage import folder_name, list_experiments
+    from pipeline.store.names import AGAINST, folder_name
+    from pipeline.store.storage import list_experiments
 
     if experiments is None or len(experiments) != 1:
         raise UsageError("--against compares one experiment with another one. Name the first with --experiment.")
@@ -164,7 +166,7 @@ def _compare_against(
         against = stored[0]
     second = names_of(against, device, against_device, list_experiments(processed, device))
     other = second[1] if second[0] == device else f"{second[0]}-{second[1]}"
-    target = report or Path("reports") / f"{folder_name(f'{device}-{first}-against-{other}')}.html"
+    target = report or Path("reports") / f"{folder_name(f'{device}-{first}{AGAINST}{other}')}.html"
     check_output(target, "--report", document_beside=True)
     progress = None if as_json else console.note
     page = against_experiments(processed, (device, first), second, criteria, progress)

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from types import FrameType
@@ -16,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from pipeline.base.errors import EXIT_OK, UsageError
+from pipeline.base.process import on_stop_signals
 from pipeline.shell import console
 
 if TYPE_CHECKING:
@@ -106,50 +104,18 @@ def _until_stopped(watched: Watched, interval: float, as_json: bool) -> int:
     def stop(number: int, frame: FrameType | None) -> None:
         if running.stop():
             # not by the buffered streams, which may be in use at the moment of the signal
-            os.write(2, b"stopping after what was begun last; a second signal stops at once\n")
+            os.write(2, b"stopping; a second signal stops at once\n")
 
-    with _on_stop_signals(stop):
+    with on_stop_signals(stop):
         running.run()
     return EXIT_OK
 
 
 def _once(watched: Watched, as_json: bool) -> int:
-    from pipeline.shell.watch_pass import PassRequest, Stopped, run_pass
-
-    asked = False
-
-    def ask(number: int, frame: FrameType | None) -> None:
-        nonlocal asked
-        asked = True
-
-    def check() -> None:
-        if asked:
-            raise Stopped
+    from pipeline.shell.watch_pass import PassRequest, run_pass
 
     request = PassRequest(**watched.request(), wait_s=0.0)
-    with _on_stop_signals(ask):
-        try:
-            outcome = run_pass(request, lambda event: _print(event, as_json), check)
-        except Stopped:
-            _print({"event": "stopped"}, as_json)
-            return EXIT_OK
-    return outcome.status
-
-
-@contextmanager
-def _on_stop_signals(handler: Any) -> Iterator[None]:
-    """Call a handler on signals that ask for an end; one that is ignored (nohup) stays so."""
-    from pipeline.shell.watch import STOP_SIGNALS
-
-    former = {number: signal.getsignal(number) for number in STOP_SIGNALS}
-    try:
-        for number, before in former.items():
-            if before != signal.SIG_IGN:
-                signal.signal(number, handler)
-        yield
-    finally:
-        for number, before in former.items():
-            signal.signal(number, before)
+    return run_pass(request, lambda event: _print(event, as_json)).status
 
 
 def _print(event: dict[str, Any], as_json: bool) -> None:

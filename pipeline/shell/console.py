@@ -15,6 +15,7 @@ from typing import Any, NoReturn
 import typer
 
 from pipeline.base.errors import EXIT_ERROR, PipelineError
+from pipeline.base.process import Ended, on_stop_signals, raise_ended
 
 Advance = Callable[[int, int | None], None]
 """Reports (things done, things in all or None where that is not known)."""
@@ -49,11 +50,16 @@ def run_app(app: typer.Typer, arguments: Sequence[str] | None) -> None:
     """Run the command line and leave with its exit status; a named error becomes a message on stderr.
 
     So does an error of the operating system that is no defect of the program (`OUTSIDE`). Other exceptions are defects:
-    they pass with their traceback.
+    they pass with their traceback. A signal that asks for an end ends it as it would any process, when what was not
+    complete is taken away.
     """
     try:
-        app(args=None if arguments is None else list(arguments))
-        _flush()
+        with on_stop_signals(raise_ended):
+            app(args=None if arguments is None else list(arguments))
+            _flush()
+    except Ended as end:
+        note(f"Stopped by {end}. Each file is complete or as it was before: run the command again for what is left.")
+        end.leave()
     except PipelineError as error:
         note(f"Error: {error}")
         sys.exit(error.exit_status)

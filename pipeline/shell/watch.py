@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from queue import Empty, SimpleQueue
 from typing import Any
 
 from pipeline.base.provenance import PACKAGE_FOLDER, user_device_folder
@@ -25,9 +25,6 @@ from pipeline.shell.watch_files import Arrivals, Look, look_at, wait_after
 RETRY_S, LONGEST_RETRY_S = 60.0, 3600.0
 """Time after which a pass is tried again that failed for a reason that may pass without a change of the logs [s], such
 as a full disk. It doubles each time up to the second number, so that a lasting fault costs next to nothing."""
-
-STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-"""Signals that end a watch: Ctrl-C, a service manager, a terminal that is closed."""
 
 _PASS = "import sys; sys.path.append(sys.argv[1]); from pipeline.shell.watch_pass import main; main()"
 """Program of a pass. Not ``-m``: processes that the pass starts for theory would import that module, too."""
@@ -97,7 +94,9 @@ class Watch:
     def __init__(self, watched: Watched, interval_s: float, emit: Callable[[Event], None]) -> None:
         self.watched, self.interval_s, self.emit = watched, interval_s, emit
         self._arrivals = Arrivals(watched.settle_s)
-        self._asked = threading.Event()
+        self._asked = False
+        # not an Event, whose lock a signal may find held by the thread that it interrupts
+        self._wake: SimpleQueue[None] = SimpleQueue()
         self._child: subprocess.Popen[str] | None = None
         self._failed: dict[str, str] = {}
         self._told: dict[str, str] = {}
@@ -105,18 +104,18 @@ class Watch:
         self._retry_s = RETRY_S
 
     def stop(self) -> bool:
-        """Ask for the end after what was begun last; asked again, end a running pass at once. A signal may call it.
+        """Ask for the end, with that of a running pass; asked again, kill the pass. A signal may call it.
 
         Returns
         -------
         bool
-            Whether a pass is running, for which the end has to wait.
+            Whether a pass is running, for the end of which the watch has to wait.
         """
-        again = self._asked.is_set()
-        self._asked.set()
+        again, self._asked = self._asked, True
+        self._wake.put(None)
         child = self._child
         if child is not None:
-            child.send_signal(signal.SIGKILL if again else signal.SIGTERM)
+            (child.kill if again else child.terminate)()
         return child is not None
 
     def run(self) -> None:
@@ -126,7 +125,7 @@ class Watch:
         news_at = time.monotonic()
         again_at: float | None = None
         first = True
-        while not self._asked.is_set():
+        while not self._asked:
             began = time.monotonic()
             look = look_at(watched.folders, watched.files, (watched.processed,))
             now = time.monotonic()
@@ -143,7 +142,8 @@ class Watch:
                 continue
             due = [*restless.values(), *([] if again_at is None else [again_at])]
             until = min(due) - now if due else None
-            self._asked.wait(wait_after(now - began, self.interval_s, now - news_at, until))
+            with suppress(Empty):
+                self._wake.get(timeout=wait_after(now - began, self.interval_s, now - news_at, until))
         self.emit({"event": "stopped"})
 
     def _tell_troubles(self, look: Look) -> None:
@@ -161,18 +161,20 @@ class Watch:
         command = [sys.executable, "-P", "-c", _PASS, str(PACKAGE_FOLDER.parent)]
         # a session of its own: Ctrl-C reaches this process alone, which hands it on as a request to end
         with subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, start_new_session=True
+            command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+            creationflags=getattr(subprocess, "BELOW_NORMAL_PRIORITY_CLASS", 0),  # what `os.nice` is on Windows
         ) as child:
             self._child = child
             assert child.stdin is not None, "a pipe was asked for"
             assert child.stdout is not None, "a pipe was asked for"
-            if self._asked.is_set():  # a signal came while the process was made
+            if self._asked:  # a signal came while the process was made
                 child.terminate()
-            try:
-                json.dump(document, child.stdin)
-                child.stdin.close()
-            except BrokenPipeError:
-                pass  # it ended before it read; what that means is told by its status
+            with suppress(OSError):  # it ended before it read; what that means is told by its status
+                print(json.dumps(document), file=child.stdin, flush=True)
             for line in child.stdout:
                 if not line.endswith("\n"):  # the process was killed while it wrote
                     break
@@ -183,7 +185,10 @@ class Watch:
                     self._tell(event)
             status = child.wait()
             self._child = None
-        if self._asked.is_set():
+            # open until now: the pass ends when this pipe does
+            with suppress(OSError):
+                child.stdin.close()
+        if self._asked:
             return None
         if not outcome:
             reason = f"the pass ended with status {status}; its last words stand in the error output"

@@ -8,20 +8,19 @@ from __future__ import annotations
 
 import json
 import os
-import signal
 import sys
-import threading
 import time
 import traceback
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from pathlib import Path
 
 from pipeline.base.errors import EXIT_ERROR, EXIT_OK, EXIT_QUARANTINED, PipelineError, StoreError
 from pipeline.base.file_names import path_of_text, path_text
 from pipeline.base.lock import WAIT_S, holder, writing
-from pipeline.base.process import leave_out_pandas
+from pipeline.base.process import Ended, end_when, leave_out_pandas, on_stop_signals, raise_ended
 from pipeline.base.provenance import digest
 from pipeline.comparison.compare import compare
 from pipeline.comparison.scene import RUN
@@ -29,8 +28,9 @@ from pipeline.comparison.scene_file import read_scene
 from pipeline.records.models import SceneFile
 from pipeline.rendering.report_index import write_index
 from pipeline.store.ingest import IngestReport, Refusal, ingest
+from pipeline.store.names import report_of
 from pipeline.store.quarantine import list_quarantine
-from pipeline.store.storage import folder_name, list_devices, read_trials
+from pipeline.store.storage import list_devices, read_trials
 
 PASS_FOLDER = ".watch"
 """Folder below `processed/` with the lock that lets one pass work at a time; an ingest by hand is not kept waiting."""
@@ -42,10 +42,6 @@ Event = dict[str, object]
 """Something that happened: its kind under ``event``, the rest by kind."""
 
 Emit = Callable[[Event], None]
-
-
-class Stopped(BaseException):
-    """The pass was asked to end; what was begun last is complete. No handler of errors catches it by accident."""
 
 
 @dataclass(frozen=True)
@@ -107,7 +103,7 @@ class PassOutcome:
     failed: dict[str, str] = field(default_factory=dict)
 
 
-def run_pass(request: PassRequest, emit: Emit, check: Callable[[], None]) -> PassOutcome:
+def run_pass(request: PassRequest, emit: Emit) -> PassOutcome:
     """Ingest, compare and renew the index once.
 
     Parameters
@@ -115,8 +111,6 @@ def run_pass(request: PassRequest, emit: Emit, check: Callable[[], None]) -> Pas
     request : PassRequest
     emit : callable
         Gets each event when it happens.
-    check : callable
-        Called often; an exception that it raises (`Stopped`) ends the pass, with all that is stored complete.
 
     Returns
     -------
@@ -137,9 +131,8 @@ def run_pass(request: PassRequest, emit: Emit, check: Callable[[], None]) -> Pas
         except OSError as error:
             _fail(emit, outcome, "pass", f"{request.processed}: cannot be written ({error})", retry=True)
             return outcome
-        _ingest(request, emit, check, outcome)
-        _reports(request, emit, check, outcome)
-        check()
+        _ingest(request, emit, outcome)
+        _reports(request, emit, outcome)
         try:
             index = write_index(Path(request.reports))
         except (PipelineError, OSError) as error:
@@ -150,7 +143,7 @@ def run_pass(request: PassRequest, emit: Emit, check: Callable[[], None]) -> Pas
     return outcome
 
 
-def _ingest(request: PassRequest, emit: Emit, check: Callable[[], None], outcome: PassOutcome) -> None:
+def _ingest(request: PassRequest, emit: Emit, outcome: PassOutcome) -> None:
     folders = [Path(folder) for folder in request.folders if os.path.isdir(folder)]
     if not folders:
         return
@@ -163,7 +156,6 @@ def _ingest(request: PassRequest, emit: Emit, check: Callable[[], None], outcome
             request.profile,
             settle_s=request.settle_s,
             growing=request.growing,
-            progress=lambda done, found: check(),
         )
     except PipelineError as error:
         _fail(emit, outcome, "ingest", str(error), retry=True)
@@ -198,9 +190,8 @@ def _refusal_event(refusal: Refusal) -> Event:
     return {"event": "refused", "path": refusal.path, "row": refusal.row, "reason": refusal.reason}
 
 
-def _reports(request: PassRequest, emit: Emit, check: Callable[[], None], outcome: PassOutcome) -> None:
+def _reports(request: PassRequest, emit: Emit, outcome: PassOutcome) -> None:
     for name in request.scenes or list_devices(Path(request.processed)):
-        check()
         inputs = ""
         try:
             scene = read_scene(Path(name)) if request.scenes else None
@@ -210,7 +201,7 @@ def _reports(request: PassRequest, emit: Emit, check: Callable[[], None], outcom
                 outcome.failed[name] = inputs
                 outcome.status = EXIT_ERROR
                 continue
-            _report(request, name, device, scene, emit, check)
+            _report(request, name, device, scene, emit)
         except (PipelineError, OSError) as error:
             # a full disk may be emptied and a damaged file mended; too few logs stay too few until others come
             retry = isinstance(error, (StoreError, OSError))
@@ -224,11 +215,9 @@ def _reports(request: PassRequest, emit: Emit, check: Callable[[], None], outcom
             _fail(emit, outcome, name, f"defect in the program: {error!r}; please report it", retry=False)
 
 
-def _report(
-    request: PassRequest, what: str, device: str, scene: SceneFile | None, emit: Emit, check: Callable[[], None]
-) -> None:
+def _report(request: PassRequest, what: str, device: str, scene: SceneFile | None, emit: Emit) -> None:
     """Bring one report up to date."""
-    report = Path(scene.report if scene and scene.report else Path(request.reports, f"{folder_name(device)}.html"))
+    report = Path(scene.report) if scene and scene.report else report_of(Path(request.reports), device)
     began = time.monotonic()
     found = compare(
         device,
@@ -237,7 +226,6 @@ def _report(
         criteria=scene.chosen_criteria if scene else None,
         shown=scene.shown if scene else None,
         report=report,
-        progress=lambda _: check(),
     )
     renewed = any(stage == "report" and action == RUN for stage, action, _ in found.stages)
     if renewed or not request.quiet:
@@ -272,30 +260,22 @@ def _fail(emit: Emit, outcome: PassOutcome, what: str, reason: str, retry: bool)
 def main() -> None:
     """Do one pass as a process of its own: a `PassRequest` as JSON on stdin, events and outcome as lines on stdout.
 
-    SIGTERM and SIGINT end it after what was begun last, and so does the end of the process that started it.
+    A signal ends it, and so does the end of stdin, which its parent holds open.
     """
     leave_out_pandas()
-    asked = threading.Event()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        signal.signal(number, lambda *_: asked.set())
-    started_by = os.getppid()
     # lines of events alone: what a library prints goes to the errors
     lines, sys.stdout = sys.stdout, sys.stderr
-    request = PassRequest(**json.load(sys.stdin))
-    os.nice(NICENESS)
-
-    def check() -> None:
-        if asked.is_set() or os.getppid() != started_by:
-            raise Stopped
+    request = PassRequest(**json.loads(sys.stdin.readline()))
+    end_when(partial(os.read, sys.stdin.fileno(), 1))
+    if hasattr(os, "nice"):
+        os.nice(NICENESS)
 
     def emit(event: Event) -> None:
-        try:
-            print(json.dumps(event), file=lines, flush=True)
-        except BrokenPipeError:
-            raise Stopped from None
+        print(json.dumps(event), file=lines, flush=True)
 
     try:
-        outcome = run_pass(request, emit, check)
-        emit({"event": "outcome", **asdict(outcome)})
-    except Stopped:
-        sys.exit(EXIT_ERROR)
+        with on_stop_signals(raise_ended):
+            outcome = run_pass(request, emit)
+            emit({"event": "outcome", **asdict(outcome)})
+    except Ended as end:
+        end.leave()

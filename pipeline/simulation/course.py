@@ -28,7 +28,7 @@ from pipeline.records.tables import write_text
 from pipeline.simulation.procedure import AT_ZERO_STIFFNESS, Climb, Strings
 from pipeline.simulation.simulate import MassSpringDamper, Setup, idealise, setup_of, simulate, spectral_radius
 from pipeline.store.devices import find_experiment
-from pipeline.store.storage import folder_name
+from pipeline.store.names import place_of
 
 COLUMNS_AHEAD = 6
 """Dampings beyond the tested range that are simulated ahead where the range is extended."""
@@ -208,7 +208,7 @@ def write_course(course: Course, folder: Path, *, overwrite: bool = False) -> in
     PipelineError
         If a file cannot be written. The logs that are there are complete and listed in ``truth.json``.
     """
-    target = folder / folder_name(course.device.name) / folder_name(course.experiment.name)
+    target = place_of(place_of(folder, course.device.name), course.experiment.name)
     names = [f"{name}.csv" for name in course.batch.trial_id]
     try:
         earlier = _earlier_logs(target, overwrite)

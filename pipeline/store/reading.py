@@ -15,8 +15,8 @@ from pipeline.base.file_names import storable
 from pipeline.base.regular_files import open_regular
 from pipeline.readers import Log, RawLog, reader_of
 from pipeline.records.models import Motion
+from pipeline.store.names import folder_name
 from pipeline.store.sources import Source
-from pipeline.store.storage import folder_name
 
 BATCH_LOGS = 256
 BATCH_BYTES = 6 << 20

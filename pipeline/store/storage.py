@@ -17,7 +17,6 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
-from urllib.parse import quote, unquote
 
 import numpy as np
 import pyarrow as pa
@@ -26,38 +25,24 @@ import pyarrow.parquet as pq
 from pipeline.base.errors import StoreError
 from pipeline.records.batch import Booleans
 from pipeline.records.tables import TABLES, arrow_schema, read_table
+from pipeline.store.names import name_of_folder, place_of
 
 Result = TypeVar("Result")
 
 
-def folder_name(name: str) -> str:
-    """Turn a device or experiment name into a safe folder name; `name_of_folder` turns it back.
-
-    Readers of folders of Parquet files leave out those that begin with a dot or an underscore, and take "a=b" for a
-    column: these signs are written as %2E, %5F and %3D there.
-    """
-    safe = quote(name, safe=" +,@")
-    return f"%{ord(safe[0]):02X}{safe[1:]}" if safe.startswith((".", "_")) else safe
-
-
-def name_of_folder(folder: str) -> str:
-    """Return the device or experiment name that `folder_name` made a folder name of."""
-    return unquote(folder)
-
-
 def trials_folder(processed: Path, device: str, experiment: str) -> Path:
     """Return the folder with the trials tables of an experiment."""
-    return processed / "trials" / folder_name(device) / folder_name(experiment)
+    return _folder(processed, "trials", device, experiment)
 
 
 def samples_folder(processed: Path, device: str, experiment: str) -> Path:
     """Return the folder with the samples tables of an experiment."""
-    return processed / "samples" / folder_name(device) / folder_name(experiment)
+    return _folder(processed, "samples", device, experiment)
 
 
 def stage_file(processed: Path, device: str, experiment: str, stage: str) -> Path:
     """Return the file that holds the result of a stage for an experiment."""
-    return processed / "stages" / folder_name(device) / folder_name(experiment) / f"{stage}.parquet"
+    return _folder(processed, "stages", device, experiment) / f"{stage}.parquet"
 
 
 def list_devices(processed: Path) -> list[str]:
@@ -70,7 +55,7 @@ def list_devices(processed: Path) -> list[str]:
 
 def list_experiments(processed: Path, device: str) -> list[str]:
     """Return the experiments of a device that have trials, sorted as people sort them (2 before 10)."""
-    folder = processed / "trials" / folder_name(device)
+    folder = place_of(processed / "trials", device)
     if not folder.is_dir():
         return []
     names = [name_of_folder(p.name) for p in folder.iterdir() if p.is_dir() and any(p.glob("*.parquet"))]
@@ -106,8 +91,16 @@ def batch_number(file: Path) -> int:
 
 
 def _trials_root(processed: Path, device: str | None, experiment: str | None) -> str:
-    names = [folder_name(name) for name in (device, experiment) if name is not None]
-    return os.path.join(processed, "trials", *names)
+    names = (name for name in (device, experiment) if name is not None)
+    return os.fspath(_folder(processed, "trials", *names))
+
+
+def _folder(processed: Path, tree: str, *names: str) -> Path:
+    """Return a folder of one of the trees, all of which have the folder names of that of the trials."""
+    trials = place = processed / "trials"
+    for name in names:
+        place = place_of(place, name)
+    return processed / tree / place.relative_to(trials)
 
 
 def _listing(folder: str) -> dict[str, tuple[int, int, int]]:

@@ -5,16 +5,17 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Iterable, Mapping
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
-from multiprocessing import get_context
 from pathlib import Path
+from typing import Any, Self
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from pipeline.base.process import leave_out_pandas
+from pipeline.base.process_pool import process_pool
 from pipeline.base.provenance import code_digest, digest
 from pipeline.records.results import TheoryParameters
 from pipeline.records.tables import write_text
@@ -85,7 +86,7 @@ class _Kept(BaseModel):
 
 @dataclass
 class Predictions:
-    """Optima that are asked for, looked up or computed.
+    """Optima that are asked for, looked up or computed; as a context it ends what still computes when it is left.
 
     Parameters
     ----------
@@ -96,7 +97,14 @@ class Predictions:
     folder: Path
     _known: dict[Request, OptimalPoint] = field(default_factory=dict)
     _pending: dict[Request, Future[OptimalPoint]] = field(default_factory=dict)
-    _pool: ProcessPoolExecutor | None = None
+    _pool: ExitStack = field(default_factory=ExitStack)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *reason: Any) -> None:
+        self._pending = {}
+        self._pool.__exit__(*reason)
 
     def missing(self, requests: Iterable[Request]) -> list[Request]:
         """Return the requests whose answer is not kept."""
@@ -112,28 +120,23 @@ class Predictions:
         if workers < 2:
             self._store({request: optimal_point(*request) for request in missing})
             return
-        # spawn: a fork would copy the locks of Arrow's threads in an unknown state
-        self._pool = ProcessPoolExecutor(workers, get_context("spawn"), leave_out_pandas)
+        pool = self._pool.enter_context(process_pool(workers))
         # slow ones first, so that no processor ends up waiting for the last
         order = sorted(
             missing, key=lambda r: (not r[1].startswith("overshoot"), r[1].startswith("energy"), -r[0].delay)
         )
-        self._pending = {request: self._pool.submit(optimal_point, *request) for request in order}
+        self._pending = {request: pool.submit(optimal_point, *request) for request in order}
 
     def finish(self) -> None:
         """Wait for what `start` began, and keep it."""
         try:
-            try:
-                found = {request: future.result() for request, future in self._pending.items()}
-            except BrokenProcessPool:
-                # a process was killed, or could not import the caller's main program (typed in, or without a guard)
-                found = {request: optimal_point(*request) for request in self._pending}
-            self._store(found)
-        finally:
-            self._pending = {}
-            if self._pool is not None:
-                self._pool.shutdown(cancel_futures=True)
-                self._pool = None
+            found = {request: future.result() for request, future in self._pending.items()}
+        except BrokenProcessPool:
+            # a process was killed, or could not import the caller's main program (typed in, or without a guard)
+            found = {request: optimal_point(*request) for request in self._pending}
+        self._store(found)
+        self._pending = {}
+        self._pool.close()
 
     def get(self, theory: Theory, criterion: str) -> Prediction:
         """Return an optimum that was asked for before, in physical units."""

@@ -1,0 +1,86 @@
+"""Names of devices and experiments as names of folders and reports that every system can hold, and back.
+
+Windows refuses some signs and names, and there, as on most disks of macOS, two names that differ in case only are one
+file. What such a system could not hold, or would mix up, is written as % and two digits.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from urllib.parse import quote, unquote
+
+_RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d) *(\.|$)", re.IGNORECASE)
+"""Names that Windows keeps for its devices, with any ending."""
+
+_OWN_PAGES = ("index", "accuracy", "theory")
+"""Pages beside the reports of devices: `pipeline watch`, `pipeline accuracy`, `pipeline theory figures`."""
+
+AGAINST = "-against-"
+"""Part of the names of pages that set two experiments, or two versions of a report, against each other."""
+
+
+def folder_name(name: str) -> str:
+    """Turn a device or experiment name into a safe folder name; `name_of_folder` turns it back.
+
+    Readers of folders of Parquet files leave out those that begin with a dot or an underscore, and take "a=b" for a
+    column: these signs are escaped there. So is the first letter of a name that Windows keeps for itself, and a dot or
+    space at the end, which it drops.
+
+    Examples
+    --------
+    >>> folder_name("arm 2"), folder_name("a/b"), folder_name("con"), folder_name("x.")
+    ('arm 2', 'a%2Fb', '%63on', 'x%2E')
+    """
+    safe = _quoted(name)
+    if safe.startswith((".", "_")) or _RESERVED.match(safe):
+        safe = _escaped(safe[0]) + safe[1:]
+    return safe[:-1] + _escaped(safe[-1]) if safe.endswith((".", " ")) else safe
+
+
+def name_of_folder(folder: str) -> str:
+    """Return the device or experiment name that `place_of` made a folder name of."""
+    return unquote(folder)
+
+
+def place_of(parent: Path, name: str) -> Path:
+    """Return the folder of a device or experiment in a folder, whether it is there or not.
+
+    A name that differs from another one there in case only is written in digits alone. What earlier versions stored
+    under a name that not every system can hold stays where it is.
+    """
+    return _place(parent, (folder_name(name), _quoted(name), _in_digits(name)))
+
+
+def report_of(reports: Path, device: str) -> Path:
+    """Return the file of the report of a device, which is that of no other page and no other device."""
+    plain = folder_name(device)
+    if plain.casefold() in _OWN_PAGES:
+        plain = _escaped(plain[0]) + plain[1:]
+    plain = plain.replace(AGAINST, _escaped(AGAINST[0]) + AGAINST[1:])
+    return _place(reports, (f"{plain}.html", f"{_in_digits(device)}.html"))
+
+
+def _place(parent: Path, choices: Sequence[str]) -> Path:
+    """Return the choice that is there; else the first one, or the last where the first differs in case from another."""
+    try:
+        there = set(os.listdir(parent))
+    except (FileNotFoundError, NotADirectoryError):
+        there = set()
+    present = [choice for choice in choices if choice in there]
+    taken = choices[0].casefold() in {other.casefold() for other in there}
+    return parent / (present[0] if present else choices[-1] if taken else choices[0])
+
+
+def _quoted(name: str) -> str:
+    return quote(name, safe=" +,@")
+
+
+def _in_digits(name: str) -> str:
+    return "".join(f"%{byte:02X}" for byte in name.encode())
+
+
+def _escaped(sign: str) -> str:
+    return f"%{ord(sign):02X}"
