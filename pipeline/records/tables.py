@@ -7,16 +7,19 @@ refuses a file whose columns or types differ. Files appear under their final nam
 
 from __future__ import annotations
 
+import io
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO, Self
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from pipeline.base.disk import replacing
 from pipeline.base.errors import StoreError
+from pipeline.base.seal import MARK, Damaged, SealingStream, verify
 
 Metadata = Mapping[str, str]
 
@@ -283,8 +286,8 @@ def to_arrow(
     return pa.table(arrays, schema=schema)
 
 
-def write_table(path: Path, data: pa.Table) -> None:
-    """Write a table to Parquet so that a reader sees all of it or nothing.
+def write_table(path: Path, data: pa.Table, annex: bytes = b"") -> None:
+    """Write a table to Parquet so that a reader sees all of it or nothing; the annex of its seal is the caller's.
 
     Raises
     ------
@@ -292,13 +295,52 @@ def write_table(path: Path, data: pa.Table) -> None:
         If the table does not equal its entry in `TABLES`.
     """
     _check(path, data.schema)
-    write_parquet(path, data)
+    write_parquet(path, data, annex)
 
 
-def write_parquet(path: Path, data: pa.Table) -> None:
+def write_parquet(path: Path, data: pa.Table, annex: bytes = b"") -> None:
     """Write any Arrow table so that a reader sees all of it or nothing; `write_table` checks it too."""
-    with replacing(path) as stream:
-        pq.write_table(data, stream, row_group_size=GROUP_ROWS, **WRITING)
+    with replacing(path) as stream, SealedWriter(stream, data.schema) as writer:
+        writer.write(data)
+        writer.close(annex)
+
+
+def parquet_bytes(data: pa.Table) -> bytes:
+    """Return a table as a Parquet file that is ready to be sealed."""
+    sink = io.BytesIO()
+    with _writer(sink, data.schema) as writer:
+        writer.write_table(data)
+    return sink.getvalue()
+
+
+def _writer(stream: BinaryIO | io.RawIOBase, schema: pa.Schema) -> pq.ParquetWriter:
+    return pq.ParquetWriter(stream, schema.with_metadata({**(schema.metadata or {}), MARK: "1"}), **WRITING)
+
+
+class SealedWriter:
+    """Writes tables, one group of rows each, as a sealed Parquet file; nothing of worth without `close`."""
+
+    def __init__(self, stream: BinaryIO, schema: pa.Schema) -> None:
+        self._stream = SealingStream(stream)
+        self._writer = _writer(self._stream, schema)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def write(self, data: pa.Table, group_rows: int = GROUP_ROWS) -> None:
+        """Append a table in groups of rows."""
+        self._writer.write_table(data, row_group_size=group_rows)
+
+    def close(self, annex: bytes = b"") -> bytes:
+        """Write the rest and the seal; return the footer."""
+        self._stream.end_pages()
+        self._writer.close()
+        return self._stream.finish(annex)
+
+    def __exit__(self, *error: object) -> None:
+        # the end of a file that nobody wants; on a full disk it cannot be written
+        with suppress(OSError, ValueError, pa.ArrowException):
+            self._writer.close()
 
 
 def write_text(path: Path, text: str) -> None:
@@ -316,14 +358,20 @@ def read_table(path: Path, columns: list[str] | None = None) -> pa.Table:
         If the file is damaged, or was written with other columns or types.
     """
     try:
-        with pq.ParquetFile(path, page_checksum_verification=True) as file:
+        # a file of an earlier version has checksums of its pages alone
+        with pq.ParquetFile(path, page_checksum_verification=not verify(path)) as file:
             _check(path, file.schema_arrow)
             return file.read(columns=columns)
-    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
-        raise StoreError(
-            f"{path}: cannot be read as Parquet ({error}). Expected a file written by `pipeline`; "
-            "remove it and run the command again, it will be made anew from the logs."
-        ) from error
+    except (Damaged, pa.ArrowException, OSError, UnicodeDecodeError) as error:
+        raise damaged(path, error) from error
+
+
+def damaged(path: Path, error: object) -> StoreError:
+    """Return the error of a stored file that cannot be read, with what to do."""
+    return StoreError(
+        f"{path}: is missing or damaged ({error}). `pipeline check` tells what can be saved, "
+        "`pipeline check --repair` saves it."
+    )
 
 
 def read_metadata(path: Path) -> dict[str, str]:

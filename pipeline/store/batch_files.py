@@ -2,22 +2,25 @@
 
 Names are ``<number>-<hash of the trials>.parquet``. Numbers rise, so that of two versions of a trial the one with the
 higher number is the newer, whatever the clocks of the machines that recorded them say.
+
+Each of the two files carries, in the annex of its seal, what is needed where the other is damaged: the samples file the
+whole trials file, the trials file the footer of the samples file, without which none of its groups can be read.
 """
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
-import pyarrow.parquet as pq
 
-from pipeline.base.disk import NewFile, remove, sync_folder
+from pipeline.base.disk import NewFile, remove, replacing, sync_folder
 from pipeline.base.provenance import digest, stamp
+from pipeline.base.seal import sealed
 from pipeline.records.models import Motion
-from pipeline.records.tables import WRITING, arrow_schema, to_arrow, write_table
+from pipeline.records.tables import SealedWriter, arrow_schema, parquet_bytes, to_arrow
 from pipeline.store.storage import batch_number, samples_folder, trials_files, trials_folder
 
 
@@ -38,12 +41,12 @@ class NewBatch:
         metadata = stamp(device=device, experiment=experiment)
         self._schema = arrow_schema("samples", rotation=self.rotation, metadata=metadata)
         self._file = NewFile(samples_folder(processed, device, experiment), f"samples-{motion}")
-        self._writer = pq.ParquetWriter(self._file.stream, self._schema, **WRITING)
+        self._writer = SealedWriter(self._file.stream, self._schema)
 
     def write(self, samples: pa.Table) -> None:
         """Append samples as one group; the table has the columns of the stored one."""
         if samples.num_rows:
-            self._writer.write_table(samples, row_group_size=samples.num_rows)
+            self._writer.write(samples, samples.num_rows)
             self.rows += samples.num_rows
 
     def publish(self, trials: Mapping[str, Sequence[Any] | pa.ChunkedArray], number: int) -> Path:
@@ -58,20 +61,20 @@ class NewBatch:
         """
         identity = zip(*(_values(trials[name]) for name in ("source_path", "trial_id", "profile_sha256")), strict=True)
         name = f"{number:06d}-{digest(sorted(identity))}.parquet"
-        self._writer.close()
-        path = self._file.publish(name)
-        file = path.relative_to(self.processed).as_posix()
-        columns = {**trials, "sample_file": [file] * len(trials["trial_id"])}
-        metadata = stamp(device=self.device, experiment=self.experiment)
         target = trials_folder(self.processed, self.device, self.experiment) / name
-        write_table(target, to_arrow("trials", columns, rotation=self.rotation, metadata=metadata))
+        file = (samples_folder(self.processed, self.device, self.experiment) / name).relative_to(self.processed)
+        columns = {**trials, "sample_file": [file.as_posix()] * len(trials["trial_id"])}
+        metadata = stamp(device=self.device, experiment=self.experiment)
+        table = parquet_bytes(to_arrow("trials", columns, rotation=self.rotation, metadata=metadata))
+        footer = self._writer.close(zlib.compress(table))
+        self._file.publish(name)
+        with replacing(target) as stream:
+            stream.write(sealed(table, zlib.compress(footer)))
         return target
 
     def discard(self) -> None:
         """Remove what was written, if it was not made visible."""
-        # the end of a file that nobody wants; on a full disk it cannot be written
-        with suppress(OSError, ValueError, pa.ArrowException):
-            self._writer.close()
+        self._writer.__exit__()
         self._file.discard()
 
 
