@@ -29,6 +29,7 @@ COMMANDS = {
         *("--processed", "--reports", "--profile", "--scene", "--interval", "--settle", "--once", "--json"),
     ],
     "compact": ["--processed", "--dry-run", "--wait", "--json"],
+    "check": ["--repair", "--processed", "--profile", "--wait", "--json"],
     "compare": ["--device", "--experiment", "--criteria", "--processed", "--report", "--dry-run", "--json"],
     "theory points": ["--json"],
     "theory boundary": ["--delay", "--gamma", "--delta", "--json"],

@@ -13,12 +13,13 @@ byte by byte. Any reader of Parquet skips the seal. The annex holds what the wri
 from __future__ import annotations
 
 import io
+import json
 import os
 import struct
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO, cast
+from typing import Any, BinaryIO, cast
 
 import numpy as np
 
@@ -51,7 +52,11 @@ _ENDING = 8
 """Bytes behind a footer: its length, and `_LAST`."""
 
 
-class Damaged(Exception):
+_CHECKSUM = b'{"checksum": "'
+"""How a sealed JSON document begins."""
+
+
+class DamageError(ValueError):
     """A file is not as it was written."""
 
 
@@ -106,12 +111,15 @@ class SealingStream(io.RawIOBase):
         self._footer: bytearray | None = None
 
     def writable(self) -> bool:
+        """Return True, as a Parquet writer asks."""
         return True
 
     def tell(self) -> int:
+        """Return the number of bytes that were written to it, but for the seal."""
         return self._size + len(self._footer or b"")
 
     def write(self, data: object) -> int:
+        """Pass bytes on; keep those of the footer."""
         content = cast(bytes, data)
         if self._footer is not None:
             self._footer += content
@@ -209,7 +217,7 @@ def verify(path: Path) -> bool:
 
     Raises
     ------
-    Damaged
+    DamageError
         If a byte is not as it was written.
     OSError
         If it cannot be read.
@@ -223,10 +231,10 @@ def verify(path: Path) -> bool:
             footer = stream.read()
             if start > 0 and footer.endswith(_LAST) and MARK.encode() not in footer:
                 return False
-            raise Damaged(f"its end is not as it was written ({size} bytes)")
+            raise DamageError(f"its end is not as it was written ({size} bytes)")
         blocks = damaged_blocks(stream, seal)
         if blocks:
-            raise Damaged(f"{len(blocks)} of {len(seal.checksums)} blocks of {seal.block} bytes differ from their checksums")
+            raise DamageError(f"{len(blocks)} of {len(seal.checksums)} blocks differ from their checksums")
         return True
 
 
@@ -258,6 +266,35 @@ def read_annex(stream: BinaryIO) -> bytes:
         return b""
     stream.seek(seal.start - seal.annex)
     return stream.read(seal.annex)
+
+
+def sealed_json(text: str) -> str:
+    """Return a JSON object with the CRC-32 of what follows as its first value."""
+    rest = text[1:]
+    return f'{_CHECKSUM.decode()}{zlib.crc32(rest.encode()):08x}",{rest}'
+
+
+def unsealed_json(data: bytes) -> dict[str, Any]:
+    """Return the content of a JSON object, held against its checksum where it has one, without it.
+
+    Raises
+    ------
+    ValueError
+        If it is none, or a byte is not as it was written (`DamageError`).
+    """
+    digits, comma, rest = data.removeprefix(_CHECKSUM).partition(b'",')
+    if data.startswith(_CHECKSUM) and (not comma or digits != b"%08x" % zlib.crc32(rest)):
+        raise DamageError("its checksum differs")
+    document = json.loads(data)
+    if not isinstance(document, dict):
+        raise DamageError("is no JSON object")
+    document.pop("checksum", None)
+    return document
+
+
+def footer_of(data: bytes) -> bytes:
+    """Return the footer of a whole Parquet file, with its ending."""
+    return data[_footer_start(io.BytesIO(data), len(data)) :]
 
 
 def _footer_start(stream: BinaryIO, size: int) -> int:

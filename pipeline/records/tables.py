@@ -18,8 +18,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from pipeline.base.disk import replacing
-from pipeline.base.errors import StoreError
-from pipeline.base.seal import MARK, Damaged, SealingStream, verify
+from pipeline.base.errors import REMEDY, StoreError
+from pipeline.base.seal import MARK, DamageError, SealingStream, verify
 
 Metadata = Mapping[str, str]
 
@@ -362,16 +362,13 @@ def read_table(path: Path, columns: list[str] | None = None) -> pa.Table:
         with pq.ParquetFile(path, page_checksum_verification=not verify(path)) as file:
             _check(path, file.schema_arrow)
             return file.read(columns=columns)
-    except (Damaged, pa.ArrowException, OSError, UnicodeDecodeError) as error:
-        raise damaged(path, error) from error
+    except (DamageError, pa.ArrowException, OSError, UnicodeDecodeError) as error:
+        raise damaged_file(path, error) from error
 
 
-def damaged(path: Path, error: object) -> StoreError:
+def damaged_file(path: Path, error: object) -> StoreError:
     """Return the error of a stored file that cannot be read, with what to do."""
-    return StoreError(
-        f"{path}: is missing or damaged ({error}). `pipeline check` tells what can be saved, "
-        "`pipeline check --repair` saves it."
-    )
+    return StoreError(f"{path}: is missing or damaged ({error}). {REMEDY}")
 
 
 def read_metadata(path: Path) -> dict[str, str]:

@@ -9,16 +9,19 @@ whole trials file, the trials file the footer of the samples file, without which
 
 from __future__ import annotations
 
+import io
 import zlib
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
+import pyarrow.parquet as pq
 
 from pipeline.base.disk import NewFile, remove, replacing, sync_folder
 from pipeline.base.provenance import digest, stamp
-from pipeline.base.seal import sealed
+from pipeline.base.seal import read_annex, sealed
 from pipeline.records.models import Motion
 from pipeline.records.tables import SealedWriter, arrow_schema, parquet_bytes, to_arrow
 from pipeline.store.storage import batch_number, samples_folder, trials_files, trials_folder
@@ -49,7 +52,7 @@ class NewBatch:
             self._writer.write(samples, samples.num_rows)
             self.rows += samples.num_rows
 
-    def publish(self, trials: Mapping[str, Sequence[Any] | pa.ChunkedArray], number: int) -> Path:
+    def publish(self, trials: Mapping[str, Sequence[Any] | pa.ChunkedArray], number: int, mark: str = "") -> Path:
         """Make the batch visible and return its trials file.
 
         Parameters
@@ -58,24 +61,54 @@ class NewBatch:
             All columns of the trials table but ``sample_file``.
         number : int
             Its number, above that of all visible batches (`next_number`).
+        mark : str, optional
+            Put before the hash: a batch that stands for a damaged one keeps its number and needs another name.
         """
         identity = zip(*(_values(trials[name]) for name in ("source_path", "trial_id", "profile_sha256")), strict=True)
-        name = f"{number:06d}-{digest(sorted(identity))}.parquet"
+        name = f"{number:06d}-{mark}{digest(sorted(identity))}.parquet"
         target = trials_folder(self.processed, self.device, self.experiment) / name
         file = (samples_folder(self.processed, self.device, self.experiment) / name).relative_to(self.processed)
         columns = {**trials, "sample_file": [file.as_posix()] * len(trials["trial_id"])}
         metadata = stamp(device=self.device, experiment=self.experiment)
         table = parquet_bytes(to_arrow("trials", columns, rotation=self.rotation, metadata=metadata))
-        footer = self._writer.close(zlib.compress(table))
+        footer = self._writer.close(pack_annex(table))
         self._file.publish(name)
         with replacing(target) as stream:
-            stream.write(sealed(table, zlib.compress(footer)))
+            stream.write(sealed(table, pack_annex(footer)))
         return target
 
     def discard(self) -> None:
         """Remove what was written, if it was not made visible."""
         self._writer.__exit__()
         self._file.discard()
+
+
+def trials_copy(samples: Path) -> pa.Table | None:
+    """Return the trials that a samples file was written with, None where it has no copy that can be read."""
+    data = trials_bytes(samples.read_bytes())
+    return None if data is None else pq.read_table(io.BytesIO(data), schema=arrow_schema("trials"))
+
+
+def trials_bytes(samples: bytes) -> bytes | None:
+    """Return the trials file, but for its seal, out of a samples file; None where it has none that can be read."""
+    return _unpacked(read_annex(io.BytesIO(samples)))
+
+
+def samples_footer(trials: bytes) -> bytes | None:
+    """Return the footer of the samples file out of a trials file; None where it has none that can be read."""
+    return _unpacked(read_annex(io.BytesIO(trials)))
+
+
+def pack_annex(content: bytes) -> bytes:
+    """Return the annex by which a file of a batch carries a part of the other."""
+    return zlib.compress(content)
+
+
+def _unpacked(annex: bytes) -> bytes | None:
+    # zlib has a checksum of its own
+    with suppress(zlib.error):
+        return zlib.decompress(annex)
+    return None
 
 
 def _values(column: Sequence[Any] | pa.ChunkedArray) -> Sequence[Any]:

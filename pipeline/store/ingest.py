@@ -33,10 +33,11 @@ from pipeline.store.ingest_report import (
     refusal_of,
 )
 from pipeline.store.quarantine import QuarantineRecord, list_quarantine, record_of, refuse, release
-from pipeline.store.reading import Read, batches_of, in_order, motion_of, read_and_check
+from pipeline.store.reading import Read, batches_of, in_order, read_and_check
 from pipeline.store.rerun import Folders, Search, folders_of, forget, remember
 from pipeline.store.sources import Source, by_rest, find_sources
-from pipeline.store.trialstore import Accepted, TrialWriter, trial_id
+from pipeline.store.storage import trials_folder
+from pipeline.store.trialstore import TrialWriter, accepted_logs
 from pipeline.store.versions import StoredSource, drop_superseded, repair, stored_sources, why_ingested
 
 __all__ = ["IngestReport", "LogWarning", "Refusal", "ingest"]
@@ -163,8 +164,9 @@ class _Ingest:
         self.unread = False
         self.writer = TrialWriter(processed, PENDING_BYTES)
         self.motions = {name: device.motion for name, device in known_devices().items()}
-        self.stored = stored_sources(processed)
-        self.refused = {record.path: record for record in list_quarantine(processed)}
+        self.damaged: dict[Path, str] = {}
+        self.stored = stored_sources(processed, self.damaged)
+        self.refused = {record.path: record for record in list_quarantine(processed, self.damaged)}
         self.replaced: set[tuple[str, str, str]] = set()
         # hash of a content -> hash of its profile, and its path; a source that is looked at again enters after that
         self.known: dict[str, str] = {}
@@ -199,7 +201,10 @@ class _Ingest:
         if not self.dry_run:
             drop_superseded(self.processed, self.replaced)
             for device, experiment in sorted(self.writer.experiments):
-                merge_small(self.processed, device, experiment)
+                try:
+                    merge_small(self.processed, device, experiment)
+                except StoreError as error:  # a damaged batch stays with its experiment
+                    self.damaged[trials_folder(self.processed, device, experiment)] = str(error)
 
     def wait_for(self, sources: Sequence[Source], settle_s: float) -> None:
         """List sources that are left for later."""
@@ -229,13 +234,14 @@ class _Ingest:
             changed=tuple(sorted(self.changed, key=lambda source: source.path)),
             waiting=tuple(sorted(self.waiting)),
             plan=tuple(sorted(self.plan, key=lambda source: source.path)) if self.dry_run else None,
+            damaged=tuple(sorted(set(self.damaged.values()))),
         )
 
     def remember(
         self, search: Search, before: Folders | None, began_ns: int, report: IngestReport, notices: Sequence[LogWarning]
     ) -> None:
         """Leave a note for the next run of the same command, unless it has to read a source again."""
-        if self.waiting or self.unread:
+        if self.waiting or self.unread or self.damaged:
             forget(search)
             return
         files = [([os.path.abspath(file) for file in s.files], s.size, s.mtime_ns) for s in self.looked_at]
@@ -316,13 +322,7 @@ class _Ingest:
                     outcome = f"{other} now has the same content; its trials are stored as those of that log"
                 self._replace(source, former, outcome)
             return
-        name = path_text(source.path.name) if profile.reads_names else None
-        accepted = [
-            Accepted(
-                trial_id(sha256, log.label, name), sha256, source, log, motion, profile.name, profile_sha256, len(logs)
-            )
-            for log, motion in [(log, motion_of(log, self.motions)) for log in logs]
-        ]
+        accepted = accepted_logs(source, sha256, logs, profile, profile_sha256, self.motions)
         # from here on nothing is refused
         self.known[sha256] = profile_sha256
         self.place[sha256] = source.key

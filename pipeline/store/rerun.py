@@ -18,6 +18,7 @@ from typing import Any
 from pipeline import __version__
 from pipeline.base.disk import remove, replacing
 from pipeline.base.provenance import code_digest, digest, schema_folder
+from pipeline.base.seal import sealed_json, unsealed_json
 
 NOTE_FILE = ".last_ingest.json"
 
@@ -108,7 +109,7 @@ def remember(
         "report": report,
     }
     with replacing(Path(search.processed) / NOTE_FILE) as stream:
-        stream.write(json.dumps(document).encode())
+        stream.write(sealed_json(json.dumps(document)).encode())
 
 
 def forget(search: Search) -> None:
@@ -119,7 +120,7 @@ def forget(search: Search) -> None:
 def recall(search: Search) -> dict[str, Any] | None:
     """Return the report of an ingest that would find nothing new, None where it has to be done."""
     try:
-        document = json.loads((Path(search.processed) / NOTE_FILE).read_bytes())
+        document = unsealed_json((Path(search.processed) / NOTE_FILE).read_bytes())
         if document["key"] != search.key or document["store"] != _store(search.processed):
             return None
         for path, mtime_ns in document["folders"].items():

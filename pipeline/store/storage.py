@@ -24,9 +24,9 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from pipeline.base.errors import StoreError
+from pipeline.base.errors import REMEDY, StoreError
 from pipeline.records.batch import Booleans, Integers, TrialBatch, pad
-from pipeline.records.tables import TABLES, arrow_schema, read_table
+from pipeline.records.tables import TABLES, arrow_schema, damaged_file, read_table
 
 _OPTIONAL = ("force", "velocity")
 """Columns of samples that a log may lack."""
@@ -59,6 +59,13 @@ def trials_folder(processed: Path, device: str, experiment: str) -> Path:
 def samples_folder(processed: Path, device: str, experiment: str) -> Path:
     """Return the folder with the samples tables of an experiment."""
     return processed / "samples" / folder_name(device) / folder_name(experiment)
+
+
+def partner_of(file: Path) -> Path:
+    """Return the other file of a batch: the trials file of a samples file, and the reverse."""
+    tree = file.parents[2]
+    other = {"trials": "samples", "samples": "trials"}[tree.name]
+    return tree.parent / other / file.relative_to(tree)
 
 
 def stage_file(processed: Path, device: str, experiment: str, stage: str) -> Path:
@@ -163,14 +170,15 @@ def samples_metadata(file: Path) -> pq.FileMetaData:
     try:
         return pq.read_metadata(file)
     except (pa.ArrowException, OSError) as error:
-        raise StoreError(
-            f"{file}: samples file is missing or damaged ({error}), but its trials are stored. "
-            "Remove the trials file of the same name below trials/ and ingest the logs again."
-        ) from error
+        raise damaged_file(file, error) from error
 
 
 def read_trials(
-    processed: Path, device: str | None = None, experiment: str | None = None, columns: list[str] | None = None
+    processed: Path,
+    device: str | None = None,
+    experiment: str | None = None,
+    columns: list[str] | None = None,
+    damaged: dict[Path, str] | None = None,
 ) -> pa.Table:
     """Return the trials table: of everything, of a device, or of one experiment; in order of file name.
 
@@ -183,6 +191,8 @@ def read_trials(
     device, experiment : str, optional
     columns : list of str, optional
         By default all.
+    damaged : dict of Path to str, optional
+        Gets the files that are damaged, and why; without it they are an error.
 
     Raises
     ------
@@ -190,7 +200,7 @@ def read_trials(
         If a file is damaged, or others write there all the time.
     """
     wanted = list(TABLES["trials"]) if columns is None else columns
-    table, _ = read_versions(processed, device, experiment, list(dict.fromkeys((*wanted, *VERSION_COLUMNS))))
+    table, _ = read_versions(processed, device, experiment, list(dict.fromkeys((*wanted, *VERSION_COLUMNS))), damaged)
     return table.filter(pa.array(newest_versions(table))).select(wanted)
 
 
@@ -212,9 +222,13 @@ _PAUSE_S = 0.02
 
 
 def read_versions(
-    processed: Path, device: str | None, experiment: str | None, columns: list[str]
+    processed: Path,
+    device: str | None,
+    experiment: str | None,
+    columns: list[str],
+    damaged: dict[Path, str] | None = None,
 ) -> tuple[pa.Table, list[Path]]:
-    """Return all rows of trials files, superseded ones too, and these files.
+    """Return all rows of trials files, superseded ones too, and these files; of `damaged` ones none.
 
     Returns
     -------
@@ -234,7 +248,8 @@ def read_versions(
         before = _listing(root)
         files = [Path(path) for path in sorted(before)]
         try:
-            tables = [read_table(file, columns).select(columns).cast(schema) for file in files]
+            broken: dict[Path, str] = {}
+            tables = [_rows(file, schema, None if damaged is None else broken) for file in files]
         except StoreError:
             if _listing(root) == before:
                 raise
@@ -245,11 +260,23 @@ def read_versions(
         time.sleep(_PAUSE_S)
     else:
         raise StoreError(f"{root}: changed during each of {ATTEMPTS} attempts to read it. Wait for other commands.")
+    if damaged is not None:
+        damaged |= broken
     rows = np.array([table.num_rows for table in tables], dtype=np.int64)
     index = np.repeat(np.arange(len(files), dtype=np.int64), rows)
     numbers = np.array([batch_number(file) for file in files], dtype=np.int64)[index]
     table = pa.concat_tables(tables) if tables else schema.empty_table()
     return table.append_column(BATCH, pa.array(numbers)).append_column(FILE, pa.array(index)), files
+
+
+def _rows(file: Path, schema: pa.Schema, damaged: dict[Path, str] | None) -> pa.Table:
+    try:
+        return read_table(file, schema.names).select(schema.names).cast(schema)
+    except StoreError as error:
+        if damaged is None:
+            raise
+        damaged[file] = str(error)
+        return schema.empty_table()
 
 
 def newest_versions(table: pa.Table) -> Booleans:
@@ -302,10 +329,7 @@ def load_batch(processed: Path, trials: pa.Table) -> TrialBatch:
                     raise
         located = _located(processed, trials)
         if located.equals(trials):
-            raise StoreError(
-                f"{missing}: samples file is missing, but its trials are stored. "
-                "Remove the trials file of the same name below trials/ and ingest the logs again."
-            )
+            raise StoreError(f"{missing}: samples file is missing, but its trials are stored. {REMEDY}")
         trials = located
     else:
         raise StoreError(f"{processed}: samples were moved during each of {ATTEMPTS} attempts to read them.")
@@ -315,7 +339,7 @@ def load_batch(processed: Path, trials: pa.Table) -> TrialBatch:
     rows = trials.column("rows").to_numpy().astype(np.int64)
     first = trials.column("first_row").to_numpy().astype(np.int64)
     if (first + rows > length[owner]).any():
-        raise StoreError(f"{processed}: a samples file is shorter than its trials say; ingest the logs again.")
+        raise StoreError(f"{processed}: a samples file is shorter than its trials say. {REMEDY}")
     first = first + (np.cumsum(length) - length)[owner]
     padded = {
         name: pad(np.concatenate([t.column(name).to_numpy() for t in samples]) if samples else np.empty(0), first, rows)

@@ -11,6 +11,7 @@ import numpy as np
 import pyarrow as pa
 
 from pipeline.base.disk import remove_temporary
+from pipeline.base.seal import read_annex
 from pipeline.records.tables import read_table, write_table
 from pipeline.store.batch_files import remove_batches
 from pipeline.store.storage import FILE, VERSION_COLUMNS, newest_versions, read_versions
@@ -42,10 +43,10 @@ class StoredSource:
         return {(path, trial, self.profile_sha256) for trial in self.trials}
 
 
-def stored_sources(processed: Path) -> dict[str, StoredSource]:
-    """Return what is stored of each source, by its path."""
+def stored_sources(processed: Path, damaged: dict[Path, str] | None = None) -> dict[str, StoredSource]:
+    """Return what is stored of each source, by its path; `damaged` as for `storage.read_trials`."""
     columns = ["source_trials", "source_size", *VERSION_COLUMNS]
-    table, _ = read_versions(processed, None, None, columns)
+    table, _ = read_versions(processed, None, None, columns, damaged)
     newest = newest_versions(table)
     names = ("source_path", "trial_id", "source_sha256", "source_size", "source_mtime_ns", "profile_sha256")
     trials: dict[str, set[str]] = defaultdict(set)
@@ -72,10 +73,13 @@ def why_ingested(former: StoredSource | None, sha256: str, profile_sha256: str) 
 
 
 def repair(processed: Path) -> None:
-    """Finish what an interrupted writer left: remove its incomplete files and the superseded trials; hold the lock."""
+    """Finish what an interrupted writer left: remove its incomplete files and the superseded trials; hold the lock.
+
+    Damaged files are left alone; `check` tells of them.
+    """
     for name in ("trials", "samples", "quarantine"):
         remove_temporary(processed / name)
-    table, files = read_versions(processed, None, None, list(VERSION_COLUMNS))
+    table, files = read_versions(processed, None, None, list(VERSION_COLUMNS), {})
     _drop(processed, files, table.column(FILE).to_numpy(), ~newest_versions(table))
 
 
@@ -91,7 +95,7 @@ def drop_superseded(processed: Path, replaced: Collection[tuple[str, str, str]])
     if not replaced:
         return
     names = ("source_path", "trial_id", "profile_sha256")
-    table, files = read_versions(processed, None, None, list(VERSION_COLUMNS))
+    table, files = read_versions(processed, None, None, list(VERSION_COLUMNS), {})
     keys = zip(*(table.column(name).to_pylist() for name in names), strict=True)
     _drop(processed, files, table.column(FILE).to_numpy(), np.array([key in replaced for key in keys], dtype=np.bool_))
 
@@ -101,6 +105,8 @@ def _drop(processed: Path, files: list[Path], owner: np.ndarray, dropped: np.nda
     for index in np.unique(owner[dropped]).tolist():
         keep = ~dropped[owner == index]
         if keep.any():
-            write_table(files[index], read_table(files[index]).filter(pa.array(keep)))
+            with open(files[index], "rb") as stream:
+                annex = read_annex(stream)
+            write_table(files[index], read_table(files[index]).filter(pa.array(keep)), annex)
         else:
             remove_batches(processed, [files[index]])
