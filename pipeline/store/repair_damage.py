@@ -175,15 +175,17 @@ def _set_aside(processed: Path, plan: BatchPlan, lost: tuple[LostTrial, ...]) ->
     """Move both files of a batch away, the one that makes it visible first, beside a list of what was lost."""
     if lost:
         names = [one.model_dump(mode="json") for one in lost]
-        target = _free(processed, plan.trials).with_suffix(".json")
-        write_text(target, json.dumps({"file": plan.trials.name, "lost": names}, indent=1) + "\n")
+        write_text(
+            _free(processed, plan.trials, ".lost.json"),
+            json.dumps({"file": plan.trials.name, "lost": names}, indent=1) + "\n",
+        )
     for file in (plan.trials, plan.samples):
         if file.exists():
             move(file, _free(processed, file))
 
 
-def _free(processed: Path, file: Path) -> Path:
+def _free(processed: Path, file: Path, ending: str = "") -> Path:
     """Return an unused place in the folder of damaged files; it ends so that no reader of tables takes it for one."""
     place = processed / DAMAGED_FOLDER / file.relative_to(processed)
-    names = (place.with_name(f"{place.name}.{number}") for number in count(1))
-    return next(name for name in names if not name.exists() and not name.with_suffix(".json").exists())
+    names = (place.with_name(f"{place.name}.{number}{ending}") for number in count(1))
+    return next(name for name in names if not name.exists())
