@@ -11,7 +11,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from failing_disk import FailingOs, generator
+from failing_disk import FailingOs, after_power_loss, files_of, generator
 from native_logs import FAULTS, log_text
 
 from pipeline.base import disk
@@ -21,10 +21,13 @@ from pipeline.comparison.status import status
 from pipeline.measured.stages import ExperimentStages
 from pipeline.records import tables
 from pipeline.store import trialstore
+from pipeline.store.check import look
 from pipeline.store.compaction import compact, find_orphans
 from pipeline.store.ingest import ingest
 from pipeline.store.repair_damage import check
 from pipeline.store.storage import load_batch, read_trials
+from pipeline.theory.loop import Loop
+from pipeline.theory.predictions import Predictions
 
 TRIALS, ROWS = 12, 400
 
@@ -172,3 +175,214 @@ def test_nothing_that_can_be_read_is_lost(whole, lab, request, tree, kind, with_
     assert check(lab.processed, repair=True).damage == ()
     for path in lab.processed.rglob("*.parquet"):
         assert verify(path)
+
+
+@pytest.mark.parametrize("tree", ["samples", "trials", "stages", "theory", "quarantine"])
+def test_a_changed_byte_anywhere_is_noticed(lab, tree):
+    """Or harmless: the document says the same. So of every file that is stored, at seeded places and at both ends."""
+    if tree == "theory":
+        loop = Loop(0.0, 0.0, 1.0)
+        Predictions(lab.processed / "theory").start([(loop, "overshoot")])
+    files = [path for path in (lab.processed / tree).rglob("*") if path.is_file()]
+    assert files
+    rng = generator(5, len(tree))
+    for file in files:
+        data = file.read_bytes()
+        places = {*range(12), *range(len(data) - 12, len(data)), *rng.integers(0, len(data), 60).tolist()}
+        for at in sorted(place for place in places if 0 <= place < len(data)):
+            file.write_bytes(data[:at] + bytes([data[at] ^ int(rng.integers(1, 256))]) + data[at + 1 :])
+            findings = look(lab.processed, alone=True)
+            if not (findings.batches or findings.others):
+                assert tree in ("theory", "quarantine"), f"{file}: byte {at}"
+                assert unsealed_values(file.read_bytes()) == unsealed_values(data)
+        file.write_bytes(data)
+
+
+def unsealed_values(data: bytes) -> list[object]:
+    """What a document says but for its checksum, which may have lost its name."""
+    return list(json.loads(data).values())[1:]
+
+
+def test_readers_refuse_what_was_changed_outside_of_pages(lab):
+    """The footer says which column is which: Parquet has no checksum of it."""
+    file = lab.file("trials")
+    data = file.read_bytes()
+    at = data.rindex(b"pipeline.experiment")
+    file.write_bytes(data[:at] + b"Q" + data[at + 1 :])
+    assert pq.read_table(file, page_checksum_verification=True).num_rows == TRIALS, "plain pyarrow notices nothing"
+    with pytest.raises(StoreError, match="pipeline check --repair"):
+        read_trials(lab.processed, "bench", "1")
+    assert check(lab.processed, repair=True).damage[0].remedy == "restore"
+    assert file.read_bytes() == data
+
+
+def test_a_file_that_lost_its_seal_is_not_taken_for_an_old_one(lab):
+    file = lab.file("samples")
+    file.write_bytes(file.read_bytes().replace(b"pl-seal1", b"pl-seaX1"))
+    with pytest.raises(DamageError):
+        verify(file)
+    assert check(lab.processed, repair=True).damage[0].lost == ()
+
+
+@pytest.mark.parametrize("kinds", [("missing", "flip"), ("empty", "cut"), ("zeros", "zeros"), ("missing", "zeros")])
+def test_two_damages_at_once(whole, without_logs, kinds):
+    """Trials and samples file both: what is told as lost and what is stored are all, and no number is wrong."""
+    truth, lab = whole[1], without_logs
+    files = lab.file("trials"), lab.file("samples")
+    for file, kind in zip(files, kinds, strict=True):
+        damage(file, kind)
+    (found,) = check(lab.processed, repair=True).damage
+    values = lab.values()
+    assert values == {trial: truth[trial] for trial in values}
+    if kinds[1] == "flip":
+        assert set(values) == set(truth)
+    elif found.remedy == "save":
+        assert set(values) | {one.trial_id for one in found.lost} == set(truth)
+    else:
+        assert (found.remedy, len(values)) == ("set aside", 1)
+    assert all(file.exists() for file in files) or list((lab.processed / "damaged").rglob("*.parquet.1"))
+    assert check(lab.processed, repair=True).damage == ()
+
+
+def test_a_lost_column_that_is_not_needed_costs_no_trial(without_logs):
+    """Force is damaged over more than parity restores: trials stay, without it, and are named."""
+    lab = without_logs
+    file = lab.file("samples")
+    table = pq.read_table(file)
+    at = table.schema.get_field_index("force")
+    force = pa.array(generator(77).normal(size=table.num_rows))
+    tables.write_table(file, table.set_column(at, table.schema.field(at), force))
+    # a merge makes a batch whose two files know each other
+    more = lab.processed.parent / "more.csv"
+    more.write_text(log_text(55.0, rows=ROWS, seed=73))
+    ingest([more], lab.processed, jobs=1)
+    more.unlink()
+    compact(lab.processed)
+    before = lab.values()
+    file = lab.file("samples")
+    chunk = pq.read_metadata(file).row_group(0).column(at)
+    start = chunk.dictionary_page_offset or chunk.data_page_offset
+    data = bytearray(file.read_bytes())
+    data[start + 600 : start + chunk.total_compressed_size - 600] = bytes(chunk.total_compressed_size - 1200)
+    file.write_bytes(data)
+    (found,) = check(lab.processed, repair=True).damage
+    assert {one.columns for one in found.lost} == {("force",)}
+    assert len(found.lost) >= TRIALS
+    assert not any(one.whole for one in found.lost)
+    assert lab.values() == before
+    assert check(lab.processed).damage == ()
+
+
+@pytest.fixture
+def two_devices(tmp_path) -> Lab:
+    lab = Lab(tmp_path / "logs", tmp_path / "processed")
+    lab.logs.mkdir()
+    for device in ("one", "two"):
+        (lab.logs / f"{device}.csv").write_text(log_text(3.0, device=device))
+    (lab.logs / "bad.csv").write_text(FAULTS["text cell"][0])
+    (lab.logs / "short.csv").write_text(FAULTS["header only"][0])
+    ingest([lab.logs], lab.processed, jobs=1)
+    return lab
+
+
+@pytest.mark.parametrize("part", ["trials/one", "quarantine"])
+def test_a_fault_stays_with_its_experiment(two_devices, part):
+    lab = two_devices
+    file = next(path for path in (lab.processed / part).rglob("*") if path.suffix in (".parquet", ".json"))
+    file.write_bytes(b"x" + file.read_bytes()[1:-4])
+    (lab.logs / "new.csv").write_text(log_text(9.0, device="two"))
+    report = ingest([lab.logs], lab.processed, jobs=1)
+    (named,) = report.damaged
+    assert str(file) in named
+    assert "pipeline check --repair" in named
+    assert read_trials(lab.processed, "two").num_rows == 2
+    assert (report.found, len(report.quarantined)) == (5, 2)
+    if part == "quarantine":
+        # its log was refused again, and with it the record made anew
+        assert status(lab.processed).damaged == ()
+        return
+    found = status(lab.processed)
+    assert found.damaged == (named,)
+    assert {e.device: e.trials for e in found.experiments} == {"one": 1, "two": 2}, "its log was ingested again"
+    assert check(lab.processed, repair=True).damage[0].remedy == "restore"
+    assert ingest([lab.logs], lab.processed, jobs=1).damaged == ()
+    assert read_trials(lab.processed).num_rows == 3
+
+
+def test_compact_removes_nothing_that_it_could_not_read(two_devices):
+    lab = two_devices
+    for device in ("one", "two"):
+        (lab.logs / f"{device}-2.csv").write_text(log_text(4.0, device=device))
+    ingest([lab.logs], lab.processed, jobs=1)
+    file = min((lab.processed / "samples" / "one").rglob("*.parquet"))
+    data = bytearray(file.read_bytes())
+    data[data.rindex(b"Nm/rad" if b"Nm/rad" in data else b"N/m" if b"N/m" in data else b"unit")] ^= 1
+    file.write_bytes(data)
+    with pytest.raises(StoreError, match=file.name):
+        compact(lab.processed)
+    assert len(list(lab.processed.glob("trials/one/**/*.parquet"))) == 2
+    assert len(list(lab.processed.glob("trials/two/**/*.parquet"))) == 1, "the other device's batches are merged"
+
+
+def test_samples_whose_trials_file_is_lost_are_no_left_overs(two_devices):
+    lab = two_devices
+    for file in lab.processed.rglob("trials/one/**/*.parquet"):
+        file.unlink()
+    assert find_orphans(lab.processed) == []
+    compact(lab.processed)
+    assert check(lab.processed, repair=True).damage[0].remedy == "restore"
+    assert read_trials(lab.processed, "one").num_rows == 1
+
+
+def test_a_store_of_an_earlier_version_is_checked_by_its_pages(two_devices):
+    lab = two_devices
+    for file in lab.processed.rglob("*.parquet"):
+        table = pq.read_table(file)
+        pq.write_table(table.replace_schema_metadata(without_mark(table.schema.metadata)), file, **tables.WRITING)
+    report = check(lab.processed)
+    assert (report.unsealed, report.damage) == (4, ())
+    file = next(lab.processed.glob("samples/one/**/*.parquet"))
+    chunk = pq.read_metadata(file).row_group(0).column(3)
+    data = bytearray(file.read_bytes())
+    data[(chunk.dictionary_page_offset or chunk.data_page_offset) + chunk.total_compressed_size - 3] ^= 1
+    file.write_bytes(data)
+    (found,) = check(lab.processed, repair=True).damage
+    assert (found.read_again, found.lost) == (1, ())
+    assert read_trials(lab.processed).num_rows == 2
+
+
+def without_mark(metadata: dict[bytes, bytes]) -> dict[bytes, bytes]:
+    return {key: value for key, value in metadata.items() if key != MARK.encode()}
+
+
+@pytest.mark.parametrize(
+    ("kind", "step"), [("cut", 7), *(pytest.param(kind, 1, marks=pytest.mark.slow) for kind in ("cut", "zeros"))]
+)
+def test_a_repair_may_end_at_any_call(whole, without_logs, kind, step, monkeypatch, tmp_path):
+    """By a full disk, or a loss of power: nothing more is lost, and the next one completes it."""
+    truth, lab = whole[1], without_logs
+    damage(lab.file("samples"), kind)
+    clean = Lab(lab.logs, tmp_path / "clean")
+    shutil.copytree(lab.processed, clean.processed)
+    failing = FailingOs()
+    with monkeypatch.context() as patch:
+        patch.setattr(disk, "os", failing)
+        check(clean.processed, repair=True)
+    kept = clean.values()
+    assert kept
+    assert kept == {trial: truth[trial] for trial in kept}
+    before = files_of(lab.processed)
+    for number in range(1, len(failing.calls) + 1, step):
+        full = Lab(lab.logs, tmp_path / f"full-{number}")
+        shutil.copytree(lab.processed, full.processed)
+        with monkeypatch.context() as patch:
+            patch.setattr(disk, "os", FailingOs(number))
+            with pytest.raises(StoreError, match="No space left"):
+                check(full.processed, repair=True)
+        dark = Lab(lab.logs, tmp_path / f"dark-{number}")
+        after_power_loss(before, failing.calls[:number], clean.processed, dark.processed, 0.5, generator(3, number))
+        for other in (full, dark):
+            check(other.processed, repair=True)
+            assert other.values() == kept
+            assert check(other.processed, repair=True).damage == ()
+            shutil.rmtree(other.processed)
