@@ -25,6 +25,7 @@ from pipeline.store.check import look
 from pipeline.store.compaction import compact, find_orphans
 from pipeline.store.ingest import ingest
 from pipeline.store.repair_damage import check
+from pipeline.store.salvage import groups_of
 from pipeline.store.storage import load_batch, read_trials
 from pipeline.theory.loop import Loop
 from pipeline.theory.predictions import Predictions
@@ -386,3 +387,37 @@ def test_a_repair_may_end_at_any_call(whole, without_logs, kind, step, monkeypat
             assert other.values() == kept
             assert check(other.processed, repair=True).damage == ()
             shutil.rmtree(other.processed)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_pages_behind_a_damaged_one_are_read(tmp_path, seed):
+    """Zeros at three places cost the pages that they touch, of 20,480 rows at most, and no value is wrong."""
+    rows, width = 400_000, 20_480
+    rng = generator(91, seed)
+    noise = rng.normal(size=rows)
+    columns = {
+        "trial_id": pa.array(np.repeat([f"{k:04d}" for k in range(rows // 1000)], 1000)),
+        "time_s": np.tile(np.arange(1000) * 1e-3, rows // 1000),
+        "command": np.round(noise, 2),
+        "position": noise,
+        "force": pa.array(noise, mask=rng.random(rows) < 0.3),
+        **dict.fromkeys(("velocity", "raw_time"), pa.nulls(rows, pa.float64())),
+        "raw_count": pa.nulls(rows, pa.int64()),
+    }
+    file = tmp_path / "samples.parquet"
+    tables.write_table(file, tables.to_arrow("samples", columns))
+    footer, data = footer_of(file), bytearray(file.read_bytes())
+    group = pq.read_metadata(file).row_group(0)
+    for index in range(2, 5):
+        chunk = group.column(index)
+        start = chunk.data_page_offset
+        for at in rng.integers(start, start + chunk.total_compressed_size // 2, 3).tolist():
+            data[at : at + 500] = bytes(500)
+    (found,) = groups_of(bytes(data), footer)
+    truth = pq.read_table(file)
+    for name, (values, known) in found.columns.items():
+        assert values.filter(pa.array(known)).equals(truth.column(name).combine_chunks().filter(pa.array(known)))
+    assert found.columns["time_s"][1].all()
+    for name in ("command", "position", "force"):
+        assert 0 < rows - found.columns[name][1].sum() <= 6 * width + rows // 4
+    assert rows - found.columns["position"][1].sum() <= 6 * width

@@ -1,4 +1,4 @@
-"""What can be read of a damaged samples file: column by column of each group, up to the first damaged page.
+"""What can be read of a damaged samples file: page by page of each column in each group.
 
 Nothing is trusted that no checksum covers: pages have one each. The footer is taken from the trials file, which holds a
 copy, so that groups in front of the place where a file was cut off are found without the end of it.
@@ -7,16 +7,17 @@ copy, so that groups in front of the place where a file was cut off are found wi
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from pipeline.base.seal import footer_of
 from pipeline.records.batch import Booleans, Integers
 from pipeline.records.tables import TABLES, to_arrow
 from pipeline.store.batch_files import NewBatch
+from pipeline.store.parquet_pages import DamagedColumns
 
 NEEDED = ("time_s", "command", "position")
 """Columns without which a trial is lost."""
@@ -24,21 +25,24 @@ NEEDED = ("time_s", "command", "position")
 SPARED = tuple(name for name in TABLES["samples"] if name not in ("trial_id", *NEEDED))
 """Columns without which it is still a trial. The ids stand in the trials file, too."""
 
-_STEP = 1024
-"""Rows read at once up to a damaged page: as many may be lost in front of it. Pages have 20,000 at most."""
-
 
 @dataclass(frozen=True)
 class Group:
-    """What can be read of a group of rows: its first row in the file, and of each column the values up to a damage."""
+    """What can be read of a group of rows: its first row in the file, and of each column values and where they are."""
 
     first: int
     rows: int
-    columns: dict[str, pa.Array]
+    columns: dict[str, tuple[pa.Array, Booleans]]
 
     def missing(self, first: Integers, rows: Integers) -> dict[str, Booleans]:
         """Return which trials, by their first row in the file and number of rows, have not all of a column."""
-        return {name: first + rows > self.first + len(values) for name, values in self.columns.items()}
+        begin = np.clip(first - self.first, 0, self.rows)
+        end = np.clip(begin + rows, 0, self.rows)
+        found = {}
+        for name, (_, known) in self.columns.items():
+            count = np.concatenate([[0], np.cumsum(known)])
+            found[name] = count[end] - count[begin] < rows
+        return found
 
 
 def groups_of(data: bytes, footer: bytes | None) -> Iterator[Group]:
@@ -51,16 +55,18 @@ def groups_of(data: bytes, footer: bytes | None) -> Iterator[Group]:
     footer : bytes or None
         Its footer as it was written; None takes the one in the file.
     """
-    content = data if footer is None else data.ljust(_pages_end(footer), b"\0") + footer
+    footer = footer_of(data) if footer is None else footer
     try:
-        file = pq.ParquetFile(pa.BufferReader(content), page_checksum_verification=True)
-    except (pa.ArrowException, OSError, ValueError):
+        content = data.ljust(_pages_end(footer), b"\0")
+        damaged = DamagedColumns(content, footer)
+        file = pq.ParquetFile(pa.BufferReader(content + footer), page_checksum_verification=True)
+    except (pa.ArrowException, OSError, ValueError, RecursionError):
         return
     first = 0
     for index in range(file.num_row_groups):
         rows = file.metadata.row_group(index).num_rows
         names = [name for name in (*NEEDED, *SPARED) if name in file.schema_arrow.names]
-        yield Group(first, rows, {name: _readable(file, index, name) for name in names})
+        yield Group(first, rows, {name: _readable(file, damaged, index, name) for name in names})
         first += rows
 
 
@@ -91,28 +97,24 @@ def copy_readable(groups: Iterator[Group], trials: pa.Table, new: NewBatch) -> p
         kept += own.tolist()
         taken = pa.array(np.concatenate([np.arange(first[i], first[i] + rows[i]) for i in own]) - group.first)
         ids = pa.array(np.repeat(np.array(trials.column("trial_id").to_pylist(), dtype=object)[own], rows[own]))
-        columns = {name: _taken(values, taken, group.rows) for name, values in group.columns.items()}
+        columns = {name: values.take(taken) for name, (values, _) in group.columns.items()}
         new.write(to_arrow("samples", {"trial_id": ids, **columns}))
     at = trials.schema.get_field_index("first_row")
     return trials.take(pa.array(kept, pa.int64())).set_column(at, trials.schema.field(at), pa.array(places, pa.int64()))
 
 
-def _taken(values: pa.Array, rows: pa.Array, length: int) -> pa.Array:
-    """Return rows of a column of which the end may be missing, null there."""
-    return pa.concat_arrays([values, pa.nulls(length - len(values), values.type)]).take(rows)
-
-
-def _readable(file: pq.ParquetFile, group: int, name: str) -> pa.Array:
+def _readable(file: pq.ParquetFile, damaged: DamagedColumns, group: int, name: str) -> tuple[pa.Array, Booleans]:
     rows = file.metadata.row_group(group)
-    chunk = rows.column(file.schema_arrow.get_field_index(name))
-    dtype = file.schema_arrow.field(name).type
-    if chunk.statistics is not None and chunk.statistics.null_count == rows.num_rows:
-        return pa.nulls(rows.num_rows, dtype)
-    parts = []
-    with suppress(pa.ArrowException, OSError, ValueError):
-        for batch in file.iter_batches(_STEP, row_groups=[group], columns=[name], use_threads=False):
-            parts.append(batch.column(0))
-    return pa.concat_arrays(parts) if parts else pa.nulls(0, dtype)
+    index = file.schema_arrow.get_field_index(name)
+    whole = np.ones(rows.num_rows, np.bool_)
+    statistics = rows.column(index).statistics
+    if statistics is not None and statistics.null_count == rows.num_rows:
+        return pa.nulls(rows.num_rows, file.schema_arrow.field(name).type), whole
+    try:
+        return file.read_row_group(group, columns=[name], use_threads=False).column(0).combine_chunks(), whole
+    except (pa.ArrowException, OSError, ValueError):
+        values, known = damaged.read(group, index)
+        return values.cast(file.schema_arrow.field(name).type), known
 
 
 def _pages_end(footer: bytes) -> int:
