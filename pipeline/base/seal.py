@@ -40,6 +40,9 @@ _SMALLEST_BLOCK = 256
 _BLOCKS_PER_PARITY = 256
 """One block of parity for so many costs 0.4 % at most, some 25 bytes of a usual trial."""
 
+_BLOCKS_PER_SECTOR = 64
+"""Where a block is less than a sector, parity costs up to one for so many, so that a lost sector is restored."""
+
 _MOST_PARITY = 128
 """Blocks of parity while the length of a file is not known; 0.5 MB of memory."""
 
@@ -158,11 +161,11 @@ class SealingStream(io.RawIOBase):
     def _seal(self, start: int, covered: int, annex: int) -> Seal:
         block = _LARGEST_BLOCK if len(self._parity) else _block(covered)
         checksums = (*self._checksums, *_checksums(self._pending, block))
-        wanted = min(_power_of_two(len(checksums) // _BLOCKS_PER_PARITY), _MOST_PARITY)
-        parity = _parity(self._pending, block, _MOST_PARITY if len(self._parity) else 1)
+        lanes = _lanes(len(checksums), block)
+        parity = _parity(self._pending, block, _MOST_PARITY if len(self._parity) else lanes)
         if len(self._parity):
             parity ^= self._parity
-        while len(parity) > wanted:
+        while len(parity) > lanes:
             half = len(parity) // 2
             parity = parity[:half] ^ parity[half:]
         return Seal(start, covered, annex, block, checksums, parity)
@@ -353,6 +356,13 @@ def _parity(data: bytes | bytearray, block: int, lanes: int) -> np.ndarray:
 def _block(covered: int) -> int:
     """Return the bytes of a block of a file of less than `_PIECE` bytes."""
     return min(max(_power_of_two(covered // _BLOCKS_PER_PARITY), _SMALLEST_BLOCK), _LARGEST_BLOCK)
+
+
+def _lanes(blocks: int, block: int) -> int:
+    """Return the number of blocks of parity: a power of two where blocks are of full size."""
+    # a sector's worth of bytes may touch one block more than it fills
+    sector = min(_LARGEST_BLOCK // block + 1, max(blocks // _BLOCKS_PER_SECTOR, 1))
+    return max(min(_power_of_two(blocks // _BLOCKS_PER_PARITY), _MOST_PARITY), sector)
 
 
 def _power_of_two(number: int) -> int:
