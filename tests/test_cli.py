@@ -29,6 +29,7 @@ COMMANDS = {
         *("--processed", "--reports", "--profile", "--scene", "--interval", "--settle", "--once", "--json"),
     ],
     "compact": ["--processed", "--dry-run", "--wait", "--json"],
+    "check": ["--repair", "--processed", "--profile", "--wait", "--json"],
     "compare": ["--device", "--experiment", "--criteria", "--processed", "--report", "--dry-run", "--json"],
     "theory points": ["--json"],
     "theory boundary": ["--delay", "--gamma", "--delta", "--json"],
@@ -257,6 +258,21 @@ def test_a_second_writer_is_refused_and_readers_are_not(call, logs, tmp_path):
         assert call("compact", "--dry-run")[0] == 0
         assert call("ingest", "logs", "--dry-run")[0] == 0
     assert document(call("ingest", "logs", "--wait", "0", "--json"))["ingested"] == 1
+
+
+def test_check_names_what_is_damaged_and_repairs_it(call, logs):
+    call("ingest", str(logs))
+    status, out, _ = call("check")
+    assert (status, out.splitlines()[0].split(": ")[1]) == (0, "none damaged")
+    (file,) = Path("processed").glob("samples/**/*.parquet")
+    data = bytearray(file.read_bytes())
+    data[40] ^= 1
+    file.write_bytes(data)
+    status, out, _ = call("check", "--json")
+    (damage,) = json.loads(out)["damage"]
+    assert (status, damage["file"], damage["remedy"]) == (1, file.relative_to("processed").as_posix(), "restore")
+    assert call("check", "--repair")[0] == 0
+    assert call("check")[0] == 0
 
 
 def test_status_and_compact_show_and_merge_what_is_stored(call, logs):

@@ -176,7 +176,7 @@ def test_a_damaged_batch_stops_the_merge_and_loses_nothing(grow):
     data = bytearray(file.read_bytes())
     data[60] ^= 0xFF
     file.write_bytes(data)
-    with pytest.raises(StoreError, match="cannot be read as Parquet"):
+    with pytest.raises(StoreError, match="is missing or damaged"):
         compact(processed)
     assert len(trials_files(processed)) == 3
     assert read_trials(processed).num_rows == 3

@@ -160,7 +160,7 @@ def test_missing_and_damaged_files_are_named(processed):
     with pytest.raises(StoreError, match="shorter than its trials say"):
         load_batch(processed, trials)
     path.write_bytes(b"no table")
-    with pytest.raises(StoreError, match="cannot be read as Parquet"):
+    with pytest.raises(StoreError, match="is missing or damaged"):
         load_batch(processed, trials)
     path.unlink()
     with pytest.raises(StoreError, match="samples file is missing"):

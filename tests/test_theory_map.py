@@ -67,11 +67,10 @@ def test_map_that_cannot_be_written_leaves_the_old_one(tmp_path, monkeypatch):
     path = tmp_path / "map.parquet"
     path.write_bytes(b"old")
 
-    def half(data, stream, **_):
-        stream.write(b"half")
+    def half(writer, data, **_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(pq, "write_table", half)
+    monkeypatch.setattr(pq.ParquetWriter, "write_table", half)
     with pytest.raises(PipelineError, match="No space left on device"):
         theory_map.write_map(path, table)
     assert path.read_bytes() == b"old"

@@ -91,6 +91,14 @@ def remove(path: Path) -> None:
         os.unlink(path)
 
 
+def move(old: Path, new: Path) -> None:
+    """Give a file another name, in a folder that is made if needed; on the disk when this returns."""
+    make_folder(new.parent)
+    os.replace(old, new)
+    sync_folder(new.parent)
+    sync_folder(old.parent)
+
+
 class _Descriptor(io.RawIOBase):
     """A file descriptor as a stream, so that each write passes through ``os.write``."""
 

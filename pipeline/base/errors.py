@@ -48,6 +48,10 @@ EXIT_USAGE = 2
 EXIT_QUARANTINED = 3
 
 
+REMEDY = "`pipeline check` tells what can be saved, `pipeline check --repair` saves it."
+"""What to do about a damaged file below `processed`."""
+
+
 class PipelineError(Exception):
     """Base of all errors that `pipeline` raises on purpose; the command line turns it into exit status 1."""
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
+from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 
@@ -12,7 +13,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from pipeline.base.disk import TEMPORARY_ENDING
-from pipeline.base.errors import PipelineError
+from pipeline.base.errors import PipelineError, StoreError
 from pipeline.base.file_names import path_of_text
 from pipeline.base.lock import holder
 from pipeline.base.regular_files import is_gone
@@ -24,7 +25,7 @@ from pipeline.records.models import Record
 from pipeline.store.compaction import find_orphans
 from pipeline.store.names import report_of
 from pipeline.store.quarantine import list_quarantine
-from pipeline.store.storage import natural_key, read_trials, samples_metadata, stage_file, steadily
+from pipeline.store.storage import natural_key, partner_of, read_trials, samples_metadata, stage_file, steadily
 
 UNCODED = "other"
 """Key of refusals by a version that gave no codes."""
@@ -97,6 +98,8 @@ class Status(Record):
         at this moment, they may be its own.
     lock : Writer or None
         Who writes at this moment.
+    damaged : tuple of str
+        Files that cannot be read, with what to do; they are not counted. `pipeline check` looks at every byte.
     """
 
     processed: str
@@ -115,6 +118,7 @@ class Status(Record):
     orphan_bytes: int
     temporary_bytes: int
     lock: Writer | None
+    damaged: tuple[str, ...] = ()
 
 
 def status(processed: Path, reports: Path | None = None) -> Status:
@@ -130,19 +134,20 @@ def status(processed: Path, reports: Path | None = None) -> Status:
     Raises
     ------
     StoreError
-        If a file is damaged.
+        If others write there all the time.
     """
     return steadily(processed, lambda: _status(processed, reports))
 
 
 def _status(processed: Path, reports: Path | None) -> Status:
     held = holder(processed)
-    trials = read_trials(processed)
-    experiments = _experiments(processed, trials)
+    damaged: dict[Path, str] = {}
+    trials = read_trials(processed, damaged=damaged)
+    experiments = _experiments(processed, trials, damaged)
     removed, changed = _sources(trials)
     orphans = find_orphans(processed)
     sizes = _sizes(processed)
-    refused = list_quarantine(processed)
+    refused = list_quarantine(processed, damaged)
     # who ended meanwhile may have written what was just listed
     held = held or holder(processed)
     return Status(
@@ -162,6 +167,7 @@ def _status(processed: Path, reports: Path | None) -> Status:
         orphan_bytes=sum(sizes.get(path, 0) for path in orphans),
         temporary_bytes=sum(size for path, size in sizes.items() if path.name.endswith(TEMPORARY_ENDING)),
         lock=None if held is None else Writer(pid=held.pid, host=held.host, since=held.since),
+        damaged=tuple(sorted(damaged.values())),
     )
 
 
@@ -175,7 +181,7 @@ def _sizes(folder: Path) -> dict[Path, int]:
     return sizes
 
 
-def _experiments(processed: Path, trials: pa.Table) -> tuple[ExperimentStatus, ...]:
+def _experiments(processed: Path, trials: pa.Table, damaged: dict[Path, str]) -> tuple[ExperimentStatus, ...]:
     pairs = set(zip(trials.column("device").to_pylist(), trials.column("experiment").to_pylist(), strict=True))
     found = []
     # in one piece: else each selection goes through as many pieces as there are batches
@@ -184,7 +190,7 @@ def _experiments(processed: Path, trials: pa.Table) -> tuple[ExperimentStatus, .
         own = trials.filter(
             pc.and_(pc.equal(trials.column("device"), device), pc.equal(trials.column("experiment"), experiment))
         )
-        files = [processed / name for name in own.column("sample_file").unique().to_pylist()]
+        groups, size = _samples((processed / name for name in own.column("sample_file").unique().to_pylist()), damaged)
         stages = ExperimentStages(processed, device, experiment, own)
         stale = [
             stage
@@ -197,13 +203,27 @@ def _experiments(processed: Path, trials: pa.Table) -> tuple[ExperimentStatus, .
                 experiment=experiment,
                 trials=own.num_rows,
                 rows=int(np.sum(own.column("rows").to_numpy())),
-                batches=len(files),
-                row_groups=sum(samples_metadata(file).num_row_groups for file in files),
-                bytes=sum(file.stat().st_size for file in files),
+                batches=len(groups),
+                row_groups=sum(groups),
+                bytes=size,
                 stale=tuple(stale),
             )
         )
     return tuple(found)
+
+
+def _samples(files: Iterable[Path], damaged: dict[Path, str]) -> tuple[list[int], int]:
+    """Return the number of groups of rows in each samples file, and the size of all [byte]."""
+    groups, size = [], 0
+    for file in files:
+        try:
+            groups.append(samples_metadata(file).num_row_groups)
+            size += file.stat().st_size
+        except StoreError as error:
+            if not partner_of(file).exists():  # merged meanwhile
+                raise
+            damaged[file] = str(error)
+    return groups, size
 
 
 def _reports(processed: Path, reports: Path | None, devices: list[str]) -> tuple[ReportStatus, ...]:

@@ -12,10 +12,9 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TypeVar
 
-from pydantic import ValidationError
-
 from pipeline import __version__
 from pipeline.base.provenance import PACKAGE_FOLDER, code_digest, digest, schema_folder, sha256
+from pipeline.base.seal import sealed_json, unsealed_json
 from pipeline.records.models import Record
 from pipeline.records.tables import write_text
 
@@ -213,7 +212,7 @@ def without_theory(quick: bool) -> AccuracyReport:
 
 def store(report: AccuracyReport, processed: Path) -> None:
     """Keep a measurement for the reports of comparisons."""
-    write_text(processed / STORED, report.model_dump_json() + "\n")
+    write_text(processed / STORED, sealed_json(report.model_dump_json() + "\n"))
 
 
 def stored(processed: Path) -> AccuracyReport | None:
@@ -222,8 +221,8 @@ def stored(processed: Path) -> AccuracyReport | None:
     if not path.is_file():
         return None
     try:
-        report = AccuracyReport.model_validate_json(path.read_text(encoding="utf-8"))
-    except (ValidationError, UnicodeDecodeError):  # of another version: to be measured anew
+        report = AccuracyReport.model_validate(unsealed_json(path.read_bytes()))
+    except ValueError:  # damaged, or of another version: to be measured anew
         return None
     return report if report.key == key() else None
 

@@ -7,16 +7,19 @@ refuses a file whose columns or types differ. Files appear under their final nam
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import io
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO, Self
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from pipeline.base.disk import NewFile, replacing
-from pipeline.base.errors import StoreError
+from pipeline.base.disk import replacing
+from pipeline.base.errors import REMEDY, StoreError
+from pipeline.base.seal import MARK, DamageError, SealingStream, verify
 
 Metadata = Mapping[str, str]
 
@@ -311,37 +314,61 @@ def to_arrow(
     return pa.table(arrays, schema=schema)
 
 
-def write_table(path: Path, data: pa.Table) -> None:
-    """Write a table to Parquet so that a reader sees all of it or nothing.
+def write_table(path: Path, data: pa.Table, annex: bytes = b"") -> None:
+    """Write a table to Parquet so that a reader sees all of it or nothing; the annex of its seal is the caller's.
 
     Raises
     ------
     StoreError
         If the table does not equal its entry in `TABLES`.
     """
-    new = new_table(path, data)
-    try:
-        new.publish(path.name)
-    finally:
-        new.discard()
-
-
-def new_table(path: Path, data: pa.Table) -> NewFile:
-    """Write what `write_table` writes to a file that is still to be published under the name in ``path``."""
     _check(path, data.schema)
-    new = NewFile(path.parent, path.name)
-    try:
-        pq.write_table(data, new.stream, row_group_size=GROUP_ROWS, **WRITING)
-    except BaseException:
-        new.discard()
-        raise
-    return new
+    write_parquet(path, data, annex)
 
 
-def write_parquet(path: Path, data: pa.Table) -> None:
+def write_parquet(path: Path, data: pa.Table, annex: bytes = b"") -> None:
     """Write any Arrow table so that a reader sees all of it or nothing; `write_table` checks it too."""
-    with replacing(path) as stream:
-        pq.write_table(data, stream, row_group_size=GROUP_ROWS, **WRITING)
+    with replacing(path) as stream, SealedWriter(stream, data.schema) as writer:
+        writer.write(data)
+        writer.close(annex)
+
+
+def parquet_bytes(data: pa.Table) -> bytes:
+    """Return a table as a Parquet file that is ready to be sealed."""
+    sink = io.BytesIO()
+    with _writer(sink, data.schema) as writer:
+        writer.write_table(data)
+    return sink.getvalue()
+
+
+def _writer(stream: BinaryIO | io.RawIOBase, schema: pa.Schema) -> pq.ParquetWriter:
+    return pq.ParquetWriter(stream, schema.with_metadata({**(schema.metadata or {}), MARK: "1"}), **WRITING)
+
+
+class SealedWriter:
+    """Writes tables, one group of rows each, as a sealed Parquet file; nothing of worth without `close`."""
+
+    def __init__(self, stream: BinaryIO, schema: pa.Schema) -> None:
+        self._stream = SealingStream(stream)
+        self._writer = _writer(self._stream, schema)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def write(self, data: pa.Table, group_rows: int = GROUP_ROWS) -> None:
+        """Append a table in groups of rows."""
+        self._writer.write_table(data, row_group_size=group_rows)
+
+    def close(self, annex: bytes = b"") -> bytes:
+        """Write the rest and the seal; return the footer."""
+        self._stream.end_pages()
+        self._writer.close()
+        return self._stream.finish(annex)
+
+    def __exit__(self, *error: object) -> None:
+        # the end of a file that nobody wants; on a full disk it cannot be written
+        with suppress(OSError, ValueError, pa.ArrowException):
+            self._writer.close()
 
 
 def write_text(path: Path, text: str) -> None:
@@ -358,15 +385,25 @@ def read_table(path: Path, columns: list[str] | None = None) -> pa.Table:
     StoreError
         If the file is damaged, or was written with other columns or types.
     """
+    with open_table(path) as file:
+        return file.read(columns=columns)
+
+
+@contextmanager
+def open_table(path: Path) -> Iterator[pq.ParquetFile]:
+    """Open a stored table, whose bytes are held against their checksums once; errors as those of `read_table`."""
     try:
-        with pq.ParquetFile(path, page_checksum_verification=True) as file:
+        # a file of an earlier version has checksums of its pages alone
+        with pq.ParquetFile(path, page_checksum_verification=not verify(path)) as file:
             _check(path, file.schema_arrow)
-            return file.read(columns=columns)
-    except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
-        raise StoreError(
-            f"{path}: cannot be read as Parquet ({error}). Expected a file written by `pipeline`; "
-            "remove it and run the command again, it will be made anew from the logs."
-        ) from error
+            yield file
+    except (DamageError, pa.ArrowException, OSError, UnicodeDecodeError) as error:
+        raise damaged_file(path, error) from error
+
+
+def damaged_file(path: Path, error: object) -> StoreError:
+    """Return the error of a stored file that cannot be read, with what to do."""
+    return StoreError(f"{path}: is missing or damaged ({error}). {REMEDY}")
 
 
 def read_metadata(path: Path) -> dict[str, str]:

@@ -35,6 +35,7 @@ app.add_typer(cli_report.scene_app, name="scene")
 app.command("ingest")(cli_storage.ingest)
 app.command("status")(cli_storage.status)
 app.command("compact")(cli_storage.compact)
+app.command("check")(cli_storage.check)
 app.command("watch")(cli_watch.watch)
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout, nothing else there.")]

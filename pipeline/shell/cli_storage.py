@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pipeline.base.errors import EXIT_QUARANTINED, UsageError
+from pipeline.base.errors import EXIT_ERROR, EXIT_OK, EXIT_QUARANTINED, UsageError
 from pipeline.shell import console
+
+if TYPE_CHECKING:
+    from pipeline.store.check import CheckReport
 
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout, nothing else there.")]
 Processed = Annotated[Path, typer.Option("--processed", help="Folder of the stored tables.")]
@@ -42,7 +45,8 @@ def ingest(
 ) -> None:
     """Check logs and store what is new; logs that are refused go into quarantine with the reason.
 
-    Logs are only read. An interrupted ingest is finished by the next one. Exit status 3 where a log is in quarantine.
+    Logs are only read. An interrupted ingest is finished by the next one. Exit status 3 where a log is in quarantine, 1
+    where a stored file is damaged: it is named, and all other logs are stored.
 
     Example: pipeline ingest raw --processed processed
 
@@ -83,8 +87,8 @@ def ingest(
     else:
         for line in _ingest_lines(document):
             console.say(line)
-    if document["quarantined"]:
-        raise typer.Exit(EXIT_QUARANTINED)
+    if document["damaged"] or document["quarantined"]:
+        raise typer.Exit(EXIT_ERROR if document["damaged"] else EXIT_QUARANTINED)
 
 
 def _ingest_lines(report: Mapping[str, Any]) -> Iterable[str]:
@@ -102,6 +106,7 @@ def _ingest_lines(report: Mapping[str, Any]) -> Iterable[str]:
         yield f"changed: {source['path']}: {source['outcome']}"
     yield from _listed("removed, its trials stay stored", report["removed"])
     yield from _listed("waiting, modified a moment ago", report["waiting"])
+    yield from _listed("damaged", report["damaged"])
 
 
 def _plan_lines(plan: Iterable[Mapping[str, str]]) -> Iterable[str]:
@@ -162,6 +167,53 @@ def compact(
         console.say(f"{len(report.orphans)} files that no trial names {verb}: {report.orphan_bytes / 1e6:.3g} MB")
 
 
+def check(
+    repair: Annotated[
+        bool, typer.Option("--repair", help="Save what can be saved; what cannot is kept in PROCESSED/damaged.")
+    ] = False,
+    processed: Processed = Path("processed"),
+    profile: Annotated[
+        str | None, typer.Option("--profile", help="Profile beside the shipped ones that logs are read again by.")
+    ] = None,
+    wait: Wait = WAIT_S,
+    as_json: Json = False,
+) -> None:
+    """Hold every stored byte against its checksum: names damaged files and trials, and what can be saved.
+
+    Exit status 1 where something is damaged; with --repair where something could not be saved.
+
+    Example: pipeline check --processed processed
+
+    Example: pipeline check --repair --json
+    """
+    from pipeline.store.repair_damage import check as check_store
+
+    _must_exist(processed)
+    with console.progress("check", "files", as_json) as advance:
+        found = check_store(processed, repair, profile, advance, wait, None if as_json else console.note)
+    if as_json:
+        console.print_json(found.model_dump(mode="json"))
+    else:
+        for line in _check_lines(found):
+            console.say(line)
+    if any(damage.lost or damage.remedy == "set aside" or not repair for damage in found.damage):
+        raise typer.Exit(EXIT_ERROR)
+
+
+def _check_lines(found: CheckReport) -> Iterable[str]:
+    yield f"{found.files} files, {_mb(found.bytes)}: {len(found.damage) or 'none'} damaged"
+    if found.unsealed:
+        yield f"{found.unsealed} of an earlier version have checksums of their pages alone, or none"
+    done = "done" if found.repaired else "by --repair"
+    for damage in found.damage:
+        yield f"{damage.file}: {damage.fault}"
+        kept = damage.trials - damage.read_again - sum(lost.whole for lost in damage.lost)
+        counts = f": {kept} trials kept, {damage.read_again} read again from their logs" if damage.trials else ""
+        yield f"  {damage.remedy} ({done}){counts}"
+        lost = [f"{one.trial_id} of {one.source_path}: {', '.join(one.columns)}" for one in damage.lost]
+        yield from _listed("  lost", lost)
+
+
 def status(
     processed: Processed = Path("processed"),
     reports: Annotated[Path, typer.Option("--reports", help="Folder of the reports.")] = Path("reports"),
@@ -179,7 +231,7 @@ def status(
     found = status_of(processed, reports)
     if as_json:
         console.print_json(found.model_dump(mode="json"))
-        return
+        raise typer.Exit(EXIT_ERROR if found.damaged else EXIT_OK)
     console.say(f"{processed}: {found.trials} trials, {found.rows} samples, {found.files} tables, {_mb(found.bytes)}")
     rows = [
         {**e.model_dump(), "size": _mb(e.bytes), "stale": ", ".join(e.stale) or "nothing"} for e in found.experiments
@@ -206,6 +258,10 @@ def status(
             console.say(f"not complete, or left by interrupted commands: {_mb(left)}")
     if found.lock is not None:
         console.say(f"process {found.lock.pid} on {found.lock.host} writes there since {found.lock.since}")
+    for line in _listed("damaged", list(found.damaged)):
+        console.say(line)
+    if found.damaged:
+        raise typer.Exit(EXIT_ERROR)
 
 
 def _mb(size: int) -> str:

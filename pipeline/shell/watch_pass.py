@@ -149,7 +149,7 @@ def _ingest(request: PassRequest, emit: Emit, outcome: PassOutcome) -> None:
         return
     processed = Path(request.processed)
     try:
-        before = {record.path: record.reason for record in list_quarantine(processed)}
+        before = {record.path: record.reason for record in list_quarantine(processed, {})}
         report = ingest(
             folders,
             processed,
@@ -169,6 +169,8 @@ def _ingest(request: PassRequest, emit: Emit, outcome: PassOutcome) -> None:
         emit(_refusal_event(refusal))
     for source in changed:
         emit({"event": "changed", "path": source.path, "outcome": source.outcome})
+    for text in report.damaged:
+        _fail(emit, outcome, "store", text, retry=False)
     # where files grow, another pass follows in any case
     outcome.late = bool(report.waiting) and not request.growing
     if report.quarantined and outcome.status == EXIT_OK:

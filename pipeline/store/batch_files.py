@@ -2,10 +2,15 @@
 
 Names are ``<number>-<hash of the trials>.parquet``. Numbers rise, so that of two versions of a trial the one with the
 higher number is the newer, whatever the clocks of the machines that recorded them say.
+
+Each of the two files carries, in the annex of its seal, what is needed where the other is damaged: the samples file the
+whole trials file, the trials file the footer of the samples file, without which none of its groups can be read.
 """
 
 from __future__ import annotations
 
+import io
+import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -16,8 +21,9 @@ import pyarrow.parquet as pq
 
 from pipeline.base.disk import NewFile, publish_all, remove, sync_folder
 from pipeline.base.provenance import digest, stamp
+from pipeline.base.seal import read_annex, sealed
 from pipeline.records.models import Motion
-from pipeline.records.tables import WRITING, arrow_schema, new_table, to_arrow
+from pipeline.records.tables import SealedWriter, arrow_schema, parquet_bytes, to_arrow
 from pipeline.store.storage import batch_number, samples_folder, trials_files, trials_folder
 
 
@@ -40,15 +46,15 @@ class NewBatch:
         metadata = stamp(device=device, experiment=experiment)
         self._schema = arrow_schema("samples", rotation=self.rotation, metadata=metadata)
         self._file = NewFile(samples_folder(processed, device, experiment), f"samples-{motion}")
-        self._writer = pq.ParquetWriter(self._file.stream, self._schema, **WRITING)
+        self._writer = SealedWriter(self._file.stream, self._schema)
 
     def write(self, samples: pa.Table) -> None:
         """Append samples as one group; the table has the columns of the stored one."""
         if samples.num_rows:
-            self._writer.write_table(samples, row_group_size=samples.num_rows)
+            self._writer.write(samples, samples.num_rows)
             self.rows += samples.num_rows
 
-    def publish(self, trials: Mapping[str, Sequence[Any] | pa.ChunkedArray], number: int) -> Path:
+    def publish(self, trials: Mapping[str, Sequence[Any] | pa.ChunkedArray], number: int, mark: str = "") -> Path:
         """Make the batch visible and return its trials file.
 
         Parameters
@@ -57,23 +63,25 @@ class NewBatch:
             All columns of the trials table but ``sample_file``.
         number : int
             Its number, above that of all visible batches (`next_number`).
+        mark : str, optional
+            Put before the hash: a batch that stands for a damaged one keeps its number and needs another name.
         """
-        self.finish(trials, number)
+        self.finish(trials, number, mark)
         publish_batches([self])
         return self.trials_file
 
-    def finish(self, trials: Mapping[str, Sequence[Any] | pa.ChunkedArray], number: int) -> None:
+    def finish(self, trials: Mapping[str, Sequence[Any] | pa.ChunkedArray], number: int, mark: str = "") -> None:
         """Write all that is left, for `publish_batches`; takes what `publish` takes."""
         identity = zip(*(_values(trials[name]) for name in ("source_path", "trial_id", "profile_sha256")), strict=True)
-        self.name = f"{number:06d}-{digest(sorted(identity))}.parquet"
-        self._writer.close()
+        self.name = f"{number:06d}-{mark}{digest(sorted(identity))}.parquet"
         path = samples_folder(self.processed, self.device, self.experiment) / self.name
         file = path.relative_to(self.processed).as_posix()
         columns = {**trials, "sample_file": [file] * len(trials["trial_id"])}
         metadata = stamp(device=self.device, experiment=self.experiment)
-        self._trials = new_table(
-            self.trials_file, to_arrow("trials", columns, rotation=self.rotation, metadata=metadata)
-        )
+        table = parquet_bytes(to_arrow("trials", columns, rotation=self.rotation, metadata=metadata))
+        footer = self._writer.close(pack_annex(table))
+        self._trials = NewFile(self.trials_file.parent, self.name)
+        self._trials.stream.write(sealed(table, pack_annex(footer)))
 
     @property
     def trials_file(self) -> Path:
@@ -87,9 +95,7 @@ class NewBatch:
 
     def discard(self) -> None:
         """Remove what was written, if it was not made visible."""
-        # the end of a file that nobody wants; on a full disk it cannot be written
-        with suppress(OSError, ValueError, pa.ArrowException):
-            self._writer.close()
+        self._writer.__exit__()
         self._file.discard()
         if self._trials is not None:
             self._trials.discard()
@@ -99,6 +105,34 @@ def publish_batches(batches: Sequence[NewBatch]) -> None:
     """Make finished batches visible: the samples of all are on the disk before any trial is seen."""
     files = [(batch.files(), batch.name) for batch in batches]
     publish_all([(samples, name) for (samples, _), name in files], [(trials, name) for (_, trials), name in files])
+
+
+def trials_copy(samples: Path) -> pa.Table | None:
+    """Return the trials that a samples file was written with, None where it has no copy that can be read."""
+    data = trials_bytes(samples.read_bytes())
+    return None if data is None else pq.read_table(io.BytesIO(data), schema=arrow_schema("trials"))
+
+
+def trials_bytes(samples: bytes) -> bytes | None:
+    """Return the trials file, but for its seal, out of a samples file; None where it has none that can be read."""
+    return _unpacked(read_annex(io.BytesIO(samples)))
+
+
+def samples_footer(trials: bytes) -> bytes | None:
+    """Return the footer of the samples file out of a trials file; None where it has none that can be read."""
+    return _unpacked(read_annex(io.BytesIO(trials)))
+
+
+def pack_annex(content: bytes) -> bytes:
+    """Return the annex by which a file of a batch carries a part of the other."""
+    return zlib.compress(content)
+
+
+def _unpacked(annex: bytes) -> bytes | None:
+    # zlib has a checksum of its own
+    with suppress(zlib.error):
+        return zlib.decompress(annex)
+    return None
 
 
 def _values(column: Sequence[Any] | pa.ChunkedArray) -> Sequence[Any]:

@@ -20,12 +20,14 @@ import pyarrow.parquet as pq
 from pipeline.base.disk import remove, sync_folder
 from pipeline.base.errors import StoreError
 from pipeline.base.lock import WAIT_S, writing
+from pipeline.base.seal import DamageError, verify
 from pipeline.records.models import Motion, Record
-from pipeline.records.tables import GROUP_ROWS, TABLES, read_table
-from pipeline.store.batch_files import NewBatch, next_number, remove_batches
+from pipeline.records.tables import GROUP_ROWS, TABLES, damaged_file, read_table
+from pipeline.store.batch_files import NewBatch, next_number, remove_batches, trials_copy
 from pipeline.store.storage import (
     list_devices,
     list_experiments,
+    partner_of,
     read_versions,
     samples_metadata,
     steadily,
@@ -80,6 +82,9 @@ def compact(
 ) -> CompactReport:
     """Merge all batches of each experiment into one, and remove samples that no trial names.
 
+    Each file is held against its checksums before it is merged. An experiment with a damaged one is left as it is, and
+    named when all others are done.
+
     Parameters
     ----------
     processed : Path
@@ -97,7 +102,7 @@ def compact(
     Raises
     ------
     StoreError
-        If a file is damaged or cannot be written, or another command writes there. Each trial stays stored, once.
+        If a file is damaged or cannot be written, or another command writes there. What could be read is stored still.
     """
     if dry_run:
         return steadily(processed, lambda: _compacted(processed, dry_run=True))
@@ -113,13 +118,19 @@ def compact(
 
 
 def _compacted(processed: Path, dry_run: bool) -> CompactReport:
-    merged = []
+    merged: list[ExperimentMerge] = []
+    faults = []
     for device in list_devices(processed):
         for experiment in list_experiments(processed, device):
-            for batches in _by_motion(_batches(processed, device, experiment)):
-                # a lone batch with samples of removed trials is written anew without them
-                if len(batches) > 1 or _has_gaps(batches[0]):
-                    merged.append(_merge_reported(processed, device, experiment, batches, dry_run))
+            try:
+                for batches in _by_motion(_batches(processed, device, experiment)):
+                    # a lone batch with samples of removed trials is written anew without them
+                    if len(batches) > 1 or _has_gaps(batches[0]):
+                        merged.append(_merge_reported(processed, device, experiment, batches, dry_run))
+            except StoreError as error:
+                faults.append(str(error))
+    if faults:
+        raise StoreError("\n".join(faults))
     orphans = find_orphans(processed)
     size = sum(orphan.stat().st_size for orphan in orphans)
     if not dry_run:
@@ -145,12 +156,41 @@ def merge_small(processed: Path, device: str, experiment: str) -> None:
 
 
 def find_orphans(processed: Path) -> list[Path]:
-    """Return the samples files that no trials file names: an interrupted writer left them."""
+    """Return the samples files that no trials file names and that hold nothing else: an interrupted writer left them.
+
+    One whose trials are stored nowhere else is none: its trials file was lost, or not yet written.
+    """
     # listed first: what a writer makes visible meanwhile is no orphan
     files = sorted((processed / "samples").rglob("*.parquet"))
-    table, _ = read_versions(processed, None, None, ["sample_file"])
+    alone = [file for file in files if not partner_of(file).exists() and file.exists()]
+    if not alone:
+        return []
+    table, _ = read_versions(processed, None, None, ["sample_file", "trial_id", "source_path"], {})
     named = set(table.column("sample_file").unique().to_pylist())
-    return [file for file in files if file.relative_to(processed).as_posix() not in named and file.exists()]
+    alone = [file for file in alone if file.relative_to(processed).as_posix() not in named]
+    return [file for file in alone if _holds_nothing_else(file, table)]
+
+
+def _holds_nothing_else(samples: Path, stored: pa.Table) -> bool:
+    try:
+        # one of an earlier version does not tell what it holds
+        return not verify(samples) or unseen_trials(samples, stored) is None
+    except DamageError:
+        return False
+
+
+def unseen_trials(samples: Path, stored: pa.Table) -> pa.Table | None:
+    """Return the trials of a samples file without a trials file that are not stored otherwise, None where none is."""
+    copy = trials_copy(samples)
+    if copy is None:
+        return None
+    unseen = pa.array(~np.logical_or(*(_among(copy, stored, name) for name in ("trial_id", "source_path"))))
+    return copy.filter(unseen) if unseen.true_count else None
+
+
+def _among(table: pa.Table, other: pa.Table, name: str) -> np.ndarray:
+    """Return which values of a column stand in that of another table."""
+    return np.isin(table.column(name).to_pylist(), other.column(name).to_pylist())
 
 
 def _tier(rows: int) -> int:
@@ -209,6 +249,8 @@ def _merge(processed: Path, device: str, experiment: str, batches: Sequence[_Bat
     try:
         copier = _Copier(new)
         tables = []
+        for file in (file for batch in batches for file in batch.samples):
+            _verify(file)
         for batch in batches:
             table = read_table(batch.trials).replace_schema_metadata(None)
             for file in batch.samples:
@@ -219,6 +261,9 @@ def _merge(processed: Path, device: str, experiment: str, batches: Sequence[_Bat
         trials = pa.concat_tables(tables)
         columns = {name: trials.column(name) for name in TABLES["trials"] if name != "sample_file"}
         path = new.publish(columns, next_number(processed))
+        # nothing is removed before what replaces it was read from the disk
+        _verify(path)
+        _verify(partner_of(path))
     except BaseException:
         new.discard()
         raise
@@ -249,7 +294,7 @@ class _Copier:
                 self._append(group if kept.all() else group.filter(pa.array(kept)))
                 taken += int(kept.sum())
         if taken != int(rows.sum()):
-            raise StoreError(f"{file}: is shorter than its trials say; remove its trials file and ingest again.")
+            raise damaged_file(file, "it is shorter than its trials say")
         return moved
 
     def finish(self) -> None:
@@ -275,9 +320,14 @@ def _groups(file: Path) -> Iterator[tuple[int, pa.Table]]:
                 yield position, table
                 position += table.num_rows
     except (pa.ArrowException, OSError) as error:
-        raise StoreError(
-            f"{file}: cannot be read as Parquet ({error}). Remove its trials file and ingest again."
-        ) from error
+        raise damaged_file(file, error) from error
+
+
+def _verify(file: Path) -> None:
+    try:
+        verify(file)
+    except (DamageError, OSError) as error:
+        raise damaged_file(file, error) from error
 
 
 def _kept(position: int, count: int, first: np.ndarray, rows: np.ndarray) -> np.ndarray:

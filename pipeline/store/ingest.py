@@ -34,10 +34,11 @@ from pipeline.store.ingest_report import (
     when_stopped,
 )
 from pipeline.store.quarantine import Keeper, QuarantineRecord, list_quarantine, record_of, release
-from pipeline.store.reading import Read, batches_of, in_order, motion_of, read_and_check
+from pipeline.store.reading import Read, batches_of, in_order, read_and_check
 from pipeline.store.rerun import Look, Search
 from pipeline.store.sources import Source, by_rest, find_sources, is_settled, removed_below
-from pipeline.store.trialstore import Accepted, TrialWriter, trial_id
+from pipeline.store.storage import trials_folder
+from pipeline.store.trialstore import TrialWriter, accepted_logs
 from pipeline.store.versions import StoredSource, StoredSources, drop_superseded, repair, why_ingested
 
 __all__ = ["IngestReport", "LogWarning", "Refusal", "ingest"]
@@ -129,9 +130,13 @@ def ingest(
                 look, sources = looked(not (dry_run or rehash))
             if not dry_run:
                 repair(processed, superseded=look.store is None)
-            settled, waiting = by_rest(sources, settle_s, frozenset(growing))
             digests = {p: p.digest() for p in profiles}
-            run = _Ingest(processed, dry_run, rehash, digests, look, len(settled), progress)
+            run = _Ingest(processed, dry_run, rehash, digests, look, progress)
+            if run.damaged and look.store is not None:  # the note passes logs of damaged batches, too
+                look, sources = looked(False)
+                run = _Ingest(processed, dry_run, rehash, digests, look, progress)
+            settled, waiting = by_rest(sources, settle_s, frozenset(growing))
+            run.found += len(settled)
             present = look.passed.union(source.key for source in sources)
             run.process(settled, jobs or min(4, os.cpu_count() or 1), present)
             run.wait_for(waiting, settle_s)
@@ -161,11 +166,10 @@ class _Ingest:
         rehash: bool,
         digests: dict[Profile, str],
         look: Look,
-        found: int,
         progress: Callable[[int, int], None] | None,
     ) -> None:
         self.processed, self.dry_run, self.rehash, self.digests = processed, dry_run, rehash, digests
-        self.look, self.found, self.progress = look, found + len(look.passed), progress
+        self.look, self.found, self.progress = look, len(look.passed), progress
         self.ingested, self.skipped = 0, len(look.passed)
         self.refusals: list[Refusal] = []
         self.keeper = Keeper(processed)
@@ -177,8 +181,9 @@ class _Ingest:
         self.unread = False
         self.writer = TrialWriter(processed, PENDING_BYTES)
         self.motions = {name: device.motion for name, device in known_devices().items()}
-        self.stored = StoredSources(processed)
-        self.refused = {record.path: record for record in list_quarantine(processed)}
+        self.damaged: dict[Path, str] = {}
+        self.stored = StoredSources(processed, self.damaged)
+        self.refused = {record.path: record for record in list_quarantine(processed, self.damaged)}
         self.replaced: set[tuple[str, str, str]] = set()
         # hash of a content -> hash of its profile, and its path; a source that is looked at again enters after that
         self.known: dict[str, str] = {}
@@ -214,7 +219,10 @@ class _Ingest:
         if not self.dry_run:
             drop_superseded(self.processed, self.replaced)
             for device, experiment in sorted(self.writer.experiments):
-                merge_small(self.processed, device, experiment)
+                try:
+                    merge_small(self.processed, device, experiment)
+                except StoreError as error:  # a damaged batch stays with its experiment
+                    self.damaged[trials_folder(self.processed, device, experiment)] = str(error)
 
     def wait_for(self, sources: Sequence[Source], settle_s: float) -> None:
         """List sources that are left for later."""
@@ -240,13 +248,14 @@ class _Ingest:
             changed=tuple(sorted(self.changed, key=lambda source: source.path)),
             waiting=tuple(sorted(self.waiting)),
             plan=tuple(sorted(self.plan, key=lambda source: source.path)) if self.dry_run else None,
+            damaged=tuple(sorted(set(self.damaged.values()))),
         )
 
     def remember(self, report: IngestReport, notices: Sequence[LogWarning]) -> None:
         """Leave a note for the next run of the same command, which says nothing if that has to read a source again."""
         stored = ((source.key, source.size, source.mtime_ns) for source in self.kept if source.stands_alone)
-        again = None if self.waiting or self.unread else repeated(report, tuple(notices)).model_dump(mode="json")
-        self.look.remember(stored, again)
+        open_ends = self.waiting or self.unread or self.damaged
+        self.look.remember(stored, None if open_ends else repeated(report, tuple(notices)).model_dump(mode="json"))
 
     def _plan(self, source: Source, action: Action, reason: str) -> None:
         if self.dry_run:
@@ -318,13 +327,7 @@ class _Ingest:
                     outcome = f"{other} now has the same content; its trials are stored as those of that log"
                 self._replace(source, former, outcome)
             return
-        name = path_text(source.path.name) if profile.reads_names else None
-        accepted = [
-            Accepted(
-                trial_id(sha256, log.label, name), sha256, source, log, motion, profile.name, profile_sha256, len(logs)
-            )
-            for log, motion in [(log, motion_of(log, self.motions)) for log in logs]
-        ]
+        accepted = accepted_logs(source, sha256, logs, profile, profile_sha256, self.motions)
         # from here on nothing is refused
         self.kept.append(source)
         self.known[sha256] = profile_sha256

@@ -64,6 +64,8 @@ class IngestReport(Record):
         Sources that changed a moment ago and were left for later; they do not count as found.
     plan : tuple of PlannedSource or None
         With a dry run: what would be done with each source, those that wait included.
+    damaged : tuple of str
+        Stored files that are damaged, with what to do; their logs count as new, all others are as ever.
     """
 
     found: int
@@ -75,6 +77,7 @@ class IngestReport(Record):
     changed: tuple[ChangedSource, ...] = ()
     waiting: tuple[str, ...] = ()
     plan: tuple[PlannedSource, ...] | None = None
+    damaged: tuple[str, ...] = ()
 
 
 def repeated(report: IngestReport, notices: tuple[LogWarning, ...]) -> IngestReport:

@@ -15,10 +15,11 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from pipeline.base.disk import NewFile, make_folders, publish_all, remove
-from pipeline.base.errors import Code, LogError, StoreError, UsageError
+from pipeline.base.errors import REMEDY, Code, LogError, StoreError, UsageError
 from pipeline.base.file_names import path_of_text, path_text, storable
 from pipeline.base.provenance import digest
 from pipeline.base.regular_files import open_regular
+from pipeline.base.seal import sealed_json, unsealed_json
 from pipeline.records.models import Record
 from pipeline.store.excerpt import NOTHING, Excerpt, excerpt_of
 from pipeline.store.sources import Source
@@ -88,8 +89,14 @@ def quarantine_folder(processed: Path) -> Path:
     return processed / "quarantine"
 
 
-def list_quarantine(processed: Path) -> list[QuarantineRecord]:
+def list_quarantine(processed: Path, damaged: dict[Path, str] | None = None) -> list[QuarantineRecord]:
     """Return the records of all refused logs, sorted by path.
+
+    Parameters
+    ----------
+    processed : Path
+    damaged : dict of Path to str, optional
+        Gets the damaged records, and why; without it they are an error.
 
     Raises
     ------
@@ -106,14 +113,31 @@ def list_quarantine(processed: Path) -> list[QuarantineRecord]:
     for name in names:
         file = quarantine_folder(processed) / name / RECORD_FILE
         try:
-            records.append(QuarantineRecord.model_validate_json(file.read_bytes()))
+            records.append(read_record(file))
         except (FileNotFoundError, NotADirectoryError):  # its log was accepted meanwhile, or it is no record
             continue
-        except ValidationError as error:
-            raise StoreError(
-                f"{file}: is no quarantine record ({error.error_count()} errors). Remove its folder and ingest again."
-            ) from error
+        except StoreError as error:
+            if damaged is None:
+                raise
+            damaged[file] = str(error)
     return sorted(records, key=lambda record: record.path)
+
+
+def read_record(file: Path) -> QuarantineRecord:
+    """Return the record in a file.
+
+    Raises
+    ------
+    StoreError
+        If it is damaged.
+    OSError
+        If it is not there.
+    """
+    try:
+        return QuarantineRecord.model_validate(unsealed_json(file.read_bytes()))
+    except ValueError as error:
+        text = f"{error.error_count()} errors" if isinstance(error, ValidationError) else str(error)
+        raise StoreError(f"{file}: is no quarantine record ({text}). {REMEDY}") from error
 
 
 def record_id(record: QuarantineRecord) -> str:
@@ -235,7 +259,7 @@ def _prepared(folder: Path, refused: Refused, new: list[NewFile]) -> tuple[list[
     whole = refused.record.model_copy(update={"byte": found.byte, "excerpt": found.lines})
     record = NewFile(folder, RECORD_FILE, like)
     new.append(record)
-    record.stream.write(f"{whole.model_dump_json()}\n".encode())
+    record.stream.write(sealed_json(whole.model_dump_json() + "\n").encode())
     return copies, record
 
 

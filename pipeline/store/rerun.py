@@ -20,6 +20,7 @@ from typing import Any, BinaryIO
 from pipeline import __version__
 from pipeline.base.disk import replacing
 from pipeline.base.provenance import code_digest, digest, schema_folder
+from pipeline.base.seal import sealed_json, unsealed_json
 from pipeline.store.listing import Folder, list_folders
 
 NOTE_FILE = ".last_ingest.json"
@@ -112,7 +113,8 @@ class Look:
         if report is not None:
             head["found"] = _digest(self._lines)
         with replacing(Path(self.search.processed) / NOTE_FILE) as stream:
-            stream.write(f"{json.dumps(head)}\n{json.dumps(self._new, separators=(',', ':'))}\n".encode())
+            index = json.dumps({"folders": self._new}, separators=(",", ":"))
+            stream.write("".join(sealed_json(line + "\n") for line in (json.dumps(head), index)).encode())
 
 
 def recall(search: Search) -> dict[str, Any] | None:
@@ -129,24 +131,23 @@ def _read(search: Search) -> tuple[dict[str, Any], Index]:
     lines: list[bytes] = []
 
     def first(stream: BinaryIO) -> bytes:
-        lines.extend(stream.read().split(b"\n"))
-        return lines[0]
+        lines.extend(stream)
+        return b"".join(lines[:1])
 
     head = _believed(search, first)
     try:
-        index = json.loads(lines[1]) if head else {}
-    except (ValueError, IndexError):
+        return (head, unsealed_json(lines[1])["folders"]) if head else ({}, {})
+    except (ValueError, IndexError, KeyError):
         return {}, {}
-    return (head, index) if isinstance(index, dict) else ({}, {})
 
 
 def _believed(search: Search, first: Callable[[BinaryIO], bytes]) -> dict[str, Any]:
     """Return the first line of the note; nothing where it is of another command or store, or damaged."""
     try:
         with open(Path(search.processed) / NOTE_FILE, "rb") as stream:
-            head = json.loads(first(stream))
+            head = unsealed_json(first(stream))
         if head["key"] == search.key and head["store"] == _store(search.processed):
-            return dict(head)
+            return head
     except (OSError, ValueError, KeyError, TypeError):
         pass
     return {}

@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
-from pipeline.base.errors import StoreError
+from pipeline.base.errors import REMEDY, StoreError
 from pipeline.records.batch import Floats, Integers, TrialBatch
 from pipeline.records.groups import TrialGroups, group_trials, padded_length
-from pipeline.records.tables import read_table
+from pipeline.records.tables import open_table
 from pipeline.store.storage import ATTEMPTS, read_trials
 
 _OPTIONAL = ("force", "velocity")
@@ -70,10 +70,7 @@ def _load(processed: Path, trials: pa.Table, places: list[Integers], length: Len
                 raise
         located = _located(processed, trials)
         if located.equals(trials):
-            raise StoreError(
-                f"{missing}: samples file is missing, but its trials are stored. "
-                "Remove the trials file of the same name below trials/ and ingest the logs again."
-            )
+            raise StoreError(f"{missing}: samples file is missing, but its trials are stored. {REMEDY}")
         trials = located
     raise StoreError(f"{processed}: samples were moved during each of {ATTEMPTS} attempts to read them.")
 
@@ -85,18 +82,19 @@ def _read_samples(processed: Path, trials: pa.Table, places: list[Integers], len
     samples: list[dict[str, Floats]] = [{} for _ in places]
     for name in np.unique(file).tolist():
         inside = [place[file[place] == name] for place in places]
-        for column in _SAMPLES:
-            values = read_table(processed / name, [column]).column(0)
-            if values.null_count == len(values) and column in _OPTIONAL:
-                continue
-            if any((first[of] + rows[of] > len(values)).any() for of in inside):
-                raise StoreError(f"{processed}: a samples file is shorter than its trials say; ingest the logs again.")
-            read = values.to_numpy()
-            for of, place, found in zip(inside, places, samples, strict=True):
-                if len(of):
-                    wide = found.setdefault(column, np.full((len(place), int(length(rows[place]))), np.nan))
-                    for row, at in zip(np.searchsorted(place, of).tolist(), of.tolist(), strict=True):
-                        wide[row, : rows[at]] = read[first[at] : first[at] + rows[at]]
+        with open_table(processed / name) as stored:
+            for column in _SAMPLES:
+                values = stored.read([column]).column(0)
+                if values.null_count == len(values) and column in _OPTIONAL:
+                    continue
+                if any((first[of] + rows[of] > len(values)).any() for of in inside):
+                    raise StoreError(f"{processed / name}: is shorter than its trials say. {REMEDY}")
+                read = values.to_numpy()
+                for of, place, found in zip(inside, places, samples, strict=True):
+                    if len(of):
+                        wide = found.setdefault(column, np.full((len(place), int(length(rows[place]))), np.nan))
+                        for row, at in zip(np.searchsorted(place, of).tolist(), of.tolist(), strict=True):
+                            wide[row, : rows[at]] = read[first[at] : first[at] + rows[at]]
     return [_batch(trials.take(place), found) for place, found in zip(places, samples, strict=True)]
 
 

@@ -24,7 +24,7 @@ import pyarrow.parquet as pq
 
 from pipeline.base.errors import StoreError
 from pipeline.records.batch import Booleans
-from pipeline.records.tables import TABLES, arrow_schema, read_table
+from pipeline.records.tables import TABLES, arrow_schema, damaged_file, read_table
 from pipeline.store.names import name_of_folder, place_of
 
 Result = TypeVar("Result")
@@ -38,6 +38,13 @@ def trials_folder(processed: Path, device: str, experiment: str) -> Path:
 def samples_folder(processed: Path, device: str, experiment: str) -> Path:
     """Return the folder with the samples tables of an experiment."""
     return _folder(processed, "samples", device, experiment)
+
+
+def partner_of(file: Path) -> Path:
+    """Return the other file of a batch: the trials file of a samples file, and the reverse."""
+    tree = file.parents[2]
+    other = {"trials": "samples", "samples": "trials"}[tree.name]
+    return tree.parent / other / file.relative_to(tree)
 
 
 def stage_file(processed: Path, device: str, experiment: str, stage: str) -> Path:
@@ -150,14 +157,15 @@ def samples_metadata(file: Path) -> pq.FileMetaData:
     try:
         return pq.read_metadata(file)
     except (pa.ArrowException, OSError) as error:
-        raise StoreError(
-            f"{file}: samples file is missing or damaged ({error}), but its trials are stored. "
-            "Remove the trials file of the same name below trials/ and ingest the logs again."
-        ) from error
+        raise damaged_file(file, error) from error
 
 
 def read_trials(
-    processed: Path, device: str | None = None, experiment: str | None = None, columns: list[str] | None = None
+    processed: Path,
+    device: str | None = None,
+    experiment: str | None = None,
+    columns: list[str] | None = None,
+    damaged: dict[Path, str] | None = None,
 ) -> pa.Table:
     """Return the trials table: of everything, of a device, or of one experiment; in order of file name.
 
@@ -170,6 +178,8 @@ def read_trials(
     device, experiment : str, optional
     columns : list of str, optional
         By default all.
+    damaged : dict of Path to str, optional
+        Gets the files that are damaged, and why; without it they are an error.
 
     Raises
     ------
@@ -177,7 +187,7 @@ def read_trials(
         If a file is damaged, or others write there all the time.
     """
     wanted = list(TABLES["trials"]) if columns is None else columns
-    table, _ = read_versions(processed, device, experiment, list(dict.fromkeys((*wanted, *VERSION_COLUMNS))))
+    table, _ = read_versions(processed, device, experiment, list(dict.fromkeys((*wanted, *VERSION_COLUMNS))), damaged)
     return table.filter(pa.array(newest_versions(table))).select(wanted)
 
 
@@ -199,9 +209,13 @@ _PAUSE_S = 0.02
 
 
 def read_versions(
-    processed: Path, device: str | None, experiment: str | None, columns: list[str]
+    processed: Path,
+    device: str | None,
+    experiment: str | None,
+    columns: list[str],
+    damaged: dict[Path, str] | None = None,
 ) -> tuple[pa.Table, list[Path]]:
-    """Return all rows of trials files, superseded ones too, and these files.
+    """Return all rows of trials files, superseded ones too, and these files; of `damaged` ones none.
 
     Returns
     -------
@@ -221,9 +235,8 @@ def read_versions(
         before = _listing(root)
         files = [Path(path) for path in sorted(before)]
         try:
-            # the types are checked; a cast would import what takes longer than reading
-            read = [read_table(file, columns).select(columns).columns for file in files]
-            tables = [pa.Table.from_arrays(table, schema=schema) for table in read]
+            broken: dict[Path, str] = {}
+            tables = [_rows(file, schema, None if damaged is None else broken) for file in files]
         except StoreError:
             if _listing(root) == before:
                 raise
@@ -234,11 +247,24 @@ def read_versions(
         time.sleep(_PAUSE_S)
     else:
         raise StoreError(f"{root}: changed during each of {ATTEMPTS} attempts to read it. Wait for other commands.")
+    if damaged is not None:
+        damaged |= broken
     rows = np.array([table.num_rows for table in tables], dtype=np.int64)
     index = np.repeat(np.arange(len(files), dtype=np.int64), rows)
     numbers = np.array([batch_number(file) for file in files], dtype=np.int64)[index]
     table = pa.concat_tables(tables) if tables else schema.empty_table()
     return table.append_column(BATCH, pa.array(numbers)).append_column(FILE, pa.array(index)), files
+
+
+def _rows(file: Path, schema: pa.Schema, damaged: dict[Path, str] | None) -> pa.Table:
+    try:
+        # the types are checked; a cast would import what takes longer than reading
+        return pa.Table.from_arrays(read_table(file, schema.names).select(schema.names).columns, schema=schema)
+    except StoreError as error:
+        if damaged is None:
+            raise
+        damaged[file] = str(error)
+        return schema.empty_table()
 
 
 def newest_versions(table: pa.Table) -> Booleans:

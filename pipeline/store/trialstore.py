@@ -16,13 +16,16 @@ import pyarrow as pa
 
 from pipeline import __version__
 from pipeline.base.disk import make_folders
+from pipeline.base.file_names import path_text
 from pipeline.base.provenance import sha256 as hash_of
+from pipeline.profiles.profile_files import Profile
 from pipeline.readers import Log
 from pipeline.readers.time_axis import step_flags
 from pipeline.records.batch import Floats, Integers
 from pipeline.records.models import Motion
 from pipeline.records.tables import GROUP_ROWS, to_arrow
 from pipeline.store.batch_files import NewBatch, next_number, publish_batches
+from pipeline.store.reading import motion_of
 from pipeline.store.sources import Source
 from pipeline.store.storage import samples_folder, trials_folder
 
@@ -52,6 +55,32 @@ class Accepted:
         log = self.log
         columns = (log.time, log.command, log.position, log.force, log.velocity, log.raw_time)
         return sum(values.nbytes for values in columns if values is not None)
+
+
+def accepted_logs(
+    source: Source, sha256: str, logs: Sequence[Log], profile: Profile, profile_sha256: str, known: Mapping[str, Motion]
+) -> list[Accepted]:
+    """Return the trials of a source that was read; `known` is the motion of each device that has a device file.
+
+    Raises
+    ------
+    LogError
+        If a log cannot be stored (`reading.motion_of`).
+    """
+    name = path_text(source.path.name) if profile.reads_names else None
+    return [
+        Accepted(
+            trial_id(sha256, log.label, name),
+            sha256,
+            source,
+            log,
+            motion_of(log, known),
+            profile.name,
+            profile_sha256,
+            len(logs),
+        )
+        for log in logs
+    ]
 
 
 class TrialWriter:

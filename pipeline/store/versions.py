@@ -10,6 +10,7 @@ import numpy as np
 import pyarrow as pa
 
 from pipeline.base.disk import remove_temporary
+from pipeline.base.seal import read_annex
 from pipeline.records.tables import read_table, write_table
 from pipeline.store.batch_files import remove_batches
 from pipeline.store.storage import BATCH, FILE, VERSION_COLUMNS, newest_versions, read_versions
@@ -41,10 +42,14 @@ class StoredSource(NamedTuple):
 
 
 class StoredSources(Mapping[str, StoredSource]):
-    """What is stored of each source, by its path; a record is made when it is asked for, of 100,000 hardly any."""
+    """What is stored of each source, by its path; a record is made when it is asked for, of 100,000 hardly any.
 
-    def __init__(self, processed: Path) -> None:
-        table, _ = read_versions(processed, None, None, ["source_trials", "source_size", *VERSION_COLUMNS])
+    `damaged` is as for `storage.read_trials`.
+    """
+
+    def __init__(self, processed: Path, damaged: dict[Path, str] | None = None) -> None:
+        columns = ["source_trials", "source_size", *VERSION_COLUMNS]
+        table, _ = read_versions(processed, None, None, columns, damaged)
         self._columns = {n: table.column(n).to_pylist() for n in table.column_names if n not in (BATCH, FILE)}
         paths = self._columns["source_path"]
         rows = np.flatnonzero(newest_versions(table)).tolist()
@@ -92,6 +97,8 @@ def why_ingested(former: StoredSource | None, sha256: str, profile_sha256: str) 
 def repair(processed: Path, superseded: bool = True) -> None:
     """Finish what an interrupted writer left: remove its incomplete files and the superseded trials; hold the lock.
 
+    Damaged files are left alone; `check` tells of them.
+
     Parameters
     ----------
     processed : Path
@@ -101,7 +108,7 @@ def repair(processed: Path, superseded: bool = True) -> None:
     for name in ("trials", "samples", "quarantine"):
         remove_temporary(processed / name)
     if superseded:
-        table, files = read_versions(processed, None, None, list(VERSION_COLUMNS))
+        table, files = read_versions(processed, None, None, list(VERSION_COLUMNS), {})
         _drop(processed, files, table.column(FILE).to_numpy(), ~newest_versions(table))
 
 
@@ -117,7 +124,7 @@ def drop_superseded(processed: Path, replaced: Collection[tuple[str, str, str]])
     if not replaced:
         return
     names = ("source_path", "trial_id", "profile_sha256")
-    table, files = read_versions(processed, None, None, list(VERSION_COLUMNS))
+    table, files = read_versions(processed, None, None, list(VERSION_COLUMNS), {})
     keys = zip(*(table.column(name).to_pylist() for name in names), strict=True)
     _drop(processed, files, table.column(FILE).to_numpy(), np.array([key in replaced for key in keys], dtype=np.bool_))
 
@@ -127,6 +134,8 @@ def _drop(processed: Path, files: list[Path], owner: np.ndarray, dropped: np.nda
     for index in np.unique(owner[dropped]).tolist():
         keep = ~dropped[owner == index]
         if keep.any():
-            write_table(files[index], read_table(files[index]).filter(pa.array(keep)))
+            with open(files[index], "rb") as stream:
+                annex = read_annex(stream)
+            write_table(files[index], read_table(files[index]).filter(pa.array(keep)), annex)
         else:
             remove_batches(processed, [files[index]])

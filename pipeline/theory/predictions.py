@@ -13,10 +13,11 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict
 
 from pipeline.base.process_pool import process_pool
 from pipeline.base.provenance import code_digest, digest
+from pipeline.base.seal import sealed_json, unsealed_json
 from pipeline.records.results import TheoryParameters
 from pipeline.records.tables import write_text
 from pipeline.theory.loop import Loop, Normalised
@@ -151,7 +152,7 @@ class Predictions:
         for loop in {loop for loop, _ in found}:
             points = self._read(loop) | {c: p for (other, c), p in found.items() if other == loop}
             document = {"loop": asdict(loop), "optima": {c: asdict(p) for c, p in sorted(points.items())}}
-            write_text(self._file(loop), json.dumps(document, indent=1) + "\n")
+            write_text(self._file(loop), sealed_json(json.dumps(document, indent=1) + "\n"))
 
     def _file(self, loop: Loop) -> Path:
         key = digest([loop.gamma, loop.delta, loop.delay, code_digest(*THEORY_CODE)])
@@ -159,6 +160,6 @@ class Predictions:
 
     def _read(self, loop: Loop) -> dict[str, OptimalPoint]:
         try:
-            return _Kept.model_validate_json(self._file(loop).read_bytes()).optima
-        except (FileNotFoundError, ValidationError):
-            return {}  # nothing is kept, or not in this form: it is computed anew
+            return _Kept.model_validate(unsealed_json(self._file(loop).read_bytes())).optima
+        except (FileNotFoundError, ValueError):
+            return {}  # nothing is kept, or not in this form, or it is damaged: it is computed anew
