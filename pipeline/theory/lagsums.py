@@ -22,7 +22,7 @@ from pipeline.records.batch import Booleans, Floats, Integers
 from pipeline.theory.chain import Chain, Segment, apply
 from pipeline.theory.loop import Loop
 
-_CELLS = 1 << 15
+_CELLS = 1 << 14
 """Points times sites at a time: their arrays stay in the cache."""
 
 _WEIGHTS = (0, 1, 2)
