@@ -1,14 +1,14 @@
 """Exact energy sums of many points at once from lagged products: no loop over samples, no horizon.
 
-With x = (e, v) the deviation and velocity (and, for a fractional delay, the force before), u the wall force, p the whole
-part of the delay, the sums
+With x = (e, v) the deviation and velocity (and, for a fractional delay, the force before), u the wall force, p the
+whole part of the delay, the sums over k >= 0
 
-    X_m = sum k^w x_k e_{k-m},  U_m = sum k^w u_k e_{k-m}  for m = 0 to p,  M = sum k^w x_k x_k'   over k >= 0
+    X_m = sum k^w x_k e_{k-m},  U_m = sum k^w u_k e_{k-m}  for m = 0 to p,  M = sum k^w x_k x_k'
 
-obey linear equations. The motion over one sample carries X_m and U_m to X_{m+1}; as u_k = -alpha e_{k-p} - beta (e_{k-p}
-- e_{k-p-1}), U_m hangs on X_{p-m}. That is a chain of p + 1 equal sites through which X runs to the right and its mirror
-image to the left (`pipeline.theory.chain`). Both ends are X_0, a row of M, and M = P M P' + ... closes the system: some
-six unknowns a point, whatever the delay. Sums of lower weight w are inputs of the higher ones.
+obey linear equations. The motion over one sample carries X_m and U_m to X_{m+1}; as u_k = -alpha e_{k-p} - beta
+(e_{k-p} - e_{k-p-1}), U_m hangs on X_{p-m}. That is a chain of p + 1 equal sites through which X runs to the right and
+its mirror image to the left (`pipeline.theory.chain`). Both ends are X_0, a row of M, and M = P M P' + ... closes the
+system: six unknowns a point at most, whatever the delay. Sums of lower weight w are inputs of the higher ones.
 """
 
 from __future__ import annotations

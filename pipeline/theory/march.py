@@ -224,7 +224,7 @@ class _Motion:
     def mend(self, jump: _Jump, found: _Found, longest: int) -> None:
         """Start earlier where the march met no sample outside the band.
 
-        Ends after log4(end/8) rounds, 30 for any double: the window grows fourfold, then reaches back to the jump's start.
+        Ends after log4(end/8) rounds, 30 for any double: the window grows fourfold and then reaches the jump's start.
         """
         while True:
             skipped = self._skipped(jump)
