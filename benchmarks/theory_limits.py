@@ -18,7 +18,6 @@ from timing import fastest, once, run
 from pipeline.accuracy.accuracy_ladders import reference
 from pipeline.theory.energy import WEIGHTS, energy_costs
 from pipeline.theory.extent import damping_range
-from pipeline.theory.lagsums import LARGEST_DELAY as LARGEST_SUMMED
 from pipeline.theory.loop import Loop
 from pipeline.theory.region import is_inside, stiffness_limit
 from pipeline.theory.stability import spectral_radius
@@ -120,12 +119,11 @@ def energy_costs_of_the_domain(quick: bool) -> Limit:
     errors, at, near = [], [], 0
     for values in loops(quick):
         loop, exact = Loop(*values), Energies(*values)
-        as_map = loop.delay.is_integer() and loop.delay <= LARGEST_SUMMED
         for alpha, beta, radius in stable_points(loop, rng, 4 if quick else 8, 1 if quick else 3):
             near += radius > 1 - NEAREST
             for signal in ("step", "impulse"):
                 truth = exact.costs(alpha, beta, signal, radius)
-                for count in (1, MAP_POINTS) if as_map else (1,):
+                for count in (1, MAP_POINTS):
                     found = energy_costs(loop, np.full(count, alpha), beta, signal)
                     errors.append(max(abs(float(found[name][0]) / value - 1) for name, value in truth.items()))
                     at.append((values, alpha, beta, radius))

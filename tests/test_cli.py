@@ -14,7 +14,7 @@ from native_logs import FAULTS, log_text
 from pipeline import __version__
 from pipeline.base.errors import StoreError
 from pipeline.comparison import compare
-from pipeline.shell import console
+from pipeline.shell import cli, console
 from pipeline.shell.cli import app, run
 
 COMMANDS = {
@@ -99,15 +99,40 @@ def test_help_and_version_need_none_of_the_heavy_packages():
         assert process.stderr.strip() == "[]", arguments
 
 
-def test_no_command_imports_pandas_where_it_is_installed(tmp_path):
-    """Pyarrow would, for 0.2 s of each command."""
+HEAVY = ["pandas", "scipy", "pydantic", "matplotlib", "jinja2", "rich.progress", "numpy.ma", "pyarrow.dataset"]
+"""What takes longer to load than a short command to run."""
+
+LOADED = {
+    "--help": (),
+    "theory boundary --delay 2": ("numpy",),
+    "theory points cases.csv": ("numpy",),
+    "theory optimum --criterion energy_step_w0 --delay 2": ("numpy",),
+    "theory map --delay 2 --size 5 --out map.parquet": ("numpy", "pyarrow", "pyarrow.parquet"),
+}
+"""What each command may load of these and of numpy and pyarrow."""
+
+
+@pytest.mark.parametrize("command", LOADED)
+def test_commands_load_what_they_need(command, tmp_path):
+    """Pyarrow would load pandas where it is installed, for 0.2 s of each command."""
+    (tmp_path / "cases.csv").write_text("alpha,beta,gamma,delta,delay\n0.02,0.2,0,0,2\n")
+    watched = [*HEAVY, "numpy", "pyarrow", "pyarrow.parquet"]
     script = (
-        "import sys\nfrom pipeline.shell.cli import run\nsys.argv[0] = 'pipeline'\n"
-        "try:\n    run()\nfinally:\n    print(sys.modules.get('pandas'), 'pyarrow' in sys.modules, file=sys.stderr)"
+        "import sys\nfrom pipeline.shell.cli import run\ntry:\n    run()\nfinally:\n"
+        f"    print(*[m for m in {watched} if sys.modules.get(m)], sep=' ', file=sys.stderr)"
     )
-    words = ["theory", "map", "--delay", "2", "--size", "5", "--out", str(tmp_path / "map.parquet")]
+    words = [str(tmp_path / word) if "." in word else word for word in command.split()]
     process = subprocess.run([sys.executable, "-c", script, *words], capture_output=True, text=True, check=True)
-    assert process.stderr.splitlines()[-1] == "None True"
+    assert tuple(process.stderr.splitlines()[-1].split()) == LOADED[command]
+
+
+def test_a_command_alone_is_that_of_the_whole_command_line():
+    whole = typer.main.get_command(app)
+    for name in cli.COMMANDS:
+        alone = typer.main.get_command(cli.application(name))
+        assert list(alone.commands) == [name]
+        assert [words for words, _ in leaves(alone.commands[name])] == [w for w, _ in leaves(whole.commands[name])]
+        assert alone.commands[name].help == whole.commands[name].help
 
 
 def test_version(call):

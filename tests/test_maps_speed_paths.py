@@ -8,6 +8,7 @@ from pipeline.records.models import SETTLING_BANDS
 from pipeline.theory import energy, pointcosts
 from pipeline.theory.loop import Loop
 from pipeline.theory.march import step_transients
+from pipeline.theory.region import is_well_inside
 from pipeline.theory.slowmodes import slow_modes
 from pipeline.theory.stability import spectral_radius
 from pipeline.theory.theory_map import bounding_box
@@ -138,3 +139,16 @@ def test_overshoot_long_after_settling_is_found():
     assert late.sum() > 50
     for name, of_plain in (("overshoot", "overshoot"), ("settle", "settle_2pct")):
         np.testing.assert_allclose(found[name], plain[of_plain], rtol=1e-11, atol=1e-12, err_msg=name)
+
+
+def test_a_response_inside_the_band_before_a_jump_ends():
+    """A row of the map of 801 x 801 points at d = 4: a point was inside the band before its jump, which never ended."""
+    loop = Loop(0, 0, 4)
+    box = bounding_box(loop)
+    alpha, beta = np.linspace(*box[:2], 801), np.full(801, np.linspace(*box[2:], 801)[171])
+    inside = is_well_inside(loop, alpha, beta)
+    alpha, beta = alpha[inside], beta[inside]
+    found = step_transients(loop, alpha, beta, 0.02, longest=1 << 14, quiet=1e-13)
+    plain = transient_costs(loop, alpha, beta, (0.02,), longest=1 << 14, quiet=1e-13)
+    known = np.isfinite(plain["settle_2pct"])
+    np.testing.assert_allclose(found["settle"][known], plain["settle_2pct"][known], rtol=1e-11)

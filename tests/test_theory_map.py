@@ -2,14 +2,25 @@ import math
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from simulated import spectral_radius
 
 from pipeline.base.errors import ParameterError, PipelineError
 from pipeline.theory import cases as theory
-from pipeline.theory import stability, theory_map
+from pipeline.theory import map_file, stability, theory_map
+from pipeline.theory.energy import _energy_by_doubling
 from pipeline.theory.loop import Loop
+from pipeline.theory.theory_map import CostMap
+from pipeline.theory.transient import transient_costs
+
+
+def map_table(*arguments, points=theory_map.BLOCK, **options):
+    """A map as one Arrow table."""
+    cost_map = CostMap(*arguments, **options)
+    schema = map_file.map_schema(cost_map)
+    return pa.concat_tables([map_file.block_table(block, schema) for block in cost_map.blocks(points)])
 
 
 @pytest.mark.parametrize("loop", [Loop(0, 0, 1), Loop(0.001, 0.02, 2), Loop(0.2, 0.1, 0.5)])
@@ -30,7 +41,7 @@ def test_bounding_box_is_that_of_the_stable_region(loop):
 def test_map_holds_the_costs_of_its_points():
     loop = Loop(0, 0.02, 1)
     names = ("settle_2pct", "overshoot_discrete", "energy_step_w1", "energy_impulse_w0_discrete", "pole_radius")
-    table = theory_map.map_table(loop, 21, names)
+    table = map_table(loop, 21, names)
     assert table.column_names == ["alpha", "beta", "stable", *names]
     alpha, beta = table.column("alpha").to_numpy(), table.column("beta").to_numpy()
     low_a, high_a, low_b, high_b = theory_map.bounding_box(loop)
@@ -54,25 +65,29 @@ def test_map_holds_the_costs_of_its_points():
 
 
 def test_map_survives_parquet_with_its_parameters(tmp_path):
-    table = theory_map.map_table(Loop(0, 0.02, 1), 5, ("overshoot",))
-    theory_map.write_map(tmp_path / "new" / "map.parquet", table)
+    cost_map = CostMap(Loop(0, 0.02, 1), 5, ("overshoot",))
+    done = []
+    stable = map_file.write_map(tmp_path / "new" / "map.parquet", cost_map, lambda *counts: done.append(counts), 12)
     back = pq.read_table(tmp_path / "new" / "map.parquet")
-    assert back.equals(table)
+    assert back.equals(map_table(Loop(0, 0.02, 1), 5, ("overshoot",)).combine_chunks())
+    assert back.schema.metadata == map_file.map_schema(cost_map).metadata
+    assert stable == sum(back.column("stable").to_pylist())
+    assert done == [(10, 25), (20, 25), (25, 25)]
+    assert pq.ParquetFile(tmp_path / "new" / "map.parquet").num_row_groups == 3
     assert back.schema.metadata[b"pipeline.delta"] == b"0.02"
     assert [p.name for p in (tmp_path / "new").iterdir()] == ["map.parquet"]
 
 
 def test_map_that_cannot_be_written_leaves_the_old_one(tmp_path, monkeypatch):
-    table = theory_map.map_table(Loop(0, 0, 1), 3, ("overshoot",))
     path = tmp_path / "map.parquet"
     path.write_bytes(b"old")
 
-    def half(writer, data, **_):
+    def half(*_):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(pq.ParquetWriter, "write_table", half)
     with pytest.raises(PipelineError, match="No space left on device"):
-        theory_map.write_map(path, table)
+        map_file.write_map(path, CostMap(Loop(0, 0, 1), 3, ("overshoot",)))
     assert path.read_bytes() == b"old"
     assert len(list(tmp_path.iterdir())) == 1
 
@@ -90,13 +105,32 @@ def test_map_that_cannot_be_written_leaves_the_old_one(tmp_path, monkeypatch):
 )
 def test_wrong_maps_are_refused(arguments, message):
     with pytest.raises(ParameterError, match=message):
-        theory_map.map_table(Loop(0, 0, 1), **arguments)
+        map_table(Loop(0, 0, 1), **arguments)
 
 
 def test_map_gives_up_responses_that_move_too_long():
     loop = Loop(0, 0, 1)
-    short = theory_map.map_table(loop, 11, ("settle_2pct",), longest=64)
-    full = theory_map.map_table(loop, 11, ("settle_2pct",))
+    short = map_table(loop, 11, ("settle_2pct",), longest=64)
+    full = map_table(loop, 11, ("settle_2pct",))
     pairs = list(zip(short.column("settle_2pct").to_pylist(), full.column("settle_2pct").to_pylist(), strict=True))
     assert any(s is None and f is not None for s, f in pairs)
     assert all(s is None or math.isclose(s, f, rel_tol=1e-12) for s, f in pairs)
+
+
+@pytest.mark.parametrize("loop", [Loop(0, 0, 4), Loop(0.01, 0.05, 2.5)], ids=str)
+def test_blocks_of_any_size_give_the_same_map(loop):
+    """Also against other methods at random points: doubled matrices, and the march of one sample after another."""
+    names = ("settle_2pct", "overshoot", "overshoot_discrete", "energy_step_w0", "energy_step_w2", "energy_impulse_w1")
+    whole = map_table(loop, 61, names)
+    for points in (1, 500, 2000):
+        blocks = map_table(loop, 61, names, points=points)
+        for name in whole.column_names:
+            values = (table.column(name).to_numpy().astype(float) for table in (whole, blocks))
+            np.testing.assert_allclose(*values, rtol=1e-11, atol=1e-13, err_msg=name)
+    columns = {name: whole.column(name).to_numpy() for name in whole.column_names}
+    some = np.random.default_rng(13).choice(np.flatnonzero(columns["energy_step_w0"] < 1e4), 60, replace=False)
+    alpha, beta = columns["alpha"][some], columns["beta"][some]
+    expected = _energy_by_doubling(loop, alpha, beta, "step") | _energy_by_doubling(loop, alpha, beta, "impulse")
+    expected |= transient_costs(loop, alpha, beta, (0.02,), longest=1 << 14, quiet=1e-13)
+    for name in names:
+        np.testing.assert_allclose(columns[name][some], expected[name], rtol=1e-10, atol=1e-12, err_msg=name)

@@ -1,63 +1,67 @@
-"""The command line: parse, call, print. Nothing is computed here, and each command imports what it needs itself,
-so that `pipeline --help` answers at once."""
+"""The command line: parse, call, print. Nothing is computed here.
+
+A process loads the module of the one command that it runs, and each command imports what it needs itself: start-up is
+most of what a short command takes.
+"""
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
-from enum import StrEnum
-from functools import partial
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from importlib import import_module
+from typing import Annotated
 
 import typer
 
 from pipeline import __version__
-from pipeline.base.errors import UsageError
 from pipeline.base.process import leave_out_pandas
-from pipeline.shell import cli_profiles, cli_report, cli_storage, cli_theory, cli_watch, console
-from pipeline.shell.outputs import check_output
+from pipeline.shell import console
 
-if TYPE_CHECKING:
-    from pipeline.records.models import Device
-
-app = typer.Typer(
-    name="pipeline",
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    context_settings={"help_option_names": ["-h", "--help"]},
-    help="From logs of step responses against virtual walls to stability, costs and their comparison with theory.",
-)
-app.add_typer(cli_theory.app, name="theory")
-app.add_typer(cli_profiles.profile_app, name="profile")
-app.add_typer(cli_profiles.quarantine_app, name="quarantine")
-app.add_typer(cli_report.scene_app, name="scene")
-app.command("ingest")(cli_storage.ingest)
-app.command("status")(cli_storage.status)
-app.command("compact")(cli_storage.compact)
-app.command("check")(cli_storage.check)
-app.command("watch")(cli_watch.watch)
-
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout, nothing else there.")]
-Processed = Annotated[Path, typer.Option("--processed", help="Folder of the stored tables.")]
-Experiments = Annotated[
-    list[str] | None,
-    typer.Option("--experiment", "-e", help="Only this experiment; may be given several times."),
-]
+COMMANDS = {
+    "demo": ("cli_course", "demo"),
+    "simulate": ("cli_course", "simulate"),
+    "ingest": ("cli_storage", "ingest"),
+    "status": ("cli_storage", "status"),
+    "compact": ("cli_storage", "compact"),
+    "check": ("cli_storage", "check"),
+    "watch": ("cli_watch", "watch"),
+    "compare": ("cli_report", "compare"),
+    "verify": ("cli_report", "verify"),
+    "accuracy": ("cli_course", "accuracy"),
+    "theory": ("cli_theory", "app"),
+    "profile": ("cli_profiles", "profile_app"),
+    "quarantine": ("cli_profiles", "quarantine_app"),
+    "scene": ("cli_report", "scene_app"),
+}
+"""Module and name of each command, or group of commands, in the order of the help."""
 
 
-class DampingRange(StrEnum):
-    """Which dampings a simulated course covers."""
+def application(word: str | None = None) -> typer.Typer:
+    """Return the command that a first word names, or all where it names none."""
+    app = typer.Typer(
+        name="pipeline",
+        no_args_is_help=True,
+        add_completion=False,
+        pretty_exceptions_enable=False,
+        context_settings={"help_option_names": ["-h", "--help"]},
+        help="From logs of step responses against virtual walls to stability, costs and their comparison with theory.",
+    )
+    app.callback()(_main)
+    for name in [word] if word in COMMANDS else COMMANDS:
+        module, attribute = COMMANDS[name]
+        part = getattr(import_module(f"pipeline.shell.{module}"), attribute)
+        if isinstance(part, typer.Typer):
+            app.add_typer(part, name=name)
+        else:
+            app.command(name)(part)
+    return app
 
-    tested = "tested"
-    full = "full"
 
-
-class AccuracyPart(StrEnum):
-    """Which part of the accuracy page is measured."""
-
-    theory = "theory"
-    measured = "measured"
+def __getattr__(name: str) -> typer.Typer:
+    """Make ``app``, the whole command line, for who asks for it."""
+    if name == "app":
+        return application()
+    raise AttributeError(name)
 
 
 def _version(asked: bool) -> None:
@@ -66,7 +70,6 @@ def _version(asked: bool) -> None:
         raise typer.Exit
 
 
-@app.callback()
 def _main(
     version: Annotated[
         bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
@@ -75,165 +78,9 @@ def _main(
     pass
 
 
-@app.command("demo")
-def demo(
-    full: Annotated[bool, typer.Option("--full", help="Thesis size: all experiments, all trials.")] = False,
-) -> None:
-    """Simulate, ingest and compare a small course of the Falcon and of the light-weight robot.
-
-    Writes raw/demo/, processed/demo/, reports/falcon.html and reports/lwr.html below the current folder, and
-    replaces files of these names.
-
-    Example: pipeline demo
-    """
-    from pipeline.shell.demo import run_demo
-
-    check_output(Path("reports/falcon.html"), "", document_beside=True)
-    for line in run_demo(full=full, report_progress=console.note).lines:
-        console.say(line)
-
-
-def _count(advance: console.Advance, kept: int) -> None:
-    """Show how many trials a course has so far; how many there will be is known only at its end."""
-    advance(kept, None)
-
-
-@app.command("simulate")
-def simulate(
-    device: Annotated[str, typer.Argument(help="Name of a known device, or a device file (.toml).")],
-    experiment: Experiments = None,
-    out: Annotated[Path, typer.Option("--out", help="Logs go to DEVICE/EXPERIMENT below this folder.")] = Path("raw"),
-    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of noise and jitter.")] = 0,
-    ideal: Annotated[bool, typer.Option("--ideal", help="Without noise, quantum and jitter.")] = False,
-    quantum: Annotated[
-        float | None, typer.Option("--quantum", help="Sensor quantum in m or rad, in place of the device's.")
-    ] = None,
-    noise: Annotated[
-        float | None,
-        typer.Option("--noise", help="Standard deviation of the sensor noise in m or rad, in place of the device's."),
-    ] = None,
-    jitter: Annotated[
-        str | None,
-        typer.Option("--jitter", help='Delays to draw from, such as "3,4,5", or "none".'),
-    ] = None,
-    duration: Annotated[
-        float | None, typer.Option("--duration", help="Length of a trial in s, in place of the device's.")
-    ] = None,
-    damping_range: Annotated[
-        DampingRange,
-        typer.Option("--range", help="Dampings as tested, or on until no stiffness is stable."),
-    ] = DampingRange.tested,
-    coarsen: Annotated[int, typer.Option("--coarsen", help="Every n-th damping and n times the stiffness step.")] = 1,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the logs of an earlier simulation.")] = False,
-    as_json: Json = False,
-) -> None:
-    """Write simulated logs of a device, and the true parameters beside them (truth.json).
-
-    Example: pipeline simulate falcon --experiment 1 --out raw --seed 1
-    """
-    from pipeline.simulation.course import run_course, write_course
-
-    record = _device(device)
-    names = [e.name for e in record.experiments] if not experiment else list(dict.fromkeys(experiment))
-    delays = None if jitter is None else _jitter(jitter)
-    counts: dict[str, int] = {}
-    for name in names:
-        with console.progress(f"{record.name} {name}", "trials", as_json) as advance:
-            course = run_course(
-                record,
-                name,
-                seed=seed,
-                ideal=ideal,
-                quantum=quantum,
-                noise=noise,
-                jitter=delays,
-                duration_s=duration,
-                damping_range=damping_range.value,
-                coarsen=coarsen,
-                progress=partial(_count, advance),
-            )
-        counts[name] = write_course(course, out, overwrite=overwrite)
-        if not as_json:
-            console.say(f"{record.name}, experiment {name}: {counts[name]} logs in {out}")
-    if as_json:
-        console.print_json({"device": record.name, "folder": str(out), "seed": seed, "logs": counts})
-
-
-def _device(text: str) -> Device:
-    from pipeline.store.devices import load_device, read_device
-
-    return read_device(Path(text)) if text.endswith(".toml") else load_device(text)
-
-
-def _jitter(text: str) -> tuple[int, ...]:
-    if text.strip() == "none":
-        return ()
-    try:
-        return tuple(int(word) for word in text.split(","))
-    except ValueError as error:
-        raise UsageError(
-            f'--jitter {text!r}: expected whole numbers of samples, such as "3,4,5", or "none".'
-        ) from error
-
-
-app.command("compare")(cli_report.compare)
-app.command("verify")(cli_report.verify)
-
-
-@app.command("accuracy")
-def accuracy(
-    out: Annotated[Path, typer.Option("--out", help="HTML file to write, with the JSON document beside it.")] = Path(
-        "reports/accuracy.html"
-    ),
-    only: Annotated[
-        AccuracyPart | None, typer.Option("--only", help="This part alone; the page then has no other.")
-    ] = None,
-    quick: Annotated[
-        bool, typer.Option("--quick", help="Fewer settings and repetitions: seconds, not two minutes.")
-    ] = False,
-    processed: Processed = Path("processed"),
-    as_json: Json = False,
-) -> None:
-    """Measure error against run time of every method of theory and measured branch, and write a page.
-
-    The part on the measured branch says how long a course of experiments must be. Reports of comparisons show the
-    part on the theory while code and machine are unchanged.
-
-    Example: pipeline accuracy --quick
-    """
-    from pipeline.accuracy.accuracy_run import measure
-    from pipeline.accuracy_measured.accuracy_measured_run import measure_measured
-    from pipeline.records import accuracy as results
-    from pipeline.records.tables import write_text
-    from pipeline.rendering import accuracy_report
-
-    check_output(out, "--out", document_beside=True)
-    progress = None if as_json else console.note
-    report = results.without_theory(quick) if only == AccuracyPart.measured else measure(quick, progress)
-    if only != AccuracyPart.theory:
-        report = report.model_copy(update={"measured_branch": measure_measured(quick, progress)})
-    accuracy_report.write(report, out)
-    write_text(out.with_suffix(".json"), report.model_dump_json(indent=1) + "\n")
-    if report.rungs:
-        results.store(report, processed)
-    if as_json:
-        console.print_json(report.model_dump(mode="json"))
-        return
-    columns = ("quantity", "error", "time", "other", "compared")
-    if report.rungs:
-        for line in console.table(accuracy_report.summary_rows(report), columns):
-            console.say(line)
-    for text in (*report.summary, *report.distrusted):
-        console.say(text)
-    if report.measured_branch is not None:
-        for text in (*report.measured_branch.course_length, *report.measured_branch.summary):
-            console.say(text)
-    console.say(f"{report.machine['processor']}, Python {report.machine['python']}, numpy {report.machine['numpy']}")
-    console.say(f"report: {out}")
-
-
 def run(arguments: Sequence[str] | None = None) -> None:
     """Run the command line, by default with the arguments of the process, and leave with its exit status."""
     if arguments is None:
         leave_out_pandas()
-    console.run_app(app, arguments)
+    given = sys.argv[1:] if arguments is None else arguments
+    console.run_app(application(next(iter(given), None)), arguments)

@@ -131,20 +131,20 @@ def cost_map(
 
     Example: pipeline theory map --delay 1 --criteria settle_2pct,energy_step_w0 --out map.parquet
     """
-    from pipeline.theory import theory_map
     from pipeline.theory.loop import Loop
+    from pipeline.theory.map_file import write_map
+    from pipeline.theory.theory_map import MAP_DEFAULT, MAP_LONGEST, CostMap
 
     check_output(out, "--out")
-    names = theory_map.MAP_DEFAULT if criteria is None else split(criteria)
-    table = theory_map.map_table(
-        Loop(gamma, delta, delay), size, names, theory_map.MAP_LONGEST if longest is None else longest
-    )
-    theory_map.write_map(out, table)
-    stable = int(table.column("stable").to_numpy().sum())
+    names = MAP_DEFAULT if criteria is None else split(criteria)
+    cost_map = CostMap(Loop(gamma, delta, delay), size, names, MAP_LONGEST if longest is None else longest)
+    with console.progress("map", "points", silent=as_json) as advance:
+        stable = write_map(out, cost_map, advance)
     if as_json:
-        console.print_json({"file": str(out), "rows": table.num_rows, "stable": stable})
+        console.print_json({"file": str(out), "rows": size**2, "stable": stable})
         return
-    console.say(f"{out}: {table.num_rows} points, {stable} of them stable, columns {table.column_names}")
+    columns = ["alpha", "beta", "stable", *cost_map.names]
+    console.say(f"{out}: {size**2} points, {stable} of them stable, columns {columns}")
 
 
 @app.command("tables")

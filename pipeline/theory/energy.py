@@ -1,8 +1,8 @@
 """Energy costs of the loop's step and impulse response, summed exactly to infinity.
 
 The weighted sums X_w = sum_k k^w z_k z_k' of the loop state follow by doubling the number of samples, so no horizon
-is cut; every energy cost is the trace of a small quadratic form with them. For many points and an integer delay the
-few sums that these forms need come from linear equations instead (`pipeline.theory.lagsums`), much faster.
+is cut; every energy cost is the trace of a small quadratic form with them. For many points or states the few sums that
+these forms need come from linear equations instead (`pipeline.theory.lagsums`), much faster.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from numpy.polynomial.legendre import leggauss
 
 from pipeline.base.errors import ParameterError
 from pipeline.records.batch import Floats
-from pipeline.theory.lagsums import LARGEST_DELAY, LagSums, lag_sums
+from pipeline.theory.lagsums import LagSums, lag_sums, one_step
 from pipeline.theory.loop import Loop, as_points
 from pipeline.theory.plant import flow
 from pipeline.theory.refinement import Sums, refined
@@ -30,11 +30,11 @@ _SLOW = 25.0
 """Mean age of the energy [samples], times d + 1, from which on its sums are refined. Radii are then above 0.98 (d = 0)
 and rounding, which grows with the age, reaches 1e-12 at the worst plants."""
 
-_CHUNK = 4096
-"""Points summed at a time; bounds memory to about 100 MB at d = 16."""
+_ENTRIES = 1 << 18
+"""Entries of the matrices that are doubled at a time: of some ten arrays, 20 MB."""
 
-_MANY = 2048
-"""Points from which on the linear equations are used: maps, where their 1e-10 is enough. Doubling reaches 1e-12."""
+_FEW, _SHORT = 128, 8
+"""Points and delay up to which doubling takes less time than the linear equations; both reach 1e-11."""
 
 _NODES = 24
 """Gauss points over each panel of an interval (or part of one); exact to rounding with the limit below, by test."""
@@ -76,24 +76,16 @@ def energy_costs(loop: Loop, alpha: object, beta: object, signal: str = "step") 
     a, b = as_points(alpha, beta)
     if np.any(a + loop.gamma <= 0):
         raise ParameterError("energy costs need alpha + gamma > 0: without stiffness there is no final position.")
-    names = [f"energy_{signal}_w{w}{suffix}" for w in WEIGHTS for suffix in ("", "_discrete")]
-    result = {name: np.empty(len(a)) for name in names}
-    for i in range(0, len(a), _CHUNK):
-        part = slice(i, i + _CHUNK)
-        for name, values in _energy_of_chunk(loop, a[part], b[part], signal).items():
-            result[name][part] = values
-    return result
-
-
-def _energy_of_chunk(loop: Loop, alpha: Floats, beta: Floats, signal: str) -> dict[str, Floats]:
-    if len(alpha) < _MANY or len(loop.segments) > 1 or loop.delay > LARGEST_DELAY:
-        return _energy_by_doubling(loop, alpha, beta, signal)
-    sums = lag_sums(loop, alpha, beta, signal)
-    result = _energy_of_sums(loop, alpha, sums, signal)
-    rest = np.flatnonzero(~sums.trusted)
-    if len(rest):
-        for name, values in _energy_by_doubling(loop, alpha[rest], beta[rest], signal).items():
-            result[name][rest] = values
+    result = {f"energy_{signal}_w{w}{suffix}": np.empty(len(a)) for w in WEIGHTS for suffix in ("", "_discrete")}
+    rest = np.arange(len(a))
+    if len(a) > _FEW or loop.delay > _SHORT:
+        sums = lag_sums(loop, a, b, signal)
+        result = _energy_of_sums(loop, a, sums, signal)
+        rest = np.flatnonzero(~sums.trusted)
+    chunk = max(1, _ENTRIES // loop.states**2)
+    for some in (rest[i : i + chunk] for i in range(0, len(rest), chunk)):
+        for name, values in _energy_by_doubling(loop, a[some], b[some], signal).items():
+            result[name][some] = values
     return result
 
 
@@ -106,17 +98,22 @@ def _scales(stiffness: Floats, signal: str) -> tuple[Floats, Floats]:
 
 def _energy_of_sums(loop: Loop, alpha: Floats, sums: LagSums, signal: str) -> dict[str, Floats]:
     potential, kinetic = _scales(alpha + loop.gamma, signal)
-    moments = _motion_moments(loop.gamma, loop.delta, 0.0, 1.0)
-    gain, impulse = loop.period.gain.tolist()
-    result = {}
+    step = one_step(loop)
+    result = {f"energy_{signal}_w{w}": np.zeros(len(alpha)) for w in WEIGHTS}
+    offset = 0.0
+    for segment, start in zip(loop.segments, step.starts, strict=True):
+        moments = _motion_moments(loop.gamma, loop.delta, offset, segment.duration)
+        offset += segment.duration
+        for w in WEIGHTS:
+            # (k + tau)^w = sum_i binomial(w, i) k^(w-i) tau^i
+            for i, (place, speed) in enumerate(moments[: w + 1]):
+                stored, moving = (sums.form(start.T @ form @ start, w - i) for form in (place, speed))
+                result[f"energy_{signal}_w{w}"] += comb(w, i) * (potential * stored + kinetic * moving)
+    # chi_{k+1} - chi_k of sample k, with weight (k + 1)^w
+    moves = [sums.form(np.outer(step.move, step.move), w) for w in WEIGHTS]
     for w in WEIGHTS:
-        total, step = np.zeros((2, len(alpha)))
-        for i, (place, speed) in enumerate(moments[: w + 1]):
-            total += comb(w, i) * (potential * sums.form(place, w - i) + kinetic * sums.form(speed, w - i))
-            # chi_{k+1} - chi_k without the difference of positions
-            step += comb(w, i) * sums.square(-loop.gamma * gain, impulse, gain, i)
-        result[f"energy_{signal}_w{w}"] = total
-        result[f"energy_{signal}_w{w}_discrete"] = potential * sums.ee[w] + kinetic * step
+        move = sum(comb(w, i) * moves[i] for i in range(w + 1))
+        result[f"energy_{signal}_w{w}_discrete"] = potential * sums.moments[w, 0, 0] + kinetic * move
     return result
 
 

@@ -1,14 +1,14 @@
-"""Exact energy sums of many points at once from lagged products, for integer delays: no loop over samples, no horizon.
+"""Exact energy sums of many points at once from lagged products: no loop over samples, no horizon.
 
-With e the deviation, v the velocity and u = f e_{k-d} + b e_{k-d-1} the wall force (f = -(alpha + beta), b = beta), the
-sums
+With x = (e, v) the deviation and velocity (and, for a fractional delay, the force before), u the wall force, p the
+whole part of the delay, the sums over k >= 0
 
-    R_m = sum k^w e_k e_{k-m},  S_m = sum k^w v_k e_{k-m},  U_m = sum k^w u_k e_{k-m},  V = sum k^w v_k^2   over k >= 0
+    X_m = sum k^w x_k e_{k-m},  U_m = sum k^w u_k e_{k-m}  for m = 0 to p,  M = sum k^w x_k x_k'
 
-obey linear equations: the motion over one sample carries (R, S)_{m-1} and U_{m-1} to (R, S)_m with constants of the
-plant; U_m is a sum of two R; and the squares (e, v)_{k+1} close the system. What is left are d + 4 unknowns a point,
-R_0, S_0, V and U_0 to U_d, with the same matrix for each weight w. It is solved by elimination with arrays over points
-as its elements, which takes a microsecond a point where doubling of matrices takes tens.
+obey linear equations. The motion over one sample carries X_m and U_m to X_{m+1}; as u_k = -alpha e_{k-p} - beta
+(e_{k-p} - e_{k-p-1}), U_m hangs on X_{p-m}. That is a chain of p + 1 equal sites through which X runs to the right and
+its mirror image to the left (`pipeline.theory.chain`). Both ends are X_0, a row of M, and M = P M P' + ... closes the
+system: six unknowns a point at most, whatever the delay. Sums of lower weight w are inputs of the higher ones.
 """
 
 from __future__ import annotations
@@ -19,50 +19,69 @@ from math import comb
 import numpy as np
 
 from pipeline.records.batch import Booleans, Floats, Integers
+from pipeline.theory.chain import Chain, Segment, apply
 from pipeline.theory.loop import Loop
 
-LARGEST_DELAY = 12
-"""Delay up to which elimination, growing as d^3, pays against the doubling of `pipeline.theory.energy`."""
-
-_CHUNK = 4096
-"""Points at a time: their matrices stay in the cache."""
+_CELLS = 1 << 14
+"""Points times sites at a time: their arrays stay in the cache."""
 
 _WEIGHTS = (0, 1, 2)
 
-_TRUSTED = 1e-12
-"""Relative size of a refinement step up to which a solution is taken; all errors found were then below 6e-11."""
+_TRUSTED = 1e-8
+"""Relative size of a refinement step up to which a solution is taken; all errors found were then below 5e-12."""
 
 
 @dataclass(frozen=True, eq=False)
 class LagSums:
-    """Sums over all samples k >= 0, each of shape (3, n): row w holds the weight k^w.
+    """Sums over all samples k >= 0.
 
     Parameters
     ----------
-    ee, ev, vv, eu, vu, uu : float64, shape (3, n)
-        Products of deviation e, velocity v and wall force u of the same sample.
+    moments : float64, shape (3, q + 1, q + 1, n)
+        Row w holds the sums of k^w (x, u)(x, u)'; the force u acts at the end of the sample's interval, a force before
+        it, in x, at its begin.
     trusted : bool, shape (n,)
-        False where the elimination lost digits: take another method there.
+        False where digits were lost: take another method there.
     """
 
-    ee: Floats
-    ev: Floats
-    vv: Floats
-    eu: Floats
-    vu: Floats
-    uu: Floats
+    moments: Floats
     trusted: Booleans
 
-    def square(self, e: float, v: float, u: float, w: int) -> Floats:
-        """Return the sum of k^w (e e_k + v v_k + u u_k)^2 for three factors."""
-        mixed = e * v * self.ev[w] + e * u * self.eu[w] + v * u * self.vu[w]
-        return np.asarray(e * e * self.ee[w] + v * v * self.vv[w] + u * u * self.uu[w] + 2 * mixed)
-
     def form(self, matrix: Floats, w: int) -> Floats:
-        """Return the sum of k^w q' M q with q = (e, v, u) and a symmetric M, shape (3, 3)."""
-        own = matrix[0, 0] * self.ee[w] + matrix[1, 1] * self.vv[w] + matrix[2, 2] * self.uu[w]
-        mixed = matrix[0, 1] * self.ev[w] + matrix[0, 2] * self.eu[w] + matrix[1, 2] * self.vu[w]
-        return np.asarray(own + 2 * mixed)
+        """Return the sum of k^w q' F q with q = (x, u) and a symmetric F."""
+        return np.asarray(np.einsum("ij,ijn->n", matrix, self.moments[w]))
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """Motion over one sample, x_{k+1} = x_k + change x_k + gain u_k, and the maps from (x, u) to (e, v, force) at the
+    begin of each segment of the sample."""
+
+    change: Floats
+    gain: Floats
+    starts: tuple[Floats, ...]
+
+    @property
+    def move(self) -> Floats:
+        """Row from (x, u) to e_{k+1} - e_k, without the difference of positions."""
+        return np.append(self.change[0], self.gain[0])
+
+
+def one_step(loop: Loop) -> Step:
+    """Return the motion of a loop over one sample."""
+    motion = loop.period
+    (_, xv), gain = motion.transition[0].tolist(), motion.gain
+    # the transition less one, digits kept: e and v change by forces alone
+    change = np.array([[-loop.gamma * gain[0], xv], [-loop.gamma * xv, -loop.delta * xv - loop.gamma * gain[0]]])
+    if len(loop.segments) == 1:
+        return Step(change, gain, (np.eye(3),))
+    first, second = loop.flows
+    before = second.transition @ first.gain
+    change = np.block([[change, before[:, None]], [np.zeros((1, 2)), -np.ones((1, 1))]])
+    late = np.zeros((3, 4))
+    late[:2, :3] = np.column_stack([first.transition, first.gain])
+    late[2, 3] = 1.0
+    return Step(change, np.append(second.gain, 1.0), (np.eye(3, 4), late))
 
 
 def lag_sums(loop: Loop, alpha: Floats, beta: Floats, signal: str) -> LagSums:
@@ -71,151 +90,195 @@ def lag_sums(loop: Loop, alpha: Floats, beta: Floats, signal: str) -> LagSums:
     Parameters
     ----------
     loop : Loop
-        With an integer delay.
     alpha, beta : float64, shape (n,)
         Stable points with alpha + gamma > 0; elsewhere the result has no meaning.
     signal : {"step", "impulse"}
     """
-    sums = np.empty((6, len(_WEIGHTS), len(alpha)))
+    step = one_step(loop)
+    q = len(step.gain)
+    moments = np.empty((len(_WEIGHTS), q + 1, q + 1, len(alpha)))
     trusted = np.empty(len(alpha), dtype=np.bool_)
-    for i in range(0, len(alpha), _CHUNK):
-        part = slice(i, i + _CHUNK)
-        sums[:, :, part], trusted[part] = _Solver(loop, alpha[part], beta[part], signal).solve()
-    ee, ev, vv, eu, vu, uu = sums
-    return LagSums(ee, ev, vv, eu, vu, uu, trusted)
+    chunk = max(1, _CELLS // (int(loop.delay) + 1))
+    for i in range(0, len(alpha), chunk):
+        part = slice(i, i + chunk)
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # met by `trusted`
+            moments[..., part], trusted[part] = _Solver(loop, step, alpha[part], beta[part], signal).solve()
+    return LagSums(moments, trusted)
+
+
+@dataclass(frozen=True, eq=False)
+class _Sums:
+    """What sums of higher weight need of one weight; lags come first, points last.
+
+    Parameters
+    ----------
+    lags : float64, shape (p + 1, q, n)
+        X_0 to X_p.
+    later : float64, shape (p + 1, q, n)
+        Sum of k^w x_{k+1} e_{k+1-m} for m = 1 to p + 1.
+    rise, wall : float64, shape (p + 1, n)
+        R_{m+1} - R_m and -alpha R_m + beta (R_{m+1} - R_m), with R the first row of X.
+    moments, moved : float64, shapes (q + 1, q + 1, n) and (q, q, n)
+        Sums of k^w (x_k, u_k)(x_k, u_k)' and of k^w x_{k+1} x_{k+1}'.
+    """
+
+    lags: Floats
+    later: Floats
+    rise: Floats
+    wall: Floats
+    moments: Floats
+    moved: Floats
 
 
 class _Solver:
-    """Equations of one chunk of points; arrays over points come last, lags m = 0 to d + 1 first."""
+    """Equations of one chunk of points; lags come first, points last.
 
-    def __init__(self, loop: Loop, alpha: Floats, beta: Floats, signal: str) -> None:
-        self.d = int(loop.delay)
-        motion = loop.period
-        (self.xx, self.xv), (self.vx, self.vv) = motion.transition.tolist()
-        self.gx, self.gv = motion.gain.tolist()
-        self.a, self.f, self.b = alpha, -(alpha + beta), beta
-        start = loop.initial(signal)
-        self.e0, self.v0, self.before = float(start[0]), float(start[1]), float(start[2])
-        self.n = self.d + 4
-        self.rows_r, self.rows_s = self._lag_rows()
-        self.known_r: list[Floats] = []
-        self.known_s: list[Floats] = []
-        self.known_u: list[Floats] = []
-        self.products: list[list[Floats]] = []  # ee, ev, vv, eu, vu, uu of each weight
+    With C the `Step.change`, g its gain, c its first row and r = beta c - alpha (1, 0, ..), theta = beta g_0:
 
-    def _lag_rows(self) -> tuple[Floats, Floats]:
-        """Coefficients of R_m and S_m in the unknowns."""
-        r, s = np.zeros((2, self.d + 2, self.n))
-        r[0, 0] = s[0, 1] = 1.0
-        for m in range(1, self.d + 2):
-            r[m] = self.xx * r[m - 1] + self.xv * s[m - 1]
-            s[m] = self.vx * r[m - 1] + self.vv * s[m - 1]
-            r[m, 2 + m] += self.gx
-            s[m, 2 + m] += self.gv
-        return r, s
+        X_{m+1} = X_m + C X_m + g U_m + s_m               for m = 0 to p
+        U_m = r X_{p-m} + theta U_{p-m} + k_m             for m = 0 to p
+        M = M moved by one sample + K,  X_0 = M (1, 0, ..)
+
+    with s, k and K known. `_core` solves these; what rounding leaves of them is solved for again.
+    """
+
+    def __init__(self, loop: Loop, step: Step, alpha: Floats, beta: Floats, signal: str) -> None:
+        self.p, self.change, self.gain = int(loop.delay), step.change, step.gain
+        self.alpha, self.beta = alpha, beta
+        q, start = len(step.gain), loop.initial(signal)
+        self.before = float(start[2])
+        self.start = np.zeros((q, len(alpha)))
+        self.start[:2] = start[:2, None]
+        self.start[2:] = -alpha * self.before
+        # -(alpha + beta) R_m + beta R_{m+1} loses a small alpha, -alpha R_m + beta (R_{m+1} - R_m) does not
+        self.row = np.multiply.outer(step.change[0], beta)
+        self.row[0] -= alpha
+        self.theta = beta * step.gain[0]
+        self.eta = 1 / (1 - self.theta**2)
+        back = self.gain[:, None, None] * (self.eta * self.row)
+        self.chain = Chain(Segment((np.eye(q) + self.change)[..., None] + self.theta * back, back), self.p)
+        self.pairs = np.triu_indices(q)
+        self.factors, self.order = _eliminate(self._closing())
 
     def solve(self) -> tuple[Floats, Booleans]:
-        """Return the sums, shape (6, 3, points), and where they can be trusted."""
-        d, f, b = self.d, self.f, self.b
-        matrix = self._matrix()
-        factors, order = _eliminate(matrix)
-        trusted = np.ones(len(f), dtype=np.bool_)
+        """Return the moments, shape (3, q + 1, q + 1, n), and where they can be trusted."""
+        lower: list[_Sums] = []
+        trusted = np.ones(len(self.alpha), dtype=np.bool_)
         for w in _WEIGHTS:
-            r, s = self._known_lags(w)
-            vu, uu = f * s[d] + b * s[d + 1], b * (f * (r[1] + self._shifted(w, d, 1)) + b * self._shifted(w, d + 1, 0))
-            right = self._right_side(w, r, vu, uu)
-            y = _substitute(factors, right[order])
-            # rows are ordered for one point of the chunk; refinement gives back what that costs the others
-            left = sum(matrix[:, j] * y[j] for j in range(self.n))
-            change = _substitute(factors, (right - left)[order])
+            s, k, square = self._arriving(w, lower), self._force(w, lower), self._square(w, lower)
+            k += self.beta * s[::-1, 0]
+            square += self._squared(0.0, s[0, 0])
+            known = self._begun(w, lower)
+            known += self._growth(np.zeros_like(known), self.beta * s[-1], square)
+            found = self._core(s, k, known)
+            change = self._core(*self._left_over(*found, s, k, known))
             with np.errstate(invalid="ignore"):
-                trusted &= (np.abs(change[[0, 2]]) <= _TRUSTED * np.abs(y[[0, 2]])).all(axis=0)
-            y += change
-            own = self.rows_s[d:] @ y
-            vu += f * own[0] + b * own[1]
-            uu += f * y[3 + d] + b * (f * (self.rows_r[1] @ y) + b * y[0])
-            if w != _WEIGHTS[-1]:
-                self.known_r.append(r + self.rows_r @ y)
-                self.known_s.append(s + self.rows_s @ y)
-                self.known_u.append(y[3:])
-            self.products.append([y[0], y[1], y[2], y[3], vu, uu])
-        sums = np.array(self.products).transpose(1, 0, 2)
+                small = np.abs(change[2]) <= _TRUSTED * np.abs(found[2])
+            trusted &= small[0, 0] & small[1, 1]
+            x, u, m = (value + more for value, more in zip(found, change, strict=True))
+            lower.append(self._completed(x, u, m, s, square))
+        moments = np.array([sums.moments for sums in lower])
         # sums of squares; a negative one means an unstable point or no digit left
-        return sums, trusted & (sums[[0, 2, 5]] > 0).all(axis=(0, 1))
+        return moments, trusted & (np.einsum("wiin->win", moments) > 0).all(axis=(0, 1))
 
-    def _matrix(self) -> Floats:
-        """Coefficients of the d + 4 equations, shape (n, n, points)."""
-        f, b, d = self.f, self.b, self.d
-        result = np.zeros((self.n, self.n, len(f)))
-        vu = self._forced(self.rows_s[d], self.rows_s[d + 1])
-        uu = np.multiply.outer(self.rows_r[1], b * f)
-        uu[0] += b * b
-        uu[3 + d] += f
-        for row, (p, q) in enumerate(self._pairs()):
-            result[row, row] += 1.0
-            result[row, 0] -= p[0] * q[0]
-            result[row, 1] -= p[0] * q[1] + p[1] * q[0]
-            result[row, 2] -= p[1] * q[1]
-            result[row, 3] -= p[0] * q[2] + p[2] * q[0]
-            result[row] -= (p[1] * q[2] + p[2] * q[1]) * vu + p[2] * q[2] * uu
-        for m in range(d + 1):
-            result[3 + m] -= self._forced(self.rows_r[d - m], self.rows_r[d + 1 - m])
-            result[3 + m, 3 + m] += 1.0
-        return result
+    def _core(self, s: Floats, k: Floats, known: Floats) -> tuple[Floats, Floats, Floats]:
+        """Solve for X_0 to X_p, U_0 to U_p and M."""
+        force = self.eta * (k + self.theta * k[::-1])
+        inward = s + self.gain[:, None] * force[:, None]
+        inputs = self.chain.solve(inward, inward[::-1])
+        last = inputs.last[0]
+        pull = self.eta * (self.row * last).sum(axis=0)
+        none = np.zeros_like(last)
+        right = known + self._growth(
+            0 * known, *self._pushed(none, last, force[0] + pull, force[-1] + self.theta * pull)
+        )
+        m = np.empty_like(known)
+        m[self.pairs] = _substitute(self.factors, right[self.pairs][self.order])
+        m[self.pairs[::-1]] = m[self.pairs]
+        x = inputs.inside(m[None, 0], m[None, 0])[0]
+        pull = self.eta * np.einsum("in,min->mn", self.row, x)
+        return x, force + pull[::-1] + self.theta * pull, m
 
-    def _forced(self, now: Floats, before: Floats) -> Floats:
-        """Coefficients of f now + b before as -alpha now - beta (now - before): f + b alone loses a small alpha."""
-        return np.asarray(np.multiply.outer(now, -self.a) - np.multiply.outer(now - before, self.b))
+    def _closing(self) -> Floats:
+        """Coefficients of the equations of M in the entries of its upper triangle, shape (t, t, n)."""
+        columns = []
+        for i, j in zip(*self.pairs, strict=True):
+            m = np.zeros((*self.change.shape, len(self.alpha)))
+            m[i, j] = m[j, i] = 1.0
+            last = apply(self.chain.to_last, m[None, 0])[0]
+            here, there = (self.eta * (self.row * x).sum(axis=0) for x in (m[0], last))
+            pushed = self._pushed(m[0], last, there + self.theta * here, here + self.theta * there)
+            columns.append(-self._growth(m, *pushed)[self.pairs])
+        return np.stack(columns, axis=1)
 
-    def _pairs(self) -> tuple[tuple[tuple[float, float, float], tuple[float, float, float]], ...]:
-        """Factors on (e, v, u) of the two quantities whose next product is R_0, S_0, V."""
-        e, v = (self.xx, self.xv, self.gx), (self.vx, self.vv, self.gv)
-        return (e, e), (e, v), (v, v)
+    def _left_over(
+        self, x: Floats, u: Floats, m: Floats, s: Floats, k: Floats, known: Floats
+    ) -> tuple[Floats, Floats, Floats]:
+        """Return what is left of s, k and K; the last lag, which no equation but its own holds, is exact."""
+        moved = np.einsum("ij,mjn->min", self.change, x) + self.gain[:, None] * u[:, None]
+        s_left = np.zeros_like(s)
+        s_left[:-1] = s[:-1] - (x[1:] - x[:-1] - moved[:-1])
+        k_left = k - (u - np.einsum("in,min->mn", self.row, x[::-1]) - self.theta * u[::-1])
+        return s_left, k_left, known + self._growth(m, *self._pushed(x[0], x[-1], u[0], u[-1]))
 
-    def _known_lags(self, w: int) -> tuple[Floats, Floats]:
-        """Parts of R_m and S_m that do not depend on the unknowns of weight w."""
-        r, s = np.zeros((2, self.d + 2, len(self.f)))
+    def _pushed(self, first: Floats, last: Floats, first_force: Floats, last_force: Floats) -> tuple[Floats, Floats]:
+        """Return sum k^w x_k u_k and sum k^w u_k^2 without known parts, from X_0, X_p, U_0, U_p."""
+        mixed = self.beta * (self.change @ last + np.multiply.outer(self.gain, last_force)) - self.alpha * last
+        rise = self.change[0] @ first + self.gain[0] * first_force
+        return mixed, self._squared(last_force, rise)
+
+    def _squared(self, last_force: Floats | float, rise: Floats) -> Floats:
+        """sum k^w u_k^2 = -(alpha + beta) U_p + beta U_{p+1}, with U_{p+1} - U_p = -(alpha + 2 beta) (R_1 - R_0)."""
+        return np.asarray(-self.alpha * last_force - self.beta * (self.alpha + 2 * self.beta) * rise)
+
+    def _growth(self, m: Floats, mixed: Floats, square: Floats) -> Floats:
+        """Return what one sample changes of the moments M of x; digits are kept where that is little."""
+        turned = np.einsum("ij,jkn->ikn", self.change, m)
+        push = (mixed + self.change @ mixed)[:, None] * self.gain[:, None]
+        half = turned + push
+        second = np.einsum("ijn,kj->ikn", turned, self.change) + np.multiply.outer(
+            np.outer(self.gain, self.gain), square
+        )
+        return np.asarray(half + half.swapaxes(0, 1) + second)
+
+    def _begun(self, w: int, lower: list[_Sums]) -> Floats:
+        """Return K: the first sample, and what a weight of k + 1 in place of k adds."""
         if w == 0:
-            r[1:], s[1:] = self.e0 * self.before, self.v0 * self.before
-        for i in range(w):
-            factor, u = comb(w, i), self.known_u[i]
-            r[1:] += factor * (self.xx * self.known_r[i][:-1] + self.xv * self.known_s[i][:-1] + self.gx * u)
-            s[1:] += factor * (self.vx * self.known_r[i][:-1] + self.vv * self.known_s[i][:-1] + self.gv * u)
-        for m in range(1, self.d + 2):
-            r[m] += self.xx * r[m - 1] + self.xv * s[m - 1]
-            s[m] += self.vx * r[m - 1] + self.vv * s[m - 1]
-        return r, s
+            return self.start[:, None] * self.start
+        return np.asarray(sum(comb(w, i) * lower[i].moved for i in range(w)))
 
-    def _right_side(self, w: int, r: Floats, vu: Floats, uu: Floats) -> Floats:
-        f, b, d = self.f, self.b, self.d
-        right = np.empty((self.n, len(f)))
-        starts = (self.e0 * self.e0, self.e0 * self.v0, self.v0 * self.v0)
-        for row, (p, q) in enumerate(self._pairs()):
-            factors = (
-                *(p[0] * q[0], p[0] * q[1] + p[1] * q[0], p[1] * q[1], p[0] * q[2] + p[2] * q[0]),
-                *(p[1] * q[2] + p[2] * q[1], p[2] * q[2]),
-            )
-            right[row] = factors[4] * vu + factors[5] * uu
-            if w == 0:
-                right[row] += starts[row]
-            for i in range(w):
-                for factor, product in zip(factors, self.products[i], strict=True):
-                    if factor:
-                        right[row] += comb(w, i) * factor * product
-        by = np.arange(d + 1)
-        # lags d - m and d + 1 - m of the forces' two terms, for m = 0 to d
-        right[3:] = f * (r[d::-1] + self._shifted(w, by, slice(d, None, -1)))
-        right[3:] += b * (r[:0:-1] + self._shifted(w, by, slice(None, 0, -1)))
-        return right
+    def _arriving(self, w: int, lower: list[_Sums]) -> Floats:
+        """Return s: the same of the lags, shape (p + 1, q, n)."""
+        if w == 0:
+            return np.repeat(self.before * self.start[None], self.p + 1, axis=0)
+        return np.asarray(sum(comb(w, i) * lower[i].later for i in range(w)))
 
-    def _shifted(self, w: int, by: int | Integers, lag: int | slice) -> Floats:
-        """Sum of k^w e_{k-by} e_{k-by-lag} without its part R_lag of weight w; of several shifts, one a lag."""
-        shift = np.asarray(by, dtype=np.float64)
-        history = sum((np.where(shift > q, float(q) ** w, 0.0) for q in range(self.d + 1)), np.zeros_like(shift))
-        result = (self.before**2 * history)[..., None]
+    def _force(self, w: int, lower: list[_Sums]) -> Floats:
+        """Return k without its part by s: a shift of k by m samples, and the samples before 0, shape (p + 1, n)."""
+        lag = np.arange(self.p + 1.0)
+        history = np.cumsum(np.append(0.0, lag[:-1] ** w)) * self.before**2
+        result = -np.multiply.outer(history, self.alpha)
         for i in range(w):
-            result = result + (comb(w, i) * shift ** (w - i))[..., None] * self.known_r[i][lag]
+            result += comb(w, i) * (lag ** (w - i))[:, None] * lower[i].wall[::-1]
         return result
+
+    def _square(self, w: int, lower: list[_Sums]) -> Floats:
+        """Return the same of sum k^w u_k^2: beta (U_{p+1} - U_p) without its part by R_1 - R_0."""
+        p, f, b = float(self.p), -(self.alpha + self.beta), self.beta
+        result = b * b * self.before**2 * p**w
+        for i in range(w):
+            shift, rise, own = p ** (w - i), lower[i].rise[0], lower[i].lags[0, 0]
+            result += comb(w, i) * b * ((f - b) * shift * rise + b * ((p + 1) ** (w - i) - shift) * own)
+        return np.asarray(result)
+
+    def _completed(self, x: Floats, u: Floats, m: Floats, s: Floats, square: Floats) -> _Sums:
+        mixed, squared = self._pushed(x[0], x[-1], u[0], u[-1])
+        mixed, squared = mixed + self.beta * s[-1], squared + square
+        later = x + np.einsum("ij,mjn->min", self.change, x) + self.gain[:, None] * u[:, None]
+        rise = np.einsum("j,mjn->mn", self.change[0], x) + self.gain[0] * u + s[:, 0]
+        moments = np.concatenate([np.concatenate([m, mixed[:, None]], 1), np.append(mixed, squared[None], 0)[None]])
+        moved = m + self._growth(m, mixed, squared)
+        return _Sums(x, later, rise, self.beta * rise - self.alpha * x[:, 0], moments, moved)
 
 
 def _eliminate(matrix: Floats) -> tuple[Floats, Integers]:

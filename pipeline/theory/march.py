@@ -222,20 +222,27 @@ class _Motion:
         return joined([at.keep(~known), behind]), near
 
     def mend(self, jump: _Jump, found: _Found, longest: int) -> None:
-        """Start earlier where the march met no sample outside the band."""
+        """Start earlier where the march met no sample outside the band.
+
+        Ends after log4(end/8) rounds, 30 for any double: the window grows fourfold and then reaches the jump's start.
+        """
         while True:
-            began = jump.before.sample + np.maximum(np.floor(jump.end - jump.window), 0)
-            missed = found.settled[jump.before.index] < began
-            if not missed.any():
+            skipped = self._skipped(jump)
+            jump = jump.keep((skipped > 0) & (found.settled[jump.before.index] < jump.before.sample + skipped))
+            if not len(jump.end):
                 return
-            jump = jump.keep(missed)
             jump.window *= _WIDER
             self.run(self._ahead(jump), found, longest)
 
+    def _skipped(self, jump: _Jump) -> Floats:
+        """Return the samples left out; none where the window reaches back to the samples that are known."""
+        ahead = np.floor(jump.end - jump.window)
+        return np.where(ahead > self.history, ahead, 0.0)
+
     def _ahead(self, jump: _Jump) -> Buffer:
         """Return the points one window before their end, or as they are where that is earlier."""
-        ahead = np.floor(jump.end - jump.window)
-        far = ahead > self.history
+        ahead = self._skipped(jump)
+        far = ahead > 0
         at = jump.before.keep(np.ones_like(far))
         moved = jump.before.keep(far)
         self._jump(moved, jump.modes.part(far), ahead[far])

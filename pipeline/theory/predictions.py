@@ -26,7 +26,7 @@ from pipeline.theory.search import OptimalPoint
 from pipeline.theory.stability import Boundary, boundary
 
 THEORY_CODE = (
-    *("plant", "loop", "stability", "branches", "region", "energy", "lagsums", "transient", "poles"),
+    *("plant", "loop", "stability", "branches", "region", "energy", "lagsums", "chain", "transient", "poles"),
     *("search", "lines", "overshoot", "optimum"),
 )
 """Modules on which an optimum or a map depends: what they found is valid while their source is the same."""

@@ -209,7 +209,7 @@ def boundary(loop: Loop, points: int = 400) -> Boundary:
     theta = end * 0.5 * (1 - np.cos(np.pi * (np.arange(points) + 0.5) / points))
     theta_peak = _maximise(lambda t: boundary_points(loop, t)[0], theta)
     theta_top = _maximise(lambda t: boundary_points(loop, t)[1], np.append(theta, end))
-    theta = np.unique(np.concatenate([theta, [theta_peak, theta_top, end]]))
+    theta = _distinct(np.concatenate([theta, [theta_peak, theta_top, end]]))
     alpha, beta = boundary_points(loop, theta)
     alpha[-1] = -loop.gamma  # by definition of the end
     peak = boundary_points(loop, np.array([theta_peak]))
@@ -223,6 +223,12 @@ def boundary(loop: Loop, points: int = 400) -> Boundary:
         beta_max=float(top[1][0]),
         alpha_at_beta_max=0.0 - loop.gamma if theta_top == end else float(top[0][0]),
     )
+
+
+def _distinct(values: Floats) -> Floats:
+    """Return values in order, each once; `np.unique` would load numpy's masked arrays first."""
+    ordered = np.sort(values)
+    return np.asarray(ordered[np.append(True, ordered[1:] != ordered[:-1])])
 
 
 def _branch_end(loop: Loop) -> float:

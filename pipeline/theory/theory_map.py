@@ -1,16 +1,14 @@
-"""Costs over the whole stable region as a table: what `pipeline theory map` writes."""
+"""Costs over the whole stable region, in blocks of rows: what `pipeline theory map` writes (`map_file`)."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
-import pyarrow as pa
 
-from pipeline.base.errors import ParameterError, PipelineError
-from pipeline.base.provenance import stamp
-from pipeline.records.tables import write_parquet
+from pipeline.base.errors import ParameterError
+from pipeline.records.batch import Booleans, Floats
 from pipeline.theory.loop import Loop
 from pipeline.theory.pointcosts import IMPULSE_ENERGIES, SETTLING, STEP_ENERGIES, point_costs_by_name
 from pipeline.theory.region import is_inside, is_well_inside
@@ -27,10 +25,13 @@ MAP_LONGEST = 1 << 14
 MAP_QUIET = 1e-13
 """Deviation at which a response on a map without overshoot ends: below the 1e-12 that counts as none."""
 
-LARGEST_MAP = 2001
-"""Grid points along an axis; 2001 x 2001 points take about 1 GiB."""
+LARGEST_MAP = 4001
+"""Grid points along an axis, for the sake of time: minutes. Memory is that of a block, whatever the size."""
 
-_MARGIN = 1e-9
+BLOCK = 1 << 16
+"""Grid points of a block, but at least one row: some 100 MB while its costs are computed, a map of 251 x 251 in one."""
+
+MARGIN = 1e-9
 """Distance from the boundary, as a share of alpha + gamma, within which costs would be rounding errors."""
 
 _NEAR_ZERO = 1e-5
@@ -47,26 +48,29 @@ def bounding_box(loop: Loop) -> tuple[float, float, float, float]:
     return -loop.gamma, border.alpha_max, min(start, float(border.beta.min())), border.beta_max
 
 
-def map_table(
-    loop: Loop, size: int = 251, criteria: Sequence[str] = MAP_DEFAULT, longest: int = MAP_LONGEST
-) -> pa.Table:
-    """Return the costs on a grid over the bounding box of the stable region, both ends included.
+@dataclass(frozen=True, eq=False)
+class MapBlock:
+    """Rows of a map: all points of some beta, beta changing slowest; costs by name, NaN where there is none."""
+
+    alpha: Floats
+    beta: Floats
+    stable: Booleans
+    costs: dict[str, Floats]
+
+
+@dataclass(frozen=True)
+class CostMap:
+    """What a map shows: a grid over the bounding box of the stable region, both ends included.
 
     Parameters
     ----------
     loop : Loop
     size : int
-        Grid points along each axis, 2 to 2001.
+        Grid points along each axis, 2 to 4001.
     criteria : sequence of str
         Any of `MAP_CRITERIA`, also with ``_discrete`` appended (not ``pole_radius``).
     longest : int
         Samples after which a response that still moves gets no cost.
-
-    Returns
-    -------
-    pyarrow.Table
-        ``size**2`` rows, beta changing slowest: alpha, beta, stable and one column for each criterion, null
-        where not stable or (overshoot, settling time) where the response still moves after ``longest`` samples.
 
     Raises
     ------
@@ -79,50 +83,50 @@ def map_table(
 
     Source: Hulin 2017, ch. 5, footnote 1 (grid of 251 x 251 points).
     """
-    names = tuple(dict.fromkeys(criteria))
-    known = {*MAP_CRITERIA, *(f"{name}_discrete" for name in MAP_CRITERIA if name != "pole_radius")}
-    unknown = [name for name in names if name not in known]
-    if unknown:
-        raise ParameterError(
-            f"criterion {unknown[0]!r} is unknown; expected some of {', '.join(MAP_CRITERIA)}, "
-            "all but pole_radius also with _discrete appended."
-        )
-    if not 2 <= size <= LARGEST_MAP:
-        raise ParameterError(f"size = {size}: expected 2 to {LARGEST_MAP} grid points along an axis.")
-    if longest < 1:
-        raise ParameterError(f"longest = {longest}: expected at least 1 sample.")
-    box = bounding_box(loop)
-    axes = np.meshgrid(np.linspace(*box[:2], size), np.linspace(*box[2:], size))
-    alpha, beta = (axis.ravel() for axis in axes)
-    stable = is_inside(loop, alpha, beta)
-    inside = np.flatnonzero(is_well_inside(loop, alpha, beta, _MARGIN))
-    costs = {name: np.full(len(alpha), np.nan) for name in names}
-    if "pole_radius" in costs:
-        costs["pole_radius"][inside] = spectral_radius(loop, alpha[inside], beta[inside])
-    asked = [name for name in names if name != "pole_radius"]
-    for name, values in point_costs_by_name(loop, alpha[inside], beta[inside], asked, longest, MAP_QUIET).items():
-        costs[name][inside] = values
-    meaning = f"null where not stable, within {_MARGIN:g} of the boundary, or still moving after {longest} samples"
-    fields = [pa.field("alpha", pa.float64(), False), pa.field("beta", pa.float64(), False)]
-    fields += [pa.field("stable", pa.bool_(), False)]
-    fields += [pa.field(name, pa.float64(), metadata={"unit": "1", "meaning": meaning}) for name in names]
-    plant = {"gamma": repr(loop.gamma), "delta": repr(loop.delta), "delay": repr(loop.delay)}
-    columns = [pa.array(alpha), pa.array(beta), pa.array(stable)]
-    columns += [pa.array(values, from_pandas=True) for values in costs.values()]
-    return pa.table(columns, schema=pa.schema(fields, metadata=dict(stamp(**plant, size=str(size)))))
 
+    loop: Loop
+    size: int = 251
+    criteria: Sequence[str] = MAP_DEFAULT
+    longest: int = MAP_LONGEST
 
-def write_map(path: Path, table: pa.Table) -> None:
-    """Write a map to Parquet so that a reader sees all of it or nothing.
+    def __post_init__(self) -> None:
+        known = {*MAP_CRITERIA, *(f"{name}_discrete" for name in MAP_CRITERIA if name != "pole_radius")}
+        unknown = [name for name in self.criteria if name not in known]
+        if unknown:
+            raise ParameterError(
+                f"criterion {unknown[0]!r} is unknown; expected some of {', '.join(MAP_CRITERIA)}, "
+                "all but pole_radius also with _discrete appended."
+            )
+        if not 2 <= self.size <= LARGEST_MAP:
+            raise ParameterError(f"size = {self.size}: expected 2 to {LARGEST_MAP} grid points along an axis.")
+        if self.longest < 1:
+            raise ParameterError(f"longest = {self.longest}: expected at least 1 sample.")
 
-    Raises
-    ------
-    PipelineError
-        If the file cannot be written; an earlier one stays as it was.
-    """
-    try:
-        write_parquet(path, table)
-    except OSError as error:
-        raise PipelineError(
-            f"{path}: map cannot be written ({error.strerror or error}). Choose another file (--out)."
-        ) from error
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Criteria, each once."""
+        return tuple(dict.fromkeys(self.criteria))
+
+    def blocks(self, points: int = BLOCK) -> Iterator[MapBlock]:
+        """Compute the map from the lowest beta on, in blocks of about so many points (at least a row).
+
+        Costs are null where a point is not stable or (overshoot, settling time) its response still moves after
+        ``longest`` samples. A block's size changes no more than rounding of them.
+        """
+        box = bounding_box(self.loop)
+        alpha, beta = np.linspace(*box[:2], self.size), np.linspace(*box[2:], self.size)
+        rows = max(1, points // self.size)
+        for first in range(0, self.size, rows):
+            yield self._block(*(grid.ravel() for grid in np.meshgrid(alpha, beta[first : first + rows])))
+
+    def _block(self, alpha: Floats, beta: Floats) -> MapBlock:
+        stable = is_inside(self.loop, alpha, beta)
+        inside = np.flatnonzero(is_well_inside(self.loop, alpha, beta, MARGIN))
+        costs = {name: np.full(len(alpha), np.nan) for name in self.names}
+        if "pole_radius" in costs:
+            costs["pole_radius"][inside] = spectral_radius(self.loop, alpha[inside], beta[inside])
+        asked = [name for name in costs if name != "pole_radius"]
+        found = point_costs_by_name(self.loop, alpha[inside], beta[inside], asked, self.longest, MAP_QUIET)
+        for name, values in found.items():
+            costs[name][inside] = values
+        return MapBlock(alpha, beta, stable, costs)
