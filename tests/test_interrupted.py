@@ -32,7 +32,7 @@ def test_an_interrupted_ingest_says_what_is_stored(tmp_path, monkeypatch):
         (note,) = error.__notes__
     stored = stored_rows(tmp_path / "processed").total()
     assert 0 < stored < 6
-    assert note.startswith(f"Stopped: {stored} new logs are stored in {tmp_path / 'processed'} and 0 more are in quar")
+    assert note.startswith(f"{stored} new logs are stored in {tmp_path / 'processed'} and 0 more are in quar")
     assert note.endswith("The same command finds the rest again.")
     again = ingest([tmp_path / "logs"], tmp_path / "processed", jobs=1)
     assert (again.ingested, again.skipped, len(again.quarantined)) == (6 - stored, stored, 1)

@@ -63,23 +63,18 @@ def ingest(
     if document is None:
         from pipeline.store.ingest import ingest as ingest_logs
 
-        try:
-            with console.progress("ingest", "logs", as_json) as advance:
-                document = ingest_logs(
-                    paths,
-                    processed,
-                    profile,
-                    jobs,
-                    dry_run,
-                    rehash,
-                    advance,
-                    wait_s=wait,
-                    say=None if as_json else console.note,
-                ).model_dump(mode="json")
-        except KeyboardInterrupt as error:
-            for text in getattr(error, "__notes__", ("Stopped before anything new was stored.",)):
-                console.note(text)
-            raise
+        with console.progress("ingest", "logs", as_json) as advance:
+            document = ingest_logs(
+                paths,
+                processed,
+                profile,
+                jobs,
+                dry_run,
+                rehash,
+                advance,
+                wait_s=wait,
+                say=None if as_json else console.note,
+            ).model_dump(mode="json")
     if document["plan"] is None:
         del document["plan"]
     if as_json:

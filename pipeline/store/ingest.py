@@ -17,6 +17,7 @@ from pathlib import Path
 from pipeline.base.errors import LogError, StoreError, UsageError
 from pipeline.base.file_names import path_of_text, path_text, storable
 from pipeline.base.lock import WAIT_S, writing
+from pipeline.base.process import Ended
 from pipeline.base.regular_files import is_gone
 from pipeline.profiles.profile_files import Profile, load_profile, shipped_profiles
 from pipeline.readers import Log
@@ -144,7 +145,7 @@ def ingest(
             report = run.report(notices)
             if not dry_run:
                 run.remember(report, notices)
-    except KeyboardInterrupt as error:
+    except (KeyboardInterrupt, Ended) as error:
         stored, kept = (0, 0) if run is None else (len(run.writer.visible), run.keeper.kept)
         error.add_note(when_stopped(processed, stored, kept))
         raise

@@ -98,8 +98,8 @@ def repeated(report: IngestReport, notices: tuple[LogWarning, ...]) -> IngestRep
 def when_stopped(processed: Path, stored: int, kept: int) -> str:
     """Say what an interrupted ingest has stored: new logs, and records in quarantine."""
     return (
-        f"Stopped: {stored} new logs are stored in {processed} and {kept} more are in quarantine; nothing is "
-        "half-written. The same command finds the rest again."
+        f"{stored} new logs are stored in {processed} and {kept} more are in quarantine. The same command finds the "
+        "rest again."
     )
 
 
