@@ -117,20 +117,28 @@ def test_map_gives_up_responses_that_move_too_long():
     assert all(s is None or math.isclose(s, f, rel_tol=1e-12) for s, f in pairs)
 
 
-@pytest.mark.parametrize("loop", [Loop(0, 0, 4), Loop(0.01, 0.05, 2.5)], ids=str)
-def test_blocks_of_any_size_give_the_same_map(loop):
+ENERGIES = ("energy_step_w0", "energy_step_w2", "energy_impulse_w1")
+
+
+@pytest.mark.parametrize(
+    ("loop", "names"),
+    [(Loop(0, 0, 4), ("settle_2pct", "overshoot", "overshoot_discrete", *ENERGIES)), (Loop(0.01, 0.3, 1.5), ENERGIES)],
+)
+def test_blocks_of_any_size_give_the_same_map(loop, names):
     """Also against other methods at random points: doubled matrices, and the march of one sample after another."""
-    names = ("settle_2pct", "overshoot", "overshoot_discrete", "energy_step_w0", "energy_step_w2", "energy_impulse_w1")
-    whole = map_table(loop, 61, names)
-    for points in (1, 500, 2000):
-        blocks = map_table(loop, 61, names, points=points)
+    whole = map_table(loop, 31, names)
+    for points in (1, 400):
+        blocks = map_table(loop, 31, names, points=points)
         for name in whole.column_names:
             values = (table.column(name).to_numpy().astype(float) for table in (whole, blocks))
             np.testing.assert_allclose(*values, rtol=1e-11, atol=1e-13, err_msg=name)
     columns = {name: whole.column(name).to_numpy() for name in whole.column_names}
-    some = np.random.default_rng(13).choice(np.flatnonzero(columns["energy_step_w0"] < 1e4), 60, replace=False)
+    some = np.random.default_rng(13).choice(np.flatnonzero(columns["energy_step_w0"] > 0), 40, replace=False)
     alpha, beta = columns["alpha"][some], columns["beta"][some]
     expected = _energy_by_doubling(loop, alpha, beta, "step") | _energy_by_doubling(loop, alpha, beta, "impulse")
-    expected |= transient_costs(loop, alpha, beta, (0.02,), longest=1 << 14, quiet=1e-13)
+    expected |= transient_costs(loop, alpha, beta, (0.02,), longest=2000, quiet=1e-13)
+    steady = np.isfinite(expected["settle_2pct"] + expected["overshoot"])  # the plain march gives up slow points
+    assert steady.sum() > 25
     for name in names:
-        np.testing.assert_allclose(columns[name][some], expected[name], rtol=1e-10, atol=1e-12, err_msg=name)
+        found = columns[name][some][steady]
+        np.testing.assert_allclose(found, expected[name][steady], rtol=1e-10, atol=1e-12, err_msg=name)

@@ -191,7 +191,7 @@ def fit_trials(
 def _portions(index: Integers, rows: Integers) -> Iterator[Integers]:
     """Cut trials, ordered by rows, into portions of at most `READINGS_AT_ONCE` readings (or of one trial)."""
     start = 0
-    while start < len(index):
+    while start < len(index):  # ends: each portion holds a trial at least
         readings = rows[start:] * np.arange(1, len(index) - start + 1)
         count = max(int(np.searchsorted(readings, READINGS_AT_ONCE, side="right")), 1)
         yield index[start : start + count]

@@ -315,7 +315,7 @@ def _down_the_ladder(
     for rung in (middle - 1, middle, middle + 1):
         values[rung] = _finite(deviance_at(every, np.full(trials, rung)))
         known[rung] = True
-    while True:
+    while True:  # ends after as many rounds as there are rungs: each makes one more known, of each open trial
         best = np.argmin(values, axis=0)
         below, above = np.maximum(best - 1, 0), np.minimum(best + 1, rungs - 1)
         rung = np.where(known[below, every], above, below)

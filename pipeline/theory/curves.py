@@ -291,7 +291,7 @@ def _steps(lines: _Lines, band: float, criterion: str) -> Floats:
     first_look = search_lines(lines.cost(samples), lines.low, lines.high, levels=0)
     place, count = first_look.place.copy(), first_look.cost.copy()
     open_lines = np.flatnonzero(np.isfinite(count) & (count > 1))
-    while len(open_lines):
+    while len(open_lines):  # ends: a line that stays open needs a sample less, down to 1
         part = lines.some(open_lines)
         deviation = part.late_deviation(count[open_lines] - 1)
         found = search_lines(deviation, part.low, part.high, coarse=_STEP_LOOK, starts=3, levels=_STEP_LEVELS)

@@ -169,7 +169,7 @@ class _Solver:
             k += self.beta * s[::-1, 0]
             square += self._squared(0.0, s[0, 0])
             known = self._begun(w, lower)
-            known += self._growth(np.zeros_like(known), self.beta * s[-1], square)
+            known += self._driven(self.beta * s[-1], square)
             found = self._core(s, k, known)
             change = self._core(*self._left_over(*found, s, k, known))
             with np.errstate(invalid="ignore"):
@@ -188,10 +188,8 @@ class _Solver:
         inputs = self.chain.solve(inward, inward[::-1])
         last = inputs.last[0]
         pull = self.eta * (self.row * last).sum(axis=0)
-        none = np.zeros_like(last)
-        right = known + self._growth(
-            0 * known, *self._pushed(none, last, force[0] + pull, force[-1] + self.theta * pull)
-        )
+        ends = force[0] + pull, force[-1] + self.theta * pull
+        right = known + self._driven(*self._pushed(np.zeros_like(last), last, *ends))
         m = np.empty_like(known)
         m[self.pairs] = _substitute(self.factors, right[self.pairs][self.order])
         m[self.pairs[::-1]] = m[self.pairs]
@@ -234,12 +232,13 @@ class _Solver:
     def _growth(self, m: Floats, mixed: Floats, square: Floats) -> Floats:
         """Return what one sample changes of the moments M of x; digits are kept where that is little."""
         turned = np.einsum("ij,jkn->ikn", self.change, m)
-        push = (mixed + self.change @ mixed)[:, None] * self.gain[:, None]
-        half = turned + push
-        second = np.einsum("ijn,kj->ikn", turned, self.change) + np.multiply.outer(
-            np.outer(self.gain, self.gain), square
-        )
-        return np.asarray(half + half.swapaxes(0, 1) + second)
+        second = np.einsum("ijn,kj->ikn", turned, self.change)
+        return np.asarray(turned + turned.swapaxes(0, 1) + second + self._driven(mixed, square))
+
+    def _driven(self, mixed: Floats, square: Floats) -> Floats:
+        """Return the part of that by the force, from sum k^w x_k u_k and sum k^w u_k^2."""
+        push = (mixed + self.change @ mixed + 0.5 * self.gain[:, None] * square)[:, None] * self.gain[:, None]
+        return np.asarray(push + push.swapaxes(0, 1))
 
     def _begun(self, w: int, lower: list[_Sums]) -> Floats:
         """Return K: the first sample, and what a weight of k + 1 in place of k adds."""

@@ -94,7 +94,7 @@ def step_transients(
         rest.append(at)
         ahead += [motion.run(buffer, found, _NEAR * motion.rows) for buffer in near]
     at, count = joined(rest), motion.first
-    while len(at.index) and count < longest:
+    while len(at.index) and count < longest:  # ends: the count grows by half each round
         more = max(motion.first, count // 2)
         at = motion.run(at, found, more)
         count += more

@@ -248,7 +248,7 @@ def _settling_region(loop: Loop, band: float, criterion: str) -> OptimalPoint:
         raise ParameterError(f"{loop}: no response settles into a band of {band} within {longest} samples.")
     samples = int(tried[index])
     point = OptimalPoint(float(alpha[index]), float(beta[index]), float(samples))
-    while samples > 1:
+    while samples > 1:  # ends: each round that goes on needs a sample less
         better = search(loop, partial(deviation, first=samples - 1))
         if better.cost > band:
             break

@@ -24,7 +24,14 @@ IMPULSE_ENERGIES = tuple(f"energy_impulse_w{w}" for w in WEIGHTS)
 
 
 def point_costs_by_name(
-    loop: Loop, alpha: Floats, beta: Floats, names: Sequence[str], longest: int, quiet: float = QUIET
+    loop: Loop,
+    alpha: Floats,
+    beta: Floats,
+    names: Sequence[str],
+    longest: int,
+    quiet: float = QUIET,
+    *,
+    part: bool = False,
 ) -> dict[str, Floats]:
     """Return costs of stable points by name, computing no more than what is asked for.
 
@@ -39,6 +46,9 @@ def point_costs_by_name(
         Samples after which a response that still moves gets NaN for settling time and overshoot.
     quiet : float
         Deviation below which a response without overshoot is no longer followed.
+    part : bool
+        Whether the points are part of very many: then their number does not choose the method, since the march in
+        blocks tells costs of slow points that the plain one gives up.
     """
     bases = {name.removesuffix("_discrete") for name in names}
     result: dict[str, Floats] = {}
@@ -48,7 +58,7 @@ def point_costs_by_name(
     bands = [float(name.removeprefix("settle_").removesuffix("pct")) / 100 for name in SETTLING if name in bases]
     if not bands and "overshoot" not in bases:
         pass
-    elif len(alpha) >= _MANY and len(bands) == 1 and loop.oldest_force == loop.delay <= _LARGEST_DELAY:
+    elif len(alpha) >= (1 if part else _MANY) and len(bands) == 1 and loop.oldest_force == loop.delay <= _LARGEST_DELAY:
         found = step_transients(loop, alpha, beta, bands[0], longest=longest, quiet=quiet)
         settle = f"settle_{100 * bands[0]:g}pct"
         result |= {settle: found["settle"], f"{settle}_discrete": found["settle_discrete"]}

@@ -128,7 +128,7 @@ def force_factor(loop: Loop, alpha: Floats, beta: Floats, pole: Complexes) -> Co
 def _power(base: Complexes, exponent: int) -> Complexes:
     """Whole power by repeated squaring: the general one takes a hundred times as long."""
     result = np.ones_like(base) if exponent % 2 == 0 else base
-    while exponent > 1:
+    while exponent > 1:  # ends: halved each round
         exponent //= 2
         base = base * base
         if exponent % 2:

@@ -341,7 +341,7 @@ def _chained(parts: list[_Part]) -> list[_Part]:
     """Order and turn parts so that each starts at the end of the one before, or nearest to it."""
     rest = sorted(parts, key=lambda part: float(part[2][0]))
     chain = [rest.pop(0)]
-    while rest:
+    while rest:  # ends: each round takes one part away
         end = np.array([chain[-1][1][-1], chain[-1][2][-1]])
         gaps = [min((float(np.hypot(p[1][i] - end[0], p[2][i] - end[1])), i) for i in (0, -1)) for p in rest]
         nearest = min(range(len(rest)), key=lambda j: gaps[j][0])

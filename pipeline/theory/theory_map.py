@@ -126,7 +126,8 @@ class CostMap:
         if "pole_radius" in costs:
             costs["pole_radius"][inside] = spectral_radius(self.loop, alpha[inside], beta[inside])
         asked = [name for name in costs if name != "pole_radius"]
-        found = point_costs_by_name(self.loop, alpha[inside], beta[inside], asked, self.longest, MAP_QUIET)
+        points = self.loop, alpha[inside], beta[inside]
+        found = point_costs_by_name(*points, asked, self.longest, MAP_QUIET, part=True)
         for name, values in found.items():
             costs[name][inside] = values
         return MapBlock(alpha, beta, stable, costs)
