@@ -148,14 +148,14 @@ def test_translation_and_rotation_keep_their_own_files(tmp_path):
 def test_bytes_are_rewritten_once_for_each_factor(grow, monkeypatch):
     """Of 26 logs that come alone, with groups of 3, each is written at most 1 + log3(26) times: 26 = 2*9 + 2*3 + 2."""
     written: Counter[str] = Counter()
-    original = compaction.NewBatch.publish
+    original = compaction.NewBatch.finish
 
-    def publish(batch, trials, number):
+    def finish(batch, trials, number):
         column = trials["trial_id"]
         written.update(column if isinstance(column, list) else column.to_pylist())
         return original(batch, trials, number)
 
-    monkeypatch.setattr(compaction.NewBatch, "publish", publish)
+    monkeypatch.setattr(compaction.NewBatch, "finish", finish)
     processed, logs = grow(26, rows=3, most_small=3)
     assert len(written) == 26
     assert max(written.values()) == 1 + 2

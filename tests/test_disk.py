@@ -1,8 +1,10 @@
 """New files: whole or not there, written by many threads at a time, and never through a link."""
 
+import gc
 import os
 import stat
 import threading
+import tracemalloc
 
 import pytest
 from native_logs import FAULTS, log_text
@@ -118,3 +120,31 @@ def test_a_log_that_becomes_a_link_while_it_is_looked_at_is_not_followed(tmp_pat
     monkeypatch.setattr(regular_files.os.path, "islink", lambda path: False)
     with pytest.raises(OSError, match="symbolic links"):
         regular_files.open_regular(tmp_path / "log", str(tmp_path))
+
+
+def test_refused_logs_do_not_stay_in_memory(tmp_path):
+    """An error holds the frames in which it was raised, and these the bytes of the log."""
+    (tmp_path / "logs").mkdir()
+    bad = FAULTS["no stiffness"][0] + "#" * 200_000
+    for number in range(60):
+        (tmp_path / "logs" / f"{number}.csv").write_text(bad.replace("300 ", f"{number} ") + str(number))
+    ingest([tmp_path / "logs"], tmp_path / "first", jobs=1)  # what is made once
+    gc.collect()
+    gc.disable()
+    tracemalloc.start()
+    try:
+        assert len(ingest([tmp_path / "logs"], tmp_path / "processed", jobs=1).quarantined) == 60
+        left, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+        gc.enable()
+    assert left < 60 * 200_000 / 10
+
+
+def test_a_record_is_small_whatever_the_lines_are(tmp_path):
+    (tmp_path / "logs").mkdir()
+    lines = FAULTS["no stiffness"][0].replace("\n", " " + "x" * 1000 + "\n")
+    (tmp_path / "logs" / "a.csv").write_text(lines)
+    assert len(ingest([tmp_path / "logs"], tmp_path / "processed", jobs=1).quarantined) == 1
+    (record,) = (tmp_path / "processed" / "quarantine").rglob(RECORD_FILE)
+    assert record.stat().st_size < 2000

@@ -176,7 +176,7 @@ def test_links_pipes_and_devices(logs, store, tmp_path):
     assert {Path(warning.path).name for warning in report.warnings} == {"self", "up", "folder"}
     assert all("link to a folder" in warning.warning for warning in report.warnings)
     # a link that is named is followed
-    assert store(logs / "folder").ingested == 1
+    assert store(logs / "folder").ingested == 2
     assert (outside / "linked.csv").read_text() == log_text(8.0)
 
 

@@ -103,7 +103,7 @@ def test_stored_conditions_equal_the_header(tmp_path, run, processed):
 def test_an_unchanged_log_is_not_opened_again(logs, run, processed, monkeypatch):
     run(logs)
     files = {path: path.stat().st_mtime_ns for path in processed.rglob("*.parquet")}
-    monkeypatch.setattr(Path, "read_bytes", None)
+    monkeypatch.setattr(reading, "open_regular", None)
     assert counts(run(logs)) == (6, 0, 6, 0)
     assert files == {path: path.stat().st_mtime_ns for path in processed.rglob("*.parquet")}
 
@@ -257,19 +257,19 @@ def test_a_failed_write_leaves_whole_batches_only(logs, run, processed, monkeypa
     (logs / "other.csv").write_text(log_text(experiment="2"))
     calls = []
 
-    def publish_or_fail(file, name):
+    def name_or_fail(file, name):
         calls.append(name)
         if len(calls) == call:
             raise OSError(28, "No space left on device")
         return original(file, name)
 
-    original = disk.NewFile.publish
-    monkeypatch.setattr(disk.NewFile, "publish", publish_or_fail)
+    original = disk.NewFile.named
+    monkeypatch.setattr(disk.NewFile, "named", name_or_fail)
     with pytest.raises(StoreError, match="No space left"):
         ingest([logs], processed, jobs=1)
     readable(processed)
     stored = read_trials(processed)
-    assert stored.num_rows == {1: 0, 2: 0, 3: 6, 4: 6}[call]
+    assert stored.num_rows == {1: 0, 2: 0, 3: 0, 4: 6}[call], "samples of both experiments come first"
     assert len(load_batch(processed, stored)) == stored.num_rows
     monkeypatch.undo()
     assert counts(run(logs)) == (7, 7 - stored.num_rows, stored.num_rows, 0)

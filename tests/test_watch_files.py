@@ -87,13 +87,15 @@ def test_a_look_sees_the_files_that_an_ingest_would_find(tmp_path):
         (folder / f"{number}.csv").write_text(short_log(float(number)))
     (logs / ".partial.csv").write_text("x")
     (logs / "linked.csv").symlink_to(elsewhere / "4.csv")
+    (logs / "inside.csv").symlink_to("0.csv")
     (logs / "dangling").symlink_to(elsewhere / "none.csv")
     (logs / "linked-folder").symlink_to(elsewhere)
     look = look_at([logs], exclude=[processed])
     sources = find_sources([logs], shipped_profiles(), processed)
     found = {source.key for source in sources if source.problem is None}
     assert len(found) == 3
-    assert found == {path for path in look.states if path.endswith(".csv")}
+    # a link that leads out is seen, and refused
+    assert found == {path for path in look.states if path.endswith(".csv")} - {str(logs / "linked.csv")}
     assert look.troubles == {}
     for path, (size, mtime_ns, _) in look.states.items():
         status = os.stat(path)

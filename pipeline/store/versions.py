@@ -9,10 +9,11 @@ from typing import NamedTuple
 import numpy as np
 import pyarrow as pa
 
-from pipeline.base.disk import remove_temporary
+from pipeline.base.disk import TEMPORARY_ENDING, remove, remove_temporary
 from pipeline.base.seal import read_annex
 from pipeline.records.tables import read_table, write_table
 from pipeline.store.batch_files import remove_batches
+from pipeline.store.rerun import NOTE_FILE
 from pipeline.store.storage import BATCH, FILE, VERSION_COLUMNS, newest_versions, read_versions
 
 
@@ -107,6 +108,8 @@ def repair(processed: Path, superseded: bool = True) -> None:
     """
     for name in ("trials", "samples", "quarantine"):
         remove_temporary(processed / name)
+    for note in processed.glob(f".{NOTE_FILE}.*{TEMPORARY_ENDING}"):
+        remove(note)
     if superseded:
         table, files = read_versions(processed, None, None, list(VERSION_COLUMNS), {})
         _drop(processed, files, table.column(FILE).to_numpy(), ~newest_versions(table))
