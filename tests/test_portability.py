@@ -22,9 +22,9 @@ OF_SIGNAL = ("SIGHUP", "SIGALRM", "SIGPROF", "SIGXFSZ", "SIGIO", "SIGUSR1", "ala
 OF_OS = (
     *("fork", "nice", "getuid", "geteuid", "getgid", "pread", "pwrite", "wait4", "killpg", "getpgid", "setsid"),
     *("fchmod", "chown", "mkfifo", "mknod", "statvfs", "sysconf", "sched_getaffinity", "setpgid", "getloadavg"),
-    *("O_ASYNC", "O_DIRECTORY", "O_NOFOLLOW", "O_NONBLOCK", "O_CLOEXEC", "O_NDELAY", "O_SYNC"),
+    *("O_ASYNC", "O_DIRECTORY", "O_NOFOLLOW", "O_NDELAY", "O_SYNC"),
 )
-"""Names that Python does not have on Windows."""
+"""Names that Python does not have on Windows, but for those that its own modules need here (`shutil`: O_NONBLOCK)."""
 
 # the libraries that have branches for each system, and the modules of Python that have, are loaded before
 SITE = f"""
