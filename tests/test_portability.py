@@ -22,9 +22,9 @@ OF_SIGNAL = ("SIGHUP", "SIGALRM", "SIGPROF", "SIGXFSZ", "SIGIO", "SIGUSR1", "ala
 OF_OS = (
     *("fork", "nice", "getuid", "geteuid", "getgid", "pread", "pwrite", "wait4", "killpg", "getpgid", "setsid"),
     *("fchmod", "chown", "mkfifo", "mknod", "statvfs", "sysconf", "sched_getaffinity", "setpgid", "getloadavg"),
-    *("O_ASYNC", "O_DIRECTORY", "O_NOFOLLOW", "O_NONBLOCK", "O_CLOEXEC", "O_NDELAY", "O_SYNC"),
+    *("O_ASYNC", "O_DIRECTORY", "O_NOFOLLOW", "O_NDELAY", "O_SYNC"),
 )
-"""Names that Python does not have on Windows."""
+"""Names that Python does not have on Windows, but for those that its own modules need here (`shutil`: O_NONBLOCK)."""
 
 # the libraries that have branches for each system, and the modules of Python that have, are loaded before
 SITE = f"""
@@ -56,6 +56,16 @@ def test_the_names_are_taken_away(poor):
     assert "No module named 'fcntl'" in done.stderr or "import of fcntl halted" in done.stderr
 
 
+def test_readers_work_in_processes_of_their_own(poor):
+    script = "from pipeline.readers.isolation import isolated\n"
+    script += "print([isolated('misbehaving:shout', 'log', 'a file', b'a', 'b', imports=()) for _ in range(2)])"
+    path = os.pathsep.join([poor["PYTHONPATH"], str(ROOT / "tests")])
+    done = subprocess.run(
+        [sys.executable, "-c", script], env=poor | {"PYTHONPATH": path}, capture_output=True, text=True
+    )
+    assert done.stdout == "['ab', 'ab']\n", done.stderr
+
+
 def test_a_course_is_ingested_compared_watched_and_verified(poor, tmp_path):
     for name in ("delay-2", "delay-4"):
         write_course(run_course(load_device("lwr"), name, ideal=True, coarsen=12), tmp_path / "raw")
@@ -83,6 +93,7 @@ def test_a_course_is_ingested_compared_watched_and_verified(poor, tmp_path):
         assert watching.stdout is not None
         assert any(json.loads(line)["event"] == "index" for line in watching.stdout)
         watching.terminate()
+        assert '"stopped"' in watching.stdout.read()
     assert watching.returncode == 0
     assert document_without_places(tmp_path / "reports" / "lwr.json") == found
     assert '"unchanged"' in call("watch", "raw", "--scene", "scene.toml", "--once", "--json").stdout

@@ -101,10 +101,10 @@ def end_when(gone: Callable[[], object]) -> None:
 def ended_through(pipe: int) -> Iterator[None]:
     """Let the kernel end this process when the other end of a pipe closes, or writes, while the block runs.
 
-    For libraries that keep the interpreter to themselves, so that `end_when` has no say. Only Linux does so; elsewhere
-    the block runs as it is.
+    For libraries that keep the interpreter to themselves, so that `end_when` has no say. Linux does so; elsewhere the
+    block runs as it would without.
     """
-    if sys.platform != "linux":
+    if not hasattr(os, "O_ASYNC"):
         yield
         return
     fcntl = import_module("fcntl")
