@@ -44,7 +44,8 @@ def sync_folder(folder: Path) -> None:
     """Return when names that came into a folder, or went from it, are on the disk."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
-        os.fsync(descriptor)
+        with naming(folder):
+            os.fsync(descriptor)
     finally:
         os.close(descriptor)
 
@@ -55,18 +56,31 @@ def remove(path: Path) -> None:
         os.unlink(path)
 
 
+@contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Name the file in errors of calls that only have its descriptor: which disk is full is told by its place."""
+    try:
+        yield
+    except OSError as error:
+        if error.filename is None:
+            error.filename = os.fspath(path)
+        raise
+
+
 class _Descriptor(io.RawIOBase):
     """A file descriptor as a stream, so that each write passes through ``os.write``."""
 
     def __init__(self, path: Path) -> None:
         super().__init__()
+        self.path = path
         self.number = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o666)
 
     def writable(self) -> bool:
         return True
 
     def write(self, data: object) -> int:
-        return os.write(self.number, cast(bytes, data))
+        with naming(self.path):
+            return os.write(self.number, cast(bytes, data))
 
     def fileno(self) -> int:
         return self.number
@@ -100,7 +114,8 @@ class NewFile:
     def publish(self, name: str) -> Path:
         """Give the complete file its name, in place of a former one; return its path when all is on the disk."""
         self.stream.flush()
-        os.fsync(self._raw.number)
+        with naming(self._temporary):
+            os.fsync(self._raw.number)
         self._raw.close()
         path = self._folder / name
         os.replace(self._temporary, path)

@@ -18,7 +18,7 @@ BAND_SIGMAS = 6.0
 """Distance from the log, in errors of a reading, that the sensor alone does not make: one in 1e6 samples does."""
 
 LONGEST_ROWS = 1 << 17
-"""Rows that are simulated of a ghost that does not come to rest: two minutes at 1 kHz, and some seconds of computing."""
+"""Rows that are simulated of a ghost that does not come to rest: two minutes at 1 kHz, some seconds of computing."""
 
 REST_ROWS, REST = 4096, 1e-15
 """A ghost rests that moved over so many rows by no more than this part of what it may reach: by rounding alone."""
@@ -60,8 +60,8 @@ def simulate_ghost(batch: TrialBatch, response: Response, mass: Floats, damping:
     Notes
     -----
     Ideal sensor, constant delay, exact motion between samples. The device rests until the command edge. An unstable
-    ghost grows as its log does; it is cut where it exceeds a hundred times what the log shows. A ghost that comes to rest
-    stays there; one that does not is simulated for `LONGEST_ROWS` and has no position behind them.
+    ghost grows as its log does; it is cut where it exceeds a hundred times what the log shows. A ghost that comes to
+    rest stays there; one that does not is simulated for `LONGEST_ROWS` and has no position behind them.
 
     Source: Hulin 2017, eqs. 3.3 to 3.8 and 3.18 (fractional delay: sec. 7.2).
     """

@@ -14,6 +14,7 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from pipeline.base.disk import if_writable
 from pipeline.base.process import leave_out_pandas
 from pipeline.base.provenance import code_digest, digest
 from pipeline.records.results import TheoryParameters
@@ -148,7 +149,8 @@ class Predictions:
         for loop in {loop for loop, _ in found}:
             points = self._read(loop) | {c: p for (other, c), p in found.items() if other == loop}
             document = {"loop": asdict(loop), "optima": {c: asdict(p) for c, p in sorted(points.items())}}
-            write_text(self._file(loop), json.dumps(document, indent=1) + "\n")
+            with if_writable():
+                write_text(self._file(loop), json.dumps(document, indent=1) + "\n")
 
     def _file(self, loop: Loop) -> Path:
         key = digest([loop.gamma, loop.delta, loop.delay, code_digest(*THEORY_CODE)])
