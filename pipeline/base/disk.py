@@ -80,7 +80,8 @@ def sync_folder(folder: Path) -> None:
         return
     descriptor = os.open(folder, os.O_RDONLY)
     try:
-        os.fsync(descriptor)
+        with naming(folder):
+            os.fsync(descriptor)
     finally:
         os.close(descriptor)
 
@@ -99,18 +100,31 @@ def move(old: Path, new: Path) -> None:
     sync_folder(old.parent)
 
 
+@contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """Name the file in errors of calls that only have its descriptor: which disk is full is told by its place."""
+    try:
+        yield
+    except OSError as error:
+        if error.filename is None:
+            error.filename = os.fspath(path)
+        raise
+
+
 class _Descriptor(io.RawIOBase):
     """A file descriptor as a stream, so that each write passes through ``os.write``."""
 
     def __init__(self, path: Path, mode: int) -> None:
         super().__init__()
+        self.path = path
         self.number = os.open(path, _NEW, mode)
 
     def writable(self) -> bool:
         return True
 
     def write(self, data: object) -> int:
-        return os.write(self.number, cast(bytes, data))
+        with naming(self.path):
+            return os.write(self.number, cast(bytes, data))
 
     def fileno(self) -> int:
         return self.number
@@ -153,7 +167,8 @@ class NewFile:
     def sync(self) -> None:
         """Return when the content is on the disk."""
         self.stream.flush()
-        os.fsync(self._raw.number)
+        with naming(self._temporary):
+            os.fsync(self._raw.number)
         self._raw.close()
 
     def named(self, name: str) -> Path:

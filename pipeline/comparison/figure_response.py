@@ -14,7 +14,10 @@ from pipeline.records.batch import Booleans, Floats
 from pipeline.records.figure_records import ResponseFigure
 from pipeline.records.models import Motion
 from pipeline.rendering.labels import UNITS, damping_text, decimal, stiffness_text
-from pipeline.store.samples import load_batch
+from pipeline.store.samples import load_groups
+
+LONGEST_SHOWN = 1 << 14
+"""Rows after the command edge that are shown, 16 s at 1 kHz: among more the motion could not be seen."""
 
 CANDIDATES = 8
 """Trials that are looked at: at the lowest stiffness a log may end before its second maximum, eight times that
@@ -46,32 +49,34 @@ def _figure(stages: ExperimentStages, motion: Motion) -> ResponseFigure | None:
         return None
     names = stages.texts("response", "trial_id")
     wanted = pa.array([names[i] for i in chosen])
-    batch = load_batch(
-        stages.processed, stages.trials.filter(pc.is_in(stages.trials.column("trial_id"), value_set=wanted))
-    )
-    batch = batch.select(np.argsort(batch.stiffness, kind="stable"))
-    response = find_response(batch)
-    delays = first_change(batch, response)
-    seen = np.flatnonzero(delays.first_row >= 0)
-    if not len(seen):
-        return None
-    final = batch.step / batch.stiffness
-    period, trial = None, int(seen[0])
-    for index in seen.tolist():
-        edge, rows = int(response.edge_row[index]), int(batch.rows[index])
-        found = oscillation_period(
-            batch.time[index, edge:rows] - batch.time[index, edge], batch.displacement[index, edge:rows], final[index]
+    kept = stages.trials.filter(pc.is_in(stages.trials.column("trial_id"), value_set=wanted))
+    samples = load_groups(stages.processed, kept)
+    shown = None
+    for place in np.argsort(samples.of_trials("stiffness"), kind="stable").tolist():
+        batch = next(one for _, one in samples.pick(np.array([place])))
+        response = find_response(batch)
+        delays = first_change(batch, response)
+        if delays.first_row[0] < 0:
+            continue
+        edge = int(response.edge_row[0])
+        rows = min(int(batch.rows[0]), edge + LONGEST_SHOWN)
+        period = oscillation_period(
+            batch.time[0, edge:rows] - batch.time[0, edge],
+            batch.displacement[0, edge:rows],
+            float(batch.step[0] / batch.stiffness[0]),
         )
-        if found is not None:
-            period, trial = found, index
+        if shown is None or period is not None:
+            shown = (batch, edge, rows, int(delays.first_row[0]) - edge, period)
+        if period is not None:
             break
-    edge, rows = int(response.edge_row[trial]), int(batch.rows[trial])
-    stiffness, damping = float(batch.stiffness[trial]), float(batch.damping[trial])
-    observed = int(delays.first_row[trial]) - edge
-    sampling_period_s = float(batch.sampling_period_s[trial])
+    if shown is None:
+        return None
+    batch, edge, rows, observed, period = shown
+    stiffness, damping = float(batch.stiffness[0]), float(batch.damping[0])
+    sampling_period_s = float(batch.sampling_period_s[0])
     units = UNITS[motion]
     words = [
-        f"Trial {batch.trial_id[trial]} of experiment {stages.experiment}: K = {stiffness_text(stiffness)} "
+        f"Trial {batch.trial_id[0]} of experiment {stages.experiment}: K = {stiffness_text(stiffness)} "
         f"{units.stiffness}, B = {damping_text(damping)} {units.damping}."
     ]
     if period is not None:
@@ -84,12 +89,12 @@ def _figure(stages: ExperimentStages, motion: Motion) -> ResponseFigure | None:
         "first-response",
         "Step response",
         " ".join(words),
-        batch.time[trial, :rows] - batch.time[trial, edge],
-        batch.displacement[trial, :rows],
-        batch.command[trial, :rows],
+        batch.time[0, :rows] - batch.time[0, edge],
+        batch.displacement[0, :rows],
+        batch.command[0, :rows],
         sampling_period_s,
         observed,
-        float(final[trial]),
+        float(float(batch.step[0] / batch.stiffness[0])),
         period,
     )
 

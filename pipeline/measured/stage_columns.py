@@ -90,7 +90,8 @@ def _delay(of: TrialGroup, given: Given) -> Columns:
 
 
 def _model(of: TrialGroup, given: Given) -> Columns:
-    found = fit.fit_trials(of.batch, of.found)
+    begin, first = of.beginning()
+    found = fit.fit_trials(begin.batch, begin.found)
     beside = simulate_ghost(of.batch, of.found, found.mass, found.damping, found.delay)
     named = ("mass", "damping", "delay", "jitter")
     return _conditions(of) | {
@@ -99,7 +100,7 @@ def _model(of: TrialGroup, given: Given) -> Columns:
         "model_start": found.start,
         "misfit": found.misfit,
         "whiteness": found.whiteness,
-        "leaves_row": _row(found.leaves_row),
+        "leaves_row": _row(np.where(found.leaves_row < 0, NO_ROW, found.leaves_row + first)),
         "ghost_deviation": beside.deviation,
         "ghost_relative": beside.relative,
         "ghost_row": _row(beside.leaves_row),
@@ -108,19 +109,21 @@ def _model(of: TrialGroup, given: Given) -> Columns:
 
 
 def _damping(of: TrialGroup, given: Given) -> Columns:
-    found = damping.from_trials(of.batch, of.found, given["delay"])
+    begin, _ = of.beginning()
+    found = damping.from_trials(begin.batch, begin.found, given["delay"])
     return _conditions(of) | {"viscous_damping": found.viscous_damping, "reason": _texts(found.reason)}
 
 
 def _mass(of: TrialGroup, given: Given) -> Columns:
     nothing = np.full(len(of.batch), np.nan)
     samples = given["delay"]
-    found = mass.by_momentum(of.batch, of.found, samples)
+    begin, _ = of.beginning()
+    found = mass.by_momentum(begin.batch, begin.found, samples)
     terms: tuple[str, ...] = BALANCE_TERMS
     if given["open_loop"]:
         terms = (*OPEN_LOOP_TERMS, "gravity") if given["rotation"] else OPEN_LOOP_TERMS
         samples = 0  # the start term stands for the delay, which friction hides
-    balance = friction.fit_balance(of.batch, of.found, samples, terms=terms)
+    balance = friction.fit_balance(begin.batch, begin.found, samples, terms=terms)
     columns = _conditions(of) | {
         "mass_momentum": found.mass_momentum,
         "damping_share": found.damping_share,
@@ -131,9 +134,9 @@ def _mass(of: TrialGroup, given: Given) -> Columns:
         "force_mass_error": nothing,
         "reason": _texts(found.reason),
     }
-    if of.batch.force is not None:
+    if begin.batch.force is not None:
         # a force measured at the device has passed the delay already
-        force = friction.fit_balance(of.batch, of.found, 0, terms=terms, force=of.batch.force, held=False)
+        force = friction.fit_balance(begin.batch, begin.found, 0, terms=terms, force=begin.batch.force, held=False)
         columns |= {"force_mass": force.mass, "force_mass_error": force.mass_error}
     return columns
 

@@ -15,6 +15,7 @@ from typing import Any, Self
 
 from pydantic import BaseModel, ConfigDict
 
+from pipeline.base.disk import if_writable
 from pipeline.base.process_pool import process_pool
 from pipeline.base.provenance import code_digest, digest
 from pipeline.base.seal import sealed_json, unsealed_json
@@ -152,7 +153,8 @@ class Predictions:
         for loop in {loop for loop, _ in found}:
             points = self._read(loop) | {c: p for (other, c), p in found.items() if other == loop}
             document = {"loop": asdict(loop), "optima": {c: asdict(p) for c, p in sorted(points.items())}}
-            write_text(self._file(loop), sealed_json(json.dumps(document, indent=1) + "\n"))
+            with if_writable():
+                write_text(self._file(loop), sealed_json(json.dumps(document, indent=1) + "\n"))
 
     def _file(self, loop: Loop) -> Path:
         key = digest([loop.gamma, loop.delta, loop.delay, code_digest(*THEORY_CODE)])
