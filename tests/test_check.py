@@ -19,7 +19,7 @@ from pipeline.base.errors import StoreError
 from pipeline.base.seal import MARK, DamageError, find_seal, mended, sealed, verify
 from pipeline.comparison.status import status
 from pipeline.measured.stages import ExperimentStages
-from pipeline.records import tables
+from pipeline.records import table_files, tables
 from pipeline.store import trialstore
 from pipeline.store.check import look
 from pipeline.store.compaction import compact, find_orphans
@@ -252,7 +252,7 @@ def test_a_lost_column_that_is_not_needed_costs_no_trial(without_logs):
     table = pq.read_table(file)
     at = table.schema.get_field_index("force")
     force = pa.array(generator(77).normal(size=table.num_rows))
-    tables.write_table(file, table.set_column(at, table.schema.field(at), force))
+    table_files.write_table(file, table.set_column(at, table.schema.field(at), force))
     # a merge makes a batch whose two files know each other
     more = lab.processed.parent / "more.csv"
     more.write_text(log_text(55.0, rows=ROWS, seed=73))
@@ -339,7 +339,7 @@ def test_a_store_of_an_earlier_version_is_checked_by_its_pages(two_devices):
     lab = two_devices
     for file in lab.processed.rglob("*.parquet"):
         table = pq.read_table(file)
-        pq.write_table(table.replace_schema_metadata(without_mark(table.schema.metadata)), file, **tables.WRITING)
+        pq.write_table(table.replace_schema_metadata(without_mark(table.schema.metadata)), file, **table_files.WRITING)
     report = check(lab.processed)
     assert (report.unsealed, report.damage) == (4, ())
     file = next(lab.processed.glob("samples/one/**/*.parquet"))
@@ -405,7 +405,7 @@ def test_pages_behind_a_damaged_one_are_read(tmp_path, seed):
         "raw_count": pa.nulls(rows, pa.int64()),
     }
     file = tmp_path / "samples.parquet"
-    tables.write_table(file, tables.to_arrow("samples", columns))
+    table_files.write_table(file, tables.to_arrow("samples", columns))
     footer, data = footer_of(file), bytearray(file.read_bytes())
     group = pq.read_metadata(file).row_group(0)
     for index in range(2, 5):

@@ -13,7 +13,7 @@ from stored import check_whole, stored_rows
 
 from pipeline.base.errors import StoreError
 from pipeline.measured.stages import ExperimentStages
-from pipeline.records import tables
+from pipeline.records import table_files
 from pipeline.store import compaction, storage
 from pipeline.store.compaction import compact, find_orphans
 from pipeline.store.ingest import ingest
@@ -132,12 +132,12 @@ def test_translation_and_rotation_keep_their_own_files(tmp_path):
     compact(processed)
     files = trials_files(processed)
     assert len(files) == 2
-    assert sorted(tables.read_table(file).column("motion").unique().to_pylist() for file in files) == [
+    assert sorted(table_files.read_table(file).column("motion").unique().to_pylist() for file in files) == [
         ["rotation"],
         ["translation"],
     ]
     units = {
-        pq.read_schema(processed / tables.read_table(file).column("sample_file")[0].as_py())
+        pq.read_schema(processed / table_files.read_table(file).column("sample_file")[0].as_py())
         .field("position")
         .metadata[b"unit"]
         for file in files

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pipeline.base.disk import write_text
 from pipeline.base.errors import StoreError
 from pipeline.comparison import compare as comparison
 from pipeline.comparison.compare import compare
@@ -16,7 +17,6 @@ from pipeline.comparison.figure_data import FigureBuilder
 from pipeline.comparison.scene import LEAVE_OUT, REUSE, RUN
 from pipeline.measured import stages
 from pipeline.records.results import ComparisonResult
-from pipeline.records.tables import write_text
 from pipeline.rendering import report
 from pipeline.store.ingest import ingest
 from pipeline.theory import predictions
@@ -312,7 +312,7 @@ def test_unknown_device_is_compared_with_theory_from_its_estimates(unknown_outco
 
 
 def test_stage_files_name_their_origin(own):
-    from pipeline.records.tables import read_metadata
+    from pipeline.records.table_files import read_metadata
 
     run(own)
     found = read_metadata(own / "processed/stages/lwr/delay-2/energy.parquet")

@@ -10,7 +10,7 @@ import pytest
 from native_logs import log_text
 
 from pipeline.base import disk
-from pipeline.records.tables import read_table
+from pipeline.records.table_files import read_table
 from pipeline.store import ingest as ingest_module
 from pipeline.store.ingest import ingest
 from pipeline.store.samples import load_batch

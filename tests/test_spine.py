@@ -20,7 +20,7 @@ from pipeline.measured.stages import STAGES, ExperimentStages
 from pipeline.records.models import CRITERIA
 from pipeline.records.native import NativeHeader, format_header
 from pipeline.records.results import ComparisonResult
-from pipeline.records.tables import read_table
+from pipeline.records.table_files import read_table
 from pipeline.rendering.report import cells
 from pipeline.shell.cli import run
 from pipeline.simulation.course import run_course, write_course

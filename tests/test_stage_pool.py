@@ -6,7 +6,7 @@ import os
 import shutil
 
 from pipeline.comparison.stage_pool import compute_stages
-from pipeline.records.tables import read_table
+from pipeline.records.table_files import read_table
 
 NEEDED = {"response", "boundary", "delay"}
 

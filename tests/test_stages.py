@@ -14,7 +14,7 @@ from pipeline.base.errors import StoreError
 from pipeline.base.provenance import PACKAGE_FOLDER
 from pipeline.measured import boundary, costs, damping, delay, mass, response, stages, verdict
 from pipeline.measured.stages import NEEDS, STAGES, ExperimentStages, required
-from pipeline.records.tables import read_table, write_table
+from pipeline.records.table_files import read_table, write_table
 from pipeline.store.storage import stage_file
 from pipeline.theory.energy import energy_costs
 from pipeline.theory.loop import Normalised

@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 
 from pipeline.base.errors import StoreError
 from pipeline.records.native import NativeHeader, format_header
-from pipeline.records.tables import COLUMNS, TABLES, read_table, to_arrow, write_table
+from pipeline.records.table_files import read_table, write_table
+from pipeline.records.tables import COLUMNS, TABLES, to_arrow
 from pipeline.store.ingest import ingest
 from pipeline.store.names import folder_name, name_of_folder, place_of, report_of
 from pipeline.store.samples import load_batch

@@ -236,6 +236,12 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
         new.discard()
 
 
+def write_text(path: Path, text: str) -> None:
+    """Write a text file (UTF-8) so that a reader sees all of it or nothing."""
+    with replacing(path) as stream:
+        stream.write(text.encode())
+
+
 def remove_temporary(folder: Path) -> None:
     """Remove what interrupted writers left below a folder; only for who alone may write there."""
     for here, _, names in os.walk(folder):

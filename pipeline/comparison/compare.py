@@ -8,6 +8,7 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
+from pipeline.base.disk import write_text
 from pipeline.base.provenance import code_digest, digest
 from pipeline.comparison.compare_experiment import estimated_theories, experiment_result, motion_of, nominal_theories
 from pipeline.comparison.figure_data import FigureBuilder, requests_of_delay_figure
@@ -35,7 +36,6 @@ from pipeline.records.results import (
     ComparisonResult,
     ReportData,
 )
-from pipeline.records.tables import write_text
 from pipeline.rendering.report import write as write_report
 from pipeline.rendering.report_scripts import page_files
 from pipeline.theory.predictions import THEORY_CODE, Predictions, Theory

@@ -13,10 +13,10 @@ from pathlib import Path
 from typing import TypeVar
 
 from pipeline import __version__
+from pipeline.base.disk import write_text
 from pipeline.base.provenance import PACKAGE_FOLDER, code_digest, digest, schema_folder, sha256
 from pipeline.base.seal import sealed_json, unsealed_json
 from pipeline.records.models import Record
-from pipeline.records.tables import write_text
 
 OURS = "this package"
 """Name of our own method among the others."""

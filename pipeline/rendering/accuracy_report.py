@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from pipeline.records import tables
+from pipeline.base.disk import write_text
 from pipeline.records.accuracy import OURS, WRONG, AccuracyReport, Rung, Sweep, duration, error_text
 from pipeline.records.accuracy_advice import compared, fails, longest, name_of, place_of
 from pipeline.rendering.page_template import fill_template
@@ -97,7 +97,7 @@ def render(report: AccuracyReport) -> str:
 
 def write(report: AccuracyReport, path: Path) -> None:
     """Render the page and write it so that a reader sees all of it or nothing."""
-    tables.write_text(path, render(report))
+    write_text(path, render(report))
 
 
 def summary_rows(report: AccuracyReport) -> tuple[dict[str, str], ...]:

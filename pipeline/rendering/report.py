@@ -11,9 +11,9 @@ import re
 from pathlib import Path
 from typing import Any
 
+from pipeline.base.disk import write_text
 from pipeline.base.errors import PipelineError
 from pipeline.base.wording import unbroken
-from pipeline.records import tables
 from pipeline.records.accuracy import AccuracyReport, duration, error_text, own_rungs
 from pipeline.records.results import ReportData
 from pipeline.rendering import (
@@ -79,7 +79,7 @@ def render(data: ReportData) -> str:
 
 def write(data: ReportData, path: Path) -> None:
     """Render a report and write it so that a reader sees all of it or nothing."""
-    tables.write_text(path, render(data))
+    write_text(path, render(data))
 
 
 def cells(page: str) -> dict[str, str]:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from pipeline.base.disk import write_text
 from pipeline.base.wording import unbroken
-from pipeline.records import tables
 from pipeline.records.against_records import (
     AgainstResult,
     BoundaryDifference,
@@ -53,8 +53,8 @@ def render(page: AgainstPage) -> str:
 def write(page: AgainstPage, path: Path) -> AgainstResult:
     """Write the page, and its document as JSON beside it; return the document with the name of the page."""
     result = page.result.model_copy(update={"report": str(path)})
-    tables.write_text(path, render(AgainstPage(result, page.figures, page.motion)))
-    tables.write_text(path.with_suffix(".json"), result.model_dump_json(indent=1) + "\n")
+    write_text(path, render(AgainstPage(result, page.figures, page.motion)))
+    write_text(path.with_suffix(".json"), result.model_dump_json(indent=1) + "\n")
     return result
 
 

@@ -17,10 +17,10 @@ from urllib.parse import quote
 
 from pydantic import BaseModel, ValidationError
 
+from pipeline.base.disk import write_text
 from pipeline.base.file_names import storable
 from pipeline.base.regular_files import open_regular
 from pipeline.base.wording import unbroken
-from pipeline.records import tables
 from pipeline.records.models import BoundaryPoint, Motion
 from pipeline.rendering.labels import UNITS, decimal, percent_text, stiffness_text
 from pipeline.rendering.page_template import fill_template
@@ -215,7 +215,7 @@ def write_index(folder: Path, only_renew: bool = False) -> Path | None:
         state = _state(folder)
         page = render_index(*read_reports(folder))
         if page != present:
-            tables.write_text(path, page)
+            write_text(path, page)
             changed = True
         # another process may have written a report, and an index without ours
         if _state(folder) == state:

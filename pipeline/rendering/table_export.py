@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Literal, get_args
 from urllib.parse import quote
 
+from pipeline.base.disk import write_text
 from pipeline.base.errors import UsageError
 from pipeline.records.results import ComparisonResult
-from pipeline.records.tables import write_text
 from pipeline.rendering import report_estimates, report_scores, report_tables
 from pipeline.rendering.report_tables import Cell, Table, footnote
 from pipeline.rendering.table_values import Value, ValueTable, as_document, value_tables

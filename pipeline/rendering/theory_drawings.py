@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from pipeline import __version__
-from pipeline.records import tables
+from pipeline.base.disk import write_text
 from pipeline.records.batch import Floats
 from pipeline.records.theory_panels import Area, Contours, Note, Panel, TheoryFigure, Trace
 from pipeline.rendering import style
@@ -91,7 +91,7 @@ def render(figures: Sequence[TheoryFigure]) -> str:
 
 def write(figures: Sequence[TheoryFigure], path: Path) -> None:
     """Render the page and write it so that a reader sees all of it or nothing."""
-    tables.write_text(path, render(figures))
+    write_text(path, render(figures))
 
 
 def _draw_panel(drawing: Figure, panel: Panel, front: float, legend: float) -> None:

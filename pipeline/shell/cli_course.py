@@ -159,8 +159,8 @@ def accuracy(
     """
     from pipeline.accuracy.accuracy_run import measure
     from pipeline.accuracy_measured.accuracy_measured_run import measure_measured
+    from pipeline.base.disk import write_text
     from pipeline.records import accuracy as results
-    from pipeline.records.tables import write_text
     from pipeline.rendering import accuracy_report
 
     check_output(out, "--out", document_beside=True)

@@ -70,8 +70,8 @@ def draft(
 
     Example: pipeline profile draft run_01.csv --out lab.toml
     """
+    from pipeline.base.disk import write_text
     from pipeline.profiles.profile_lines import find_questions
-    from pipeline.records.tables import write_text
     from pipeline.shell.profile_draft import draft_profile
 
     if out is not None:

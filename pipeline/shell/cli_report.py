@@ -245,8 +245,8 @@ def draft(
 
     Example: pipeline scene draft --device falcon --out falcon.toml
     """
+    from pipeline.base.disk import write_text
     from pipeline.comparison.scene_file import draft_scene
-    from pipeline.records.tables import write_text
 
     if out is not None:
         check_output(out, "--out")

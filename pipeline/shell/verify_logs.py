@@ -20,7 +20,7 @@ from pipeline.profiles.profile_files import load_profile, shipped_profiles
 from pipeline.records.batch import Floats, TrialBatch
 from pipeline.records.models import Record
 from pipeline.records.results import LogList
-from pipeline.records.tables import write_table
+from pipeline.records.table_files import write_table
 from pipeline.store.ingest import ingest
 from pipeline.store.samples import load_groups
 from pipeline.store.storage import read_trials, trials_folder

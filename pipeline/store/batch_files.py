@@ -23,7 +23,8 @@ from pipeline.base.disk import NewFile, publish_all, remove, sync_folder
 from pipeline.base.provenance import digest, stamp
 from pipeline.base.seal import read_annex, sealed
 from pipeline.records.models import Motion
-from pipeline.records.tables import SealedWriter, arrow_schema, parquet_bytes, to_arrow
+from pipeline.records.table_files import SealedWriter, parquet_bytes
+from pipeline.records.tables import arrow_schema, to_arrow
 from pipeline.store.storage import batch_number, samples_folder, trials_files, trials_folder
 
 

@@ -20,7 +20,7 @@ from pipeline.base.provenance import sha256 as hash_of
 from pipeline.base.seal import DamageError, footer_of, mended, sealed, unsealed_json, verify
 from pipeline.profiles.profile_files import Profile
 from pipeline.records.models import Record
-from pipeline.records.tables import parquet_bytes
+from pipeline.records.table_files import parquet_bytes
 from pipeline.store.batch_files import pack_annex, samples_footer, trials_bytes
 from pipeline.store.compaction import unseen_trials
 from pipeline.store.quarantine import RECORD_FILE, QuarantineRecord

@@ -22,7 +22,8 @@ from pipeline.base.errors import StoreError
 from pipeline.base.lock import WAIT_S, writing
 from pipeline.base.seal import DamageError, verify
 from pipeline.records.models import Motion, Record
-from pipeline.records.tables import GROUP_ROWS, TABLES, damaged_file, read_table
+from pipeline.records.table_files import GROUP_ROWS, damaged_file, read_table
+from pipeline.records.tables import TABLES
 from pipeline.store.batch_files import NewBatch, next_number, remove_batches, trials_copy
 from pipeline.store.storage import (
     list_devices,

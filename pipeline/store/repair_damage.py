@@ -13,11 +13,11 @@ from pathlib import Path
 
 import pyarrow as pa
 
-from pipeline.base.disk import move, remove, replacing, sync_folder
+from pipeline.base.disk import move, remove, replacing, sync_folder, write_text
 from pipeline.base.errors import StoreError
 from pipeline.base.lock import WAIT_S, holder, writing
 from pipeline.profiles.profile_files import Profile, load_profile, shipped_profiles
-from pipeline.records.tables import TABLES, write_text
+from pipeline.records.tables import TABLES
 from pipeline.store.batch_files import NewBatch, remove_batches
 from pipeline.store.check import (
     DAMAGED_FOLDER,

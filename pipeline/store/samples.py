@@ -15,7 +15,7 @@ import pyarrow as pa
 from pipeline.base.errors import REMEDY, StoreError
 from pipeline.records.batch import Floats, Integers, TrialBatch
 from pipeline.records.groups import TrialGroups, group_trials, padded_length
-from pipeline.records.tables import open_table
+from pipeline.records.table_files import open_table
 from pipeline.store.storage import ATTEMPTS, read_trials
 
 _OPTIONAL = ("force", "velocity")

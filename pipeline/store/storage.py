@@ -24,7 +24,8 @@ import pyarrow.parquet as pq
 
 from pipeline.base.errors import StoreError
 from pipeline.records.batch import Booleans
-from pipeline.records.tables import TABLES, arrow_schema, damaged_file, read_table
+from pipeline.records.table_files import damaged_file, read_table
+from pipeline.records.tables import TABLES, arrow_schema
 from pipeline.store.names import name_of_folder, place_of
 
 Result = TypeVar("Result")

@@ -23,7 +23,8 @@ from pipeline.readers import Log
 from pipeline.readers.time_axis import step_flags
 from pipeline.records.batch import Floats, Integers
 from pipeline.records.models import Motion
-from pipeline.records.tables import GROUP_ROWS, to_arrow
+from pipeline.records.table_files import GROUP_ROWS
+from pipeline.records.tables import to_arrow
 from pipeline.store.batch_files import NewBatch, next_number, publish_batches
 from pipeline.store.reading import motion_of
 from pipeline.store.sources import Source

@@ -13,7 +13,7 @@ from pipeline.base.disk import replacing
 from pipeline.base.errors import PipelineError
 from pipeline.base.provenance import stamp
 from pipeline.records.batch import Booleans, Floats
-from pipeline.records.tables import WRITING
+from pipeline.records.table_files import WRITING
 from pipeline.theory.theory_map import BLOCK, MARGIN, CostMap, MapBlock
 
 
