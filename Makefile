@@ -46,6 +46,7 @@ bench: .venv/.bench
 	$(BIN)/python benchmarks/measured.py
 	$(BIN)/python benchmarks/theory.py
 	$(BIN)/python benchmarks/watch.py
+	$(BIN)/python benchmarks/growth_trials.py
 	$(BIN)/python benchmarks/report.py --verify
 
 docs: .venv/.dev
