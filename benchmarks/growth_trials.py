@@ -42,7 +42,7 @@ def simulated(folder: Path, trials: int) -> list[Path]:
 
 
 def stored(folder: Path, logs: list[Path]) -> list[str]:
-    """Ingest logs into a store of its own, with the theory that is there already; return the command to compare them."""
+    """Ingest logs into a store of its own, beside the theory that is there already; return how to compare them."""
     raw = folder / "raw"
     raw.mkdir(parents=True)
     for number, log in enumerate(logs):

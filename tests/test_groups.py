@@ -265,6 +265,10 @@ def test_an_archive_is_compared_without_writing_into_it(lab, tmp_path, monkeypat
     assert (archive / "stages").is_dir()
 
 
+def no_space(*_):
+    raise OSError(errno.ENOSPC, "No space left on device")
+
+
 def test_a_full_disk_is_named_by_the_file(lab, tmp_path, monkeypatch, capsys, one_process):
     archive = copy_store(lab, tmp_path / "archive")
     monkeypatch.setattr(disk, "os", full := FailingOs())
