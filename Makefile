@@ -48,6 +48,7 @@ bench: .venv/.bench
 	$(BIN)/python benchmarks/watch.py
 	$(BIN)/python benchmarks/growth_logs.py
 	$(BIN)/python benchmarks/growth_theory.py
+	$(BIN)/python benchmarks/growth_trials.py
 	$(BIN)/python benchmarks/report.py --verify
 
 docs: .venv/.dev

@@ -40,3 +40,8 @@ def check_whole(processed: Path, logs: dict[str, float], former: dict[str, set[f
     allowed = {path: {logs.get(path, k)} | (former or {}).get(path, set()) for path, k in found.items()}
     assert {path: k for path, k in found.items() if k not in allowed[path]} == {}
     return set(paths)
+
+
+def batch_of(stages):
+    """All samples of an experiment as one batch."""
+    return load_batch(stages.processed, stages.trials)

@@ -5,6 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from stored import batch_of
 
 from pipeline.base.errors import ParameterError
 from pipeline.measured.boundary_band import boundary_area, boundary_band
@@ -37,7 +38,7 @@ def limit(setup, damping):
 
 
 def band(of):
-    batch = of.batch
+    batch = batch_of(of)
     verdicts = judge(batch)
     return boundary_band(batch.stiffness, batch.damping, verdicts.verdict, verdicts.growth_per_s)
 

@@ -26,7 +26,8 @@ from pipeline.store.compaction import compact, find_orphans
 from pipeline.store.ingest import ingest
 from pipeline.store.repair_damage import check
 from pipeline.store.salvage import groups_of
-from pipeline.store.storage import load_batch, read_trials
+from pipeline.store.samples import load_batch
+from pipeline.store.storage import read_trials
 from pipeline.theory.loop import Loop
 from pipeline.theory.predictions import Predictions
 

@@ -150,10 +150,10 @@ def test_bytes_are_rewritten_once_for_each_factor(grow, monkeypatch):
     written: Counter[str] = Counter()
     original = compaction.NewBatch.finish
 
-    def finish(batch, trials, number):
+    def finish(batch, trials, number, mark):
         column = trials["trial_id"]
         written.update(column if isinstance(column, list) else column.to_pylist())
-        return original(batch, trials, number)
+        return original(batch, trials, number, mark)
 
     monkeypatch.setattr(compaction.NewBatch, "finish", finish)
     processed, logs = grow(26, rows=3, most_small=3)

@@ -64,8 +64,8 @@ def nothing_is_computed(monkeypatch):
             raise AssertionError("was computed again")
 
         for stage in stages.STAGES:
-            monkeypatch.setitem(stages.COMPUTE, stage, refuse)
-        monkeypatch.setattr(stages, "load_batch", refuse)
+            monkeypatch.setitem(stages.WHOLE if stage in stages.WHOLE else stages.GIVEN, stage, refuse)
+        monkeypatch.setattr(stages, "load_groups", refuse)
         monkeypatch.setattr(predictions, "optimal_point", refuse)
         monkeypatch.setattr(comparison, "write_report", refuse)
         monkeypatch.setattr(comparison, "write_text", refuse)
@@ -271,7 +271,8 @@ def test_a_missing_report_is_written_again_without_computing_stages(own, monkeyp
     def refuse(*_):
         raise AssertionError("something was computed again")
 
-    monkeypatch.setattr(stages, "COMPUTE", dict.fromkeys(stages.COMPUTE, refuse))
+    for made in ("GIVEN", "WHOLE"):
+        monkeypatch.setattr(stages, made, dict.fromkeys(getattr(stages, made), refuse))
     monkeypatch.setattr(predictions, "optimal_point", refuse)
     assert actions(run(own))["report"] == RUN
     assert outcome.report.is_file()

@@ -118,10 +118,12 @@ def test_samples_that_are_missing_or_damaged_are_named(store, damage):
         file.unlink()
     else:
         os.truncate(file, 100)
-    for look in (lambda: status(store), lambda: compact(store, dry_run=True), lambda: compact(store)):
-        with pytest.raises(StoreError, match=r"missing or damaged.*ingest the logs again") as raised:
+    for look in (lambda: compact(store, dry_run=True), lambda: compact(store)):
+        with pytest.raises(StoreError, match=r"missing or damaged.*pipeline check") as raised:
             look()
         assert str(file) in str(raised.value)
+    (told,) = status(store).damaged
+    assert str(file) in told
 
 
 def test_a_look_at_files_that_move_is_repeated_and_one_at_damage_is_not(store):
@@ -187,7 +189,7 @@ def test_a_pass_on_a_disk_that_takes_nothing_is_told(store, logs, monkeypatch):
     monkeypatch.setattr("pipeline.shell.watch_pass.writing", no_folder)
     events = []
     request = PassRequest((str(logs),), str(store), str(store.parent / "reports"))
-    outcome = run_pass(request, events.append, lambda: None)
+    outcome = run_pass(request, events.append)
     assert (outcome.status, outcome.retry) == (1, True)
     (event,) = events
     assert "Read-only file system" in event["reason"]

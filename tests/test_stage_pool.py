@@ -5,7 +5,9 @@ from __future__ import annotations
 import os
 import shutil
 
+from pipeline.comparison import stage_pool
 from pipeline.comparison.stage_pool import compute_stages
+from pipeline.records import groups
 from pipeline.records.table_files import read_table
 
 NEEDED = {"response", "boundary", "delay"}
@@ -20,7 +22,7 @@ def test_processes_store_what_one_process_computes(lwr, tmp_path, monkeypatch):
     compute_stages(experiments, NEEDED)
     for own in experiments:
         assert all(own.is_stored(stage) for stage in NEEDED)
-        assert not own._tables, "they were computed elsewhere"
+        assert set(own._tables) == NEEDED, "they were computed elsewhere, and taken over"
         alone = lwr.stages(own.experiment)
         for stage in NEEDED:
             assert own.table(stage).equals(alone.table(stage), check_metadata=True)
@@ -38,3 +40,21 @@ def test_one_experiment_or_one_processor_is_left_for_later(lwr, tmp_path, monkey
     monkeypatch.setattr(os, "cpu_count", lambda: 2)
     compute_stages(experiments[:1], NEEDED)
     assert not (copy / "stages").exists()
+
+
+def test_the_groups_of_a_large_experiment_are_shared(lwr, tmp_path, monkeypatch):
+    monkeypatch.setattr(os, "cpu_count", lambda: 2)
+    monkeypatch.setattr(stage_pool, "LARGE", 50)
+    monkeypatch.setattr(groups, "READINGS", 10_000)
+    shutil.copytree(lwr.processed / "trials", tmp_path / "trials")
+    shutil.copytree(lwr.processed / "samples", tmp_path / "samples")
+    own = lwr.stages("delay-2", tmp_path)
+    assert len(own.samples.parts) > 2
+    assert own.count_new_trials() == own.trials.num_rows
+    needed = {*NEEDED, "model", "damping", "mass", "outcome", "overshoot", "settling", "energy", "windows"}
+    compute_stages([own], needed)
+    monkeypatch.undo()
+    alone = lwr.stages("delay-2")
+    for stage in needed:
+        assert own.table(stage).equals(alone.table(stage)), stage
+    assert own.count_new_trials() == 0

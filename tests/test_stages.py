@@ -9,6 +9,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 import simulated
+from stored import batch_of
 
 from pipeline.base.errors import StoreError
 from pipeline.base.provenance import PACKAGE_FOLDER
@@ -37,9 +38,9 @@ def lasting(patient):
 @pytest.fixture(scope="module")
 def decayed(lasting):
     """Stable trials with K > 0 whose motion beyond the log adds less than 1e-10 to any sum, by independent poles."""
-    K, B = lasting.batch.stiffness, lasting.batch.damping
+    K, B = batch_of(lasting).stiffness, batch_of(lasting).damping
     radius = np.array([simulated.spectral_radius(k, b, **simulated.FALCON) for k, b in zip(K, B, strict=True)])
-    counted = lasting.batch.rows.max() - 20 - DELAY
+    counted = batch_of(lasting).rows.max() - 20 - DELAY
     # the energy falls with the square of the radius; k^2 and the sum over the rest add at most counted^3
     chosen = (K > 0) & (radius < 1)
     chosen &= radius ** (2 * counted) * float(counted) ** 3 < 1e-12
@@ -55,7 +56,7 @@ def normalised(K, B):
 def test_delay_of_every_ideal_trial_is_that_of_the_simulator(ideal):
     assert set(ideal.column("delay", "delay_samples")) == {float(DELAY)}
     estimate = ideal.delay_estimate
-    assert (estimate.value, estimate.low, estimate.high, estimate.trials) == (4.0, 4.0, 5.0, len(ideal.batch))
+    assert (estimate.value, estimate.low, estimate.high, estimate.trials) == (4.0, 4.0, 5.0, len(batch_of(ideal)))
 
 
 @pytest.mark.parametrize("samples", range(2, 9))
@@ -90,7 +91,7 @@ def interval_means(batch, first, last):
 
 
 def test_mass_has_exactly_the_bias_of_viscous_damping(ideal):
-    x, v = interval_means(ideal.batch, 20, 20 + 15 - 1)
+    x, v = interval_means(batch_of(ideal), 20, 20 + 15 - 1)
     expected = TRUE_MASS + TRUE_DAMPING * x / v
     found = ideal.column("mass", "mass_momentum")
     np.testing.assert_allclose(found, expected, rtol=1e-5)
@@ -109,7 +110,7 @@ def test_estimates_of_ideal_logs(ideal):
 
 
 def test_settling_and_overshoot_of_logs_are_those_of_theory(lasting, decayed):
-    loop, alpha, beta = normalised(lasting.batch.stiffness[decayed], lasting.batch.damping[decayed])
+    loop, alpha, beta = normalised(batch_of(lasting).stiffness[decayed], batch_of(lasting).damping[decayed])
     theory = transient_costs(loop, alpha, beta, continuous=False)
     for name in ("settle_1pct", "settle_2pct", "settle_5pct"):
         np.testing.assert_array_equal(lasting.column("settling", name)[decayed], theory[f"{name}_discrete"])
@@ -120,7 +121,7 @@ def test_settling_and_overshoot_of_logs_are_those_of_theory(lasting, decayed):
 
 
 def test_energy_of_logs_is_that_of_theory(lasting, decayed):
-    loop, alpha, beta = normalised(lasting.batch.stiffness[decayed], lasting.batch.damping[decayed])
+    loop, alpha, beta = normalised(batch_of(lasting).stiffness[decayed], batch_of(lasting).damping[decayed])
     theory = energy_costs(loop, alpha, beta)
     for w in range(3):
         expected = theory[f"energy_step_w{w}_discrete"]
@@ -251,12 +252,12 @@ def forbid(monkeypatch):
         raise AssertionError("was computed again")
 
     for stage in STAGES:
-        monkeypatch.setitem(stages.COMPUTE, stage, refuse)
+        monkeypatch.setitem(stages.WHOLE if stage in stages.WHOLE else stages.GIVEN, stage, refuse)
     for module in (boundary, costs, damping, delay, mass, response, verdict):
         for name in ("measured_boundary", "settling", "overshoot", "energy", "from_trials", "first_change"):
             if hasattr(module, name):
                 monkeypatch.setattr(module, name, refuse)
-    monkeypatch.setattr(stages, "load_batch", refuse)
+    monkeypatch.setattr(stages, "load_groups", refuse)
 
 
 def test_stored_stages_are_read_and_not_computed(falcon, copy, monkeypatch):

@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pipeline.base.errors import StoreError
+from pipeline.base.seal import MARK
 from pipeline.records.native import NativeHeader, format_header
 from pipeline.records.table_files import read_table, write_table
 from pipeline.records.tables import COLUMNS, TABLES, to_arrow
@@ -90,7 +91,9 @@ def test_devices_that_differ_in_case_are_stored_apart_and_former_stores_are_read
         # as earlier versions wrote it
         (processed / tree / "%43ON").rename(processed / tree / "CON")
     for file in processed.glob("trials/CON/*/*.parquet"):
-        table = pq.read_table(file)
+        table = pq.read_table(file).replace_schema_metadata(
+            {key: value for key, value in pq.read_schema(file).metadata.items() if key != MARK.encode()}
+        )
         moved = [name.replace("%43ON", "CON") for name in table.column("sample_file").to_pylist()]
         pq.write_table(table.set_column(table.schema.get_field_index("sample_file"), "sample_file", [moved]), file)
     for number, device in enumerate(("arm", "Arm", "CON")):

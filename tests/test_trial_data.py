@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from stored import batch_of
 
 from pipeline.comparison.compare_experiment import experiment_result, nominal_theories
 from pipeline.comparison.scene import open_scene
@@ -34,7 +35,7 @@ def parts(page):
 def test_every_trial_is_there_with_its_condition_verdict_outcome_and_costs(scene, page):
     stages = scene[0].experiments[0]
     columns, _ = parts(page)
-    assert page.trials == len(stages.batch) == len(columns["k"]) > 150
+    assert page.trials == len(batch_of(stages)) == len(columns["k"]) > 150
     assert columns["k"] == pytest.approx(stages.column("response", "stiffness"), rel=1e-5)
     assert columns["b"] == pytest.approx(stages.column("response", "damping"), rel=1e-5)
     assert [page.content["verdicts"][int(v)] for v in columns["v"]] == stages.texts("response", "verdict")
@@ -50,7 +51,7 @@ def test_every_trial_is_there_with_its_condition_verdict_outcome_and_costs(scene
 
 
 def test_responses_are_those_of_the_logs_within_half_a_step(scene, page):
-    batch = scene[0].experiments[0].batch
+    batch = batch_of(scene[0].experiments[0])
     _, responses = parts(page)
     assert len(responses) == page.responses > 50
     for trial in responses[::7]:
@@ -83,7 +84,7 @@ def test_trials_that_tables_name_come_first_and_are_found_by_their_place(scene, 
     assert {t["id"] for t in responses[: len(set(best))]} == set(best)
     for trial in best:
         row = int(page.places["1", trial].split("-")[1])
-        assert stages.batch.trial_id[row] == trial
+        assert batch_of(stages).trial_id[row] == trial
     edges = [(p.damping, k, v) for p in result.boundary for k, v in ((p.stable, "0"), (p.unstable, "1")) if k]
     assert len(edges) > 10
     embedded = {t["i"] for t in responses}

@@ -94,7 +94,7 @@ def _figure(stages: ExperimentStages, motion: Motion) -> ResponseFigure | None:
         batch.command[0, :rows],
         sampling_period_s,
         observed,
-        float(float(batch.step[0] / batch.stiffness[0])),
+        float(batch.step[0] / batch.stiffness[0]),
         period,
     )
 

@@ -10,10 +10,12 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any, NoReturn
 
 import typer
 
+from pipeline.base.disk import naming
 from pipeline.base.errors import EXIT_ERROR, PipelineError
 from pipeline.base.process import Ended, on_stop_signals, raise_ended
 
@@ -29,6 +31,8 @@ _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]")
 REFRESH = 8
 """Redraws of the progress bar in a second."""
 
+STANDARD_OUTPUT = Path("standard output")
+"""Stands for the output in errors of writing to it."""
 
 OUTSIDE = frozenset(
     {
@@ -78,7 +82,8 @@ def _flush() -> None:
     """Write out what was said, while an error can still be told by name and status."""
     try:
         if sys.stdout is not None:
-            sys.stdout.flush()
+            with naming(STANDARD_OUTPUT):
+                sys.stdout.flush()
     except BrokenPipeError:  # who read it has seen enough
         _drop_output()
         sys.exit(EXIT_ERROR)
@@ -87,7 +92,7 @@ def _flush() -> None:
 
 
 def _leave(error: OSError) -> NoReturn:
-    place = "standard output" if error.filename is None else os.fsdecode(error.filename)
+    place = "a file that the system does not name" if error.filename is None else os.fsdecode(error.filename)
     note(
         f"Error: {place}: cannot be read or written ({error.strerror}). Make room or correct the permissions, and run "
         "the command again."
@@ -104,7 +109,8 @@ def _drop_output() -> None:
 
 def _write(text: str) -> None:
     if sys.stdout is not None:  # started without one, as by `>&-`: nobody listens
-        sys.stdout.write(text)
+        with naming(STANDARD_OUTPUT):
+            sys.stdout.write(text)
 
 
 def print_json(document: object) -> None:
