@@ -150,7 +150,7 @@ def test_bytes_are_rewritten_once_for_each_factor(grow, monkeypatch):
     written: Counter[str] = Counter()
     original = compaction.NewBatch.finish
 
-    def finish(batch, trials, number, mark):
+    def finish(batch, trials, number, mark=""):
         column = trials["trial_id"]
         written.update(column if isinstance(column, list) else column.to_pylist())
         return original(batch, trials, number, mark)

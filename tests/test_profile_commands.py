@@ -527,7 +527,7 @@ def test_a_wall_without_a_step_has_no_verdict_and_no_costs(falcon):
     from pipeline.measured.reading_error import reading_error
     from pipeline.measured.response import find_response
 
-    batch = falcon.stages("1").batch.select(np.arange(4, 12))
+    batch = falcon.stages("1").samples.parts[0].select(np.arange(4, 12))
     batch = replace(batch, step=np.where(np.arange(8) == 3, 0.0, batch.step))
     found = find_response(batch)
     judged = verdict.judge(batch, found)

@@ -51,7 +51,9 @@ def test_commands_lead_from_simulation_to_the_report(call, tmp_path):
     simulate = call("simulate", "lwr", "--experiment", "delay-8", "--ideal", "--coarsen", "4", "--json")
     logs = json.loads(simulate)["logs"]["delay-8"]
     stored = json.loads(call("ingest", "raw", "--json"))
-    nothing: dict[str, list] = {key: [] for key in ("quarantined", "warnings", "removed", "changed", "waiting")}
+    nothing: dict[str, list] = {
+        key: [] for key in ("quarantined", "warnings", "removed", "changed", "waiting", "damaged")
+    }
     assert stored == {"found": logs, "ingested": logs, "skipped": 0, **nothing}
     again = json.loads(call("ingest", "raw", "--json"))
     assert again == {"found": logs, "ingested": 0, "skipped": logs, **nothing}

@@ -94,7 +94,9 @@ def read_table(path: Path, columns: list[str] | None = None) -> pa.Table:
         If the file is damaged, or was written with other columns or types.
     """
     with open_table(path) as file:
-        return file.read(columns=columns)
+        table = file.read(columns=columns)
+    # the mark is the file's and not the table's
+    return table.replace_schema_metadata({k: v for k, v in table.schema.metadata.items() if k != MARK.encode()})
 
 
 @contextmanager

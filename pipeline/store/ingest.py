@@ -291,13 +291,12 @@ class _Ingest:
         return read_and_check(sources, known, self._digest(sources[0]), use_threads)[0]
 
     def _settle(self, read: Read) -> None:
-        if isinstance(read.result, LogError):
-            self._refuse(read, read.result)
-        else:
-            try:
-                self._accept(read, read.result)
-            except LogError as error:
-                self._refuse(read, error)
+        try:
+            if isinstance(read.result, LogError):
+                raise read.result
+            self._accept(read, read.result)
+        except LogError as error:
+            self._refuse(read, error)
         self._advance()
 
     def _accept(self, read: Read, logs: tuple[Log, ...] | None) -> None:
@@ -308,12 +307,14 @@ class _Ingest:
         former = self.stored.get(source.key)
         same = former is not None and (former.sha256, former.profile_sha256) == (sha256, profile_sha256)
         stored_here = same and former is not None and former.whole
+        # the stored source of this content, now read by another profile, or stored in part
+        reprofiled = former is not None and former.sha256 == sha256
         known = self.known.get(sha256)
         gone = self.gone.get(sha256) if logs is not None and profile.reads_names else None
         if gone is not None:
             # another name may state other conditions: a corrected name is no copy
             known = None
-        if logs is None or stored_here or known == profile_sha256 or (known and not self._reprofiled(source, sha256)):
+        if logs is None or stored_here or known == profile_sha256 or (known and not reprofiled):
             other = self.place.get(sha256)
             self.known.setdefault(sha256, profile_sha256)
             self.place.setdefault(sha256, source.key)
@@ -347,11 +348,6 @@ class _Ingest:
             # an interrupted run may have stored some trials of this source
             present = former.trials if former is not None and same else frozenset[str]()
             self._written(self.writer.add([a for a in accepted if a.trial_id not in present]))
-
-    def _reprofiled(self, source: Source, sha256: str) -> bool:
-        """Return whether this is the stored source of a content, now read by another profile, or stored in part."""
-        former = self.stored.get(source.key)
-        return former is not None and former.sha256 == sha256
 
     def _replace(self, source: Source, former: StoredSource, outcome: str | None) -> None:
         """Note that the stored trials of a source give way to others; without an outcome its content is the same."""
