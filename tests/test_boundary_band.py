@@ -5,7 +5,6 @@ from functools import cache
 
 import numpy as np
 import pytest
-from stored import batch_of
 
 from pipeline.base.errors import ParameterError
 from pipeline.measured.boundary_band import boundary_area, boundary_band
@@ -38,7 +37,7 @@ def limit(setup, damping):
 
 
 def band(of):
-    batch = batch_of(of)
+    batch = of.batch
     verdicts = judge(batch)
     return boundary_band(batch.stiffness, batch.damping, verdicts.verdict, verdicts.growth_per_s)
 

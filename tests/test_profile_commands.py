@@ -526,8 +526,10 @@ def test_a_wall_without_a_step_has_no_verdict_and_no_costs(falcon):
     from pipeline.measured.ghost import simulate_ghost
     from pipeline.measured.reading_error import reading_error
     from pipeline.measured.response import find_response
+    from pipeline.store.samples import load_batch
+    from pipeline.store.storage import read_trials
 
-    batch = falcon.stages("1").samples.parts[0].select(np.arange(4, 12))
+    batch = load_batch(falcon.processed, read_trials(falcon.processed, "falcon", "1")).select(np.arange(4, 12))
     batch = replace(batch, step=np.where(np.arange(8) == 3, 0.0, batch.step))
     found = find_response(batch)
     judged = verdict.judge(batch, found)
