@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.base.errors import PipelineError
-from pipeline.base.wording import unbroken
+from pipeline.base.wording import duration, error_text, unbroken
 from pipeline.records import tables
-from pipeline.records.accuracy import AccuracyReport, duration, error_text, own_rungs
+from pipeline.records.accuracy import AccuracyReport, own_rungs
 from pipeline.records.results import ReportData
 from pipeline.rendering import (
     report_estimates,

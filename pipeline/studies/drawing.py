@@ -1,9 +1,8 @@
-"""Theory figures as SVG, and the page that shows them. The numbers come finished (`pipeline.records.theory_panels`)."""
+"""Panels of lines, contours, areas and words as SVG. The numbers come finished (`pipeline.studies.panels`)."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from pathlib import Path
+from dataclasses import replace
 from typing import Any
 
 import matplotlib
@@ -11,18 +10,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
+from matplotlib.ticker import LogLocator, MaxNLocator
 
-from pipeline import __version__
-from pipeline.records import tables
+from pipeline.base.wording import power_of_ten
 from pipeline.records.batch import Floats
-from pipeline.records.theory_panels import Area, Contours, Note, Panel, TheoryFigure, Trace
 from pipeline.rendering import style
 from pipeline.rendering.labels import decimal
-from pipeline.rendering.page_template import fill_template
-
-CHAPTERS = {"3": "Stability", "4": "Passivity", "5": "Control design"}
-"""Chapters of the thesis with data figures of theory."""
+from pipeline.studies.panels import Area, Contours, Note, Panel, TheoryFigure, Trace
 
 _DOTS_PER_INCH = 72.0
 
@@ -46,7 +40,7 @@ _DASHES: dict[str, Any] = {
     "none": "none",
 }
 
-_MARKER_SIZE = {"+": 12.0, "*": 11.0}
+_MARKER_SIZE = {"+": 12.0, "*": 11.0, "x": 7.0}
 """Marks that need more room than a dot [px]."""
 
 _BESIDE = 0.05
@@ -64,34 +58,36 @@ def draw(figure: TheoryFigure) -> tuple[str, ...]:
     -----
     All panels have the same size, with room for the longest legend among them.
     """
-    width, height = _SIZES[figure.columns]
-    legend = max(_legend_lines(panel, width) for panel in figure.panels) * _LEGEND_LINE
-    front = _FRONT * height if any(panel.below for panel in figure.panels) else 0.0
-    result = []
-    for index, panel in enumerate(figure.panels):
-        with matplotlib.rc_context(style.RC):
-            size = (width / _DOTS_PER_INCH, (height + front + legend) / _DOTS_PER_INCH)
-            drawing = Figure(figsize=size, dpi=_DOTS_PER_INCH)
-            _draw_panel(drawing, panel, front, legend)
-            name = f"fig-{figure.number.replace('.', '-')}-{index}"
-            title = f"Figure {figure.number} {panel.title}".strip()
-            result.append(style.svg(drawing, name, title, _description(panel)))
-    return tuple(result)
+    size = _SIZES[figure.columns]
+    legend = max(_legend_lines(panel, size[0]) for panel in figure.panels) * _LEGEND_LINE
+    name, title = f"fig-{figure.number.replace('.', '-')}", f"Figure {figure.number}"
+    return tuple(
+        draw_panel(replace(panel, name=f"{title} {panel.title}".strip()), f"{name}-{i}", size, legend)
+        for i, panel in enumerate(figure.panels)
+    )
 
 
-def render(figures: Sequence[TheoryFigure]) -> str:
-    """Return a self-contained HTML page of the figures, deterministic, by chapter in the order given."""
-    chapters = [
-        (number, title, [(figure, draw(figure)) for figure in figures if figure.number.split(".")[0] == number])
-        for number, title in CHAPTERS.items()
-    ]
-    shown = [chapter for chapter in chapters if chapter[2]]
-    return fill_template("theory.html.j2", chapters=shown, version=__version__)
+def draw_panel(panel: Panel, identifier: str, size: tuple[float, float], legend: float | None = None) -> str:
+    """Return a panel as an ``<svg>`` element.
 
-
-def write(figures: Sequence[TheoryFigure], path: Path) -> None:
-    """Render the page and write it so that a reader sees all of it or nothing."""
-    tables.write_text(path, render(figures))
+    Parameters
+    ----------
+    panel : Panel
+    identifier : str
+        Prefix of all ``id`` in it, unique on its page.
+    size : tuple of float
+        Width and height of the axes with their labels [px].
+    legend : float, optional
+        Height below that is left for the legend [px]; as much as it needs where not given.
+    """
+    width, height = size
+    front = _FRONT * height if panel.below else 0.0
+    below = _legend_lines(panel, width) * _LEGEND_LINE if legend is None else legend
+    with matplotlib.rc_context(style.RC):
+        inches = (width / _DOTS_PER_INCH, (height + front + below) / _DOTS_PER_INCH)
+        drawing = Figure(figsize=inches, dpi=_DOTS_PER_INCH)
+        _draw_panel(drawing, panel, front, below)
+        return style.svg(drawing, identifier, panel.name, panel.description or _description(panel))
 
 
 def _draw_panel(drawing: Figure, panel: Panel, front: float, legend: float) -> None:
@@ -138,8 +134,9 @@ def _add_axes(drawing: Figure, bottom: float, top: float, panel: Panel) -> Axes:
     if panel.logarithmic:
         axes.set_xscale("log")
         axes.set_yscale("log")
-        axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
-        axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+        for axis in (axes.xaxis, axes.yaxis):
+            axis.set_major_locator(LogLocator(base=10, numticks=8))
+            axis.set_major_formatter(lambda value, _: power(value))
     else:
         axes.xaxis.set_major_locator(MaxNLocator(6, steps=style.TICK_STEPS))
         axes.yaxis.set_major_locator(MaxNLocator(6 if top - bottom > 150 else 4, steps=style.TICK_STEPS))
@@ -149,6 +146,11 @@ def _add_axes(drawing: Figure, bottom: float, top: float, panel: Panel) -> Axes:
     axes.set_ylabel(panel.y_label)
     axes.set_title(panel.title, loc="left")
     return axes
+
+
+def power(value: float) -> str:
+    """Return a power of ten as people write it."""
+    return f"{value:g}" if 1 <= value <= 1e4 else power_of_ten(round(np.log10(value)))
 
 
 def _colour(name: str) -> str:
@@ -161,9 +163,10 @@ def _draw_trace(axes: Axes, panel: Panel, trace: Trace) -> list[Any]:
     if trace.marker:
         wide = trace.marker in _MARKER_SIZE
         look |= {"marker": trace.marker, "ms": _MARKER_SIZE.get(trace.marker, 6.0), "mew": 2.2 if wide else 1.4}
-        if not wide:
+        if not wide and not trace.filled:
             look["mfc"] = style.PAPER
         look["zorder"] = 4
+        look["clip_on"] = trace.marker != "x"  # crosses stand on the edge
     return list(axes.plot(x, y, label=trace.label or "_", **look))
 
 

@@ -1,11 +1,12 @@
 """What a theory figure consists of: panels of lines, contours, areas and words, all as finished numbers.
 
-`pipeline.rendering.theory_drawings` draws them; nothing here knows of a drawing library.
+`pipeline.studies.drawing` draws them; nothing here knows of a drawing library.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 from pipeline.records.batch import Floats
 
@@ -27,6 +28,8 @@ class Trace:
         Sign at each point, as matplotlib names it; none where empty.
     width : float
         Width of the line [px].
+    filled : bool
+        Whether signs are filled.
     """
 
     x: Floats
@@ -36,6 +39,11 @@ class Trace:
     label: str = ""
     marker: str = ""
     width: float = 1.4
+    filled: bool = False
+
+    def moved(self, x: Floats, y: Floats, **changes: Any) -> Trace:
+        """Return the line through other points, with what else changes."""
+        return replace(self, x=x, y=y, **changes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +96,10 @@ class Note:
 
 @dataclass(frozen=True, eq=False)
 class Panel:
-    """One pair of axes; ``below`` shares its abscissa and stands under it."""
+    """One pair of axes; ``below`` shares its abscissa and stands under it.
+
+    ``name`` and ``description`` are for readers who cannot see it; made of the labels where empty.
+    """
 
     title: str
     x_label: str
@@ -102,6 +113,8 @@ class Panel:
     logarithmic: bool = False
     square: bool = False
     below: Panel | None = None
+    name: str = ""
+    description: str = ""
 
 
 @dataclass(frozen=True, eq=False)

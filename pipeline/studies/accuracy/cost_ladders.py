@@ -3,30 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 
-from pipeline.accuracy_measured.accuracy_measured_rungs import BUDGET, mean_error
-from pipeline.accuracy_measured.accuracy_measured_truth import SLOWEST_COST, USUAL_ROWS, Trials, draw_trials, truth_of
 from pipeline.measured import costs, step_metrics
 from pipeline.measured.cost_intervals import overshoot_interval
 from pipeline.measured.energy_intervals import energy_interval
 from pipeline.measured.reading_error import reading_error
-from pipeline.records.accuracy import Rung, best_time
-from pipeline.records.accuracy_measured_advice import (
-    COMPLETE,
-    FLOOR,
-    LARGEST,
-    LAST_SAMPLE,
-    LESS_BIAS,
-    OVER_LAST,
-    SETTLE,
-    THINNED,
-    WHOLE,
-    nth,
-)
-from pipeline.records.batch import Floats
+from pipeline.studies.accuracy.names import COMPLETE, LARGEST, SETTLE, WHOLE, nth
+from pipeline.studies.accuracy.rungs import Ladder, Method, Values, mean
+from pipeline.studies.accuracy.truth import SLOWEST_COST, USUAL_ROWS, Trials, draw_trials, truth_of
 
 CRITERION = "settle_2pct"
 """Settling band of the ladder."""
@@ -46,69 +33,13 @@ NOISE_SHARE = 0.25
 THIN = (2, 4)
 """Every how many rows there is one in a thinned log; both divide the delay."""
 
-Values = dict[str, Floats]
-Method = tuple[tuple[str, ...], str, Callable[[Trials], Values]]
-
 ENERGIES = tuple(f"energy, w = {w}" for w in costs.WEIGHTS)
 QUANTITIES = dict(zip(("settling time", "overshoot", *ENERGIES), NAMES, strict=True))
 """Quantity of a rung, and the criterion that it stands for."""
 
 
-def cost_rungs(quick: bool = False) -> Iterator[Rung]:
-    """Yield the rungs of settling time, overshoot and energies.
-
-    Parameters
-    ----------
-    quick : bool
-        Fewer trials and settings.
-
-    Notes
-    -----
-    Mass and delay are the true ones: what their errors do to a cost is told by its interval. The error is the mean of
-    the trials, relative to the exact cost; for overshoot in parts of the final displacement.
-    """
-    truth = truth_of("falcon", "1")
-    count, longest = (40, USUAL_ROWS) if quick else (300, ROWS[-1])
-    trials = draw_trials(truth, count, seed=51, rows=longest, slowest=SLOWEST_COST)
-    exact = truth.costs(trials.batch.stiffness, trials.batch.damping, NAMES)
-    rungs: list[Rung] = []
-    for rows in [rows for rows in ROWS if rows <= longest]:
-        rungs += _of_methods(_METHODS, trials.shortened(rows), exact, f"{rows} rows")
-    for step in THIN:
-        rungs += _of_methods((_THINNED,), trials.shortened(USUAL_ROWS).thinned(step), exact, nth(step, "row"))
-    for quantum in QUANTA[1::4] if quick else QUANTA:
-        noise = NOISE_SHARE * quantum
-        some = draw_trials(truth, count, seed=51, quantum=quantum, noise=noise, slowest=SLOWEST_COST)
-        found = _of_methods(_METHODS, some, exact, f"{1e6 * quantum:g} µm")
-        rungs += [r.model_copy(update={"quantity": f"{r.quantity}, over the sensor's quantum"}) for r in found]
-    # one quantity after the other, and of each one method after the other
-    order = {name: i for i, name in enumerate(dict.fromkeys(r.quantity for r in rungs))}
-    methods = {name: i for i, name in enumerate(dict.fromkeys(r.method for r in rungs))}
-    yield from sorted(rungs, key=lambda r: (order[r.quantity], methods[r.method]))
-
-
-def _of_methods(methods: tuple[Method, ...], trials: Trials, exact: Values, setting: str) -> list[Rung]:
-    rungs = []
-    for quantities, method, run in methods:
-        found, seconds = best_time(partial(run, trials), BUDGET)
-        for quantity in quantities:
-            name = QUANTITIES[quantity]
-            difference = found[name] - exact[name]
-            error, missing = mean_error(difference if name == "overshoot" else difference / exact[name])
-            rungs.append(
-                Rung(
-                    quantity=quantity,
-                    method=method,
-                    setting=setting,
-                    error=error,
-                    seconds=seconds / len(trials),
-                    missing=missing,
-                )
-            )
-    return rungs
-
-
-def _settling(of: Trials) -> Values:
+def settling(of: Trials) -> Values:
+    """Return the settling time [samples], with the true delay."""
     return {CRITERION: costs.settling(of.batch, of.response, of.verdicts, of.delay_samples).samples[CRITERION]}
 
 
@@ -155,7 +86,8 @@ def _floor(of: Trials) -> Values:
     return {f"energy_step_w{w}": values[:, w] for w in costs.WEIGHTS}
 
 
-def _complete(of: Trials) -> Values:
+def complete_energy(of: Trials) -> Values:
+    """Return the energies less the bias of noise, with the tail beyond the log, with the true delay and mass."""
     error = reading_error(of.batch, of.response, of.delay_samples)
     found = energy_interval(of.batch, of.response, of.verdicts, error, of.delay_samples, of.truth.experiment.mass)
     return {f"energy_step_w{w}": found.value[:, w] for w in costs.WEIGHTS}
@@ -163,19 +95,78 @@ def _complete(of: Trials) -> Values:
 
 def _thinned(of: Trials) -> Values:
     """All costs of a thinned log, in samples of the controller."""
-    found = _settling(of) | _overshoot(of) | _complete(of)
+    found = settling(of) | _overshoot(of) | complete_energy(of)
     powers = {CRITERION: 1, "overshoot": 0} | {f"energy_step_w{w}": w + 1 for w in costs.WEIGHTS}
     return {name: values * float(of.step) ** powers[name] for name, values in found.items()}
 
 
-_METHODS: tuple[Method, ...] = (
-    (("settling time",), SETTLE, _settling),
-    (("settling time",), LAST_SAMPLE, _settling_about_last),
+METHODS = (
+    (("settling time",), SETTLE, settling),
+    (("settling time",), "band about the last sample", _settling_about_last),
     (("overshoot",), LARGEST, _overshoot),
-    (("overshoot",), LESS_BIAS, _overshoot_less_bias),
-    (("overshoot",), OVER_LAST, _overshoot_over_last),
+    (("overshoot",), "largest reading less its bias", _overshoot_less_bias),
+    (("overshoot",), "over the last sample", _overshoot_over_last),
     (ENERGIES, WHOLE, whole_sum),
-    (ENERGIES, FLOOR, _floor),
-    (ENERGIES, COMPLETE, _complete),
+    (ENERGIES, "sum down to the sensor's floor", _floor),
+    (ENERGIES, COMPLETE, complete_energy),
 )
-_THINNED: Method = (tuple(QUANTITIES), THINNED, _thinned)
+THINNED = ((tuple(QUANTITIES), "thinned log", _thinned),)
+"""Methods with the quantities that they give."""
+
+
+def cost_ladders(quick: bool = False) -> Iterator[Ladder]:
+    """Yield the ladders of settling time, overshoot and energies.
+
+    Parameters
+    ----------
+    quick : bool
+        Fewer trials and settings.
+
+    Notes
+    -----
+    Mass and delay are the true ones: what their errors do to a cost is told by its interval. The error is the mean of
+    the trials, relative to the exact cost; for overshoot in parts of the final displacement.
+    """
+    truth = truth_of("falcon", "1")
+    count, longest = (40, USUAL_ROWS) if quick else (300, ROWS[-1])
+    trials = draw_trials(truth, count, seed=51, rows=longest, slowest=SLOWEST_COST)
+    exact = truth.costs(trials.batch.stiffness, trials.batch.damping, NAMES)
+
+    def with_quantum(quantum: float) -> Trials:
+        noise = NOISE_SHARE * quantum
+        return draw_trials(truth, count, seed=51, quantum=quantum, noise=noise, slowest=SLOWEST_COST)
+
+    rows = [rows for rows in ROWS if rows <= longest]
+    quanta = QUANTA[1::4] if quick else QUANTA
+    for rungs, settings, words, given, over in (
+        (METHODS, rows, "{} rows".format, trials.shortened, ""),
+        (THINNED, THIN, partial(nth, what="row"), trials.shortened(USUAL_ROWS).thinned, ""),
+        (METHODS, quanta, _micrometres, with_quantum, ", over the sensor's quantum"),
+    ):
+        logs = cache(given)
+        yield Ladder(
+            {f"{quantity}{over}": exact[criterion] for quantity, criterion in QUANTITIES.items()},
+            [
+                Method(
+                    method,
+                    partial(_by_quantity, run, over),
+                    words,
+                    settings,
+                    given=logs,
+                    quantities=tuple(f"{quantity}{over}" for quantity in quantities),
+                )
+                for quantities, method, run in rungs
+            ],
+            mean,
+            {f"overshoot{over}": 1.0},
+            count,
+        )
+
+
+def _micrometres(metres: float) -> str:
+    return f"{1e6 * metres:g} µm"
+
+
+def _by_quantity(run: Callable[[Trials], Values], over: str, of: Trials) -> Values:
+    found = run(of)
+    return {f"{name}{over}": found[criterion] for name, criterion in QUANTITIES.items() if criterion in found}

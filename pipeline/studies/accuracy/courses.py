@@ -9,32 +9,19 @@ from typing import Literal
 
 import numpy as np
 
-from pipeline.accuracy_measured.accuracy_measured_jitter import jitter_limit
-from pipeline.accuracy_measured.accuracy_measured_truth import Trials, Truth, truth_of
-from pipeline.measured import costs
 from pipeline.measured.aggregate import choose_optimum
 from pipeline.measured.boundary import measured_boundary
 from pipeline.measured.boundary_band import boundary_area, boundary_band
-from pipeline.measured.energy_intervals import energy_interval
-from pipeline.measured.reading_error import reading_error
-from pipeline.records.accuracy import Rung, best_time
-from pipeline.records.accuracy_measured_advice import (
-    AREA,
-    BRACKET_ONE,
-    BRACKET_TWO,
-    ENERGY_OPTIMUM,
-    LIMITS,
-    OPTIMUM_ONE,
-    OPTIMUM_TWO,
-    RATES_ONE,
-    RATES_TWO,
-    SETTLING_OPTIMUM,
-    nth,
-)
+from pipeline.records.accuracy import Rung
 from pipeline.records.batch import Booleans, Floats, Integers
 from pipeline.records.models import BoundaryPoint
-from pipeline.simulation.course import Course, run_course
+from pipeline.simulation.course import run_course
 from pipeline.simulation.simulate import setup_of
+from pipeline.studies.accuracy.cost_ladders import complete_energy, settling
+from pipeline.studies.accuracy.jitter import jitter_limit
+from pipeline.studies.accuracy.names import AREA, LIMITS, nth
+from pipeline.studies.accuracy.rungs import best_time
+from pipeline.studies.accuracy.truth import Trials, Truth, truth_of
 from pipeline.theory.search import OptimalPoint
 
 COURSES = 5
@@ -48,11 +35,14 @@ JITTER_POINTS, JITTER_RANGE = 30, 1.3
 """Dampings at which the limit of the jittering loop is read (trapezoids between them err by 0.05 %), and how far it may
 reach beyond that of the mean delay, in K and in B: 1.06 and 1.08 times for the Falcon."""
 
-CRITERIA = {SETTLING_OPTIMUM: "settle_2pct", ENERGY_OPTIMUM: "energy_step_w0"}
-"""Optima that are looked for."""
+OPTIMA = {
+    "optimum of settling time": ("settle_2pct", settling),
+    "optimum of energy": ("energy_step_w0", complete_energy),
+}
+"""Optima that are looked for: their criterion, and what measures it."""
 
-PARTS = ("cost", "stiffness", "damping")
-"""What of an optimum is held against the truth."""
+PASSES = {2: "two passes", 1: "one pass"}
+"""Passes of a course: the first alone, or also the fine one behind the last stable trial."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +56,7 @@ class Condition:
     device, experiment : str
     jitter : bool
         With the jitter of the experiment. Then theory has no limit, and that of long responses is the truth
-        (`accuracy_measured_jitter`); the devices do not differ.
+        (`jitter`); the devices do not differ.
     optimum : bool
         Whether the optima are looked for.
     damping_range : {"full", "tested"}
@@ -93,15 +83,6 @@ CONDITIONS = (
 """Courses that are simulated. The whole stable region of the LWR would take three times the trials of the thesis."""
 
 
-@dataclass(frozen=True)
-class _Result:
-    """Errors of one course by (quantity, method), trials by number of passes, and run times by (quantity, method)."""
-
-    errors: dict[tuple[str, str], float]
-    trials: dict[int, int]
-    seconds: dict[tuple[str, str], float]
-
-
 def course_rungs(
     condition: Condition,
     coarsenings: Sequence[int] | None = None,
@@ -122,8 +103,8 @@ def course_rungs(
 
     Notes
     -----
-    The area is that from B = 0 to the last damping of the course, held against the exact one up to there. A course
-    its second pass is the one whose fine trials are left out.
+    The area is that from B = 0 to the last damping of the course, held against the exact one up to there. With one
+    pass the fine trials of a course are left out.
     """
     truths = _truths(condition, courses)
     reference = None
@@ -134,9 +115,37 @@ def course_rungs(
         say(f"course of {condition.label}, {nth(coarsen, 'step')}")
         found = []
         for seed, truth in enumerate(truths):
-            course = _judged(truth, _run(condition, truth, coarsen, seed))
-            found.append(_result(condition, course, reference or _Reference(truth.area, truth.limit)))
-        yield from _rungs(condition, coarsen, found, truths[0].device.duration_s)
+            course = _judged(condition, truth, coarsen, seed)
+            against = reference or _Reference(truth.area, truth.limit)
+            found.append([*_limits(course, against), *(_optima(course) if condition.optimum else ())])
+        for same in zip(*found, strict=True):
+            yield _rung(condition.label, coarsen, same, truths[0].device.duration_s)
+
+
+@dataclass(frozen=True)
+class _Found:
+    """What one course comes to by one method, with the trials and the run time [s] that it took."""
+
+    quantity: str
+    method: str
+    error: float
+    trials: int
+    seconds: float
+
+
+def _rung(label: str, coarsen: int, found: Sequence[_Found], trial_seconds: float) -> Rung:
+    """Rung of all courses of one size: their largest error."""
+    errors = np.abs([f.error for f in found])
+    trials = round(float(np.mean([f.trials for f in found])))
+    return Rung(
+        quantity=f"{found[0].quantity}, {label}",
+        method=found[0].method,
+        setting=nth(coarsen, "step"),
+        error=float(errors.max()) if np.isfinite(errors).all() else None,
+        seconds=float(np.median([f.seconds for f in found])),
+        trials=trials,
+        device_seconds=trials * trial_seconds,
+    )
 
 
 @dataclass(frozen=True)
@@ -165,17 +174,6 @@ def _truths(condition: Condition, courses: int) -> list[Truth]:
     ]
 
 
-def _run(condition: Condition, truth: Truth, coarsen: int, seed: int) -> Course:
-    return run_course(
-        truth.device,
-        condition.experiment,
-        seed=seed,
-        jitter=None if condition.jitter else (),
-        damping_range=condition.damping_range,
-        coarsen=coarsen,
-    )
-
-
 @dataclass(frozen=True, eq=False)
 class _Judged:
     """Trials of a course with verdicts, the pass of each, and the time that judging took [s]."""
@@ -185,9 +183,44 @@ class _Judged:
     seconds: float
 
 
-def _judged(truth: Truth, course: Course) -> _Judged:
+def _judged(condition: Condition, truth: Truth, coarsen: int, seed: int) -> _Judged:
+    course = run_course(
+        truth.device,
+        condition.experiment,
+        seed=seed,
+        jitter=None if condition.jitter else (),
+        damping_range=condition.damping_range,
+        coarsen=coarsen,
+    )
     trials, seconds = best_time(lambda: Trials.of(truth, course.batch), 0.0)
     return _Judged(trials, course.passes, seconds)
+
+
+def _limits(course: _Judged, reference: _Reference) -> Iterator[_Found]:
+    """Errors of area and limits by each method with each number of passes."""
+    for name, limits in (("growth rates", _rates), ("verdicts", _brackets)):
+        for passes, words in PASSES.items():
+            inside = course.passes <= passes
+            (points, area), seconds = best_time(partial(limits, course.trials, inside), 0.0)
+            share = int(inside.sum()), seconds + course.seconds * float(inside.mean())
+            error = np.nan if area is None else area / reference.area(points[-1].damping) - 1
+            yield _Found(AREA, f"{name}, {words}", error, *share)
+            exact = reference.limit(np.array([p.damping for p in points]))
+            estimate = np.array([np.nan if p.estimate is None else p.estimate for p in points])
+            median = float(np.nanmedian(np.abs(estimate - exact))) / float(exact.max())
+            yield _Found(LIMITS, f"{name}, {words}", median, *share)
+
+
+def _optima(course: _Judged) -> Iterator[_Found]:
+    """Errors of cost and place of each optimum with each number of passes."""
+    for quantity, (criterion, measure) in OPTIMA.items():
+        costs, seconds = best_time(partial(measure, course.trials), 0.0)
+        best = course.trials.truth.optimum(criterion)
+        for passes, words in PASSES.items():
+            inside = course.passes <= passes
+            share = int(inside.sum()), (seconds + course.seconds) * float(inside.mean())
+            for part, error in _distance(course.trials, costs[criterion], inside, criterion, best).items():
+                yield _Found(f"{quantity}: {part}", f"least cost, {words}", error, *share)
 
 
 def _rates(of: Trials, inside: Booleans) -> tuple[tuple[BoundaryPoint, ...], float | None]:
@@ -211,82 +244,19 @@ def _brackets(of: Trials, inside: Booleans) -> tuple[tuple[BoundaryPoint, ...], 
     return points, float(np.trapezoid(np.array(middle, dtype=np.float64), [p.damping for p in points]))
 
 
-def _result(condition: Condition, course: _Judged, reference: _Reference) -> _Result:
-    errors: dict[tuple[str, str], float] = {}
-    seconds: dict[tuple[str, str], float] = {}
-    methods = ((RATES_TWO, 2, _rates), (RATES_ONE, 1, _rates), (BRACKET_TWO, 2, _brackets), (BRACKET_ONE, 1, _brackets))
-    for method, passes, limits in methods:
-        inside = course.passes <= passes
-        (points, area), time = best_time(partial(limits, course.trials, inside), 0.0)
-        time += course.seconds * float(inside.mean())
-        errors[AREA, method] = np.nan if area is None else area / reference.area(points[-1].damping) - 1
-        exact = reference.limit(np.array([p.damping for p in points]))
-        estimate = np.array([np.nan if p.estimate is None else p.estimate for p in points])
-        errors[LIMITS, method] = float(np.nanmedian(np.abs(estimate - exact))) / float(exact.max())
-        seconds[AREA, method] = seconds[LIMITS, method] = time
-    if condition.optimum:
-        _add_optima(course, errors, seconds)
-    return _Result(errors, {passes: int((course.passes <= passes).sum()) for passes in (1, 2)}, seconds)
-
-
-def _add_optima(course: _Judged, errors: dict[tuple[str, str], float], seconds: dict[tuple[str, str], float]) -> None:
-    trials = course.trials
-    for quantity, criterion in CRITERIA.items():
-        cost, time = best_time(partial(_costs, trials, criterion), 0.0)
-        time += course.seconds
-        best = trials.truth.optimum(criterion)
-        for method, passes in ((OPTIMUM_TWO, 2), (OPTIMUM_ONE, 1)):
-            inside = course.passes <= passes
-            for part, error in zip(PARTS, _distance(trials, cost, inside, criterion, best), strict=True):
-                errors[f"{quantity}: {part}", method] = error
-                seconds[f"{quantity}: {part}", method] = time * float(inside.mean())
-
-
-def _costs(trials: Trials, criterion: str) -> Floats:
-    """Measured costs with the true delay and mass, shape (n,)."""
-    batch, response, verdicts, delay = trials.batch, trials.response, trials.verdicts, trials.delay_samples
-    if criterion.startswith("settle"):
-        return costs.settling(batch, response, verdicts, delay).samples[criterion]
-    error = reading_error(batch, response, delay)
-    found = energy_interval(batch, response, verdicts, error, delay, trials.truth.experiment.mass)
-    return found.value[:, int(criterion[-1])]
-
-
-def _distance(
-    trials: Trials, cost: Floats, inside: Booleans, criterion: str, best: OptimalPoint
-) -> tuple[float, float, float]:
+def _distance(trials: Trials, cost: Floats, inside: Booleans, criterion: str, best: OptimalPoint) -> dict[str, float]:
     """Excess of the exact cost of the chosen trial over the least one, and how far it lies in K and B, relative."""
     batch, truth = trials.batch.select(inside), trials.truth
     unstable = trials.verdicts.verdict[inside] == "unstable"
     chosen = choose_optimum(cost[inside], batch.stiffness, batch.damping, batch.trial_id, unstable=unstable)
     if chosen is None:
-        return np.nan, np.nan, np.nan
-    K, B = np.array([chosen.stiffness]), np.array([chosen.damping])
-    exact = float(truth.costs(K, B, (criterion,))[criterion][0])
-    units = truth.units
+        return dict.fromkeys(("cost", "stiffness", "damping"), np.nan)
+    exact = truth.costs(np.array([chosen.stiffness]), np.array([chosen.damping]), (criterion,))[criterion]
+    alpha, beta = chosen.stiffness / truth.units.stiffness, chosen.damping / truth.units.damping
     # where the optimum is a region, its box; a point is a box without extent
     box = best.box or (best.alpha, best.alpha, best.beta, best.beta)
-    away = [
-        max(low - value, value - high, 0.0) / centre
-        for value, low, high, centre in (
-            (chosen.stiffness / units.stiffness, box[0], box[1], best.alpha),
-            (chosen.damping / units.damping, box[2], box[3], best.beta),
-        )
-    ]
-    return exact / best.cost - 1, away[0], away[1]
-
-
-def _rungs(condition: Condition, coarsen: int, found: list[_Result], trial_seconds: float) -> Iterator[Rung]:
-    for quantity, method in found[0].errors:
-        errors = np.abs([r.errors[quantity, method] for r in found])
-        passes = 1 if method in (RATES_ONE, BRACKET_ONE, OPTIMUM_ONE) else 2
-        trials = round(float(np.mean([r.trials[passes] for r in found])))
-        yield Rung(
-            quantity=f"{quantity}, {condition.label}",
-            method=method,
-            setting=nth(coarsen, "step"),
-            error=float(errors.max()) if np.isfinite(errors).all() else None,
-            seconds=float(np.median([r.seconds[quantity, method] for r in found])),
-            trials=trials,
-            device_seconds=trials * trial_seconds,
-        )
+    return {
+        "cost": float(exact[0]) / best.cost - 1,
+        "stiffness": max(box[0] - alpha, alpha - box[1], 0.0) / best.alpha,
+        "damping": max(box[2] - beta, beta - box[3], 0.0) / best.beta,
+    }

@@ -4,14 +4,23 @@ from __future__ import annotations
 
 from importlib import import_module
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 
-from pipeline.accuracy.accuracy_methods import Case, Sampled, generator, matrices
 from pipeline.records.batch import Floats
+from pipeline.studies.accuracy.methods import (
+    Case,
+    Sampled,
+    TransferOf,
+    generator,
+    matrices,
+    printed_transfer,
+    step_state,
+)
 
 
-def load(name: str) -> ModuleType | None:
+def load(name: str) -> Any:
     """Return an optional module, or None where it is not installed."""
     try:
         return import_module(name)
@@ -21,8 +30,7 @@ def load(name: str) -> ModuleType | None:
 
 def plant_by_scipy_expm(linalg: ModuleType, gamma: float, delta: float) -> Sampled:
     """Return the sampled plant from `scipy.linalg.expm`."""
-    m = linalg.expm(generator(gamma, delta))
-    return Sampled(m[:2, :2], m[:2, 2])
+    return Sampled.of(linalg.expm(generator(gamma, delta)))
 
 
 def plant_by_scipy_signal(signal: ModuleType, gamma: float, delta: float) -> Sampled:
@@ -32,13 +40,11 @@ def plant_by_scipy_signal(signal: ModuleType, gamma: float, delta: float) -> Sam
     return Sampled(np.asarray(a), np.asarray(b)[:, 0])
 
 
-def response_by_dlsim(
-    signal: ModuleType, plant: Sampled, case: Case, alpha: Floats, beta: Floats, samples: int
-) -> Floats:
+def response_by_dlsim(signal: ModuleType, case: Case, alpha: Floats, beta: Floats, samples: int) -> Floats:
     """Return the deviation at the samples of a step from `scipy.signal.dlsim`, shape (samples, n)."""
-    start = _step_state(case.delay)
+    start = step_state(case.delay)
     size, columns = len(start), []
-    for matrix in matrices(plant, case.delay, alpha, beta):
+    for matrix in matrices(case, alpha, beta):
         system = (matrix, np.zeros((size, 1)), np.eye(1, size), np.zeros((1, 1)), 1.0)
         columns.append(np.asarray(signal.dlsim(system, np.zeros((samples, 1)), x0=start)[1])[:, 0])
     return np.array(columns).T
@@ -51,20 +57,20 @@ def plant_by_control(control: ModuleType, gamma: float, delta: float) -> Sampled
     return Sampled(np.asarray(system.A), np.asarray(system.B)[:, 0])
 
 
-def radius_by_control_states(control: ModuleType, plant: Sampled, delay: int, alpha: Floats, beta: Floats) -> Floats:
+def radius_by_control_states(control: ModuleType, case: Case, alpha: Floats, beta: Floats) -> Floats:
     """Return spectral radii from the poles of python-control state spaces."""
-    size = delay + 3
+    size = case.delay + 3
     rest = (np.zeros((size, 1)), np.eye(1, size), np.zeros((1, 1)), 1.0)
-    systems = (control.ss(matrix, *rest) for matrix in matrices(plant, delay, alpha, beta))
+    systems = (control.ss(matrix, *rest) for matrix in matrices(case, alpha, beta))
     return np.array([np.abs(system.poles()).max() for system in systems])
 
 
 def radius_by_control_transfer(
-    control: ModuleType, transfer: tuple[float, float, float, float], delay: int, alpha: Floats, beta: Floats
+    control: ModuleType, case: Case, alpha: Floats, beta: Floats, transfer: TransferOf = printed_transfer
 ) -> Floats:
     """Return spectral radii from python-control transfer functions with `feedback`."""
-    n1, n0, trace, det = transfer
-    plant = control.tf([n1, n0], [1.0, -trace, det, *[0.0] * delay], 1.0)
+    n1, n0, trace, det = transfer(case.gamma, case.delta)
+    plant = control.tf([n1, n0], [1.0, -trace, det, *[0.0] * case.delay], 1.0)
     radii = []
     for a, b in zip(alpha.tolist(), beta.tolist(), strict=True):
         loop = control.feedback(plant, control.tf([a + b, -b], [1.0, 0.0], 1.0))
@@ -72,21 +78,12 @@ def radius_by_control_transfer(
     return np.array(radii)
 
 
-def response_by_control(
-    control: ModuleType, plant: Sampled, case: Case, alpha: Floats, beta: Floats, samples: int
-) -> Floats:
+def response_by_control(control: ModuleType, case: Case, alpha: Floats, beta: Floats, samples: int) -> Floats:
     """Return the deviation at the samples of a step from `control.forced_response`, shape (samples, n)."""
-    start = _step_state(case.delay)
+    start = step_state(case.delay)
     size, columns = len(start), []
-    for matrix in matrices(plant, case.delay, alpha, beta):
+    for matrix in matrices(case, alpha, beta):
         system = control.ss(matrix, np.zeros((size, 1)), np.eye(1, size), np.zeros((1, 1)), 1.0)
         found = control.forced_response(system, np.arange(samples), np.zeros(samples), start)
         columns.append(np.ravel(found.outputs))
     return np.array(columns).T
-
-
-def _step_state(delay: int) -> Floats:
-    """Return the state at the step, shape (delay + 3,): all positions one away from the final one, at rest."""
-    start = np.full(delay + 3, -1.0)
-    start[1] = 0.0
-    return start

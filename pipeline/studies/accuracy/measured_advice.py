@@ -5,44 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import groupby
 
-from pipeline.records.accuracy import Rung, duration, error_text
-
-FIRST_CHANGE = "first change (6.2, 6.3)"
-ONSET = "onset of motion"
-ONSET_FIXED = "onset of motion, fixed window"
-MODEL = "model of the whole response"
-MODEL_THIN = "model, thinned log"
-BALANCE = "momentum balance (6.4)"
-CORRECTED = "balance less viscous damping"
-FRICTION = "balance with damping and friction"
-LEAST_SQUARES = "balance, least squares"
-LIMIT = "limit at K = 0 (6.1.2)"
-DECAY = "decay at K = 0"
-SETTLE = "band about x₀ + F₀/K"
-LAST_SAMPLE = "band about the last sample"
-LARGEST = "largest reading"
-LESS_BIAS = "largest reading less its bias"
-OVER_LAST = "over the last sample"
-WHOLE = "sum over the whole log"
-FLOOR = "sum down to the sensor's floor"
-COMPLETE = "bias taken off, tail added"
-THINNED = "thinned log"
-RATES_TWO = "growth rates, two passes"
-RATES_ONE = "growth rates, one pass"
-BRACKET_TWO = "verdicts, two passes"
-BRACKET_ONE = "verdicts, one pass"
-OPTIMUM_TWO = "least cost, two passes"
-OPTIMUM_ONE = "least cost, one pass"
-"""Methods, as the page names them."""
-
-RECOMMENDED = frozenset({MODEL, SETTLE, LARGEST, COMPLETE, RATES_TWO, OPTIMUM_TWO})
-"""What comparisons use where they can; it stands out in the figures."""
-
-AREA = "area under the boundary"
-LIMITS = "limit of stability"
-SETTLING_OPTIMUM = "optimum of settling time"
-ENERGY_OPTIMUM = "optimum of energy"
-"""Quantities of a course."""
+from pipeline.base.wording import duration, error_text
+from pipeline.records.accuracy import Rung
+from pipeline.studies.accuracy.names import AREA, BALANCE, CORRECTED, MODEL_THIN, OPTIMUM_TWO, RATES_TWO
+from pipeline.studies.accuracy.theory_advice import name_of
 
 WANTED = 0.01
 """Error of the boundary's area that the length of a course is asked for."""
@@ -118,7 +84,7 @@ def advise(quantity: str, rungs: Sequence[Rung]) -> str:
     close = trusted(quantity, rungs)
     if close is None:
         return "No method gives nine of ten trials a value."
-    parts = [f"Trust {_named(close)}: error {error_of(close)}{_effort_text(close)}."]
+    parts = [f"Trust {name_of(close)}: error {error_of(close)}{_effort_text(close)}."]
     others = []
     for method, group in _by_method(here):
         if method == close.method:
@@ -126,7 +92,7 @@ def advise(quantity: str, rungs: Sequence[Rung]) -> str:
         good = _usable(group)
         if good:
             least = min(good, key=lambda r: r.error or 0.0)
-            others.append(f"{_named(least)} {error_of(least)}")
+            others.append(f"{name_of(least)} {error_of(least)}")
         else:
             known = [r.missing for r in here if r.method == method and r.missing is not None]
             share = f" ({percent(min(known))} of the trials have no value)" if known else ""
@@ -158,7 +124,7 @@ def summarise(rungs: Sequence[Rung]) -> tuple[str, ...]:
         ("Costs", ("settling time", "overshoot", "energy, w = 0", "energy, w = 2")),
     ):
         best = [(name, trusted(name, rungs)) for name in quantities]
-        found = [f"{name} by {_named(rung)}, error {error_of(rung)}" for name, rung in best if rung is not None]
+        found = [f"{name} by {name_of(rung)}, error {error_of(rung)}" for name, rung in best if rung is not None]
         if found:
             lines.append(f"{title}: {'; '.join(found)}.")
     lines += _optima(rungs)
@@ -244,14 +210,6 @@ def _size(rung: Rung) -> str:
     return f"{rung.trials} trials ({(rung.device_seconds or 0.0) / 60:.1f} min)"
 
 
-def nth(step: int, what: str) -> str:
-    """Return words for one in so many rows or steps: every row, every 2nd row."""
-    if step == 1:
-        return f"every {what}"
-    ending = {2: "nd", 3: "rd"}.get(step, "th")
-    return f"every {step}{ending} {what}"
-
-
 def _effort(rung: Rung) -> float:
     return rung.seconds if rung.device_seconds is None else rung.device_seconds
 
@@ -260,10 +218,6 @@ def _effort_text(rung: Rung) -> str:
     if rung.device_seconds is not None:
         return f" after {_size(rung)}"
     return f" in {duration(rung.seconds)}" + ("" if rung.trials else " a trial")
-
-
-def _named(rung: Rung) -> str:
-    return rung.method if rung.setting == "one setting" else f"{rung.method} ({rung.setting})"
 
 
 def _of(quantity: str, method: str, rungs: Sequence[Rung]) -> list[Rung]:

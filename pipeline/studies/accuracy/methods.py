@@ -7,6 +7,7 @@ the exact methods of the theory branch. Loops have an integer delay.
 from __future__ import annotations
 
 import cmath
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +22,19 @@ _NODES = 24
 """Gauss points over a sample for the energy; exact to rounding for the plants of the ladder."""
 
 
+@dataclass(frozen=True, eq=False)
+class Sampled:
+    """The plant over one sample: transition (2, 2) and gain (2,)."""
+
+    transition: Floats
+    gain: Floats
+
+    @classmethod
+    def of(cls, motion: Floats) -> Sampled:
+        """Return the plant from the motion of (x, v, u) over one sample, shape (3, 3)."""
+        return cls(motion[:2, :2], motion[:2, 2])
+
+
 @dataclass(frozen=True)
 class Case:
     """A loop with integer delay d in normalised parameters."""
@@ -29,13 +43,10 @@ class Case:
     delta: float
     delay: int
 
-
-@dataclass(frozen=True, eq=False)
-class Sampled:
-    """The plant over one sample: transition (2, 2) and gain (2,)."""
-
-    transition: Floats
-    gain: Floats
+    @property
+    def plant(self) -> Sampled:
+        """The sampled plant by the matrix exponential, for methods whose own error is asked for."""
+        return plant_by_expm(self.gamma, self.delta)
 
 
 def expm(matrix: Floats) -> Floats:
@@ -59,16 +70,14 @@ def generator(gamma: float, delta: float) -> Floats:
 
 def plant_by_expm(gamma: float, delta: float) -> Sampled:
     """Return the sampled plant from a matrix exponential."""
-    m = expm(generator(gamma, delta))
-    return Sampled(m[:2, :2], m[:2, 2])
+    return Sampled.of(expm(generator(gamma, delta)))
 
 
 def plant_by_runge_kutta(gamma: float, delta: float, steps: int) -> Sampled:
     """Return the sampled plant from classical Runge-Kutta steps."""
     a = generator(gamma, delta) / steps
     one = np.eye(3) + a @ (np.eye(3) + a @ (np.eye(3) / 2 + a @ (np.eye(3) / 6 + a / 24)))
-    m = np.linalg.matrix_power(one, steps)
-    return Sampled(m[:2, :2], m[:2, 2])
+    return Sampled.of(np.linalg.matrix_power(one, steps))
 
 
 def plant_by_taylor(gamma: float, delta: float, terms: int) -> Sampled:
@@ -78,17 +87,29 @@ def plant_by_taylor(gamma: float, delta: float, terms: int) -> Sampled:
     for n in range(1, terms + 1):
         term = term @ a / n
         m = m + term
-    return Sampled(m[:2, :2], m[:2, 2])
+    return Sampled.of(m)
 
 
-def transfer_of(plant: Sampled) -> tuple[float, float, float, float]:
-    """Return n1, n0, trace and determinant of (n1 z + n0)/(z^2 - trace z + determinant)."""
+Transfer = tuple[float, float, float, float]
+"""Coefficients n1, n0, trace and determinant of (n1 z + n0)/(z^2 - trace z + determinant)."""
+
+TransferOf = Callable[[float, float], Transfer]
+"""Transfer function of the plant by gamma and delta."""
+
+
+def transfer_of(plant: Sampled) -> Transfer:
+    """Return the transfer function of a sampled plant."""
     (xx, xv), (vx, vv) = plant.transition.tolist()
     gx, gv = plant.gain.tolist()
     return gx, xv * gv - vv * gx, xx + vv, xx * vv - xv * vx
 
 
-def printed_transfer(gamma: float, delta: float) -> tuple[float, float, float, float]:
+def transfer_by(plant: Callable[..., Sampled]) -> Callable[..., Transfer]:
+    """Return a way to the transfer function from a way to the sampled plant."""
+    return lambda gamma, delta, *setting: transfer_of(plant(gamma, delta, *setting))
+
+
+def printed_transfer(gamma: float, delta: float) -> Transfer:
     """Return the same from the formula that the source prints.
 
     Source: Hulin 2017, eqs. 3.7 and 3.8. Divides by gamma and c_1.
@@ -102,12 +123,13 @@ def printed_transfer(gamma: float, delta: float) -> tuple[float, float, float, f
     return n1.real, n0.real, (c2 + c3).real, decay.real
 
 
-def polynomials(transfer: tuple[float, float, float, float], delay: int, alpha: Floats, beta: Floats) -> Floats:
+def polynomials(case: Case, alpha: Floats, beta: Floats, transfer: TransferOf = printed_transfer) -> Floats:
     """Return characteristic polynomials, highest power first, shape (n, d + 4).
 
     Source: Hulin 2017, eq. 3.11.
     """
-    n1, n0, trace, det = transfer
+    delay = case.delay
+    n1, n0, trace, det = transfer(case.gamma, case.delta)
     result = np.zeros((len(alpha), delay + 4))
     result[:, :3] = 1.0, -trace, det
     result[:, delay + 1] += n1 * (alpha + beta)
@@ -116,13 +138,14 @@ def polynomials(transfer: tuple[float, float, float, float], delay: int, alpha: 
     return result
 
 
-def radius_by_roots(polynomial: Floats) -> Floats:
-    """Return the largest root modulus of each polynomial, one `np.roots` at a time."""
-    return np.array([np.abs(np.roots(row)).max() for row in polynomial])
+def radius_by_roots(case: Case, alpha: Floats, beta: Floats, transfer: TransferOf = printed_transfer) -> Floats:
+    """Return the largest root modulus of each characteristic polynomial, one `np.roots` at a time."""
+    return np.array([np.abs(np.roots(row)).max() for row in polynomials(case, alpha, beta, transfer)])
 
 
-def radius_by_companion(polynomial: Floats) -> Floats:
-    """Return the largest root modulus of each polynomial from batched companion matrices."""
+def radius_by_companion(case: Case, alpha: Floats, beta: Floats, transfer: TransferOf = printed_transfer) -> Floats:
+    """Return the largest root modulus of each characteristic polynomial from batched companion matrices."""
+    polynomial = polynomials(case, alpha, beta, transfer)
     degree = polynomial.shape[1] - 1
     companion = np.zeros((len(polynomial), degree, degree))
     companion[:, 0] = -polynomial[:, 1:] / polynomial[:, :1]
@@ -130,12 +153,24 @@ def radius_by_companion(polynomial: Floats) -> Floats:
     return np.asarray(np.abs(np.linalg.eigvals(companion)).max(axis=1))
 
 
-def matrices(plant: Sampled, delay: int, alpha: Floats, beta: Floats) -> Floats:
+def held(delay: int) -> tuple[int, int]:
+    """Return the places in the state of the two positions that the force of a sample depends on."""
+    return (0, 2) if delay == 0 else (delay + 1, delay + 2)
+
+
+def step_state(delay: int) -> Floats:
+    """Return the state at the step, shape (delay + 3,): all positions one away from the final one, at rest."""
+    start = np.full(delay + 3, -1.0)
+    start[1] = 0.0
+    return start
+
+
+def matrices(case: Case, alpha: Floats, beta: Floats) -> Floats:
     """Return loop matrices over the state (x, v, x_{k-1}, ..., x_{k-d-1}), shape (n, d + 3, d + 3)."""
-    size = delay + 3
+    plant, size = case.plant, case.delay + 3
     result = np.zeros((len(alpha), size, size))
     result[:, :2, :2] = plant.transition
-    now, before = (0, 2) if delay == 0 else (delay + 1, delay + 2)
+    now, before = held(case.delay)
     result[:, :2, now] -= plant.gain * (alpha + beta)[:, None]
     result[:, :2, before] += plant.gain * beta[:, None]
     result[:, 2, 0] = 1.0
@@ -143,14 +178,14 @@ def matrices(plant: Sampled, delay: int, alpha: Floats, beta: Floats) -> Floats:
     return result
 
 
-def radius_by_eigenvalues(plant: Sampled, delay: int, alpha: Floats, beta: Floats) -> Floats:
+def radius_by_eigenvalues(case: Case, alpha: Floats, beta: Floats) -> Floats:
     """Return the spectral radius of each loop matrix from batched eigenvalues."""
-    return np.asarray(np.abs(np.linalg.eigvals(matrices(plant, delay, alpha, beta))).max(axis=1))
+    return np.asarray(np.abs(np.linalg.eigvals(matrices(case, alpha, beta))).max(axis=1))
 
 
-def radius_by_squaring(plant: Sampled, delay: int, alpha: Floats, beta: Floats, squarings: int) -> Floats:
+def radius_by_squaring(case: Case, alpha: Floats, beta: Floats, squarings: int) -> Floats:
     """Return the spectral radius as the limit of the norm of A^N to the power 1/N, N = 2^squarings."""
-    power = matrices(plant, delay, alpha, beta)
+    power = matrices(case, alpha, beta)
     log = np.zeros(len(alpha))
     for _ in range(squarings):
         power = power @ power
@@ -160,7 +195,7 @@ def radius_by_squaring(plant: Sampled, delay: int, alpha: Floats, beta: Floats, 
     return np.exp(log / 2.0**squarings)
 
 
-def response(plant: Sampled, case: Case, alpha: Floats, beta: Floats, samples: int) -> Floats:
+def response(case: Case, alpha: Floats, beta: Floats, samples: int) -> Floats:
     """Return deviation, velocity and input at the start of each sample of a step, shape (samples, 3, n).
 
     Deviations from the final position, relative to the final displacement.
@@ -169,6 +204,7 @@ def response(plant: Sampled, case: Case, alpha: Floats, beta: Floats, samples: i
     states = np.empty((samples, 3, n))
     x, v, before = np.full(n, -1.0), np.zeros(n), np.full(n, -1.0)
     forces = [alpha] * case.delay
+    plant = case.plant
     (xx, xv), (vx, vv) = plant.transition.tolist()
     gx, gv = plant.gain.tolist()
     for k in range(samples):
@@ -180,9 +216,9 @@ def response(plant: Sampled, case: Case, alpha: Floats, beta: Floats, samples: i
     return states
 
 
-def dense(plant: Sampled, case: Case, alpha: Floats, beta: Floats, samples: int, fine: int) -> tuple[Floats, Floats]:
+def dense(case: Case, alpha: Floats, beta: Floats, samples: int, fine: int) -> tuple[Floats, Floats]:
     """Return position and velocity of a step at ``fine`` points a sample, each of shape (samples fine, n)."""
-    states = response(plant, case, alpha, beta, samples)
+    states = response(case, alpha, beta, samples)
     one, row = expm(generator(case.gamma, case.delta) / fine), np.eye(3)
     rows = []
     for _ in range(fine):
@@ -226,9 +262,9 @@ def forms(case: Case, w: int) -> tuple[Floats, Floats]:
     return place, speed
 
 
-def truncated_energy(plant: Sampled, case: Case, alpha: Floats, beta: Floats, samples: int) -> dict[int, Floats]:
+def truncated_energy(case: Case, alpha: Floats, beta: Floats, samples: int) -> dict[int, Floats]:
     """Return the energy costs of a step summed over a fixed number of samples, exact within each."""
-    states = response(plant, case, alpha, beta, samples)
+    states = response(case, alpha, beta, samples)
     stiffness = alpha + case.gamma
     moments = []
     for w in range(3):
@@ -244,7 +280,7 @@ def truncated_energy(plant: Sampled, case: Case, alpha: Floats, beta: Floats, sa
     }
 
 
-def lyapunov_energy(plant: Sampled, case: Case, alpha: Floats, beta: Floats, solve: object = None) -> dict[int, Floats]:
+def lyapunov_energy(case: Case, alpha: Floats, beta: Floats, solve: object = None) -> dict[int, Floats]:
     """Return the energy costs of a step from discrete Lyapunov equations, one after another.
 
     Parameters
@@ -253,15 +289,13 @@ def lyapunov_energy(plant: Sampled, case: Case, alpha: Floats, beta: Floats, sol
         ``solve(A, Q)`` for X = A X A' + Q; a linear system with Kronecker products where not given.
     """
     solver = solve if callable(solve) else _by_kronecker
-    size = case.delay + 3
-    start = np.full(size, -1.0)
-    start[1] = 0.0
-    rows = np.zeros((3, size))
+    start = step_state(case.delay)
+    rows = np.zeros((3, len(start)))
     rows[0, 0] = rows[1, 1] = 1.0
-    now, before = (0, 2) if case.delay == 0 else (case.delay + 1, case.delay + 2)
+    now, before = held(case.delay)
     parts = [forms(case, w) for w in range(3)]
     result: dict[int, list[float]] = {0: [], 1: [], 2: []}
-    for a, matrix in zip(range(len(alpha)), matrices(plant, case.delay, alpha, beta), strict=True):
+    for a, matrix in zip(range(len(alpha)), matrices(case, alpha, beta), strict=True):
         rows[2] = 0.0
         rows[2, now], rows[2, before] = -(alpha[a] + beta[a]), beta[a]
         x0 = solver(matrix, np.outer(start, start))
@@ -280,16 +314,17 @@ def _by_kronecker(matrix: Floats, right: Floats) -> Floats:
     return np.asarray(np.linalg.solve(system, right.ravel()).reshape(size, size))
 
 
-def discrete_map(plant: Sampled, case: Case, alpha: Floats, beta: Floats, samples: int) -> dict[str, Floats]:
+def discrete_map(case: Case, alpha: Floats, beta: Floats, samples: int) -> dict[str, Floats]:
     """Return stability and the discrete costs of all points from a recurrence of fixed length.
 
     Settling time NaN where the response is outside the band at its end; all NaN where not stable.
     """
-    stable: Booleans = radius_by_eigenvalues(plant, case.delay, alpha, beta) < 1
+    stable: Booleans = radius_by_eigenvalues(case, alpha, beta) < 1
     a, b = alpha[stable], beta[stable]
     n = len(a)
     x, v, before = np.full(n, -1.0), np.zeros(n), np.full(n, -1.0)
     forces = [a] * case.delay
+    plant = case.plant
     (xx, xv), (vx, vv) = plant.transition.tolist()
     gx, gv = plant.gain.tolist()
     settle, peak, energy = np.zeros(n), np.zeros(n), [np.zeros(n) for _ in range(3)]

@@ -2,96 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+from pipeline.base.wording import duration, error_text
 from pipeline.records import tables
-from pipeline.records.accuracy import OURS, WRONG, AccuracyReport, Rung, Sweep, duration, error_text
-from pipeline.records.accuracy_advice import compared, fails, longest, name_of, place_of
+from pipeline.records.accuracy import OURS, WRONG, AccuracyReport, Advice, MeasuredAccuracy, Rung, Sweep
 from pipeline.rendering.page_template import fill_template
+from pipeline.studies.accuracy.figures import SIZE, Look, ladder, sweep
+from pipeline.studies.accuracy.measured_advice import MOST_MISSING, WANTED, error_of, percent
+from pipeline.studies.accuracy.names import AREA, RECOMMENDED
+from pipeline.studies.accuracy.theory_advice import compared, fails, longest, name_of, place_of
+from pipeline.studies.accuracy.words import words
+from pipeline.studies.panels import Panel
 
-MEANING = {
-    "plant": "numerator of the sampled plant, over 20 plants",
-    "boundary": "largest stable α at 51 values of β",
-    "spectral radius": "largest pole modulus at 40 points",
-    "settling time": "last entry into ±2 % between samples, 40 points",
-    "overshoot": "largest excess between samples, 40 points",
-    "energy, w = 0": "step response, 40 points with spectral radii up to 0.992; time for all three weights together",
-    "energy, w = 1": "step response, 40 points; time for all three weights together",
-    "energy, w = 2": "step response, 40 points; time for all three weights together",
-    "optimum of energy": "place (α, β) of the least energy, w = 0, d = 1",
-    "optimum of settling time": "place (α, β) of the shortest settling time, ±2 %, d = 1: the corner of a jump",
-    "map": "settling time, overshoot and three energies of the samples, 61 × 61 points; "
-    "largest error of the five at 40 of them, spectral radii up to 0.992",
-}
-"""What is computed for each quantity."""
-
-
-@dataclass(frozen=True)
-class _Path:
-    """How a sweep is shown: heading, abscissa, what happens along it, and whether x grows towards the trouble."""
-
-    title: str
-    abscissa: str
-    what: str
-    rising: bool = False
-
-
-PATHS = {
-    "gamma": _Path("Plant, γ → 0", "γ (δ = 0)", "device without its own stiffness"),
-    "gamma_damped": _Path("Plant, γ → 0, strongly damped", "γ (δ = 50)", "little stiffness, much damping"),
-    "critical": _Path("Plant, critical damping", "|c₁| (δ = 1)", "the two poles of the device meet, δ² → 4γ"),
-    "delta": _Path("Plant, strong damping", "δ (γ = 0.001)", "poles of the device far apart", rising=True),
-    "delay": _Path("Spectral radius over delay", "delay d", "up to 259 poles", rising=True),
-    "margin": _Path(
-        "Verdict next to the boundary", "distance in α, relative (d = 4)", "error: share of wrong verdicts, 102 points"
-    ),
-    "resonant": _Path(
-        "Spectral radius, γ → π²", "1 − γ/π² (α = β = 10⁻¹¹, d = 1)", "device that swings with half the sampling rate"
-    ),
-    "delay_energy": _Path("Energy over delay", "delay d", "largest error of the three weights", rising=True),
-    "limit_w0": _Path("Energy w = 0, limit of stability", "1 − spectral radius (d = 1)", "response that hardly decays"),
-    "limit_w1": _Path("Energy w = 1, limit of stability", "1 − spectral radius (d = 1)", "response that hardly decays"),
-    "limit_w2": _Path("Energy w = 2, limit of stability", "1 − spectral radius (d = 1)", "response that hardly decays"),
-}
-"""The sweeps, in order."""
+MEASURED = Look("error", leading=RECOMMENDED, smallest=1e-6, most_missing=MOST_MISSING)
+"""Look of the measured branch: no experiment tells anything to a millionth."""
 
 
 def render(report: AccuracyReport) -> str:
     """Return the page as one HTML document."""
-
-    from pipeline.rendering import accuracy_figures, accuracy_measured_report
-
-    quantities = list(dict.fromkeys(r.quantity for r in report.rungs))
-    ladders = []
-    for index, name in enumerate(quantities):
-        rungs = [r for r in report.rungs if r.quantity == name]
-        ladders.append(
-            {
-                "name": name,
-                "meaning": MEANING.get(name, ""),
-                "svg": accuracy_figures.ladder(name, rungs, f"ladder-{index}"),
-                "advice": next((a.text for a in report.advice if a.quantity == name), ""),
-                "rows": [_ladder_row(r) for r in rungs],
-            }
-        )
-    paths = []
-    for index, (name, path) in enumerate(PATHS.items()):
-        found = [s for s in report.sweeps if s.sweep == name]
-        if found:
-            svg = accuracy_figures.sweep(path.title, path.abscissa, found, f"sweep-{index}", rising=path.rising)
-            paths.append({"path": path, "svg": svg, "rows": [_sweep_row(s) for s in found], "longest": longest(found)})
-    measured = report.measured_branch
     return fill_template(
         "accuracy.html.j2",
         report=report,
-        ladders=ladders,
-        paths=paths,
-        ours=OURS,
+        ladders=list(_ladders(report)),
+        paths=list(_paths(report.sweeps)),
         wrong=error_text(WRONG),
         summary=summary_rows(report),
-        measured_groups=accuracy_measured_report.groups_of(measured) if measured else [],
+        measured_groups=_groups(report.measured_branch) if report.measured_branch else [],
     )
 
 
@@ -102,39 +42,121 @@ def write(report: AccuracyReport, path: Path) -> None:
 
 def summary_rows(report: AccuracyReport) -> tuple[dict[str, str], ...]:
     """Return one row a quantity: error and time of this package, and the quickest other within `WRONG`."""
-    rows = []
-    for quantity in dict.fromkeys(r.quantity for r in report.rungs):
-        here = [r for r in report.rungs if r.quantity == quantity]
-        ours = [r for r in here if r.method == OURS]
-        good = [r for r in here if r.method != OURS and r.error is not None and r.error <= WRONG]
-        other = min(good, key=lambda r: r.seconds, default=None)
-        rows.append(
-            {
-                "quantity": quantity,
-                "error": error_text(ours[0].error) if ours else "–",
-                "time": duration(ours[0].seconds) if ours else "–",
-                "other": name_of(other) if other else "none measured",
-                "compared": _compared(other, ours[0], report.sweeps) if other and ours else "–",
-            }
-        )
-    return tuple(rows)
+    return tuple(_summary_row(name, here, report.sweeps) for name, here in _by_quantity(report.rungs).items())
 
 
-def _compared(other: Rung, ours: Rung, sweeps: Sequence[Sweep]) -> str:
-    warning = ", but fails in hard cases" if fails(other.method, sweeps) else ""
-    return compared(other.seconds, ours.seconds) + warning
+def _summary_row(quantity: str, rungs: Sequence[Rung], sweeps: Sequence[Sweep]) -> dict[str, str]:
+    row = {"quantity": quantity, "error": "–", "time": "–", "other": "none measured", "compared": "–"}
+    ours = next((r for r in rungs if r.method == OURS), None)
+    good = [r for r in rungs if r.method != OURS and r.error is not None and r.error <= WRONG]
+    other = min(good, key=lambda r: r.seconds, default=None)
+    if ours:
+        row |= {"error": error_text(ours.error), "time": duration(ours.seconds)}
+    if other:
+        row["other"] = name_of(other)
+    if ours and other:
+        warning = ", but fails in hard cases" if fails(other.method, sweeps) else ""
+        row["compared"] = compared(other.seconds, ours.seconds) + warning
+    return row
 
 
-def _ladder_row(rung: Rung) -> tuple[str, str, str, str]:
-    return rung.method, rung.setting, error_text(rung.error), duration(rung.seconds)
+def _by_quantity(rungs: Sequence[Rung]) -> dict[str, list[Rung]]:
+    """Rungs of each quantity, of each one method after the other."""
+    found: dict[str, list[Rung]] = {}
+    for rung in rungs:
+        found.setdefault(rung.quantity, []).append(rung)
+    for of in found.values():
+        methods = list(dict.fromkeys(r.method for r in of))
+        of.sort(key=lambda r: methods.index(r.method))
+    return found
+
+
+def _drawn(panel: Panel, identifier: str) -> str:
+    from pipeline.studies.drawing import draw_panel  # with its library, half a second that other commands do without
+
+    return draw_panel(panel, identifier, SIZE)
+
+
+def _text(quantity: str, advice: Sequence[Advice]) -> str:
+    return next((a.text for a in advice if a.quantity == quantity), "")
+
+
+def _ladders(report: AccuracyReport) -> Iterator[dict[str, Any]]:
+    """Cards of the theory."""
+    for i, (name, rungs) in enumerate(_by_quantity(report.rungs).items()):
+        yield {
+            "name": name,
+            "meaning": words()["meaning"].get(name, ""),
+            "svg": _drawn(ladder(name, rungs, Look()), f"ladder-{i}"),
+            "advice": _text(name, report.advice),
+            "columns": ("error", "time"),
+            "rows": [(r.method, r.setting, (error_text(r.error), duration(r.seconds))) for r in rungs],
+        }
+
+
+def _paths(sweeps: Sequence[Sweep]) -> Iterator[dict[str, Any]]:
+    """Cards of numerical stability."""
+    for i, (name, path) in enumerate(words()["sweeps"].items()):
+        found = [s for s in sweeps if s.sweep == name]
+        if not found:
+            continue
+        panel = sweep(path["title"], path["abscissa"], found, rising=path.get("rising", False))
+        rows = [_sweep_row(s) for s in found]
+        yield {"path": path, "svg": _drawn(panel, f"sweep-{i}"), "rows": rows, "longest": longest(found)}
 
 
 def _sweep_row(s: Sweep) -> dict[str, str | bool]:
-    verdicts = "" if s.wrong_verdicts is None else f"{s.wrong_verdicts} of {len(s.x)}"
     return {
         "method": s.method,
         "starts": place_of(s) or "nowhere",
         "fine": s.starts is None,
         "worst": error_text(s.worst),
-        "verdicts": verdicts,
+        "verdicts": "" if s.wrong_verdicts is None else f"{s.wrong_verdicts} of {len(s.x)}",
     }
+
+
+def _groups(measured: MeasuredAccuracy) -> list[dict[str, Any]]:
+    """Headings of the measured branch with their cards, in the order of what a reader asks first."""
+    rungs = _by_quantity(measured.rungs)
+    found = []
+    for group in words()["groups"]:
+        names = [name for begin in group["begins"] for name in rungs if name.startswith(begin)]
+        cards = [card for name in names for card in _cards(name, list(rungs).index(name), rungs[name], measured)]
+        if cards:
+            found.append({"group": group, "cards": cards})
+    return found
+
+
+def _cards(name: str, index: int, rungs: list[Rung], measured: MeasuredAccuracy) -> Iterator[dict[str, Any]]:
+    """Cards of a quantity of the measured branch: one a figure, of which the first bears words and table."""
+    text = next(text for begin, text in words()["measured_meaning"].items() if name.startswith(begin))
+    advice, rows = _text(name, measured.advice), [_row(r) for r in rungs]
+    device = rungs[0].device_seconds is not None
+    columns = ("trials", "on the device", "error", "run time") if device else ("without value", "error", "time")
+    known = any(r.error is not None for r in rungs)
+    for title, look in _looks(name, device and known).items():
+        end = "" if title == name else "-run"
+        svg = _drawn(ladder(title, rungs, look), f"measured-{index}{end}") if known else ""
+        yield {"name": title, "meaning": text, "svg": svg, "advice": advice, "columns": columns, "rows": rows}
+        advice, rows = "", []
+
+
+def _looks(name: str, device: bool) -> dict[str, Look]:
+    """Figures of a quantity by title: over the time on the device where there is one, that of the area over both."""
+    run = replace(MEASURED, error="error [samples]" if name.startswith("delay") else "error")
+    if not device:
+        return {name: run}
+    if name.startswith(AREA):
+        run = replace(run, wanted=WANTED)
+    over_device = replace(run, time="time on the device [min]", seconds=_device_minutes)
+    return {name: over_device} | ({f"{name}: run time": run} if name.startswith(AREA) else {})
+
+
+def _device_minutes(rung: Rung) -> float:
+    return (rung.device_seconds or 0.0) / 60
+
+
+def _row(rung: Rung) -> tuple[str, str, tuple[str, ...]]:
+    device = rung.device_seconds is not None
+    effort = (str(rung.trials), f"{_device_minutes(rung):.2g} min") if device else (percent(rung.missing or 0.0),)
+    return rung.method, rung.setting, (*effort, error_of(rung), duration(rung.seconds))

@@ -1,37 +1,33 @@
-"""Delay, mass and damping of single trials and of experiments: error of every estimator over its settings."""
+"""Delay, mass and damping of single trials and of experiments: every estimator over its settings."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from functools import partial
+from collections.abc import Callable, Iterator, Mapping
+from functools import cache, partial
 
 import numpy as np
 
-from pipeline.accuracy_measured.accuracy_measured_rungs import BUDGET, measured_rung, median_error
-from pipeline.accuracy_measured.accuracy_measured_truth import USUAL_ROWS, Trials, Truth, draw_trials, joined, truth_of
 from pipeline.measured import damping, delay, fit, friction, mass, onset, verdict
 from pipeline.measured.combine import combine
-from pipeline.measured.fit import Fit
 from pipeline.measured.mass import WINDOW_S
 from pipeline.measured.onset import WINDOWS, OnsetDelays
 from pipeline.measured.stage_columns import BALANCE_TERMS
-from pipeline.records.accuracy import Rung, best_time
-from pipeline.records.accuracy_measured_advice import (
+from pipeline.records.accuracy import Rung
+from pipeline.records.batch import Floats, TrialBatch
+from pipeline.simulation.simulate import simulate
+from pipeline.studies.accuracy.names import (
     BALANCE,
     CORRECTED,
-    DECAY,
     FIRST_CHANGE,
     FRICTION,
     LEAST_SQUARES,
-    LIMIT,
     MODEL,
     MODEL_THIN,
     ONSET,
-    ONSET_FIXED,
     nth,
 )
-from pipeline.records.batch import Floats, TrialBatch
-from pipeline.simulation.simulate import simulate
+from pipeline.studies.accuracy.rungs import BUDGET, Ladder, Method, Values, best_time, median
+from pipeline.studies.accuracy.truth import USUAL_ROWS, Trials, Truth, draw_trials, joined, truth_of
 
 DELAYS = (4.1, 4.3, 4.5, 4.7, 4.9)
 """Constant delays [samples] of the trials whose delay is estimated: that of a real controller is no whole number."""
@@ -48,11 +44,11 @@ QUICK_ROWS = (60, 100, 400)
 THIN = (2, 4)
 """Every how many rows there is one in a thinned log."""
 
-WINDOWS_S = (0.005, 0.008, 0.010, 0.015, 0.020, 0.030, 0.040, 0.060, 0.080)
-"""Windows of the momentum balance [s]; with 5 ms the delay of 4 samples fills it."""
+WINDOWS_MS = (5, 8, 10, 15, 20, 30, 40, 60, 80)
+"""Windows of the momentum balance [ms]; with 5 ms the delay of 4 samples fills it."""
 
-FRICTION_WINDOWS_S = (0.030, 0.060, 0.100, 0.200, 0.380)
-"""Windows of the balance with friction [s]: its unknowns need 20 rows at least."""
+FRICTION_WINDOWS_MS = (30, 60, 100, 200, 380)
+"""Windows of the balance with friction [ms]: its unknowns need 20 rows at least."""
 
 COUNTS = (10, 30, 100, 300)
 """Trials of an experiment."""
@@ -68,6 +64,13 @@ EXPERIMENTS, MOST_EXPERIMENTS = 4, 12
 30 %, less than what is between two rungs; with four to a factor of two."""
 
 
+MASS, DAMPING = "mass of a trial", "damping of a trial"
+_ROWS, _MILLISECONDS = "{} rows", "{:g} ms"
+
+Estimates = dict[str, tuple[Floats, Floats | None]]
+"""Values of trials by quantity and, where the method tells them, their standard errors."""
+
+
 def parameter_rungs(quick: bool = False) -> Iterator[Rung]:
     """Yield the rungs of delay, mass and damping, of single trials first.
 
@@ -79,18 +82,16 @@ def parameter_rungs(quick: bool = False) -> Iterator[Rung]:
     truth = truth_of("falcon", "1")
     delays = DELAYS[::4] if quick else DELAYS
     count, lengths = (60, QUICK_ROWS) if quick else (300, ROWS)
-    longest = lengths[-1]
-    for name, sensor in (
-        ("delay of a trial", {}),
-        ("delay of a trial, coarse sensor", {"quantum": COARSE_QUANTUM, "noise": COARSE_NOISE}),
-    ):
-        trials, true = _of_delays(delays, count // len(delays), 1, rows=longest, **sensor)
-        yield from _delay_of_a_trial(name, trials, true, lengths, quick)
-    yield from _of_a_trial(draw_trials(truth, count, seed=11, rows=longest), lengths, quick)
+    coarse = {"quantum": COARSE_QUANTUM, "noise": COARSE_NOISE}
+    for name, sensor in (("delay of a trial", {}), ("delay of a trial, coarse sensor", coarse)):
+        trials, true = _of_delays(delays, count // len(delays), 1, rows=lengths[-1], **sensor)
+        yield from _delay_of_a_trial(name, trials, true, lengths).rungs(quick, BUDGET)
+    yield from _of_a_trial(draw_trials(truth, count, seed=11, rows=lengths[-1]), lengths).rungs(quick, BUDGET)
     counts = COUNTS[:2] if quick else COUNTS
     yield from _delay_of_an_experiment(*_of_delays(delays, counts[-1], 21), counts)
     yield from _of_an_experiment(draw_trials(truth, EXPERIMENTS * counts[-1], seed=31), counts)
-    yield from _damping_at_zero_stiffness(truth, COUNTS_AT_ZERO[:3] if quick else COUNTS_AT_ZERO)
+    for ladder in _damping_at_zero_stiffness(truth, quick):
+        yield from ladder.rungs(quick, BUDGET)
 
 
 def _of_delays(delays: tuple[float, ...], count: int, seed: int, **sensor: float) -> tuple[Trials, Floats]:
@@ -100,8 +101,8 @@ def _of_delays(delays: tuple[float, ...], count: int, seed: int, **sensor: float
     return joined(parts), np.repeat(delays, count)
 
 
-def _fit(trials: Trials) -> Fit:
-    return fit.fit_trials(trials.batch, trials.response)
+def _fit(of: Trials) -> fit.Fit:
+    return fit.fit_trials(of.batch, of.response)
 
 
 def _first_change(of: Trials) -> Floats:
@@ -114,172 +115,181 @@ def _onset(of: Trials, windows: tuple[int, ...] = WINDOWS) -> OnsetDelays:
     return onset.motion_onset(of.batch, of.response, delay.first_change(of.batch, of.response), windows=windows)
 
 
-def _delay_of_a_trial(name: str, trials: Trials, true: Floats, lengths: tuple[int, ...], quick: bool) -> Iterator[Rung]:
+def _delay_of_a_trial(name: str, trials: Trials, true: Floats, lengths: tuple[int, ...]) -> Ladder:
     logs = trials.shortened(USUAL_ROWS)
-    one = partial(measured_rung, name, trials=len(trials))
-    yield one(FIRST_CHANGE, "one setting", partial(_first_change, logs), lambda found: found - true)
-    for window in WINDOWS[::3] if quick else WINDOWS:
-        yield one(ONSET_FIXED, f"{window} rows", partial(_onset, logs, (window,)), lambda f: f.delay_samples - true)
-    yield one(ONSET, "one setting", partial(_onset, logs), lambda f: f.delay_samples - true)
-    for rows in lengths:
-        yield one(MODEL, f"{rows} rows", partial(_fit, trials.shortened(rows)), lambda f: f.delay - true)
-    for step in THIN:
-        thin = logs.thinned(step)
-        yield one(MODEL_THIN, nth(step, "row"), partial(_fit, thin), partial(_in_samples_of_controller, thin, true))
+
+    def fixed(window: int) -> Values:
+        return {name: _onset(logs, (window,)).delay_samples}
+
+    def model(of: Trials) -> Values:
+        return {name: _fit(of).delay * of.step}
+
+    return Ladder(
+        {name: true},
+        (
+            Method(FIRST_CHANGE, lambda: {name: _first_change(logs)}),
+            Method("onset of motion, fixed window", fixed, _ROWS, WINDOWS, WINDOWS[::3]),
+            Method(ONSET, lambda: {name: _onset(logs).delay_samples}),
+            Method(MODEL, model, _ROWS, lengths, given=trials.shortened),
+            Method(MODEL_THIN, model, partial(nth, what="row"), THIN, given=logs.thinned),
+        ),
+        median,
+        {name: 1.0},
+        len(trials),
+    )
 
 
-def _in_samples_of_controller(of: Trials, true: Floats, found: Fit) -> Floats:
-    return found.delay * of.step - true
-
-
-def _of_a_trial(trials: Trials, lengths: tuple[int, ...], quick: bool) -> Iterator[Rung]:
+def _of_a_trial(trials: Trials, lengths: tuple[int, ...]) -> Ladder:
     m, b = trials.truth.experiment.mass, trials.truth.experiment.damping
-    logs, count = trials.shortened(USUAL_ROWS), len(trials)
-    weight = partial(measured_rung, "mass of a trial", trials=count)
-    viscous = partial(measured_rung, "damping of a trial", trials=count)
+    logs, shortened = trials.shortened(USUAL_ROWS), cache(trials.shortened)
+    of_logs = logs.batch, logs.response, logs.delay_samples
 
-    def momentum(window: float) -> mass.Masses:
-        return mass.by_momentum(logs.batch, logs.response, logs.delay_samples, window_s=window)
+    def momentum(window_ms: float) -> mass.Masses:
+        return mass.by_momentum(*of_logs, window_s=window_ms / 1000)
 
-    def with_friction(window: float) -> friction.BalanceFit:
-        return friction.fit_balance(
-            logs.batch, logs.response, logs.delay_samples, terms=BALANCE_TERMS, window_s=(0.0, window)
-        )
+    def with_friction(window_ms: float) -> Values:
+        found = friction.fit_balance(*of_logs, terms=BALANCE_TERMS, window_s=(0.0, window_ms / 1000))
+        return {MASS: found.mass, DAMPING: found.coefficients[:, 0]}
 
-    def least_squares(of: Trials) -> damping.TrialDamping:
-        return damping.from_trials(of.batch, of.response, of.delay_samples)
+    def least_squares(of: Trials) -> Values:
+        return {DAMPING: damping.from_trials(of.batch, of.response, of.delay_samples).viscous_damping}
 
-    for window in WINDOWS_S[::3] if quick else WINDOWS_S:
-        run, setting = partial(momentum, window), f"{1000 * window:g} ms"
-        yield weight(BALANCE, setting, run, lambda f: f.mass_momentum / m - 1)
-        yield weight(CORRECTED, setting, run, lambda f: mass.correct(f, b) / m - 1)
-    for window in FRICTION_WINDOWS_S:
-        fitted, setting = partial(with_friction, window), f"{1000 * window:g} ms"
-        yield weight(FRICTION, setting, fitted, lambda f: f.mass / m - 1)
-        yield viscous(FRICTION, setting, fitted, lambda f: f.coefficients[:, 0] / b - 1)
-    for rows in lengths:
-        cut = trials.shortened(rows)
-        yield viscous(LEAST_SQUARES, f"{rows} rows", partial(least_squares, cut), lambda f: f.viscous_damping / b - 1)
-        yield from _by_model(weight, viscous, MODEL, f"{rows} rows", cut)
-    for step in THIN:
-        yield from _by_model(weight, viscous, MODEL_THIN, nth(step, "row"), logs.thinned(step))
+    def model(of: Trials) -> Values:
+        found = _fit(of)
+        return {MASS: found.mass, DAMPING: found.damping}
 
-
-def _by_model(
-    weight: Callable[..., Rung], viscous: Callable[..., Rung], method: str, setting: str, of: Trials
-) -> Iterator[Rung]:
-    m, b = of.truth.experiment.mass, of.truth.experiment.damping
-    found, seconds = best_time(partial(_fit, of), BUDGET)
-    # one fit gives both: each rung bears its whole time
-    for one, error in ((weight, found.mass / m - 1), (viscous, found.damping / b - 1)):
-        rung = one(method, setting, lambda: None, lambda _, error=error: error)
-        yield rung.model_copy(update={"seconds": seconds / len(of)})
+    windows = _MILLISECONDS, WINDOWS_MS, WINDOWS_MS[::3]
+    return Ladder(
+        {MASS: m, DAMPING: b},
+        (
+            Method(BALANCE, lambda w: {MASS: momentum(w).mass_momentum}, *windows, quantities=(MASS,)),
+            Method(CORRECTED, lambda w: {MASS: mass.correct(momentum(w), b)}, *windows, quantities=(MASS,)),
+            Method(FRICTION, with_friction, _MILLISECONDS, FRICTION_WINDOWS_MS),
+            Method(LEAST_SQUARES, least_squares, _ROWS, lengths, given=shortened, quantities=(DAMPING,)),
+            Method(MODEL, model, _ROWS, lengths, given=shortened),
+            Method(MODEL_THIN, model, partial(nth, what="row"), THIN, given=logs.thinned),
+        ),
+        median,
+        trials=len(trials),
+    )
 
 
 def _delay_of_an_experiment(pool: Trials, true: Floats, counts: tuple[int, ...]) -> Iterator[Rung]:
-    over = partial(_over_counts, "delay of an experiment", pool, true, counts)
-    first, seconds = best_time(partial(_first_change, pool), BUDGET)
-    yield from over(FIRST_CHANGE, first, None, seconds, relative=False)
-    began, seconds = best_time(partial(_onset, pool), BUDGET)
-    yield from over(ONSET, began.delay_samples, began.standard_error, seconds, relative=False)
-    model, seconds = best_time(partial(_fit, pool), BUDGET)
-    yield from over(MODEL, model.delay, model.delay_error, seconds, relative=False)
+    def first_change() -> Estimates:
+        return {"delay of an experiment": (_first_change(pool), None)}
+
+    def began() -> Estimates:
+        found = _onset(pool)
+        return {"delay of an experiment": (found.delay_samples, found.standard_error)}
+
+    def model() -> Estimates:
+        found = _fit(pool)
+        return {"delay of an experiment": (found.delay, found.delay_error)}
+
+    estimators = {FIRST_CHANGE: first_change, ONSET: began, MODEL: model}
+    return _over_counts(pool, {"delay of an experiment": true}, counts, estimators, relative=False)
 
 
 def _of_an_experiment(pool: Trials, counts: tuple[int, ...]) -> Iterator[Rung]:
-    batch, response, samples = pool.batch, pool.response, pool.delay_samples
-    m, b = (np.full(len(pool), value) for value in (pool.truth.experiment.mass, pool.truth.experiment.damping))
-    weight = partial(_over_counts, "mass of an experiment", pool, m, counts)
-    viscous = partial(_over_counts, "damping of an experiment", pool, b, counts)
+    weight, viscous = "mass of an experiment", "damping of an experiment"
+    of_pool = pool.batch, pool.response, pool.delay_samples
+    true = {weight: np.full(len(pool), pool.truth.experiment.mass)}
+    true[viscous] = np.full(len(pool), pool.truth.experiment.damping)
+
+    def momentum() -> Estimates:
+        return {weight: (mass.by_momentum(*of_pool).mass_momentum, None)}
+
+    def corrected() -> Estimates:
+        return {weight: (mass.correct(mass.by_momentum(*of_pool), true[viscous]), None)}
+
+    def balance() -> Estimates:
+        found = friction.fit_balance(*of_pool, terms=BALANCE_TERMS)
+        return {weight: (found.mass, found.mass_error)}
+
+    def least_squares() -> Estimates:
+        return {viscous: (damping.from_trials(*of_pool).viscous_damping, None)}
+
+    def model() -> Estimates:
+        found = _fit(pool)
+        return {weight: (found.mass, found.mass_error), viscous: (found.damping, found.damping_error)}
+
     window = f"{1000 * WINDOW_S:g} ms"
-    momentum, seconds = best_time(lambda: mass.by_momentum(batch, response, samples), BUDGET)
-    yield from weight(f"{BALANCE}, {window}", momentum.mass_momentum, None, seconds)
-    yield from weight(f"{CORRECTED}, {window}", mass.correct(momentum, b), None, seconds)
-    balance, seconds = best_time(lambda: friction.fit_balance(batch, response, samples, terms=BALANCE_TERMS), BUDGET)
-    yield from weight(FRICTION, balance.mass, balance.mass_error, seconds)
-    model, model_seconds = best_time(partial(_fit, pool), BUDGET)
-    yield from weight(MODEL, model.mass, model.mass_error, model_seconds)
-    squares, seconds = best_time(lambda: damping.from_trials(batch, response, samples), BUDGET)
-    yield from viscous(LEAST_SQUARES, squares.viscous_damping, None, seconds)
-    yield from viscous(MODEL, model.damping, model.damping_error, model_seconds)
+    estimators = {f"{BALANCE}, {window}": momentum, f"{CORRECTED}, {window}": corrected, FRICTION: balance}
+    return _over_counts(pool, true, counts, estimators | {LEAST_SQUARES: least_squares, MODEL: model})
 
 
 def _over_counts(
-    quantity: str,
     pool: Trials,
-    true: Floats,
+    true: Mapping[str, Floats],
     counts: tuple[int, ...],
-    method: str,
-    values: Floats,
-    errors: Floats | None,
-    seconds: float,
+    estimators: Mapping[str, Callable[[], Estimates]],
     *,
     relative: bool = True,
 ) -> Iterator[Rung]:
     """Rungs of experiments of so many trials, which share no trial with each other.
 
     Trials with errors of their own are combined as the package does it, others by their median, as in the thesis.
-    ``seconds`` is the run time of all trials; trials of one truth are a multiple of the largest count.
+    Trials of one truth are a multiple of the largest count.
     """
-    for count in counts:
-        # spread over the pool, so that all truths are among them
-        blocks = np.unique(np.linspace(0, len(pool) // count - 1, MOST_EXPERIMENTS).astype(np.int64))
-        found = []
-        for part in (slice(at * count, (at + 1) * count) for at in blocks.tolist()):
-            value = _one_value(values[part], None if errors is None else errors[part], pool.batch.trial_id[part])
-            found.append((value - true[part][0]) / (true[part][0] if relative else 1.0))
-        error, missing = median_error(np.array(found))
-        yield Rung(
-            quantity=quantity,
-            method=method,
-            setting=f"{count} trials",
-            error=error,
-            seconds=seconds / len(pool) * count,
-            missing=missing,
-            trials=count,
-        )
+    for method, run in estimators.items():
+        found, seconds = best_time(run, BUDGET)
+        for quantity, estimate in found.items():
+            for count in counts:
+                parts = _experiments(len(pool), count)
+                values = np.array([_one_value(*estimate, pool.batch.trial_id, part) for part in parts])
+                exact = true[quantity][[part.start for part in parts]]
+                error, missing = median((values - exact) / (exact if relative else 1.0))
+                yield Rung(
+                    quantity=quantity,
+                    method=method,
+                    setting=f"{count} trials",
+                    error=error,
+                    seconds=seconds / len(pool) * count,
+                    missing=missing,
+                    trials=count,
+                )
 
 
-def _one_value(values: Floats, errors: Floats | None, names: tuple[str, ...]) -> float:
+def _experiments(pool: int, count: int) -> list[slice]:
+    """Trials of each experiment, spread over the pool so that all truths are among them."""
+    blocks = np.unique(np.linspace(0, pool // count - 1, MOST_EXPERIMENTS).astype(np.int64))
+    return [slice(at * count, (at + 1) * count) for at in blocks.tolist()]
+
+
+def _one_value(values: Floats, errors: Floats | None, names: tuple[str, ...], part: slice) -> float:
     if errors is not None:
-        value = combine(values, errors, names, "", "", "none").value
+        value = combine(values[part], errors[part], names[part], "", "", "none").value
         return np.nan if value is None else value
-    known = values[np.isfinite(values)]
+    known = values[part][np.isfinite(values[part])]
     return float(np.median(known)) if len(known) else np.nan
 
 
-def _damping_at_zero_stiffness(truth: Truth, counts: tuple[int, ...]) -> Iterator[Rung]:
+def _damping_at_zero_stiffness(truth: Truth, quick: bool) -> Iterator[Ladder]:
     """Damping of an experiment by its trials at K = 0, which lie evenly on both sides of the limit."""
     e, period = truth.experiment, truth.device.sampling_period_s
     random = np.random.default_rng(41)
-    for count in counts:
-        batches = []
-        for seed in range(MOST_EXPERIMENTS):
-            # a random shift: a trial exactly at the limit would be luck
-            B = -ZERO_RANGE * e.damping * (np.arange(count) + random.uniform()) / count
-            batches.append(simulate(truth.setup(), np.zeros(count), B, seed=seed))
+    for count in COUNTS_AT_ZERO[:3] if quick else COUNTS_AT_ZERO:
+        # a random shift: a trial exactly at the limit would be luck
+        shifted = [np.arange(count) + random.uniform() for _ in range(MOST_EXPERIMENTS)]
+        walls = [-ZERO_RANGE * e.damping * at / count for at in shifted]
+        batches = [simulate(truth.setup(), np.zeros(count), B, seed=seed) for seed, B in enumerate(walls)]
 
-        def run(method: str, batches: list[TrialBatch] = batches) -> list[float | None]:
-            values: list[float | None] = []
-            for batch in batches:
-                growth = verdict.judge(batch).growth_per_s
-                if method == LIMIT:
-                    values.append(damping.by_limit(batch.damping, batch.stiffness, growth).value)
-                    continue
-                found = damping.by_decay(
-                    *(batch.damping, batch.stiffness, growth, e.mass),
-                    delay_samples=e.delay_samples,
-                    sampling_period_s=period,
-                )
-                values.append(found.value)
-            return values
+        def by_limit(batch: TrialBatch) -> float | None:
+            growth = verdict.judge(batch).growth_per_s
+            return damping.by_limit(batch.damping, batch.stiffness, growth).value
 
-        def error(values: list[float | None]) -> Floats:
-            return np.array([np.nan if v is None else v / e.damping - 1 for v in values])
+        def by_decay(batch: TrialBatch) -> float | None:
+            walls = batch.damping, batch.stiffness, verdict.judge(batch).growth_per_s
+            return damping.by_decay(*walls, e.mass, delay_samples=e.delay_samples, sampling_period_s=period).value
 
-        for method in (LIMIT, DECAY):
-            rung = measured_rung(
-                *("damping of an experiment", method, f"{count} trials at K = 0", partial(run, method), error),
-                trials=MOST_EXPERIMENTS,
-            )
-            yield rung.model_copy(update={"trials": count})
+        def values(of: Callable[[TrialBatch], float | None], batches: list[TrialBatch] = batches) -> Values:
+            return {"damping of an experiment": np.array([of(batch) for batch in batches], dtype=np.float64)}
+
+        methods = (("limit at K = 0 (6.1.2)", by_limit), ("decay at K = 0", by_decay))
+        yield Ladder(
+            {"damping of an experiment": e.damping},
+            [Method(name, partial(values, of), f"{count} trials at K = 0") for name, of in methods],
+            median,
+            trials=MOST_EXPERIMENTS,
+            counted=count,
+        )

@@ -1,113 +1,130 @@
-"""Runs the ladders and sweeps of `pipeline accuracy`, and says in words what they show."""
+"""Runs the ladders, courses and sweeps of `pipeline accuracy`, and says in words what they show."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from datetime import UTC, datetime
+from typing import Any
 
-import numpy as np
-
-from pipeline.accuracy.accuracy_ladders import QUANTITIES, Trial, trials
-from pipeline.accuracy.accuracy_optional import load
-from pipeline.accuracy.accuracy_sweeps import FAILURES, sweeps
 from pipeline.records import accuracy
-from pipeline.records.accuracy import AccuracyReport, Advice, LeftOut, Rung, best_time
-from pipeline.records.accuracy_advice import advise, distrusted, summarise
+from pipeline.records.accuracy import AccuracyReport, Advice, LeftOut, MeasuredAccuracy, Rung
+from pipeline.studies.accuracy import measured_advice, theory_advice
+from pipeline.studies.accuracy.cost_ladders import cost_ladders
+from pipeline.studies.accuracy.courses import CONDITIONS, COURSES, course_rungs
+from pipeline.studies.accuracy.libraries import load
+from pipeline.studies.accuracy.parameter_ladders import parameter_rungs
+from pipeline.studies.accuracy.rungs import BUDGET
+from pipeline.studies.accuracy.sweeps import sweeps
+from pipeline.studies.accuracy.theory_ladders import theory_ladders
+from pipeline.studies.accuracy.words import words
 
-BUDGET, QUICK_BUDGET = 0.12, 0.03
-"""Seconds that a run is repeated for; its minimum settles within a few dozen repetitions."""
+THEORY_BUDGET, QUICK_THEORY_BUDGET = 0.12, 0.03
+"""Seconds that a method of theory is repeated for; its minimum settles within a few dozen repetitions."""
 
-_LEFT_OUT = (
-    LeftOut(
-        method="harold",
-        quantities="spectral radius, boundary",
-        reason="hundreds of times slower than batched eigenvalues, and wrong verdicts from d = 48 on",
-    ),
-    LeftOut(
-        method="python-control, scipy dlsim",
-        quantities="map, optimum",
-        reason="one call a point: minutes for a map of 251 x 251 points",
-    ),
-    LeftOut(
-        method="printed formula (3.7)",
-        quantities="settling time, overshoot, energy, optimum, map",
-        reason="it gives the plant only, which costs nothing beside the rest; its errors are those of the plant",
-    ),
-    LeftOut(
-        method="step_info and the like",
-        quantities="settling time, overshoot",
-        reason="they judge the samples that they are given by their last one; no accuracy beyond that of the samples",
-    ),
-)
+QUICK_COARSENINGS, QUICK_COURSES = (4, 8), 2
+"""Courses of a quick run: some seconds instead of most of a minute."""
+
+Say = Callable[[str], None]
 
 
-def measure(quick: bool = False, progress: Callable[[str], None] | None = None) -> AccuracyReport:
+def measure(
+    quick: bool = False, say: Say = lambda _: None, *, theory: bool = True, measured: bool = True
+) -> AccuracyReport:
     """Run every method on every quantity and return errors, times and what follows from them.
 
     Parameters
     ----------
     quick : bool
-        Fewer rungs and repetitions.
-    progress : callable, optional
-        Gets the name of each quantity when it begins.
+        Fewer settings, trials and repetitions.
+    say : callable
+        Gets the name of each part when it begins.
+    theory, measured : bool
+        Which branches are measured; the other one stays empty.
     """
-    begin = time.perf_counter()
-    say = progress or (lambda _: None)
-    rungs: list[Rung] = []
-    current = ""
-    for trial in trials(quick):
-        if trial.quantities[0] != current:
-            current = trial.quantities[0]
-            say(current)
-        rungs += _measured(trial, QUICK_BUDGET if quick else BUDGET)
-    say("numerical stability")
-    order = {name: i for i, name in enumerate(QUANTITIES)}
-    rungs.sort(key=lambda rung: order[rung.quantity])
-    found = tuple(sweeps(quick))
+    parts = measure_theory(quick, say) if theory else {}
     return AccuracyReport(
         key=accuracy.key(),
         quick=quick,
-        measured=accuracy.now(),
+        measured=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         machine=accuracy.machine(),
-        rungs=tuple(rungs),
-        sweeps=found,
-        left_out=left_out(),
-        advice=tuple(Advice(quantity=name, text=advise(name, rungs, found)) for name in QUANTITIES),
-        seconds=time.perf_counter() - begin,
-        summary=summarise(rungs, found),
-        distrusted=distrusted(found),
+        measured_branch=measure_measured(quick, say) if measured else None,
+        **parts,
     )
 
 
-def _measured(trial: Trial, budget: float) -> list[Rung]:
+def measure_theory(quick: bool = False, say: Say = lambda _: None) -> dict[str, Any]:
+    """Return what a report says of the theory, by the names of its record."""
     begin = time.perf_counter()
-    errors: dict[str, float] = {}
-    try:
-        with np.errstate(all="ignore"):
-            result, seconds = best_time(trial.run, budget)
-            errors = trial.errors(result)
-    except FAILURES:
-        seconds = time.perf_counter() - begin
-    return [
-        Rung(
-            quantity=name,
-            method=trial.method,
-            setting=trial.setting,
-            error=errors.get(name),
-            seconds=seconds,
-        )
-        for name in trial.quantities
-    ]
+    rungs: list[Rung] = []
+    for ladder in theory_ladders():
+        say(next(iter(ladder.exact)))
+        rungs += ladder.rungs(quick, QUICK_THEORY_BUDGET if quick else THEORY_BUDGET)
+    rungs = by_quantity(rungs)
+    say("numerical stability")
+    found = tuple(sweeps(quick))
+    return {
+        "rungs": tuple(rungs),
+        "sweeps": found,
+        "left_out": left_out(),
+        "advice": _advice(theory_advice.advise, rungs, found),
+        "summary": theory_advice.summarise(rungs, found),
+        "distrusted": theory_advice.distrusted(found),
+        "seconds": time.perf_counter() - begin,
+    }
+
+
+def measure_measured(quick: bool = False, say: Say = lambda _: None) -> MeasuredAccuracy:
+    """Return what a report says of the measured branch: every estimator, cost and course."""
+    begin = time.perf_counter()
+    conditions = CONDITIONS[:1] if quick else CONDITIONS
+    coarsenings, courses = (QUICK_COARSENINGS, QUICK_COURSES) if quick else (None, COURSES)
+    say("measured branch: delay, mass, damping")
+    rungs = list(parameter_rungs(quick))
+    say("measured branch: costs")
+    for ladder in cost_ladders(quick):
+        rungs += ladder.rungs(quick, BUDGET)
+    for condition in conditions:
+        rungs += course_rungs(condition, coarsenings, courses, say)
+    return assemble(rungs, tuple(c.label for c in conditions), time.perf_counter() - begin, courses)
+
+
+def assemble(rungs: Sequence[Rung], labels: Sequence[str], seconds: float, courses: int = COURSES) -> MeasuredAccuracy:
+    """Return finished rungs of the measured branch with the sentences that follow from them.
+
+    Parameters
+    ----------
+    rungs : sequence of Rung
+    labels : sequence of str
+        Of the conditions under which courses were simulated.
+    seconds : float
+        Time that it took.
+    courses : int
+        Courses of each size.
+    """
+    rungs = by_quantity(rungs)
+    return MeasuredAccuracy(
+        rungs=tuple(rungs),
+        advice=_advice(measured_advice.advise, rungs),
+        course_length=tuple(measured_advice.course_length(label, rungs) for label in labels),
+        summary=measured_advice.summarise(rungs),
+        conditions=tuple(text.format(courses=courses) for text in words()["conditions"]),
+        seconds=seconds,
+    )
+
+
+def by_quantity(rungs: Sequence[Rung]) -> list[Rung]:
+    """Return rungs one quantity after the other, in the order in which they begin."""
+    quantities = list(dict.fromkeys(r.quantity for r in rungs))
+    return sorted(rungs, key=lambda r: quantities.index(r.quantity))
+
+
+def _advice(advise: Callable[..., str], rungs: Sequence[Rung], *more: object) -> tuple[Advice, ...]:
+    names = dict.fromkeys(r.quantity for r in rungs)
+    return tuple(Advice(quantity=name, text=advise(name, rungs, *more)) for name in names)
 
 
 def left_out() -> tuple[LeftOut, ...]:
-    """Return the methods that are not measured here, with reasons; those that are not installed first."""
-    absent = [
-        LeftOut(method=label, quantities=quantities, reason="not installed here; measured where it is")
-        for name, label, quantities in (
-            ("control", "python-control", "plant, boundary, spectral radius, settling time, overshoot"),
-            ("scipy", "scipy", "plant, settling time, overshoot, energy"),
-        )
-        if load(name) is None
-    ]
-    return (*absent, *_LEFT_OUT)
+    """Return the methods of theory that are not measured here, with reasons; those not installed first."""
+    entries = [entry for entry in words()["left_out"] if "library" not in entry or load(entry["library"]) is None]
+    return tuple(LeftOut(**{name: entry[name] for name in LeftOut.model_fields}) for entry in entries)

@@ -7,9 +7,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from pipeline.accuracy.accuracy_methods import Case, printed_transfer, radius_by_roots
-from pipeline.accuracy.accuracy_methods import polynomials as characteristic
 from pipeline.records.batch import Floats
+from pipeline.studies.accuracy.methods import Case, radius_by_roots
 
 _GRID = 11
 """Grid points along an axis in each round of an iterative gridding; the next round spans two cells around the best."""
@@ -53,13 +52,12 @@ def grid_limit(case: Case, beta: Floats, high: float, tolerance: float) -> Float
 
     Source: Hulin 2017, sec. 3.4: poles of the transfer function (3.9) at each grid point.
     """
-    transfer = printed_transfer(case.gamma, case.delta)
     result = np.empty(len(beta))
     for i, value in enumerate(beta):
         low, up = 0.0, high
         while up - low > tolerance * high:
             alpha = np.linspace(low, up, _GRID)[1:-1]
-            stable = radius_by_roots(characteristic(transfer, case.delay, alpha, np.full(len(alpha), value))) < 1
+            stable = radius_by_roots(case, alpha, np.full(len(alpha), value)) < 1
             last = len(alpha) - int(np.argmax(stable[::-1])) if stable.any() else 0
             edges = np.concatenate([[low], alpha, [up]])
             low, up = float(edges[last]), float(edges[last + 1])

@@ -2,27 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
-from pipeline.accuracy import accuracy_methods as methods
-from pipeline.accuracy import accuracy_optional as optional
-from pipeline.accuracy.accuracy_ladders import reference, worst
-from pipeline.base.errors import PipelineError
-from pipeline.records.accuracy import OURS, Sweep, largest, starts_wrong
+from pipeline.records.accuracy import OURS, WRONG, Sweep
 from pipeline.records.batch import Booleans, Floats
+from pipeline.studies.accuracy import libraries, methods
+from pipeline.studies.accuracy.methods import Case, transfer_by
+from pipeline.studies.accuracy.rungs import FAILURES, largest
+from pipeline.studies.accuracy.theory_ladders import case_of, loop_of, own_plant, reference
 from pipeline.theory.energy import energy_costs
 from pipeline.theory.loop import LARGEST_DELAY, Loop
-from pipeline.theory.plant import flow
 from pipeline.theory.region import is_inside
 from pipeline.theory.stability import is_stable, spectral_radius
-
-FAILURES = (ArithmeticError, np.linalg.LinAlgError, PipelineError, ValueError)
-"""What a method raises that cannot give a number; anything else is a defect here."""
 
 PLANT_SWEEPS = ("gamma", "gamma_damped", "critical", "delta")
 RADIUS_SWEEPS = ("delay", "resonant")
@@ -43,212 +39,177 @@ SHORT, LONG = 512, 8192
 _SQUARINGS = 40
 """2^40 samples: the norm of a power of the loop matrix tells the spectral radius to rounding."""
 
-Energy = Callable[[methods.Case, Floats, Floats], dict[int, Floats]]
-Transfer = Callable[[float, float], tuple[float, float, float, float]]
+Row = dict[str, Any]
+"""A point of a path: its abscissa x, the loop and wall there, and the exact values."""
 
+Verdict = tuple[float, bool]
+"""Spectral radius, and whether the point counts as stable."""
 
-@dataclass(frozen=True)
-class _Verdict:
-    radius: float
-    stable: bool
+Energy = Callable[[Case, Floats, Floats], dict[int, Floats]]
+Errors = Sequence[float | None]
+
+_T = TypeVar("_T")
 
 
 def sweeps(quick: bool) -> Iterator[Sweep]:
     """Yield all sweeps, each by all methods; a quick run leaves out the largest delays, which take longest."""
-    largest_delay = QUICK_DELAY if quick else LARGEST_DELAY
+    longest = QUICK_DELAY if quick else LARGEST_DELAY
+    paths: dict[str, list[Row]] = reference()["sweeps"]
+    paths = {name: [row for row in rows if row.get("delay", 0) <= longest] for name, rows in paths.items()}
     for name in PLANT_SWEEPS:
-        yield from (_plant_sweep(name, method, transfer) for method, transfer in _transfers())
+        for method, transfer in _transfers().items():
+            yield _sweep(name, method, paths[name], [_attempt(_plant_error, transfer, row) for row in paths[name]])
     for name in RADIUS_SWEEPS:
-        yield from (_radius_sweep(name, method, radius, largest_delay) for method, radius in _radii())
-    yield from (_margin_sweep(method, judge) for method, judge in _judges())
-    energies = list(_energies())
-    yield from (
-        _delay_energy_sweep(method, energy, largest_delay) for method, energy in energies if method != KRONECKER
-    )
-    for method, energy in energies:
-        yield from _limit_sweeps(method, energy)
+        for method, judge in _radii().items():
+            yield _radius_sweep(name, method, judge, paths[name])
+    for method, inside in _judges().items():
+        yield _margin_sweep(method, inside)
+    for method, energy in _energies().items():
+        if method != KRONECKER:
+            found = [_attempt(_energy_errors, energy, row, row["delay"]) or {} for row in paths["delay"]]
+            yield _sweep("delay_energy", method, paths["delay"], [worst([f.get(w) for w in WEIGHTS]) for f in found])
+    for method, energy in _energies().items():
+        found = [_attempt(_energy_errors, energy, row, 1) or {} for row in paths["limit"]]
+        for w in WEIGHTS:
+            yield _sweep(f"limit_w{w}", method, paths["limit"], [f.get(w) for f in found])
 
 
-def _transfers() -> Iterator[tuple[str, Transfer]]:
-    def by(plant: Callable[[float, float], methods.Sampled]) -> Transfer:
-        return lambda gamma, delta: methods.transfer_of(plant(gamma, delta))
-
-    def ours(gamma: float, delta: float) -> methods.Sampled:
-        motion = flow(gamma, delta, 1.0)
-        return methods.Sampled(motion.transition, motion.gain)
-
-    yield "printed formula (3.7)", methods.printed_transfer
-    yield "matrix exponential", by(methods.plant_by_expm)
-    yield "Taylor series, 24 terms", by(partial(methods.plant_by_taylor, terms=24))
-    yield "Runge-Kutta, 256 steps", by(partial(methods.plant_by_runge_kutta, steps=256))
-    if linalg := optional.load("scipy.linalg"):
-        yield "scipy expm", by(partial(optional.plant_by_scipy_expm, linalg))
-    if control := optional.load("control"):
-        yield "python-control", by(partial(optional.plant_by_control, control))
-    yield OURS, by(ours)
+def starts_wrong(x: Sequence[float], errors: Errors, wrong: Sequence[bool] | None = None) -> float | None:
+    """Return the first x, in the order of the sweep, at which a result is wrong."""
+    for i, (place, error) in enumerate(zip(x, errors, strict=True)):
+        if error is None or error > WRONG or (wrong is not None and wrong[i]):
+            return place
+    return None
 
 
-def _plant_sweep(name: str, method: str, transfer: Transfer) -> Sweep:
-    rows = reference()["sweeps"][name]
-    errors: list[float | None] = []
-    for row in rows:
-        try:
-            with np.errstate(all="ignore"):
-                found = np.array(transfer(row["gamma"], row["delta"])[:2])
-            errors.append(worst(found, np.array(row["numerator"])) if np.isfinite(found).all() else None)
-        except FAILURES:
-            errors.append(None)
-    return _sweep(name, method, [row["x"] for row in rows], errors)
+def worst(errors: Errors) -> float | None:
+    """Return the largest error, None if a result is missing."""
+    known = [e for e in errors if e is not None]
+    return max(known) if known and len(known) == len(errors) else None
 
 
-def _radii() -> Iterator[tuple[str, Callable[[dict[str, Any]], _Verdict]]]:
-    def plain(function: Callable[[methods.Case, Floats, Floats], Floats]) -> Callable[[dict[str, Any]], _Verdict]:
-        def judge(row: dict[str, Any]) -> _Verdict:
-            case = methods.Case(row["gamma"], row["delta"], row["delay"])
-            radius = float(function(case, np.array([row["alpha"]]), np.array([row["beta"]]))[0])
-            return _Verdict(radius, radius < 1)
-
-        return judge
-
-    def polynomial(case: methods.Case, alpha: Floats, beta: Floats) -> Floats:
-        transfer = methods.transfer_of(methods.plant_by_expm(case.gamma, case.delta))
-        return methods.polynomials(transfer, case.delay, alpha, beta)
-
-    def states(case: methods.Case, alpha: Floats, beta: Floats) -> Floats:
-        return methods.radius_by_eigenvalues(methods.plant_by_expm(case.gamma, case.delta), case.delay, alpha, beta)
-
-    def squaring(case: methods.Case, alpha: Floats, beta: Floats) -> Floats:
-        plant = methods.plant_by_expm(case.gamma, case.delta)
-        return methods.radius_by_squaring(plant, case.delay, alpha, beta, _SQUARINGS)
-
-    def ours(row: dict[str, Any]) -> _Verdict:
-        loop = Loop(row["gamma"], row["delta"], float(row["delay"]))
-        radius = float(spectral_radius(loop, row["alpha"], row["beta"])[0])
-        return _Verdict(radius, bool(is_stable(loop, row["alpha"], row["beta"])[0]))
-
-    yield "polynomial roots", plain(lambda case, a, b: methods.radius_by_roots(polynomial(case, a, b)))
-    yield "eigenvalues, matrix exponential", plain(states)
-    yield "squaring of the loop matrix", plain(squaring)
-    if control := optional.load("control"):
-
-        def by_states(case: methods.Case, alpha: Floats, beta: Floats) -> Floats:
-            plant = methods.plant_by_expm(case.gamma, case.delta)
-            return optional.radius_by_control_states(control, plant, case.delay, alpha, beta)
-
-        def by_transfer(case: methods.Case, alpha: Floats, beta: Floats) -> Floats:
-            transfer = methods.transfer_of(methods.plant_by_expm(case.gamma, case.delta))
-            return optional.radius_by_control_transfer(control, transfer, case.delay, alpha, beta)
-
-        yield "python-control, state space", plain(by_states)
-        yield "python-control, transfer function", plain(by_transfer)
-    yield OURS, ours
-
-
-def _radius_sweep(name: str, method: str, judge: Callable[[dict[str, Any]], _Verdict], largest_delay: int) -> Sweep:
-    rows = [row for row in reference()["sweeps"][name] if row["delay"] <= largest_delay]
-    errors: list[float | None] = []
-    wrong = []
-    for row in rows:
-        try:
-            with np.errstate(all="ignore"):
-                found = judge(row)
-            errors.append(abs(found.radius - row["radius"]) / row["radius"])
-            wrong.append(found.stable != (row["excess"] < 0))
-        except FAILURES:
-            errors.append(None)
-            wrong.append(True)
-    return _sweep(name, method, [row["x"] for row in rows], errors, wrong)
-
-
-def _energies() -> Iterator[tuple[str, Energy]]:
-    def plant(case: methods.Case) -> methods.Sampled:
-        return methods.plant_by_expm(case.gamma, case.delta)
-
-    def ours(case: methods.Case, alpha: Floats, beta: Floats) -> dict[int, Floats]:
-        costs = energy_costs(Loop(case.gamma, case.delta, float(case.delay)), alpha, beta)
-        return {w: costs[f"energy_step_w{w}"] for w in WEIGHTS}
-
-    yield KRONECKER, lambda case, a, b: methods.lyapunov_energy(plant(case), case, a, b)
-    if linalg := optional.load("scipy.linalg"):
-        solve = linalg.solve_discrete_lyapunov
-        yield "Lyapunov equations (scipy)", lambda case, a, b: methods.lyapunov_energy(plant(case), case, a, b, solve)
-    for samples in (SHORT, LONG):
-        run = partial(_truncated, samples=samples)
-        yield f"truncated recurrence, {samples} samples", run
-    yield OURS, ours
-
-
-def _truncated(case: methods.Case, alpha: Floats, beta: Floats, samples: int) -> dict[int, Floats]:
-    plant = methods.plant_by_expm(case.gamma, case.delta)
-    return methods.truncated_energy(plant, case, alpha, beta, samples)
-
-
-def _limit_sweeps(method: str, energy: Energy) -> Iterator[Sweep]:
-    rows = reference()["sweeps"]["limit"]
-    errors = [_energy_errors(energy, row, 1) for row in rows]
-    for w in WEIGHTS:
-        yield _sweep(f"limit_w{w}", method, [row["x"] for row in rows], [e[w] for e in errors])
-
-
-def _delay_energy_sweep(method: str, energy: Energy, largest_delay: int) -> Sweep:
-    rows = [row for row in reference()["sweeps"]["delay"] if row["delay"] <= largest_delay]
-    errors = [largest(_energy_errors(energy, row, row["delay"])) for row in rows]
-    return _sweep("delay_energy", method, [row["x"] for row in rows], errors)
-
-
-def _energy_errors(energy: Energy, row: dict[str, Any], delay: int) -> list[float | None]:
-    """Relative error of each weight at one point; None without a number."""
-    entry = reference()["loop"]
+def _attempt(function: Callable[..., _T], *arguments: Any) -> _T | None:
+    """Result of a method, None where it cannot give one."""
     try:
         with np.errstate(all="ignore"):
-            found = energy(
-                methods.Case(entry["gamma"], entry["delta"], delay), np.array([row["alpha"]]), np.array([row["beta"]])
-            )
+            return function(*arguments)
     except FAILURES:
-        return [None] * len(WEIGHTS)
-    values = [(float(found[w][0]), float(row[f"energy_step_w{w}"])) for w in WEIGHTS]
-    return [abs(value - exact) / exact if np.isfinite(value) else None for value, exact in values]
+        return None
 
 
-def _margin_sweep(method: str, judge: Callable[[Floats, Floats], Booleans]) -> Sweep:
-    """Share of wrong verdicts at points a little inside and outside the boundary."""
-    entry = reference()["boundary"]
-    alpha, beta = np.array(entry["alpha"]), np.array(entry["beta"])
-    margins = [10.0**-k for k in MARGINS]
-    shares: list[float | None] = []
-    for margin in margins:
-        inside, outside = (judge(alpha * (1 + sign * margin), beta) for sign in (-1, 1))
-        shares.append(float(np.mean(np.concatenate([~inside, outside]))))
-    return _sweep("margin", method, margins, shares)
-
-
-def _judges() -> Iterator[tuple[str, Callable[[Floats, Floats], Booleans]]]:
-    entry = reference()["loop"]
-    case = methods.Case(entry["gamma"], entry["delta"], entry["delay"])
-    plant = methods.plant_by_expm(case.gamma, case.delta)
-    loop = Loop(case.gamma, case.delta, float(case.delay))
-
-    def roots(alpha: Floats, beta: Floats) -> Booleans:
-        printed = methods.printed_transfer(case.gamma, case.delta)
-        return np.asarray(methods.radius_by_roots(methods.polynomials(printed, case.delay, alpha, beta)) < 1)
-
-    def states(alpha: Floats, beta: Floats) -> Booleans:
-        return np.asarray(methods.radius_by_eigenvalues(plant, case.delay, alpha, beta) < 1)
-
-    yield "polynomial roots", roots
-    yield "eigenvalues, matrix exponential", states
-    yield OURS, lambda alpha, beta: is_inside(loop, alpha, beta)
-
-
-def _sweep(
-    name: str, method: str, x: list[float], errors: list[float | None], wrong: list[bool] | None = None
-) -> Sweep:
+def _sweep(name: str, method: str, path: Sequence[Row], errors: Errors, wrong: Sequence[bool] | None = None) -> Sweep:
+    x = [row["x"] for row in path]
     return Sweep(
         sweep=name,
         method=method,
         x=tuple(x),
         error=tuple(errors),
         starts=starts_wrong(x, errors, wrong),
-        worst=largest(errors),
+        worst=worst(errors),
         wrong_verdicts=None if wrong is None else sum(wrong),
     )
+
+
+def _transfers() -> dict[str, Callable[..., methods.Transfer]]:
+    """Ways to the plant's transfer function."""
+    known: dict[str, Callable[..., methods.Transfer]] = {
+        "printed formula (3.7)": methods.printed_transfer,
+        "matrix exponential": transfer_by(methods.plant_by_expm),
+        "Taylor series, 24 terms": transfer_by(partial(methods.plant_by_taylor, terms=24)),
+        "Runge-Kutta, 256 steps": transfer_by(partial(methods.plant_by_runge_kutta, steps=256)),
+    }
+    if linalg := libraries.load("scipy.linalg"):
+        known["scipy expm"] = transfer_by(partial(libraries.plant_by_scipy_expm, linalg))
+    if control := libraries.load("control"):
+        known["python-control"] = transfer_by(partial(libraries.plant_by_control, control))
+    return known | {OURS: transfer_by(own_plant)}
+
+
+def _plant_error(transfer: Callable[..., methods.Transfer], row: Row) -> float | None:
+    found, exact = np.array(transfer(row["gamma"], row["delta"])[:2]), np.array(row["numerator"])
+    return largest((found - exact) / exact)[0] if np.isfinite(found).all() else None
+
+
+def _radii() -> dict[str, Callable[[Row], Verdict]]:
+    """Ways to a verdict on a point."""
+    by_expm = transfer_by(methods.plant_by_expm)
+    known = {
+        "polynomial roots": _judged_by(methods.radius_by_roots, by_expm),
+        "eigenvalues, matrix exponential": _judged_by(methods.radius_by_eigenvalues),
+        "squaring of the loop matrix": _judged_by(methods.radius_by_squaring, _SQUARINGS),
+    }
+    if control := libraries.load("control"):
+        by_states = partial(libraries.radius_by_control_states, control)
+        by_transfer = partial(libraries.radius_by_control_transfer, control)
+        known["python-control, state space"] = _judged_by(by_states)
+        known["python-control, transfer function"] = _judged_by(by_transfer, by_expm)
+    return known | {OURS: _own_verdict}
+
+
+def _judged_by(radius: Callable[..., Floats], *more: object) -> Callable[[Row], Verdict]:
+    def judge(row: Row) -> Verdict:
+        found = float(radius(case_of(row), np.array([row["alpha"]]), np.array([row["beta"]]), *more)[0])
+        return found, found < 1
+
+    return judge
+
+
+def _own_verdict(row: Row) -> Verdict:
+    point = loop_of(row), row["alpha"], row["beta"]
+    return float(spectral_radius(*point)[0]), bool(is_stable(*point)[0])
+
+
+def _radius_sweep(name: str, method: str, judge: Callable[[Row], Verdict], path: Sequence[Row]) -> Sweep:
+    errors: list[float | None] = []
+    wrong = []
+    for row in path:
+        found = _attempt(judge, row)
+        errors.append(None if found is None else abs(found[0] - row["radius"]) / row["radius"])
+        wrong.append(found is None or found[1] != (row["excess"] < 0))
+    return _sweep(name, method, path, errors, wrong)
+
+
+def _energies() -> dict[str, Energy]:
+    """Ways to the energy costs of a step, by weight."""
+    known: dict[str, Energy] = {KRONECKER: methods.lyapunov_energy}
+    if linalg := libraries.load("scipy.linalg"):
+        known["Lyapunov equations (scipy)"] = partial(methods.lyapunov_energy, solve=linalg.solve_discrete_lyapunov)
+    for samples in (SHORT, LONG):
+        known[f"truncated recurrence, {samples} samples"] = partial(methods.truncated_energy, samples=samples)
+    return known | {OURS: _own_energies}
+
+
+def _own_energies(case: Case, alpha: Floats, beta: Floats) -> dict[int, Floats]:
+    costs = energy_costs(Loop(case.gamma, case.delta, float(case.delay)), alpha, beta)
+    return {w: costs[f"energy_step_w{w}"] for w in WEIGHTS}
+
+
+def _energy_errors(energy: Energy, row: Row, delay: int) -> dict[int, float]:
+    """Relative error of each weight at one point; none of a weight without a number."""
+    case = replace(case_of(reference()["loop"]), delay=delay)
+    found = energy(case, np.array([row["alpha"]]), np.array([row["beta"]]))
+    pairs = {w: (float(found[w][0]), float(row[f"energy_step_w{w}"])) for w in WEIGHTS}
+    return {w: abs(value - exact) / exact for w, (value, exact) in pairs.items() if np.isfinite(value)}
+
+
+def _judges() -> dict[str, Callable[[Floats, Floats], Booleans]]:
+    """Ways to verdicts next to the boundary."""
+    entry = reference()["loop"]
+    case, loop = case_of(entry), loop_of(entry)
+    return {
+        "polynomial roots": lambda alpha, beta: methods.radius_by_roots(case, alpha, beta) < 1,
+        "eigenvalues, matrix exponential": lambda alpha, beta: methods.radius_by_eigenvalues(case, alpha, beta) < 1,
+        OURS: lambda alpha, beta: is_inside(loop, alpha, beta),
+    }
+
+
+def _margin_sweep(method: str, inside: Callable[[Floats, Floats], Booleans]) -> Sweep:
+    """Share of wrong verdicts at points a little inside and outside the boundary."""
+    entry = reference()["boundary"]
+    alpha, beta = np.array(entry["alpha"]), np.array(entry["beta"])
+    path = [{"x": 10.0**-k} for k in MARGINS]
+    shares = []
+    for row in path:
+        within, beyond = (inside(alpha * (1 + sign * row["x"]), beta) for sign in (-1, 1))
+        shares.append(float(np.mean(np.concatenate([~within, beyond]))))
+    return _sweep("margin", method, path, shares)

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import groupby
 
-from pipeline.records.accuracy import OURS, WRONG, Rung, Sweep, duration, error_text
+from pipeline.base.wording import duration, error_text, listed
+from pipeline.records.accuracy import OURS, WRONG, Rung, Sweep
+from pipeline.studies.accuracy.words import words
 
 USES = (1e-3, 1e-6, 1e-10)
 """Errors that stand for a plot, a table, and a reference value."""
@@ -15,21 +17,6 @@ EVEN = 1.5
 
 EVEN_STEPS = 2
 """Steps of a sweep (decades, mostly) by which a method may fail earlier than this package without a warning."""
-
-PLACES = {
-    "gamma": "γ = {} (δ = 0)",
-    "gamma_damped": "γ = {} (δ = 50)",
-    "critical": "|c₁| = {} (δ = 1)",
-    "delta": "δ = {} (γ = 0.001)",
-    "delay": "d = {}",
-    "resonant": "γ = π²(1 − {})",
-    "margin": "verdicts within {} of the boundary",
-    "delay_energy": "d = {} (energy)",
-    "limit_w0": "a spectral radius of 1 − {} (energy, w = 0)",
-    "limit_w1": "1 − {} (w = 1)",
-    "limit_w2": "1 − {} (w = 2)",
-}
-"""Where along a sweep a method starts to be wrong, in words."""
 
 
 def advise(quantity: str, rungs: Sequence[Rung], sweeps: Sequence[Sweep] = ()) -> str:
@@ -49,7 +36,7 @@ def advise(quantity: str, rungs: Sequence[Rung], sweeps: Sequence[Sweep] = ()) -
     parts = [f"This package: error {error_text(ours.error)} in {duration(ours.seconds)}."]
     found = [(level, _quickest(others, level)) for level in USES]
     for best, group in groupby(found, key=lambda pair: pair[1]):
-        levels = _listed([error_text(level) for level, _ in group])
+        levels = listed([error_text(level) for level, _ in group])
         if best is None:
             nearest = min(others, key=lambda r: r.error or 0.0, default=None)
             tail = "" if nearest is None else f"; the nearest is {name_of(nearest)}, error {error_text(nearest.error)}"
@@ -61,7 +48,7 @@ def advise(quantity: str, rungs: Sequence[Rung], sweeps: Sequence[Sweep] = ()) -
             )
     missed = [level for level in USES if ours.error > level]
     if missed:
-        parts.append(f"This package itself does not reach {_listed([error_text(level) for level in missed])}.")
+        parts.append(f"This package itself does not reach {listed([error_text(level) for level in missed])}.")
     return " ".join(parts)
 
 
@@ -137,7 +124,7 @@ def place_of(sweep: Sweep) -> str | None:
 
 
 def _places(sweeps: Sequence[Sweep]) -> list[str]:
-    return [PLACES[s.sweep].format(place) for s in sweeps if (place := place_of(s)) is not None]
+    return [words()["sweeps"][s.sweep]["place"].format(place) for s in sweeps if (place := place_of(s)) is not None]
 
 
 def _reach(sweep: Sweep) -> int:
@@ -155,10 +142,6 @@ def _split(quantity: str, rungs: Sequence[Rung]) -> tuple[Rung | None, list[Rung
 def _quickest(rungs: Sequence[Rung], level: float) -> Rung | None:
     good = [r for r in rungs if r.error is not None and r.error <= level]
     return min(good, key=lambda r: r.seconds, default=None)
-
-
-def _listed(words: Sequence[str]) -> str:
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
 
 
 def _times(ratio: float) -> str:

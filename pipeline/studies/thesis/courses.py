@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.records.theory_panels import Panel, TheoryFigure, Trace
+from pipeline.studies.panels import Panel, TheoryFigure, Trace
+from pipeline.studies.thesis.curves import plain_loop
+from pipeline.studies.thesis.jumps import Jump, first_settling_jump, largest_overshoot_jump
+from pipeline.studies.thesis.responses import Response, extrema, response
 from pipeline.theory.loop import Loop
 from pipeline.theory.optimum import optimal_point
-from pipeline.theory.responses import Response, extrema, response
-from pipeline.theory.theory_curves import plain_loop
-from pipeline.theory.theory_jumps import Jump, first_settling_jump, largest_overshoot_jump
 
 TIME, POSITION = "time [samples]", "position χ"
 BAND = 0.02

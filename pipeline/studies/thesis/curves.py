@@ -8,12 +8,12 @@ import numpy as np
 
 from pipeline.records.batch import Floats
 from pipeline.records.models import SETTLING_BANDS
-from pipeline.records.theory_panels import Area, Trace
+from pipeline.studies.panels import Area, Trace
+from pipeline.studies.thesis.outline import outline
 from pipeline.theory.curves import Curve, best_damping, best_stiffness
 from pipeline.theory.energy import energy_costs
 from pipeline.theory.extent import damping_range, stiffest_point
 from pipeline.theory.loop import Loop
-from pipeline.theory.outline import outline
 from pipeline.theory.poles import damping_ratio
 from pipeline.theory.region import is_inside
 from pipeline.theory.stability import spectral_radius

@@ -8,22 +8,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 
 from pipeline.base.errors import UsageError
-from pipeline.comparison import (
-    theory_figures_3,
-    theory_figures_4,
-    theory_figures_5_maps,
-    theory_figures_5_relations,
-    theory_figures_5_responses,
-)
-from pipeline.records.theory_panels import TheoryFigure
+from pipeline.studies.panels import TheoryFigure
+from pipeline.studies.thesis import courses, maps, passivity, relations, stability
 
-_MODULES = (
-    theory_figures_3,
-    theory_figures_4,
-    theory_figures_5_maps,
-    theory_figures_5_responses,
-    theory_figures_5_relations,
-)
+_MODULES = (stability, passivity, maps, courses, relations)
 
 
 def _place(number: str) -> tuple[int, int]:

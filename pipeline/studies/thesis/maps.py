@@ -7,12 +7,8 @@ from collections.abc import Callable
 import numpy as np
 
 from pipeline.records.batch import Floats
-from pipeline.records.theory_panels import Contours, Note, Panel, TheoryFigure, Trace
-from pipeline.theory.loop import Loop
-from pipeline.theory.optimum import optimal_point
-from pipeline.theory.poles import pole_settling_time
-from pipeline.theory.search import OptimalPoint
-from pipeline.theory.theory_curves import (
+from pipeline.studies.panels import Contours, Note, Panel, TheoryFigure, Trace
+from pipeline.studies.thesis.curves import (
     box,
     cost_grid,
     damping_curve,
@@ -22,7 +18,11 @@ from pipeline.theory.theory_curves import (
     plain_loop,
     stiffness_curve,
 )
-from pipeline.theory.theory_jumps import Jump, first_settling_jump, largest_overshoot_jump
+from pipeline.studies.thesis.jumps import Jump, first_settling_jump, largest_overshoot_jump
+from pipeline.theory.loop import Loop
+from pipeline.theory.optimum import optimal_point
+from pipeline.theory.poles import pole_settling_time
+from pipeline.theory.search import OptimalPoint
 
 _DELAYS = (0.0, 1.0)
 

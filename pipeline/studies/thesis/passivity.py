@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.comparison.theory_figures_3 import ALPHA, BETA, DELAY_SWEEP, FAMILY, FAMILY_COLOURS
 from pipeline.records.batch import Floats
-from pipeline.records.theory_panels import Area, Panel, TheoryFigure, Trace
+from pipeline.studies.panels import Area, Panel, TheoryFigure, Trace
+from pipeline.studies.thesis.curves import outline_trace
+from pipeline.studies.thesis.outline import outline_in
+from pipeline.studies.thesis.stability import ALPHA, BETA, DELAY_SWEEP, FAMILY, FAMILY_COLOURS
 from pipeline.theory.extent import maximum_stiffness, stiffest_point
 from pipeline.theory.loop import Loop
-from pipeline.theory.outline import outline_in
 from pipeline.theory.passivity import boundary_angle, maximum_passive_stiffness, passive_boundary, passive_to_stable
-from pipeline.theory.theory_curves import outline_trace
 
 _GAMMA, _DELTA = 0.001, 0.02
 _SPRINGS = 41

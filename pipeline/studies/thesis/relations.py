@@ -7,12 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from pipeline.records.batch import Floats
-from pipeline.records.theory_panels import Area, Note, Panel, TheoryFigure, Trace
+from pipeline.studies.panels import Area, Note, Panel, TheoryFigure, Trace
+from pipeline.studies.thesis.curves import box, damping_curve, flat_region, found_points, outline_trace, plain_loop
 from pipeline.theory.extent import damping_range, stiffest_point
 from pipeline.theory.loop import Loop
 from pipeline.theory.optimum import optimal_point
 from pipeline.theory.rules import approximation_error, critical_damping, marked_point, optimal_cost, optimal_damping
-from pipeline.theory.theory_curves import box, damping_curve, flat_region, found_points, outline_trace, plain_loop
 
 ALPHA, BETA = "stiffness α", "damping β"
 DELAYS = tuple(float(d) for d in range(9))

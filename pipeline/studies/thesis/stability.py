@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from pipeline.records.batch import Floats
-from pipeline.records.theory_panels import Note, Panel, TheoryFigure, Trace
 from pipeline.store.human_arm import human_arms
+from pipeline.studies.panels import Note, Panel, TheoryFigure, Trace
+from pipeline.studies.thesis.curves import box, outline_trace
+from pipeline.studies.thesis.outline import outline_in
 from pipeline.theory.extent import damping_range, linear_error_crossings, maximum_stiffness, stiffest_point
 from pipeline.theory.loop import Loop
-from pipeline.theory.outline import outline_in
-from pipeline.theory.theory_curves import box, outline_trace
 
 ALPHA, BETA = "stiffness α", "damping β"
 FAMILY = (0.0, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0)

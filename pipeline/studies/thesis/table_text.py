@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
-from pipeline.comparison.theory_tables import FLAT, LIMIT, MARKS, ROUNDING, Entry, Mark, TheoryRow, count_marks
 from pipeline.shell.console import table
 from pipeline.store.published_theory import QUANTITIES, PrintedNumber
+from pipeline.studies.thesis.tables import FLAT, LIMIT, MARKS, ROUNDING, Entry, Mark, TheoryRow, count_marks
 
 SIGNS: dict[Mark, str] = {"equal": "", "within": " ~", "erratum": " !", "unexplained": " ?"}
 """What stands behind a computed number."""
