@@ -8,6 +8,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+
 from pipeline.records.batch import Floats
 
 
@@ -138,3 +140,8 @@ class TheoryFigure:
     caption: str
     panels: tuple[Panel, ...]
     columns: int = 2
+
+
+def mark(x: float, y: float, colour: str, sign: str, label: str = "") -> Trace:
+    """Return a mark at one point."""
+    return Trace(np.array([x]), np.array([y]), colour, "none", label, sign)

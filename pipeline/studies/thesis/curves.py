@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
 
 from pipeline.records.batch import Floats
 from pipeline.records.models import SETTLING_BANDS
-from pipeline.studies.panels import Area, Trace
+from pipeline.studies.panels import Area, Panel, Trace
 from pipeline.studies.thesis.outline import outline
 from pipeline.theory.curves import Curve, best_damping, best_stiffness
 from pipeline.theory.energy import energy_costs
@@ -18,6 +19,9 @@ from pipeline.theory.poles import damping_ratio
 from pipeline.theory.region import is_inside
 from pipeline.theory.stability import spectral_radius
 from pipeline.theory.transient import transient_costs
+
+ALPHA, BETA, DELAY = "stiffness α", "damping β", "delay factor d"
+"""Labels of axes."""
 
 MAP_SIZE = 101
 """Grid points along each axis of a map; the thesis has 251, which contour lines at this size do not show."""
@@ -78,6 +82,11 @@ def box(loop: Loop, margin: float = 0.04) -> tuple[tuple[float, float], tuple[fl
         bottom - margin * height,
         above + margin * height,
     )
+
+
+def plane(loop: Loop, title: str, traces: Sequence[Trace]) -> Panel:
+    """Return lines over the walls around the stable region."""
+    return Panel(title, ALPHA, BETA, *box(loop), tuple(traces))
 
 
 @lru_cache(maxsize=64)
