@@ -172,7 +172,7 @@ def tables(
                 advance(len(found), count)
         rows += found
         if not as_json:
-            for line in table_text.table_lines(name, found):
+            for line in table_text.table_lines(name, found, console.table):
                 console.say(line)
     if as_json:
         console.print_json(table_text.document(rows))

@@ -20,20 +20,21 @@ from independent import (
 )
 from report_data import report_data
 
-from pipeline.accuracy import accuracy_methods, accuracy_optional, accuracy_searches
-from pipeline.accuracy.accuracy_ladders import QUANTITIES, reference, trials
-from pipeline.accuracy.accuracy_run import left_out, measure
-from pipeline.records import accuracy, accuracy_advice
+from pipeline.base.wording import duration, error_text
+from pipeline.records import accuracy
 from pipeline.records.accuracy import OURS, AccuracyReport, Rung, Sweep
-from pipeline.rendering import accuracy_report
 from pipeline.rendering import report as comparison_report
+from pipeline.studies.accuracy import libraries, methods, page, rungs, searches, sweeps, theory_advice
+from pipeline.studies.accuracy.run import left_out, measure
+from pipeline.studies.accuracy.theory_ladders import QUANTITIES, reference, theory_ladders
+from pipeline.studies.accuracy.words import words
 
-CASE = accuracy_methods.Case(0.001, 0.02, 4)
+CASE = methods.Case(0.001, 0.02, 4)
 
 
 @pytest.fixture(scope="module")
 def report() -> AccuracyReport:
-    return measure(quick=True)
+    return measure(quick=True, measured=False)
 
 
 # reference values, by methods that share nothing with their script
@@ -96,41 +97,40 @@ def test_reference_near_the_limit_follows_the_power_law() -> None:
 
 
 def test_printed_formula_equals_matrix_exponential_where_it_holds() -> None:
-    printed = accuracy_methods.printed_transfer(0.3, 0.4)
-    assert printed == pytest.approx(accuracy_methods.transfer_of(accuracy_methods.plant_by_expm(0.3, 0.4)), rel=1e-13)
+    printed = methods.printed_transfer(0.3, 0.4)
+    assert printed == pytest.approx(methods.transfer_by(methods.plant_by_expm)(0.3, 0.4), rel=1e-13)
     with pytest.raises(ZeroDivisionError):
-        accuracy_methods.printed_transfer(0.0, 0.4)
+        methods.printed_transfer(0.0, 0.4)
     with pytest.raises(ZeroDivisionError):
-        accuracy_methods.printed_transfer(0.25, 1.0)
+        methods.printed_transfer(0.25, 1.0)
 
 
 def test_runge_kutta_is_of_fourth_order() -> None:
-    exact = np.array(accuracy_methods.plant_by_expm(0.3, 0.4).gain)
-    coarse, fine = (np.abs(accuracy_methods.plant_by_runge_kutta(0.3, 0.4, n).gain - exact).max() for n in (8, 16))
+    exact = np.array(methods.plant_by_expm(0.3, 0.4).gain)
+    coarse, fine = (np.abs(methods.plant_by_runge_kutta(0.3, 0.4, n).gain - exact).max() for n in (8, 16))
     assert coarse / fine == pytest.approx(16, rel=0.1)
 
 
 @pytest.mark.parametrize("delay", [0, 1, 4])
 def test_radii_agree(delay: int) -> None:
     alpha, beta = np.array([0.01, 0.02]), np.array([0.1, 0.15])
-    plant = accuracy_methods.plant_by_expm(0.001, 0.02)
-    polynomials = accuracy_methods.polynomials(accuracy_methods.transfer_of(plant), delay, alpha, beta)
+    case, by_expm = methods.Case(0.001, 0.02, delay), methods.transfer_by(methods.plant_by_expm)
     exact = [radius_by_polynomial(0.001, 0.02, delay, a, b) for a, b in zip(alpha, beta, strict=True)]
-    assert accuracy_methods.radius_by_roots(polynomials) == pytest.approx(exact, rel=1e-11)
-    assert accuracy_methods.radius_by_companion(polynomials) == pytest.approx(exact, rel=1e-11)
-    assert accuracy_methods.radius_by_eigenvalues(plant, delay, alpha, beta) == pytest.approx(exact, rel=1e-11)
-    assert accuracy_methods.radius_by_squaring(plant, delay, alpha, beta, 40) == pytest.approx(exact, rel=1e-9)
+    assert methods.radius_by_roots(case, alpha, beta, by_expm) == pytest.approx(exact, rel=1e-11)
+    assert methods.radius_by_companion(case, alpha, beta, by_expm) == pytest.approx(exact, rel=1e-11)
+    assert methods.radius_by_eigenvalues(case, alpha, beta) == pytest.approx(exact, rel=1e-11)
+    assert methods.radius_by_squaring(case, alpha, beta, 40) == pytest.approx(exact, rel=1e-9)
 
 
 def test_settling_is_missing_where_the_response_ends_outside_the_band() -> None:
     position = np.array([[-1.0, -1.0], [0.5, -0.01], [0.1, 0.0]])
-    found = accuracy_methods.settling_of(position, 1, 0.02)
+    found = methods.settling_of(position, 1, 0.02)
     assert np.isnan(found[0])
     assert found[1] == pytest.approx(0.98 / 0.99)
 
 
 def test_nelder_mead_finds_the_minimum_of_a_smooth_bowl() -> None:
-    found = accuracy_searches.nelder_mead(lambda a, b: (a - 0.3) ** 2 + 2 * (b - 0.7) ** 2, (0.2, 0.5), 0.2, 1e-9)
+    found = searches.nelder_mead(lambda a, b: (a - 0.3) ** 2 + 2 * (b - 0.7) ** 2, (0.2, 0.5), 0.2, 1e-9)
     assert found == pytest.approx((0.3, 0.7), rel=1e-6)
 
 
@@ -163,12 +163,10 @@ class _StandIn:
 def test_calls_of_python_control_make_the_same_loop() -> None:
     row = reference()["points"]["rows"][0]
     alpha, beta = np.array([row["alpha"]]), np.array([row["beta"]])
-    plant = accuracy_methods.plant_by_expm(CASE.gamma, CASE.delta)
     stand_in = _StandIn()
-    found = accuracy_optional.radius_by_control_states(stand_in, plant, 4, alpha, beta)
+    found = libraries.radius_by_control_states(stand_in, CASE, alpha, beta)
     assert found == pytest.approx([row["radius"]], rel=1e-12)
-    transfer = accuracy_methods.transfer_of(plant)
-    found = accuracy_optional.radius_by_control_transfer(stand_in, transfer, 4, alpha, beta)
+    found = libraries.radius_by_control_transfer(stand_in, CASE, alpha, beta)
     assert found == pytest.approx([row["radius"]], rel=1e-12)
 
 
@@ -225,13 +223,13 @@ def test_sweeps_find_where_the_printed_formula_fails(report: AccuracyReport) -> 
 def test_left_out_methods_have_reasons() -> None:
     entries = left_out()
     assert all(entry.reason for entry in entries)
-    absent = accuracy_optional.load("control") is None
+    absent = libraries.load("control") is None
     assert absent == any(entry.method == "python-control" for entry in entries)
 
 
 def test_time_is_the_least_of_repetitions() -> None:
     calls: list[int] = []
-    result, seconds = accuracy.best_time(lambda: calls.append(1) or len(calls), 0.005)
+    result, seconds = rungs.best_time(lambda: calls.append(1) or len(calls), 0.005)
     assert result == 1
     assert 0 < seconds < 1e-3
     assert len(calls) > 100
@@ -246,14 +244,14 @@ def _rung(method: str, error: float | None, seconds: float, setting: str = "one 
 
 def test_advice_follows_the_numbers() -> None:
     rungs = [_rung(OURS, 1e-15, 1e-3), _rung("grid", 1e-4, 1e-4, "coarse"), _rung("grid", 1e-7, 0.1, "fine")]
-    text = accuracy_advice.advise("plant", rungs)
+    text = theory_advice.advise("plant", rungs)
     assert "To 10⁻³ the quickest other is grid (coarse), 10 times quicker." in text
     assert "To 10⁻⁶ the quickest other is grid (fine), 100 times slower." in text
     assert "No other method measured reaches 10⁻¹⁰; the nearest is grid (fine), error 10⁻⁷." in text
-    worse = accuracy_advice.advise("plant", [_rung(OURS, 1e-5, 1e-3), _rung("grid", 1e-12, 1e-3)])
+    worse = theory_advice.advise("plant", [_rung(OURS, 1e-5, 1e-3), _rung("grid", 1e-12, 1e-3)])
     assert "This package itself does not reach 10⁻⁶ and 10⁻¹⁰." in worse
     assert "about as quick" in worse
-    assert "cannot be recommended" in accuracy_advice.advise("plant", [_rung(OURS, None, 1e-3)])
+    assert "cannot be recommended" in theory_advice.advise("plant", [_rung(OURS, None, 1e-3)])
 
 
 def test_advice_warns_of_methods_that_fail_elsewhere() -> None:
@@ -261,24 +259,24 @@ def test_advice_warns_of_methods_that_fail_elsewhere() -> None:
     path = Sweep(sweep="gamma", method="formula", x=x, error=error, starts=1e-4, worst=1e-1)
     ours = path.model_copy(update={"method": OURS, "starts": None})
     rungs = [_rung(OURS, 1e-15, 1e-3), _rung("formula", 1e-12, 1e-5)]
-    assert "fails in hard cases" in accuracy_advice.advise("plant", rungs, [path, ours])
+    assert "fails in hard cases" in theory_advice.advise("plant", rungs, [path, ours])
     as_bad = ours.model_copy(update={"starts": 1e-12})  # not much better: no reason to warn
-    assert "fails in hard cases" not in accuracy_advice.advise("plant", rungs, [path, as_bad])
-    assert accuracy_advice.distrusted([path, ours]) == ("Do not trust formula from here on: γ = 10⁻⁴ (δ = 0).",)
-    assert "not reached" in accuracy_advice.summarise(rungs, [path, ours])[-1]
-    assert "γ = 10⁻¹²" in accuracy_advice.summarise(rungs, [path, as_bad])[-1]
-    assert accuracy_advice.longest([path, ours]) == (OURS,)
+    assert "fails in hard cases" not in theory_advice.advise("plant", rungs, [path, as_bad])
+    assert theory_advice.distrusted([path, ours]) == ("Do not trust formula from here on: γ = 10⁻⁴ (δ = 0).",)
+    assert "not reached" in theory_advice.summarise(rungs, [path, ours])[-1]
+    assert "γ = 10⁻¹²" in theory_advice.summarise(rungs, [path, as_bad])[-1]
+    assert theory_advice.longest([path, ours]) == (OURS,)
 
 
 def test_a_method_is_wrong_from_its_first_missing_number_or_verdict() -> None:
-    assert accuracy.starts_wrong((1.0, 0.1, 0.01), (0.0, None, 0.0)) == 0.1
-    assert accuracy.starts_wrong((1.0, 0.1, 0.01), (0.0, 0.0, 1e-5)) == 0.01
-    assert accuracy.starts_wrong((1.0, 0.1), (0.0, 0.0), (False, True)) == 0.1
-    assert accuracy.starts_wrong((1.0, 0.1), (0.0, 1e-7)) is None
-    assert accuracy.largest((1e-3, None)) is None
-    assert accuracy.error_text(2.6e-9) == "3·10⁻⁹"
-    assert accuracy.error_text(1.0) == "1"
-    assert accuracy.duration(4.19e-4) == "419 µs"
+    assert sweeps.starts_wrong((1.0, 0.1, 0.01), (0.0, None, 0.0)) == 0.1
+    assert sweeps.starts_wrong((1.0, 0.1, 0.01), (0.0, 0.0, 1e-5)) == 0.01
+    assert sweeps.starts_wrong((1.0, 0.1), (0.0, 0.0), (False, True)) == 0.1
+    assert sweeps.starts_wrong((1.0, 0.1), (0.0, 1e-7)) is None
+    assert sweeps.worst((1e-3, None)) is None
+    assert error_text(2.6e-9) == "3·10⁻⁹"
+    assert error_text(1.0) == "1"
+    assert duration(4.19e-4) == "419 µs"
 
 
 def test_stored_measurement_is_used_while_code_and_machine_are_the_same(report: AccuracyReport, tmp_path: Path) -> None:
@@ -310,14 +308,14 @@ class _Page(HTMLParser):
 
 def test_page_is_complete_and_self_contained(report: AccuracyReport, tmp_path: Path) -> None:
     path = tmp_path / "accuracy.html"
-    accuracy_report.write(report, path)
+    page.write(report, path)
     text = path.read_text(encoding="utf-8")
-    page = _Page(text)
-    assert page.loads == []
-    assert len(page.ids) == len(set(page.ids))
-    assert page.figures == len(QUANTITIES) + len({s.sweep for s in report.sweeps})
-    assert set(accuracy_report.PATHS) == {s.sweep for s in report.sweeps} == set(accuracy_advice.PLACES)
-    assert set(accuracy_report.MEANING) == set(QUANTITIES)
+    shown = _Page(text)
+    assert shown.loads == []
+    assert len(shown.ids) == len(set(shown.ids))
+    assert shown.figures == len(QUANTITIES) + len({s.sweep for s in report.sweeps})
+    assert set(words()["sweeps"]) == {s.sweep for s in report.sweeps}
+    assert set(words()["meaning"]) == set(QUANTITIES)
     for entry in report.left_out:
         assert entry.reason.split(",")[0] in text
     assert "Quick run" in text
@@ -329,22 +327,25 @@ def test_summary_compares_with_the_quickest_good_method() -> None:
     nothing: dict[str, tuple[()]] = dict.fromkeys(("sweeps", "left_out", "advice", "summary", "distrusted"), ())
     document = {"key": "", "quick": True, "measured": "", "machine": {}, "rungs": rungs, "seconds": 0.0}
     empty = AccuracyReport.model_validate(document | nothing)
-    row = accuracy_report.summary_rows(empty)[0]
+    row = page.summary_rows(empty)[0]
     assert (row["other"], row["compared"]) == ("good", "10 times slower")
 
 
 def test_full_ladders_hold_all_rungs_of_the_quick_ones() -> None:
-    quick, full = ({(t.quantities, t.method) for t in trials(q)} for q in (True, False))
+    quick, full = (
+        {(*ladder.exact, m.name) for ladder in theory_ladders() for m in ladder.methods for _ in m.runs(q)}
+        for q in (True, False)
+    )
     assert quick == full
 
 
 def test_command_writes_page_and_json(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, report: AccuracyReport) -> None:
     from typer.testing import CliRunner
 
-    from pipeline.accuracy import accuracy_run
     from pipeline.shell import cli
+    from pipeline.studies.accuracy import run
 
-    monkeypatch.setattr(accuracy_run, "measure", lambda quick, progress: report)
+    monkeypatch.setattr(run, "measure", lambda quick, say, theory, measured: report)
     out, processed = tmp_path / "page.html", tmp_path / "processed"
     arguments = ["accuracy", "--only", "theory", "--quick", "--json", "--out", str(out), "--processed", str(processed)]
     result = CliRunner().invoke(cli.app, arguments)
@@ -363,12 +364,12 @@ def test_reports_of_comparisons_show_the_stored_measurement(report: AccuracyRepo
     table = {name: text for name, text in comparison_report.cells(shown).items() if name.startswith("accuracy")}
     assert len(table) == 4 * len(QUANTITIES)
     own = {r.quantity: r for r in accuracy.own_rungs(report)}
-    assert accuracy.duration(own["map"].seconds) in table.values()
+    assert duration(own["map"].seconds) in table.values()
 
 
 @pytest.mark.slow
 def test_full_measurement_holds_up_to_the_largest_delay() -> None:
-    report = measure()
+    report = measure(measured=False)
     assert report.seconds < 120  # a minute on a quiet core
     longest = {s.sweep: s for s in report.sweeps if s.method == OURS and s.sweep.startswith("delay")}
     assert all(s.x[-1] == 256 and s.starts is None for s in longest.values())

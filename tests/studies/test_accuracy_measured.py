@@ -9,25 +9,18 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from pipeline.accuracy_measured import accuracy_measured_run
-from pipeline.accuracy_measured.accuracy_measured_costs import NAMES, cost_rungs, whole_sum
-from pipeline.accuracy_measured.accuracy_measured_courses import CONDITIONS, course_rungs
-from pipeline.accuracy_measured.accuracy_measured_jitter import jitter_limit
-from pipeline.accuracy_measured.accuracy_measured_run import assemble, measure_measured
-from pipeline.accuracy_measured.accuracy_measured_rungs import mean_error, median_error
-from pipeline.accuracy_measured.accuracy_measured_trials import parameter_rungs
-from pipeline.accuracy_measured.accuracy_measured_truth import (
-    SLOWEST,
-    Trials,
-    draw_pairs,
-    draw_trials,
-    joined,
-    truth_of,
-)
 from pipeline.measured.costs import settling
-from pipeline.records import accuracy, accuracy_measured_advice
+from pipeline.records import accuracy
 from pipeline.records.accuracy import AccuracyReport, MeasuredAccuracy, Rung
-from pipeline.records.accuracy_measured_advice import (
+from pipeline.shell import cli
+from pipeline.simulation.simulate import simulate, spectral_radius
+from pipeline.studies.accuracy import page as page_of
+from pipeline.studies.accuracy import run
+from pipeline.studies.accuracy.cost_ladders import NAMES, cost_ladders, whole_sum
+from pipeline.studies.accuracy.courses import CONDITIONS, course_rungs
+from pipeline.studies.accuracy.jitter import jitter_limit
+from pipeline.studies.accuracy.measured_advice import WANTED, advise, course_length, percent, trusted
+from pipeline.studies.accuracy.names import (
     AREA,
     BALANCE,
     COMPLETE,
@@ -40,16 +33,20 @@ from pipeline.records.accuracy_measured_advice import (
     RATES_ONE,
     RATES_TWO,
     WHOLE,
-    advise,
-    course_length,
     nth,
-    percent,
-    trusted,
 )
-from pipeline.rendering import accuracy_report
-from pipeline.rendering.accuracy_measured_report import GROUPS
-from pipeline.shell import cli
-from pipeline.simulation.simulate import simulate, spectral_radius
+from pipeline.studies.accuracy.parameter_ladders import parameter_rungs
+from pipeline.studies.accuracy.run import assemble, measure, measure_measured
+from pipeline.studies.accuracy.rungs import BUDGET, mean, median
+from pipeline.studies.accuracy.truth import (
+    SLOWEST,
+    Trials,
+    draw_pairs,
+    draw_trials,
+    joined,
+    truth_of,
+)
+from pipeline.studies.accuracy.words import words
 
 FALCON = CONDITIONS[0]
 
@@ -61,7 +58,7 @@ def parameters() -> list[Rung]:
 
 @pytest.fixture(scope="module")
 def costs() -> list[Rung]:
-    return list(cost_rungs(quick=True))
+    return [rung for ladder in cost_ladders(quick=True) for rung in ladder.rungs(True, BUDGET)]
 
 
 @pytest.fixture(scope="module")
@@ -76,12 +73,13 @@ def measured(parameters: list[Rung], costs: list[Rung], courses: list[Rung]) -> 
 
 @pytest.fixture(scope="module")
 def report(measured: MeasuredAccuracy) -> AccuracyReport:
-    return accuracy.without_theory(quick=True).model_copy(update={"measured_branch": measured})
+    empty = measure(quick=True, theory=False, measured=False)
+    return empty.model_copy(update={"measured_branch": measured})
 
 
 @pytest.fixture(scope="module")
 def page(report: AccuracyReport) -> str:
-    return accuracy_report.render(report)
+    return page_of.render(report)
 
 
 def ladder(rungs: list[Rung], quantity: str, method: str) -> dict[str, float]:
@@ -155,9 +153,9 @@ def test_trials_are_stable_seeded_and_may_be_cut() -> None:
 
 
 def test_missing_values_are_counted_and_never_averaged() -> None:
-    assert median_error(np.array([-1.0, 3.0, np.nan, 2.0])) == (2.0, 0.25)
-    assert mean_error(np.array([-1.0, 3.0, np.nan, 2.0])) == (2.0, 0.25)
-    assert median_error(np.array([np.nan])) == (None, 1.0)
+    assert median(np.array([-1.0, 3.0, np.nan, 2.0])) == (2.0, 0.25)
+    assert mean(np.array([-1.0, 3.0, np.nan, 2.0])) == (2.0, 0.25)
+    assert median(np.array([np.nan])) == (None, 1.0)
 
 
 # the ladders
@@ -289,7 +287,7 @@ def test_every_quantity_has_a_heading_advice_and_card(report: AccuracyReport, pa
     measured = report.measured_branch
     assert measured is not None
     quantities = set(dict.fromkeys(r.quantity for r in measured.rungs))
-    begins = tuple(begin for group in GROUPS for begin in group.begins)
+    begins = tuple(begin for group in words()["groups"] for begin in group["begins"])
     assert {name for name in quantities if not name.startswith(begins)} == set()
     assert {a.quantity for a in measured.advice} == quantities
     assert page.count('role="img"') == len(quantities) + 1  # the area has a second one, over the run time
@@ -315,7 +313,7 @@ def test_record_survives_json(report: AccuracyReport) -> None:
 def test_command_measures_one_part_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, measured: MeasuredAccuracy
 ) -> None:
-    monkeypatch.setattr(accuracy_measured_run, "measure_measured", lambda quick, progress: measured)
+    monkeypatch.setattr(run, "measure_measured", lambda quick, say: measured)
     out, processed = tmp_path / "page.html", tmp_path / "processed"
     arguments = ["accuracy", "--only", "measured", "--quick", "--out", str(out), "--processed", str(processed)]
     shown = CliRunner().invoke(cli.app, arguments)
@@ -334,7 +332,7 @@ def test_full_measurement_answers_the_question_in_time() -> None:
     assert len(found.course_length) == len(CONDITIONS)
     for condition in CONDITIONS:
         area = [r for r in found.rungs if r.quantity == f"{AREA}, {condition.label}" and r.method == RATES_TWO]
-        enough = [r for r in area if r.error is not None and r.error <= accuracy_measured_advice.WANTED]
+        enough = [r for r in area if r.error is not None and r.error <= WANTED]
         # the cut of the thesis from 15 to 4 minutes is no loss to 1 % of the area
         assert min(r.device_seconds or np.inf for r in enough) < 240, condition.label
     quick = measure_measured(quick=True)

@@ -14,20 +14,20 @@ from independent import radius_by_polynomial, simulate
 from typer.testing import CliRunner
 
 from pipeline.base.errors import ParameterError, UsageError
-from pipeline.comparison import theory_figures
-from pipeline.records.theory_panels import Note, Panel, TheoryFigure, Trace
-from pipeline.rendering import theory_drawings
 from pipeline.shell.cli import app
 from pipeline.store.human_arm import human_arms
-from pipeline.theory import theory_jumps
+from pipeline.studies import drawing
+from pipeline.studies.panels import Note, Panel, TheoryFigure, Trace
+from pipeline.studies.thesis import figures, jumps
+from pipeline.studies.thesis import page as page_of
+from pipeline.studies.thesis.curves import cost_grid, plain_loop
+from pipeline.studies.thesis.jumps import first_settling_jump, largest_overshoot_jump
+from pipeline.studies.thesis.outline import outline, outline_in
+from pipeline.studies.thesis.responses import extrema, response
 from pipeline.theory.loop import Loop
-from pipeline.theory.outline import outline, outline_in
-from pipeline.theory.responses import extrema, response
 from pipeline.theory.stability import is_stable
-from pipeline.theory.theory_curves import cost_grid, plain_loop
-from pipeline.theory.theory_jumps import first_settling_jump, largest_overshoot_jump
 
-SHARED = Path(__file__).parents[2] / "shared"
+SHARED = Path(__file__).parents[3] / "shared"
 QUICK = ("3.5", "3.6", "3.7", "3.8", "3.9", "3.10", "3.11", "4.1", "4.2", "4.3", "5.1", "5.2", "5.11")
 """Figures that take less than half a second or so each; together they use all kinds of content."""
 
@@ -36,7 +36,7 @@ THESIS = {f"3.{n}" for n in range(5, 12)} | {f"4.{n}" for n in range(1, 6)} | {f
 
 @pytest.fixture(scope="module")
 def quick() -> dict[str, TheoryFigure]:
-    return {figure.number: figure for figure in theory_figures.compute(QUICK)}
+    return {figure.number: figure for figure in figures.compute(QUICK)}
 
 
 def parts(figure: TheoryFigure) -> list[Panel]:
@@ -44,13 +44,13 @@ def parts(figure: TheoryFigure) -> list[Panel]:
 
 
 def test_every_data_figure_of_the_thesis_is_there_in_order() -> None:
-    assert set(theory_figures.NUMBERS) == THESIS
-    assert theory_figures.NUMBERS.index("3.10") == theory_figures.NUMBERS.index("3.9") + 1
+    assert set(figures.NUMBERS) == THESIS
+    assert figures.NUMBERS.index("3.10") == figures.NUMBERS.index("3.9") + 1
 
 
 def test_unknown_number_is_refused_before_anything_is_computed() -> None:
     with pytest.raises(UsageError, match=r"3\.4.*expected one of 3\.5"):
-        theory_figures.compute(["3.6", "3.4"])
+        figures.compute(["3.6", "3.4"])
 
 
 def test_human_arm_is_that_of_the_table() -> None:
@@ -167,7 +167,7 @@ def test_overshoot_is_equal_on_both_sides_of_its_jump() -> None:
 
 def test_a_curve_without_jumps_says_so() -> None:
     with pytest.raises(ParameterError, match="does not jump"):
-        theory_jumps._jump(plain_loop(0.0), "energy_step_w0", largest=True)
+        jumps._jump(plain_loop(0.0), "energy_step_w0", largest=True)
 
 
 def test_map_agrees_with_the_independent_radius() -> None:
@@ -205,9 +205,9 @@ def test_every_panel_shows_something_inside_its_axes(quick: dict[str, TheoryFigu
 
 
 def test_svgs_are_well_formed_named_and_unique(quick: dict[str, TheoryFigure]) -> None:
-    drawn = {number: theory_drawings.draw(figure) for number, figure in quick.items()}
+    drawn = {number: drawing.draw(figure) for number, figure in quick.items()}
     page = "".join(svg for svgs in drawn.values() for svg in svgs)
-    assert drawn["5.11"] == theory_drawings.draw(quick["5.11"]), "deterministic"
+    assert drawn["5.11"] == drawing.draw(quick["5.11"]), "deterministic"
     defined = re.findall(r'\bid="([^"]+)"', page)
     assert len(defined) == len(set(defined))
     used = re.findall(r"url\(#([^)]+)\)", page) + re.findall(r'href="#([^"]+)"', page)
@@ -229,9 +229,9 @@ def test_points_are_drawn_where_they_lie_and_far_ones_are_left_out() -> None:
     line, mark = Trace(x, x), Trace(np.array([0.25, 0.75]), np.array([0.5, 0.5]), "blue", "none", "m", "o")
     notes = (Note(0.5, 0.5, "<b>"),)
     panel = Panel("t", "x", "y", (0.0, 1.0), (0.0, 1.0), (line, mark), notes=notes)
-    svg = theory_drawings.draw(TheoryFigure("9.9", "t", "c", (panel,), 2))[0]
+    svg = drawing.draw(TheoryFigure("9.9", "t", "c", (panel,), 2))[0]
     short = replace(panel, traces=(Trace(x[:12], x[:12]), mark))
-    assert len(svg) - len(theory_drawings.draw(TheoryFigure("9.9", "t", "c", (short,), 2))[0]) < 100
+    assert len(svg) - len(drawing.draw(TheoryFigure("9.9", "t", "c", (short,), 2))[0]) < 100
     places = [int(x) / 10 for x in re.findall(r"M(\d+) \d+m-\d+ 0a", svg)]  # circles, in tenths of a pixel
     # axes from pixel 56 to 440 - 16, then the legend's own mark
     assert places[:2] == pytest.approx([56 + 0.25 * 368, 56 + 0.75 * 368], abs=0.05)
@@ -270,7 +270,7 @@ def test_command_names_the_figures_it_knows() -> None:
 @pytest.mark.slow
 def test_whole_page_is_small_enough(tmp_path: Path) -> None:
     out = tmp_path / "theory.html"
-    theory_drawings.write(list(theory_figures.compute()), out)
+    page_of.write(list(figures.compute()), out)
     assert out.stat().st_size < 3_000_000
     page = out.read_text(encoding="utf-8")
     assert all(f'id="figure-{number}"' in page for number in THESIS)

@@ -8,12 +8,13 @@ import independent
 import numpy as np
 import pytest
 
-import pipeline.comparison.theory_tables as module
+import pipeline.studies.thesis.tables as module
 from pipeline.base.errors import ParameterError
-from pipeline.comparison.theory_tables import FLAT, LIMIT, MARKS, ROUNDING, Entry, TheoryRow, count_marks, recompute
 from pipeline.shell.cli import run
-from pipeline.shell.theory_tables_text import document, summary_line, table_lines
+from pipeline.shell.console import table
 from pipeline.store.published_theory import THEORY_TABLES, PublishedPoint, published_points
+from pipeline.studies.thesis.table_text import document, summary_line, table_lines
+from pipeline.studies.thesis.tables import FLAT, LIMIT, MARKS, ROUNDING, Entry, TheoryRow, count_marks, recompute
 from pipeline.theory.energy import energy_costs
 from pipeline.theory.loop import Loop
 from pipeline.theory.search import where_stable
@@ -261,7 +262,7 @@ ROWS = (
 
 
 def test_lines_show_computed_beside_printed_with_reasons_below() -> None:
-    lines = table_lines("C.9", ROWS)
+    lines = table_lines("C.9", ROWS, table)
     assert lines[0] == "Table C.9: 1 equal, 2 within, 2 erratum, 1 unexplained"
     assert lines[2].split() == [
         *("energy_impulse_w0", "1", "0.001", "0.02", "-0.001000", "-0.0010"),

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
-from pipeline.shell.console import table
 from pipeline.store.published_theory import QUANTITIES, PrintedNumber
 from pipeline.studies.thesis.tables import FLAT, LIMIT, MARKS, ROUNDING, Entry, Mark, TheoryRow, count_marks
 
@@ -19,11 +18,15 @@ _MORE = 2
 """Digits of a computed number beyond the printed ones: enough to see how it rounds."""
 
 
-def table_lines(name: str, rows: Sequence[TheoryRow]) -> list[str]:
+Align = Callable[[Sequence[Mapping[str, Any]], Sequence[str]], list[str]]
+"""Makes aligned lines of cells by column and the names of the columns."""
+
+
+def table_lines(name: str, rows: Sequence[TheoryRow], align: Align) -> list[str]:
     """Return a table as aligned lines, then the reason of each number that needs one, then an empty line."""
     names = [quantity for quantity in QUANTITIES if any(e.name == quantity for row in rows for e in row.entries)]
     columns = ["criterion", "d", "gamma", "delta", *(c for n in names for c in (n, f"{n} printed"))]
-    lines = [f"Table {name}: {_counts(rows)}", *table([_cells(row, names) for row in rows], columns)]
+    lines = [f"Table {name}: {_counts(rows)}", *align([_cells(row, names) for row in rows], columns)]
     for row in rows:
         reasons: dict[str, list[str]] = {}
         for entry in row.entries:
