@@ -167,7 +167,7 @@ def test_overshoot_is_equal_on_both_sides_of_its_jump() -> None:
 
 def test_a_curve_without_jumps_says_so() -> None:
     with pytest.raises(ParameterError, match="does not jump"):
-        jumps._jump(plain_loop(0.0), "energy_step_w0", largest=True)
+        jumps.jump(plain_loop(0.0), "energy_step_w0", largest=True)
 
 
 def test_map_agrees_with_the_independent_radius() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from importlib import import_module
 from types import ModuleType
 from typing import Any
@@ -42,12 +43,9 @@ def plant_by_scipy_signal(signal: ModuleType, gamma: float, delta: float) -> Sam
 
 def response_by_dlsim(signal: ModuleType, case: Case, alpha: Floats, beta: Floats, samples: int) -> Floats:
     """Return the deviation at the samples of a step from `scipy.signal.dlsim`, shape (samples, n)."""
-    start = step_state(case.delay)
-    size, columns = len(start), []
-    for matrix in matrices(case, alpha, beta):
-        system = (matrix, np.zeros((size, 1)), np.eye(1, size), np.zeros((1, 1)), 1.0)
-        columns.append(np.asarray(signal.dlsim(system, np.zeros((samples, 1)), x0=start)[1])[:, 0])
-    return np.array(columns).T
+    rest, start = np.zeros((samples, 1)), step_state(case.delay)
+    found = (signal.dlsim(system, rest, x0=start)[1] for system in _systems(case, alpha, beta))
+    return np.array([np.asarray(position)[:, 0] for position in found]).T
 
 
 def plant_by_control(control: ModuleType, gamma: float, delta: float) -> Sampled:
@@ -59,10 +57,7 @@ def plant_by_control(control: ModuleType, gamma: float, delta: float) -> Sampled
 
 def radius_by_control_states(control: ModuleType, case: Case, alpha: Floats, beta: Floats) -> Floats:
     """Return spectral radii from the poles of python-control state spaces."""
-    size = case.delay + 3
-    rest = (np.zeros((size, 1)), np.eye(1, size), np.zeros((1, 1)), 1.0)
-    systems = (control.ss(matrix, *rest) for matrix in matrices(case, alpha, beta))
-    return np.array([np.abs(system.poles()).max() for system in systems])
+    return np.array([np.abs(control.ss(*system).poles()).max() for system in _systems(case, alpha, beta)])
 
 
 def radius_by_control_transfer(
@@ -80,10 +75,13 @@ def radius_by_control_transfer(
 
 def response_by_control(control: ModuleType, case: Case, alpha: Floats, beta: Floats, samples: int) -> Floats:
     """Return the deviation at the samples of a step from `control.forced_response`, shape (samples, n)."""
-    start = step_state(case.delay)
-    size, columns = len(start), []
+    rest = np.arange(samples), np.zeros(samples), step_state(case.delay)
+    found = (control.forced_response(control.ss(*system), *rest) for system in _systems(case, alpha, beta))
+    return np.array([np.ravel(motion.outputs) for motion in found]).T
+
+
+def _systems(case: Case, alpha: Floats, beta: Floats) -> Iterator[tuple[Any, ...]]:
+    """State spaces (A, B, C, D, T) of the loop without input, whose output is the position."""
+    size = case.delay + 3
     for matrix in matrices(case, alpha, beta):
-        system = control.ss(matrix, np.zeros((size, 1)), np.eye(1, size), np.zeros((1, 1)), 1.0)
-        found = control.forced_response(system, np.arange(samples), np.zeros(samples), start)
-        columns.append(np.ravel(found.outputs))
-    return np.array(columns).T
+        yield matrix, np.zeros((size, 1)), np.eye(1, size), np.zeros((1, 1)), 1.0

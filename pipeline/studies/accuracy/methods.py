@@ -7,7 +7,7 @@ the exact methods of the theory branch. Loops have an integer delay.
 from __future__ import annotations
 
 import cmath
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -195,24 +195,28 @@ def radius_by_squaring(case: Case, alpha: Floats, beta: Floats, squarings: int) 
     return np.exp(log / 2.0**squarings)
 
 
-def response(case: Case, alpha: Floats, beta: Floats, samples: int) -> Floats:
-    """Return deviation, velocity and input at the start of each sample of a step, shape (samples, 3, n).
+def march(case: Case, alpha: Floats, beta: Floats, samples: int) -> Iterator[tuple[Floats, Floats, Floats, Floats]]:
+    """Yield deviation, velocity, input and former deviation at the start of each sample of a step, shape (n,) each.
 
     Deviations from the final position, relative to the final displacement.
     """
-    n = len(alpha)
-    states = np.empty((samples, 3, n))
-    x, v, before = np.full(n, -1.0), np.zeros(n), np.full(n, -1.0)
-    forces = [alpha] * case.delay
+    x, v = np.full(len(alpha), -1.0), np.zeros(len(alpha))
+    before, forces = x, [alpha] * case.delay
     plant = case.plant
     (xx, xv), (vx, vv) = plant.transition.tolist()
     gx, gv = plant.gain.tolist()
-    for k in range(samples):
+    for _ in range(samples):
         forces.append(-alpha * x - beta * (x - before))
-        before = x
         u = forces.pop(0)
-        states[k, 0], states[k, 1], states[k, 2] = x, v, u
-        x, v = xx * x + xv * v + gx * u, vx * x + vv * v + gv * u
+        yield x, v, u, before
+        before, x, v = x, xx * x + xv * v + gx * u, vx * x + vv * v + gv * u
+
+
+def response(case: Case, alpha: Floats, beta: Floats, samples: int) -> Floats:
+    """Return deviation, velocity and input at the start of each sample of a step, shape (samples, 3, n)."""
+    states = np.empty((samples, 3, len(alpha)))
+    for state, (x, v, u, _) in zip(states, march(case, alpha, beta, samples), strict=True):
+        state[:] = x, v, u
     return states
 
 
@@ -321,23 +325,13 @@ def discrete_map(case: Case, alpha: Floats, beta: Floats, samples: int) -> dict[
     """
     stable: Booleans = radius_by_eigenvalues(case, alpha, beta) < 1
     a, b = alpha[stable], beta[stable]
-    n = len(a)
-    x, v, before = np.full(n, -1.0), np.zeros(n), np.full(n, -1.0)
-    forces = [a] * case.delay
-    plant = case.plant
-    (xx, xv), (vx, vv) = plant.transition.tolist()
-    gx, gv = plant.gain.tolist()
-    settle, peak, energy = np.zeros(n), np.zeros(n), [np.zeros(n) for _ in range(3)]
-    for k in range(samples):
-        forces.append(-a * x - b * (x - before))
+    settle, peak, energy = np.zeros(len(a)), np.zeros(len(a)), [np.zeros(len(a)) for _ in range(3)]
+    for k, (x, _, _, before) in enumerate(march(case, a, b, samples)):
         term = x * x + (x - before) ** 2 / (a + case.gamma)
         settle[np.abs(x) > 0.02] = k + 1
         np.maximum(peak, x, out=peak)
         for w in range(3):
             energy[w] += float(k) ** w * term
-        before = x
-        u = forces.pop(0)
-        x, v = xx * x + xv * v + gx * u, vx * x + vv * v + gv * u
     values = {"settle_2pct": np.where(settle == samples, np.nan, settle), "overshoot": peak}
     values |= {f"energy_step_w{w}": energy[w] for w in range(3)}
     result = {}

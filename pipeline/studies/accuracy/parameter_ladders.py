@@ -175,19 +175,18 @@ def _of_a_trial(trials: Trials, lengths: tuple[int, ...]) -> Ladder:
 
 
 def _delay_of_an_experiment(pool: Trials, true: Floats, counts: tuple[int, ...]) -> Iterator[Rung]:
-    def first_change() -> Estimates:
-        return {"delay of an experiment": (_first_change(pool), None)}
+    name = "delay of an experiment"
+    estimators: dict[str, Callable[[], Estimates]] = {
+        FIRST_CHANGE: lambda: {name: (_first_change(pool), None)},
+        ONSET: lambda: _told(_onset(pool), {name: ("delay_samples", "standard_error")}),
+        MODEL: lambda: _told(_fit(pool), {name: ("delay", "delay_error")}),
+    }
+    return _over_counts(pool, {name: true}, counts, estimators, relative=False)
 
-    def began() -> Estimates:
-        found = _onset(pool)
-        return {"delay of an experiment": (found.delay_samples, found.standard_error)}
 
-    def model() -> Estimates:
-        found = _fit(pool)
-        return {"delay of an experiment": (found.delay, found.delay_error)}
-
-    estimators = {FIRST_CHANGE: first_change, ONSET: began, MODEL: model}
-    return _over_counts(pool, {"delay of an experiment": true}, counts, estimators, relative=False)
+def _told(found: object, names: Mapping[str, tuple[str, str]]) -> Estimates:
+    """Values and standard errors that a method's result has under these names, by quantity."""
+    return {quantity: (getattr(found, value), getattr(found, error)) for quantity, (value, error) in names.items()}
 
 
 def _of_an_experiment(pool: Trials, counts: tuple[int, ...]) -> Iterator[Rung]:
@@ -196,26 +195,22 @@ def _of_an_experiment(pool: Trials, counts: tuple[int, ...]) -> Iterator[Rung]:
     true = {weight: np.full(len(pool), pool.truth.experiment.mass)}
     true[viscous] = np.full(len(pool), pool.truth.experiment.damping)
 
-    def momentum() -> Estimates:
-        return {weight: (mass.by_momentum(*of_pool).mass_momentum, None)}
+    def momentum() -> mass.Masses:
+        return mass.by_momentum(*of_pool)
 
-    def corrected() -> Estimates:
-        return {weight: (mass.correct(mass.by_momentum(*of_pool), true[viscous]), None)}
-
-    def balance() -> Estimates:
-        found = friction.fit_balance(*of_pool, terms=BALANCE_TERMS)
-        return {weight: (found.mass, found.mass_error)}
-
-    def least_squares() -> Estimates:
-        return {viscous: (damping.from_trials(*of_pool).viscous_damping, None)}
-
-    def model() -> Estimates:
-        found = _fit(pool)
-        return {weight: (found.mass, found.mass_error), viscous: (found.damping, found.damping_error)}
+    def balance() -> friction.BalanceFit:
+        return friction.fit_balance(*of_pool, terms=BALANCE_TERMS)
 
     window = f"{1000 * WINDOW_S:g} ms"
-    estimators = {f"{BALANCE}, {window}": momentum, f"{CORRECTED}, {window}": corrected, FRICTION: balance}
-    return _over_counts(pool, true, counts, estimators | {LEAST_SQUARES: least_squares, MODEL: model})
+    of_mass, of_damping = {weight: ("mass", "mass_error")}, {viscous: ("damping", "damping_error")}
+    estimators: dict[str, Callable[[], Estimates]] = {
+        f"{BALANCE}, {window}": lambda: {weight: (momentum().mass_momentum, None)},
+        f"{CORRECTED}, {window}": lambda: {weight: (mass.correct(momentum(), true[viscous]), None)},
+        FRICTION: lambda: _told(balance(), of_mass),
+        LEAST_SQUARES: lambda: {viscous: (damping.from_trials(*of_pool).viscous_damping, None)},
+        MODEL: lambda: _told(_fit(pool), of_mass | of_damping),
+    }
+    return _over_counts(pool, true, counts, estimators)
 
 
 def _over_counts(

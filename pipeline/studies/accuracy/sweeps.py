@@ -14,8 +14,7 @@ from pipeline.records.batch import Booleans, Floats
 from pipeline.studies.accuracy import libraries, methods
 from pipeline.studies.accuracy.methods import Case, transfer_by
 from pipeline.studies.accuracy.rungs import FAILURES, largest
-from pipeline.studies.accuracy.theory_ladders import case_of, loop_of, own_plant, reference
-from pipeline.theory.energy import energy_costs
+from pipeline.studies.accuracy.theory_ladders import case_of, loop_of, own_energies, own_plant, reference
 from pipeline.theory.loop import LARGEST_DELAY, Loop
 from pipeline.theory.region import is_inside
 from pipeline.theory.stability import is_stable, spectral_radius
@@ -176,12 +175,7 @@ def _energies() -> dict[str, Energy]:
         known["Lyapunov equations (scipy)"] = partial(methods.lyapunov_energy, solve=linalg.solve_discrete_lyapunov)
     for samples in (SHORT, LONG):
         known[f"truncated recurrence, {samples} samples"] = partial(methods.truncated_energy, samples=samples)
-    return known | {OURS: _own_energies}
-
-
-def _own_energies(case: Case, alpha: Floats, beta: Floats) -> dict[int, Floats]:
-    costs = energy_costs(Loop(case.gamma, case.delta, float(case.delay)), alpha, beta)
-    return {w: costs[f"energy_step_w{w}"] for w in WEIGHTS}
+    return known | {OURS: lambda case, *wall: own_energies(Loop(case.gamma, case.delta, float(case.delay)), *wall)}
 
 
 def _energy_errors(energy: Energy, row: Row, delay: int) -> dict[int, float]:

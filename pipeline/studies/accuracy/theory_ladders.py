@@ -43,12 +43,11 @@ SEARCH_BOX = (0.3, 1.0)
 
 MAP_CRITERIA = ("settle_2pct", "overshoot", "energy_step_w0", "energy_step_w1", "energy_step_w2")
 
-TRANSIENT = ("settling time", "overshoot")
 ENERGIES = ("energy, w = 0", "energy, w = 1", "energy, w = 2")
 OPTIMA = {"optimum of energy": "energy_step_w0", "optimum of settling time": "settle_2pct"}
 """Criterion of each optimum that is looked for."""
 
-QUANTITIES = ("plant", "boundary", "spectral radius", *TRANSIENT, *ENERGIES, *OPTIMA, "map")
+QUANTITIES = ("plant", "boundary", "spectral radius", "settling time", "overshoot", *ENERGIES, *OPTIMA, "map")
 
 _TOLERANCE = "tolerance {:.0e}"
 _SAMPLES = "{} samples"
@@ -68,7 +67,8 @@ def theory_ladders() -> Iterator[Ladder]:
     yield _plant()
     yield _boundary()
     yield _radius()
-    yield from _responses()
+    yield _transients()
+    yield _energies()
     yield from (_optimum(quantity, criterion) for quantity, criterion in OPTIMA.items())
     yield _map()
 
@@ -81,6 +81,17 @@ def case_of(entry: dict[str, Any]) -> methods.Case:
 def loop_of(entry: dict[str, Any]) -> Loop:
     """Return the loop of reference values, as this package takes it."""
     return Loop(entry["gamma"], entry["delta"], float(entry["delay"]))
+
+
+def _main() -> tuple[methods.Case, Loop]:
+    """Loop of all quantities but the optima, for others and for this package."""
+    return case_of(reference()["loop"]), loop_of(reference()["loop"])
+
+
+def own_energies(loop: Loop, alpha: Floats, beta: Floats) -> dict[int, Floats]:
+    """Return the energy costs of a step by weight, as this package has them."""
+    costs = energy_costs(loop, alpha, beta)
+    return {w: costs[f"energy_step_w{w}"] for w in range(3)}
 
 
 def own_plant(gamma: float, delta: float) -> methods.Sampled:
@@ -123,7 +134,7 @@ def _plant() -> Ladder:
 def _boundary() -> Ladder:
     entry = reference()["boundary"]
     beta, high = np.array(entry["beta"]), 1.1 * entry["alpha_max"]
-    case, loop = case_of(reference()["loop"]), loop_of(reference()["loop"])
+    case, loop = _main()
 
     def bisection(radius: Callable[..., Floats]) -> Callable[..., Values]:
         return _named("boundary", searches.bisect_limit, radius, beta, high)
@@ -158,7 +169,7 @@ def _points() -> tuple[Floats, Floats, dict[str, Floats]]:
 
 def _radius() -> Ladder:
     alpha, beta, exact = _points()
-    case, loop = case_of(reference()["loop"]), loop_of(reference()["loop"])
+    case, loop = _main()
     control = libraries.load("control")
 
     def of(radius: Callable[..., Floats], *first: object) -> Callable[..., Values]:
@@ -186,67 +197,65 @@ def _radius() -> Ladder:
     )
 
 
-def _responses() -> Iterator[Ladder]:
+def _transients() -> Ladder:
     alpha, beta, exact = _points()
-    case, loop = case_of(reference()["loop"]), loop_of(reference()["loop"])
-    linalg, signal, control = map(libraries.load, ("scipy.linalg", "scipy.signal", "control"))
+    case, loop = _main()
+    signal, control = map(libraries.load, ("scipy.signal", "control"))
 
-    def transient(position: Floats, fine: int = 1) -> Values:
-        found = methods.settling_of(position, fine, BAND), np.maximum(position.max(axis=0), 0.0)
-        return dict(zip(TRANSIENT, found, strict=True))
+    def read(position: Floats, fine: int = 1) -> Values:
+        settle = methods.settling_of(position, fine, BAND)
+        return {"settling time": settle, "overshoot": np.maximum(position.max(axis=0), 0.0)}
 
-    def energies(values: dict[int, Floats]) -> Values:
-        return {name: values[w] for w, name in enumerate(ENERGIES)}
+    def simulated(fine: int) -> Values:
+        return read(methods.dense(case, alpha, beta, DENSE_SAMPLES, fine)[0], fine)
 
-    def simulated(fine: int) -> tuple[Floats, Floats]:
-        return methods.dense(case, alpha, beta, DENSE_SAMPLES, fine)
+    def by(response: Callable[..., Floats], library: object) -> Callable[[int], Values]:
+        return lambda samples: read(response(library, case, alpha, beta, samples))
 
-    def simulated_energies(fine: int) -> Values:
-        motion = simulated(fine)
-        return energies({w: methods.energy_of(*motion, case, alpha, fine, w) for w in range(3)})
-
-    def ours_transient() -> Values:
+    def ours() -> Values:
         costs = transient_costs(loop, alpha, beta, (BAND,))
         return {"settling time": costs["settle_2pct"], "overshoot": costs["overshoot"]}
 
-    def ours_energies() -> Values:
-        costs = energy_costs(loop, alpha, beta)
-        return energies({w: costs[f"energy_step_w{w}"] for w in range(3)})
-
-    def dlsim(samples: int) -> Values:
-        return transient(libraries.response_by_dlsim(signal, case, alpha, beta, samples))
-
-    def forced(samples: int) -> Values:
-        return transient(libraries.response_by_control(control, case, alpha, beta, samples))
-
-    def truncated(samples: int) -> Values:
-        return energies(methods.truncated_energy(case, alpha, beta, samples))
-
-    def lyapunov(solve: object = None) -> Values:
-        return energies(methods.lyapunov_energy(case, alpha, beta, solve))
-
-    def by_scipy() -> Values:
-        return lyapunov(linalg.solve_discrete_lyapunov)
-
-    horizons = (64, 128, 256, 512, 1024, 2048, 4096, 8192)
-    yield Ladder(
+    dlsim, forced = by(libraries.response_by_dlsim, signal), by(libraries.response_by_control, control)
+    horizons = _SAMPLES, (256, 512, 1024), (256,)
+    return Ladder(
         {"settling time": exact["settle_2pct"], "overshoot": exact["overshoot"]},
         (
-            Method("dense simulation", lambda fine: transient(simulated(fine)[0], fine), *_FINE),
-            Method("scipy dlsim", dlsim, _SAMPLES, horizons[2:5], (256,), needs="scipy.signal"),
-            Method("python-control", forced, _SAMPLES, horizons[2:5], (256,), needs="control"),
-            Method(OURS, ours_transient, "exact"),
+            Method("dense simulation", simulated, *_FINE),
+            Method("scipy dlsim", dlsim, *horizons, needs="scipy.signal"),
+            Method("python-control", forced, *horizons, needs="control"),
+            Method(OURS, ours, "exact"),
         ),
         scale={"overshoot": 1.0},
     )
-    yield Ladder(
-        energies({w: exact[f"energy_step_w{w}"] for w in range(3)}),
+
+
+def _energies() -> Ladder:
+    alpha, beta, exact = _points()
+    case, loop = _main()
+    solve = getattr(libraries.load("scipy.linalg"), "solve_discrete_lyapunov", None)
+
+    def simulated(fine: int) -> Values:
+        motion = methods.dense(case, alpha, beta, DENSE_SAMPLES, fine)
+        return {name: methods.energy_of(*motion, case, alpha, fine, w) for w, name in enumerate(ENERGIES)}
+
+    def by(energy: Callable[..., dict[int, Floats]], *first: object) -> Callable[..., Values]:
+        def run(*setting: object) -> Values:
+            found = energy(*first, alpha, beta, *setting)
+            return {name: found[w] for w, name in enumerate(ENERGIES)}
+
+        return run
+
+    lyapunov = by(methods.lyapunov_energy, case)
+    truncated = by(methods.truncated_energy, case)
+    return Ladder(
+        {name: exact[f"energy_step_w{w}"] for w, name in enumerate(ENERGIES)},
         (
-            Method("dense simulation", simulated_energies, *_FINE),
-            Method("truncated recurrence", truncated, _SAMPLES, horizons, (64, 512)),
+            Method("dense simulation", simulated, *_FINE),
+            Method("truncated recurrence", truncated, _SAMPLES, tuple(64 * 2**n for n in range(8)), (64, 512)),
             Method("Lyapunov equations (numpy)", lyapunov),
-            Method("Lyapunov equations (scipy)", by_scipy, needs="scipy.linalg"),
-            Method(OURS, ours_energies, "exact sum"),
+            Method("Lyapunov equations (scipy)", lambda: lyapunov(solve), needs="scipy.linalg"),
+            Method(OURS, by(own_energies, loop), "exact sum"),
         ),
     )
 
@@ -292,7 +301,7 @@ def _optimum(quantity: str, criterion: str) -> Ladder:
 
 def _map() -> Ladder:
     entry, exact = reference()["points"], _points()[2]
-    case, loop = case_of(reference()["loop"]), loop_of(reference()["loop"])
+    case, loop = _main()
     axes = [np.array(entry[name]) for name in ("axis_alpha", "axis_beta")]
     usable = axes[0] > 0  # at alpha = 0 the wall does not hold the device
     alpha, beta = (g.ravel() for g in np.meshgrid(axes[0][usable], axes[1]))

@@ -98,11 +98,12 @@ def cost_grid(loop: Loop, criterion: str) -> tuple[Floats, Floats, Floats]:
     points = tuple(axis.ravel() for axis in np.meshgrid(alpha, beta))
     at = np.flatnonzero(is_inside(loop, *points))
     cost = np.full(len(points[0]), np.nan)
-    cost[at] = _costs(loop, points[0][at], points[1][at], criterion)
+    cost[at] = point_cost(loop, points[0][at], points[1][at], criterion)
     return alpha, beta, cost.reshape(len(beta), len(alpha))
 
 
-def _costs(loop: Loop, alpha: Floats, beta: Floats, criterion: str) -> Floats:
+def point_cost(loop: Loop, alpha: Floats, beta: Floats, criterion: str) -> Floats:
+    """Return the cost of stable points, shape (n,)."""
     base = criterion.removesuffix("_discrete")
     if base == "pole_radius":
         return spectral_radius(loop, alpha, beta)
@@ -110,15 +111,18 @@ def _costs(loop: Loop, alpha: Floats, beta: Floats, criterion: str) -> Floats:
         return damping_ratio(loop, alpha, beta)
     if base.startswith("energy"):
         return energy_costs(loop, alpha, beta, base.split("_")[1])[criterion]
-    continuous = base == criterion
-    if base == "overshoot":
-        found = transient_costs(
-            loop, alpha, beta, (), continuous=continuous, longest=_LONGEST, quiet=_QUIET, unfinished_overshoot=True
-        )
-    else:
-        bands = (SETTLING_BANDS[base],)
-        found = transient_costs(loop, alpha, beta, bands, overshoot=False, continuous=continuous, longest=_LONGEST)
-    return found[criterion]
+    bands = () if base == "overshoot" else (SETTLING_BANDS[base],)
+    return transient_costs(
+        loop,
+        alpha,
+        beta,
+        bands,
+        overshoot=not bands,
+        continuous=base == criterion,
+        longest=_LONGEST,
+        quiet=_QUIET,
+        unfinished_overshoot=not bands,
+    )[criterion]
 
 
 def found_points(curve: Curve) -> tuple[Floats, Floats, Floats]:

@@ -39,30 +39,14 @@ class Jump:
 
 
 @lru_cache(maxsize=16)
-def first_settling_jump(loop: Loop) -> Jump:
-    """Return the first jump of the best damping for the 2 % settling time behind its optimum.
+def jump(loop: Loop, criterion: str, *, largest: bool = False) -> Jump:
+    """Return the first jump of the best damping behind the optimum of a criterion, or the largest one.
 
     Raises
     ------
     ParameterError
         If the curve has none.
     """
-    return _jump(loop, "settle_2pct", largest=False)
-
-
-@lru_cache(maxsize=16)
-def largest_overshoot_jump(loop: Loop) -> Jump:
-    """Return the largest jump of the best damping for the overshoot outside of the region without.
-
-    Raises
-    ------
-    ParameterError
-        If the curve has none.
-    """
-    return _jump(loop, "overshoot", largest=True)
-
-
-def _jump(loop: Loop, criterion: str, *, largest: bool) -> Jump:
     start, end = optimal_point(loop, criterion).alpha, stiffest_point(loop)[0]
     found = best_damping(loop, criterion, start + (end - start) * np.linspace(0.02, 0.85, _SWEEP))
     alpha, beta = found.given[found.found], found.best[found.found]
@@ -84,3 +68,13 @@ def _jump(loop: Loop, criterion: str, *, largest: bool) -> Jump:
         else:
             return Jump(low, before, behind)
     raise ParameterError(f"{loop}: the best damping for {criterion} does not jump.")
+
+
+def first_settling_jump(loop: Loop) -> Jump:
+    """Return the first jump for the 2 % settling time behind its optimum."""
+    return jump(loop, "settle_2pct")
+
+
+def largest_overshoot_jump(loop: Loop) -> Jump:
+    """Return the largest jump for the overshoot outside of the region without."""
+    return jump(loop, "overshoot", largest=True)

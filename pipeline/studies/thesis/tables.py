@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
@@ -21,14 +21,13 @@ from typing import Literal
 
 import numpy as np
 
-from pipeline.records.batch import Floats
 from pipeline.store.published_theory import THEORY_TABLES, PrintedNumber, PublishedPoint, published_points
+from pipeline.studies.thesis.curves import point_cost
 from pipeline.theory.energy import energy_costs
 from pipeline.theory.loop import Loop
 from pipeline.theory.optimum import impulse_energy_limit, optimal_point
 from pipeline.theory.rules import POINT_CRITERIA, marked_point, scaling_factor
 from pipeline.theory.search import where_stable
-from pipeline.theory.stability import spectral_radius
 
 Mark = Literal["equal", "within", "erratum", "unexplained"]
 
@@ -148,26 +147,17 @@ def _entry(point: PublishedPoint, name: str, printed: PrintedNumber, values: dic
     return marked("within", LIMIT, reason) if reason else marked("unexplained")
 
 
-def _cost_of(loop: Loop, criterion: str) -> Callable[[Floats, Floats, float], Floats] | None:
-    """Cost of points for a criterion whose cost is continuous; None for the others, which have no flat optimum."""
-    if criterion == "pole_radius":
-        return lambda alpha, beta, _: spectral_radius(loop, alpha, beta)
-    if criterion.startswith("energy"):
-        signal = criterion.split("_")[1]
-        return lambda alpha, beta, _: energy_costs(loop, alpha, beta, signal)[criterion]
-    return None
-
-
 def _flatness(point: PublishedPoint, optimal: float) -> str | None:
     """What is found among the points that round to the printed one, if it is the optimal cost to its printed digits."""
-    loop = Loop(point.gamma, point.delta, point.delay)
-    cost, printed = _cost_of(loop, point.criterion), point.printed()
-    if cost is None or not {"alpha", "beta", "cost"} <= set(printed):
+    loop, printed = Loop(point.gamma, point.delta, point.delay), point.printed()
+    continuous = point.criterion == "pole_radius" or point.criterion.startswith("energy")
+    if not continuous or not {"alpha", "beta", "cost"} <= set(printed):
         return None
     alpha, beta = (
         printed[name].value + printed[name].unit * np.linspace(-0.5, 0.5, _BOX) for name in ("alpha", "beta")
     )
-    least = float(where_stable(loop, cost)(np.repeat(alpha, _BOX), np.tile(beta, _BOX), np.inf).min())
+    cost = where_stable(loop, lambda a, b, _: point_cost(loop, a, b, point.criterion))
+    least = float(cost(np.repeat(alpha, _BOX), np.tile(beta, _BOX), np.inf).min())
     if abs(least - optimal) > 0.5 * printed["cost"].unit:
         return None
     return f"the cost of a point that rounds to the printed one is {least:.7g}, that of the optimum {optimal:.7g}"
