@@ -15,17 +15,7 @@ from pipeline.measured.stage_columns import BALANCE_TERMS
 from pipeline.records.accuracy import Rung
 from pipeline.records.batch import Floats, TrialBatch
 from pipeline.simulation.simulate import simulate
-from pipeline.studies.accuracy.names import (
-    BALANCE,
-    CORRECTED,
-    FIRST_CHANGE,
-    FRICTION,
-    LEAST_SQUARES,
-    MODEL,
-    MODEL_THIN,
-    ONSET,
-    nth,
-)
+from pipeline.studies.accuracy import names
 from pipeline.studies.accuracy.rungs import BUDGET, Ladder, Method, Values, best_time, median
 from pipeline.studies.accuracy.truth import USUAL_ROWS, Trials, Truth, draw_trials, joined, truth_of
 
@@ -127,11 +117,11 @@ def _delay_of_a_trial(name: str, trials: Trials, true: Floats, lengths: tuple[in
     return Ladder(
         {name: true},
         (
-            Method(FIRST_CHANGE, lambda: {name: _first_change(logs)}),
+            Method(names.FIRST_CHANGE, lambda: {name: _first_change(logs)}),
             Method("onset of motion, fixed window", fixed, _ROWS, WINDOWS, WINDOWS[::3]),
-            Method(ONSET, lambda: {name: _onset(logs).delay_samples}),
-            Method(MODEL, model, _ROWS, lengths, given=trials.shortened),
-            Method(MODEL_THIN, model, partial(nth, what="row"), THIN, given=logs.thinned),
+            Method(names.ONSET, lambda: {name: _onset(logs).delay_samples}),
+            Method(names.MODEL, model, _ROWS, lengths, given=trials.shortened),
+            Method(names.MODEL_THIN, model, partial(names.nth, what="row"), THIN, given=logs.thinned),
         ),
         median,
         {name: 1.0},
@@ -162,12 +152,12 @@ def _of_a_trial(trials: Trials, lengths: tuple[int, ...]) -> Ladder:
     return Ladder(
         {MASS: m, DAMPING: b},
         (
-            Method(BALANCE, lambda w: {MASS: momentum(w).mass_momentum}, *windows, quantities=(MASS,)),
-            Method(CORRECTED, lambda w: {MASS: mass.correct(momentum(w), b)}, *windows, quantities=(MASS,)),
-            Method(FRICTION, with_friction, _MILLISECONDS, FRICTION_WINDOWS_MS),
-            Method(LEAST_SQUARES, least_squares, _ROWS, lengths, given=shortened, quantities=(DAMPING,)),
-            Method(MODEL, model, _ROWS, lengths, given=shortened),
-            Method(MODEL_THIN, model, partial(nth, what="row"), THIN, given=logs.thinned),
+            Method(names.BALANCE, lambda w: {MASS: momentum(w).mass_momentum}, *windows, quantities=(MASS,)),
+            Method(names.CORRECTED, lambda w: {MASS: mass.correct(momentum(w), b)}, *windows, quantities=(MASS,)),
+            Method(names.FRICTION, with_friction, _MILLISECONDS, FRICTION_WINDOWS_MS),
+            Method(names.LEAST_SQUARES, least_squares, _ROWS, lengths, given=shortened, quantities=(DAMPING,)),
+            Method(names.MODEL, model, _ROWS, lengths, given=shortened),
+            Method(names.MODEL_THIN, model, partial(names.nth, what="row"), THIN, given=logs.thinned),
         ),
         median,
         trials=len(trials),
@@ -177,16 +167,16 @@ def _of_a_trial(trials: Trials, lengths: tuple[int, ...]) -> Ladder:
 def _delay_of_an_experiment(pool: Trials, true: Floats, counts: tuple[int, ...]) -> Iterator[Rung]:
     name = "delay of an experiment"
     estimators: dict[str, Callable[[], Estimates]] = {
-        FIRST_CHANGE: lambda: {name: (_first_change(pool), None)},
-        ONSET: lambda: _told(_onset(pool), {name: ("delay_samples", "standard_error")}),
-        MODEL: lambda: _told(_fit(pool), {name: ("delay", "delay_error")}),
+        names.FIRST_CHANGE: lambda: {name: (_first_change(pool), None)},
+        names.ONSET: lambda: _told(_onset(pool), {name: ("delay_samples", "standard_error")}),
+        names.MODEL: lambda: _told(_fit(pool), {name: ("delay", "delay_error")}),
     }
     return _over_counts(pool, {name: true}, counts, estimators, relative=False)
 
 
-def _told(found: object, names: Mapping[str, tuple[str, str]]) -> Estimates:
+def _told(found: object, fields: Mapping[str, tuple[str, str]]) -> Estimates:
     """Values and standard errors that a method's result has under these names, by quantity."""
-    return {quantity: (getattr(found, value), getattr(found, error)) for quantity, (value, error) in names.items()}
+    return {quantity: (getattr(found, value), getattr(found, error)) for quantity, (value, error) in fields.items()}
 
 
 def _of_an_experiment(pool: Trials, counts: tuple[int, ...]) -> Iterator[Rung]:
@@ -204,11 +194,11 @@ def _of_an_experiment(pool: Trials, counts: tuple[int, ...]) -> Iterator[Rung]:
     window = f"{1000 * WINDOW_S:g} ms"
     of_mass, of_damping = {weight: ("mass", "mass_error")}, {viscous: ("damping", "damping_error")}
     estimators: dict[str, Callable[[], Estimates]] = {
-        f"{BALANCE}, {window}": lambda: {weight: (momentum().mass_momentum, None)},
-        f"{CORRECTED}, {window}": lambda: {weight: (mass.correct(momentum(), true[viscous]), None)},
-        FRICTION: lambda: _told(balance(), of_mass),
-        LEAST_SQUARES: lambda: {viscous: (damping.from_trials(*of_pool).viscous_damping, None)},
-        MODEL: lambda: _told(_fit(pool), of_mass | of_damping),
+        f"{names.BALANCE}, {window}": lambda: {weight: (momentum().mass_momentum, None)},
+        f"{names.CORRECTED}, {window}": lambda: {weight: (mass.correct(momentum(), true[viscous]), None)},
+        names.FRICTION: lambda: _told(balance(), of_mass),
+        names.LEAST_SQUARES: lambda: {viscous: (damping.from_trials(*of_pool).viscous_damping, None)},
+        names.MODEL: lambda: _told(_fit(pool), of_mass | of_damping),
     }
     return _over_counts(pool, true, counts, estimators)
 

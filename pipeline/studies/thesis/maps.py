@@ -9,18 +9,7 @@ import numpy as np
 
 from pipeline.records.batch import Floats
 from pipeline.studies.panels import Contours, Note, Panel, Trace, mark
-from pipeline.studies.thesis.curves import (
-    ALPHA,
-    box,
-    cost_grid,
-    damping_curve,
-    flat_region,
-    found_points,
-    outline_trace,
-    plain_loop,
-    plane,
-    stiffness_curve,
-)
+from pipeline.studies.thesis import curves
 from pipeline.studies.thesis.jumps import Jump, first_settling_jump, largest_overshoot_jump
 from pipeline.theory.loop import Loop
 from pipeline.theory.optimum import optimal_point
@@ -51,25 +40,25 @@ _JUMPS = {"settle_2pct": first_settling_jump, "overshoot": largest_overshoot_jum
 
 def cost_map(criterion: str, delay: float) -> Panel:
     """Return the map of a criterion with contour lines, both optimal curves, the optimum, and the cost below."""
-    loop, base = plain_loop(delay), criterion.removesuffix("_discrete")
+    loop, base = curves.plain_loop(delay), criterion.removesuffix("_discrete")
     best = optimal_point(loop, criterion)
-    lines = [outline_trace(loop), *_optimal_curves(loop, criterion), _optimum(best, criterion)]
+    lines = [curves.outline_trace(loop), *_optimal_curves(loop, criterion), _optimum(best, criterion)]
     if criterion in _JUMPS and delay == 0:
         lines += _jump_marks(_JUMPS[criterion](loop))
     levels, labelled, scale, digits = _levels(criterion, best.cost)
-    contours = Contours(*cost_grid(loop, criterion), levels, labelled, scale, digits)
+    contours = Contours(*curves.cost_grid(loop, criterion), levels, labelled, scale, digits)
     flat = base == "overshoot" or (criterion == "damping" and delay == 0)
     return replace(
-        plane(loop, _title(criterion, delay), lines),
+        curves.plane(loop, _title(criterion, delay), lines),
         contours=(contours,),
-        areas=(flat_region(loop, criterion),) if flat else (),
+        areas=(curves.flat_region(loop, criterion),) if flat else (),
         below=_front(loop, criterion, best) if base in _FRONTS else None,
     )
 
 
 def energy_map(criterion: str) -> Panel:
     """Return the map of an energy criterion without delay, with its least cost written beside the optimum."""
-    best = optimal_point(plain_loop(0.0), criterion)
+    best = optimal_point(curves.plain_loop(0.0), criterion)
     note = Note(best.alpha, best.beta, f"{best.cost:.2f}", "left", 9.0, 12.0, "green")
     return replace(cost_map(criterion, 0.0), notes=(note,))
 
@@ -106,13 +95,13 @@ def _levels(criterion: str, best: float) -> tuple[Floats, tuple[float, ...], flo
 def _optimal_curves(loop: Loop, criterion: str) -> Iterator[Trace]:
     """Best damping for given stiffness and the reverse; of the sampled settling time both ends of the best values."""
     looks = ("best β for given α", "ink", "solid"), ("best α for given β", "purple", "dashed")
-    curves = damping_curve(loop, criterion), stiffness_curve(loop, criterion)
-    for curve, (label, colour, dash) in zip(curves, looks, strict=True):
+    over_alpha, over_beta = curves.damping_curve(loop, criterion), curves.stiffness_curve(loop, criterion)
+    for curve, (label, colour, dash) in zip((over_alpha, over_beta), looks, strict=True):
         strip = criterion == "settle_2pct_discrete"
         edges = {f"limits of {label}": curve.low, "": curve.high} if strip else {label: curve.best}
         for name, edge in edges.items():
             pair = curve.given[curve.found], edge[curve.found]
-            place = pair if curve is curves[0] else pair[::-1]
+            place = pair if curve is over_alpha else pair[::-1]
             yield Trace(*place, colour if strip else "ink", dash, name, width=1.2 if strip else 1.5)
 
 
@@ -135,22 +124,22 @@ def _front(loop: Loop, criterion: str, best: OptimalPoint) -> Panel:
     base = criterion.removesuffix("_discrete")
     label, (low, high), factor = _FRONTS[base]
     top = high * best.cost if base.startswith("settle") else high
-    alpha, _, cost = found_points(damping_curve(loop, criterion))
+    alpha, _, cost = curves.found_points(curves.damping_curve(loop, criterion))
     line = Trace(alpha, cost * factor, "ink", "solid", "", width=1.5)
     traces = (line, mark(best.alpha, best.cost * factor, "green", "+"))
-    return Panel("", ALPHA, label, box(loop)[0], (low, top), traces)
+    return Panel("", curves.ALPHA, label, curves.box(loop)[0], (low, top), traces)
 
 
 def poles_against_response(delay: float) -> Panel:
     """Return optimal curves of pole radius and settling time, with the settling times of both below."""
-    loop = plain_loop(delay)
-    traces, fronts = [outline_trace(loop)], []
+    loop = curves.plain_loop(delay)
+    traces, fronts = [curves.outline_trace(loop)], []
     for criterion, name, colour in (
         ("pole_radius", "pole radius", "vermillion"),
         ("settle_2pct", "settling time", "blue"),
     ):
-        alpha, beta, time = found_points(damping_curve(loop, criterion))
-        given, best, _ = found_points(stiffness_curve(loop, criterion))
+        alpha, beta, time = curves.found_points(curves.damping_curve(loop, criterion))
+        given, best, _ = curves.found_points(curves.stiffness_curve(loop, criterion))
         point = optimal_point(loop, criterion)
         least = point.cost
         if criterion == "pole_radius":
@@ -160,5 +149,5 @@ def poles_against_response(delay: float) -> Panel:
         traces.append(mark(point.alpha, point.beta, colour, "+"))
         fronts += [Trace(alpha, time, colour), mark(point.alpha, least, colour, "+")]
     top = 40.0 * (delay + 1)
-    front = Panel("", ALPHA, "settling time / T", box(loop)[0], (0.0, top), tuple(fronts))
-    return replace(plane(loop, f"d = {delay:g}", traces), below=front)
+    front = Panel("", curves.ALPHA, "settling time / T", curves.box(loop)[0], (0.0, top), tuple(fronts))
+    return replace(curves.plane(loop, f"d = {delay:g}", traces), below=front)

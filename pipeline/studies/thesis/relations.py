@@ -9,15 +9,7 @@ import numpy as np
 
 from pipeline.records.batch import Floats
 from pipeline.studies.panels import Note, Panel, Trace, mark
-from pipeline.studies.thesis.curves import (
-    DELAY,
-    damping_curve,
-    flat_region,
-    found_points,
-    outline_trace,
-    plain_loop,
-    plane,
-)
+from pipeline.studies.thesis import curves
 from pipeline.theory.extent import damping_range, stiffest_point
 from pipeline.theory.loop import Loop
 from pipeline.theory.optimum import optimal_point
@@ -95,21 +87,21 @@ def _rules(loop: Loop) -> list[Trace]:
 
 def against_rules(criteria: Sequence[str], title: str, delay: float) -> Panel:
     """Return the damping rules of continuous time beside the best damping for criteria."""
-    loop = plain_loop(delay)
-    traces = [outline_trace(loop), *_rules(loop)]
+    loop = curves.plain_loop(delay)
+    traces = [curves.outline_trace(loop), *_rules(loop)]
     for criterion, (colour, sign) in zip(criteria, _RULED, strict=False):
-        alpha, beta, cost = found_points(damping_curve(loop, criterion))
+        alpha, beta, cost = curves.found_points(curves.damping_curve(loop, criterion))
         known = (cost > 0) | (criterion != "overshoot")  # inside the region without the curve is its middle
         best = optimal_point(loop, criterion)
         traces.append(Trace(alpha[known], beta[known], colour, "solid", _NAMES[criterion]))
         traces.append(mark(best.alpha, best.beta, colour, sign))
-    areas = (flat_region(loop, "overshoot"),) if "overshoot" in criteria else ()
-    return replace(plane(loop, f"{title}d = {delay:g}", traces), areas=areas)
+    areas = (curves.flat_region(loop, "overshoot"),) if "overshoot" in criteria else ()
+    return replace(curves.plane(loop, f"{title}d = {delay:g}", traces), areas=areas)
 
 
 def optima(delay: float) -> Panel:
     """Return the optima of all criteria by number, and the point of Ziegler and Nichols."""
-    loop = plain_loop(delay)
+    loop = curves.plain_loop(delay)
     points = [optimal_point(loop, name) for name in _NUMBERED]
     rule = marked_point(loop, "ziegler_nichols")
     notes = [
@@ -118,16 +110,16 @@ def optima(delay: float) -> Panel:
     notes.append(Note(rule.alpha, rule.beta, "ZN", "right", -8.0, 5.0, "vermillion"))
     places = np.array([p.alpha for p in points]), np.array([p.beta for p in points])
     traces = [
-        outline_trace(loop),
+        curves.outline_trace(loop),
         Trace(*places, "blue", "none", "optima", "."),
         mark(rule.alpha, rule.beta, "vermillion", "+", "Ziegler-Nichols"),
     ]
-    return replace(plane(loop, f"d = {delay:g}", traces), notes=tuple(notes))
+    return replace(curves.plane(loop, f"d = {delay:g}", traces), notes=tuple(notes))
 
 
 def share_of_largest(title: str, name: str, top: float) -> Panel:
     """Return stiffness or damping of the optima by the largest stable one, over delay."""
-    loops = [plain_loop(d) for d in DELAYS.tolist()]
+    loops = [curves.plain_loop(d) for d in DELAYS.tolist()]
     axis, letter = ("alpha", "α") if name == "stiffness" else ("beta", "β")
     largest = [stiffest_point(loop)[0] if axis == "alpha" else damping_range(loop)[1] for loop in loops]
     traces, notes = [], []
@@ -137,7 +129,7 @@ def share_of_largest(title: str, name: str, top: float) -> Panel:
         traces.append(Trace(DELAYS, share, colour, dash, _NAMES[criterion], sign))
         notes.append(Note(8.0, float(share[-1]), f"{share[-1]:.1f}", "left", 9.0, 0.0, colour))
     label = f"optimal by largest {letter} [%]"
-    return Panel(f"{title}: {name}", DELAY, label, (-0.2, 8.9), (-2.0, top), tuple(traces), notes=tuple(notes))
+    return Panel(f"{title}: {name}", curves.DELAY, label, (-0.2, 8.9), (-2.0, top), tuple(traces), notes=tuple(notes))
 
 
 def _over_delay(title: str, values: Callable[[str], Floats]) -> list[Trace]:
@@ -151,7 +143,7 @@ def _over_delay(title: str, values: Callable[[str], Floats]) -> list[Trace]:
 
 def _cost(criterion: str) -> Floats:
     """Cost in the optimum over delay, of an energy by that at the largest delay."""
-    cost = np.array([optimal_cost(plain_loop(d), criterion) for d in DELAYS.tolist()])
+    cost = np.array([optimal_cost(curves.plain_loop(d), criterion) for d in DELAYS.tolist()])
     return cost / cost[-1] if criterion.startswith("energy") else cost
 
 
@@ -162,7 +154,7 @@ def optimal_costs(title: str) -> Panel:
     energy = "energy" in title
     label = "cost by that at d = 8" if energy else "settling time / T"
     shown = title if energy else "(a) settling time"
-    return Panel(shown, DELAY, label, (-0.2, 8.4), (0.0, top), tuple(traces))
+    return Panel(shown, curves.DELAY, label, (-0.2, 8.4), (0.0, top), tuple(traces))
 
 
 def approximation_errors(title: str) -> Panel:
@@ -172,4 +164,4 @@ def approximation_errors(title: str) -> Panel:
     low, high = float(values.min()), float(values.max())
     room = 0.12 * (high - low)
     ends = low - room, high + room
-    return Panel("relative error of (5.19)", DELAY, "error ρ [%]", (-0.2, 8.4), ends, tuple(traces))
+    return Panel("relative error of (5.19)", curves.DELAY, "error ρ [%]", (-0.2, 8.4), ends, tuple(traces))
