@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import groupby
 
 from pipeline.base.wording import duration, error_text
 from pipeline.records.accuracy import Rung
 from pipeline.studies.accuracy.names import AREA, BALANCE, CORRECTED, MODEL_THIN, OPTIMUM_TWO, RATES_TWO
+from pipeline.studies.accuracy.rungs import grouped
 from pipeline.studies.accuracy.theory_advice import name_of
 
 WANTED = 0.01
@@ -43,7 +43,7 @@ def course_length(label: str, rungs: Sequence[Rung], wanted: float = WANTED) -> 
     here = [r for r in rungs if r.quantity == f"{AREA}, {label}" and r.device_seconds is not None]
     if not _of(f"{AREA}, {label}", RATES_TWO, here):
         return f"{label}: no course was simulated."
-    enough = {method: _enough(group, wanted) for method, group in _by_method(here)}
+    enough = {method: _enough(group, wanted) for method, group in grouped(here, "method").items()}
     full, found = _fullest(here, RATES_TWO), enough.get(RATES_TWO)
     longest = f"the longest course, {_size(full)}, has {percent(full.error)}"
     if found is None:
@@ -54,7 +54,7 @@ def course_length(label: str, rungs: Sequence[Rung], wanted: float = WANTED) -> 
         least = found[0]
         parts = [
             f"{label}: for {percent(wanted)} in the area under the boundary a course must take {least.trials} trials, "
-            f"{(least.device_seconds or 0.0) / 60:.1f} minutes on the device: {least.setting}, {RATES_TWO}, "
+            f"{minutes(least):.1f} minutes on the device: {least.setting}, {RATES_TWO}, "
             f"error {percent(least.error)}."
         ]
     others = [f"with {m} {_size(r[0])}" for m, r in enough.items() if r is not None and m != RATES_TWO]
@@ -81,25 +81,24 @@ def advise(quantity: str, rungs: Sequence[Rung]) -> str:
         Of any quantities.
     """
     here = [r for r in rungs if r.quantity == quantity]
-    close = trusted(quantity, rungs)
+    close = trusted(quantity, here)
     if close is None:
         return "No method gives nine of ten trials a value."
     parts = [f"Trust {name_of(close)}: error {error_of(close)}{_effort_text(close)}."]
-    others = []
-    for method, group in _by_method(here):
-        if method == close.method:
-            continue
-        good = _usable(group)
-        if good:
-            least = min(good, key=lambda r: r.error or 0.0)
-            others.append(f"{name_of(least)} {error_of(least)}")
-        else:
-            known = [r.missing for r in here if r.method == method and r.missing is not None]
-            share = f" ({percent(min(known))} of the trials have no value)" if known else ""
-            others.append(f"{method} cannot be recommended{share}")
+    others = [_at_best(method, of) for method, of in grouped(here, "method").items() if method != close.method]
     if others:
         parts.append(f"The others at their best: {'; '.join(others)}.")
     return " ".join(parts)
+
+
+def _at_best(method: str, rungs: Sequence[Rung]) -> str:
+    """Least error of a method, or why none counts."""
+    least = min(_usable(rungs), key=lambda r: r.error or 0.0, default=None)
+    if least is not None:
+        return f"{name_of(least)} {error_of(least)}"
+    known = [r.missing for r in rungs if r.missing is not None]
+    share = f" ({percent(min(known))} of the trials have no value)" if known else ""
+    return f"{method} cannot be recommended{share}"
 
 
 def trusted(quantity: str, rungs: Sequence[Rung]) -> Rung | None:
@@ -186,7 +185,7 @@ def _enough(rungs: Sequence[Rung], wanted: float) -> tuple[Rung, Rung] | None:
     Of several such runs it is that of the longest courses. A single course counts where it is the longest of all.
     """
     runs: list[list[Rung]] = [[]]
-    ordered = sorted(rungs, key=lambda r: r.device_seconds or 0.0)
+    ordered = sorted(rungs, key=minutes)
     for rung in ordered:
         if rung.error is not None and rung.error <= wanted:
             runs[-1].append(rung)
@@ -197,17 +196,16 @@ def _enough(rungs: Sequence[Rung], wanted: float) -> tuple[Rung, Rung] | None:
 
 
 def _fullest(rungs: Sequence[Rung], method: str) -> Rung:
-    return max((r for r in rungs if r.method == method), key=lambda r: r.device_seconds or 0.0)
-
-
-def _by_method(rungs: Sequence[Rung]) -> list[tuple[str, list[Rung]]]:
-    order = list(dict.fromkeys(r.method for r in rungs))
-    ranked = sorted(rungs, key=lambda r: order.index(r.method))
-    return [(method, list(group)) for method, group in groupby(ranked, key=lambda r: r.method)]
+    return max((r for r in rungs if r.method == method), key=minutes)
 
 
 def _size(rung: Rung) -> str:
-    return f"{rung.trials} trials ({(rung.device_seconds or 0.0) / 60:.1f} min)"
+    return f"{rung.trials} trials ({minutes(rung):.1f} min)"
+
+
+def minutes(rung: Rung) -> float:
+    """Return the measuring time on the device [min], 0 where there is none."""
+    return (rung.device_seconds or 0.0) / 60
 
 
 def _effort(rung: Rung) -> float:

@@ -12,8 +12,9 @@ from pipeline.records import tables
 from pipeline.records.accuracy import OURS, WRONG, AccuracyReport, Advice, MeasuredAccuracy, Rung, Sweep
 from pipeline.rendering.page_template import fill_template
 from pipeline.studies.accuracy.figures import SIZE, Look, ladder, sweep
-from pipeline.studies.accuracy.measured_advice import MOST_MISSING, WANTED, error_of, percent
+from pipeline.studies.accuracy.measured_advice import MOST_MISSING, WANTED, error_of, minutes, percent
 from pipeline.studies.accuracy.names import AREA, RECOMMENDED
+from pipeline.studies.accuracy.rungs import grouped, sorted_by
 from pipeline.studies.accuracy.theory_advice import compared, fails, longest, name_of, place_of
 from pipeline.studies.accuracy.words import words
 from pipeline.studies.panels import Panel
@@ -42,7 +43,7 @@ def write(report: AccuracyReport, path: Path) -> None:
 
 def summary_rows(report: AccuracyReport) -> tuple[dict[str, str], ...]:
     """Return one row a quantity: error and time of this package, and the quickest other within `WRONG`."""
-    return tuple(_summary_row(name, here, report.sweeps) for name, here in _by_quantity(report.rungs).items())
+    return tuple(_summary_row(name, here, report.sweeps) for name, here in grouped(report.rungs, "quantity").items())
 
 
 def _summary_row(quantity: str, rungs: Sequence[Rung], sweeps: Sequence[Sweep]) -> dict[str, str]:
@@ -60,17 +61,6 @@ def _summary_row(quantity: str, rungs: Sequence[Rung], sweeps: Sequence[Sweep]) 
     return row
 
 
-def _by_quantity(rungs: Sequence[Rung]) -> dict[str, list[Rung]]:
-    """Rungs of each quantity, of each one method after the other."""
-    found: dict[str, list[Rung]] = {}
-    for rung in rungs:
-        found.setdefault(rung.quantity, []).append(rung)
-    for of in found.values():
-        methods = list(dict.fromkeys(r.method for r in of))
-        of.sort(key=lambda r: methods.index(r.method))
-    return found
-
-
 def _drawn(panel: Panel, identifier: str) -> str:
     from pipeline.studies.drawing import draw_panel  # with its library, half a second that other commands do without
 
@@ -83,7 +73,7 @@ def _text(quantity: str, advice: Sequence[Advice]) -> str:
 
 def _ladders(report: AccuracyReport) -> Iterator[dict[str, Any]]:
     """Cards of the theory."""
-    for i, (name, rungs) in enumerate(_by_quantity(report.rungs).items()):
+    for i, (name, rungs) in enumerate(grouped(report.rungs, "quantity").items()):
         yield {
             "name": name,
             "meaning": words()["meaning"].get(name, ""),
@@ -117,7 +107,7 @@ def _sweep_row(s: Sweep) -> dict[str, str | bool]:
 
 def _groups(measured: MeasuredAccuracy) -> list[dict[str, Any]]:
     """Headings of the measured branch with their cards, in the order of what a reader asks first."""
-    rungs = _by_quantity(measured.rungs)
+    rungs = {name: sorted_by(of, "method") for name, of in grouped(measured.rungs, "quantity").items()}
     found = []
     for group in words()["groups"]:
         names = [name for begin in group["begins"] for name in rungs if name.startswith(begin)]
@@ -148,15 +138,11 @@ def _looks(name: str, device: bool) -> dict[str, Look]:
         return {name: run}
     if name.startswith(AREA):
         run = replace(run, wanted=WANTED)
-    over_device = replace(run, time="time on the device [min]", seconds=_device_minutes)
+    over_device = replace(run, time="time on the device [min]", seconds=minutes)
     return {name: over_device} | ({f"{name}: run time": run} if name.startswith(AREA) else {})
-
-
-def _device_minutes(rung: Rung) -> float:
-    return (rung.device_seconds or 0.0) / 60
 
 
 def _row(rung: Rung) -> tuple[str, str, tuple[str, ...]]:
     device = rung.device_seconds is not None
-    effort = (str(rung.trials), f"{_device_minutes(rung):.2g} min") if device else (percent(rung.missing or 0.0),)
+    effort = (str(rung.trials), f"{minutes(rung):.2g} min") if device else (percent(rung.missing or 0.0),)
     return rung.method, rung.setting, (*effort, error_of(rung), duration(rung.seconds))

@@ -14,7 +14,7 @@ from pipeline.studies.accuracy.cost_ladders import cost_ladders
 from pipeline.studies.accuracy.courses import CONDITIONS, COURSES, course_rungs
 from pipeline.studies.accuracy.libraries import load
 from pipeline.studies.accuracy.parameter_ladders import parameter_rungs
-from pipeline.studies.accuracy.rungs import BUDGET
+from pipeline.studies.accuracy.rungs import BUDGET, grouped, sorted_by
 from pipeline.studies.accuracy.sweeps import sweeps
 from pipeline.studies.accuracy.theory_ladders import theory_ladders
 from pipeline.studies.accuracy.words import words
@@ -60,7 +60,7 @@ def measure_theory(quick: bool = False, say: Say = lambda _: None) -> dict[str, 
     for ladder in theory_ladders():
         say(next(iter(ladder.exact)))
         rungs += ladder.rungs(quick, QUICK_THEORY_BUDGET if quick else THEORY_BUDGET)
-    rungs = by_quantity(rungs)
+    rungs = sorted_by(rungs, "quantity")
     say("numerical stability")
     found = tuple(sweeps(quick))
     return {
@@ -102,7 +102,7 @@ def assemble(rungs: Sequence[Rung], labels: Sequence[str], seconds: float, cours
     courses : int
         Courses of each size.
     """
-    rungs = by_quantity(rungs)
+    rungs = sorted_by(rungs, "quantity")
     return MeasuredAccuracy(
         rungs=tuple(rungs),
         advice=_advice(measured_advice.advise, rungs),
@@ -113,15 +113,8 @@ def assemble(rungs: Sequence[Rung], labels: Sequence[str], seconds: float, cours
     )
 
 
-def by_quantity(rungs: Sequence[Rung]) -> list[Rung]:
-    """Return rungs one quantity after the other, in the order in which they begin."""
-    quantities = list(dict.fromkeys(r.quantity for r in rungs))
-    return sorted(rungs, key=lambda r: quantities.index(r.quantity))
-
-
 def _advice(advise: Callable[..., str], rungs: Sequence[Rung], *more: object) -> tuple[Advice, ...]:
-    names = dict.fromkeys(r.quantity for r in rungs)
-    return tuple(Advice(quantity=name, text=advise(name, rungs, *more)) for name in names)
+    return tuple(Advice(quantity=name, text=advise(name, rungs, *more)) for name in grouped(rungs, "quantity"))
 
 
 def left_out() -> tuple[LeftOut, ...]:

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
@@ -175,6 +175,19 @@ class Ladder:
                 missing=missing,
                 trials=self.counted,
             )
+
+
+def grouped(rungs: Iterable[Rung], of: Literal["quantity", "method"]) -> dict[str, list[Rung]]:
+    """Return rungs by quantity or by method, in the order in which these begin."""
+    found: dict[str, list[Rung]] = {}
+    for rung in rungs:
+        found.setdefault(getattr(rung, of), []).append(rung)
+    return found
+
+
+def sorted_by(rungs: Iterable[Rung], of: Literal["quantity", "method"]) -> list[Rung]:
+    """Return rungs one quantity after the other, or one method after the other."""
+    return [rung for group in grouped(rungs, of).values() for rung in group]
 
 
 def best_time(run: Callable[[], _T], budget: float) -> tuple[_T, float]:

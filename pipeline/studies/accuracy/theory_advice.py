@@ -7,6 +7,7 @@ from itertools import groupby
 
 from pipeline.base.wording import duration, error_text, listed
 from pipeline.records.accuracy import OURS, WRONG, Rung, Sweep
+from pipeline.studies.accuracy.rungs import grouped
 from pipeline.studies.accuracy.words import words
 
 USES = (1e-3, 1e-6, 1e-10)
@@ -54,10 +55,10 @@ def advise(quantity: str, rungs: Sequence[Rung], sweeps: Sequence[Sweep] = ()) -
 
 def summarise(rungs: Sequence[Rung], sweeps: Sequence[Sweep]) -> tuple[str, ...]:
     """Return what a newcomer should know, most important first."""
-    quantities = list(dict.fromkeys(r.quantity for r in rungs))
+    quantities = grouped(rungs, "quantity")
     quickest, rough = [], []
-    for name in quantities:
-        ours, others = _split(name, rungs)
+    for name, here in quantities.items():
+        ours, others = _split(name, here)
         if ours is None or ours.error is None:
             continue
         good, fast = (_quickest(others, level) for level in (WRONG, USES[0]))
