@@ -25,9 +25,9 @@ from pipeline.records import accuracy
 from pipeline.records.accuracy import OURS, AccuracyReport, Rung, Sweep
 from pipeline.rendering import report as comparison_report
 from pipeline.studies.accuracy import libraries, methods, page, rungs, searches, sweeps, theory_advice
+from pipeline.studies.accuracy.names import words
 from pipeline.studies.accuracy.run import left_out, measure
 from pipeline.studies.accuracy.theory_ladders import QUANTITIES, reference, theory_ladders
-from pipeline.studies.accuracy.words import words
 
 CASE = methods.Case(0.001, 0.02, 4)
 

@@ -34,6 +34,7 @@ from pipeline.studies.accuracy.names import (
     RATES_TWO,
     WHOLE,
     nth,
+    words,
 )
 from pipeline.studies.accuracy.parameter_ladders import parameter_rungs
 from pipeline.studies.accuracy.run import assemble, measure, measure_measured
@@ -46,7 +47,6 @@ from pipeline.studies.accuracy.truth import (
     joined,
     truth_of,
 )
-from pipeline.studies.accuracy.words import words
 
 FALCON = CONDITIONS[0]
 

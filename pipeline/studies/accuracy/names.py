@@ -1,6 +1,11 @@
-"""Names of methods and quantities of the measured branch that more than one module goes by."""
+"""Names of methods and quantities that several modules go by, and the words of the page that no number changes."""
 
 from __future__ import annotations
+
+import tomllib
+from functools import cache
+from pathlib import Path
+from typing import Any
 
 FIRST_CHANGE = "first change (6.2, 6.3)"
 ONSET = "onset of motion"
@@ -32,3 +37,9 @@ def nth(step: int, what: str) -> str:
         return f"every {what}"
     ending = {2: "nd", 3: "rd"}.get(step, "th")
     return f"every {step}{ending} {what}"
+
+
+@cache
+def words() -> dict[str, Any]:
+    """Return meanings of quantities, paths of sweeps, headings, and what is left out, from ``words.toml`` beside it."""
+    return tomllib.loads(Path(__file__).with_name("words.toml").read_text(encoding="utf-8"))

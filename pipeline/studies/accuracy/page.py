@@ -13,10 +13,9 @@ from pipeline.records.accuracy import OURS, WRONG, AccuracyReport, Advice, Measu
 from pipeline.rendering.page_template import fill_template
 from pipeline.studies.accuracy.figures import SIZE, Look, ladder, sweep
 from pipeline.studies.accuracy.measured_advice import MOST_MISSING, WANTED, error_of, minutes, percent
-from pipeline.studies.accuracy.names import AREA, RECOMMENDED
+from pipeline.studies.accuracy.names import AREA, RECOMMENDED, words
 from pipeline.studies.accuracy.rungs import grouped, sorted_by
 from pipeline.studies.accuracy.theory_advice import compared, fails, longest, name_of, place_of
-from pipeline.studies.accuracy.words import words
 from pipeline.studies.panels import Panel
 
 MEASURED = Look("error", leading=RECOMMENDED, smallest=1e-6, most_missing=MOST_MISSING)

@@ -13,11 +13,11 @@ from pipeline.studies.accuracy import measured_advice, theory_advice
 from pipeline.studies.accuracy.cost_ladders import cost_ladders
 from pipeline.studies.accuracy.courses import CONDITIONS, COURSES, course_rungs
 from pipeline.studies.accuracy.libraries import load
+from pipeline.studies.accuracy.names import words
 from pipeline.studies.accuracy.parameter_ladders import parameter_rungs
 from pipeline.studies.accuracy.rungs import BUDGET, grouped, sorted_by
 from pipeline.studies.accuracy.sweeps import sweeps
 from pipeline.studies.accuracy.theory_ladders import theory_ladders
-from pipeline.studies.accuracy.words import words
 
 THEORY_BUDGET, QUICK_THEORY_BUDGET = 0.12, 0.03
 """Seconds that a method of theory is repeated for; its minimum settles within a few dozen repetitions."""

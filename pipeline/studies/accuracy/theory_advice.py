@@ -7,8 +7,8 @@ from itertools import groupby
 
 from pipeline.base.wording import duration, error_text, listed
 from pipeline.records.accuracy import OURS, WRONG, Rung, Sweep
+from pipeline.studies.accuracy.names import words
 from pipeline.studies.accuracy.rungs import grouped
-from pipeline.studies.accuracy.words import words
 
 USES = (1e-3, 1e-6, 1e-10)
 """Errors that stand for a plot, a table, and a reference value."""
