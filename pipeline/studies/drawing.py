@@ -1,4 +1,4 @@
-"""Panels of lines, contours, areas and words as SVG. The numbers come finished (`pipeline.studies.panels`)."""
+"""Panels of lines, contours, areas and words as SVG. The numbers come finished (`pipeline.studies.figure`)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from pipeline.base.wording import power_of_ten
 from pipeline.records.batch import Floats
 from pipeline.rendering import style
 from pipeline.rendering.labels import decimal
-from pipeline.studies.panels import Area, Contours, Note, Panel, TheoryFigure, Trace
+from pipeline.studies.figure import Area, Contours, Note, Panel, TheoryFigure, Trace
 
 _DOTS_PER_INCH = 72.0
 

@@ -17,7 +17,7 @@ from pipeline.base.errors import ParameterError, UsageError
 from pipeline.shell.cli import app
 from pipeline.store.human_arm import human_arms
 from pipeline.studies import drawing
-from pipeline.studies.panels import Note, Panel, TheoryFigure, Trace
+from pipeline.studies.figure import Note, Panel, TheoryFigure, Trace
 from pipeline.studies.thesis import figures, jumps
 from pipeline.studies.thesis import page as page_of
 from pipeline.studies.thesis.curves import cost_grid, plain_loop

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.records.accuracy import OURS, WRONG, Rung, Sweep
-from pipeline.studies.panels import Note, Panel, Trace
+from pipeline.studies.figure import Note, Panel, Trace
 
 SIZE = (470.0, 300.0)
 """Width and height of a panel without its legend [px]."""

@@ -16,7 +16,7 @@ from pipeline.studies.accuracy.measured_advice import MOST_MISSING, WANTED, erro
 from pipeline.studies.accuracy.names import AREA, RECOMMENDED, words
 from pipeline.studies.accuracy.rungs import grouped, sorted_by
 from pipeline.studies.accuracy.theory_advice import compared, fails, longest, name_of, place_of
-from pipeline.studies.panels import Panel
+from pipeline.studies.figure import Panel
 
 MEASURED = Look("error", leading=RECOMMENDED, smallest=1e-6, most_missing=MOST_MISSING)
 """Look of the measured branch: no experiment tells anything to a millionth."""

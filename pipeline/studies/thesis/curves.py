@@ -9,7 +9,7 @@ import numpy as np
 
 from pipeline.records.batch import Floats
 from pipeline.records.models import SETTLING_BANDS
-from pipeline.studies.panels import Area, Panel, Trace
+from pipeline.studies.figure import Area, Panel, Trace
 from pipeline.studies.thesis.outline import outline
 from pipeline.theory.curves import Curve, best_damping, best_stiffness
 from pipeline.theory.energy import energy_costs

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.base.errors import UsageError
-from pipeline.studies.panels import Panel, TheoryFigure
+from pipeline.studies.figure import Panel, TheoryFigure
 from pipeline.studies.thesis import maps, passivity, relations, stability, steps
 from pipeline.studies.thesis.curves import plain_loop
 from pipeline.studies.thesis.relations import IMPULSE, STEP

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from pipeline.records.batch import Floats
-from pipeline.studies.panels import Contours, Note, Panel, Trace, mark
+from pipeline.studies.figure import Contours, Note, Panel, Trace, mark
 from pipeline.studies.thesis import curves
 from pipeline.studies.thesis.jumps import Jump, first_settling_jump, largest_overshoot_jump
 from pipeline.theory.loop import Loop

@@ -9,7 +9,7 @@ from pipeline import __version__
 from pipeline.records import tables
 from pipeline.rendering.page_template import fill_template
 from pipeline.studies.drawing import draw
-from pipeline.studies.panels import TheoryFigure
+from pipeline.studies.figure import TheoryFigure
 
 CHAPTERS = {"3": "Stability", "4": "Passivity", "5": "Control design"}
 """Chapters of the thesis with data figures of theory."""

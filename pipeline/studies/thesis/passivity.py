@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from pipeline.records.batch import Floats
-from pipeline.studies.panels import Area, Panel, Trace
+from pipeline.studies.figure import Area, Panel, Trace
 from pipeline.studies.thesis.curves import ALPHA, BETA, DELAY, outline_trace
 from pipeline.studies.thesis.outline import Window, outline_in
 from pipeline.studies.thesis.stability import DELAY_SWEEP, DELTA, FAMILY, GAMMA

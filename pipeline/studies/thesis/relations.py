@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from pipeline.records.batch import Floats
-from pipeline.studies.panels import Note, Panel, Trace, mark
+from pipeline.studies.figure import Note, Panel, Trace, mark
 from pipeline.studies.thesis import curves
 from pipeline.theory.extent import damping_range, stiffest_point
 from pipeline.theory.loop import Loop

@@ -6,7 +6,7 @@ import numpy as np
 
 from pipeline.records.batch import Floats
 from pipeline.store.human_arm import human_arms
-from pipeline.studies.panels import Note, Panel, Trace
+from pipeline.studies.figure import Note, Panel, Trace
 from pipeline.studies.thesis.curves import ALPHA, BETA, DELAY, outline_trace, plane
 from pipeline.studies.thesis.outline import outline_in
 from pipeline.theory.extent import damping_range, linear_error_crossings, maximum_stiffness, stiffest_point

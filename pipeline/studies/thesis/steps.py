@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from pipeline.records.batch import Booleans, Floats
-from pipeline.studies.panels import Panel, Trace, mark
+from pipeline.studies.figure import Panel, Trace, mark
 from pipeline.studies.thesis.curves import plain_loop
 from pipeline.studies.thesis.jumps import Jump, first_settling_jump, largest_overshoot_jump
 from pipeline.studies.thesis.responses import Response, extrema, response
