@@ -143,9 +143,11 @@ def _lines(methods: Sequence[str], leading: Collection[str]) -> dict[str, Trace]
 
 
 def _decades(values: Sequence[float]) -> tuple[float, float]:
-    """Whole decades around values, with a little room."""
+    """Whole decades around values, with room for their signs."""
     logs = np.log10(values)
-    return 10 ** (float(np.floor(logs.min())) - 0.1), 10 ** (float(np.ceil(logs.max())) + 0.1)
+    low, high = float(np.floor(logs.min())), float(np.ceil(logs.max()))
+    room = 0.1 + 0.03 * (high - low)
+    return 10 ** (low - room), 10 ** (high + room)
 
 
 def _between(ends: tuple[float, float], share: float) -> float:
