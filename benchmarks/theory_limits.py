@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from timing import fastest, once, run
 
-from pipeline.accuracy.accuracy_ladders import reference
+from pipeline.studies.accuracy.theory_ladders import reference
 from pipeline.theory.energy import WEIGHTS, energy_costs
 from pipeline.theory.extent import damping_range
 from pipeline.theory.loop import Loop
@@ -233,7 +233,7 @@ def boundary_error(quick: bool) -> Limit:
 
 
 TABLES_C = """
-from pipeline.comparison.theory_tables import recomputed_tables
+from pipeline.studies.thesis.tables import recomputed_tables
 rows = sum(len(list(found)) for _, _, found in recomputed_tables(("C.1", "C.2", "C.3"), workers=1))
 assert rows == 171, rows
 """

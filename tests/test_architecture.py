@@ -17,12 +17,11 @@ MAY_IMPORT: dict[str, set[str]] = {
     "store": {"base", "records", "profiles", "readers", "store"},
     "measured": {"base", "records", "store", "measured"},
     "theory": {"base", "records", "theory"},
-    "accuracy": {"base", "records", "theory", "accuracy"},
     "simulation": {"base", "records", "store", "simulation"},
-    # it holds estimators against simulated truth, whose exact costs and limits are those of theory
-    "accuracy_measured": {"base", "records", "store", "measured", "theory", "simulation", "accuracy_measured"},
     "rendering": {"base", "records", "rendering"},
     "comparison": {"base", "records", "profiles", "store", "measured", "theory", "rendering", "comparison"},
+    # they hold estimators against simulated truth, whose exact costs and limits are those of theory
+    "studies": {"base", "records", "store", "measured", "theory", "simulation", "rendering", "studies"},
 }
 """Folders that the modules of a folder may import from, as in docs/architecture.md."""
 
@@ -96,15 +95,17 @@ def test_every_folder_has_rules() -> None:
 
 
 def test_a_name_tells_which_module_is_meant() -> None:
-    """But for the readers, which are named with their folder: code is hashed by these names."""
-    counts = Counter(name.rpartition(".")[2] for name in FILES if "." in name and FOLDER_OF[name] != "readers")
+    """But for the readers, which are named with their folder, and folders in folders: code is hashed by these names."""
+    flat = [path for path in PACKAGE.glob("*/*.py") if path.parent.name != "readers" and path.stem != "__init__"]
+    counts = Counter(path.stem for path in flat)
     assert [name for name, count in counts.items() if count > 1] == []
 
 
 def test_architecture_page_names_every_module() -> None:
     page = (PACKAGE.parent / "docs" / "architecture.md").read_text(encoding="utf-8")
     modules = {name for name in FILES if name not in MAY_IMPORT and name != "__init__"}
-    shown = {name: name.replace(".", "/") if "readers" in name else name.rpartition(".")[2] for name in modules}
+    apart = {name for name in modules if name.startswith(("readers.", "studies."))}
+    shown = {name: name.replace(".", "/") if name in apart else name.rpartition(".")[2] for name in modules}
     assert sorted(name for name, text in shown.items() if f"`{text}`" not in page) == []
 
 

@@ -9,8 +9,8 @@ import pytest
 from independent import deviation, extreme_cases, random_loops, simulate, simulate_many, stable_walls
 
 from pipeline.base.errors import ParameterError
+from pipeline.studies.thesis.responses import response
 from pipeline.theory.loop import LARGEST_DELAY, Loop, Normalised, as_points
-from pipeline.theory.responses import response
 
 RANDOM = stable_walls(random_loops(100, seed=5), each=3, seed=6)
 EXTREME = extreme_cases()

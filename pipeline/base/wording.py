@@ -20,6 +20,9 @@ _UNBROKEN = re.compile(
     r"|(?<=\bFig\.) (?=\d)|(?<=\bFigs\.) (?=\d)|(?<=\bTable) (?=[A-D5]\.)"
 )
 
+_SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+"""Digits of an exponent."""
+
 _NUMBER = re.compile(r"[+−-]?\d+(?:\.\d+)?(?:e[+−-]?\d+)?")
 
 _PARTS = re.compile(
@@ -32,6 +35,32 @@ _PARTS = re.compile(
 def counted(number: int, noun: str) -> str:
     """Return a number with its noun, in the plural where it is not one: ``1 trial``, ``0 trials``."""
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
+def duration(seconds: float) -> str:
+    """Return a time with a unit that suits it: ``2.5 s``, ``419 µs``."""
+    for factor, unit in ((1.0, "s"), (1e3, "ms")):
+        if seconds * factor >= 1:
+            return f"{seconds * factor:.2g} {unit}" if seconds * factor < 100 else f"{seconds * factor:.0f} {unit}"
+    return f"{seconds * 1e6:.2g} µs" if seconds < 1e-4 else f"{seconds * 1e6:.0f} µs"
+
+
+def error_text(error: float | None) -> str:
+    """Return an error with its order of magnitude, as ``3·10⁻⁹``."""
+    if error is None:
+        return "no number"
+    if error == 0:
+        return "0"
+    digits, exponent = f"{error:.0e}".split("e")
+    if exponent == "+00":
+        return digits
+    lead = "" if digits == "1" else f"{digits}·"
+    return f"{lead}{power_of_ten(int(exponent))}"
+
+
+def power_of_ten(exponent: int) -> str:
+    """Return 10 with its exponent: ``10⁻⁹``."""
+    return "10" + str(exponent).translate(_SUPERSCRIPTS)
 
 
 def listed(names: Sequence[str]) -> str:

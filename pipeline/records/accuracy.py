@@ -1,16 +1,11 @@
-"""Error against run time: records, timing, and where a finished measurement is kept."""
+"""Error against run time of every method: the records, and where a finished measurement is kept."""
 
 from __future__ import annotations
 
-import math
 import os
 import platform
-import time
-from collections.abc import Callable, Sequence
-from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import TypeVar
 
 from pipeline import __version__
 from pipeline.base.disk import write_text
@@ -21,22 +16,11 @@ from pipeline.records.models import Record
 OURS = "this package"
 """Name of our own method among the others."""
 
-SMALLEST = 1e-17
-"""Error that stands for 0 on a logarithmic axis: below the rounding of a double near 1."""
-
 WRONG = 1e-6
 """Relative error from which a result counts as wrong: more than any plot, table or controller would need."""
 
 STORED = "accuracy.json"
 """File below `processed/` that keeps the last measurement."""
-
-SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-"""Digits of an exponent."""
-
-_SHORT = 2e-3
-"""Run time [s] below which a single run is too short for the clock; it is repeated inside the timed loop."""
-
-_T = TypeVar("_T")
 
 
 class Rung(Record):
@@ -112,42 +96,14 @@ class AccuracyReport(Record):
     quick: bool
     measured: str
     machine: dict[str, str]
-    rungs: tuple[Rung, ...]
-    sweeps: tuple[Sweep, ...]
-    left_out: tuple[LeftOut, ...]
-    advice: tuple[Advice, ...]
-    seconds: float
-    summary: tuple[str, ...]
-    distrusted: tuple[str, ...]
+    rungs: tuple[Rung, ...] = ()
+    sweeps: tuple[Sweep, ...] = ()
+    left_out: tuple[LeftOut, ...] = ()
+    advice: tuple[Advice, ...] = ()
+    seconds: float = 0.0
+    summary: tuple[str, ...] = ()
+    distrusted: tuple[str, ...] = ()
     measured_branch: MeasuredAccuracy | None = None
-
-
-def best_time(run: Callable[[], _T], budget: float) -> tuple[_T, float]:
-    """Return the result of a call and the least time [s] of repeated calls after a first, uncounted one.
-
-    Parameters
-    ----------
-    run : callable
-    budget : float
-        Seconds after which no further repetition begins; a call longer than that is timed by its first run, whose
-        warm-up is then a small part.
-    """
-    begin = time.perf_counter()
-    result = run()
-    first = time.perf_counter() - begin
-    if first > budget:
-        return result, first
-    inner = max(1, math.ceil(_SHORT / max(first, 1e-7)))
-    best = math.inf
-    end = time.perf_counter() + budget
-    while True:
-        begin = time.perf_counter()
-        for _ in range(inner):
-            run()
-        now = time.perf_counter()
-        best = min(best, (now - begin) / inner)
-        if now > end:
-            return result, best
 
 
 def machine() -> dict[str, str]:
@@ -188,28 +144,6 @@ def reference_file() -> Path:
     return schema_folder() / "reference" / "accuracy.json"
 
 
-def now() -> str:
-    """Return the time of day as a reader of a report wants it."""
-    return datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC")
-
-
-def without_theory(quick: bool) -> AccuracyReport:
-    """Return a report in which nothing of the theory was measured."""
-    return AccuracyReport(
-        key=key(),
-        quick=quick,
-        measured=now(),
-        machine=machine(),
-        rungs=(),
-        sweeps=(),
-        left_out=(),
-        advice=(),
-        seconds=0.0,
-        summary=(),
-        distrusted=(),
-    )
-
-
 def store(report: AccuracyReport, processed: Path) -> None:
     """Keep a measurement for the reports of comparisons."""
     write_text(processed / STORED, sealed_json(report.model_dump_json() + "\n"))
@@ -230,40 +164,3 @@ def stored(processed: Path) -> AccuracyReport | None:
 def own_rungs(report: AccuracyReport) -> tuple[Rung, ...]:
     """Return the results of this package, one a quantity."""
     return tuple(r for r in report.rungs if r.method == OURS)
-
-
-def starts_wrong(
-    x: Sequence[float], errors: Sequence[float | None], wrong: Sequence[bool] | None = None
-) -> float | None:
-    """Return the first x, in the order of the sweep, at which a result is wrong."""
-    for i, (place, error) in enumerate(zip(x, errors, strict=True)):
-        if error is None or error > WRONG or (wrong is not None and wrong[i]):
-            return place
-    return None
-
-
-def largest(errors: Sequence[float | None]) -> float | None:
-    """Return the largest error, None if a result is missing."""
-    known = [e for e in errors if e is not None]
-    return max(known) if known and len(known) == len(errors) else None
-
-
-def duration(seconds: float) -> str:
-    """Return a time with a unit that suits it."""
-    for factor, unit in ((1.0, "s"), (1e3, "ms")):
-        if seconds * factor >= 1:
-            return f"{seconds * factor:.2g} {unit}" if seconds * factor < 100 else f"{seconds * factor:.0f} {unit}"
-    return f"{seconds * 1e6:.2g} µs" if seconds < 1e-4 else f"{seconds * 1e6:.0f} µs"
-
-
-def error_text(error: float | None) -> str:
-    """Return an error with its order of magnitude, as 3·10⁻⁹."""
-    if error is None:
-        return "no number"
-    if error == 0:
-        return "0"
-    digits, exponent = f"{error:.0e}".split("e")
-    if exponent == "+00":
-        return digits
-    lead = "" if digits == "1" else f"{digits}·"
-    return f"{lead}10{str(int(exponent)).translate(SUPERSCRIPTS)}"

@@ -13,8 +13,8 @@ from typing import Any
 
 from pipeline.base.disk import write_text
 from pipeline.base.errors import PipelineError
-from pipeline.base.wording import unbroken
-from pipeline.records.accuracy import AccuracyReport, duration, error_text, own_rungs
+from pipeline.base.wording import duration, error_text, unbroken
+from pipeline.records.accuracy import AccuracyReport, own_rungs
 from pipeline.records.results import ReportData
 from pipeline.rendering import (
     report_estimates,

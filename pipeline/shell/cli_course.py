@@ -157,18 +157,15 @@ def accuracy(
 
     Example: pipeline accuracy --quick
     """
-    from pipeline.accuracy.accuracy_run import measure
-    from pipeline.accuracy_measured.accuracy_measured_run import measure_measured
     from pipeline.base.disk import write_text
     from pipeline.records import accuracy as results
-    from pipeline.rendering import accuracy_report
+    from pipeline.studies.accuracy import page, run
 
     check_output(out, "--out", document_beside=True)
-    progress = None if as_json else console.note
-    report = results.without_theory(quick) if only == AccuracyPart.measured else measure(quick, progress)
-    if only != AccuracyPart.theory:
-        report = report.model_copy(update={"measured_branch": measure_measured(quick, progress)})
-    accuracy_report.write(report, out)
+    say = (lambda _: None) if as_json else console.note
+    parts = {"theory": only != AccuracyPart.measured, "measured": only != AccuracyPart.theory}
+    report = run.measure(quick, say, **parts)
+    page.write(report, out)
     write_text(out.with_suffix(".json"), report.model_dump_json(indent=1) + "\n")
     if report.rungs:
         results.store(report, processed)
@@ -177,7 +174,7 @@ def accuracy(
         return
     columns = ("quantity", "error", "time", "other", "compared")
     if report.rungs:
-        for line in console.table(accuracy_report.summary_rows(report), columns):
+        for line in console.table(page.summary_rows(report), columns):
             console.say(line)
     for text in (*report.summary, *report.distrusted):
         console.say(text)

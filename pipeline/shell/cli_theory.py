@@ -159,12 +159,12 @@ def tables(
 
     Example: pipeline theory tables --table C.1 --table C.2
     """
-    from pipeline.comparison import theory_tables
-    from pipeline.shell import theory_tables_text
     from pipeline.store.published_theory import THEORY_TABLES
+    from pipeline.studies.thesis import table_text
+    from pipeline.studies.thesis import tables as theory
 
-    rows: list[theory_tables.TheoryRow] = []
-    for name, count, of_table in theory_tables.recomputed_tables(table or THEORY_TABLES):
+    rows: list[theory.TheoryRow] = []
+    for name, count, of_table in theory.recomputed_tables(table or THEORY_TABLES):
         found = []
         with console.progress(f"Table {name}", "rows", silent=as_json) as advance:
             for row in of_table:
@@ -172,12 +172,12 @@ def tables(
                 advance(len(found), count)
         rows += found
         if not as_json:
-            for line in theory_tables_text.table_lines(name, found):
+            for line in table_text.table_lines(name, found, console.table):
                 console.say(line)
     if as_json:
-        console.print_json(theory_tables_text.document(rows))
+        console.print_json(table_text.document(rows))
         return
-    console.say(theory_tables_text.summary_line(rows))
+    console.say(table_text.summary_line(rows))
 
 
 @app.command("figures")
@@ -193,19 +193,19 @@ def figures(
 
     Example: pipeline theory figures --figure 3.6 --figure 5.4 --out theory.html
     """
-    from pipeline.comparison import theory_figures
+    from pipeline.studies.thesis import figures as theory
 
     check_output(out, "--out")
-    asked = tuple(dict.fromkeys(figure or theory_figures.NUMBERS))
-    computed = theory_figures.compute(asked)  # refuses an unknown number before the drawing library is loaded
-    from pipeline.rendering import theory_drawings
+    asked = tuple(dict.fromkeys(figure or theory.NUMBERS))
+    computed = theory.compute(asked)  # refuses an unknown number before the drawing library is loaded
+    from pipeline.studies.thesis import page
 
     drawn = []
     with console.progress("theory figures", "figures", silent=as_json) as advance:
         for done in computed:
             drawn.append(done)
             advance(len(drawn), len(asked))
-    theory_drawings.write(drawn, out)
+    page.write(drawn, out)
     if as_json:
         console.print_json({"file": str(out), "figures": [done.number for done in drawn]})
         return

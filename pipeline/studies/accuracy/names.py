@@ -1,0 +1,45 @@
+"""Names of methods and quantities that several modules go by, and the words of the page that no number changes."""
+
+from __future__ import annotations
+
+import tomllib
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+FIRST_CHANGE = "first change (6.2, 6.3)"
+ONSET = "onset of motion"
+MODEL = "model of the whole response"
+MODEL_THIN = "model, thinned log"
+BALANCE = "momentum balance (6.4)"
+CORRECTED = "balance less viscous damping"
+FRICTION = "balance with damping and friction"
+LEAST_SQUARES = "balance, least squares"
+SETTLE = "band about x₀ + F₀/K"
+LARGEST = "largest reading"
+WHOLE = "sum over the whole log"
+COMPLETE = "bias taken off, tail added"
+RATES_TWO = "growth rates, two passes"
+RATES_ONE = "growth rates, one pass"
+OPTIMUM_TWO = "least cost, two passes"
+"""Methods, as the page names them."""
+
+RECOMMENDED = frozenset({MODEL, SETTLE, LARGEST, COMPLETE, RATES_TWO, OPTIMUM_TWO})
+"""What comparisons use where they can; it stands out in the figures."""
+
+AREA = "area under the boundary"
+LIMITS = "limit of stability"
+
+
+def nth(step: int, what: str) -> str:
+    """Return words for one in so many rows or steps: every row, every 2nd row."""
+    if step == 1:
+        return f"every {what}"
+    ending = {2: "nd", 3: "rd"}.get(step, "th")
+    return f"every {step}{ending} {what}"
+
+
+@cache
+def words() -> dict[str, Any]:
+    """Return meanings of quantities, paths of sweeps, headings, and what is left out, from ``words.toml`` beside it."""
+    return tomllib.loads(Path(__file__).with_name("words.toml").read_text(encoding="utf-8"))
