@@ -73,6 +73,7 @@ REPORT_CODE = (
     *(
         "report",
         "report_parts",
+        "table",
         "report_tables",
         "report_estimates",
         "report_figures",
