@@ -15,8 +15,9 @@ from pipeline.measured.delay import first_change
 from pipeline.measured.onset import motion_onset, rounded
 from pipeline.measured.response import find_response
 from pipeline.measured.verdict import judge
+from pipeline.records.figure_records import CostMap, Curve, Figure
 from pipeline.records.models import Optimum
-from pipeline.records.results import CostFigure, CostMap, Curve, TheoryParameters
+from pipeline.records.results import TheoryParameters
 from pipeline.rendering import figures
 from pipeline.simulation.course import Course, run_course
 from pipeline.store.devices import load_device
@@ -126,7 +127,7 @@ def main() -> None:
     """Simulate a course without jitter (theory knows constant delays only), evaluate it and draw it."""
     course = run_course(load_device(DEVICE), EXPERIMENT, seed=SEED, jitter=())
     title = f"Energy cost (w = {WEIGHT}) over stiffness and damping: theory and a simulated experiment"
-    figure = CostFigure("readme", title, "", CRITERION, (theory_map(course), measured_map(course)))
+    figure = Figure("maps", "readme", title, "", (theory_map(course), measured_map(course)), CRITERION)
     FILE.parent.mkdir(parents=True, exist_ok=True)
     FILE.write_text(side_by_side(figures.cost_maps(figure), title), encoding="utf-8")
 

@@ -19,7 +19,7 @@ from pipeline.comparison.boundary_curves import (
     theory_curve,
 )
 from pipeline.comparison.scene import SceneData
-from pipeline.records.figure_records import BoundaryFigure, Curve
+from pipeline.records.figure_records import Curve, Figure, Limits
 from pipeline.records.models import Experiment
 from pipeline.records.results import ExperimentResult
 from pipeline.rendering.labels import UNITS
@@ -28,14 +28,14 @@ from pipeline.theory.predictions import Theory
 
 def boundary_figures(
     data: SceneData, theories: Mapping[str, Theory], results: Sequence[ExperimentResult]
-) -> tuple[BoundaryFigure, ...]:
+) -> tuple[Figure[Limits], ...]:
     """Return the boundary figures of a scene.
 
     Without and with operator (Figs. 6.3, 6.4) or over delay (Fig. 6.9), then from the estimates, then all experiments
     in the normalised plane.
     """
     builder = _Builder(data, theories, results)
-    figures: list[BoundaryFigure | None] = []
+    figures: list[Figure[Limits] | None] = []
     figures += [builder.delay()] if data.scene.delay_sweep else [builder.free(), builder.operator()]
     figures.append(builder.estimates())
     shown = [(f"experiment {r.experiment}", r, theories[r.experiment]) for r in results if r.experiment in theories]
@@ -44,7 +44,7 @@ def boundary_figures(
     return tuple(figure for figure in figures if figure is not None)
 
 
-def plane_figure(entries: Sequence[tuple[str, ExperimentResult, Theory]], *, predicted: bool = True) -> BoundaryFigure:
+def plane_figure(entries: Sequence[tuple[str, ExperimentResult, Theory]], *, predicted: bool = True) -> Figure[Limits]:
     """Return measured boundaries of experiments, also of several devices, in the plane of alpha and beta.
 
     Parameters
@@ -64,14 +64,14 @@ def plane_figure(entries: Sequence[tuple[str, ExperimentResult, Theory]], *, pre
         for label, r, theory in entries
     ]
     theories = [normalised(theory_curve(theory, "_theory"), theory) for _, _, theory in entries if predicted]
-    return BoundaryFigure(
+    return Figure(
+        "plane",
         "boundaries-normalised",
         "Boundaries in the normalised plane",
         f"Measured boundaries{' and theory' if predicted else ''} in α = K T²/m and β = B T/m. Curves that differ in "
         "mass or sampling period alone coincide here; what still differs is due to delay, to the relative damping "
         "δ = b T/m, or to what the model does not hold.",
         (("", (*measured, *theories)),),
-        normalised=True,
         theory_label="theory (same colour)",
     )
 
@@ -89,7 +89,7 @@ class _Builder:
         """Whether the scene asks for theory beside the measured curves."""
         return self.data.scene.shown.has_overlay("theory")
 
-    def free(self) -> BoundaryFigure | None:
+    def free(self) -> Figure[Limits] | None:
         """Experiments without operator, with theory for each delay that the device file names (Fig. 6.3)."""
         free = [r for r in self.results if r.grip == "none" and r.experiment in self.theories]
         if not free or self.data.device is None:
@@ -118,7 +118,8 @@ class _Builder:
             f" Theory for m = {m:g} {units.mass}, b = {b:g} {units.damping}, k = {k:g} {units.stiffness} and the delay "
             f"factors at the curves{f'; thin dots: the same with b = {others} {units.damping}' if others else ''}."
         )
-        return BoundaryFigure(
+        return Figure(
+            "boundaries",
             "boundaries-free",
             "Stability boundaries without operator",
             f"Measured: last stable stiffness at each damping.{beside if self.predicted else ''} "
@@ -127,7 +128,7 @@ class _Builder:
             theory_label=f"theory, b = {b:g}",
         )
 
-    def operator(self) -> BoundaryFigure | None:
+    def operator(self) -> Figure[Limits] | None:
         """One panel a configuration, one curve a grip (Fig. 6.4)."""
         held = [r for r in self.results if r.grip != "none" and r.experiment in self.theories]
         if not held:
@@ -138,7 +139,8 @@ class _Builder:
             curves = [replace(measured_curve(r), label=f"experiment {r.experiment}, {_grip(r.grip)}") for r in shown]
             curves += [theory_curve(self.theories[r.experiment], f"theory, {_grip(r.grip)}") for r in shown]
             panels.append((configuration, tuple(curves)))
-        return BoundaryFigure(
+        return Figure(
+            "boundaries",
             "boundaries-operator",
             "Influence of the operator on the stability boundary",
             f"Measured{' and theoretical' if self.predicted else ''} boundaries for each grip"
@@ -147,7 +149,7 @@ class _Builder:
             tuple(panels),
         )
 
-    def delay(self) -> BoundaryFigure:
+    def delay(self) -> Figure[Limits]:
         """Theory beside measurement for each delay (Fig. 6.9)."""
         theory = [
             theory_curve(self.theories[r.experiment], f"d = {self.theories[r.experiment].parameters.delay_samples:g}")
@@ -156,7 +158,8 @@ class _Builder:
         ]
         measured = [replace(measured_curve(r), label=r.experiment) for r in self.results]
         panels = [("theory", tuple(theory))] if theory else []
-        return BoundaryFigure(
+        return Figure(
+            "boundaries",
             "boundaries-delay",
             "Influence of delay on the stability boundary",
             f"{'Theory left, measured right,' if theory and self.predicted else 'Measured,'} for each total delay. "
@@ -164,7 +167,7 @@ class _Builder:
             (*panels, ("measured", tuple(measured))),
         )
 
-    def estimates(self) -> BoundaryFigure | None:
+    def estimates(self) -> Figure[Limits] | None:
         """Theory by the estimates of each experiment, with all that belongs to its boundary."""
         if not self.data.overlay:
             return None
@@ -190,7 +193,8 @@ class _Builder:
             )
         if "passive" in kinds and shown.has_overlay("passive"):  # without damping there is no passive wall
             told.append(" Thin outline: passive region (4.12), far inside the stable one.")
-        return BoundaryFigure(
+        return Figure(
+            "boundaries",
             "boundaries-estimates",
             "Boundaries predicted from what the logs say",
             "Theory with the estimated mass, damping and delay of each experiment." + "".join(told),

@@ -18,7 +18,7 @@ from matplotlib.tri import Triangulation
 from matplotlib.typing import CapStyleType
 
 from pipeline.records.batch import Booleans, Floats
-from pipeline.records.figure_records import CostFigure, CostMap, Curve
+from pipeline.records.figure_records import CostMap, Curve, Figure
 from pipeline.rendering import style
 from pipeline.rendering.labels import cost_text, printed_scale, significant
 
@@ -118,12 +118,12 @@ def _fill_between(axes: Axes, curve: Curve, scale: float, colour: str) -> None:
     axes.fill(*outline, color=colour, alpha=SHADES[curve.kind], lw=0, label=label)
 
 
-def legend_entries(curves: Sequence[Curve], largest: float, damping: tuple[float, float]) -> int:
-    """Return how many curves have no room for their label and need a legend; ranges of the axes in SI."""
+def legend_entries(curves: Sequence[Curve], reach: tuple[float, float, float]) -> int:
+    """Return how many curves have no room for their label and need a legend; ``reach`` is that of `canvas.reach`."""
     kinds = {curve.kind for curve in curves}
     shown = [curve for curve in curves if not curve.label.startswith("_")]
     groups = [[curve for curve in shown if curve.kind == kind] for kind in kinds]
-    return sum(len(group) for group in groups if not _label_places(group, largest, damping))
+    return sum(len(group) for group in groups if not _label_places(group, reach[0], reach[1:]))
 
 
 def _label_places(curves: Sequence[Curve], largest: float, damping: tuple[float, float]) -> list[tuple[float, float]]:
@@ -228,11 +228,11 @@ def draw_front(axes: Axes, cost_map: CostMap, criterion: str, scale: float, top:
         )
 
 
-def front_top(figure: CostFigure) -> float:
+def front_top(figure: Figure[CostMap]) -> float:
     """Return the upper end of the cost axis of the front views, the same for all maps of a figure."""
     if figure.criterion == "overshoot":
         return OVERSHOOT_RANGE
-    lowest = [float(np.nanmin(m.cost)) for m in figure.maps if np.isfinite(m.cost).any()]
+    lowest = [float(np.nanmin(m.cost)) for m in figure.panels if np.isfinite(m.cost).any()]
     return FRONT_RANGE * max(lowest, default=1.0)
 
 

@@ -16,7 +16,7 @@ from pipeline.records.against_records import (
     PairDifference,
     ValueDifference,
 )
-from pipeline.records.figure_records import BoundaryFigure
+from pipeline.records.figure_records import Figure, Limits
 from pipeline.records.models import Motion
 from pipeline.rendering.labels import CRITERION_NAMES, UNITS, percent_text, significant
 from pipeline.rendering.page_template import fill_template
@@ -32,7 +32,7 @@ class AgainstPage:
     """A finished comparison with its figures (one a pair)."""
 
     result: AgainstResult
-    figures: tuple[BoundaryFigure, ...]
+    figures: tuple[Figure[Limits], ...]
     motion: Motion
 
 
