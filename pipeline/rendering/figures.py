@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
@@ -65,9 +64,13 @@ def boundaries(figure: Figure[Limits], motion: Motion = "translation") -> tuple[
     def paint(panel: Limits, axes: Axes) -> tuple[str, str]:
         title, shown = panel
         scale = canvas.plane(axes, reach)
-        written = panels.draw_curves(axes, shown, scale, thin=figure.kind == "plane")
+        entries = panels.draw_curves(axes, shown, scale, thin=figure.kind == "plane")
         canvas.frame(axes, *names, title=title)
-        handles = _handles(axes, shown, written, figure.theory_label, letters)
+        if figure.theory_label and any(curve.kind == "theory" for curve in shown):
+            entries.setdefault("theory", []).append(_theory_line(shown, figure.theory_label))
+        handles = [artist for kind in LEGEND_ORDER for artist in entries.get(kind, ())]
+        for artist in handles:
+            artist.set_label(shortened(str(artist.get_label()), letters))
         if handles:
             axes.figure.legend(
                 handles=handles, ncols=columns, loc="upper left", bbox_to_anchor=(52 / width, legend / height), **LEGEND
@@ -78,23 +81,9 @@ def boundaries(figure: Figure[Limits], motion: Motion = "translation") -> tuple[
     return canvas.draw_panels(figure, (width, height), [(52, 44 + legend, 14, top)], paint)
 
 
-def _handles(axes: Axes, curves: Sequence[Curve], written: set[str], theory_label: str, letters: int) -> list[Artist]:
-    """Return what the legend holds: curves without a label beside them, measured ones and theory first."""
-    kinds = {curve.label: curve.kind for curve in curves}
-    named = [(str(artist.get_label()), artist) for artist in (*axes.get_lines(), *axes.patches)]
-    shown: list[tuple[int, Artist]] = [
-        (LEGEND_ORDER.index(kinds[name]), artist)
-        for name, artist in named
-        if name in kinds and name not in written and not name.startswith("_")
-    ]
-    if theory_label and "theory" in kinds.values():
-        colour = panels.theory_colour(curves) or style.INK
-        line = Line2D([], [], color=colour, ls=style.LINES["theory"], lw=panels.LINE_WIDTHS["theory"])
-        line.set_label(theory_label)
-        shown.append((LEGEND_ORDER.index("theory"), line))
-    for _, artist in shown:
-        artist.set_label(shortened(str(artist.get_label()), letters))
-    return [artist for _, artist in sorted(shown, key=lambda entry: entry[0])]
+def _theory_line(curves: Sequence[Curve], label: str) -> Line2D:
+    colour = panels.theory_colour(curves) or style.INK
+    return Line2D([], [], color=colour, ls=style.LINES["theory"], lw=panels.LINE_WIDTHS["theory"], label=label)
 
 
 def cost_maps(figure: Figure[CostMap], motion: Motion = "translation") -> tuple[str, ...]:
@@ -135,7 +124,7 @@ def delays(figure: Figure[DelayPanel], motion: Motion = "translation") -> tuple[
             if known.any():
                 cost = values[known] * printed_scale(panel.criterion)
                 axes.plot(panel.delay_samples[known], cost, label=name, **look)
-        costs = np.concatenate([line.get_ydata() for line in axes.lines])
+        costs = np.concatenate([line.get_ydata() for line in axes.lines]) if axes.lines else np.ones(1)
         axes.set_ylim(0, costs.max() + 0.05 * np.ptp(costs))
         axes.set_xlim(panel.delay_samples.min() - 0.3, panel.delay_samples.max() + 0.3)
         handles = list(axes.lines)

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.patches import PathPatch
@@ -65,57 +66,55 @@ def theory_colour(curves: Sequence[Curve]) -> str:
     return "" if measured in (0, theory) else style.VERMILLION
 
 
-def draw_curves(axes: Axes, curves: Sequence[Curve], scale: float, *, thin: bool = False) -> set[str]:
-    """Draw boundaries, on request with thin theory; return the labels written at their curve, which need no legend."""
-    order = {kind: [c for c in curves if c.kind == kind] for kind in KINDS}
+def draw_curves(axes: Axes, curves: Sequence[Curve], scale: float, *, thin: bool = False) -> dict[str, list[Artist]]:
+    """Draw boundaries, on request with thin theory; return by kind what needs a legend: curves without a label."""
     alone = theory_colour(curves)
-    labelled = set()
-    for kind, group in order.items():
+    entries: dict[str, list[Artist]] = {}
+    for kind in KINDS:
+        group = [curve for curve in curves if curve.kind == kind]
         # All of a kind or none: a legend with some of the curves would be read as complete.
         places = _label_places(group, axes.get_xlim()[1] / scale, axes.get_ylim())
         for index, curve in enumerate(group):
-            colour = style.SERIES[index % len(style.SERIES)]
-            if kind == "theory":
-                colour = alone or colour
-            elif kind != "measured":
-                colour = style.INK
-            _draw_curve(axes, curve, scale, colour, style.MARKERS[index % len(style.MARKERS)], thin=thin)
+            own = alone if kind == "theory" and alone else style.SERIES[index % len(style.SERIES)]
+            colour = own if kind in LABELLED_KINDS else style.INK
+            artist = _draw_curve(axes, curve, scale, colour, style.MARKERS[index % len(style.MARKERS)], thin=thin)
             if places:
-                labelled.add(curve.label)
                 look: dict[str, Any] = {"color": colour, "va": "center", "fontsize": 9.5, "bbox": style.BEHIND_TEXT}
                 axes.annotate(curve.label, places[index], (4, 0), "axes fraction", textcoords="offset points", **look)
-    return labelled
+            elif not curve.label.startswith("_"):
+                entries.setdefault(kind, []).append(artist)
+    return entries
 
 
-def _draw_curve(axes: Axes, curve: Curve, scale: float, colour: str, marker: str = "o", *, thin: bool = False) -> None:
+def _draw_curve(
+    axes: Axes, curve: Curve, scale: float, colour: str, marker: str = "o", *, thin: bool = False
+) -> Artist:
     look: dict[str, Any] = {"color": colour, "ls": style.LINES[curve.kind], "label": curve.label}
     k = curve.stiffness * scale
-    if curve.low is not None and curve.high is not None:
-        _fill_between(axes, curve, scale, colour)
-    if curve.kind == "envelope":
-        return
+    between = _fill_between(axes, curve, scale, colour)
+    if between is not None and curve.kind == "envelope":
+        return between
     if curve.kind == "passive":
-        axes.fill(k, curve.damping, color=colour, alpha=SHADES["passive"], lw=0, label="_passive")
-    if curve.kind == "measured":
-        axes.plot(k, curve.damping, lw=1.4, marker=marker, ms=3.4, mew=0, **look)
-        if curve.censored is not None and np.any(curve.censored):
-            where = np.asarray(curve.censored, dtype=bool)
-            open_look: dict[str, Any] = {"mfc": style.PAPER, "mec": colour, "mew": 1.1, "label": "_censored"}
-            axes.plot(k[where], curve.damping[where], ls="none", marker=marker, ms=5, **open_look)
-    else:
+        axes.fill(k, curve.damping, color=colour, alpha=SHADES["passive"], lw=0)
+    if curve.kind != "measured":
         width = THIN if thin and curve.kind == "theory" else LINE_WIDTHS[curve.kind]
-        axes.plot(k, curve.damping, lw=width, **look)
+        return axes.plot(k, curve.damping, lw=width, **look)[0]
+    (line,) = axes.plot(k, curve.damping, lw=1.4, marker=marker, ms=3.4, mew=0, **look)
+    if curve.censored is not None and np.any(curve.censored):
+        where = np.asarray(curve.censored, dtype=bool)
+        hollow: dict[str, Any] = {"mfc": style.PAPER, "mec": colour, "mew": 1.1}
+        axes.plot(k[where], curve.damping[where], ls="none", marker=marker, ms=5, **hollow)
+    return line
 
 
-def _fill_between(axes: Axes, curve: Curve, scale: float, colour: str) -> None:
-    """Fill what lies between the two stiffnesses at each damping."""
-    assert curve.low is not None
-    assert curve.high is not None
+def _fill_between(axes: Axes, curve: Curve, scale: float, colour: str) -> Artist | None:
+    """Fill what lies between the two stiffnesses at each damping, where a curve has them."""
+    if curve.low is None or curve.high is None:
+        return None
     known = np.isfinite(curve.low) & np.isfinite(curve.high)
     low, high, b = curve.low[known] * scale, curve.high[known] * scale, curve.damping[known]
-    label = curve.label if curve.kind == "envelope" else "_open"
     outline = (np.append(low, high[::-1]), np.append(b, b[::-1]))
-    axes.fill(*outline, color=colour, alpha=SHADES[curve.kind], lw=0, label=label)
+    return axes.fill(*outline, color=colour, alpha=SHADES[curve.kind], lw=0, label=curve.label)[0]
 
 
 def legend_entries(curves: Sequence[Curve], reach: tuple[float, float, float]) -> int:

@@ -17,7 +17,7 @@ from pipeline.base.wording import unbroken
 from pipeline.records import tables
 from pipeline.records.accuracy import AccuracyReport, duration, error_text, own_rungs
 from pipeline.records.results import ComparisonResult, ReportData
-from pipeline.records.trial_records import TrialPage
+from pipeline.records.trial_records import NO_TRIALS, TrialPage
 from pipeline.rendering import (
     report_estimates,
     report_figures,
@@ -29,7 +29,7 @@ from pipeline.rendering import (
 from pipeline.rendering.page_template import fill_template
 from pipeline.rendering.table import Table, footnote, word_table
 
-TABLES: dict[str, Callable[[ComparisonResult, TrialPage | None], Table | list[Table] | None]] = {
+TABLES: dict[str, Callable[[ComparisonResult, TrialPage], Table | list[Table] | None]] = {
     "scores": report_scores.score_table,
     "estimate_scores": report_scores.estimate_score_table,
     "experiments": report_estimates.experiment_table,
@@ -135,7 +135,7 @@ def stored_digest(page: str) -> str | None:
     return report_parts.take_apart(page).metas.get(report_parts.CELLS_META)
 
 
-def tables_of(name: str, result: ComparisonResult, trials: TrialPage | None = None) -> list[Table]:
+def tables_of(name: str, result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> list[Table]:
     """Return the tables of `TABLES` by a name; none where there is nothing to say."""
     found = TABLES[name](result, trials)
     return found if isinstance(found, list) else [found] if found else []
@@ -143,7 +143,7 @@ def tables_of(name: str, result: ComparisonResult, trials: TrialPage | None = No
 
 def _tables(data: ReportData) -> dict[str, Any]:
     """Return what the templates get: a table or None, or a list for a name that stands for several."""
-    found = {name: tables_of(name, data.result, data.trials) for name in TABLES}
+    found = {name: tables_of(name, data.result, data.trials or NO_TRIALS) for name in TABLES}
     rest = {
         "accuracy": _accuracy_table(data.accuracy),
         "stages": word_table("stages", "Plan of stages", ("stage", "what", "why"), data.stages),

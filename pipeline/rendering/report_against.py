@@ -18,13 +18,15 @@ from pipeline.records.against_records import (
 )
 from pipeline.records.figure_records import Figure, Limits
 from pipeline.records.models import Motion
-from pipeline.rendering.labels import CRITERION_NAMES, UNITS, percent_text, significant
+from pipeline.rendering.labels import CRITERION_NAMES, UNITS, percent_text, significant, span
 from pipeline.rendering.page_template import fill_template
 from pipeline.rendering.report_figures import Drawing
 from pipeline.rendering.table import Cell, Column, Table, footnote, missing, number, words
 
 FOUR = partial(significant, digits=4)
 """Prints a value: differences of few per cent are told apart."""
+
+INTERVAL, SIGNIFICANT = Column("interval", "95 %"), words("significant")
 
 
 @dataclass(frozen=True)
@@ -79,15 +81,8 @@ def pair_tables(pair: PairDifference, motion: Motion, index: int = 0) -> list[Ta
 
 
 def _value_table(name: str, caption: str, pair: PairDifference, values: Sequence[ValueDifference]) -> Table:
-    first, second = pair.labels
-    columns = (
-        words("name", ""),
-        Column("first", first),
-        Column("second", second),
-        Column("difference"),
-        Column("interval", "95 %"),
-        words("significant"),
-    )
+    first, second = map(Column, ("first", "second"), pair.labels)
+    columns = (words("name", ""), first, second, Column("difference"), INTERVAL, SIGNIFICANT)
     table = Table(name, f"{caption}: second minus first", columns)
     for v in values:
         unit = f" [{v.unit.replace('^2', '²')}]" if v.unit else ""
@@ -101,7 +96,7 @@ def _judgement(v: ValueDifference | CostDifference) -> dict[str, Any]:
     if v.low is None or v.high is None:
         nothing = missing(v.reason or "no interval")
         return {"interval": nothing, "significant": nothing}
-    interval = f"{FOUR(v.low)} to {FOUR(v.high)}"
+    interval = span(FOUR, v.low, v.high)
     return {"interval": Cell(interval, interval), "significant": "yes" if v.significant else "no"}
 
 
@@ -112,13 +107,7 @@ def _words(name: str) -> str:
 
 
 def _cost_table(name: str, costs: Sequence[CostDifference]) -> Table:
-    columns = (
-        words("criterion"),
-        Column("points"),
-        Column("median", "second over first"),
-        Column("interval", "95 %"),
-        words("significant"),
-    )
+    columns = (words("criterion"), Column("points"), Column("median", "second over first"), INTERVAL, SIGNIFICANT)
     table = Table(name, "Costs at common stiffness and damping: median of second over first", columns)
     for c in costs:
         aside = "" if c.kind == "ratio" else "difference, as a fraction"
@@ -129,14 +118,10 @@ def _cost_table(name: str, costs: Sequence[CostDifference]) -> Table:
 
 
 def _boundary_table(name: str, pair: PairDifference, stiffness: str, damping: str) -> Table:
-    first, second = pair.labels
-    columns = (
-        Column("damping", unit=damping, show=FOUR),
-        Column("first", first, group=f"limit [{stiffness}]", show=FOUR),
-        Column("second", second, group=f"limit [{stiffness}]", show=FOUR),
-        Column("difference", unit="%", show=percent_text),
-        words("significant"),
-    )
+    limit = partial(Column, group=f"limit [{stiffness}]", show=FOUR)
+    first, second = map(limit, ("first", "second"), pair.labels)
+    difference = Column("difference", unit="%", show=percent_text)
+    columns = (Column("damping", unit=damping, show=FOUR), first, second, difference, SIGNIFICANT)
     table = Table(name, "Stability limits over damping", columns)
     for p in pair.boundary.points if pair.boundary else ():
         sure: Cell | str = missing("no interval on both sides")

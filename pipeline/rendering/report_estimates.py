@@ -8,7 +8,7 @@ from typing import Any
 from pipeline.base.wording import counted
 from pipeline.records.models import DRIFTS, Estimate, Motion
 from pipeline.records.results import ComparisonResult, TheoryParameters
-from pipeline.records.trial_records import TrialPage
+from pipeline.records.trial_records import NO_TRIALS, TrialPage
 from pipeline.rendering.labels import DIGITS, UNITS, criterion_label, estimate_texts, significant
 from pipeline.rendering.table import Cell, Column, Table, missing, number, words
 
@@ -30,7 +30,7 @@ DRIFT_NOTE = (
 )
 """Stands once below the experiments; how much each estimate drifts is a remark in the table of methods."""
 
-OUTCOME_NAMES = {
+OUTCOMES = {
     "settled": "settled",
     "moving": "still moving",
     "limit_cycle": "limit cycle",
@@ -50,19 +50,17 @@ TOOLS_NOTE = (
 _TWO = partial(significant, digits=2)
 _USUAL = partial(significant, digits=DIGITS)
 
+_count = partial(Column, group="trials")
+_median = partial(Column, group="median of the trials", show=_TWO, why="no sensor noise, or no fit")
+
 _MODEL = (
     words("experiment"),
-    Column("trials", "all", group="trials"),
-    Column("explained", "explained by the model", group="trials"),
-    Column("left", "leave its noise band", group="trials"),
-    *(
-        Column(name, label, unit, "median of the trials", show=_TWO, why="no sensor noise, or no fit")
-        for name, label, unit in (
-            ("misfit", "misfit", ""),
-            ("whiteness", "whiteness p", ""),
-            ("ghost", "log \N{MINUS SIGN} simulated loop", "%"),
-        )
-    ),
+    _count("trials", "all"),
+    _count("explained", "explained by the model"),
+    _count("left", "leave its noise band"),
+    _median("misfit"),
+    _median("whiteness", "whiteness p"),
+    _median("ghost", "log \N{MINUS SIGN} simulated loop", "%"),
 )
 
 _METHODS = (
@@ -77,33 +75,22 @@ _METHODS = (
     words("remark"),
 )
 
+_NOT_TOLD = "not settled, or not told by this definition"
+_settling = partial(Column, group="settling time, 2 % [samples]", show="{:.4g}".format, why=_NOT_TOLD)
+_overshoot = partial(Column, group="overshoot [%]", show=lambda share: f"{100 * share:.1f}", why=_NOT_TOLD)
+
 _DEFINITIONS = (
     words("criterion", "best trial by"),
-    *(
-        Column(name, label, group=group, show=show, why="not settled, or not told by this definition")
-        for group, show, names in (
-            (
-                "settling time, 2 % [samples]",
-                "{:.4g}".format,
-                {
-                    "settle_2pct": "this report",
-                    "settle_matlab_final_value": "MATLAB",
-                    "settle_matlab_peak_error": "MATLAB, peak error",
-                    "settle_python_control": "python-control",
-                },
-            ),
-            (
-                "overshoot [%]",
-                lambda share: f"{100 * share:.1f}",
-                {"overshoot": "this report", "overshoot_last_sample": "about the last sample"},
-            ),
-        )
-        for name, label in names.items()
-    ),
+    _settling("settle_2pct", "this report"),
+    _settling("settle_matlab_final_value", "MATLAB"),
+    _settling("settle_matlab_peak_error", "MATLAB, peak error"),
+    _settling("settle_python_control", "python-control"),
+    _overshoot("overshoot", "this report"),
+    _overshoot("overshoot_last_sample", "about the last sample"),
 )
 
 
-def experiment_table(result: ComparisonResult, trials: TrialPage | None = None) -> Table | None:
+def experiment_table(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> Table | None:
     """Return trials, verdicts, estimates with 95 % intervals, and theory parameters of each experiment."""
     verdicts = list(dict.fromkeys(v for e in result.experiments for v in e.verdicts))
     quantities = [q for q in MAIN if any(q in e.estimates for e in result.experiments)]
@@ -126,10 +113,10 @@ def experiment_table(result: ComparisonResult, trials: TrialPage | None = None) 
     return table.filled
 
 
-def outcome_table(result: ComparisonResult, trials: TrialPage | None = None) -> Table | None:
+def outcome_table(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> Table | None:
     """Return how many trials ended how, or None where it is not known."""
-    shown = [name for name in OUTCOME_NAMES if any(e.outcomes.get(name) for e in result.experiments)]
-    columns = (words("experiment"), *(Column(name, OUTCOME_NAMES[name]) for name in shown))
+    shown = [name for name in OUTCOMES if any(e.outcomes.get(name) for e in result.experiments)]
+    columns = (words("experiment"), *(Column(name, OUTCOMES[name]) for name in shown))
     table = Table("outcomes", "What the logs show: number of trials by outcome", columns)
     for e in result.experiments if shown else ():
         counts = {name: e.outcomes.get(name, 0) for name in shown}
@@ -137,7 +124,7 @@ def outcome_table(result: ComparisonResult, trials: TrialPage | None = None) -> 
     return table.filled
 
 
-def model_table(result: ComparisonResult, trials: TrialPage | None = None) -> Table | None:
+def model_table(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> Table | None:
     """Return how well the fitted model explains the logs, or None where it was not fitted."""
     caption = "Does the model (mass, damping, delay) explain the logs? Misfit is 1 where the sensor explains the errors"
     table = Table("model", caption, _MODEL)
@@ -148,7 +135,7 @@ def model_table(result: ComparisonResult, trials: TrialPage | None = None) -> Ta
     return table.filled
 
 
-def method_table(result: ComparisonResult, trials: TrialPage | None = None) -> Table | None:
+def method_table(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> Table | None:
     """Return the estimates by every method, or None where there is none."""
     table = Table("methods", "Estimates by method, with 95 % intervals", _METHODS)
     for e in result.experiments:
@@ -161,19 +148,14 @@ def method_table(result: ComparisonResult, trials: TrialPage | None = None) -> T
     return table.filled
 
 
-def window_table(result: ComparisonResult, trials: TrialPage | None = None) -> Table | None:
+def window_table(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> Table | None:
     """Return the mass over the window of the momentum balance, or None where no mass was asked for."""
     shown = [e for e in result.experiments if e.mass_windows]
     columns = [Column("window", unit="ms", show="{:g}".format)]
     for e in shown:
-        columns += [
-            Column(f"{e.experiment}/{name}", name, "", f"experiment {e.experiment}", show=show, why=why)
-            for name, show, why in (
-                ("mass", _USUAL, "fewer than two trials allow it"),
-                ("scatter", _USUAL, "fewer than two trials allow it"),
-                ("trials", str, ""),
-            )
-        ]
+        column = partial(Column, group=f"experiment {e.experiment}", why="fewer than two trials allow it")
+        columns += [column(f"{e.experiment}/{name}", name, show=_USUAL) for name in ("mass", "scatter")]
+        columns.append(column(f"{e.experiment}/trials", "trials"))
     unit = UNITS[result.motion].mass
     caption = f"Mass [{unit}] by the momentum balance (6.4) over its window: median and scatter of the trials"
     table = Table("windows", caption, columns)
@@ -186,13 +168,13 @@ def window_table(result: ComparisonResult, trials: TrialPage | None = None) -> T
     return table.filled
 
 
-def definition_table(result: ComparisonResult, trials: TrialPage | None = None) -> Table | None:
+def definition_table(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> Table | None:
     """Return the best trials by the definitions of other tools, or None where settling or overshoot is left out."""
     table = Table("definitions", "The best trials by the definitions of other tools", _DEFINITIONS)
     table.mark(TOOLS_NOTE)
     for e in result.experiments:
         for best in e.other_definitions:
-            trial = trials.places.get((e.experiment, best.trial_id), "") if trials else ""
+            trial = trials.place(e.experiment, best.trial_id)
             values: dict[str, Any] = {
                 column.name: number(getattr(best, column.name), column.show, column.why, trial=trial)
                 for column in _DEFINITIONS[1:]

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from pipeline.base.wording import counted, true_minus
+from pipeline.base.wording import counted
 from pipeline.records.results import ComparisonResult
 from pipeline.records.score_records import (
     BandScore,
@@ -25,22 +25,26 @@ from pipeline.records.score_records import (
     StiffnessScore,
     VerdictScore,
 )
-from pipeline.records.trial_records import TrialPage
+from pipeline.records.trial_records import NO_TRIALS, TrialPage
 from pipeline.rendering.labels import (
     CRITERION_NAMES,
     MISSING,
     UNITS,
     damping_text,
     decimal,
+    fixed,
     percent_text,
     share_text,
     significant,
+    span,
 )
 from pipeline.rendering.table import Cell, Column, Table, missing, number, words
 
 _NOT_KNOWN = "not available"
 _NO_OPTIMUM = "the tables of optima do not hold this criterion for this experiment, or no trial has its cost"
 _THREE = partial(significant, digits=3)
+_TWO_PLACES = partial(fixed, places=2)
+_RATIO = partial(fixed, places=3)
 
 
 @dataclass(frozen=True)
@@ -67,7 +71,7 @@ class Row:
         return Cell(None, self.nothing, why=why)
 
 
-def score_table(result: ComparisonResult, trials: TrialPage | None = None) -> Table | None:
+def score_table(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> Table | None:
     """Return the scores of each experiment against the theory of the tables, or None where there are none."""
     found = _first_scores(result)
     bases = {s.basis for s in found.values()}
@@ -84,7 +88,7 @@ def score_table(result: ComparisonResult, trials: TrialPage | None = None) -> Ta
     return table if found else None
 
 
-def cost_score_table(result: ComparisonResult, trials: TrialPage | None = None) -> Table | None:
+def cost_score_table(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> Table | None:
     """Return how costs of the trials follow theory at their own (K, B), or None where there are none."""
     found = {name: scores for name, scores in _first_scores(result).items() if scores.maps}
     caption = (
@@ -96,7 +100,7 @@ def cost_score_table(result: ComparisonResult, trials: TrialPage | None = None) 
     return table if found else None
 
 
-def rule_score_table(result: ComparisonResult, trials: TrialPage | None = None) -> Table | None:
+def rule_score_table(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> Table | None:
     """Return measured optimal costs against (5.19) and the damped curve of Fig. 6.12, or None where neither applies."""
     found = _first_scores(result)
     table = _table("scores-rules", "Measured optimal costs against rules of theory: deviation [%]", result, found)
@@ -108,7 +112,7 @@ def rule_score_table(result: ComparisonResult, trials: TrialPage | None = None) 
     return table.filled
 
 
-def estimate_score_table(result: ComparisonResult, trials: TrialPage | None = None) -> Table | None:
+def estimate_score_table(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> Table | None:
     """Return the scores against theory by the estimates of a device that has a file too, or None."""
     found = {e.experiment: s for e in result.experiments for s in e.scores[1:]}
     table = _table("scores-estimates", "Measured against theory by the estimates of each experiment", result, found)
@@ -157,18 +161,18 @@ def _stability_rows(result: ComparisonResult) -> list[Row]:
 
 
 def _covered(r: RegionScore) -> Cell:
-    return Cell(r.covered, share_text(r.covered), aside=_range(share_text, r.covered_low, r.covered_high))
+    return number(r.covered, share_text, ends=(r.covered_low, r.covered_high))
 
 
 def _overlap(r: RegionScore) -> Cell:
-    aside = _range(share_text, r.overlap_low, r.overlap_high)
+    aside = span(share_text, r.overlap_low, r.overlap_high)
     if r.censored:
         aside += f"; no unstable trial at {r.censored} of {r.dampings} dampings"
     return Cell(r.overlap, share_text(r.overlap), aside=aside)
 
 
 def _area_ratio(r: RegionScore) -> Cell:
-    return Cell(r.area_ratio, _ratio(r.area_ratio), aside=_range(_ratio, r.area_ratio_low, r.area_ratio_high))
+    return number(r.area_ratio, _RATIO, ends=(r.area_ratio_low, r.area_ratio_high))
 
 
 def _median(d: DistanceScore) -> Cell:
@@ -208,13 +212,13 @@ def _evidence_rows(result: ComparisonResult) -> list[Row]:
 
 
 def _delay(d: DelayScore) -> Cell:
-    own = f"{_decimals(d.implied_low, 2)} to {_decimals(d.implied_high, 2)}"
-    trials = f"trials: {_THREE(d.trials)}, {_range(_THREE, d.trials_low, d.trials_high)}"
-    return Cell(d.implied, _decimals(d.implied, 2), aside=f"{own}; {trials}" + ("" if d.agree else "; they differ"))
+    own, trials = span(_TWO_PLACES, d.implied_low, d.implied_high), span(_THREE, d.trials_low, d.trials_high)
+    aside = f"{own}; trials: {_THREE(d.trials)}, {trials}" + ("" if d.agree else "; they differ")
+    return number(d.implied, _TWO_PLACES, aside=aside)
 
 
 def _bound(b: BoundScore) -> Cell:
-    reach = f"{_range(_THREE, b.stiffness_low, b.stiffness_high)}; {_range(_THREE, b.slope_low, b.slope_high)}"
+    reach = f"{span(_THREE, b.stiffness_low, b.stiffness_high)}; {span(_THREE, b.slope_low, b.slope_high)}"
     text = f"{_THREE(b.stiffness)} − {_THREE(b.slope)} B"
     return Cell(b.stiffness, text, aside=f"{reach}; cuts off {share_text(b.cut)} %")
 
@@ -246,11 +250,11 @@ def _map_row(criterion: str) -> Row:
 
 
 def _map(m: MapScore) -> Cell:
-    ratio = "" if m.median_ratio is None else f"ratio {_ratio(m.median_ratio)}, "
+    ratio = "" if m.median_ratio is None else f"ratio {_RATIO(m.median_ratio)}, "
     aside = f"{ratio}{counted(m.trials, 'trial')}"
     if m.rank_correlation is None:
         return missing(m.reason or _NOT_KNOWN, aside=aside)
-    return Cell(m.rank_correlation, _decimals(m.rank_correlation, 3), aside=aside)
+    return number(m.rank_correlation, _RATIO, aside=aside)
 
 
 def _of(criterion: str, scores: tuple[Any, ...]) -> Any:
@@ -258,18 +262,5 @@ def _of(criterion: str, scores: tuple[Any, ...]) -> Any:
     return next((score for score in scores if score.criterion == criterion), None)
 
 
-def _decimals(value: float, places: int) -> str:
-    """Number with all its decimals, so that those of a row have equally many."""
-    return true_minus(f"{value:.{places}f}")
-
-
-def _ratio(value: float) -> str:
-    return _decimals(value, 3)
-
-
 def _percent(value: float | None) -> str:
     return MISSING if value is None else f"{percent_text(value)} %"
-
-
-def _range(text: Callable[[float], str], low: float, high: float) -> str:
-    return f"{text(low)} to {text(high)}"

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 from pipeline.records.delay_rows import DelayPoint, delay_points, is_delay_table
-from pipeline.records.models import BoundaryPoint, ComparisonRow, Motion, Optimum
+from pipeline.records.models import BoundaryPoint, ComparisonRow, Motion
 from pipeline.records.results import ComparisonResult, ExperimentResult
-from pipeline.records.trial_records import TrialPage
+from pipeline.records.trial_records import NO_TRIALS, TrialPage
 from pipeline.rendering.labels import (
     CRITERION_NAMES,
     MISSING,
@@ -31,19 +32,19 @@ CENSORED = "At the edge of the tested range (censored): the true value may lie o
 TESTED_RANGE_ENDED = "The tested range ended before an unstable trial."
 
 
-def optimum_tables(result: ComparisonResult, trials: TrialPage | None = None) -> list[Table]:
+def optimum_tables(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> list[Table]:
     """Return Tables D.1 to D.5 (or whatever the rows are named): optimal points beside the published ones."""
     tables = _rows_by_table(result).items()
     return [_optimum_table(name, rows, result.motion, trials) for name, rows in tables if not is_delay_table(rows)]
 
 
-def delay_tables(result: ComparisonResult, trials: TrialPage | None = None) -> list[Table]:
+def delay_tables(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> list[Table]:
     """Return Table D.6 and others of its kind: one row a delay, three columns a criterion."""
     tables = _rows_by_table(result).items()
     return [_delay_table(name, rows, trials) for name, rows in tables if is_delay_table(rows)]
 
 
-def measured_optimum_table(result: ComparisonResult, trials: TrialPage | None = None) -> Table | None:
+def measured_optimum_table(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> Table | None:
     """Return the best trial of each experiment by each criterion, or None where there is none."""
     units = UNITS[result.motion]
     columns = (
@@ -57,19 +58,24 @@ def measured_optimum_table(result: ComparisonResult, trials: TrialPage | None = 
     for e in result.experiments:
         for criterion, best in e.optimum.items():
             marks = table.mark(CENSORED if best.censored else None)
-            trial = _place(trials, e.experiment, best.trial_id)
+            trial = trials.place(e.experiment, best.trial_id)
             values: dict[str, Any] = {
                 "criterion": criterion_label(criterion),
                 "stiffness": Cell(best.stiffness, stiffness_text(best.stiffness), marks=marks, trial=trial),
                 "damping": Cell(best.damping, damping_text(best.damping), trial=trial),
-                "cost": _best_cost(criterion, best, trial),
+                "cost": number(
+                    best.cost,
+                    partial(cost_text, criterion),
+                    ends=(best.cost_low, best.cost_high),
+                    trial=trial,
+                ),
                 "ties": best.ties,
             }
             table.add(f"{e.experiment}/{criterion}", values, f"experiment {e.experiment}")
     return table.filled
 
 
-def boundary_table(result: ComparisonResult, trials: TrialPage | None = None) -> Table | None:
+def boundary_table(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> Table | None:
     """Return the measured stability limit of all experiments over damping, or None where there is none."""
     tested = [e for e in result.experiments if e.boundary]
     units = UNITS[result.motion]
@@ -89,12 +95,12 @@ def boundary_table(result: ComparisonResult, trials: TrialPage | None = None) ->
     for damping in sorted({p.damping for e in tested for p in e.boundary}):
         values: dict[str, Any] = {"damping": damping}
         for e in tested:
-            values |= _limit_cells(table, e, damping, trials.limits if trials else {})
+            values |= _limit_cells(table, e, damping, trials.limits)
         table.add(damping_text(damping), values)
     return table.filled
 
 
-def missing_table(result: ComparisonResult, trials: TrialPage | None = None) -> Table | None:
+def missing_table(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> Table | None:
     """Return what could not be had and why, or None where nothing is missing."""
     columns = (words("experiment"), words("result"), words("reason"))
     table = Table("missing", "Results that the logs do not allow", columns)
@@ -112,19 +118,7 @@ def _rows_by_table(result: ComparisonResult) -> dict[str, list[ComparisonRow]]:
     return tables
 
 
-def _place(trials: TrialPage | None, experiment: str | None, trial_id: str | None) -> str:
-    """Return how the page refers to a trial; empty where it does not show it."""
-    return trials.places.get((experiment or "", trial_id or ""), "") if trials else ""
-
-
-def _best_cost(criterion: str, best: Optimum, trial: str) -> Cell:
-    interval = ""
-    if best.cost_low is not None and best.cost_high is not None:
-        interval = f"{cost_text(criterion, best.cost_low)} to {cost_text(criterion, best.cost_high)}"
-    return Cell(best.cost, cost_text(criterion, best.cost), aside=interval, trial=trial)
-
-
-def _optimum_table(name: str, rows: Sequence[ComparisonRow], motion: Motion, trials: TrialPage | None) -> Table:
+def _optimum_table(name: str, rows: Sequence[ComparisonRow], motion: Motion, trials: TrialPage) -> Table:
     units = UNITS[motion]
     published = any(row.published_cost is not None or row.published_stiffness is not None for row in rows)
     here = "this report" if published else ""
@@ -151,17 +145,17 @@ def _optimum_table(name: str, rows: Sequence[ComparisonRow], motion: Motion, tri
     return table
 
 
-def _optimum_cells(table: Table, row: ComparisonRow, trials: TrialPage | None) -> dict[str, Any]:
+def _optimum_cells(table: Table, row: ComparisonRow, trials: TrialPage) -> dict[str, Any]:
     condition = condition_label(row.condition)
     if row.delay_samples is not None and not row.condition.startswith("theory"):
         condition += f" (d = {significant(row.delay_samples, 3)})"
     why = row.note or "not available"
-    trial = _place(trials, row.experiment, row.trial_id)
+    trial = trials.place(row.experiment, row.trial_id)
     return {
         "condition": Cell(condition, condition, numeric=False, marks=_marks(table, row)),
         "stiffness": number(row.stiffness, stiffness_text, why, trial=trial),
         "damping": number(row.damping, damping_text, why, trial=trial),
-        "cost": number(row.cost, lambda cost: cost_text(row.criterion, cost), why, trial=trial),
+        "cost": number(row.cost, partial(cost_text, row.criterion), why, trial=trial),
         "deviation": _deviation_cell(row),
         "published_stiffness": row.published_stiffness,
         "published_damping": row.published_damping,
@@ -183,7 +177,7 @@ def _deviation_cell(row: ComparisonRow) -> Cell:
     return number(row.deviation_percent, percent_text, "theory is what the deviation refers to" if theory else why)
 
 
-def _delay_table(name: str, rows: Sequence[ComparisonRow], trials: TrialPage | None) -> Table:
+def _delay_table(name: str, rows: Sequence[ComparisonRow], trials: TrialPage) -> Table:
     criteria = list(dict.fromkeys(row.criterion for row in rows))
     columns = [Column("delay", "delay d")]
     for criterion in criteria:
@@ -211,7 +205,7 @@ def _delay_table(name: str, rows: Sequence[ComparisonRow], trials: TrialPage | N
     return table
 
 
-def _delay_cells(table: Table, point: DelayPoint, criteria: Sequence[str], trials: TrialPage | None) -> dict[str, Any]:
+def _delay_cells(table: Table, point: DelayPoint, criteria: Sequence[str], trials: TrialPage) -> dict[str, Any]:
     cells: dict[str, Any] = {}
     for criterion in criteria:
         for what, rows in (("theory", point.theory), ("experiment", point.measured)):
@@ -222,13 +216,13 @@ def _delay_cells(table: Table, point: DelayPoint, criteria: Sequence[str], trial
     return cells
 
 
-def _cost_cell(table: Table, row: ComparisonRow, trials: TrialPage | None) -> Cell:
+def _cost_cell(table: Table, row: ComparisonRow, trials: TrialPage) -> Cell:
     published = _published_cost(row)
     aside = "" if published is None else f"({published_text(published)})"
     marks = _marks(table, row)
     if row.cost is None:
         return missing(row.note or "not available", aside=aside, marks=marks)
-    trial = _place(trials, row.experiment, row.trial_id)
+    trial = trials.place(row.experiment, row.trial_id)
     return Cell(row.cost, cost_text(row.criterion, row.cost), aside=aside, marks=marks, trial=trial)
 
 
@@ -252,9 +246,8 @@ def _limit_cells(
 
 
 def _limit_cell(point: BoundaryPoint) -> Cell:
-    if point.estimate is None or point.low is None or point.high is None:
-        if not point.low:
-            return missing("no trial is surely stable or surely unstable")
+    if None not in (point.estimate, point.low, point.high):
+        return number(point.estimate, stiffness_text, ends=(point.low, point.high))
+    if point.low:
         return Cell(point.low, f"≥ {stiffness_text(point.low)}")
-    interval = f"{stiffness_text(point.low)} to {stiffness_text(point.high)}"
-    return Cell(point.estimate, stiffness_text(point.estimate), aside=interval)
+    return missing("no trial is surely stable or surely unstable")

@@ -12,7 +12,7 @@ from itertools import groupby
 from typing import Any, Self
 
 from pipeline.base.wording import shared_notes
-from pipeline.rendering.labels import MISSING
+from pipeline.rendering.labels import MISSING, span
 
 Value = str | float | int | bool | None
 
@@ -86,9 +86,18 @@ def words(name: str, label: str | None = None, group: str = "") -> Column:
     return Column(name, label, group=group, numeric=False)
 
 
-def number(value: float | None, show: Callable[[Any], str], why: str, **more: Any) -> Cell:
-    """Return the cell of a number, or of one that is missing with the reason for it."""
-    return missing(why) if value is None else Cell(value, show(value), **more)
+def number(
+    value: float | None,
+    show: Callable[[Any], str],
+    why: str = "",
+    *,
+    ends: tuple[float | None, float | None] = (None, None),
+    **more: Any,
+) -> Cell:
+    """Return the cell of a number with the ends of its interval, or of one that is missing with the reason for it."""
+    if value is None:
+        return missing(why)
+    return Cell(value, show(value), **({"aside": span(show, *ends)} | more))
 
 
 def missing(why: str, **more: Any) -> Cell:
