@@ -29,7 +29,7 @@ from pipeline.records.results import ExperimentResult, TheoryParameters
 from pipeline.rendering.labels import criterion_label, table_label
 from pipeline.theory.loop import LARGEST_DELAY, Loop
 from pipeline.theory.maps import cost_maps
-from pipeline.theory.predictions import Prediction, Predictions, Request, Theory
+from pipeline.theory.predictions import Predictions, Request, Theory
 
 MAP_POINTS = 101
 """Grid points along each axis of a drawn map; finer ones change no contour visibly."""
@@ -40,7 +40,7 @@ DAMPED = 0.02
 FIGURES = {"D.1": "6.5", "D.2": "6.6", "D.3": "6.7", "D.4": "6.10", "D.5": "6.11"}
 """Figure of the thesis whose optima a table holds; other tables are drawn as the first two."""
 
-_EMPTY = np.empty(0)
+NO_TRIALS = (np.empty(0), np.empty(0), np.empty(0))
 
 
 def shows_damped(data: SceneData) -> bool:
@@ -97,14 +97,10 @@ class FigureBuilder:
                 continue
             theory = self.theories.get(table.theory_from)
             shown = [r for r in self.results if r.experiment in table.experiments]
-            window = self._window(theory, shown)
-            maps = _theory_maps(theory, window, table) if theory else {}
+            maps = _theory_maps(theory, shown, table.criteria, predictions) if theory else {}
             for criterion in table.criteria:
-                panels = []
-                if theory:
-                    optimum = _as_optimum(predictions.get(theory, f"{criterion}_discrete"))
-                    panels.append(_theory_panel(theory, window, maps[criterion], optimum, criterion))
-                panels += [_measured_panel(r, stages[r.experiment], criterion) for r in shown if criterion in r.optimum]
+                panels = [maps[criterion]] if theory else []
+                panels += [_measured_map(r, stages[r.experiment], criterion) for r in shown if criterion in r.optimum]
                 if not panels:
                     continue
                 listed = self.data.scene.shown.has_table(table.name)
@@ -114,15 +110,6 @@ class FigureBuilder:
                 name = next(name for name in taken if name not in figures)
                 figures[name] = replace(figure, identifier=name)
         return tuple(figures.values())
-
-    def _window(self, theory: Theory | None, shown: Sequence[ExperimentResult]) -> tuple[float, float, float]:
-        """Largest stiffness, smallest and largest damping that a cost figure shows."""
-        stiffness = [p.unstable or p.stable or 0.0 for r in shown for p in r.boundary]
-        damping = [p.damping for r in shown for p in r.boundary]
-        if theory:
-            stiffness.append(theory.boundary.alpha_max * theory.units.stiffness)
-            damping.append(theory.boundary.beta_max * theory.units.damping)
-        return max(stiffness, default=1.0), min([0.0, *damping]), max(damping, default=1.0)
 
     def delays(self, rows: Sequence[ComparisonRow], predictions: Predictions) -> tuple[Figure[DelayPanel], ...]:
         """Return the figure of optimal costs over delay, if there is a sweep."""
@@ -153,22 +140,30 @@ class FigureBuilder:
         return predictions.get(Theory(parameters), f"{criterion}_discrete").cost
 
 
-def _as_optimum(prediction: Prediction) -> Optimum:
-    return Optimum(stiffness=prediction.stiffness, damping=prediction.damping, cost=prediction.cost)
-
-
 def _cost(row: ComparisonRow | None) -> float:
     return np.nan if row is None or row.cost is None else row.cost
 
 
-def _theory_maps(theory: Theory, window: tuple[float, float, float], table: TableLayout) -> dict[str, Floats]:
-    alpha, beta = _axes(window)
-    return cost_maps(theory.loop, alpha / theory.units.stiffness, beta / theory.units.damping, table.criteria)
-
-
-def _axes(window: tuple[float, float, float]) -> tuple[Floats, Floats]:
-    stiffest, lowest, highest = window
-    return np.linspace(0, stiffest, MAP_POINTS), np.linspace(lowest, highest, MAP_POINTS)
+def _theory_maps(
+    theory: Theory, shown: Sequence[ExperimentResult], criteria: Sequence[str], predictions: Predictions
+) -> dict[str, CostMap]:
+    """Maps of theory by criterion over its stable region and all that was tested."""
+    points = [point for result in shown for point in result.boundary]
+    p, border, units = theory.parameters, theory.boundary, theory.units
+    stiffest = max([border.alpha_max * units.stiffness, *(p.unstable or p.stable or 0.0 for p in points)])
+    dampings = [border.beta_max * units.damping, *(p.damping for p in points)]
+    stiffness = np.linspace(0, stiffest, MAP_POINTS)
+    damping = np.linspace(min(0.0, *dampings), max(dampings), MAP_POINTS)
+    costs = cost_maps(theory.loop, stiffness / units.stiffness, damping / units.damping, criteria)
+    label = f"theory, d = {p.delay_samples:g}, m = {p.mass:.3g}, b = {p.damping:.3g}"
+    maps = {}
+    for criterion, cost in costs.items():
+        found = predictions.get(theory, f"{criterion}_discrete")
+        optimum = Optimum(stiffness=found.stiffness, damping=found.damping, cost=found.cost)
+        curves = _optimal_curves(stiffness, damping, cost, criterion, exact=True)
+        edge = theory_curve(theory, "boundary")
+        maps[criterion] = CostMap(label, "theory", stiffness, damping, cost, edge, optimum, *NO_TRIALS, *curves)
+    return maps
 
 
 def _optimal_curves(
@@ -184,17 +179,7 @@ def _optimal_curves(
     )
 
 
-def _theory_panel(
-    theory: Theory, window: tuple[float, float, float], cost: Floats, optimum: Optimum, criterion: str
-) -> CostMap:
-    p = theory.parameters
-    label = f"theory, d = {p.delay_samples:g}, m = {p.mass:.3g}, b = {p.damping:.3g}"
-    curves = _optimal_curves(*_axes(window), cost, criterion, exact=True)
-    trials = (_EMPTY, _EMPTY, _EMPTY)
-    return CostMap(label, "theory", *_axes(window), cost, theory_curve(theory, "boundary"), optimum, *trials, *curves)
-
-
-def _measured_panel(result: ExperimentResult, stages: ExperimentStages, criterion: str) -> CostMap:
+def _measured_map(result: ExperimentResult, stages: ExperimentStages, criterion: str) -> CostMap:
     cost, _ = stages.cost(criterion)
     if criterion == "overshoot":
         cost = np.where(without_overshoot(cost, stages.column("overshoot", "overshoot_floor")), 0.0, cost)

@@ -144,47 +144,45 @@ def _label_places(curves: Sequence[Curve], largest: float, damping: tuple[float,
 
 def draw_map(axes: Axes, cost_map: CostMap, criterion: str, scale: float) -> None:
     """Draw the stability boundary, the contour lines of the cost and the optimum as a blue plus."""
-    known = np.isfinite(cost_map.cost)
     _draw_curve(axes, cost_map.boundary, scale, style.INK)
-    if not known.any():
+    if not np.isfinite(cost_map.cost).any():
         axes.text(0.5, 0.5, "no trial with this cost", transform=axes.transAxes, ha="center")
         return
-    levels = _levels(criterion, cost_map.cost[known])
     if criterion == "overshoot":
         calm = cost_map.trial_cost <= NO_OVERSHOOT
         dots(axes, cost_map.trial_stiffness[calm] * scale, cost_map.trial_damping[calm], style.INK, 2.4)
-    if levels.size:
-        shade = [(*to_rgb(style.GREEN), alpha) for alpha in np.linspace(1.0, 0.45, levels.size)]
-        # Whole doublings are drawn heavier: they can be counted, also in grey.
-        wide = np.where(np.arange(levels.size) % LINES_PER_DOUBLING == LINES_PER_DOUBLING - 1, 1.3, 0.8)
-        if criterion == "overshoot":
-            wide = np.where(levels <= NO_OVERSHOOT_LINE, 1.8, 1.0)
-        look: dict[str, Any] = {"levels": levels, "colors": shade, "linewidths": wide}
-        if cost_map.kind == "theory":
-            lines = axes.contour(cost_map.stiffness * scale, cost_map.damping, cost_map.cost, **look)
-            shown = (
-                levels[1::LINES_PER_DOUBLING] if criterion != "overshoot" else levels[levels > NO_OVERSHOOT_LINE][::2]
-            )
-            factor = printed_scale(criterion)
-            axes.clabel(lines, shown[:2], fmt=lambda level: significant(level * factor, 3), fontsize=8.5,
-                        colors=style.INK, inline_spacing=2)  # fmt: skip
-        else:
-            triangles = _triangles(cost_map, known)
-            if triangles is not None:
-                triangles.x = triangles.x * scale
-                axes.tricontour(triangles, cost_map.cost[known], **look)
-    for best, line in ((cost_map.best_damping, "-"), (cost_map.best_stiffness, style.LINES["theory"])):
-        if best is not None:
-            axes.plot(best.stiffness * scale, best.damping, color=style.INK, lw=1.1, ls=line)
-    if cost_map.optimum is not None:
-        axes.plot(
-            cost_map.optimum.stiffness * scale,
-            cost_map.optimum.damping,
-            "+",
-            color=style.BLUE,
-            ms=13,
-            mew=2.4,
-        )
+    _draw_contours(axes, cost_map, criterion, scale)
+    for curve, line in ((cost_map.best_damping, "-"), (cost_map.best_stiffness, style.LINES["theory"])):
+        if curve is not None:
+            axes.plot(curve.stiffness * scale, curve.damping, color=style.INK, lw=1.1, ls=line)
+    best = cost_map.optimum
+    if best is not None:
+        axes.plot(best.stiffness * scale, best.damping, "+", color=style.BLUE, ms=13, mew=2.4)
+
+
+def _draw_contours(axes: Axes, cost_map: CostMap, criterion: str, scale: float) -> None:
+    """Draw lines of equal cost, heavier at whole doublings, which can be counted also in grey; theory has numbers."""
+    known = np.isfinite(cost_map.cost)
+    levels = _levels(criterion, cost_map.cost[known])
+    if not levels.size:
+        return
+    if criterion == "overshoot":
+        wide, labelled = np.where(levels <= NO_OVERSHOOT_LINE, 1.8, 1.0), levels[levels > NO_OVERSHOOT_LINE][::2]
+    else:
+        whole = np.arange(levels.size) % LINES_PER_DOUBLING == LINES_PER_DOUBLING - 1
+        wide, labelled = np.where(whole, 1.3, 0.8), levels[1::LINES_PER_DOUBLING]
+    shade = [(*to_rgb(style.GREEN), alpha) for alpha in np.linspace(1.0, 0.45, levels.size)]
+    look: dict[str, Any] = {"levels": levels, "colors": shade, "linewidths": wide}
+    if cost_map.kind == "theory":
+        lines = axes.contour(cost_map.stiffness * scale, cost_map.damping, cost_map.cost, **look)
+        text: dict[str, Any] = {"fontsize": 8.5, "colors": style.INK, "inline_spacing": 2}
+        factor = printed_scale(criterion)
+        axes.clabel(lines, labelled[:2], fmt=lambda level: significant(level * factor, 3), **text)
+        return
+    triangles = _triangles(cost_map, known)
+    if triangles is not None:
+        triangles.x = triangles.x * scale
+        axes.tricontour(triangles, cost_map.cost[known], **look)
 
 
 def _levels(criterion: str, cost: Floats) -> Floats:
@@ -210,21 +208,15 @@ def draw_front(axes: Axes, cost_map: CostMap, criterion: str, scale: float, top:
     lowest = np.where(np.isfinite(cost_map.cost), cost_map.cost, np.inf).min(axis=0)[known]
     axes.plot(cost_map.stiffness[known] * scale, lowest * factor, color=style.INK, lw=1.3)
     best = cost_map.optimum
-    if best is not None:
-        axes.plot(best.stiffness * scale, best.cost * factor, "+", color=style.BLUE, ms=11, mew=2.2, zorder=5)
-        unit = " %" if criterion == "overshoot" else ""
-        below = best.cost > 0.2 * top  # else the value would collide with the axis
-        axes.annotate(
-            cost_text(criterion, best.cost) + unit,
-            (best.stiffness * scale, best.cost * factor),
-            xytext=(0, -15 if below else 14),
-            textcoords="offset points",
-            ha="left" if best.stiffness * scale < 0.1 * axes.get_xlim()[1] else "center",
-            va="center",
-            color=style.BLUE,
-            fontweight="bold",
-            bbox=style.BEHIND_TEXT,
-        )
+    if best is None:
+        return
+    place = (best.stiffness * scale, best.cost * factor)
+    axes.plot(*place, "+", color=style.BLUE, ms=11, mew=2.2, zorder=5)
+    text = cost_text(criterion, best.cost) + (" %" if criterion == "overshoot" else "")
+    offset = (0, -15 if best.cost > 0.2 * top else 14)  # else the value would collide with the axis
+    look: dict[str, Any] = {"va": "center", "color": style.BLUE, "fontweight": "bold", "bbox": style.BEHIND_TEXT}
+    look["ha"] = "left" if place[0] < 0.1 * axes.get_xlim()[1] else "center"
+    axes.annotate(text, place, offset, "data", textcoords="offset points", **look)
 
 
 def front_top(figure: Figure[CostMap]) -> float:

@@ -94,7 +94,7 @@ def render(data: ReportData) -> str:
         footnote=footnote,
         energy=any(c.startswith("energy") for c in result.criteria),
         settling=any(c.startswith("settle") for c in result.criteria),
-        **report_figures.drawings(data),
+        figures=report_figures.drawings(data),
         **_tables(data),
     )
     page = unbroken(page)

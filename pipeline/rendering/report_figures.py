@@ -4,27 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, get_args
 
 from pipeline.records.figure_records import CostMap, Figure, Limits
-from pipeline.records.models import Motion
+from pipeline.records.models import FigureKind, Motion
 from pipeline.records.results import ReportData
 
 _MARKS = (
     "Filled marks: the measured cost is larger; open marks: smaller; dots: less than the smallest step; their size is "
     "the departure. Dashed: stability boundary of theory."
 )
-
-
-SECTIONS = {
-    "boundaries": "boundary_figures",
-    "plane": "boundary_figures",
-    "maps": "cost_figures",
-    "delay": "delay_figures",
-    "response": "response_figures",
-    "residuals": "residual_figures",
-}
-"""Names of the templates for the kinds of figures."""
 
 
 @dataclass(frozen=True)
@@ -38,12 +27,10 @@ class Drawing:
     key: str
 
 
-def drawings(data: ReportData) -> dict[str, list[Drawing]]:
-    """Return the figures of a report by the names that its templates use; empty where there is nothing to draw."""
-    found: dict[str, list[Drawing]] = {name: [] for name in SECTIONS.values()}
-    for figure in data.figures:
-        found[SECTIONS[figure.kind]].append(draw(figure, data.result.motion))
-    return found
+def drawings(data: ReportData) -> dict[FigureKind, list[Drawing]]:
+    """Return the figures of a report by their kind; empty where there is nothing to draw."""
+    motion = data.result.motion
+    return {kind: [draw(f, motion) for f in data.figures if f.kind == kind] for kind in get_args(FigureKind)}
 
 
 def draw(figure: Figure[Any], motion: Motion) -> Drawing:

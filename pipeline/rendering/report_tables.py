@@ -29,6 +29,7 @@ from pipeline.rendering.labels import (
 from pipeline.rendering.table import Cell, Column, Table, missing, number, words
 
 CENSORED = "At the edge of the tested range (censored): the true value may lie outside."
+NOT_PUBLISHED = "not published"
 TESTED_RANGE_ENDED = "The tested range ended before an unstable trial."
 
 
@@ -132,7 +133,7 @@ def _optimum_table(name: str, rows: Sequence[ComparisonRow], motion: Motion, tri
         columns.append(Column("deviation", unit="%", group=here))
     if published:
         columns += [
-            Column(f"published_{what}", label, group="published", show=published_text, why="not published")
+            Column(f"published_{what}", label, group="published", show=published_text, why=NOT_PUBLISHED)
             for what, label in (("stiffness", "K"), ("damping", "B"), ("cost", "cost"))
         ]
     label = table_label(name)
@@ -159,7 +160,7 @@ def _optimum_cells(table: Table, row: ComparisonRow, trials: TrialPage) -> dict[
         "deviation": _deviation_cell(row),
         "published_stiffness": row.published_stiffness,
         "published_damping": row.published_damping,
-        "published_cost": _published_cost(row),
+        "published_cost": number(row.published_cost, partial(_published_cost, row.criterion), NOT_PUBLISHED),
     }
 
 
@@ -167,8 +168,8 @@ def _marks(table: Table, row: ComparisonRow) -> tuple[str, ...]:
     return table.mark(row.note, CENSORED if row.censored else None)
 
 
-def _published_cost(row: ComparisonRow) -> float | None:
-    return None if row.published_cost is None else row.published_cost * printed_scale(row.criterion)
+def _published_cost(criterion: str, cost: float) -> str:
+    return published_text(cost * printed_scale(criterion))
 
 
 def _deviation_cell(row: ComparisonRow) -> Cell:
@@ -217,8 +218,8 @@ def _delay_cells(table: Table, point: DelayPoint, criteria: Sequence[str], trial
 
 
 def _cost_cell(table: Table, row: ComparisonRow, trials: TrialPage) -> Cell:
-    published = _published_cost(row)
-    aside = "" if published is None else f"({published_text(published)})"
+    published = row.published_cost
+    aside = "" if published is None else f"({_published_cost(row.criterion, published)})"
     marks = _marks(table, row)
     if row.cost is None:
         return missing(row.note or "not available", aside=aside, marks=marks)

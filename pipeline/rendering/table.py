@@ -126,6 +126,11 @@ class Table:
         return [row for _, rows in self.blocks for row in rows]
 
     @property
+    def records(self) -> list[dict[str, Value]]:
+        """The values of all rows by column, as other programs take them."""
+        return [{c.name: cell.value for c, cell in zip(self.columns, row, strict=True)} for row in self.rows]
+
+    @property
     def reasons(self) -> dict[str, str]:
         """The reasons of cells that are no notes, each with the text below the table that it shares with others."""
         whys = (cell.why for row in self.rows for cell in row)

@@ -132,7 +132,7 @@ def csv_text(table: Table) -> str:
     writer = csv.writer(stream, lineterminator="\r\n")
     # names, not printed heads: programs read them
     writer.writerow([guarded(f"{c.name} [{c.unit}]" if c.unit else c.name) for c in table.columns])
-    writer.writerows([[_csv_cell(cell.value) for cell in row] for row in table.rows])
+    writer.writerows([_csv_cell(value) for value in record.values()] for record in table.records)
     return stream.getvalue()
 
 

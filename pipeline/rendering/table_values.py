@@ -43,7 +43,7 @@ def as_document(tables: Iterable[Table]) -> dict[str, Any]:
     return {
         table.name: {
             "columns": [{"name": column.name, "unit": column.unit} for column in table.columns],
-            "rows": [{c.name: cell.value for c, cell in zip(table.columns, row, strict=True)} for row in table.rows],
+            "rows": table.records,
         }
         for table in tables
     }
