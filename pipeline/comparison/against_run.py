@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -198,7 +198,7 @@ def _trials(data: SceneData) -> Trials:
 def _overlay(
     labels: Sequence[str], results: tuple[ExperimentResult, ExperimentResult], suffix: str = ""
 ) -> Figure[Limits]:
-    curves = tuple(replace(measured_curve(r), label=label) for r, label in zip(results, labels, strict=True))
+    curves = tuple(measured_curve(r, label) for r, label in zip(results, labels, strict=True))
     return Figure(
         "boundaries",
         f"boundaries-against{suffix}",

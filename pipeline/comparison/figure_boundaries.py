@@ -5,8 +5,8 @@ Source: Hulin 2017, secs. 6.1.3 and 6.2.3.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 from pipeline.comparison.boundary_curves import (
     bound_curve,
@@ -21,7 +21,7 @@ from pipeline.comparison.boundary_curves import (
 from pipeline.comparison.scene import SceneData
 from pipeline.records.figure_records import Curve, Figure, Limits
 from pipeline.records.models import Experiment
-from pipeline.records.results import ExperimentResult
+from pipeline.records.results import ExperimentResult, TheoryParameters
 from pipeline.rendering.labels import UNITS
 from pipeline.theory.predictions import Theory
 
@@ -56,13 +56,10 @@ def plane_figure(entries: Sequence[tuple[str, ExperimentResult, Theory]], *, pre
 
     Source: Hulin 2017, Table 3.1 (alpha = K T^2/m, beta = B T/m).
     """
-    measured = [
-        replace(
-            normalised(measured_curve(r), theory),
-            label=f"{label} (d = {theory.loop.delay:.3g}, δ = {theory.loop.delta:.2g})",
-        )
-        for label, r, theory in entries
-    ]
+    measured = []
+    for label, result, theory in entries:
+        full = f"{label} (d = {theory.loop.delay:.3g}, δ = {theory.loop.delta:.2g})"
+        measured.append(normalised(measured_curve(result, full), theory))
     theories = [normalised(theory_curve(theory, "_theory"), theory) for _, _, theory in entries if predicted]
     return Figure(
         "plane",
@@ -94,23 +91,10 @@ class _Builder:
         free = [r for r in self.results if r.grip == "none" and r.experiment in self.theories]
         if not free or self.data.device is None:
             return None
-        curves = [measured_curve(r) for r in free]
-        settings = {r.experiment: self.theories[r.experiment].parameters for r in free}
-        experiments = {e.name: e for e in self.data.device.experiments}
-        own = {d for r in free if r.experiment in experiments for d in _delays(experiments[r.experiment])}
-        delays = sorted(self.data.scene.shown.delays or own)
-        values = list(dict.fromkeys((p.mass, p.damping, p.stiffness) for p in settings.values()))
-        template = next(iter(settings.values()))
-        for index, (m, b, k) in enumerate(values):
-            for number, d in enumerate(delays or [template.delay_samples]):
-                parameters = template.model_copy(
-                    update={"mass": m, "damping": b, "stiffness": k, "delay_samples": float(d)}
-                )
-                label = f"d = {d:g}" if index == 0 else f"theory, b = {b:g}" if number == 0 else "_"
-                curves.append(theory_curve(Theory(parameters), label, "band" if index else "theory"))
+        values = list(dict.fromkeys((p.mass, p.damping, p.stiffness) for p in (self._own(r) for r in free)))
         first = self.theories[free[0].experiment]
-        curves.append(linear_curve(first))
-        curves += [c for c in (passive_curve(first), _first(bound_curve(r) for r in free)) if c is not None]
+        conditions = (linear_curve(first), passive_curve(first), _first(bound_curve(r) for r in free))
+        curves = (*(measured_curve(r) for r in free), *self._over_delays(free, values), *filter(None, conditions))
         m, b, k = values[0]
         units = UNITS["rotation" if self.data.experiments[0].rotation else "translation"]
         others = ", ".join(f"{other[1]:g}" for other in values[1:])
@@ -124,9 +108,26 @@ class _Builder:
             "Stability boundaries without operator",
             f"Measured: last stable stiffness at each damping.{beside if self.predicted else ''} "
             "In the manner of Fig. 6.3.",
-            (("", tuple(curves)),),
+            (("", curves),),
             theory_label=f"theory, b = {b:g}",
         )
+
+    def _own(self, result: ExperimentResult) -> TheoryParameters:
+        return self.theories[result.experiment].parameters
+
+    def _over_delays(
+        self, free: Sequence[ExperimentResult], values: Sequence[tuple[float, float, float]]
+    ) -> Iterator[Curve]:
+        """Theory for each delay that is asked for or named in the device file, thin with further parameters."""
+        experiments = {e.name: e for e in self.data.device.experiments} if self.data.device else {}
+        named = {d for r in free if r.experiment in experiments for d in _delays(experiments[r.experiment])}
+        template = self._own(free[0])
+        for index, (m, b, k) in enumerate(values):
+            for number, d in enumerate(sorted(self.data.scene.shown.delays or named) or [template.delay_samples]):
+                changed = {"mass": m, "damping": b, "stiffness": k, "delay_samples": float(d)}
+                label = f"d = {d:g}" if index == 0 else f"theory, b = {b:g}" if number == 0 else "_"
+                theory = Theory(template.model_copy(update=changed))
+                yield theory_curve(theory, label, "band" if index else "theory")
 
     def operator(self) -> Figure[Limits] | None:
         """One panel a configuration, one curve a grip (Fig. 6.4)."""
@@ -136,7 +137,7 @@ class _Builder:
         panels = []
         for configuration in dict.fromkeys(r.configuration for r in held):
             shown = [r for r in self.results if r.configuration == configuration and r.experiment in self.theories]
-            curves = [replace(measured_curve(r), label=f"experiment {r.experiment}, {_grip(r.grip)}") for r in shown]
+            curves = [measured_curve(r, f"experiment {r.experiment}, {_grip(r.grip)}") for r in shown]
             curves += [theory_curve(self.theories[r.experiment], f"theory, {_grip(r.grip)}") for r in shown]
             panels.append((configuration, tuple(curves)))
         return Figure(
@@ -156,7 +157,7 @@ class _Builder:
             for r in self.results
             if r.experiment in self.theories
         ]
-        measured = [replace(measured_curve(r), label=r.experiment) for r in self.results]
+        measured = [measured_curve(r, r.experiment) for r in self.results]
         panels = [("theory", tuple(theory))] if theory else []
         return Figure(
             "boundaries",

@@ -59,17 +59,12 @@ def measured_optimum_table(result: ComparisonResult, trials: TrialPage = NO_TRIA
     for e in result.experiments:
         for criterion, best in e.optimum.items():
             marks = table.mark(CENSORED if best.censored else None)
-            trial = trials.place(e.experiment, best.trial_id)
+            trial, ends = trials.place(e.experiment, best.trial_id), (best.cost_low, best.cost_high)
             values: dict[str, Any] = {
                 "criterion": criterion_label(criterion),
                 "stiffness": Cell(best.stiffness, stiffness_text(best.stiffness), marks=marks, trial=trial),
                 "damping": Cell(best.damping, damping_text(best.damping), trial=trial),
-                "cost": number(
-                    best.cost,
-                    partial(cost_text, criterion),
-                    ends=(best.cost_low, best.cost_high),
-                    trial=trial,
-                ),
+                "cost": number(best.cost, partial(cost_text, criterion), ends=ends, trial=trial),
                 "ties": best.ties,
             }
             table.add(f"{e.experiment}/{criterion}", values, f"experiment {e.experiment}")
@@ -82,12 +77,9 @@ def boundary_table(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> T
     units = UNITS[result.motion]
     columns = [Column("damping", unit=units.damping, show=damping_text)]
     for e in tested:
-        columns += [
-            Column(
-                f"{e.experiment}/{name}", label, group=f"experiment {e.experiment}", why="not tested at this damping"
-            )
-            for name, label in (("stable", "stable"), ("unstable", "unstable"), ("limit", "limit, 95 %"))
-        ]
+        column = partial(Column, group=f"experiment {e.experiment}", why="not tested at this damping")
+        columns += [column(f"{e.experiment}/{name}", name) for name in ("stable", "unstable")]
+        columns.append(column(f"{e.experiment}/limit", "limit, 95 %"))
     caption = (
         f"Largest stable and smallest unstable stiffness [{units.stiffness}] at each damping, and the limit by the "
         "growth rates of the trials around it"

@@ -81,9 +81,9 @@ class Column:
         return number(value, self.show, self.why)
 
 
-def words(name: str, label: str | None = None, group: str = "") -> Column:
+def words(name: str, label: str | None = None) -> Column:
     """Return a column of words."""
-    return Column(name, label, group=group, numeric=False)
+    return Column(name, label, numeric=False)
 
 
 def number(
