@@ -9,6 +9,7 @@ import csv
 import io
 import json
 import re
+import unicodedata
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal, get_args
@@ -27,41 +28,30 @@ FORMATS: tuple[Format, ...] = get_args(Format)
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 """First characters by which a spreadsheet takes a cell for a formula."""
 
-_LATEX = {
-    "\\": r"\textbackslash{}",
-    "&": r"\&",
-    "%": r"\%",
-    "$": r"\$",
-    "#": r"\#",
-    "_": r"\_",
-    "{": r"\{",
-    "}": r"\}",
-    "~": r"\textasciitilde{}",
-    "^": r"\textasciicircum{}",
-    "<": r"\textless{}",
-    ">": r"\textgreater{}",
-    '"': r"\textquotedbl{}",
-    "[": "{[}",  # behind a line's end it would begin the argument of \\
-    "]": "{]}",
-    "*": "{*}",  # likewise: \\\\* is a line's end of its own
-    "\N{MINUS SIGN}": "$-$",
-    "\N{EN DASH}": "--",
-    "\N{NO-BREAK SPACE}": "~",
-    "\N{PLUS-MINUS SIGN}": r"$\pm$",
-    "\N{SUPERSCRIPT TWO}": r"\textsuperscript{2}",
-    "\N{GREATER-THAN OR EQUAL TO}": r"$\geq$",
-    "\N{LESS-THAN OR EQUAL TO}": r"$\leq$",
-    "\N{MULTIPLICATION SIGN}": r"$\times$",
-    "\N{DEGREE SIGN}": r"\textdegree{}",
-    "α": r"$\alpha$",
-    "β": r"$\beta$",
-    "γ": r"$\gamma$",
-    "δ": r"$\delta$",
-    "ζ": r"$\zeta$",
-    "ω": r"$\omega$",
-    "“": "``",
-    "”": "''",
-}
+_LATEX = str.maketrans(
+    {
+        **{character: rf"\{character}" for character in "&%$#_{}"},
+        **{character: rf"{{{character}}}" for character in "[]*"},  # behind a line's end they would belong to its \\
+        **{letter: rf"$\{unicodedata.name(letter).split()[-1].lower()}$" for letter in "αβγδζω"},
+        "\\": r"\textbackslash{}",
+        "~": r"\textasciitilde{}",
+        "^": r"\textasciicircum{}",
+        "<": r"\textless{}",
+        ">": r"\textgreater{}",
+        '"': r"\textquotedbl{}",
+        "\N{MINUS SIGN}": "$-$",
+        "\N{EN DASH}": "--",
+        "\N{NO-BREAK SPACE}": "~",
+        "\N{PLUS-MINUS SIGN}": r"$\pm$",
+        "\N{SUPERSCRIPT TWO}": r"\textsuperscript{2}",
+        "\N{GREATER-THAN OR EQUAL TO}": r"$\geq$",
+        "\N{LESS-THAN OR EQUAL TO}": r"$\leq$",
+        "\N{MULTIPLICATION SIGN}": r"$\times$",
+        "\N{DEGREE SIGN}": r"\textdegree{}",
+        "“": "``",
+        "”": "''",
+    }
+)
 """What stands for a character in LaTeX; other letters are UTF-8, which LaTeX reads since 2018."""
 
 _MARKDOWN = re.compile(r"[\\`*_{}\[\]<>|#~$!]")
@@ -226,7 +216,7 @@ def _latex_cell(cell: Cell) -> str:
 def _latex(text: str) -> str:
     # a no-break space is white space to split(), and stays one
     plain = re.sub(r"[^\S\N{NO-BREAK SPACE}]+", " ", text).strip()
-    return "".join(_LATEX.get(character, character) for character in plain)
+    return plain.translate(_LATEX)
 
 
 def _file_name(name: str) -> str:
