@@ -15,9 +15,11 @@ from pipeline.measured.delay import first_change
 from pipeline.measured.onset import motion_onset, rounded
 from pipeline.measured.response import find_response
 from pipeline.measured.verdict import judge
+from pipeline.records.figure_records import CostMap, Curve, Figure
 from pipeline.records.models import Optimum
-from pipeline.records.results import CostFigure, CostMap, Curve, TheoryParameters
+from pipeline.records.results import TheoryParameters
 from pipeline.rendering import figures
+from pipeline.rendering.svg import UNIT
 from pipeline.simulation.course import Course, run_course
 from pipeline.store.devices import load_device
 from pipeline.theory.maps import cost_maps
@@ -34,7 +36,7 @@ GRID = 161
 
 NONE = np.zeros(0)
 STYLE = (
-    "<style>*{stroke-linejoin:round;stroke-linecap:butt}svg{color:#1f2328;background:#fff;--fig-faint:#ddd}"
+    "<style>svg{color:#1f2328;background:#fff;--fig-faint:#ddd}"
     "@media(prefers-color-scheme:dark){svg{color:#e6edf3;background:#0d1117;--paper:#0d1117;--fig-faint:#30363d;"
     "--fig-blue:#58a6ff;--fig-green:#3fb950}}</style>"
 )
@@ -117,7 +119,7 @@ def side_by_side(panels: tuple[str, ...], title: str) -> str:
         left += w
     head = (
         '<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink" '
-        f'viewBox="0 0 {width:g} {height:g}" width="{width:g}" height="{height:g}"><title>{title}</title>'
+        f'viewBox="0 0 {width:g} {height:g}" width="{width / UNIT:g}" height="{height / UNIT:g}"><title>{title}</title>'
     )
     return head + STYLE + "".join(parts) + "</svg>\n"
 
@@ -126,7 +128,7 @@ def main() -> None:
     """Simulate a course without jitter (theory knows constant delays only), evaluate it and draw it."""
     course = run_course(load_device(DEVICE), EXPERIMENT, seed=SEED, jitter=())
     title = f"Energy cost (w = {WEIGHT}) over stiffness and damping: theory and a simulated experiment"
-    figure = CostFigure("readme", title, "", CRITERION, (theory_map(course), measured_map(course)))
+    figure = Figure("maps", "readme", title, "", (theory_map(course), measured_map(course)), CRITERION)
     FILE.parent.mkdir(parents=True, exist_ok=True)
     FILE.write_text(side_by_side(figures.cost_maps(figure), title), encoding="utf-8")
 

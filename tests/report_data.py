@@ -7,14 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.records.figure_records import (
-    BoundaryFigure,
-    CostFigure,
-    CostMap,
-    Curve,
-    DelayFigure,
-    DelayPanel,
-)
+from pipeline.records.figure_records import CostMap, Curve, DelayPanel, Figure, Limits
 from pipeline.records.models import BoundaryPoint, ComparisonRow, Estimate, Motion, Optimum
 from pipeline.records.results import ComparisonResult, ExperimentResult, ReportData, TheoryParameters
 from pipeline.records.score_records import BoundScore
@@ -92,23 +85,24 @@ def cost_map(label: str, kind: str, criterion: str, size: float = 1.0, seed: int
     return CostMap(label, kind, k, b, values, edge, best(grid_k, grid_b, values), *trials)
 
 
-def cost_figure(criterion: str, size: float = 1.0) -> CostFigure:
+def cost_figure(criterion: str, size: float = 1.0) -> Figure[CostMap]:
     maps = (
         cost_map("theory, d = 4", "theory", criterion, size),
         cost_map("experiment 1 (Falcon A)", "measured", criterion, size * 0.95, 1),
         cost_map("experiment 2 (Falcon B)", "measured", criterion, size * 0.9, 2),
     )
-    return CostFigure(
+    return Figure(
+        "maps",
         f"cost-{criterion}-{round(100 * size)}",
         criterion_label(criterion).split(" [")[0],
         "Contour lines of the cost and, below, the least cost for each stiffness. Theory for m = 0.58 kg, "
         "b = 4 Ns/m, k = 0 and d = 4.",
-        criterion,
         maps,
+        criterion,
     )
 
 
-def boundary_figures() -> tuple[BoundaryFigure, ...]:
+def boundary_figures() -> tuple[Figure[Limits], ...]:
     measured = tuple(
         boundary(f"experiment {i} (Falcon {'ABB'[i - 1]})", "measured", 1 - 0.03 * i, 60, i) for i in (1, 2, 3)
     )
@@ -119,19 +113,22 @@ def boundary_figures() -> tuple[BoundaryFigure, ...]:
     lwr = tuple(boundary(f"d = {d}", "theory", 2.5 / (d + 0.5)) for d in range(2, 9))
     lwr_measured = tuple(boundary(f"d = {d}", "measured", 2.0 / (d + 0.6), 40, d) for d in range(2, 9))
     return (
-        BoundaryFigure(
+        Figure(
+            "boundaries",
             "bound-devices",
             "Stability boundaries without operator",
             "Measured against theory for m = 0.58 kg, d = 3 to 6.",
             (("", (*measured, *theory, line)),),
         ),
-        BoundaryFigure(
+        Figure(
+            "boundaries",
             "bound-grip",
             "Influence of the operator",
             "Measured (solid) and theoretical (dashed).",
             (("(a) Falcon A", (*grips, *grips_theory, line)), ("(b) Falcon B", (*grips, line))),
         ),
-        BoundaryFigure(
+        Figure(
+            "boundaries",
             "bound-delay",
             "Influence of delay",
             "Theory left, experiment right.",
@@ -140,7 +137,7 @@ def boundary_figures() -> tuple[BoundaryFigure, ...]:
     )
 
 
-def delay_figure() -> DelayFigure:
+def delay_figure() -> Figure[DelayPanel]:
     d = np.arange(2.0, 9.0)
     panels = []
     for criterion, c, w in (("settle_2pct", 5.0, 0), ("energy_step_w0", 2.8, 0), ("energy_step_w1", 4.5, 1)):
@@ -148,7 +145,9 @@ def delay_figure() -> DelayFigure:
         measured = theory * (1 + 0.05 * np.sin(3 * d))
         measured[3] = np.nan
         panels.append(DelayPanel(criterion, d, theory, theory * 0.95, "theory, δ = 0.02", measured))
-    return DelayFigure("delay", "Optimal cost over delay", "Measured optima (plus signs) follow theory.", tuple(panels))
+    return Figure(
+        "delay", "delay", "Optimal cost over delay", "Measured optima (plus signs) follow theory.", tuple(panels)
+    )
 
 
 def estimate(value: float | None, unit: str, reason: str | None = None) -> Estimate:
@@ -288,7 +287,7 @@ def report_data(*, full: bool = True, motion: Motion = "translation", hostile: b
     if not full:
         return ReportData(result, stages=stages)
     costs = tuple(cost_figure(c) for c in CRITERIA) + tuple(cost_figure(c, 1.4) for c in ("settle_2pct", "overshoot"))
-    return ReportData(result, boundary_figures(), costs, (delay_figure(),), stages=stages)
+    return ReportData(result, (*boundary_figures(), *costs, delay_figure()), stages=stages)
 
 
 def bare(data: ReportData) -> ReportData:
@@ -303,4 +302,4 @@ def bare(data: ReportData) -> ReportData:
             "provenance": {},
         }
     )
-    return replace(data, result=empty, boundaries=(), costs=(), delays=(), stages=())
+    return replace(data, result=empty, figures=(), stages=())

@@ -225,7 +225,7 @@ def test_two_delays_differ_as_the_theory_says(lwr):
     page_text = render(page)
     assert page_text.count("<svg") == 1
     assert "lwr delay-2 against lwr delay-4" in page_text
-    assert [t.identifier for t in pair_tables(pair, "rotation")] == ["estimates-0", "optima-0", "costs-0", "boundary-0"]
+    assert [t.name for t in pair_tables(pair, "rotation")] == ["estimates-0", "optima-0", "costs-0", "boundary-0"]
 
 
 def test_a_device_that_turns_keeps_its_units_beside_one_that_does_not(falcon, lwr, tmp_path):

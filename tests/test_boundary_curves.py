@@ -91,7 +91,7 @@ def test_normalised_plane_holds_several_devices_each_with_its_theory() -> None:
     entries: Any = [(f"device {i}", experiment("1"), t) for i, t in enumerate((light, heavy, slow))]
     figure = plane_figure(entries)
     ((_, curves),) = figure.panels
-    assert figure.normalised
+    assert figure.kind == "plane"
     assert [c.label for c in curves if c.kind == "measured"] == [
         "device 0 (d = 4, δ = 0.0069)",
         "device 1 (d = 4, δ = 0.0069)",

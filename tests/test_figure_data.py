@@ -181,7 +181,7 @@ def test_cost_figures_show_theory_beside_the_trials(of_falcon, falcon):
     assert len({f.identifier for f in figures}) == 5
     stages = falcon.stages("1")
     for figure in figures:
-        theory, measured = figure.maps
+        theory, measured = figure.panels
         assert (theory.kind, measured.kind) == ("theory", "measured")
         assert theory.cost.shape == (len(theory.damping), len(theory.stiffness))
         assert measured.cost.shape == (len(measured.damping), len(measured.stiffness))
@@ -202,7 +202,7 @@ def test_cost_figures_show_theory_beside_the_trials(of_falcon, falcon):
 
 
 def test_cost_maps_claim_nothing_beyond_the_tested_range(of_falcon, falcon):
-    measured = of_falcon.costs(known_predictions(of_falcon, falcon))[2].maps[1]
+    measured = of_falcon.costs(known_predictions(of_falcon, falcon))[2].panels[1]
     for row, B in enumerate(measured.damping):
         tested = measured.trial_stiffness[(measured.trial_damping == B) & np.isfinite(measured.trial_cost)]
         shown = measured.stiffness[np.isfinite(measured.cost[row])]
@@ -235,5 +235,5 @@ def test_device_without_theory_still_has_its_measured_maps(unknown, unknown_outc
     data = open_scene("mydevice", unknown.processed, None, ["overshoot"])
     builder = FigureBuilder(data, {}, unknown_outcome.result.experiments)
     (figure,) = builder.costs(Predictions(unknown.processed / "theory"))
-    assert [m.kind for m in figure.maps] == ["measured"]
+    assert [m.kind for m in figure.panels] == ["measured"]
     assert {f.identifier for f in builder.boundaries()} <= {"boundaries-estimates"}

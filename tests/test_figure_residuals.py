@@ -13,7 +13,7 @@ from report_data import HOSTILE, boundary
 from pipeline.comparison.compare_experiment import nominal_theories
 from pipeline.comparison.figure_residuals import cell_medians, residual_figures, residuals
 from pipeline.comparison.scene import open_scene
-from pipeline.records.figure_records import ResidualFigure, ResidualMap
+from pipeline.records.figure_records import Figure, ResidualMap
 from pipeline.rendering import residual_panels
 
 
@@ -44,8 +44,8 @@ def test_simulated_trials_depart_from_their_own_theory_by_little(falcon) -> None
     assert set(figures) == {"overshoot", "energy_step_w1", "settle_2pct"}
     stable = {e.experiment: int((e.verdicts.verdict == "stable").sum()) for e in data.experiments}
     for criterion, figure in figures.items():
-        assert [m.label for m in figure.maps] == [f"experiment {e.experiment}" for e in data.experiments]
-        for shown, stages in zip(figure.maps, data.experiments, strict=True):
+        assert [m.label for m in figure.panels] == [f"experiment {e.experiment}" for e in data.experiments]
+        for shown, stages in zip(figure.panels, data.experiments, strict=True):
             assert 0 < shown.trials <= stable[stages.experiment]
             # true parameters and an ideal sensor: what is left is the log's end and the integer of a settling time
             assert abs(shown.median) < (0.005 if criterion == "overshoot" else 0.05)
@@ -54,16 +54,17 @@ def test_simulated_trials_depart_from_their_own_theory_by_little(falcon) -> None
     }
     wrong = {f.criterion: f for f in residual_figures(data, other)}
     # half as much mass again must be seen: twice what the true one may leave
-    assert abs(wrong["energy_step_w1"].maps[0].median) > 0.1
+    assert abs(wrong["energy_step_w1"].panels[0].median) > 0.1
     assert residual_figures(data, {}) == ()
 
 
-def figure(criterion: str = "settle_2pct", label: str = "experiment 1") -> ResidualFigure:
+def figure(criterion: str = "settle_2pct", label: str = "experiment 1") -> Figure[ResidualMap]:
     """Cells of all signs: three larger by a quarter or more, two smaller, one equal."""
     residual = np.log2([1.3, 1.3, 2.0, 1.0, 1 / 1.3, 1 / 1.07])
     k, b = 1000.0 * np.arange(1, 7), np.full(6, 80.0)
-    one = ResidualMap(label, k, b, residual, (500.0, 8.0), boundary("t", "theory"), 60, 0.1)
-    return ResidualFigure("residual", "Residuals", "c", criterion, (one, replace(one, label="other", median=np.nan)))
+    one = ResidualMap(label, k, b, residual, boundary("t", "theory"), 60, 0.1)
+    two = (one, replace(one, label="other", median=np.nan))
+    return Figure("residuals", "residual", "Residuals", "c", two, criterion)
 
 
 def test_marks_tell_sign_by_filling_and_size() -> None:
@@ -94,8 +95,8 @@ def test_departures_are_said_in_the_unit_of_the_criterion() -> None:
 def test_size_is_bounded_and_hostile_labels_are_text() -> None:
     rng = np.random.default_rng(1)
     k, b = (g.ravel() for g in np.meshgrid(450.0 * (np.arange(20) + 0.5), 10.7 * (np.arange(14) + 0.5)))
-    full = ResidualMap(HOSTILE, k, b, rng.normal(0, 0.4, k.size), (450.0, 10.7), boundary("t", "theory"), 9, 0.0)
-    (svg,) = residual_panels.residuals(replace(figure(), maps=(full,)))
+    full = ResidualMap(HOSTILE, k, b, rng.normal(0, 0.4, k.size), boundary("t", "theory"), 9, 0.0)
+    (svg,) = residual_panels.residuals(replace(figure(), panels=(full,)))
     root = ElementTree.fromstring(svg)
     assert not list(root.iter("script"))
     assert any(HOSTILE in "".join(e.itertext()) for e in root.iter("text"))

@@ -46,29 +46,31 @@ def test_softest_stable_walls_each_at_its_least_damping() -> None:
 def test_first_response_of_a_device_shows_its_delay_and_its_period(falcon) -> None:
     data = open_scene("falcon", falcon.processed, None, None)
     (figure,) = response_figures(data, motion_of(data))
-    assert figure.first_change == simulated.FALCON["delay"] + 1  # d_obs = floor(d + 1) (6.2)
+    (shown,) = figure.panels
+    assert shown.first_change == simulated.FALCON["delay"] + 1  # d_obs = floor(d + 1) (6.2)
     stiffness, damping = (float(v) for v in re.findall(r"[KB] = ([\d.]+)", figure.caption))
-    edge = int(np.argmin(np.abs(figure.time)))
-    assert figure.final == pytest.approx(figure.command[edge] / stiffness, rel=1e-9)
-    assert np.ptp(figure.position[: edge + figure.first_change]) < np.ptp(figure.position) * 1e-3
-    assert figure.period is not None
+    edge = int(np.argmin(np.abs(shown.time)))
+    assert shown.final == pytest.approx(shown.command[edge] / stiffness, rel=1e-9)
+    assert np.ptp(shown.position[: edge + shown.first_change]) < np.ptp(shown.position) * 1e-3
+    assert shown.period is not None
     # the wall's spring on the mass, with the delay as lost damping: K t_r of (3.25)
     mass, viscous = simulated.FALCON["mass"], simulated.FALCON["b"]
     decay = (viscous + damping - stiffness * 4.5e-3) / (2 * mass)
     period = 2 * np.pi / np.sqrt(stiffness / mass - decay**2)
-    assert figure.period[1] - figure.period[0] == pytest.approx(period, rel=0.03)  # second order of a loop of seventh
+    assert shown.period[1] - shown.period[0] == pytest.approx(period, rel=0.03)  # second order of a loop of seventh
 
 
 def test_drawing_marks_edge_first_change_and_bracket(falcon) -> None:
     data = open_scene("falcon", falcon.processed, None, None)
     (figure,) = response_figures(data, motion_of(data))
-    whole, close = drawn = response_drawing.response(figure, "translation")
-    assert drawn == response_drawing.response(figure, "translation")
+    (shown,) = figure.panels
+    whole, close = drawn = response_drawing.responses(figure, "translation")
+    assert drawn == response_drawing.responses(figure, "translation")
     words = ["".join(e.itertext()) for e in ElementTree.fromstring(close).iter("text")]
-    assert f"first change, t_obs = {figure.first_change} ms" in words
+    assert f"first change, t_obs = {shown.first_change} ms" in words
     assert "T_osc" in whole
-    assert f"the delay lies between {figure.first_change - 1} and {figure.first_change} ms" in close
-    without = response_drawing.response(replace(figure, period=None), "rotation")[0]
+    assert f"the delay lies between {shown.first_change - 1} and {shown.first_change} ms" in close
+    without = response_drawing.responses(replace(figure, panels=(replace(shown, period=None),)), "rotation")[0]
     assert "T_osc" not in without
     assert "displacement [mrad]" in without
     assert len(whole) + len(close) < 12_000  # of 1.2 MB for the figures of a report, one in a hundred

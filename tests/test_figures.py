@@ -18,7 +18,7 @@ from report_data import (
     delay_figure,
 )
 
-from pipeline.records.figure_records import BoundaryFigure, CostFigure, Curve
+from pipeline.records.figure_records import CostMap, Curve, Figure, Limits
 from pipeline.rendering import canvas, figures, panels, style
 
 
@@ -42,7 +42,7 @@ def texts(svg: str) -> list[str]:
 
 
 @pytest.mark.parametrize("figure", boundary_figures(), ids=lambda f: f.identifier)
-def test_boundaries_give_one_well_formed_svg_a_panel(figure: BoundaryFigure) -> None:
+def test_boundaries_give_one_well_formed_svg_a_panel(figure: Figure[Limits]) -> None:
     drawn = figures.boundaries(figure)
     assert len(drawn) == len(figure.panels)
     for svg, (_, curves) in zip(drawn, figure.panels, strict=True):
@@ -82,7 +82,7 @@ def test_measured_is_solid_theory_dashed_and_censored_points_are_open() -> None:
     measured = Curve("m", "measured", np.array([1.0, 2, 1]), np.array([1.0, 2, 3]), np.array([0.0, 0, 1]))
     theory = Curve("t", "theory", np.array([1.0, 3, 1]), np.array([1.0, 2, 3]))
     solid, dashed = (
-        figures.boundaries(BoundaryFigure("f", "t", "c", (("", (curve,)),)))[0] for curve in (measured, theory)
+        figures.boundaries(Figure("boundaries", "f", "t", "c", (("", (curve,)),)))[0] for curve in (measured, theory)
     )
     assert "dasharray" in dashed
     assert "dasharray" not in solid
@@ -90,7 +90,9 @@ def test_measured_is_solid_theory_dashed_and_censored_points_are_open() -> None:
 
 
 def test_stiffness_axis_counts_in_thousands_above_the_limit_only() -> None:
-    small = BoundaryFigure("f", "t", "c", (("", (replace(boundary("m", "measured"), stiffness=np.full(38, 900.0)),)),))
+    small = Figure(
+        "boundaries", "f", "t", "c", (("", (replace(boundary("m", "measured"), stiffness=np.full(38, 900.0)),)),)
+    )
     assert "stiffness K [N/m]" in texts(figures.boundaries(small)[0])
     assert "stiffness K [kNm/rad]" in texts(figures.boundaries(boundary_figures()[0], "rotation")[0])
 
@@ -98,13 +100,13 @@ def test_stiffness_axis_counts_in_thousands_above_the_limit_only() -> None:
 def test_optimum_is_drawn_where_it_lies_and_front_view_names_its_cost() -> None:
     figure = cost_figure("energy_step_w0")
     places = []
-    for svg, drawn in zip(figures.cost_maps(figure), figure.maps, strict=True):
+    for svg, drawn in zip(figures.cost_maps(figure), figure.panels, strict=True):
         best = drawn.optimum
         assert best is not None
         assert f"{best.cost:.2f}" in texts(svg)
         # a plus is two strokes, first the one across: its middle is where the optimum lies
-        found = [re.match(r"M(-?\d+)[ ]?(-?\d+)m(-?\d+) 0h(\d+)", d) for d in paths(svg, "--fig-blue")]
-        plus = [int(m[1]) for m in found if m and int(m[4]) == -2 * int(m[3])]
+        found = [re.match(r"M(-?\d+)[ ]?(-?\d+)h(\d+)m-(\d+)[ -]", d) for d in paths(svg, "--fig-blue")]
+        plus = [int(m[1]) + int(m[4]) for m in found if m and int(m[3]) == 2 * int(m[4])]
         assert len(plus) == 2, "once in the map, once in the front view"
         assert plus[0] == plus[1]
         places.append((plus[0], best.stiffness))
@@ -158,14 +160,14 @@ def test_a_map_with_few_trials_is_drawn_without_contours(points: int) -> None:
     m = cost_map("m", "measured", "settle_2pct")
     sparse = np.full(m.cost.shape, np.nan)
     sparse[10, 5 : 5 + points] = 30.0
-    figure = CostFigure("f", "t", "c", "settle_2pct", (replace(m, cost=sparse, optimum=None),))
+    figure = Figure[CostMap]("f", "t", "c", "settle_2pct", (replace(m, cost=sparse, optimum=None),))
     (svg,) = figures.cost_maps(figure)
     assert ("no trial with this cost" in texts(svg)) == (points == 0)
 
 
 def test_empty_boundary_and_empty_delay_panel_do_not_fail() -> None:
     none: Any = np.zeros(0)
-    (svg,) = figures.boundaries(BoundaryFigure("f", "t", "c", (("", (Curve("m", "measured", none, none),)),)))
+    (svg,) = figures.boundaries(Figure("boundaries", "f", "t", "c", (("", (Curve("m", "measured", none, none),)),)))
     assert "no point" in svg
     figure = delay_figure()
     nothing = np.full(7, np.nan)
@@ -175,14 +177,14 @@ def test_empty_boundary_and_empty_delay_panel_do_not_fail() -> None:
 
 def test_hostile_label_is_text() -> None:
     curve = replace(boundary("m", "measured"), label=HOSTILE)
-    (svg,) = figures.boundaries(BoundaryFigure("f", HOSTILE, "c", ((HOSTILE, (curve,)),)))
+    (svg,) = figures.boundaries(Figure("boundaries", "f", HOSTILE, "c", ((HOSTILE, (curve,)),)))
     assert not list(parse(svg).iter("script"))
     assert HOSTILE in texts(svg)
 
 
 def test_size_of_every_panel_is_bounded() -> None:
     # A report of seven experiments has about a hundred panels in 1.2 MB, 12 kB each. These have 6 to 15 kB, the largest
-    # one of a thesis-size course 36 kB; before `svg_compact` they had three times as many.
+    # one of a thesis-size course 36 kB; as the library writes them they have four times as many.
     for criterion in ("settle_2pct", "overshoot"):
         assert max(map(len, figures.cost_maps(cost_figure(criterion)))) < 20_000
     assert max(len(s) for f in boundary_figures() for s in figures.boundaries(f)) < 14_000
@@ -194,7 +196,7 @@ def test_shaded_areas_follow_their_ends_and_normalised_axes_are_named() -> None:
     low, high = np.array([100.0, 200, 100]), np.array([300.0, 400, np.nan])
     envelope = Curve("band", "envelope", high[:2], b[:2], None, low[:2], high[:2])
     measured = Curve("m", "measured", np.array([200.0, 300, 100]), b, None, low, high)
-    (svg,) = figures.boundaries(BoundaryFigure("f", "t", "c", (("", (envelope, measured)),), normalised=True))
+    (svg,) = figures.boundaries(Figure("plane", "f", "t", "c", (("", (envelope, measured)),)))
     assert {"α = K T²/m", "β = B T/m", "band"} <= set(texts(svg))
     # two areas of two dampings each (the third has an open end), and the envelope's sample in the legend
     shaded = [p for p in parse(svg).iter("path") if p.get("fill", "none") not in ("none", "")]

@@ -20,6 +20,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pipeline.base import disk
+from pipeline.base.disk import write_text
 from pipeline.comparison.compare import compare
 from pipeline.measured import stages
 from pipeline.measured.stage_columns import COMPUTE, stage_rows
@@ -29,7 +30,6 @@ from pipeline.measured.stages import STAGES
 from pipeline.measured.verdict import judge
 from pipeline.records import groups
 from pipeline.records.groups import LENGTHS, TrialGroups, group_trials, padded_length
-from pipeline.records.tables import write_text
 from pipeline.shell.cli import run as run_cli
 from pipeline.store.devices import load_device
 from pipeline.store.ingest import ingest

@@ -282,7 +282,7 @@ def test_published_values_have_the_digits_that_were_published() -> None:
 def test_scores_against_the_estimates_alone_are_shown(falcon_outcome) -> None:
     """A scene may ask for this table without the one in whose shade it stands."""
     result = falcon_outcome.result
-    data = ReportData(result, (), (), (), tables=("estimate_scores",))
+    data = ReportData(result, tables=("estimate_scores",))
     page = report.render(data)
     assert any(name.startswith("scores-estimates/overlap/") for name in report.cells(page))
     assert not any(name.startswith("scores/") for name in report.cells(page))

@@ -121,15 +121,19 @@ def test_the_largest_stable_stiffness_and_what_is_missing(tmp_path, scores, boun
 
 
 def test_many_experiments_are_named_by_their_ends():
-    entry = report_index.IndexEntry("a.html", "A", experiments=tuple(f"delay-{d}" for d in range(2, 9)))
-    assert entry.experiments_text == "delay-2 … delay-8 (7)"
-    assert report_index.IndexEntry("a.html", "A", experiments=("1", "2")).experiments_text == "1, 2"
+    def names(*experiments):
+        listed = [{"experiment": name, "trials": 1} for name in experiments]
+        common = {"device": "a", "title": "A", "motion": "rotation", "simulated": False}
+        return report_index.Document.model_validate(common | {"experiments": listed}).names
+
+    assert names(*(f"delay-{d}" for d in range(2, 9))) == "delay-2 … delay-8 (7)"
+    assert names("1", "2") == "1, 2"
 
 
 def test_the_newest_log_is_the_end_of_the_range(tmp_path):
     times = "2026-11-21 05:00:00 UTC to 2026-11-21 06:00:00 UTC"
     put(tmp_path, "falcon", falcon_report(), provenance={"version": "9", "log files written": times})
-    assert read_reports(tmp_path)[0][0].newest == "2026-11-21 06:00:00 UTC"
+    assert read_reports(tmp_path)[0][0].document.newest == "2026-11-21 06:00:00 UTC"
 
 
 DAMAGES = {

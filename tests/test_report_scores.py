@@ -11,7 +11,7 @@ from pipeline.rendering.report_scores import cost_score_table, estimate_score_ta
 
 
 def text(table, name):
-    return next(c for _, rows in table.blocks for row in rows for c in row if c.name == f"{table.identifier}/{name}")
+    return next(c for _, rows in table.blocks for row in rows for c in row if c.name == f"{table.name}/{name}")
 
 
 @pytest.fixture
@@ -30,7 +30,7 @@ def changed(result, **scores):
 def test_table_holds_the_scores_one_row_each(result):
     table, s = score_table(result), result.experiments[0].scores[0]
     assert table.caption == "Measured against theory (theory by the device file)"
-    assert [h.text for h in table.heads] == ["score", "1"]
+    assert [column.head for column in table.columns] == ["score", "1"]
     assert float(text(table, "overlap/1").text) == pytest.approx(100 * s.region.overlap, abs=0.1)
     assert text(table, "overlap/score").text.endswith("[%]")
     assert text(table, "distance_rms/score").text.endswith("[N/m]")

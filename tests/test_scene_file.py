@@ -18,7 +18,7 @@ from pipeline.comparison.scene import LEAVE_OUT, open_scene
 from pipeline.comparison.scene_file import draft_scene, read_scene
 from pipeline.comparison.scene_parts import with_overlays
 from pipeline.measured import stages
-from pipeline.records.figure_records import BoundaryFigure, Curve
+from pipeline.records.figure_records import Curve, Figure
 from pipeline.records.models import SceneFile, Shown
 from pipeline.rendering.report import cells
 from pipeline.rendering.report_parts import take_apart
@@ -192,8 +192,12 @@ def test_overlays_are_dropped_by_kind_and_measured_curves_stay():
     kinds = ("measured", "theory", "band", "envelope", "linear", "passive", "bound")
     curves = tuple(Curve(kind, kind, None, None) for kind in kinds)
     figures = [
-        BoundaryFigure(name, "", "", (("", curves),))
-        for name in ("boundaries-free", "boundaries-estimates", "boundaries-normalised")
+        Figure(kind, name, "", "", (("", curves),))
+        for kind, name in (
+            ("boundaries", "boundaries-free"),
+            ("boundaries", "boundaries-estimates"),
+            ("plane", "boundaries-normalised"),
+        )
     ]
     shown = with_overlays(figures, Shown(overlays=("linear", "estimates"), figures=("boundaries",)))
     found = {f.identifier: [c.kind for c in f.panels[0][1]] for f in shown}

@@ -11,7 +11,8 @@ import pytest
 from report_data import HOSTILE, report_data
 
 from pipeline.base.errors import UsageError
-from pipeline.rendering.report_tables import Cell, Head, Table
+from pipeline.rendering.report import PRINTED, tables_of
+from pipeline.rendering.table import Cell, Column, Table, words
 from pipeline.rendering.table_export import (
     FORMATS,
     csv_text,
@@ -20,10 +21,14 @@ from pipeline.rendering.table_export import (
     latex_text,
     markdown_text,
     parse_formats,
-    printed_tables,
     tables_folder,
 )
-from pipeline.rendering.table_values import ValueTable, value_tables
+from pipeline.rendering.table_values import value_tables
+
+
+def printed_tables(result):
+    return [table for name in PRINTED for table in tables_of(name, result)]
+
 
 FORMULAS = ('=HYPERLINK("http://x")', "+1+cmd|' /C calc'!A0", "-2+3", "@SUM(1)", "\tx", "\r=1")
 
@@ -92,15 +97,18 @@ def test_json_has_the_same_rows_with_units(result, written):
     tables = {t.name: t for t in value_tables(result)}
     assert set(document) == set(tables)
     for name, table in tables.items():
-        assert [c["name"] for c in document[name]["columns"]] == list(table.columns)
-        assert [tuple(row.values()) for row in document[name]["rows"]] == list(table.rows)
+        assert [c["name"] for c in document[name]["columns"]] == [column.name for column in table.columns]
+        values = [tuple(cell.value for cell in row) for row in table.rows]
+        assert [tuple(row.values()) for row in document[name]["rows"]] == values
     units = {c["name"]: c["unit"] for c in document["D.1"]["columns"]}
     assert (units["stiffness"], units["damping"], units["criterion"]) == ("N/m", "Ns/m", "")
 
 
 @pytest.mark.parametrize("text", FORMULAS)
 def test_formulas_of_a_spreadsheet_are_disarmed_and_numbers_are_not(text):
-    table = ValueTable("x", ("a", "b"), ("", "N"), ((text, -2.5), ("-7.5e3", None)))
+    table = Table("x", "", (Column("a"), Column("b", unit="N")))
+    table.add("1", {"a": text, "b": -2.5})
+    table.add("2", {"a": "-7.5e3"})
     rows = list(csv.reader(io.StringIO(csv_text(table), newline="")))
     assert rows[0] == ["a", "b [N]"]
     assert rows[1] == [f"'{text}", "-2.5"]
@@ -120,7 +128,7 @@ def test_markdown_rows_have_as_many_cells_as_heads(hostile):
     for table in printed_tables(report_data(full=False, hostile=hostile).result):
         lines = [line for line in markdown_text(table).splitlines() if line.startswith("|")]
         assert len(lines) == 2 + sum(len(rows) + bool(name) for name, rows in table.blocks)
-        assert {unescaped(line, "|") for line in lines} == {len(table.heads) + 1}
+        assert {unescaped(line, "|") for line in lines} == {len(table.columns) + 1}
         assert "<script>" not in "\n".join(lines)
 
 
@@ -130,7 +138,7 @@ def test_latex_rows_have_as_many_columns_as_the_table(hostile):
         text = latex_text(table)
         columns = re.search(r"\\begin\{longtable\}\{([lr]+)\}", text)
         assert columns is not None
-        assert len(columns[1]) == len(table.heads)
+        assert len(columns[1]) == len(table.columns)
         body = text[text.index(r"\endfoot") : text.index(r"\end{longtable}")]
         for line in body.splitlines()[1:]:
             if line == r"\addlinespace":
@@ -138,15 +146,15 @@ def test_latex_rows_have_as_many_columns_as_the_table(hostile):
             assert line.endswith(r" \\")
             spans = sum(int(n) for n in re.findall(r"\\multicolumn\{(\d+)\}", line))
             singles = unescaped(line, "&") + 1 - len(re.findall(r"\\multicolumn", line))
-            assert spans + singles == len(table.heads)
+            assert spans + singles == len(table.columns)
         for group, span in table.groups:
             assert rf"\multicolumn{{{span}}}{{c}}{{" in text, group
         assert text.count("{") - text.count(r"\{") == text.count("}") - text.count(r"\}")
 
 
 def test_latex_specials_are_escaped_each_in_its_own_way():
-    table = Table("t", "50 % of $x_1$ & more", (Head("a_b"), Head("#", numeric=False)))
-    table.add("", "r", ("a", "b"), (Cell("−1.5", marks=table.mark(["note {1}"])), Cell(r"\input{x}^~")))
+    table = Table("t", "50 % of $x_1$ & more", (Column("a", "a_b"), words("b", "#")))
+    table.add("r", {"a": Cell(-1.5, "−1.5", marks=table.mark("note {1}")), "b": r"\input{x}^~"})
     text = latex_text(table)
     assert r"\caption{50 \% of \$x\_1\$ \& more}" in text
     assert r"a\_b & \# \\" in text
@@ -155,9 +163,9 @@ def test_latex_specials_are_escaped_each_in_its_own_way():
 
 
 def test_no_row_of_latex_begins_with_what_a_line_end_would_take():
-    table = Table("t", "x", (Head("a", numeric=False),))
+    table = Table("t", "x", (words("a"),))
     for row, name in enumerate(("*x", "[1pt]", "* y")):
-        table.add("", str(row), ("a",), (Cell(name),))
+        table.add(str(row), {"a": name})
     body = latex_text(table).split(r"\endfoot")[1].splitlines()[1:4]
     assert body == [r"{*}x \\", r"{[}1pt{]} \\", r"{*} y \\"]
 

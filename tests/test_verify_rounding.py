@@ -12,7 +12,7 @@ import pytest
 from kernels import WITHOUT, environment
 
 from pipeline.comparison.compare import compare
-from pipeline.rendering.svg_paths import compact_path
+from pipeline.rendering.svg import line_data
 from pipeline.shell.demo import run_demo
 from pipeline.shell.verify_rounding import SEEN, same_drawing, same_text, same_value
 from pipeline.simulation.course import run_course, write_course
@@ -27,8 +27,7 @@ FRAME = (
 
 def drawing(points: np.ndarray, *, colour: str = "blue", x: int = 520) -> str:
     """A drawing with one polyline; points in pixels."""
-    data = "M " + " L ".join(f"{a} {b}" for a, b in points.tolist())
-    return FRAME.format(colour=colour, data=compact_path(data), x=x)
+    return FRAME.format(colour=colour, data=line_data([(points, False)]), x=x)
 
 
 def ring(start: int = 0, *, shift: float = 0.0, wobble: float = 0.0) -> np.ndarray:

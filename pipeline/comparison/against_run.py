@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from pipeline.comparison.compare_experiment import estimated_theories, experimen
 from pipeline.comparison.figure_boundaries import plane_figure
 from pipeline.comparison.scene import SceneData, open_scene
 from pipeline.records.against_records import AgainstResult, PairDifference, Side
-from pipeline.records.figure_records import BoundaryFigure
+from pipeline.records.figure_records import Figure, Limits
 from pipeline.records.models import BoundaryPoint, Estimate, Optimum, Record
 from pipeline.records.results import ComparisonResult, ExperimentResult
 from pipeline.rendering.report_against import AgainstPage
@@ -99,7 +99,7 @@ def against_document(new: ComparisonResult, old_path: Path) -> AgainstPage:
     before = old.experiments
     after = {e.experiment: e for e in new.experiments}
     pairs: list[PairDifference] = []
-    figures: list[BoundaryFigure] = []
+    figures: list[Figure[Limits]] = []
     for name in (n for n in before if n in after):
         sides = (_side(old.device, name, old.provenance), _side(new.device, name, new.provenance))
         pairs.append(compare_pair(*sides, (before[name], after[name]), None, (new.motion, new.motion)))
@@ -197,9 +197,10 @@ def _trials(data: SceneData) -> Trials:
 
 def _overlay(
     labels: Sequence[str], results: tuple[ExperimentResult, ExperimentResult], suffix: str = ""
-) -> BoundaryFigure:
-    curves = tuple(replace(measured_curve(r), label=label) for r, label in zip(results, labels, strict=True))
-    return BoundaryFigure(
+) -> Figure[Limits]:
+    curves = tuple(measured_curve(r, label) for r, label in zip(results, labels, strict=True))
+    return Figure(
+        "boundaries",
         f"boundaries-against{suffix}",
         f"Boundaries of {labels[0]} and {labels[1]}",
         "Last stable stiffness at each damping.",

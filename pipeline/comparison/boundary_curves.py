@@ -26,12 +26,14 @@ def theory_curve(theory: Theory, label: str, kind: str = "theory") -> Curve:
     return Curve(label, kind, stiffness, damping)
 
 
-def measured_curve(result: ExperimentResult, *, open_ends: bool = False) -> Curve:
+def measured_curve(result: ExperimentResult, label: str = "", *, open_ends: bool = False) -> Curve:
     """Return the measured boundary: the last stable stiffness at each damping, 0 where none was stable.
 
     Parameters
     ----------
     result : ExperimentResult
+    label : str
+        The experiment's name where it is not given.
     open_ends : bool
         Whether the curve has its intervals: those of 95 % by the growth rates where there are any, else from the last
         stable to the first unstable trial.
@@ -39,18 +41,17 @@ def measured_curve(result: ExperimentResult, *, open_ends: bool = False) -> Curv
     stable = [p.stable is not None for p in result.boundary]
     # dampings without a stable trial beside those with one close the curve; further ones tell nothing
     points = [p for i, p in enumerate(result.boundary) if any(stable[max(i - 1, 0) : i + 2])]
-    curve = Curve(
-        f"experiment {result.experiment}",
+    both = [(p.low, p.high) if None not in (p.low, p.high) else (p.stable, p.unstable) for p in points]
+    low, high = (np.array([ends[side] for ends in both], dtype=np.float64) for side in (0, 1))
+    return Curve(
+        label or f"experiment {result.experiment}",
         "measured",
         np.array([p.stable or 0.0 for p in points]),
         np.array([p.damping for p in points]),
         np.array([float(p.censored) for p in points]),
+        low if open_ends else None,
+        high if open_ends else None,
     )
-    if not open_ends:
-        return curve
-    both = [(p.low, p.high) if None not in (p.low, p.high) else (p.stable, p.unstable) for p in points]
-    low, high = (np.array([end[side] for end in both], dtype=np.float64) for side in (0, 1))
-    return Curve(curve.label, curve.kind, curve.stiffness, curve.damping, curve.censored, low, high)
 
 
 def linear_curve(theory: Theory) -> Curve:

@@ -23,7 +23,7 @@ from pipeline.comparison.scene import (
     open_scene,
     plan_measured,
 )
-from pipeline.comparison.scene_parts import plan_parts, with_overlays
+from pipeline.comparison.scene_parts import plan_parts
 from pipeline.comparison.scores import add_scores
 from pipeline.comparison.stage_pool import compute_stages
 from pipeline.comparison.summary import summarise
@@ -73,6 +73,7 @@ REPORT_CODE = (
     *(
         "report",
         "report_parts",
+        "table",
         "report_tables",
         "report_estimates",
         "report_figures",
@@ -81,9 +82,7 @@ REPORT_CODE = (
         "response_drawing",
         "panels",
         "canvas",
-        "svg_compact",
-        "svg_paths",
-        "polyline",
+        "svg",
         "labels",
         "style",
         "models",
@@ -227,15 +226,10 @@ def compare(
     )
     if report is not None:
         say("report: figures and page")
-        figures = FigureBuilder(data, early, results)
         asked = data.scene.shown
         page = ReportData(
             result,
-            boundaries=with_overlays(figures.boundaries(), asked),
-            costs=figures.costs(predictions) if asked.has_figure("maps") else (),
-            delays=figures.delays(rows, predictions) if asked.has_figure("delay") else (),
-            responses=figures.responses() if asked.has_figure("response") else (),
-            residuals=figures.residuals() if asked.has_figure("residuals") else (),
+            figures=FigureBuilder(data, early, results).asked(rows, predictions),
             stages=_rows(plan),
             accuracy=accuracy,
             trials=trial_page(data, results, early, full=full, responses=responses)

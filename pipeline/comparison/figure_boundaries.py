@@ -5,8 +5,8 @@ Source: Hulin 2017, secs. 6.1.3 and 6.2.3.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 from pipeline.comparison.boundary_curves import (
     bound_curve,
@@ -19,23 +19,23 @@ from pipeline.comparison.boundary_curves import (
     theory_curve,
 )
 from pipeline.comparison.scene import SceneData
-from pipeline.records.figure_records import BoundaryFigure, Curve
+from pipeline.records.figure_records import Curve, Figure, Limits
 from pipeline.records.models import Experiment
-from pipeline.records.results import ExperimentResult
+from pipeline.records.results import ExperimentResult, TheoryParameters
 from pipeline.rendering.labels import UNITS
 from pipeline.theory.predictions import Theory
 
 
 def boundary_figures(
     data: SceneData, theories: Mapping[str, Theory], results: Sequence[ExperimentResult]
-) -> tuple[BoundaryFigure, ...]:
+) -> tuple[Figure[Limits], ...]:
     """Return the boundary figures of a scene.
 
     Without and with operator (Figs. 6.3, 6.4) or over delay (Fig. 6.9), then from the estimates, then all experiments
     in the normalised plane.
     """
     builder = _Builder(data, theories, results)
-    figures: list[BoundaryFigure | None] = []
+    figures: list[Figure[Limits] | None] = []
     figures += [builder.delay()] if data.scene.delay_sweep else [builder.free(), builder.operator()]
     figures.append(builder.estimates())
     shown = [(f"experiment {r.experiment}", r, theories[r.experiment]) for r in results if r.experiment in theories]
@@ -44,7 +44,7 @@ def boundary_figures(
     return tuple(figure for figure in figures if figure is not None)
 
 
-def plane_figure(entries: Sequence[tuple[str, ExperimentResult, Theory]], *, predicted: bool = True) -> BoundaryFigure:
+def plane_figure(entries: Sequence[tuple[str, ExperimentResult, Theory]], *, predicted: bool = True) -> Figure[Limits]:
     """Return measured boundaries of experiments, also of several devices, in the plane of alpha and beta.
 
     Parameters
@@ -56,22 +56,19 @@ def plane_figure(entries: Sequence[tuple[str, ExperimentResult, Theory]], *, pre
 
     Source: Hulin 2017, Table 3.1 (alpha = K T^2/m, beta = B T/m).
     """
-    measured = [
-        replace(
-            normalised(measured_curve(r), theory),
-            label=f"{label} (d = {theory.loop.delay:.3g}, δ = {theory.loop.delta:.2g})",
-        )
-        for label, r, theory in entries
-    ]
+    measured = []
+    for label, result, theory in entries:
+        full = f"{label} (d = {theory.loop.delay:.3g}, δ = {theory.loop.delta:.2g})"
+        measured.append(normalised(measured_curve(result, full), theory))
     theories = [normalised(theory_curve(theory, "_theory"), theory) for _, _, theory in entries if predicted]
-    return BoundaryFigure(
+    return Figure(
+        "plane",
         "boundaries-normalised",
         "Boundaries in the normalised plane",
         f"Measured boundaries{' and theory' if predicted else ''} in α = K T²/m and β = B T/m. Curves that differ in "
         "mass or sampling period alone coincide here; what still differs is due to delay, to the relative damping "
         "δ = b T/m, or to what the model does not hold.",
         (("", (*measured, *theories)),),
-        normalised=True,
         theory_label="theory (same colour)",
     )
 
@@ -89,28 +86,15 @@ class _Builder:
         """Whether the scene asks for theory beside the measured curves."""
         return self.data.scene.shown.has_overlay("theory")
 
-    def free(self) -> BoundaryFigure | None:
+    def free(self) -> Figure[Limits] | None:
         """Experiments without operator, with theory for each delay that the device file names (Fig. 6.3)."""
         free = [r for r in self.results if r.grip == "none" and r.experiment in self.theories]
         if not free or self.data.device is None:
             return None
-        curves = [measured_curve(r) for r in free]
-        settings = {r.experiment: self.theories[r.experiment].parameters for r in free}
-        experiments = {e.name: e for e in self.data.device.experiments}
-        own = {d for r in free if r.experiment in experiments for d in _delays(experiments[r.experiment])}
-        delays = sorted(self.data.scene.shown.delays or own)
-        values = list(dict.fromkeys((p.mass, p.damping, p.stiffness) for p in settings.values()))
-        template = next(iter(settings.values()))
-        for index, (m, b, k) in enumerate(values):
-            for number, d in enumerate(delays or [template.delay_samples]):
-                parameters = template.model_copy(
-                    update={"mass": m, "damping": b, "stiffness": k, "delay_samples": float(d)}
-                )
-                label = f"d = {d:g}" if index == 0 else f"theory, b = {b:g}" if number == 0 else "_"
-                curves.append(theory_curve(Theory(parameters), label, "band" if index else "theory"))
+        values = list(dict.fromkeys((p.mass, p.damping, p.stiffness) for p in (self._own(r) for r in free)))
         first = self.theories[free[0].experiment]
-        curves.append(linear_curve(first))
-        curves += [c for c in (passive_curve(first), _first(bound_curve(r) for r in free)) if c is not None]
+        conditions = (linear_curve(first), passive_curve(first), _first(bound_curve(r) for r in free))
+        curves = (*(measured_curve(r) for r in free), *self._over_delays(free, values), *filter(None, conditions))
         m, b, k = values[0]
         units = UNITS["rotation" if self.data.experiments[0].rotation else "translation"]
         others = ", ".join(f"{other[1]:g}" for other in values[1:])
@@ -118,16 +102,34 @@ class _Builder:
             f" Theory for m = {m:g} {units.mass}, b = {b:g} {units.damping}, k = {k:g} {units.stiffness} and the delay "
             f"factors at the curves{f'; thin dots: the same with b = {others} {units.damping}' if others else ''}."
         )
-        return BoundaryFigure(
+        return Figure(
+            "boundaries",
             "boundaries-free",
             "Stability boundaries without operator",
             f"Measured: last stable stiffness at each damping.{beside if self.predicted else ''} "
             "In the manner of Fig. 6.3.",
-            (("", tuple(curves)),),
+            (("", curves),),
             theory_label=f"theory, b = {b:g}",
         )
 
-    def operator(self) -> BoundaryFigure | None:
+    def _own(self, result: ExperimentResult) -> TheoryParameters:
+        return self.theories[result.experiment].parameters
+
+    def _over_delays(
+        self, free: Sequence[ExperimentResult], values: Sequence[tuple[float, float, float]]
+    ) -> Iterator[Curve]:
+        """Theory for each delay that is asked for or named in the device file, thin with further parameters."""
+        experiments = {e.name: e for e in self.data.device.experiments} if self.data.device else {}
+        named = {d for r in free if r.experiment in experiments for d in _delays(experiments[r.experiment])}
+        template = self._own(free[0])
+        for index, (m, b, k) in enumerate(values):
+            for number, d in enumerate(sorted(self.data.scene.shown.delays or named) or [template.delay_samples]):
+                changed = {"mass": m, "damping": b, "stiffness": k, "delay_samples": float(d)}
+                label = f"d = {d:g}" if index == 0 else f"theory, b = {b:g}" if number == 0 else "_"
+                theory = Theory(template.model_copy(update=changed))
+                yield theory_curve(theory, label, "band" if index else "theory")
+
+    def operator(self) -> Figure[Limits] | None:
         """One panel a configuration, one curve a grip (Fig. 6.4)."""
         held = [r for r in self.results if r.grip != "none" and r.experiment in self.theories]
         if not held:
@@ -135,10 +137,11 @@ class _Builder:
         panels = []
         for configuration in dict.fromkeys(r.configuration for r in held):
             shown = [r for r in self.results if r.configuration == configuration and r.experiment in self.theories]
-            curves = [replace(measured_curve(r), label=f"experiment {r.experiment}, {_grip(r.grip)}") for r in shown]
+            curves = [measured_curve(r, f"experiment {r.experiment}, {_grip(r.grip)}") for r in shown]
             curves += [theory_curve(self.theories[r.experiment], f"theory, {_grip(r.grip)}") for r in shown]
             panels.append((configuration, tuple(curves)))
-        return BoundaryFigure(
+        return Figure(
+            "boundaries",
             "boundaries-operator",
             "Influence of the operator on the stability boundary",
             f"Measured{' and theoretical' if self.predicted else ''} boundaries for each grip"
@@ -147,16 +150,17 @@ class _Builder:
             tuple(panels),
         )
 
-    def delay(self) -> BoundaryFigure:
+    def delay(self) -> Figure[Limits]:
         """Theory beside measurement for each delay (Fig. 6.9)."""
         theory = [
             theory_curve(self.theories[r.experiment], f"d = {self.theories[r.experiment].parameters.delay_samples:g}")
             for r in self.results
             if r.experiment in self.theories
         ]
-        measured = [replace(measured_curve(r), label=r.experiment) for r in self.results]
+        measured = [measured_curve(r, r.experiment) for r in self.results]
         panels = [("theory", tuple(theory))] if theory else []
-        return BoundaryFigure(
+        return Figure(
+            "boundaries",
             "boundaries-delay",
             "Influence of delay on the stability boundary",
             f"{'Theory left, measured right,' if theory and self.predicted else 'Measured,'} for each total delay. "
@@ -164,7 +168,7 @@ class _Builder:
             (*panels, ("measured", tuple(measured))),
         )
 
-    def estimates(self) -> BoundaryFigure | None:
+    def estimates(self) -> Figure[Limits] | None:
         """Theory by the estimates of each experiment, with all that belongs to its boundary."""
         if not self.data.overlay:
             return None
@@ -190,7 +194,8 @@ class _Builder:
             )
         if "passive" in kinds and shown.has_overlay("passive"):  # without damping there is no passive wall
             told.append(" Thin outline: passive region (4.12), far inside the stable one.")
-        return BoundaryFigure(
+        return Figure(
+            "boundaries",
             "boundaries-estimates",
             "Boundaries predicted from what the logs say",
             "Theory with the estimated mass, damping and delay of each experiment." + "".join(told),

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import count
+from typing import Any
 
 import numpy as np
 
@@ -16,27 +17,19 @@ from pipeline.comparison.figure_optima import optimal_curve
 from pipeline.comparison.figure_residuals import residual_figures
 from pipeline.comparison.figure_response import response_figures
 from pipeline.comparison.scene import SceneData
+from pipeline.comparison.scene_parts import with_overlays
 from pipeline.comparison.tables_d import layouts
 from pipeline.measured.aggregate import without_overshoot
 from pipeline.measured.stages import ExperimentStages
 from pipeline.records.batch import Floats
 from pipeline.records.delay_rows import delay_points
-from pipeline.records.figure_records import (
-    BoundaryFigure,
-    CostFigure,
-    CostMap,
-    Curve,
-    DelayFigure,
-    DelayPanel,
-    ResidualFigure,
-    ResponseFigure,
-)
-from pipeline.records.models import ComparisonRow, Optimum, TableLayout
+from pipeline.records.figure_records import CostMap, Curve, DelayPanel, Figure, Limits
+from pipeline.records.models import ComparisonRow, FigureKind, Optimum, TableLayout
 from pipeline.records.results import ExperimentResult, TheoryParameters
 from pipeline.rendering.labels import criterion_label, table_label
 from pipeline.theory.loop import LARGEST_DELAY, Loop
 from pipeline.theory.maps import cost_maps
-from pipeline.theory.predictions import Prediction, Predictions, Request, Theory
+from pipeline.theory.predictions import Predictions, Request, Theory
 
 MAP_POINTS = 101
 """Grid points along each axis of a drawn map; finer ones change no contour visibly."""
@@ -47,7 +40,7 @@ DAMPED = 0.02
 FIGURES = {"D.1": "6.5", "D.2": "6.6", "D.3": "6.7", "D.4": "6.10", "D.5": "6.11"}
 """Figure of the thesis whose optima a table holds; other tables are drawn as the first two."""
 
-_EMPTY = np.empty(0)
+NO_TRIALS = (np.empty(0), np.empty(0), np.empty(0))
 
 
 def shows_damped(data: SceneData) -> bool:
@@ -77,27 +70,37 @@ class FigureBuilder:
     theories: Mapping[str, Theory]
     results: Sequence[ExperimentResult]
 
-    def boundaries(self) -> tuple[BoundaryFigure, ...]:
+    def asked(self, rows: Sequence[ComparisonRow], predictions: Predictions) -> tuple[Figure[Any], ...]:
+        """Return all figures that the scene asks for, as far as there is data for them."""
+        shown = self.data.scene.shown
+        builders: dict[FigureKind, Callable[[], tuple[Figure[Any], ...]]] = {
+            "maps": lambda: self.costs(predictions),
+            "delay": lambda: self.delays(rows, predictions),
+            "response": lambda: response_figures(self.data, motion_of(self.data)),
+            "residuals": lambda: residual_figures(self.data, self.theories),
+        }
+        found = list[Figure[Any]](with_overlays(self.boundaries(), shown))
+        for kind, build in builders.items():
+            found += build() if shown.has_figure(kind) else ()
+        return tuple(found)
+
+    def boundaries(self) -> tuple[Figure[Limits], ...]:
         """Return boundary figures: without and with operator, over delay, from the estimates, and normalised."""
         return boundary_figures(self.data, self.theories, self.results)
 
-    def costs(self, predictions: Predictions) -> tuple[CostFigure, ...]:
+    def costs(self, predictions: Predictions) -> tuple[Figure[CostMap], ...]:
         """Return one cost figure for each criterion of each table of optima."""
         stages = {e.experiment: e for e in self.data.experiments}
-        figures: dict[str, CostFigure] = {}
+        figures: dict[str, Figure[CostMap]] = {}
         for table in layouts(self.data):
             if table.kind == "delay":
                 continue
             theory = self.theories.get(table.theory_from)
             shown = [r for r in self.results if r.experiment in table.experiments]
-            window = self._window(theory, shown)
-            maps = _theory_maps(theory, window, table) if theory else {}
+            maps = _theory_maps(theory, shown, table.criteria, predictions) if theory else {}
             for criterion in table.criteria:
-                panels = []
-                if theory:
-                    optimum = _as_optimum(predictions.get(theory, f"{criterion}_discrete"))
-                    panels.append(_theory_panel(theory, window, maps[criterion], optimum, criterion))
-                panels += [_measured_panel(r, stages[r.experiment], criterion) for r in shown if criterion in r.optimum]
+                panels = [maps[criterion]] if theory else []
+                panels += [_measured_map(r, stages[r.experiment], criterion) for r in shown if criterion in r.optimum]
                 if not panels:
                     continue
                 listed = self.data.scene.shown.has_table(table.name)
@@ -108,51 +111,25 @@ class FigureBuilder:
                 figures[name] = replace(figure, identifier=name)
         return tuple(figures.values())
 
-    def responses(self) -> tuple[ResponseFigure, ...]:
-        """Return the figure of the first response, if a log shows one."""
-        return response_figures(self.data, motion_of(self.data))
-
-    def residuals(self) -> tuple[ResidualFigure, ...]:
-        """Return where measured costs depart from theory, one figure a criterion."""
-        return residual_figures(self.data, self.theories)
-
-    def _window(self, theory: Theory | None, shown: Sequence[ExperimentResult]) -> tuple[float, float, float]:
-        """Largest stiffness, smallest and largest damping that a cost figure shows."""
-        stiffness = [p.unstable or p.stable or 0.0 for r in shown for p in r.boundary]
-        damping = [p.damping for r in shown for p in r.boundary]
-        if theory:
-            stiffness.append(theory.boundary.alpha_max * theory.units.stiffness)
-            damping.append(theory.boundary.beta_max * theory.units.damping)
-        return max(stiffness, default=1.0), min([0.0, *damping]), max(damping, default=1.0)
-
-    def delays(self, rows: Sequence[ComparisonRow], predictions: Predictions) -> tuple[DelayFigure, ...]:
+    def delays(self, rows: Sequence[ComparisonRow], predictions: Predictions) -> tuple[Figure[DelayPanel], ...]:
         """Return the figure of optimal costs over delay, if there is a sweep."""
+        caption = "Costs of the sampled response at the optimum, theory and experiment. In the manner of Fig. 6.12."
         figures = []
         for table in layouts(self.data):
-            if table.kind != "delay":
-                continue
-            panels = []
-            for criterion in table.criteria:
-                of = [r for r in rows if r.table == table.name and r.criterion == criterion]
-                points = [p for p in delay_points(of) if p.delay is not None]
-                delays = np.array([p.delay for p in points], dtype=np.float64)
-                theory = np.array([_cost(p.theory.get(criterion)) for p in points])
-                measured = np.array([_cost(p.measured.get(criterion)) for p in points])
-                damped = np.array([self._damped_cost(float(d), criterion, predictions) for d in delays])
-                label = f"theory, δ = {DAMPED:g}"
-                if len(points):
-                    panels.append(DelayPanel(criterion, delays, theory, damped, label, measured))
-            if not panels:
-                continue
-            figures.append(
-                DelayFigure(
-                    "delay",
-                    "Optimal costs over delay",
-                    "Costs of the sampled response at the optimum, theory and experiment. In the manner of Fig. 6.12.",
-                    tuple(panels),
-                )
-            )
+            shown = [r for r in rows if r.table == table.name] if table.kind == "delay" else []
+            panels = [self._delay_panel(shown, criterion, predictions) for criterion in table.criteria]
+            known = tuple(panel for panel in panels if len(panel.delay_samples))
+            if known:
+                figures.append(Figure("delay", "delay", "Optimal costs over delay", caption, known))
         return tuple(figures)
+
+    def _delay_panel(self, rows: Sequence[ComparisonRow], criterion: str, predictions: Predictions) -> DelayPanel:
+        points = [p for p in delay_points([r for r in rows if r.criterion == criterion]) if p.delay is not None]
+        delays = np.array([p.delay for p in points], dtype=np.float64)
+        theory = np.array([_cost(p.theory.get(criterion)) for p in points])
+        measured = np.array([_cost(p.measured.get(criterion)) for p in points])
+        damped = np.array([self._damped_cost(float(d), criterion, predictions) for d in delays])
+        return DelayPanel(criterion, delays, theory, damped, f"theory, δ = {DAMPED:g}", measured)
 
     def _damped_cost(self, delay: float, criterion: str, predictions: Predictions) -> float:
         if delay > LARGEST_DELAY:
@@ -163,22 +140,30 @@ class FigureBuilder:
         return predictions.get(Theory(parameters), f"{criterion}_discrete").cost
 
 
-def _as_optimum(prediction: Prediction) -> Optimum:
-    return Optimum(stiffness=prediction.stiffness, damping=prediction.damping, cost=prediction.cost)
-
-
 def _cost(row: ComparisonRow | None) -> float:
     return np.nan if row is None or row.cost is None else row.cost
 
 
-def _theory_maps(theory: Theory, window: tuple[float, float, float], table: TableLayout) -> dict[str, Floats]:
-    alpha, beta = _axes(window)
-    return cost_maps(theory.loop, alpha / theory.units.stiffness, beta / theory.units.damping, table.criteria)
-
-
-def _axes(window: tuple[float, float, float]) -> tuple[Floats, Floats]:
-    stiffest, lowest, highest = window
-    return np.linspace(0, stiffest, MAP_POINTS), np.linspace(lowest, highest, MAP_POINTS)
+def _theory_maps(
+    theory: Theory, shown: Sequence[ExperimentResult], criteria: Sequence[str], predictions: Predictions
+) -> dict[str, CostMap]:
+    """Maps of theory by criterion over its stable region and all that was tested."""
+    points = [point for result in shown for point in result.boundary]
+    p, border, units = theory.parameters, theory.boundary, theory.units
+    stiffest = max([border.alpha_max * units.stiffness, *(p.unstable or p.stable or 0.0 for p in points)])
+    dampings = [border.beta_max * units.damping, *(p.damping for p in points)]
+    stiffness = np.linspace(0, stiffest, MAP_POINTS)
+    damping = np.linspace(min(0.0, *dampings), max(dampings), MAP_POINTS)
+    costs = cost_maps(theory.loop, stiffness / units.stiffness, damping / units.damping, criteria)
+    label = f"theory, d = {p.delay_samples:g}, m = {p.mass:.3g}, b = {p.damping:.3g}"
+    maps = {}
+    for criterion, cost in costs.items():
+        found = predictions.get(theory, f"{criterion}_discrete")
+        optimum = Optimum(stiffness=found.stiffness, damping=found.damping, cost=found.cost)
+        curves = _optimal_curves(stiffness, damping, cost, criterion, exact=True)
+        edge = theory_curve(theory, "boundary")
+        maps[criterion] = CostMap(label, "theory", stiffness, damping, cost, edge, optimum, *NO_TRIALS, *curves)
+    return maps
 
 
 def _optimal_curves(
@@ -194,17 +179,7 @@ def _optimal_curves(
     )
 
 
-def _theory_panel(
-    theory: Theory, window: tuple[float, float, float], cost: Floats, optimum: Optimum, criterion: str
-) -> CostMap:
-    p = theory.parameters
-    label = f"theory, d = {p.delay_samples:g}, m = {p.mass:.3g}, b = {p.damping:.3g}"
-    curves = _optimal_curves(*_axes(window), cost, criterion, exact=True)
-    trials = (_EMPTY, _EMPTY, _EMPTY)
-    return CostMap(label, "theory", *_axes(window), cost, theory_curve(theory, "boundary"), optimum, *trials, *curves)
-
-
-def _measured_panel(result: ExperimentResult, stages: ExperimentStages, criterion: str) -> CostMap:
+def _measured_map(result: ExperimentResult, stages: ExperimentStages, criterion: str) -> CostMap:
     cost, _ = stages.cost(criterion)
     if criterion == "overshoot":
         cost = np.where(without_overshoot(cost, stages.column("overshoot", "overshoot_floor")), 0.0, cost)
@@ -239,16 +214,17 @@ def _stiffness_axis(stiffness: Floats, levels: int, optimum: Optimum | None) -> 
 
 def _cost_figure(
     table: TableLayout, criterion: str, panels: tuple[CostMap, ...], theory: Theory | None, *, listed: bool
-) -> CostFigure:
+) -> Figure[CostMap]:
     name = criterion_label(criterion)
     label = table_label(table.name)
     optima = f" Optima as in {label if label != table.name else f'the table of {label}'}." if listed else ""
     thesis = FIGURES.get(table.name, "6.6" if criterion.startswith("energy") else "6.5")
-    return CostFigure(
+    return Figure(
+        "maps",
         re.sub(r"[^A-Za-z0-9_-]", "-", f"{table.name}-{criterion}"),
         f"Cost maps, {name}",
         f"Costs of the sampled response in the stable region{', theory left' if theory else ''}; below, the least cost "
         f"for each stiffness and all trials.{optima} In the manner of Fig. {thesis}.",
-        criterion,
         panels,
+        criterion,
     )

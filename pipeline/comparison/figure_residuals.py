@@ -13,7 +13,7 @@ from pipeline.comparison.tables_d import layouts
 from pipeline.measured.aggregate import NO_OVERSHOOT, without_overshoot
 from pipeline.measured.stages import ExperimentStages
 from pipeline.records.batch import Booleans, Floats
-from pipeline.records.figure_records import Curve, ResidualFigure, ResidualMap
+from pipeline.records.figure_records import Curve, Figure, ResidualMap
 from pipeline.rendering.labels import criterion_label
 from pipeline.theory.maps import costs_at
 from pipeline.theory.predictions import Theory
@@ -23,7 +23,7 @@ CELLS = (20, 14)
 course of 2,500, so that its median says more than their scatter."""
 
 
-def residual_figures(data: SceneData, theories: Mapping[str, Theory]) -> tuple[ResidualFigure, ...]:
+def residual_figures(data: SceneData, theories: Mapping[str, Theory]) -> tuple[Figure[ResidualMap], ...]:
     """Return one figure a criterion, with a map of each experiment that has a theory; none without common trials.
 
     Parameters
@@ -87,7 +87,6 @@ def _map(
         k,
         b,
         middle,
-        cell,
         boundary,
         int(common.sum()),
         float(np.median(residual[common])) if common.any() else np.nan,
@@ -137,13 +136,14 @@ def cell_medians(
     return (column[first] + 0.5) * cell[0], (row[first] + 0.5) * cell[1], median
 
 
-def _figure(criterion: str, maps: tuple[ResidualMap, ...]) -> ResidualFigure:
+def _figure(criterion: str, maps: tuple[ResidualMap, ...]) -> Figure[ResidualMap]:
     difference = "difference in percentage points" if criterion == "overshoot" else "ratio"
-    return ResidualFigure(
+    return Figure(
+        "residuals",
         "residual-" + re.sub(r"[^A-Za-z0-9_-]", "-", criterion),
         f"Measured against theory, {criterion_label(criterion).split(' [')[0]}",
         f"Median {difference} of measured and theoretical cost over the stable trials of each cell, theory at the "
         "trials' own stiffness and damping with each experiment's own parameters.",
-        criterion,
         maps,
+        criterion,
     )

@@ -11,7 +11,7 @@ from pipeline.measured.delay import first_change
 from pipeline.measured.response import find_response
 from pipeline.measured.stages import ExperimentStages
 from pipeline.records.batch import Booleans, Floats
-from pipeline.records.figure_records import ResponseFigure
+from pipeline.records.figure_records import Figure, Response
 from pipeline.records.models import Motion
 from pipeline.rendering.labels import UNITS, damping_text, decimal, stiffness_text
 from pipeline.store.samples import load_groups
@@ -26,7 +26,7 @@ CLEAR = 0.05
 """Height of a maximum above the final position, relative to F_0/K, that counts: a sensor's steps make lower ones."""
 
 
-def response_figures(data: SceneData, motion: Motion) -> tuple[ResponseFigure, ...]:
+def response_figures(data: SceneData, motion: Motion) -> tuple[Figure[Response], ...]:
     """Return the figure of the first response of the first experiment that has one; none where no trial shows a step.
 
     The lowest stiffness whose log shows two maxima is taken, at its lowest stable damping; where no log does, the
@@ -42,7 +42,7 @@ def response_figures(data: SceneData, motion: Motion) -> tuple[ResponseFigure, .
     return ()
 
 
-def _figure(stages: ExperimentStages, motion: Motion) -> ResponseFigure | None:
+def _figure(stages: ExperimentStages, motion: Motion) -> Figure[Response] | None:
     k, b = stages.column("response", "stiffness"), stages.column("response", "damping")
     chosen = softest(k, b, stages.verdicts.verdict == "stable")
     if not len(chosen):
@@ -85,10 +85,7 @@ def _figure(stages: ExperimentStages, motion: Motion) -> ResponseFigure | None:
         f"Right, the beginning: the position first changes at t_obs = {decimal(1e3 * observed * sampling_period_s, 3)} "
         "ms, so that the delay lies in the shaded sampling period (6.3). In the manner of Fig. 6.2."
     )
-    return ResponseFigure(
-        "first-response",
-        "Step response",
-        " ".join(words),
+    response = Response(
         batch.time[0, :rows] - batch.time[0, edge],
         batch.displacement[0, :rows],
         batch.command[0, :rows],
@@ -97,6 +94,7 @@ def _figure(stages: ExperimentStages, motion: Motion) -> ResponseFigure | None:
         float(batch.step[0] / batch.stiffness[0]),
         period,
     )
+    return Figure("response", "first-response", "Step response", " ".join(words), (response,))
 
 
 def softest(stiffness: Floats, damping: Floats, stable: Booleans) -> np.ndarray:

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from pipeline.comparison.scene import LEAVE_OUT, RUN, PlannedStage, SceneData
 from pipeline.comparison.tables_d import layouts
-from pipeline.records.figure_records import BoundaryFigure
+from pipeline.records.figure_records import Figure, Limits
 from pipeline.records.models import FigureKind, Overlay, Shown
 
 FIGURE_NAMES: dict[FigureKind, str] = {
@@ -20,8 +20,8 @@ FIGURE_NAMES: dict[FigureKind, str] = {
     "trials": "trials to look into",
 }
 
-ESTIMATES, PLANE = "boundaries-estimates", "boundaries-normalised"
-"""Boundary figures that are asked for by an overlay and as a kind of their own."""
+ESTIMATES = "boundaries-estimates"
+"""Boundary figure that is asked for by an overlay."""
 
 _KINDS: dict[str, Overlay] = {
     "theory": "theory",
@@ -54,15 +54,14 @@ def plan_parts(data: SceneData) -> list[PlannedStage]:
     return plan
 
 
-def with_overlays(figures: Sequence[BoundaryFigure], shown: Shown) -> tuple[BoundaryFigure, ...]:
+def with_overlays(figures: Sequence[Figure[Limits]], shown: Shown) -> tuple[Figure[Limits], ...]:
     """Return boundary figures with the curves that are asked for.
 
     A figure without measured curve, or that is not asked for as a whole, is left out; so is a panel without curves.
     """
     kept = []
     for figure in figures:
-        kind: FigureKind = "plane" if figure.identifier == PLANE else "boundaries"
-        if not shown.has_figure(kind) or (figure.identifier == ESTIMATES and not shown.has_overlay("estimates")):
+        if not shown.has_figure(figure.kind) or (figure.identifier == ESTIMATES and not shown.has_overlay("estimates")):
             continue
         panels = [
             (title, tuple(curve for curve in curves if _is_asked(curve.kind, figure, shown)))
@@ -72,7 +71,7 @@ def with_overlays(figures: Sequence[BoundaryFigure], shown: Shown) -> tuple[Boun
     return tuple(figure for figure in kept if figure.panels)
 
 
-def _is_asked(kind: str, figure: BoundaryFigure, shown: Shown) -> bool:
+def _is_asked(kind: str, figure: Figure[Limits], shown: Shown) -> bool:
     if kind == "measured" or (kind == "theory" and figure.identifier == ESTIMATES):
         return True
     return shown.has_overlay(_KINDS[kind])

@@ -3,9 +3,41 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Generic, TypeVar
 
 from pipeline.records.batch import Floats
-from pipeline.records.models import Optimum
+from pipeline.records.models import FigureKind, Optimum
+
+P = TypeVar("P")
+
+
+@dataclass(frozen=True)
+class Figure(Generic[P]):
+    """A figure of a report: panels of one kind side by side.
+
+    Parameters
+    ----------
+    kind : FigureKind
+        ``boundaries`` (Figs. 6.3, 6.4, 6.9), and ``plane``, whose curves hold alpha = K T^2/m and beta = B T/m in place
+        of stiffness and damping: panels are `Limits`. ``maps`` (Figs. 6.5 to 6.7, 6.10, 6.11): `CostMap`. ``delay``
+        (Fig. 6.12): `DelayPanel`. ``response`` (Fig. 6.2): one `Response`. ``residuals``: `ResidualMap`.
+    identifier : str
+        Unique in the report.
+    title, caption : str
+    panels : tuple
+    criterion : str
+        Whose costs are shown, where they are of one.
+    theory_label : str
+        Names the dashed curves in the legend where their own labels stand beside them or are not shown.
+    """
+
+    kind: FigureKind
+    identifier: str
+    title: str
+    caption: str
+    panels: tuple[P, ...]
+    criterion: str = ""
+    theory_label: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,20 +60,8 @@ class Curve:
     high: Floats | None = None
 
 
-@dataclass(frozen=True)
-class BoundaryFigure:
-    """Stability boundaries of several experiments against theory (Figs. 6.3, 6.4, 6.9); panels share axes.
-
-    In a ``normalised`` figure the curves hold alpha = K T^2/m and beta = B T/m in place of stiffness and damping.
-    ``theory_label`` names the dashed curves in the legend where their own labels stand beside them or are not shown.
-    """
-
-    identifier: str
-    title: str
-    caption: str
-    panels: tuple[tuple[str, tuple[Curve, ...]], ...]
-    normalised: bool = False
-    theory_label: str = ""
+Limits = tuple[str, tuple[Curve, ...]]
+"""Title and curves of a panel of stability boundaries; all panels of a figure share their axes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,17 +100,6 @@ class CostMap:
     best_stiffness: Curve | None = None
 
 
-@dataclass(frozen=True)
-class CostFigure:
-    """Cost maps of one criterion side by side with the front view below (Figs. 6.5 to 6.7, 6.10, 6.11)."""
-
-    identifier: str
-    title: str
-    caption: str
-    criterion: str
-    maps: tuple[CostMap, ...]
-
-
 @dataclass(frozen=True, eq=False)
 class DelayPanel:
     """Optimal cost over total delay for one criterion (Fig. 6.12); an entry without data is NaN.
@@ -106,23 +115,12 @@ class DelayPanel:
     measured: Floats
 
 
-@dataclass(frozen=True)
-class DelayFigure:
-    """Influence of delay on the optimal costs, one panel a criterion (Fig. 6.12)."""
-
-    identifier: str
-    title: str
-    caption: str
-    panels: tuple[DelayPanel, ...]
-
-
 @dataclass(frozen=True, eq=False)
-class ResponseFigure:
+class Response:
     """One step response with a close-up of its beginning (Fig. 6.2).
 
     Parameters
     ----------
-    identifier, title, caption : str
     time : float64, shape (n,)
         Time after the command edge [s].
     position : float64, shape (n,)
@@ -139,9 +137,6 @@ class ResponseFigure:
         Time [s] of two neighbouring maxima, which stand one oscillation period apart; None where there are not two.
     """
 
-    identifier: str
-    title: str
-    caption: str
     time: Floats
     position: Floats
     command: Floats
@@ -163,8 +158,6 @@ class ResidualMap:
     residual : float64, shape (n,)
         Median over the trials of the cell: log2 of measured over theoretical cost, or measured minus theoretical
         overshoot [1].
-    cell : tuple of float
-        Size of a cell in stiffness and damping.
     boundary : Curve
         Boundary of theory.
     trials : int
@@ -177,18 +170,6 @@ class ResidualMap:
     stiffness: Floats
     damping: Floats
     residual: Floats
-    cell: tuple[float, float]
     boundary: Curve
     trials: int
     median: float
-
-
-@dataclass(frozen=True)
-class ResidualFigure:
-    """Residuals of one criterion, one map an experiment, on equal axes."""
-
-    identifier: str
-    title: str
-    caption: str
-    criterion: str
-    maps: tuple[ResidualMap, ...]

@@ -11,13 +11,7 @@ from typing import Any
 from pydantic import Field
 
 from pipeline.records.accuracy import AccuracyReport
-from pipeline.records.figure_records import (
-    BoundaryFigure,
-    CostFigure,
-    DelayFigure,
-    ResidualFigure,
-    ResponseFigure,
-)
+from pipeline.records.figure_records import Figure
 from pipeline.records.models import BoundaryPoint, ComparisonRow, Estimate, ModelCheck, Motion, Optimum, Record
 from pipeline.records.score_records import Scores
 from pipeline.records.score_records import TheoryParameters as TheoryParameters
@@ -112,11 +106,7 @@ class ReportData:
     """Everything that one HTML report shows."""
 
     result: ComparisonResult
-    boundaries: tuple[BoundaryFigure, ...] = ()
-    costs: tuple[CostFigure, ...] = ()
-    delays: tuple[DelayFigure, ...] = ()
-    responses: tuple[ResponseFigure, ...] = ()
-    residuals: tuple[ResidualFigure, ...] = ()
+    figures: tuple[Figure[Any], ...] = ()
     stages: tuple[tuple[str, str, str], ...] = field(default=())
     """Stage, what was done with it (run, reuse, leave out), and why."""
     accuracy: AccuracyReport | None = None

@@ -29,6 +29,14 @@ class TrialPage:
     places: dict[tuple[str, str], str] = field(default_factory=dict)
     limits: dict[tuple[str, float, float], str] = field(default_factory=dict)
 
+    def place(self, experiment: str | None, trial_id: str | None) -> str:
+        """Return how tables refer to a trial; empty where the page does not show it."""
+        return self.places.get((experiment or "", trial_id or ""), "")
+
+
+NO_TRIALS = TrialPage({}, 0, 0)
+"""Of a report without trials."""
+
 
 def reference(experiment: int, trial: int) -> str:
     """Return how cells and addresses refer to a trial: numbers of experiment and trial in the page, from 0."""

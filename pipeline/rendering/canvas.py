@@ -6,7 +6,7 @@ of a figure, and half of its size.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -14,13 +14,13 @@ import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import PathPatch
-from matplotlib.path import Path
+from matplotlib.markers import TICKDOWN, TICKLEFT
 from matplotlib.ticker import MaxNLocator
 from matplotlib.transforms import IdentityTransform
 
 from pipeline.records.batch import Floats
 from pipeline.records.figure_records import CostMap, Curve
+from pipeline.records.figure_records import Figure as Content
 from pipeline.records.models import Motion
 from pipeline.rendering import style
 from pipeline.rendering.labels import KILO_ABOVE, UNITS, shortened
@@ -57,12 +57,40 @@ def add_axes(drawing: Figure, left: float, bottom: float, right: float, top: flo
     return axes
 
 
-def wipe(drawing: Figure) -> None:
+def draw_panels(
+    figure: Content[Any],
+    size: tuple[float, float],
+    margins: Sequence[tuple[float, float, float, float]],
+    paint: Callable[..., tuple[str, str]],
+) -> tuple[str, ...]:
+    """Draw the panels of a figure one after the other on the same axes; return one ``<svg>`` each.
+
+    Parameters
+    ----------
+    figure : Figure
+    size : tuple of float
+        Width and height [px].
+    margins : sequence of (left, bottom, right, top)
+        Of each of the axes [px].
+    paint : callable
+        Draws a panel, its first argument, on the axes that follow; returns its name and what it shows in words.
+    """
+    drawn = []
+    with drawing_of(*size) as drawing:
+        all_axes = [add_axes(drawing, *sides) for sides in margins]
+        for index, panel in enumerate(figure.panels):
+            name, text = paint(panel, *all_axes)
+            drawn.append(style.svg(drawing, f"{figure.identifier}-{index}", f"{figure.title}{name}", text))
+            _wipe(drawing)
+    return tuple(drawn)
+
+
+def _wipe(drawing: Figure) -> None:
     """Take everything off the axes of a figure, whose next panel is drawn on them: making axes takes longer."""
     for axes in drawing.axes:
         for collection in list(axes.collections):
             collection.remove()  # contour lines, with the labels that belong to them
-        for artist in (*axes.lines, *axes.patches, *axes.texts, *axes.artists):
+        for artist in (*axes.lines, *axes.patches, *axes.texts, *axes.artists, *filter(None, [axes.get_legend()])):
             artist.remove()
     for legend in drawing.legends[:]:
         legend.remove()
@@ -100,11 +128,15 @@ def frame(
     y = _ticks(axes.get_ylim(), y_ticks)
     at_x = axes.transData.transform(np.column_stack([x, np.zeros(len(x))]))[:, 0]
     at_y = axes.transData.transform(np.column_stack([np.zeros(len(y)), y]))[:, 1]
-    grid = [*_lines(at_x, box.y0, box.y1), *_lines(at_y, box.x0, box.x1, across=True)]
-    rule = [[(box.x0, box.y1), (box.x0, box.y0), (box.x1, box.y0)]]
-    rule += [*_lines(at_x, box.y0, box.y0 - TICK), *_lines(at_y, box.x0, box.x0 - TICK, across=True)]
-    _draw(axes, grid, style.FAINT, 0.6, 0.5)
-    _draw(axes, rule, style.INK, 0.8, 2.5)
+    along_x, along_y = axes.get_xaxis_transform(), axes.get_yaxis_transform()
+    grid: dict[str, Any] = {"colors": style.FAINT, "lw": 0.6, "zorder": 0.5, "clip_on": False}
+    axes.vlines(x, 0, 1, transform=along_x, **grid)
+    axes.hlines(y, 0, 1, transform=along_y, **grid)
+    rule: dict[str, Any] = {"color": style.INK, "lw": 0.8, "zorder": 2.5, "clip_on": False}
+    axes.plot([0, 0, 1], [1, 0, 0], transform=axes.transAxes, **rule)
+    tick: dict[str, Any] = {**rule, "ls": "none", "ms": TICK, "mew": 0.8}
+    axes.plot(x, np.zeros(len(x)), marker=TICKDOWN, transform=along_x, **tick)
+    axes.plot(np.zeros(len(y)), y, marker=TICKLEFT, transform=along_y, **tick)
     look: dict[str, Any] = {"transform": IdentityTransform(), "fontsize": 10.0}
     for place, text in zip(at_y, _numbers(y), strict=True):
         axes.text(box.x0 - 6.5, place, text, ha="right", va="center_baseline", **look)
@@ -136,20 +168,6 @@ def _numbers(ticks: Floats) -> list[str]:
     return [f"{value + 0.0:.{decimals}f}".replace("-", "\N{MINUS SIGN}") for value in np.round(ticks, decimals)]
 
 
-def _lines(places: Floats, start: float, end: float, *, across: bool = False) -> list[list[tuple[float, float]]]:
-    """Return lines that stand at places of the abscissa, or lie at places of the ordinate."""
-    if across:
-        return [[(start, y), (end, y)] for y in places.tolist()]
-    return [[(x, start), (x, end)] for x in places.tolist()]
-
-
-def _draw(axes: Axes, lines: Sequence[Sequence[tuple[float, float]]], colour: str, width: float, order: float) -> None:
-    if lines:
-        path = Path.make_compound_path(*(Path(line) for line in lines))
-        look: dict[str, Any] = {"fill": False, "edgecolor": colour, "lw": width, "zorder": order}
-        axes.add_artist(PathPatch(path, transform=IdentityTransform(), clip_on=False, **look))
-
-
 def reach(curves: Sequence[Curve], maps: Sequence[CostMap] = ()) -> tuple[float, float, float]:
     """Return the largest stiffness, lowest and largest damping of all curves and trials, for shared axes."""
     stiffness = [c.stiffness for c in curves] + [m.trial_stiffness for m in maps]
@@ -165,17 +183,16 @@ def reach(curves: Sequence[Curve], maps: Sequence[CostMap] = ()) -> tuple[float,
 def plane(axes: Axes, limits: tuple[float, float, float]) -> float:
     """Set up axes of stiffness and damping by the result of `reach`; return the factor from SI to its abscissa."""
     largest, lowest, highest = limits
-    scale = 1e-3 if largest > KILO_ABOVE else 1.0
-    axes.set_xlim(0, largest * scale)
+    axes.set_xlim(0, largest * _scale(largest))
     axes.set_ylim(lowest, highest)
-    return scale
+    return _scale(largest)
 
 
-def stiffness_label(motion: Motion, scale: float) -> str:
-    """Return quantity and unit of the stiffness axis."""
-    return f"stiffness K [{'k' if scale < 1 else ''}{UNITS[motion].stiffness}]"
+def plane_labels(motion: Motion, limits: tuple[float, float, float]) -> tuple[str, str]:
+    """Return quantity and unit of both axes of `plane`."""
+    units = UNITS[motion]
+    return f"stiffness K [{'k' if _scale(limits[0]) < 1 else ''}{units.stiffness}]", f"damping B [{units.damping}]"
 
 
-def damping_label(motion: Motion) -> str:
-    """Return quantity and unit of the damping axis."""
-    return f"damping B [{UNITS[motion].damping}]"
+def _scale(largest: float) -> float:
+    return 1e-3 if largest > KILO_ABOVE else 1.0

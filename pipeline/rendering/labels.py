@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
+from pipeline.base.wording import true_minus
 from pipeline.records.models import Estimate, Motion
 
 MISSING = "–"
@@ -83,6 +85,16 @@ def printed_scale(criterion: str) -> float:
 def shortened(text: str, longest: int) -> str:
     """Return a text of at most so many characters, its end replaced by an ellipsis where it is longer."""
     return text if len(text) <= longest else f"{text[: longest - 1].rstrip()}…"
+
+
+def span(show: Callable[[float], str], low: float | None, high: float | None) -> str:
+    """Return an interval as ``low to high``; empty where an end is missing."""
+    return "" if low is None or high is None else f"{show(low)} to {show(high)}"
+
+
+def fixed(value: float, places: int) -> str:
+    """Return a number with all its decimals, so that those of a row have equally many."""
+    return true_minus(f"{value:.{places}f}")
 
 
 def decimal(value: float, places: int) -> str:

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.patches import PathPatch
@@ -18,7 +19,7 @@ from matplotlib.tri import Triangulation
 from matplotlib.typing import CapStyleType
 
 from pipeline.records.batch import Booleans, Floats
-from pipeline.records.figure_records import CostFigure, CostMap, Curve
+from pipeline.records.figure_records import CostMap, Curve, Figure
 from pipeline.rendering import style
 from pipeline.rendering.labels import cost_text, printed_scale, significant
 
@@ -65,65 +66,63 @@ def theory_colour(curves: Sequence[Curve]) -> str:
     return "" if measured in (0, theory) else style.VERMILLION
 
 
-def draw_curves(axes: Axes, curves: Sequence[Curve], scale: float, *, thin: bool = False) -> set[str]:
-    """Draw boundaries, on request with thin theory; return the labels written at their curve, which need no legend."""
-    order = {kind: [c for c in curves if c.kind == kind] for kind in KINDS}
+def draw_curves(axes: Axes, curves: Sequence[Curve], scale: float, *, thin: bool = False) -> dict[str, list[Artist]]:
+    """Draw boundaries, on request with thin theory; return by kind what needs a legend: curves without a label."""
     alone = theory_colour(curves)
-    labelled = set()
-    for kind, group in order.items():
+    entries: dict[str, list[Artist]] = {}
+    for kind in KINDS:
+        group = [curve for curve in curves if curve.kind == kind]
         # All of a kind or none: a legend with some of the curves would be read as complete.
         places = _label_places(group, axes.get_xlim()[1] / scale, axes.get_ylim())
         for index, curve in enumerate(group):
-            colour = style.SERIES[index % len(style.SERIES)]
-            if kind == "theory":
-                colour = alone or colour
-            elif kind != "measured":
-                colour = style.INK
-            _draw_curve(axes, curve, scale, colour, style.MARKERS[index % len(style.MARKERS)], thin=thin)
+            own = alone if kind == "theory" and alone else style.SERIES[index % len(style.SERIES)]
+            colour = own if kind in LABELLED_KINDS else style.INK
+            artist = _draw_curve(axes, curve, scale, colour, style.MARKERS[index % len(style.MARKERS)], thin=thin)
             if places:
-                labelled.add(curve.label)
                 look: dict[str, Any] = {"color": colour, "va": "center", "fontsize": 9.5, "bbox": style.BEHIND_TEXT}
                 axes.annotate(curve.label, places[index], (4, 0), "axes fraction", textcoords="offset points", **look)
-    return labelled
+            elif not curve.label.startswith("_"):
+                entries.setdefault(kind, []).append(artist)
+    return entries
 
 
-def _draw_curve(axes: Axes, curve: Curve, scale: float, colour: str, marker: str = "o", *, thin: bool = False) -> None:
+def _draw_curve(
+    axes: Axes, curve: Curve, scale: float, colour: str, marker: str = "o", *, thin: bool = False
+) -> Artist:
     look: dict[str, Any] = {"color": colour, "ls": style.LINES[curve.kind], "label": curve.label}
     k = curve.stiffness * scale
-    if curve.low is not None and curve.high is not None:
-        _fill_between(axes, curve, scale, colour)
-    if curve.kind == "envelope":
-        return
+    between = _fill_between(axes, curve, scale, colour)
+    if between is not None and curve.kind == "envelope":
+        return between
     if curve.kind == "passive":
-        axes.fill(k, curve.damping, color=colour, alpha=SHADES["passive"], lw=0, label="_passive")
-    if curve.kind == "measured":
-        axes.plot(k, curve.damping, lw=1.4, marker=marker, ms=3.4, mew=0, **look)
-        if curve.censored is not None and np.any(curve.censored):
-            where = np.asarray(curve.censored, dtype=bool)
-            open_look: dict[str, Any] = {"mfc": style.PAPER, "mec": colour, "mew": 1.1, "label": "_censored"}
-            axes.plot(k[where], curve.damping[where], ls="none", marker=marker, ms=5, **open_look)
-    else:
+        axes.fill(k, curve.damping, color=colour, alpha=SHADES["passive"], lw=0)
+    if curve.kind != "measured":
         width = THIN if thin and curve.kind == "theory" else LINE_WIDTHS[curve.kind]
-        axes.plot(k, curve.damping, lw=width, **look)
+        return axes.plot(k, curve.damping, lw=width, **look)[0]
+    (line,) = axes.plot(k, curve.damping, lw=1.4, marker=marker, ms=3.4, mew=0, **look)
+    if curve.censored is not None and np.any(curve.censored):
+        where = np.asarray(curve.censored, dtype=bool)
+        hollow: dict[str, Any] = {"mfc": style.PAPER, "mec": colour, "mew": 1.1}
+        axes.plot(k[where], curve.damping[where], ls="none", marker=marker, ms=5, **hollow)
+    return line
 
 
-def _fill_between(axes: Axes, curve: Curve, scale: float, colour: str) -> None:
-    """Fill what lies between the two stiffnesses at each damping."""
-    assert curve.low is not None
-    assert curve.high is not None
+def _fill_between(axes: Axes, curve: Curve, scale: float, colour: str) -> Artist | None:
+    """Fill what lies between the two stiffnesses at each damping, where a curve has them."""
+    if curve.low is None or curve.high is None:
+        return None
     known = np.isfinite(curve.low) & np.isfinite(curve.high)
     low, high, b = curve.low[known] * scale, curve.high[known] * scale, curve.damping[known]
-    label = curve.label if curve.kind == "envelope" else "_open"
     outline = (np.append(low, high[::-1]), np.append(b, b[::-1]))
-    axes.fill(*outline, color=colour, alpha=SHADES[curve.kind], lw=0, label=label)
+    return axes.fill(*outline, color=colour, alpha=SHADES[curve.kind], lw=0, label=curve.label)[0]
 
 
-def legend_entries(curves: Sequence[Curve], largest: float, damping: tuple[float, float]) -> int:
-    """Return how many curves have no room for their label and need a legend; ranges of the axes in SI."""
+def legend_entries(curves: Sequence[Curve], reach: tuple[float, float, float]) -> int:
+    """Return how many curves have no room for their label and need a legend; ``reach`` is that of `canvas.reach`."""
     kinds = {curve.kind for curve in curves}
     shown = [curve for curve in curves if not curve.label.startswith("_")]
     groups = [[curve for curve in shown if curve.kind == kind] for kind in kinds]
-    return sum(len(group) for group in groups if not _label_places(group, largest, damping))
+    return sum(len(group) for group in groups if not _label_places(group, reach[0], reach[1:]))
 
 
 def _label_places(curves: Sequence[Curve], largest: float, damping: tuple[float, float]) -> list[tuple[float, float]]:
@@ -145,47 +144,45 @@ def _label_places(curves: Sequence[Curve], largest: float, damping: tuple[float,
 
 def draw_map(axes: Axes, cost_map: CostMap, criterion: str, scale: float) -> None:
     """Draw the stability boundary, the contour lines of the cost and the optimum as a blue plus."""
-    known = np.isfinite(cost_map.cost)
     _draw_curve(axes, cost_map.boundary, scale, style.INK)
-    if not known.any():
+    if not np.isfinite(cost_map.cost).any():
         axes.text(0.5, 0.5, "no trial with this cost", transform=axes.transAxes, ha="center")
         return
-    levels = _levels(criterion, cost_map.cost[known])
     if criterion == "overshoot":
         calm = cost_map.trial_cost <= NO_OVERSHOOT
         dots(axes, cost_map.trial_stiffness[calm] * scale, cost_map.trial_damping[calm], style.INK, 2.4)
-    if levels.size:
-        shade = [(*to_rgb(style.GREEN), alpha) for alpha in np.linspace(1.0, 0.45, levels.size)]
-        # Whole doublings are drawn heavier: they can be counted, also in grey.
-        wide = np.where(np.arange(levels.size) % LINES_PER_DOUBLING == LINES_PER_DOUBLING - 1, 1.3, 0.8)
-        if criterion == "overshoot":
-            wide = np.where(levels <= NO_OVERSHOOT_LINE, 1.8, 1.0)
-        look: dict[str, Any] = {"levels": levels, "colors": shade, "linewidths": wide}
-        if cost_map.kind == "theory":
-            lines = axes.contour(cost_map.stiffness * scale, cost_map.damping, cost_map.cost, **look)
-            shown = (
-                levels[1::LINES_PER_DOUBLING] if criterion != "overshoot" else levels[levels > NO_OVERSHOOT_LINE][::2]
-            )
-            factor = printed_scale(criterion)
-            axes.clabel(lines, shown[:2], fmt=lambda level: significant(level * factor, 3), fontsize=8.5,
-                        colors=style.INK, inline_spacing=2)  # fmt: skip
-        else:
-            triangles = _triangles(cost_map, known)
-            if triangles is not None:
-                triangles.x = triangles.x * scale
-                axes.tricontour(triangles, cost_map.cost[known], **look)
-    for best, line in ((cost_map.best_damping, "-"), (cost_map.best_stiffness, style.LINES["theory"])):
-        if best is not None:
-            axes.plot(best.stiffness * scale, best.damping, color=style.INK, lw=1.1, ls=line)
-    if cost_map.optimum is not None:
-        axes.plot(
-            cost_map.optimum.stiffness * scale,
-            cost_map.optimum.damping,
-            "+",
-            color=style.BLUE,
-            ms=13,
-            mew=2.4,
-        )
+    _draw_contours(axes, cost_map, criterion, scale)
+    for curve, line in ((cost_map.best_damping, "-"), (cost_map.best_stiffness, style.LINES["theory"])):
+        if curve is not None:
+            axes.plot(curve.stiffness * scale, curve.damping, color=style.INK, lw=1.1, ls=line)
+    best = cost_map.optimum
+    if best is not None:
+        axes.plot(best.stiffness * scale, best.damping, "+", color=style.BLUE, ms=13, mew=2.4)
+
+
+def _draw_contours(axes: Axes, cost_map: CostMap, criterion: str, scale: float) -> None:
+    """Draw lines of equal cost, heavier at whole doublings, which can be counted also in grey; theory has numbers."""
+    known = np.isfinite(cost_map.cost)
+    levels = _levels(criterion, cost_map.cost[known])
+    if not levels.size:
+        return
+    if criterion == "overshoot":
+        wide, labelled = np.where(levels <= NO_OVERSHOOT_LINE, 1.8, 1.0), levels[levels > NO_OVERSHOOT_LINE][::2]
+    else:
+        whole = np.arange(levels.size) % LINES_PER_DOUBLING == LINES_PER_DOUBLING - 1
+        wide, labelled = np.where(whole, 1.3, 0.8), levels[1::LINES_PER_DOUBLING]
+    shade = [(*to_rgb(style.GREEN), alpha) for alpha in np.linspace(1.0, 0.45, levels.size)]
+    look: dict[str, Any] = {"levels": levels, "colors": shade, "linewidths": wide}
+    if cost_map.kind == "theory":
+        lines = axes.contour(cost_map.stiffness * scale, cost_map.damping, cost_map.cost, **look)
+        text: dict[str, Any] = {"fontsize": 8.5, "colors": style.INK, "inline_spacing": 2}
+        factor = printed_scale(criterion)
+        axes.clabel(lines, labelled[:2], fmt=lambda level: significant(level * factor, 3), **text)
+        return
+    triangles = _triangles(cost_map, known)
+    if triangles is not None:
+        triangles.x = triangles.x * scale
+        axes.tricontour(triangles, cost_map.cost[known], **look)
 
 
 def _levels(criterion: str, cost: Floats) -> Floats:
@@ -211,28 +208,22 @@ def draw_front(axes: Axes, cost_map: CostMap, criterion: str, scale: float, top:
     lowest = np.where(np.isfinite(cost_map.cost), cost_map.cost, np.inf).min(axis=0)[known]
     axes.plot(cost_map.stiffness[known] * scale, lowest * factor, color=style.INK, lw=1.3)
     best = cost_map.optimum
-    if best is not None:
-        axes.plot(best.stiffness * scale, best.cost * factor, "+", color=style.BLUE, ms=11, mew=2.2, zorder=5)
-        unit = " %" if criterion == "overshoot" else ""
-        below = best.cost > 0.2 * top  # else the value would collide with the axis
-        axes.annotate(
-            cost_text(criterion, best.cost) + unit,
-            (best.stiffness * scale, best.cost * factor),
-            xytext=(0, -15 if below else 14),
-            textcoords="offset points",
-            ha="left" if best.stiffness * scale < 0.1 * axes.get_xlim()[1] else "center",
-            va="center",
-            color=style.BLUE,
-            fontweight="bold",
-            bbox=style.BEHIND_TEXT,
-        )
+    if best is None:
+        return
+    place = (best.stiffness * scale, best.cost * factor)
+    axes.plot(*place, "+", color=style.BLUE, ms=11, mew=2.2, zorder=5)
+    text = cost_text(criterion, best.cost) + (" %" if criterion == "overshoot" else "")
+    offset = (0, -15 if best.cost > 0.2 * top else 14)  # else the value would collide with the axis
+    look: dict[str, Any] = {"va": "center", "color": style.BLUE, "fontweight": "bold", "bbox": style.BEHIND_TEXT}
+    look["ha"] = "left" if place[0] < 0.1 * axes.get_xlim()[1] else "center"
+    axes.annotate(text, place, offset, "data", textcoords="offset points", **look)
 
 
-def front_top(figure: CostFigure) -> float:
+def front_top(figure: Figure[CostMap]) -> float:
     """Return the upper end of the cost axis of the front views, the same for all maps of a figure."""
     if figure.criterion == "overshoot":
         return OVERSHOOT_RANGE
-    lowest = [float(np.nanmin(m.cost)) for m in figure.maps if np.isfinite(m.cost).any()]
+    lowest = [float(np.nanmin(m.cost)) for m in figure.panels if np.isfinite(m.cost).any()]
     return FRONT_RANGE * max(lowest, default=1.0)
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,8 @@ from pipeline.base.disk import write_text
 from pipeline.base.errors import PipelineError
 from pipeline.base.wording import duration, error_text, unbroken
 from pipeline.records.accuracy import AccuracyReport, own_rungs
-from pipeline.records.results import ReportData
+from pipeline.records.results import ComparisonResult, ReportData
+from pipeline.records.trial_records import NO_TRIALS, TrialPage
 from pipeline.rendering import (
     report_estimates,
     report_figures,
@@ -25,6 +27,38 @@ from pipeline.rendering import (
     report_tables,
 )
 from pipeline.rendering.page_template import fill_template
+from pipeline.rendering.table import Table, footnote, word_table
+
+TABLES: dict[str, Callable[[ComparisonResult, TrialPage], Table | list[Table] | None]] = {
+    "scores": report_scores.score_table,
+    "estimate_scores": report_scores.estimate_score_table,
+    "experiments": report_estimates.experiment_table,
+    "optima": report_tables.optimum_tables,
+    "delay_tables": report_tables.delay_tables,
+    "measured_optima": report_tables.measured_optimum_table,
+    "boundary": report_tables.boundary_table,
+    "methods": report_estimates.method_table,
+    "model": report_estimates.model_table,
+    "outcomes": report_estimates.outcome_table,
+    "windows": report_estimates.window_table,
+    "definitions": report_estimates.definition_table,
+    "missing": report_tables.missing_table,
+    "score_costs": report_scores.cost_score_table,
+    "score_rules": report_scores.rule_score_table,
+}
+"""Tables of a comparison by the names that the templates use."""
+
+PRINTED = tuple(name for name in TABLES if name not in ("score_costs", "score_rules"))
+"""Those that Markdown and LaTeX hold, in this order."""
+
+SEVERAL = ("optima", "delay_tables")
+"""Names that stand for any number of tables."""
+
+ALWAYS = ("missing", "accuracy", "stages", "provenance")
+"""Tables that a reader needs to trust the others: no scene leaves them out."""
+
+PARTS = {"score_costs": "scores", "score_rules": "scores"}
+"""Tables that a scene asks for by the name of another one."""
 
 _DIGEST_SLOT = "digest-of-cells"
 _PARTS_SLOT = "digests-of-parts"
@@ -57,10 +91,10 @@ def render(data: ReportData) -> str:
         trials=trials,
         trials_json=report_scripts.json_text(trials.content) if trials else "",
         plot_style=report_scripts.plot_style() if trials else "",
-        footnote=report_tables.footnote,
+        footnote=footnote,
         energy=any(c.startswith("energy") for c in result.criteria),
         settling=any(c.startswith("settle") for c in result.criteria),
-        **report_figures.drawings(data),
+        figures=report_figures.drawings(data),
         **_tables(data),
     )
     page = unbroken(page)
@@ -101,55 +135,34 @@ def stored_digest(page: str) -> str | None:
     return report_parts.take_apart(page).metas.get(report_parts.CELLS_META)
 
 
+def tables_of(name: str, result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> list[Table]:
+    """Return the tables of `TABLES` by a name; none where there is nothing to say."""
+    found = TABLES[name](result, trials)
+    return found if isinstance(found, list) else [found] if found else []
+
+
 def _tables(data: ReportData) -> dict[str, Any]:
-    result = data.result
-    optima = report_tables.optimum_tables(result, data.trials)
-    provenance = sorted(result.provenance.items())
-    stages = ("stage", "what", "why")
-    found = {
-        "scores": report_scores.score_table(result),
-        "estimate_scores": report_scores.estimate_score_table(result),
-        "score_costs": report_scores.cost_score_table(result),
-        "score_rules": report_scores.rule_score_table(result),
-        "experiments": report_estimates.experiment_table(result) if result.experiments else None,
-        "outcomes": report_estimates.outcome_table(result),
-        "model": report_estimates.model_table(result),
-        "windows": report_estimates.window_table(result),
-        "definitions": report_estimates.definition_table(result, data.trials),
-        "methods": report_estimates.method_table(result),
-        "optima": optima,
-        "measured_optima": report_tables.measured_optimum_table(result, data.trials),
-        "delay_tables": report_tables.delay_tables(result, data.trials),
-        "boundary": report_tables.boundary_table(result, data.trials),
-        "missing": report_tables.missing_table(result),
+    """Return what the templates get: a table or None, or a list for a name that stands for several."""
+    found = {name: tables_of(name, data.result, data.trials or NO_TRIALS) for name in TABLES}
+    rest = {
         "accuracy": _accuracy_table(data.accuracy),
-        "stages": report_tables.word_table("stages", "Plan of stages", stages, data.stages),
-        "provenance": report_tables.word_table("provenance", "Origin", ("entry", "value"), provenance),
+        "stages": word_table("stages", "Plan of stages", ("stage", "what", "why"), data.stages),
+        "provenance": word_table("provenance", "Origin", ("entry", "value"), sorted(data.result.provenance.items())),
     }
-    return found if data.tables is None else {name: _asked(name, shown, data.tables) for name, shown in found.items()}
+    found |= {name: [table] if table else [] for name, table in rest.items()}
+    asked = {name: [table for table in tables if _is_asked(name, table, data.tables)] for name, tables in found.items()}
+    return {name: tables if name in SEVERAL else next(iter(tables), None) for name, tables in asked.items()}
 
 
-ALWAYS = ("missing", "accuracy", "stages", "provenance")
-"""Tables that a reader needs to trust the others: no scene leaves them out."""
+def _is_asked(name: str, table: Table, names: tuple[str, ...] | None) -> bool:
+    own = {table.name} if name in SEVERAL else {table.name, PARTS.get(name, name)}
+    return names is None or bool(own & {*names, *ALWAYS})
 
 
-PARTS = {"score_costs": "scores", "score_rules": "scores"}
-"""Tables that a scene asks for by the name of another one."""
-
-
-def _asked(name: str, shown: Any, names: tuple[str, ...]) -> Any:
-    """Return a table, or a list of tables, without those that are not asked for."""
-    if isinstance(shown, list):
-        return [table for table in shown if table.identifier in names]
-    if shown is None or {shown.identifier, PARTS.get(name, name)} & {*names, *ALWAYS}:
-        return shown
-    return None
-
-
-def _accuracy_table(accuracy: AccuracyReport | None) -> report_tables.Table | None:
+def _accuracy_table(accuracy: AccuracyReport | None) -> Table | None:
     """Error and run time of our own methods, one row a quantity."""
     if accuracy is None:
         return None
     rows = [(r.quantity, r.setting, error_text(r.error), duration(r.seconds)) for r in own_rungs(accuracy)]
     caption = f"Largest error and run time of the methods behind the theory, measured {accuracy.measured}"
-    return report_tables.word_table("accuracy", caption, ("quantity", "method", "largest error", "run time"), rows)
+    return word_table("accuracy", caption, ("quantity", "method", "largest error", "run time"), rows)

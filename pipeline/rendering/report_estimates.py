@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from functools import partial
+from typing import Any
+
 from pipeline.base.wording import counted
 from pipeline.records.models import DRIFTS, Estimate, Motion
 from pipeline.records.results import ComparisonResult, TheoryParameters
-from pipeline.records.trial_records import TrialPage
-from pipeline.rendering.labels import DIGITS, MISSING, UNITS, criterion_label, estimate_texts, significant
-from pipeline.rendering.report_tables import Cell, Head, Table, missing_cell, text_cell
+from pipeline.records.trial_records import NO_TRIALS, TrialPage
+from pipeline.rendering.labels import DIGITS, UNITS, criterion_label, estimate_texts, significant
+from pipeline.rendering.table import Cell, Column, Table, missing, number, words
 
 MAIN = ("delay_samples", "mass", "damping", "implied_delay")
 """Quantities that stand beside the experiments; the others stand in the table of methods only."""
@@ -27,7 +30,7 @@ DRIFT_NOTE = (
 )
 """Stands once below the experiments; how much each estimate drifts is a remark in the table of methods."""
 
-OUTCOME_NAMES = {
+OUTCOMES = {
     "settled": "settled",
     "moving": "still moving",
     "limit_cycle": "limit cycle",
@@ -39,148 +42,146 @@ OUTCOME_NAMES = {
     "no_step": "no step",
 }
 
+TOOLS_NOTE = (
+    "Other tools count from the command edge and take the last sample for the final value; this report counts "
+    "from the first sample that the command can move, and takes x_0 + F_0/K."
+)
 
-def experiment_table(result: ComparisonResult) -> Table:
+_TWO = partial(significant, digits=2)
+_USUAL = partial(significant, digits=DIGITS)
+
+_count = partial(Column, group="trials")
+_median = partial(Column, group="median of the trials", show=_TWO, why="no sensor noise, or no fit")
+
+_MODEL = (
+    words("experiment"),
+    _count("trials", "all"),
+    _count("explained", "explained by the model"),
+    _count("left", "leave its noise band"),
+    _median("misfit"),
+    _median("whiteness", "whiteness p"),
+    _median("ghost", "log \N{MINUS SIGN} simulated loop", "%"),
+)
+
+_METHODS = (
+    words("method"),
+    Column("value"),
+    Column("low"),
+    Column("high"),
+    Column("within", "one trial \N{PLUS-MINUS SIGN}", show=_TWO),
+    Column("spread", show=_TWO),
+    Column("trials", "used"),
+    Column("left_out", "left out"),
+    words("remark"),
+)
+
+_NOT_TOLD = "not settled, or not told by this definition"
+_settling = partial(Column, group="settling time, 2 % [samples]", show="{:.4g}".format, why=_NOT_TOLD)
+_overshoot = partial(Column, group="overshoot [%]", show=lambda share: f"{100 * share:.1f}", why=_NOT_TOLD)
+
+_DEFINITIONS = (
+    words("criterion", "best trial by"),
+    _settling("settle_2pct", "this report"),
+    _settling("settle_matlab_final_value", "MATLAB"),
+    _settling("settle_matlab_peak_error", "MATLAB, peak error"),
+    _settling("settle_python_control", "python-control"),
+    _overshoot("overshoot", "this report"),
+    _overshoot("overshoot_last_sample", "about the last sample"),
+)
+
+
+def experiment_table(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> Table | None:
     """Return trials, verdicts, estimates with 95 % intervals, and theory parameters of each experiment."""
     verdicts = list(dict.fromkeys(v for e in result.experiments for v in e.verdicts))
     quantities = [q for q in MAIN if any(q in e.estimates for e in result.experiments)]
-    theory = any(e.theory for e in result.experiments)
     units = {q: e.estimates[q].unit for e in reversed(result.experiments) for q in e.estimates}
-    heads = [Head("experiment", numeric=False), Head("set-up", numeric=False), Head("all", "trials")]
-    heads += [Head(v, "trials") for v in verdicts]
-    heads += [Head(f"{_name(q)} [{_unit(units[q])}]", "estimated, with 95 % interval") for q in quantities]
-    heads += [Head("theory uses", numeric=False)] if theory else []
-    table = Table("experiments", "Experiments, verdicts on stability and estimated parameters", tuple(heads))
+    columns = [words("experiment"), words("set-up"), Column("trials", "all", group="trials")]
+    columns += [Column(v, group="trials") for v in verdicts]
+    columns += [
+        Column(q, _name(q), _unit(units[q]), "estimated, with 95 % interval", why="not asked for in this scene")
+        for q in quantities
+    ]
+    columns += [words("theory", "theory uses")] if any(e.theory for e in result.experiments) else []
+    table = Table("experiments", "Experiments, verdicts on stability and estimated parameters", columns)
     for e in result.experiments:
-        setup = ", ".join(filter(None, [e.configuration, f"{e.grip} grip" if e.grip != "none" else "no operator"]))
-        cells = [text_cell(e.experiment), text_cell(setup), Cell(str(e.trials))]
-        cells += [Cell(str(e.verdicts.get(v, 0))) for v in verdicts]
-        cells += [_estimate_cell(table, e.estimates.get(q)) for q in quantities]
-        columns = ["experiment", "set-up", "trials", *verdicts, *quantities]
-        if theory:
-            cells.append(_theory_cell(e.theory, result.motion))
-            columns.append("theory")
-        table.add("", e.experiment, columns, cells)
-    return table
+        operator = f"{e.grip} grip" if e.grip != "none" else "no operator"
+        values: dict[str, Any] = {v: e.verdicts.get(v, 0) for v in verdicts}
+        values |= {q: _estimate_cell(table, e.estimates[q]) for q in quantities if q in e.estimates}
+        values |= {"experiment": e.experiment, "trials": e.trials, "theory": _theory_cell(e.theory, result.motion)}
+        values["set-up"] = ", ".join(filter(None, [e.configuration, operator]))
+        table.add(e.experiment, values)
+    return table.filled
 
 
-def outcome_table(result: ComparisonResult) -> Table | None:
+def outcome_table(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> Table | None:
     """Return how many trials ended how, or None where it is not known."""
-    shown = [name for name in OUTCOME_NAMES if any(e.outcomes.get(name) for e in result.experiments)]
-    if not shown:
-        return None
-    heads = (Head("experiment", numeric=False), *(Head(OUTCOME_NAMES[name]) for name in shown))
-    table = Table("outcomes", "What the logs show: number of trials by outcome", heads)
-    for e in result.experiments:
-        cells = [text_cell(e.experiment), *(Cell(str(e.outcomes.get(name, 0))) for name in shown)]
-        table.add("", e.experiment, ("experiment", *shown), cells)
-    return table
+    shown = [name for name in OUTCOMES if any(e.outcomes.get(name) for e in result.experiments)]
+    columns = (words("experiment"), *(Column(name, OUTCOMES[name]) for name in shown))
+    table = Table("outcomes", "What the logs show: number of trials by outcome", columns)
+    for e in result.experiments if shown else ():
+        counts = {name: e.outcomes.get(name, 0) for name in shown}
+        table.add(e.experiment, {"experiment": e.experiment, **counts})
+    return table.filled
 
 
-def model_table(result: ComparisonResult) -> Table | None:
+def model_table(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> Table | None:
     """Return how well the fitted model explains the logs, or None where it was not fitted."""
-    checked = [(e.experiment, e.model_check) for e in result.experiments if e.model_check]
-    if not checked:
-        return None
-    heads = (
-        Head("experiment", numeric=False),
-        *(Head(text, "trials") for text in ("all", "explained by the model", "leave its noise band")),
-        *(
-            Head(text, "median of the trials")
-            for text in ("misfit", "whiteness p", "log \N{MINUS SIGN} simulated loop [%]")
-        ),
-    )
     caption = "Does the model (mass, damping, delay) explain the logs? Misfit is 1 where the sensor explains the errors"
-    table = Table("model", caption, heads)
-    columns = ("experiment", "trials", "explained", "left", "misfit", "whiteness", "ghost")
-    for name, check in checked:
-        counts = [Cell(str(n)) for n in (check.trials, check.explained, check.left)]
-        percent = None if check.ghost is None else 100 * check.ghost
-        numbers = [
-            missing_cell("no sensor noise, or no fit") if x is None else Cell(significant(x, 2))
-            for x in (check.misfit, check.whiteness, percent)
-        ]
-        table.add("", name, columns, [text_cell(name), *counts, *numbers])
-    return table
+    table = Table("model", caption, _MODEL)
+    for e in result.experiments:
+        if e.model_check:
+            percent = None if e.model_check.ghost is None else 100 * e.model_check.ghost
+            table.add(e.experiment, {**dict(e.model_check), "experiment": e.experiment, "ghost": percent})
+    return table.filled
 
 
-def method_table(result: ComparisonResult) -> Table | None:
+def method_table(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> Table | None:
     """Return the estimates by every method, or None where there is none."""
-    numbers = ("value", "low", "high", "one trial \N{PLUS-MINUS SIGN}", "spread", "used", "left out")
-    heads = (Head("method", numeric=False), *(Head(text) for text in numbers), Head("remark", numeric=False))
-    table = Table("methods", "Estimates by method, with 95 % intervals", heads)
-    columns = ("method", "value", "low", "high", "within", "spread", "trials", "left_out", "remark")
+    table = Table("methods", "Estimates by method, with 95 % intervals", _METHODS)
     for e in result.experiments:
         for quantity, best in e.estimates.items():
             if best.value is None and not best.by_method:
                 continue
             for name, value in _methods(best).items():
                 block = f"experiment {e.experiment}: {_name(quantity)} [{_unit(value.unit)}]"
-                table.add(block, f"{e.experiment}/{quantity}/{name}", columns, _method_cells(name, value))
-    return table if table.blocks else None
+                table.add(f"{e.experiment}/{quantity}/{name}", _method_cells(name, value), block)
+    return table.filled
 
 
-def window_table(result: ComparisonResult) -> Table | None:
+def window_table(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> Table | None:
     """Return the mass over the window of the momentum balance, or None where no mass was asked for."""
     shown = [e for e in result.experiments if e.mass_windows]
-    if not shown:
-        return None
-    heads = [Head("window [ms]")]
-    columns = ["window"]
+    columns = [Column("window", unit="ms", show="{:g}".format)]
     for e in shown:
-        heads += [Head(text, f"experiment {e.experiment}") for text in ("mass", "scatter", "trials")]
-        columns += [f"{e.experiment}/{name}" for name in ("mass", "scatter", "trials")]
+        column = partial(Column, group=f"experiment {e.experiment}", why="fewer than two trials allow it")
+        columns += [column(f"{e.experiment}/{name}", name, show=_USUAL) for name in ("mass", "scatter")]
+        columns.append(column(f"{e.experiment}/trials", "trials"))
     unit = UNITS[result.motion].mass
     caption = f"Mass [{unit}] by the momentum balance (6.4) over its window: median and scatter of the trials"
-    table = Table("windows", caption, tuple(heads))
+    table = Table("windows", caption, columns)
     for window in sorted({w.window_s for e in shown for w in e.mass_windows}):
-        cells = [Cell(f"{1e3 * window:g}")]
+        values: dict[str, Any] = {"window": 1e3 * window, **{f"{e.experiment}/trials": 0 for e in shown}}
         for e in shown:
-            found = next((w for w in e.mass_windows if w.window_s == window), None)
-            numbers = (None, None) if found is None else (found.mass, found.scatter)
-            cells += [
-                missing_cell("fewer than two trials allow it") if x is None else Cell(significant(x, DIGITS))
-                for x in numbers
-            ]
-            cells.append(Cell(str(found.trials if found else 0)))
-        table.add("", f"{1e3 * window:g}", columns, cells)
-    return table
+            found = next((dict(w) for w in e.mass_windows if w.window_s == window), {})
+            values |= {f"{e.experiment}/{name}": value for name, value in found.items()}
+        table.add(f"{1e3 * window:g}", values)
+    return table.filled
 
 
-def definition_table(result: ComparisonResult, trials: TrialPage | None = None) -> Table | None:
+def definition_table(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> Table | None:
     """Return the best trials by the definitions of other tools, or None where settling or overshoot is left out."""
-    groups = ("settling time, 2 % [samples]", "overshoot [%]")
-    heads = (
-        Head("best trial by", numeric=False),
-        *(Head(text, groups[0]) for text in ("this report", "MATLAB", "MATLAB, peak error", "python-control")),
-        *(Head(text, groups[1]) for text in ("this report", "about the last sample")),
-    )
-    table = Table("definitions", "The best trials by the definitions of other tools", heads)
-    names = (
-        *("settle_2pct", "settle_matlab_final_value", "settle_matlab_peak_error", "settle_python_control"),
-        *("overshoot", "overshoot_last_sample"),
-    )
+    table = Table("definitions", "The best trials by the definitions of other tools", _DEFINITIONS)
+    table.mark(TOOLS_NOTE)
     for e in result.experiments:
         for best in e.other_definitions:
-            trial = trials.places.get((e.experiment, best.trial_id), "") if trials else ""
-            cells = [text_cell(criterion_label(best.criterion))]
-            for name in names:
-                value = getattr(best, name)
-                percent = name.startswith("overshoot")
-                text = "" if value is None else f"{100 * value:.1f}" if percent else f"{value:.4g}"
-                cells.append(
-                    Cell(text, trial=trial) if text else missing_cell("not settled, or not told by this definition")
-                )
-            table.add(f"experiment {e.experiment}", f"{e.experiment}/{best.criterion}", ("criterion", *names), cells)
-    if not table.blocks:
-        return None
-    table.mark(
-        [
-            "Other tools count from the command edge and take the last sample for the final value; this report counts "
-            "from the first sample that the command can move, and takes x_0 + F_0/K."
-        ]
-    )
-    return table
+            trial = trials.place(e.experiment, best.trial_id)
+            values: dict[str, Any] = {
+                column.name: number(getattr(best, column.name), column.show, column.why, trial=trial)
+                for column in _DEFINITIONS[1:]
+            }
+            values["criterion"] = criterion_label(best.criterion)
+            table.add(f"{e.experiment}/{best.criterion}", values, f"experiment {e.experiment}")
+    return table.filled
 
 
 def _methods(best: Estimate) -> dict[str, Estimate]:
@@ -190,12 +191,19 @@ def _methods(best: Estimate) -> dict[str, Estimate]:
     return {f"{best.method} (used)": best, **dict(ordered)}
 
 
-def _method_cells(name: str, value: Estimate) -> list[Cell]:
-    without = value.reason or "the method gives none"
-    numbers = [Cell(text) if text else missing_cell(without) for text in estimate_texts(value)]
-    errors = [Cell(significant(x, 2)) if x is not None else missing_cell(without) for x in (value.within, value.spread)]
-    counts = [Cell(str(value.trials)), Cell(str(len(value.outliers) + value.refused))]
-    return [text_cell(name.replace("_", " ")), *numbers, *errors, *counts, text_cell(_remark(value))]
+def _method_cells(name: str, value: Estimate) -> dict[str, Any]:
+    why = value.reason or "the method gives none"
+    numbers = (value.value, value.low, value.high)
+    printed = [Cell(x, text) if text else missing(why) for x, text in zip(numbers, estimate_texts(value), strict=True)]
+    return {
+        "method": name.replace("_", " "),
+        **dict(zip(("value", "low", "high"), printed, strict=True)),
+        "within": number(value.within, _TWO, why),
+        "spread": number(value.spread, _TWO, why),
+        "trials": value.trials,
+        "left_out": len(value.outliers) + value.refused,
+        "remark": _remark(value),
+    }
 
 
 def _remark(value: Estimate) -> str:
@@ -216,30 +224,25 @@ def _unit(unit: str) -> str:
     return unit.replace("^2", "\N{SUPERSCRIPT TWO}")
 
 
-def _estimate_cell(table: Table, value: Estimate | None) -> Cell:
-    if value is None:
-        return missing_cell("not asked for in this scene")
+def _estimate_cell(table: Table, value: Estimate) -> Cell:
     if value.value is None:
-        return Cell(MISSING, why=value.reason or "", marks=table.mark([value.reason]))
+        return missing(value.reason or "", marks=table.mark(value.reason))
     text, low, high = estimate_texts(value)
     clauses = (value.warning or "").split("; ")
     others = "; ".join(clause for clause in clauses if not clause.startswith(DRIFTS))
     drift = DRIFT_NOTE if any(clause.startswith(DRIFTS) for clause in clauses) else None
-    marks = table.mark([f"Method: {value.method}.", value.reason, drift, others])
-    return Cell(text, aside=f"{low} to {high}" if low and high else "", marks=marks)
+    marks = table.mark(f"Method: {value.method}.", value.reason, drift, others)
+    return Cell(value.value, text, aside=f"{low} to {high}" if low and high else "", marks=marks)
 
 
 def _theory_cell(theory: TheoryParameters | None, motion: Motion) -> Cell:
     if theory is None:
-        return missing_cell("no theory: its parameters could not be had")
+        return missing("no theory: its parameters could not be had")
     units = UNITS[motion]
-    parts = [
-        f"m = {significant(theory.mass, 3)} {units.mass}",
-        f"b = {significant(theory.damping, 3)} {units.damping}",
-    ]
-    if theory.stiffness:
-        parts.append(f"k = {significant(theory.stiffness, 3)} {units.stiffness}")
-    parts.append(f"d = {significant(theory.delay_samples, 3)}")
+    parts = [("m", theory.mass, f" {units.mass}"), ("b", theory.damping, f" {units.damping}")]
+    parts += [("k", theory.stiffness, f" {units.stiffness}")] if theory.stiffness else []
+    parts.append(("d", theory.delay_samples, ""))
+    texts = [f"{symbol} = {significant(value, 3)}{unit}" for symbol, value, unit in parts]
     # a value and its unit stay on one line
-    text = ", ".join(part.replace(" ", "\N{NO-BREAK SPACE}") for part in parts)
-    return Cell(text, numeric=False, aside=theory.source)
+    text = ", ".join(text.replace(" ", "\N{NO-BREAK SPACE}") for text in texts)
+    return Cell(text, text, numeric=False, aside=theory.source)

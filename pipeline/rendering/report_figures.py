@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, get_args
 
-from pipeline.records.figure_records import BoundaryFigure, CostFigure
+from pipeline.records.figure_records import CostMap, Figure, Limits
+from pipeline.records.models import FigureKind, Motion
 from pipeline.records.results import ReportData
 
 _MARKS = (
@@ -26,29 +27,31 @@ class Drawing:
     key: str
 
 
-def drawings(data: ReportData) -> dict[str, Sequence[Drawing]]:
-    """Return the figures of a report by the names that its templates use; empty where there is nothing to draw."""
-    if not (data.boundaries or data.costs or data.delays or data.responses or data.residuals):
-        names = ("boundary", "cost", "delay", "response", "residual")
-        return {f"{name}_figures": () for name in names}
+def drawings(data: ReportData) -> dict[FigureKind, list[Drawing]]:
+    """Return the figures of a report by their kind; empty where there is nothing to draw."""
+    motion = data.result.motion
+    return {kind: [draw(f, motion) for f in data.figures if f.kind == kind] for kind in get_args(FigureKind)}
+
+
+def draw(figure: Figure[Any], motion: Motion) -> Drawing:
+    """Draw a figure and put the words around it."""
     # matplotlib takes 0.6 s, which a report without figures need not wait for
     from pipeline.rendering import figures, residual_panels, response_drawing
 
-    motion = data.result.motion
-
-    def drawn(figure: Any, panels: tuple[str, ...], key: str = "") -> Drawing:
-        return Drawing(figure.identifier, _title(figure.title), figure.caption, panels, key)
-
-    return {
-        "boundary_figures": [drawn(f, figures.boundaries(f, motion), _line_key(f)) for f in data.boundaries],
-        "cost_figures": [drawn(f, figures.cost_maps(f, motion), _map_key(f)) for f in data.costs],
-        "delay_figures": [drawn(f, figures.delays(f)) for f in data.delays],
-        "response_figures": [drawn(f, response_drawing.response(f, motion)) for f in data.responses],
-        "residual_figures": [drawn(f, residual_panels.residuals(f, motion), _MARKS) for f in data.residuals],
+    kinds: dict[str, tuple[Callable[[Figure[Any], Motion], tuple[str, ...]], Callable[[Figure[Any]], str]]] = {
+        "boundaries": (figures.boundaries, _line_key),
+        "plane": (figures.boundaries, _line_key),
+        "maps": (figures.cost_maps, _map_key),
+        "delay": (figures.delays, lambda _: ""),
+        "response": (response_drawing.responses, lambda _: ""),
+        "residuals": (residual_panels.residuals, lambda _: _MARKS),
     }
+    panels, key = kinds[figure.kind]
+    title = (figure.title[:1].upper() + figure.title[1:]).rstrip(".")  # the page adds a full stop
+    return Drawing(figure.identifier, title, figure.caption, panels(figure, motion), key(figure))
 
 
-def _line_key(figure: BoundaryFigure) -> str:
+def _line_key(figure: Figure[Limits]) -> str:
     """What the lines of a boundary figure mean, as far as it has them."""
     curves = [curve for _, panel in figure.panels for curve in panel]
     kinds = {curve.kind for curve in curves}
@@ -60,7 +63,7 @@ def _line_key(figure: BoundaryFigure) -> str:
     return text.strip()
 
 
-def _map_key(figure: CostFigure) -> str:
+def _map_key(figure: Figure[CostMap]) -> str:
     """What lines and marks of a cost figure mean."""
     overshoot = figure.criterion == "overshoot"
     lines = (
@@ -69,16 +72,11 @@ def _map_key(figure: CostFigure) -> str:
         else "two for each doubling, starting at the optimum"
     )
     curves = ""
-    if any(m.best_damping is not None for m in figure.maps):
+    if any(m.best_damping is not None for m in figure.panels):
         curves = " Lines across: best damping for each stiffness (solid), best stiffness for each damping (dashed)."
-    dots = " and all trials (dots)" if any(m.trial_cost.size for m in figure.maps) else ""
-    calm = " Dots in the map: trials without overshoot." if overshoot and len(figure.maps) > 1 else ""
+    dots = " and all trials (dots)" if any(m.trial_cost.size for m in figure.panels) else ""
+    calm = " Dots in the map: trials without overshoot." if overshoot and len(figure.panels) > 1 else ""
     return (
         f"Outer curve: stability boundary. Green: lines of equal cost, {lines}.{curves} Plus: optimum. "
         f"Below: least cost for each stiffness (line){dots}.{calm}"
     )
-
-
-def _title(text: str) -> str:
-    """Return a title with its first letter raised and without the full stop that the page adds."""
-    return (text[:1].upper() + text[1:]).rstrip(".")

@@ -49,82 +49,6 @@ _ATTEMPTS = 5
 """How often the page is made anew because a report came meanwhile; who writes more often renews the index himself."""
 
 
-@dataclass(frozen=True)
-class Stiffness:
-    """Largest stable stiffness of the first experiment that has one, as text: measured, by theory, deviation."""
-
-    experiment: str
-    measured: str
-    theory: str
-    deviation: str
-    unit: str
-
-
-@dataclass(frozen=True)
-class IndexEntry:
-    """A report, or why nothing can be said of it.
-
-    Parameters
-    ----------
-    page : str
-        File name of the HTML page.
-    title, device, sentence : str
-    experiments : tuple of str
-    trials, warnings : int
-    simulated : bool
-    newest : str
-        When the newest log was written.
-    version, code : str
-        Of the program that made it, and a hash of its source text.
-    stiffness : Stiffness or None
-    problem : str
-        Why the entry holds nothing else; empty where it does.
-    """
-
-    page: str
-    title: str
-    device: str = ""
-    sentence: str = ""
-    experiments: tuple[str, ...] = ()
-    trials: int = 0
-    warnings: int = 0
-    simulated: bool = False
-    newest: str = ""
-    version: str = ""
-    code: str = ""
-    stiffness: Stiffness | None = None
-    problem: str = ""
-
-    @property
-    def shown(self) -> str:
-        """File name as text."""
-        return storable(self.page)
-
-    @property
-    def experiments_text(self) -> str:
-        """Names of the experiments; first, last and number where there are many."""
-        names = self.experiments
-        return ", ".join(names) if len(names) <= MOST_NAMES else f"{names[0]} … {names[-1]} ({len(names)})"
-
-    @property
-    def address(self) -> str:
-        """Relative address of the page, for a link."""
-        return "./" + quote(os.fsencode(self.page))
-
-
-@dataclass(frozen=True)
-class OtherPage:
-    """A page that is no comparison, such as the one on accuracy."""
-
-    page: str
-    title: str
-
-    @property
-    def address(self) -> str:
-        """Relative address of the page, for a link."""
-        return "./" + quote(os.fsencode(self.page))
-
-
 class _Largest(BaseModel):
     measured: float
     theory: float
@@ -143,7 +67,7 @@ class _Experiment(BaseModel):
     scores: tuple[_Score, ...] = ()
 
 
-class _Document(BaseModel):
+class Document(BaseModel):
     """The entries of a `results.ComparisonResult` that the index needs; documents of other versions may lack others."""
 
     device: str
@@ -155,33 +79,82 @@ class _Document(BaseModel):
     warnings: tuple[str, ...] = ()
     provenance: dict[str, Any] = {}
 
+    @property
+    def trials(self) -> int:
+        """Number of trials."""
+        return sum(e.trials for e in self.experiments)
 
-def read_reports(folder: Path) -> tuple[tuple[IndexEntry, ...], tuple[OtherPage, ...]]:
+    @property
+    def names(self) -> str:
+        """Names of the experiments; first, last and number where there are many."""
+        names = [e.experiment for e in self.experiments]
+        return ", ".join(names) if len(names) <= MOST_NAMES else f"{names[0]} … {names[-1]} ({len(names)})"
+
+    @property
+    def newest(self) -> str:
+        """When the newest log was written."""
+        return str(self.provenance.get("log files written", "")).split(" to ")[-1]
+
+    @property
+    def stiffness(self) -> dict[str, str]:
+        """Largest stable stiffness of the first experiment that has one: measured, by theory, deviation."""
+        unit = UNITS[self.motion].stiffness
+        for e in self.experiments:
+            score = e.scores[0].stiffness if e.scores else None
+            if score is not None:
+                return {
+                    "experiment": e.experiment,
+                    "measured": f"{'≥ ' if score.lower_bound else ''}{stiffness_text(score.measured)} {unit}",
+                    "theory": f"{stiffness_text(score.theory)} {unit}",
+                    "deviation": percent_text(score.deviation_percent),
+                }
+        for e in self.experiments:
+            stable = [point.stable for point in e.boundary if point.stable is not None]
+            if stable:
+                return {"experiment": e.experiment, "measured": f"{decimal(max(stable), 0)} {unit}"}
+        return {}
+
+
+@dataclass(frozen=True)
+class IndexEntry:
+    """A page: a report with its document, or why nothing can be said of it (``problem``), or another page."""
+
+    page: str
+    title: str
+    problem: str = ""
+    document: Document | None = None
+
+    @property
+    def shown(self) -> str:
+        """File name as text."""
+        return storable(self.page)
+
+    @property
+    def address(self) -> str:
+        """Relative address of the page, for a link."""
+        return "./" + quote(os.fsencode(self.page))
+
+
+def read_reports(folder: Path) -> tuple[tuple[IndexEntry, ...], tuple[IndexEntry, ...]]:
     """Return the reports of a folder, sorted by title, damaged ones last, and its other pages.
 
     A page (``*.html``) with the JSON document of a comparison beside it is a report. Nothing is written.
     """
-    entries, others = [], []
-    for name in _pages(folder):
-        found = _entry(folder, name)
-        if isinstance(found, IndexEntry):
-            entries.append(found)
-        elif found is not None:
-            others.append(found)
-    entries.sort(key=lambda entry: (bool(entry.problem), entry.title.casefold(), entry.page))
-    return tuple(entries), tuple(others)
+    found = [entry for name in _pages(folder) if (entry := _entry(folder, name)) is not None]
+    reports = [entry for entry in found if entry.document or entry.problem]
+    reports.sort(key=lambda entry: (bool(entry.problem), entry.title.casefold(), entry.page))
+    return tuple(reports), tuple(entry for entry in found if entry not in reports)
 
 
-def render_index(entries: Sequence[IndexEntry], others: Sequence[OtherPage] = ()) -> str:
+def render_index(entries: Sequence[IndexEntry], others: Sequence[IndexEntry] = ()) -> str:
     """Return the index as one HTML document that needs no network and has no scripts."""
-
     page = fill_template(
         "index.html.j2",
         mark=INDEX_MARK,
         entries=[entry for entry in entries if not entry.problem],
         damaged=[entry for entry in entries if entry.problem],
         others=others,
-        trials=sum(entry.trials for entry in entries),
+        trials=sum(entry.document.trials for entry in entries if entry.document),
     )
     return unbroken(page)
 
@@ -249,36 +222,37 @@ def _pages(folder: Path) -> list[str]:
     return sorted(n for n in os.listdir(folder) if n.endswith(".html") and n != INDEX_FILE and not n.startswith("."))
 
 
-def _entry(folder: Path, name: str) -> IndexEntry | OtherPage | None:
+def _entry(folder: Path, name: str) -> IndexEntry | None:
     """Return what a page is; None where it vanished meanwhile."""
     try:
         head, tail = _ends(folder / name)
     except FileNotFoundError:
         return None
     except OSError as error:
-        return IndexEntry(name, "", problem=f"the page cannot be read ({error.strerror})")
+        return IndexEntry(name, "", f"the page cannot be read ({error.strerror})")
     is_report = _REPORT_MARK in head
     title = _title(head)
-    document = name.removesuffix(".html") + ".json"
+    other = IndexEntry(name, title or storable(name))
+    document = storable(name.removesuffix(".html") + ".json")
     try:
-        with open_regular(folder / document) as stream:
+        with open_regular(folder / (name.removesuffix(".html") + ".json")) as stream:
             text = stream.read(LARGEST_DOCUMENT + 1)
     except FileNotFoundError:
-        problem = f"{storable(document)} is missing beside it; make the report again"
-        return IndexEntry(name, title, problem=problem) if is_report else OtherPage(name, title or storable(name))
+        problem = f"{document} is missing beside it; make the report again"
+        return IndexEntry(name, title, problem) if is_report else other
     except OSError as error:
-        return IndexEntry(name, title, problem=f"{storable(document)} cannot be read ({error.strerror})")
+        return IndexEntry(name, title, f"{document} cannot be read ({error.strerror})")
     if len(text) > LARGEST_DOCUMENT:
-        return IndexEntry(name, title, problem=f"{storable(document)} is larger than {LARGEST_DOCUMENT >> 20} MB")
+        return IndexEntry(name, title, f"{document} is larger than {LARGEST_DOCUMENT >> 20} MB")
     try:
-        result = _Document.model_validate_json(text)
+        result = Document.model_validate_json(text)
     except ValidationError as error:
         if not is_report and head:  # a page with another document, such as that on accuracy
-            return OtherPage(name, title or storable(name))
-        return IndexEntry(name, title, problem=f"{storable(document)}: {_why(error)}; make the report again")
+            return other
+        return IndexEntry(name, title, f"{document}: {_why(error)}; make the report again")
     if not is_report or not tail.rstrip().endswith(b"</html>"):
-        return IndexEntry(name, result.title, problem="the page is not complete; make the report again")
-    return _report_entry(name, result)
+        return IndexEntry(name, result.title, "the page is not complete; make the report again")
+    return IndexEntry(name, result.title, document=result)
 
 
 def _ends(path: Path) -> tuple[bytes, bytes]:
@@ -299,36 +273,3 @@ def _why(error: ValidationError) -> str:
     first = error.errors()[0]
     place = ".".join(str(part) for part in first["loc"])
     return f"{place}: {first['msg']}" if place else str(first["msg"])
-
-
-def _report_entry(name: str, result: _Document) -> IndexEntry:
-    written = str(result.provenance.get("log files written", ""))
-    return IndexEntry(
-        page=name,
-        title=result.title,
-        device=result.device,
-        sentence=result.summary[0] if result.summary else "",
-        experiments=tuple(e.experiment for e in result.experiments),
-        trials=sum(e.trials for e in result.experiments),
-        warnings=len(result.warnings),
-        simulated=result.simulated,
-        newest=written.split(" to ")[-1],
-        version=str(result.provenance.get("version", "")),
-        code=str(result.provenance.get("code", "")),
-        stiffness=_stiffness(result),
-    )
-
-
-def _stiffness(result: _Document) -> Stiffness | None:
-    unit = UNITS[result.motion].stiffness
-    for experiment in result.experiments:
-        score = experiment.scores[0].stiffness if experiment.scores else None
-        if score is not None:
-            measured = ("≥ " if score.lower_bound else "") + stiffness_text(score.measured)
-            theory = stiffness_text(score.theory)
-            return Stiffness(experiment.experiment, measured, theory, percent_text(score.deviation_percent), unit)
-    for experiment in result.experiments:
-        stable = [point.stable for point in experiment.boundary if point.stable is not None]
-        if stable:
-            return Stiffness(experiment.experiment, decimal(max(stable), 0), "", "", unit)
-    return None

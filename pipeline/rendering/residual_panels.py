@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 
 from pipeline.base.wording import counted
 from pipeline.records.batch import Floats
-from pipeline.records.figure_records import ResidualFigure, ResidualMap
+from pipeline.records.figure_records import Figure, ResidualMap
 from pipeline.records.models import Motion
 from pipeline.rendering import canvas, panels, style
 from pipeline.rendering.labels import percent_text
@@ -32,31 +32,21 @@ KEY = 34.0
 """Height of the key below the axes [px]."""
 
 
-def residuals(figure: ResidualFigure, motion: Motion = "translation") -> tuple[str, ...]:
-    """Draw residual maps of one criterion, one ``<svg>`` an experiment, on equal axes.
+def residuals(figure: Figure[ResidualMap], motion: Motion = "translation") -> tuple[str, ...]:
+    """Draw residual maps of one criterion on equal axes."""
+    reach = canvas.reach([m.boundary for m in figure.panels])
+    names = canvas.plane_labels(motion, reach)
 
-    Parameters
-    ----------
-    figure : ResidualFigure
-    motion : {"translation", "rotation"}
-        Decides the units on the axes.
-    """
-    reach = canvas.reach([m.boundary for m in figure.maps])
-    result = []
-    with canvas.drawing_of(*SIZE) as drawing:
-        axes = canvas.add_axes(drawing, 52, 44 + KEY, 12, 26)
-        scale = canvas.plane(axes, reach)
-        for index, shown in enumerate(figure.maps):
-            canvas.wipe(drawing)
-            edge = shown.boundary
-            axes.plot(edge.stiffness * scale, edge.damping, color=style.INK, lw=1.2, ls=style.LINES["theory"])
-            _marks(axes, shown.stiffness * scale, shown.damping, _classes(shown.residual, figure.criterion))
-            title = f"{shown.label}: median {departure(shown.median, figure.criterion)}"
-            canvas.frame(axes, canvas.stiffness_label(motion, scale), canvas.damping_label(motion), title=title)
-            _key(axes, figure.criterion)
-            name = f"{figure.identifier}-{index}"
-            result.append(style.svg(drawing, name, f"{figure.title} {shown.label}", _describe(shown, figure.criterion)))
-    return tuple(result)
+    def paint(shown: ResidualMap, axes: Axes) -> tuple[str, str]:
+        scale, edge = canvas.plane(axes, reach), shown.boundary
+        axes.plot(edge.stiffness * scale, edge.damping, color=style.INK, lw=1.2, ls=style.LINES["theory"])
+        _marks(axes, shown.stiffness * scale, shown.damping, _classes(shown.residual, figure.criterion))
+        title = f"{shown.label}: median {departure(shown.median, figure.criterion)}"
+        canvas.frame(axes, *names, title=title)
+        _key(axes, figure.criterion)
+        return f" {shown.label}", _describe(shown, figure.criterion)
+
+    return canvas.draw_panels(figure, SIZE, [(52, 44 + KEY, 12, 26)], paint)
 
 
 def departure(residual: float, criterion: str, places: int = 1) -> str:

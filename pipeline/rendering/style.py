@@ -6,16 +6,12 @@ SVG serves both colour schemes. Output depends on the input only: no date, no ra
 
 from __future__ import annotations
 
-import io
-import re
 from html import escape
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from pipeline.rendering.svg_compact import compact
-from pipeline.rendering.svg_paths import UNIT
+from matplotlib.figure import Figure
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from pipeline.rendering.svg import SEEN, UNIT, Writer
 
 # Colours of Okabe and Ito (2008), told apart by all common kinds of colour blindness; their yellow and black
 # are left out: one vanishes on white, the other on a dark page.
@@ -59,10 +55,10 @@ LINES: dict[str, Any] = {
 }
 
 RC: Any = {
-    "svg.fonttype": "none",  # text stays text: searchable, and in the page's font
-    "svg.hashsalt": "pipeline",  # identifiers depend on the drawing only
     "text.parse_math": False,  # a dollar sign in a name is no formula
-    "path.simplify": False,  # `svg_compact` leaves out what is not seen, of areas and closed lines too
+    "path.simplify_threshold": SEEN,
+    "figure.facecolor": "none",
+    "axes.facecolor": "none",
     "font.size": 11.0,
     "axes.edgecolor": INK,
     "axes.labelcolor": INK,
@@ -85,8 +81,7 @@ RC: Any = {
     "figure.dpi": 72.0,  # one unit of the SVG is one pixel of the layout
 }
 
-_COLOUR = re.compile("|".join(PAGE_COLOURS), re.IGNORECASE)
-_HEAD = (
+HEAD = (
     'font-family="system-ui,\'Helvetica Neue\',Arial,sans-serif" fill="none" stroke-width="10" stroke-linejoin="round"'
 )
 """What holds in a figure unless an element says otherwise."""
@@ -104,15 +99,12 @@ def svg(figure: Figure, identifier: str, title: str, description: str) -> str:
     title, description : str
         Name and content for readers who cannot see the figure; escaped here.
     """
-    buffer = io.StringIO()
-    nothing = {"Date": None, "Creator": None, "Format": None, "Type": None}
-    figure.savefig(buffer, format="svg", transparent=True, metadata=nothing)
-    text = buffer.getvalue()
-    body = _COLOUR.sub(lambda match: PAGE_COLOURS[match[0].lower()], compact(text[text.index("<svg") :], identifier))
-    width, height = figure.get_size_inches() * figure.dpi * UNIT
+    width, height = figure.get_size_inches() * figure.dpi
+    writer = Writer(width, height, identifier, PAGE_COLOURS)
+    figure.draw(writer)
     return (
-        f'<svg viewBox="0 0 {width:.0f} {height:.0f}" role="img" '
-        f'aria-labelledby="{identifier}-title {identifier}-desc" {_HEAD}>'
+        f'<svg viewBox="0 0 {width * UNIT:.0f} {height * UNIT:.0f}" role="img" '
+        f'aria-labelledby="{identifier}-title {identifier}-desc" {HEAD}>'
         f'<title id="{identifier}-title">{escape(title)}</title>'
-        f'<desc id="{identifier}-desc">{escape(description)}</desc>{body}</svg>'
+        f'<desc id="{identifier}-desc">{escape(description)}</desc>{writer.elements()}</svg>'
     )

@@ -9,6 +9,7 @@ import csv
 import io
 import json
 import re
+import unicodedata
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal, get_args
@@ -17,9 +18,9 @@ from urllib.parse import quote
 from pipeline.base.disk import write_text
 from pipeline.base.errors import UsageError
 from pipeline.records.results import ComparisonResult
-from pipeline.rendering import report_estimates, report_scores, report_tables
-from pipeline.rendering.report_tables import Cell, Table, footnote
-from pipeline.rendering.table_values import Value, ValueTable, as_document, value_tables
+from pipeline.rendering.report import PRINTED, tables_of
+from pipeline.rendering.table import Cell, Table, Value, footnote
+from pipeline.rendering.table_values import as_document, value_tables
 
 Format = Literal["csv", "json", "markdown", "latex"]
 FORMATS: tuple[Format, ...] = get_args(Format)
@@ -27,41 +28,30 @@ FORMATS: tuple[Format, ...] = get_args(Format)
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 """First characters by which a spreadsheet takes a cell for a formula."""
 
-_LATEX = {
-    "\\": r"\textbackslash{}",
-    "&": r"\&",
-    "%": r"\%",
-    "$": r"\$",
-    "#": r"\#",
-    "_": r"\_",
-    "{": r"\{",
-    "}": r"\}",
-    "~": r"\textasciitilde{}",
-    "^": r"\textasciicircum{}",
-    "<": r"\textless{}",
-    ">": r"\textgreater{}",
-    '"': r"\textquotedbl{}",
-    "[": "{[}",  # behind a line's end it would begin the argument of \\
-    "]": "{]}",
-    "*": "{*}",  # likewise: \\\\* is a line's end of its own
-    "\N{MINUS SIGN}": "$-$",
-    "\N{EN DASH}": "--",
-    "\N{NO-BREAK SPACE}": "~",
-    "\N{PLUS-MINUS SIGN}": r"$\pm$",
-    "\N{SUPERSCRIPT TWO}": r"\textsuperscript{2}",
-    "\N{GREATER-THAN OR EQUAL TO}": r"$\geq$",
-    "\N{LESS-THAN OR EQUAL TO}": r"$\leq$",
-    "\N{MULTIPLICATION SIGN}": r"$\times$",
-    "\N{DEGREE SIGN}": r"\textdegree{}",
-    "α": r"$\alpha$",
-    "β": r"$\beta$",
-    "γ": r"$\gamma$",
-    "δ": r"$\delta$",
-    "ζ": r"$\zeta$",
-    "ω": r"$\omega$",
-    "“": "``",
-    "”": "''",
-}
+_LATEX = str.maketrans(
+    {
+        **{character: rf"\{character}" for character in "&%$#_{}"},
+        **{character: rf"{{{character}}}" for character in "[]*"},  # behind a line's end they would belong to its \\
+        **{letter: rf"$\{unicodedata.name(letter).split()[-1].lower()}$" for letter in "αβγδζω"},
+        "\\": r"\textbackslash{}",
+        "~": r"\textasciitilde{}",
+        "^": r"\textasciicircum{}",
+        "<": r"\textless{}",
+        ">": r"\textgreater{}",
+        '"': r"\textquotedbl{}",
+        "\N{MINUS SIGN}": "$-$",
+        "\N{EN DASH}": "--",
+        "\N{NO-BREAK SPACE}": "~",
+        "\N{PLUS-MINUS SIGN}": r"$\pm$",
+        "\N{SUPERSCRIPT TWO}": r"\textsuperscript{2}",
+        "\N{GREATER-THAN OR EQUAL TO}": r"$\geq$",
+        "\N{LESS-THAN OR EQUAL TO}": r"$\leq$",
+        "\N{MULTIPLICATION SIGN}": r"$\times$",
+        "\N{DEGREE SIGN}": r"\textdegree{}",
+        "“": "``",
+        "”": "''",
+    }
+)
 """What stands for a character in LaTeX; other letters are UTF-8, which LaTeX reads since 2018."""
 
 _MARKDOWN = re.compile(r"[\\`*_{}\[\]<>|#~$!]")
@@ -107,7 +97,7 @@ def export_tables(result: ComparisonResult, folder: Path, formats: Sequence[Form
         The files written.
     """
     values = value_tables(result)
-    printed = printed_tables(result)
+    printed = [table for name in PRINTED for table in tables_of(name, result)]
     files: dict[str, str] = {}
     if "csv" in formats:
         files |= {f"{_file_name(table.name)}.csv": csv_text(table) for table in values}
@@ -122,27 +112,7 @@ def export_tables(result: ComparisonResult, folder: Path, formats: Sequence[Form
     return tuple(folder / name for name in files)
 
 
-def printed_tables(result: ComparisonResult) -> list[Table]:
-    """Return the tables of the report as printed, without those about its making."""
-    found = [
-        report_scores.score_table(result),
-        report_scores.estimate_score_table(result),
-        report_estimates.experiment_table(result) if result.experiments else None,
-        *report_tables.optimum_tables(result),
-        *report_tables.delay_tables(result),
-        report_tables.measured_optimum_table(result),
-        report_tables.boundary_table(result),
-        report_estimates.method_table(result),
-        report_estimates.model_table(result),
-        report_estimates.outcome_table(result),
-        report_estimates.window_table(result),
-        report_estimates.definition_table(result),
-        report_tables.missing_table(result),
-    ]
-    return [table for table in found if table is not None]
-
-
-def csv_text(table: ValueTable) -> str:
+def csv_text(table: Table) -> str:
     """Return a table as CSV (RFC 4180 with its CR LF, UTF-8).
 
     Numbers have all digits; a cell is empty where a value is missing. A text that a spreadsheet would take for a
@@ -150,8 +120,9 @@ def csv_text(table: ValueTable) -> str:
     """
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\r\n")
-    writer.writerow([guarded(head) for head in table.heads])
-    writer.writerows([[_csv_cell(value) for value in row] for row in table.rows])
+    # names, not printed heads: programs read them
+    writer.writerow([guarded(f"{c.name} [{c.unit}]" if c.unit else c.name) for c in table.columns])
+    writer.writerows([_csv_cell(value) for value in record.values()] for record in table.records)
     return stream.getvalue()
 
 
@@ -182,9 +153,9 @@ def _csv_cell(value: Value) -> str:
 
 def markdown_text(table: Table) -> str:
     """Return a table as GitHub-flavoured Markdown; headings above columns stand in front of the column heads."""
-    heads = [_markdown(f"{h.group}: {h.text}" if h.group else h.text) for h in table.heads]
+    heads = [_markdown(f"{column.group}: {column.head}" if column.group else column.head) for column in table.columns]
     lines = [f"**{_markdown(table.caption)}**", "", _markdown_row(heads)]
-    lines.append(_markdown_row(["---:" if h.numeric else ":---" for h in table.heads]))
+    lines.append(_markdown_row(["---:" if column.numeric else ":---" for column in table.columns]))
     for block, rows in table.blocks:
         if block:
             lines.append(_markdown_row([f"*{_markdown(block)}*", *[""] * (len(heads) - 1)]))
@@ -208,9 +179,9 @@ def _markdown(text: str) -> str:
 
 def latex_text(table: Table) -> str:
     """Return a table as a ``longtable`` with the rules of ``booktabs``; notes stand below it."""
-    count = len(table.heads)
-    heads = " & ".join(_latex(h.text) for h in table.heads) + r" \\"
-    lines = [rf"\begin{{longtable}}{{{''.join('r' if h.numeric else 'l' for h in table.heads)}}}"]
+    count = len(table.columns)
+    heads = " & ".join(_latex(column.head) for column in table.columns) + r" \\"
+    lines = [rf"\begin{{longtable}}{{{''.join('r' if column.numeric else 'l' for column in table.columns)}}}"]
     lines += [rf"\caption{{{_latex(table.caption)}}}\\", r"\toprule", *_latex_groups(table), heads, r"\midrule"]
     lines += [r"\endfirsthead", r"\toprule", heads, r"\midrule", r"\endhead", r"\bottomrule", r"\endfoot"]
     for number, (block, rows) in enumerate(table.blocks):
@@ -245,7 +216,7 @@ def _latex_cell(cell: Cell) -> str:
 def _latex(text: str) -> str:
     # a no-break space is white space to split(), and stays one
     plain = re.sub(r"[^\S\N{NO-BREAK SPACE}]+", " ", text).strip()
-    return "".join(_LATEX.get(character, character) for character in plain)
+    return plain.translate(_LATEX)
 
 
 def _file_name(name: str) -> str:

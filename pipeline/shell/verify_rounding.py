@@ -66,7 +66,7 @@ def same_drawing(a: str, b: str) -> bool:
     Parameters
     ----------
     a, b : str
-        ``<svg>`` elements as `svg_compact` writes them, which counts in tenths of a pixel.
+        ``<svg>`` elements as `rendering.svg` writes them, which counts in tenths of a pixel.
     """
     first, second = _PATH.findall(a), _PATH.findall(b)
     if len(first) != len(second) or not _same_frame(_PATH.sub("", a), _PATH.sub("", b)):
