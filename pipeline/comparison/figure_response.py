@@ -85,7 +85,7 @@ def _figure(stages: ExperimentStages, motion: Motion) -> Figure[Response] | None
         f"Right, the beginning: the position first changes at t_obs = {decimal(1e3 * observed * sampling_period_s, 3)} "
         "ms, so that the delay lies in the shaded sampling period (6.3). In the manner of Fig. 6.2."
     )
-    response = Response(
+    data = Response(
         batch.time[0, :rows] - batch.time[0, edge],
         batch.displacement[0, :rows],
         batch.command[0, :rows],
@@ -94,7 +94,7 @@ def _figure(stages: ExperimentStages, motion: Motion) -> Figure[Response] | None
         float(batch.step[0] / batch.stiffness[0]),
         period,
     )
-    return Figure("response", "first-response", "Step response", " ".join(words), (response,))
+    return Figure("response", "first-response", "Step response", " ".join(words), (data,))
 
 
 def softest(stiffness: Floats, damping: Floats, stable: Booleans) -> np.ndarray:
