@@ -30,6 +30,7 @@ from pipeline.measured.stages import STAGES
 from pipeline.measured.verdict import judge
 from pipeline.records import groups
 from pipeline.records.groups import LENGTHS, TrialGroups, group_trials, padded_length
+from pipeline.shell import console
 from pipeline.shell.cli import run as run_cli
 from pipeline.store.devices import load_device
 from pipeline.store.ingest import ingest
@@ -266,23 +267,21 @@ def test_an_archive_is_compared_without_writing_into_it(lab, tmp_path, monkeypat
 
 
 def no_space(*_):
-    raise OSError(errno.ENOSPC, "No space left on device")
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
 def test_a_full_disk_is_named_by_the_file(lab, tmp_path, monkeypatch, capsys, one_process):
     archive = copy_store(lab, tmp_path / "archive")
     monkeypatch.setattr(disk, "os", full := FailingOs())
-    monkeypatch.setattr(
-        full, "write", lambda *_: (_ for _ in ()).throw(OSError(errno.ENOSPC, "No space left on device"))
-    )
+    monkeypatch.setattr(full, "write", no_space)
+    monkeypatch.setattr(console, "_drop_output", lambda: None)
     with pytest.raises(OSError, match="No space") as caught:
         write_text(tmp_path / "a.json", "{}")
     assert "a.json" in caught.value.filename
     with pytest.raises(SystemExit) as ended:
         run_cli(["compare", "--device", "falcon", "--criteria", "overshoot", "--processed", str(archive)])
     assert ended.value.code == 1
-    assert "stages" in (said := capsys.readouterr().err)
-    assert "response.parquet" in said
+    assert f"Error: {archive}" in (said := capsys.readouterr().err)
     assert "standard output" not in said
 
 
