@@ -168,13 +168,9 @@ def test_choosing_criterion_and_experiment_changes_plane_key_and_response(browse
 def test_figures_of_the_scripts_follow_the_colour_scheme(browser: Any, measured: Path) -> None:
     pictures = "[...document.querySelectorAll('#explorer canvas')].map((canvas) => canvas.toDataURL())"
     with Opened(browser, measured) as page:
-        light = page.evaluate(pictures)
+        assert page.evaluate(f"(window.light = {pictures}).length") == 2
         page.emulate_media(color_scheme="dark")
-        page.wait_for_timeout(100)
-        dark = page.evaluate(pictures)
-        assert len(light) == len(dark) == 2
-        assert light[0] != dark[0]
-        assert light[1] != dark[1]
+        until(page, f"{pictures}.every((picture, index) => picture !== window.light[index])")
 
 
 def test_keyboard_reaches_every_control_and_moves_in_the_plane(browser: Any, measured: Path) -> None:
