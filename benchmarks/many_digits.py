@@ -77,7 +77,7 @@ class Energies:
         self.forms = [forms(gamma, delta, offset, time) for offset, (time, _) in zip(offsets, parts, strict=False)]
 
     def costs(self, alpha: float, beta: float, signal: str, radius: float) -> dict[str, float]:
-        """Return the six costs of `pipeline.theory.energy.energy_costs` for one point of a given spectral radius."""
+        """Return the costs of `pipeline.theory.cost.energy.energy_costs` for one point of a given spectral radius."""
         samples = int(EXPONENT / (-2 * math.log(radius))) + 40 * (self.whole + 2)
         products, squares = self._sums(alpha, beta, signal, samples)
         stiffness = mp.mpf(alpha) + mp.mpf(self.gamma)

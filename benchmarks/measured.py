@@ -40,8 +40,8 @@ Result = TypeVar("Result")
 
 def simulate_trials(file: Path, trials: int, rows: int, jitter: bool) -> None:
     """Write trials of Falcon experiment 1 at (K, B) drawn from the range that the thesis tested."""
+    from pipeline.devices.devices import load_device
     from pipeline.simulation.simulate import setup_of, simulate
-    from pipeline.store.devices import load_device
 
     device = load_device("falcon")
     setup = replace(setup_of(device, device.experiments[0]), rows=rows)
@@ -55,15 +55,18 @@ def simulate_trials(file: Path, trials: int, rows: int, jitter: bool) -> None:
 
 def compute(file: Path) -> dict[str, Any]:
     """Return processor time [s] of each function, wall time [s] of all, and peak memory [MiB] of this process."""
-    from pipeline.measured import costs, damping, delay, fit, friction, mass, onset, outcome, step_metrics, verdict
-    from pipeline.measured.boundary_band import boundary_band
-    from pipeline.measured.cost_intervals import overshoot_interval, settling_interval
-    from pipeline.measured.energy_intervals import energy_interval
-    from pipeline.measured.ghost import simulate_ghost
-    from pipeline.measured.reading_error import reading_error
-    from pipeline.measured.response import find_response
-    from pipeline.measured.stage_columns import BALANCE_TERMS
-    from pipeline.measured.stage_given import WINDOWS_S
+    from pipeline.measured.cost import costs, step_metrics
+    from pipeline.measured.cost.cost_intervals import overshoot_interval, settling_interval
+    from pipeline.measured.cost.energy_intervals import energy_interval
+    from pipeline.measured.cost.reading_error import reading_error
+    from pipeline.measured.device import damping, delay, friction, mass, onset
+    from pipeline.measured.experiment.boundary_band import boundary_band
+    from pipeline.measured.experiment.stage_columns import BALANCE_TERMS
+    from pipeline.measured.experiment.stage_given import WINDOWS_S
+    from pipeline.measured.fit import fit
+    from pipeline.measured.fit.ghost import simulate_ghost
+    from pipeline.measured.signal import outcome, verdict
+    from pipeline.measured.signal.response import find_response
     from pipeline.records.batch import TrialBatch
 
     with np.load(file) as stored:

@@ -41,7 +41,7 @@ STAGES = """
 import json, sys, time
 from pathlib import Path
 began = time.perf_counter()
-from pipeline.comparison.scene import needed_stages, open_scene
+from pipeline.comparison.scene.scene import needed_stages, open_scene
 data = open_scene("falcon", Path(sys.argv[1]), ["1"], None)
 imported = time.perf_counter()
 for of in data.experiments:

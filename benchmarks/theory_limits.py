@@ -15,14 +15,14 @@ from pathlib import Path
 import numpy as np
 from timing import fastest, once, run
 
+from pipeline.loop.loop import Loop
 from pipeline.studies.accuracy.theory_ladders import reference
-from pipeline.theory.energy import WEIGHTS, energy_costs
-from pipeline.theory.extent import damping_range
-from pipeline.theory.loop import Loop
-from pipeline.theory.region import is_inside, stiffness_limit
-from pipeline.theory.stability import spectral_radius
+from pipeline.theory.cost.energy import WEIGHTS, energy_costs
+from pipeline.theory.stability.extent import damping_range
+from pipeline.theory.stability.region import is_inside, stiffness_limit
+from pipeline.theory.stability.stability import spectral_radius
 
-TESTS = Path(__file__).parents[1] / "tests"
+TESTS = Path(__file__).parents[1] / "tests" / "support"
 """Holds `independent`: the second methods of the tests."""
 
 NYQUIST = float(np.pi**2)

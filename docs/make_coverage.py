@@ -15,11 +15,11 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.measured.fit import Fit, fit_trials
-from pipeline.measured.response import find_response
+from pipeline.devices.devices import find_experiment, load_device
+from pipeline.measured.fit.fit import Fit, fit_trials
+from pipeline.measured.signal.response import find_response
 from pipeline.records.batch import Booleans, Floats, TrialBatch
 from pipeline.simulation.simulate import MassSpringDamper, Setup, in_force, setup_of, simulate, spectral_radius
-from pipeline.store.devices import find_experiment, load_device
 
 TRIALS = 1000
 SEED = 5

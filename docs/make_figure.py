@@ -7,23 +7,23 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.comparison.boundary_curves import theory_curve
-from pipeline.measured.aggregate import choose_optimum, estimate_delay
-from pipeline.measured.boundary import measured_boundary
-from pipeline.measured.costs import WEIGHTS, energy
-from pipeline.measured.delay import first_change
-from pipeline.measured.onset import motion_onset, rounded
-from pipeline.measured.response import find_response
-from pipeline.measured.verdict import judge
+from pipeline.comparison.figures.boundary_curves import theory_curve
+from pipeline.devices.devices import load_device
+from pipeline.measured.cost.costs import WEIGHTS, energy
+from pipeline.measured.device.delay import first_change
+from pipeline.measured.device.onset import motion_onset, rounded
+from pipeline.measured.experiment.aggregate import choose_optimum, estimate_delay
+from pipeline.measured.experiment.boundary import measured_boundary
+from pipeline.measured.signal.response import find_response
+from pipeline.measured.signal.verdict import judge
 from pipeline.records.figure_records import CostMap, Curve, Figure
 from pipeline.records.models import Optimum
 from pipeline.records.results import TheoryParameters
-from pipeline.rendering import figures
-from pipeline.rendering.svg import UNIT
+from pipeline.rendering.figures import figures
+from pipeline.rendering.figures.svg import UNIT
 from pipeline.simulation.course import Course, run_course
-from pipeline.store.devices import load_device
-from pipeline.theory.maps import cost_maps
-from pipeline.theory.optimum import optimal_point
+from pipeline.theory.cost.maps import cost_maps
+from pipeline.theory.optimum.optimum import optimal_point
 from pipeline.theory.predictions import Theory
 
 FILE = Path(__file__).parent / "img" / "cost-map.svg"

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from pipeline.comparison.compare import Outcome, compare
-from pipeline.measured.stages import ExperimentStages
+from pipeline.devices.devices import load_device
+from pipeline.ingest.ingest import ingest
+from pipeline.measured.experiment.stages import ExperimentStages
 from pipeline.records.models import Device
 from pipeline.simulation.course import Course, run_course, write_course
-from pipeline.store.devices import load_device
-from pipeline.store.ingest import ingest
 from pipeline.store.storage import read_trials
 
 

@@ -53,7 +53,7 @@ def digest_all(parts: Iterable[str]) -> str:
 @cache
 def _modules() -> Mapping[str, Path]:
     """Return the file of each module by its name, which is unique but for those of the readers."""
-    files = [path for path in PACKAGE_FOLDER.glob("*/*.py") if path.parent.name != "readers"]
+    files = [path for path in PACKAGE_FOLDER.rglob("*.py") if not {"readers", "studies"} & set(path.parts)]
     return {path.stem: path for path in files}
 
 

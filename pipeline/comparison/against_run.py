@@ -12,15 +12,15 @@ from pipeline import __version__
 from pipeline.base.errors import UsageError
 from pipeline.base.provenance import code_digest
 from pipeline.comparison.against import Trials, compare_pair
-from pipeline.comparison.boundary_curves import measured_curve
 from pipeline.comparison.compare_experiment import estimated_theories, experiment_result, motion_of, nominal_theories
-from pipeline.comparison.figure_boundaries import plane_figure
-from pipeline.comparison.scene import SceneData, open_scene
+from pipeline.comparison.figures.boundary_curves import measured_curve
+from pipeline.comparison.figures.figure_boundaries import plane_figure
+from pipeline.comparison.scene.scene import SceneData, open_scene
 from pipeline.records.against_records import AgainstResult, PairDifference, Side
 from pipeline.records.figure_records import Figure, Limits
 from pipeline.records.models import BoundaryPoint, Estimate, Optimum, Record
 from pipeline.records.results import ComparisonResult, ExperimentResult
-from pipeline.rendering.report_against import AgainstPage
+from pipeline.rendering.report.report_against import AgainstPage
 from pipeline.theory.predictions import Theory
 
 STAGES_CODE = ("stages", "stage_columns", "estimates", "aggregate", "against", "against_run")

@@ -11,9 +11,10 @@ from pydantic import ValidationError
 from pipeline.base.disk import write_text
 from pipeline.base.provenance import code_digest, digest
 from pipeline.comparison.compare_experiment import estimated_theories, experiment_result, motion_of, nominal_theories
-from pipeline.comparison.figure_data import FigureBuilder, requests_of_delay_figure
-from pipeline.comparison.origin import log_list, provenance, request
-from pipeline.comparison.scene import (
+from pipeline.comparison.figures.figure_data import FigureBuilder, requests_of_delay_figure
+from pipeline.comparison.figures.trial_data import trial_page
+from pipeline.comparison.scene.origin import log_list, provenance, request
+from pipeline.comparison.scene.scene import (
     LEAVE_OUT,
     REUSE,
     RUN,
@@ -23,21 +24,20 @@ from pipeline.comparison.scene import (
     open_scene,
     plan_measured,
 )
-from pipeline.comparison.scene_parts import plan_parts
-from pipeline.comparison.scores import add_scores
+from pipeline.comparison.scene.scene_parts import plan_parts
+from pipeline.comparison.scores.scores import add_scores
 from pipeline.comparison.stage_pool import compute_stages
-from pipeline.comparison.summary import summarise
-from pipeline.comparison.summary_warnings import warnings_of
+from pipeline.comparison.summary.summary import summarise
+from pipeline.comparison.summary.summary_warnings import warnings_of
 from pipeline.comparison.tables_d import TableBuilder
-from pipeline.comparison.trial_data import trial_page
 from pipeline.records import accuracy as measured_accuracy
 from pipeline.records.models import Shown
 from pipeline.records.results import (
     ComparisonResult,
     ReportData,
 )
-from pipeline.rendering.report import write as write_report
-from pipeline.rendering.report_scripts import page_files
+from pipeline.rendering.report.report import write as write_report
+from pipeline.rendering.report.report_scripts import page_files
 from pipeline.theory.predictions import THEORY_CODE, Predictions, Theory
 
 REPORT_CODE = (

@@ -5,18 +5,18 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 
-from pipeline.comparison.boundary_curves import too_late
-from pipeline.comparison.implied_delay import implied_delay
-from pipeline.comparison.implied_slope import DeviceParameters
-from pipeline.comparison.scene import SceneData, needed_stages
-from pipeline.measured.boundary_band import boundary_area
-from pipeline.measured.estimates import with_model_delay
-from pipeline.measured.stage_given import standard_error
-from pipeline.measured.stages import STAGES, ExperimentStages
+from pipeline.comparison.figures.boundary_curves import too_late
+from pipeline.comparison.scene.scene import SceneData, needed_stages
+from pipeline.comparison.scores.implied_delay import implied_delay
+from pipeline.comparison.scores.implied_slope import DeviceParameters
+from pipeline.loop.loop import LARGEST_DELAY
+from pipeline.measured.experiment.boundary_band import boundary_area
+from pipeline.measured.experiment.estimates import with_model_delay
+from pipeline.measured.experiment.stage_given import standard_error
+from pipeline.measured.experiment.stages import STAGES, ExperimentStages
 from pipeline.records.models import Estimate, Experiment, Motion, Optimum
 from pipeline.records.results import ExperimentResult, MassWindow, OtherDefinitions, TheoryParameters
 from pipeline.rendering.labels import UNITS, Units
-from pipeline.theory.loop import LARGEST_DELAY
 from pipeline.theory.predictions import Theory
 
 

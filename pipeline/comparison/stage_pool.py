@@ -10,7 +10,7 @@ from pathlib import Path
 import pyarrow as pa
 
 from pipeline.base.process_pool import process_pool
-from pipeline.measured.stages import STAGES, ExperimentStages
+from pipeline.measured.experiment.stages import STAGES, ExperimentStages
 from pipeline.store.storage import read_trials
 
 LARGE = 1000

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from pipeline.comparison.scene import SceneData
-from pipeline.measured.stages import ExperimentStages
+from pipeline.comparison.scene.scene import SceneData
+from pipeline.devices.published import find
+from pipeline.measured.experiment.stages import ExperimentStages
 from pipeline.records.models import CRITERIA, SETTLING_BANDS, ComparisonRow, Optimum, Shown, TableLayout
 from pipeline.records.results import ExperimentResult
-from pipeline.store.published import find
 from pipeline.theory.predictions import Prediction, Predictions, Request, Theory
 
 DEFAULT_CRITERIA = ("settle_2pct", "overshoot", "energy_step_w0", "energy_step_w1", "energy_step_w2")

@@ -1,4 +1,4 @@
-"""How delimited text is laid out: the part of a profile that `pipeline.readers.delimited` reads by."""
+"""How delimited text is laid out: the part of a profile that `pipeline.readers.formats.delimited` reads by."""
 
 from __future__ import annotations
 

@@ -25,6 +25,6 @@ Reader = Callable[[Profile, Sequence[RawLog], bool], list[Outcome]]
 
 def reader_of(profile: Profile) -> Reader:
     """Return the reader of a profile's format."""
-    module: Any = import_module(f"pipeline.readers.{'native' if profile.format == 'native' else 'mapping'}")
+    module: Any = import_module(f"pipeline.readers.{'formats.native' if profile.format == 'native' else 'mapping'}")
     read: Reader = module.read
     return read

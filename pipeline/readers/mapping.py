@@ -82,7 +82,7 @@ def read(profile: Profile, raws: Sequence[RawLog], use_threads: bool) -> list[tu
 
 def format_module(profile: Profile) -> Any:
     """Return the module that reads a profile's format, with ``read_frame`` and ``list_columns``."""
-    return import_module(f"pipeline.readers.{MODULES.get(profile.format, profile.format)}")
+    return import_module(f"pipeline.readers.formats.{MODULES.get(profile.format, profile.format)}")
 
 
 def read_frames(profile: Profile, raw: RawLog) -> list[Frame]:

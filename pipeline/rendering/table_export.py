@@ -18,7 +18,7 @@ from urllib.parse import quote
 from pipeline.base.disk import write_text
 from pipeline.base.errors import UsageError
 from pipeline.records.results import ComparisonResult
-from pipeline.rendering.report import PRINTED, tables_of
+from pipeline.rendering.report.report import PRINTED, tables_of
 from pipeline.rendering.table import Cell, Table, Value, footnote
 from pipeline.rendering.table_values import as_document, value_tables
 

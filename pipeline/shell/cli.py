@@ -49,7 +49,7 @@ def application(word: str | None = None) -> typer.Typer:
     app.callback()(_main)
     for name in [word] if word in COMMANDS else COMMANDS:
         module, attribute = COMMANDS[name]
-        part = getattr(import_module(f"pipeline.shell.{module}"), attribute)
+        part = getattr(import_module(f"pipeline.shell.commands.{module}"), attribute)
         if isinstance(part, typer.Typer):
             app.add_typer(part, name=name)
         else:

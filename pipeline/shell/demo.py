@@ -10,14 +10,14 @@ from pathlib import Path
 
 from pipeline.base.errors import PipelineError
 from pipeline.comparison.compare import compare
+from pipeline.devices.devices import load_device
+from pipeline.ingest.ingest import ingest
+from pipeline.loop.loop import Normalised
 from pipeline.records.results import ComparisonResult
 from pipeline.rendering.labels import UNITS
-from pipeline.rendering.report_index import INDEX_FILE, write_index
+from pipeline.shell.report_index import INDEX_FILE, write_index
 from pipeline.simulation.course import run_course, write_course
-from pipeline.store.devices import load_device
-from pipeline.store.ingest import ingest
-from pipeline.theory.loop import Normalised
-from pipeline.theory.stability import boundary
+from pipeline.theory.stability.stability import boundary
 
 SEED = 1
 """Seed of the demo's logs; any would do."""

@@ -20,13 +20,13 @@ import numpy as np
 from pipeline import __version__
 from pipeline.base.disk import TEMPORARY_ENDING, write_text
 from pipeline.base.errors import ParameterError, PipelineError, UsageError
-from pipeline.measured.verdict import judge as judge_log
+from pipeline.devices.devices import find_experiment
+from pipeline.measured.signal.verdict import judge as judge_log
 from pipeline.records.batch import Floats, Integers, TrialBatch
 from pipeline.records.models import Device, Experiment
 from pipeline.records.native import NativeHeader, format_header
 from pipeline.simulation.procedure import AT_ZERO_STIFFNESS, Climb, Strings
 from pipeline.simulation.simulate import MassSpringDamper, Setup, idealise, setup_of, simulate, spectral_radius
-from pipeline.store.devices import find_experiment
 from pipeline.store.names import place_of
 
 COLUMNS_AHEAD = 6

@@ -18,9 +18,9 @@ from typing import Protocol
 import numpy as np
 
 from pipeline.base.errors import ParameterError
+from pipeline.loop.plant import Flow, flow
 from pipeline.records.batch import Floats, Integers, TrialBatch
 from pipeline.records.models import Device, Experiment
-from pipeline.theory.plant import Flow, flow
 
 START_MARGIN = 1.1
 """Smallest travel limit relative to the distance of the start: noise must not end a trial where it starts."""

@@ -14,7 +14,7 @@ from matplotlib.ticker import LogLocator, MaxNLocator
 
 from pipeline.base.wording import power_of_ten
 from pipeline.records.batch import Floats
-from pipeline.rendering import style
+from pipeline.rendering.figures import style
 from pipeline.rendering.labels import decimal
 from pipeline.studies.figure import Area, Contours, Note, Panel, TheoryFigure, Trace
 

@@ -22,7 +22,7 @@ class Trace:
     x, y : float64, shape (n,)
         NaN interrupts the line.
     colour : str
-        Name of a colour of `pipeline.rendering.style`, in small letters.
+        Name of a colour of `pipeline.rendering.figures.style`, in small letters.
     dash : {"solid", "dashed", "dashdot", "dotted", "none"}
     label : str
         Entry of the legend; none where empty.

@@ -1,7 +1,7 @@
 """Numbers behind the theory commands: costs of listed points, boundaries and optima as documents.
 
 All parameters are normalised (Table 3.1). What cannot be computed is None, with the reason beside it.
-`pipeline.theory.theory_map` makes maps of the same costs.
+`pipeline.theory.cost.theory_map` makes maps of the same costs.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 
 from pipeline.base.errors import ParameterError
+from pipeline.loop.loop import Loop
 from pipeline.records.batch import Floats
-from pipeline.theory.loop import Loop
-from pipeline.theory.optimum import COST_CRITERIA, POLE_CRITERIA, optimal_point
-from pipeline.theory.pointcosts import point_costs_by_name
-from pipeline.theory.rules import POINT_CRITERIA, marked_point
-from pipeline.theory.stability import boundary, spectral_radius, stable_by_radius
-from pipeline.theory.transient import LONGEST
+from pipeline.theory.cost.pointcosts import point_costs_by_name
+from pipeline.theory.cost.transient import LONGEST
+from pipeline.theory.optimum.optimum import COST_CRITERIA, POLE_CRITERIA, optimal_point
+from pipeline.theory.optimum.rules import POINT_CRITERIA, marked_point
+from pipeline.theory.stability.stability import boundary, spectral_radius, stable_by_radius
 
 CASE_COLUMNS = ("alpha", "beta", "gamma", "delta", "delay")
 ENERGIES = {signal: tuple(f"energy_{signal}_w{w}" for w in (0, 1, 2)) for signal in ("step", "impulse")}

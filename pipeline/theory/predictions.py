@@ -19,11 +19,11 @@ from pipeline.base.disk import if_writable, write_text
 from pipeline.base.process_pool import process_pool
 from pipeline.base.provenance import code_digest, digest
 from pipeline.base.seal import sealed_json, unsealed_json
+from pipeline.loop.loop import Loop, Normalised
 from pipeline.records.results import TheoryParameters
-from pipeline.theory.loop import Loop, Normalised
-from pipeline.theory.optimum import optimal_point
-from pipeline.theory.search import OptimalPoint
-from pipeline.theory.stability import Boundary, boundary
+from pipeline.theory.optimum.optimum import optimal_point
+from pipeline.theory.optimum.search import OptimalPoint
+from pipeline.theory.stability.stability import Boundary, boundary
 
 THEORY_CODE = (
     *("plant", "loop", "stability", "branches", "region", "energy", "lagsums", "chain", "transient", "poles"),

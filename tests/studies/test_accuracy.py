@@ -23,7 +23,7 @@ from report_data import report_data
 from pipeline.base.wording import duration, error_text
 from pipeline.records import accuracy
 from pipeline.records.accuracy import OURS, AccuracyReport, Rung, Sweep
-from pipeline.rendering import report as comparison_report
+from pipeline.rendering.report import report as comparison_report
 from pipeline.studies.accuracy import libraries, methods, page, rungs, searches, sweeps, theory_advice
 from pipeline.studies.accuracy.names import words
 from pipeline.studies.accuracy.run import left_out, measure

@@ -11,11 +11,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from independent import radius_by_polynomial, simulate
+from places import SHARED
 from typer.testing import CliRunner
 
 from pipeline.base.errors import ParameterError, UsageError
+from pipeline.devices.human_arm import human_arms
+from pipeline.loop.loop import Loop
 from pipeline.shell.cli import app
-from pipeline.store.human_arm import human_arms
 from pipeline.studies import drawing
 from pipeline.studies.figure import Note, Panel, TheoryFigure, Trace
 from pipeline.studies.thesis import figures, jumps
@@ -24,10 +26,8 @@ from pipeline.studies.thesis.curves import cost_grid, plain_loop
 from pipeline.studies.thesis.jumps import first_settling_jump, largest_overshoot_jump
 from pipeline.studies.thesis.outline import outline, outline_in
 from pipeline.studies.thesis.responses import extrema, response
-from pipeline.theory.loop import Loop
-from pipeline.theory.stability import is_stable
+from pipeline.theory.stability.stability import is_stable
 
-SHARED = Path(__file__).parents[3] / "shared"
 QUICK = ("3.5", "3.6", "3.7", "3.8", "3.9", "3.10", "3.11", "4.1", "4.2", "4.3", "5.1", "5.2", "5.11")
 """Figures that take less than half a second or so each; together they use all kinds of content."""
 

@@ -10,15 +10,15 @@ import pytest
 
 import pipeline.studies.thesis.tables as module
 from pipeline.base.errors import ParameterError
+from pipeline.devices.published_theory import THEORY_TABLES, PublishedPoint, published_points
+from pipeline.loop.loop import Loop
 from pipeline.shell.cli import run
 from pipeline.shell.console import table
-from pipeline.store.published_theory import THEORY_TABLES, PublishedPoint, published_points
 from pipeline.studies.thesis.table_text import document, summary_line, table_lines
 from pipeline.studies.thesis.tables import FLAT, LIMIT, MARKS, ROUNDING, Entry, TheoryRow, count_marks, recompute
-from pipeline.theory.energy import energy_costs
-from pipeline.theory.loop import Loop
-from pipeline.theory.search import where_stable
-from pipeline.theory.stability import boundary
+from pipeline.theory.cost.energy import energy_costs
+from pipeline.theory.optimum.search import where_stable
+from pipeline.theory.stability.stability import boundary
 
 
 def printed(criterion: str, table: str, gamma: float = 0.0, delta: float = 0.0) -> PublishedPoint:

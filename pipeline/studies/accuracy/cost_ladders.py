@@ -7,10 +7,10 @@ from functools import cache, partial
 
 import numpy as np
 
-from pipeline.measured import costs, step_metrics
-from pipeline.measured.cost_intervals import overshoot_interval
-from pipeline.measured.energy_intervals import energy_interval
-from pipeline.measured.reading_error import reading_error
+from pipeline.measured.cost import costs, step_metrics
+from pipeline.measured.cost.cost_intervals import overshoot_interval
+from pipeline.measured.cost.energy_intervals import energy_interval
+from pipeline.measured.cost.reading_error import reading_error
 from pipeline.studies.accuracy.names import COMPLETE, LARGEST, SETTLE, WHOLE, nth
 from pipeline.studies.accuracy.rungs import Ladder, Method, Values, mean
 from pipeline.studies.accuracy.truth import SLOWEST_COST, USUAL_ROWS, Trials, draw_trials, truth_of

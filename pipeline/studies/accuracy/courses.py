@@ -9,9 +9,9 @@ from typing import Literal
 
 import numpy as np
 
-from pipeline.measured.aggregate import choose_optimum
-from pipeline.measured.boundary import measured_boundary
-from pipeline.measured.boundary_band import boundary_area, boundary_band
+from pipeline.measured.experiment.aggregate import choose_optimum
+from pipeline.measured.experiment.boundary import measured_boundary
+from pipeline.measured.experiment.boundary_band import boundary_area, boundary_band
 from pipeline.records.accuracy import Rung
 from pipeline.records.batch import Booleans, Floats, Integers
 from pipeline.records.models import BoundaryPoint
@@ -22,7 +22,7 @@ from pipeline.studies.accuracy.jitter import jitter_limit
 from pipeline.studies.accuracy.names import AREA, LIMITS, nth
 from pipeline.studies.accuracy.rungs import best_time
 from pipeline.studies.accuracy.truth import Trials, Truth, truth_of
-from pipeline.theory.search import OptimalPoint
+from pipeline.theory.optimum.search import OptimalPoint
 
 COURSES = 5
 """Simulated courses of each size; the error is the largest of them."""

@@ -10,7 +10,7 @@ from typing import Any
 from pipeline.base.disk import write_text
 from pipeline.base.wording import duration, error_text
 from pipeline.records.accuracy import OURS, WRONG, AccuracyReport, Advice, MeasuredAccuracy, Rung, Sweep
-from pipeline.rendering.page_template import fill_template
+from pipeline.rendering.report.page_template import fill_template
 from pipeline.studies.accuracy.figures import SIZE, Look, ladder, sweep
 from pipeline.studies.accuracy.measured_advice import MOST_MISSING, WANTED, error_of, minutes, percent
 from pipeline.studies.accuracy.names import AREA, RECOMMENDED, words

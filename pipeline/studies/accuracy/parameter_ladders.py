@@ -7,11 +7,13 @@ from functools import cache, partial
 
 import numpy as np
 
-from pipeline.measured import damping, delay, fit, friction, mass, onset, verdict
-from pipeline.measured.combine import combine
-from pipeline.measured.mass import WINDOW_S
-from pipeline.measured.onset import WINDOWS, OnsetDelays
-from pipeline.measured.stage_columns import BALANCE_TERMS
+from pipeline.measured.device import damping, delay, friction, mass, onset
+from pipeline.measured.device.mass import WINDOW_S
+from pipeline.measured.device.onset import WINDOWS, OnsetDelays
+from pipeline.measured.experiment.combine import combine
+from pipeline.measured.experiment.stage_columns import BALANCE_TERMS
+from pipeline.measured.fit import fit
+from pipeline.measured.signal import verdict
 from pipeline.records.accuracy import Rung
 from pipeline.records.batch import Floats, TrialBatch
 from pipeline.simulation.simulate import simulate

@@ -9,15 +9,15 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from pipeline.loop.loop import LARGEST_DELAY, Loop
 from pipeline.records.accuracy import OURS, WRONG, Sweep
 from pipeline.records.batch import Booleans, Floats
 from pipeline.studies.accuracy import libraries, methods
 from pipeline.studies.accuracy.methods import Case, transfer_by
 from pipeline.studies.accuracy.rungs import FAILURES, largest
 from pipeline.studies.accuracy.theory_ladders import case_of, loop_of, own_energies, own_plant, reference
-from pipeline.theory.loop import LARGEST_DELAY, Loop
-from pipeline.theory.region import is_inside
-from pipeline.theory.stability import is_stable, spectral_radius
+from pipeline.theory.stability.region import is_inside
+from pipeline.theory.stability.stability import is_stable, spectral_radius
 
 PLANT_SWEEPS = ("gamma", "gamma_damped", "critical", "delta")
 RADIUS_SWEEPS = ("delay", "resonant")

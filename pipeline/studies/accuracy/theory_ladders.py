@@ -13,18 +13,18 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.loop.loop import Loop
+from pipeline.loop.plant import flow
 from pipeline.records.accuracy import OURS, reference_file
 from pipeline.records.batch import Floats
 from pipeline.studies.accuracy import libraries, methods, searches
 from pipeline.studies.accuracy.rungs import Ladder, Method, Values
-from pipeline.theory.energy import energy_costs
-from pipeline.theory.loop import Loop
-from pipeline.theory.maps import cost_maps
-from pipeline.theory.optimum import optimal_point
-from pipeline.theory.plant import flow
-from pipeline.theory.region import region, stiffness_limit
-from pipeline.theory.stability import spectral_radius
-from pipeline.theory.transient import transient_costs
+from pipeline.theory.cost.energy import energy_costs
+from pipeline.theory.cost.maps import cost_maps
+from pipeline.theory.cost.transient import transient_costs
+from pipeline.theory.optimum.optimum import optimal_point
+from pipeline.theory.stability.region import region, stiffness_limit
+from pipeline.theory.stability.stability import spectral_radius
 
 BAND = 0.02
 """Settling band of the ladder; that of the reference values."""

@@ -11,19 +11,19 @@ from functools import cached_property
 
 import numpy as np
 
-from pipeline.measured.response import Response, find_response
-from pipeline.measured.verdict import Verdicts, judge
+from pipeline.devices.devices import find_experiment, load_device
+from pipeline.loop.loop import Loop, Normalised
+from pipeline.measured.signal.response import Response, find_response
+from pipeline.measured.signal.verdict import Verdicts, judge
 from pipeline.records.batch import Floats, TrialBatch
 from pipeline.records.models import Device, Experiment
 from pipeline.simulation.simulate import Setup, setup_of, simulate
-from pipeline.store.devices import find_experiment, load_device
-from pipeline.theory.extent import damping_range
-from pipeline.theory.loop import Loop, Normalised
-from pipeline.theory.optimum import optimal_point
-from pipeline.theory.pointcosts import point_costs_by_name
-from pipeline.theory.region import stiffness_limit
-from pipeline.theory.search import OptimalPoint
-from pipeline.theory.stability import spectral_radius
+from pipeline.theory.cost.pointcosts import point_costs_by_name
+from pipeline.theory.optimum.optimum import optimal_point
+from pipeline.theory.optimum.search import OptimalPoint
+from pipeline.theory.stability.extent import damping_range
+from pipeline.theory.stability.region import stiffness_limit
+from pipeline.theory.stability.stability import spectral_radius
 
 AREA_POINTS = 20001
 """Points of the integral of the limit over B: trapezoids err by 1e-6, a hundredth of any error that is measured."""

@@ -7,18 +7,18 @@ from functools import lru_cache
 
 import numpy as np
 
+from pipeline.loop.loop import Loop
 from pipeline.records.batch import Floats
 from pipeline.records.models import SETTLING_BANDS
 from pipeline.studies.figure import Area, Panel, Trace
 from pipeline.studies.thesis.outline import outline
-from pipeline.theory.curves import Curve, best_damping, best_stiffness
-from pipeline.theory.energy import energy_costs
-from pipeline.theory.extent import damping_range, stiffest_point
-from pipeline.theory.loop import Loop
-from pipeline.theory.poles import damping_ratio
-from pipeline.theory.region import is_inside
-from pipeline.theory.stability import spectral_radius
-from pipeline.theory.transient import transient_costs
+from pipeline.theory.cost.energy import energy_costs
+from pipeline.theory.cost.poles import damping_ratio
+from pipeline.theory.cost.transient import transient_costs
+from pipeline.theory.optimum.curves import Curve, best_damping, best_stiffness
+from pipeline.theory.stability.extent import damping_range, stiffest_point
+from pipeline.theory.stability.region import is_inside
+from pipeline.theory.stability.stability import spectral_radius
 
 ALPHA, BETA, DELAY = "stiffness α", "damping β", "delay factor d"
 """Labels of axes."""

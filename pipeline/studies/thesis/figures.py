@@ -18,7 +18,7 @@ from pipeline.studies.figure import Panel, TheoryFigure
 from pipeline.studies.thesis import maps, passivity, relations, stability, steps
 from pipeline.studies.thesis.curves import plain_loop
 from pipeline.studies.thesis.relations import IMPULSE, STEP
-from pipeline.theory.optimum import optimal_point
+from pipeline.theory.optimum.optimum import optimal_point
 
 DELAYS = (0.0, 1.0)
 """Delay factors of the maps."""

@@ -11,10 +11,10 @@ from functools import lru_cache
 import numpy as np
 
 from pipeline.base.errors import ParameterError
-from pipeline.theory.curves import best_damping
-from pipeline.theory.extent import stiffest_point
-from pipeline.theory.loop import Loop
-from pipeline.theory.optimum import optimal_point
+from pipeline.loop.loop import Loop
+from pipeline.theory.optimum.curves import best_damping
+from pipeline.theory.optimum.optimum import optimal_point
+from pipeline.theory.stability.extent import stiffest_point
 
 _SWEEP = 40
 """Stiffnesses behind the optimum at which the curve is looked at first."""

@@ -7,14 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from pipeline.loop.loop import Loop
 from pipeline.records.batch import Floats
 from pipeline.studies.figure import Contours, Note, Panel, Trace, mark
 from pipeline.studies.thesis import curves
 from pipeline.studies.thesis.jumps import Jump, first_settling_jump, largest_overshoot_jump
-from pipeline.theory.loop import Loop
-from pipeline.theory.optimum import optimal_point
-from pipeline.theory.poles import pole_settling_time
-from pipeline.theory.search import OptimalPoint
+from pipeline.theory.cost.poles import pole_settling_time
+from pipeline.theory.optimum.optimum import optimal_point
+from pipeline.theory.optimum.search import OptimalPoint
 
 _SETTLING_STEP = 5.0
 """Samples between two contour lines of Fig. 5.4."""

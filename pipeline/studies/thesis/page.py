@@ -7,7 +7,7 @@ from pathlib import Path
 
 from pipeline import __version__
 from pipeline.base.disk import write_text
-from pipeline.rendering.page_template import fill_template
+from pipeline.rendering.report.page_template import fill_template
 from pipeline.studies.drawing import draw
 from pipeline.studies.figure import TheoryFigure
 

@@ -6,14 +6,19 @@ from dataclasses import replace
 
 import numpy as np
 
+from pipeline.loop.loop import Loop
 from pipeline.records.batch import Floats
 from pipeline.studies.figure import Area, Panel, Trace
 from pipeline.studies.thesis.curves import ALPHA, BETA, DELAY, outline_trace
 from pipeline.studies.thesis.outline import Window, outline_in
 from pipeline.studies.thesis.stability import DELAY_SWEEP, DELTA, FAMILY, GAMMA
-from pipeline.theory.extent import maximum_stiffness, stiffest_point
-from pipeline.theory.loop import Loop
-from pipeline.theory.passivity import boundary_angle, maximum_passive_stiffness, passive_boundary, passive_to_stable
+from pipeline.theory.stability.extent import maximum_stiffness, stiffest_point
+from pipeline.theory.stability.passivity import (
+    boundary_angle,
+    maximum_passive_stiffness,
+    passive_boundary,
+    passive_to_stable,
+)
 
 SPRINGS = 41
 """Springs of Fig. 4.5, evenly from 0 to the Nyquist limit (4.15)."""

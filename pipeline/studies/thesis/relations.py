@@ -7,13 +7,19 @@ from dataclasses import replace
 
 import numpy as np
 
+from pipeline.loop.loop import Loop
 from pipeline.records.batch import Floats
 from pipeline.studies.figure import Note, Panel, Trace, mark
 from pipeline.studies.thesis import curves
-from pipeline.theory.extent import damping_range, stiffest_point
-from pipeline.theory.loop import Loop
-from pipeline.theory.optimum import optimal_point
-from pipeline.theory.rules import approximation_error, critical_damping, marked_point, optimal_cost, optimal_damping
+from pipeline.theory.optimum.optimum import optimal_point
+from pipeline.theory.optimum.rules import (
+    approximation_error,
+    critical_damping,
+    marked_point,
+    optimal_cost,
+    optimal_damping,
+)
+from pipeline.theory.stability.extent import damping_range, stiffest_point
 
 DELAYS = np.arange(9.0)
 STEP = tuple(f"energy_step_w{w}" for w in (0, 1, 2))

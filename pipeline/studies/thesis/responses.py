@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.base.errors import ParameterError
+from pipeline.loop.loop import Loop
 from pipeline.records.batch import Floats
-from pipeline.theory.loop import Loop
 
 _MOST_POINTS = 1 << 22
 """Points of one response; more would take seconds and tell nothing."""

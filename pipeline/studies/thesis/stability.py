@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from pipeline.devices.human_arm import human_arms
+from pipeline.loop.loop import Loop
 from pipeline.records.batch import Floats
-from pipeline.store.human_arm import human_arms
 from pipeline.studies.figure import Note, Panel, Trace
 from pipeline.studies.thesis.curves import ALPHA, BETA, DELAY, outline_trace, plane
 from pipeline.studies.thesis.outline import outline_in
-from pipeline.theory.extent import damping_range, linear_error_crossings, maximum_stiffness, stiffest_point
-from pipeline.theory.loop import Loop
+from pipeline.theory.stability.extent import damping_range, linear_error_crossings, maximum_stiffness, stiffest_point
 
 GAMMA, DELTA = 0.001, 0.02
 """Upper ends of the parameter range (3.17)."""

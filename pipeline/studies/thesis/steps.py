@@ -11,7 +11,7 @@ from pipeline.studies.figure import Panel, Trace, mark
 from pipeline.studies.thesis.curves import plain_loop
 from pipeline.studies.thesis.jumps import Jump, first_settling_jump, largest_overshoot_jump
 from pipeline.studies.thesis.responses import Response, extrema, response
-from pipeline.theory.optimum import optimal_point
+from pipeline.theory.optimum.optimum import optimal_point
 
 TIME, POSITION = "time [samples]", "position χ"
 BAND = 0.02

@@ -21,13 +21,13 @@ from typing import Literal
 import numpy as np
 
 from pipeline.base.process_pool import process_pool
-from pipeline.store.published_theory import THEORY_TABLES, PrintedNumber, PublishedPoint, published_points
+from pipeline.devices.published_theory import THEORY_TABLES, PrintedNumber, PublishedPoint, published_points
+from pipeline.loop.loop import Loop
 from pipeline.studies.thesis.curves import point_cost
-from pipeline.theory.energy import energy_costs
-from pipeline.theory.loop import Loop
-from pipeline.theory.optimum import impulse_energy_limit, optimal_point
-from pipeline.theory.rules import POINT_CRITERIA, marked_point, scaling_factor
-from pipeline.theory.search import where_stable
+from pipeline.theory.cost.energy import energy_costs
+from pipeline.theory.optimum.optimum import impulse_energy_limit, optimal_point
+from pipeline.theory.optimum.rules import POINT_CRITERIA, marked_point, scaling_factor
+from pipeline.theory.optimum.search import where_stable
 
 Mark = Literal["equal", "within", "erratum", "unexplained"]
 

@@ -1,0 +1,138 @@
+"""Curves of the boundary figures: measured and theoretical limits, conditions beside them, and what estimates allow."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pipeline.loop.loop import LARGEST_DELAY
+from pipeline.records.figure_records import Curve
+from pipeline.records.models import Estimate
+from pipeline.records.results import ExperimentResult, TheoryParameters
+from pipeline.theory.predictions import Theory
+from pipeline.theory.stability.passivity import boundary_angle, passive_boundary
+
+PASSIVE_POINTS = 40
+"""Points of the curved part of a passive region: no chord is off by a pixel."""
+
+SEEN = 0.01
+"""Width of a passive region, relative to that of the stable one, from which it is more than a dot: three pixels."""
+
+
+def theory_curve(theory: Theory, label: str, kind: str = "theory") -> Curve:
+    """Return the theoretical boundary in physical units, closed along K = -k."""
+    border, units = theory.boundary, theory.units
+    stiffness = np.append(border.alpha, -theory.loop.gamma) * units.stiffness
+    damping = np.append(border.beta, border.beta[-1]) * units.damping
+    return Curve(label, kind, stiffness, damping)
+
+
+def measured_curve(result: ExperimentResult, label: str = "", *, open_ends: bool = False) -> Curve:
+    """Return the measured boundary: the last stable stiffness at each damping, 0 where none was stable.
+
+    Parameters
+    ----------
+    result : ExperimentResult
+    label : str
+        The experiment's name where it is not given.
+    open_ends : bool
+        Whether the curve has its intervals: those of 95 % by the growth rates where there are any, else from the last
+        stable to the first unstable trial.
+    """
+    stable = [p.stable is not None for p in result.boundary]
+    # dampings without a stable trial beside those with one close the curve; further ones tell nothing
+    points = [p for i, p in enumerate(result.boundary) if any(stable[max(i - 1, 0) : i + 2])]
+    both = [(p.low, p.high) if None not in (p.low, p.high) else (p.stable, p.unstable) for p in points]
+    low, high = (np.array([ends[side] for ends in both], dtype=np.float64) for side in (0, 1))
+    return Curve(
+        label or f"experiment {result.experiment}",
+        "measured",
+        np.array([p.stable or 0.0 for p in points]),
+        np.array([p.damping for p in points]),
+        np.array([float(p.censored) for p in points]),
+        low if open_ends else None,
+        high if open_ends else None,
+    )
+
+
+def linear_curve(theory: Theory) -> Curve:
+    """Return the linear condition K = (b + B)/t_r up to the largest stable stiffness (3.25)."""
+    p = theory.parameters
+    effective_delay = (p.delay_samples + 0.5) * p.sampling_period_s
+    stiffness = np.array([0.0, 0.6 * theory.boundary.alpha_max * theory.units.stiffness])
+    return Curve("linear condition (3.25)", "linear", stiffness, stiffness * effective_delay - p.damping)
+
+
+def passive_curve(theory: Theory) -> Curve | None:
+    """Return the outline of the passive region (4.12), or None where there is none that can be seen.
+
+    Nothing is passive with a device without damping, and with little damping the region is a dot beside the stable one.
+
+    Source: Hulin 2017, eqs. 4.8, 4.10 and 4.12.
+    """
+    p = theory.parameters
+    if p.damping <= 0:
+        return None
+    angle = np.linspace(0.0, boundary_angle(p.delay_samples), PASSIVE_POINTS)
+    kappa, eta = passive_boundary(p.delay_samples, angle)
+    if kappa.max() * p.damping / p.sampling_period_s < SEEN * theory.boundary.alpha_max * theory.units.stiffness:
+        return None
+    # the straight part leads from the angle 0 to B = -b, and K = 0 back to the other end
+    stiffness = np.concatenate([[0.0], kappa, [0.0]]) * p.damping / p.sampling_period_s
+    damping = np.concatenate([[-1.0], eta, [-1.0]]) * p.damping
+    return Curve("passive region (4.12)", "passive", stiffness, damping)
+
+
+def bound_curve(result: ExperimentResult) -> Curve | None:
+    """Return the linear upper bound that a measured boundary shows (as (6.5)), or None where it shows none.
+
+    Source: Hulin 2017, eq. 6.5.
+    """
+    bound = next((scores.bound for scores in result.scores if scores.bound is not None), None)
+    if bound is None:
+        return None
+    damping = np.array([bound.damping_low, bound.damping_high])
+    return Curve("linear upper bound", "bound", bound.stiffness - bound.slope * damping, damping)
+
+
+def envelope_curve(result: ExperimentResult) -> Curve | None:
+    """Return the band of theory that the intervals of the estimates leave open, or None without its score."""
+    band = next((scores.band for scores in result.scores if scores.band is not None), None)
+    if band is None:
+        return None
+    damping, low, high = (np.array(values) for values in (band.damping, band.low, band.high))
+    return Curve("band of the estimates", "envelope", high, damping, None, low, high)
+
+
+def too_late(delay: Estimate) -> bool:
+    """Return whether a delay, or what its interval leaves open, is longer than theory is computed for."""
+    return max(value for value in (delay.value, delay.high, 0.0) if value is not None) > LARGEST_DELAY
+
+
+def estimated_theory(result: ExperimentResult, nominal: Theory | None, sampling_period_s: float) -> Theory | None:
+    """Return the theory by the estimates of an experiment; None where one of them has no value or is `too_late`.
+
+    A damping below zero counts as zero: the theory asks for delta >= 0. The stiffness, which is not estimated, is
+    that of the nominal theory.
+    """
+    mass, damping, delay = (result.estimates[name].value for name in ("mass", "damping", "delay_samples"))
+    if mass is None or damping is None or delay is None or too_late(result.estimates["delay_samples"]):
+        return None
+    return Theory(
+        TheoryParameters(
+            mass=mass,
+            damping=max(damping, 0.0),
+            stiffness=nominal.parameters.stiffness if nominal else 0.0,
+            sampling_period_s=sampling_period_s,
+            delay_samples=max(delay, 0.0),
+            source="estimates of this experiment",
+        )
+    )
+
+
+def normalised(curve: Curve, theory: Theory) -> Curve:
+    """Return a curve in alpha and beta, with the units of a theory.
+
+    Source: Hulin 2017, Table 3.1.
+    """
+    k, b = theory.units.stiffness, theory.units.damping
+    return Curve(curve.label, curve.kind, curve.stiffness / k, curve.damping / b, curve.censored)

@@ -1,0 +1,216 @@
+"""Figures of stability boundaries: without and with operator, over delay, from estimates, and normalised.
+
+Source: Hulin 2017, secs. 6.1.3 and 6.2.3.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+from pipeline.comparison.figures.boundary_curves import (
+    bound_curve,
+    envelope_curve,
+    estimated_theory,
+    linear_curve,
+    measured_curve,
+    normalised,
+    passive_curve,
+    theory_curve,
+)
+from pipeline.comparison.scene.scene import SceneData
+from pipeline.records.figure_records import Curve, Figure, Limits
+from pipeline.records.models import Experiment
+from pipeline.records.results import ExperimentResult, TheoryParameters
+from pipeline.rendering.labels import UNITS
+from pipeline.theory.predictions import Theory
+
+
+def boundary_figures(
+    data: SceneData, theories: Mapping[str, Theory], results: Sequence[ExperimentResult]
+) -> tuple[Figure[Limits], ...]:
+    """Return the boundary figures of a scene.
+
+    Without and with operator (Figs. 6.3, 6.4) or over delay (Fig. 6.9), then from the estimates, then all experiments
+    in the normalised plane.
+    """
+    builder = _Builder(data, theories, results)
+    figures: list[Figure[Limits] | None] = []
+    figures += [builder.delay()] if data.scene.delay_sweep else [builder.free(), builder.operator()]
+    figures.append(builder.estimates())
+    shown = [(f"experiment {r.experiment}", r, theories[r.experiment]) for r in results if r.experiment in theories]
+    if len(shown) > 1:
+        figures.append(plane_figure(shown, predicted=data.scene.shown.has_overlay("theory")))
+    return tuple(figure for figure in figures if figure is not None)
+
+
+def plane_figure(entries: Sequence[tuple[str, ExperimentResult, Theory]], *, predicted: bool = True) -> Figure[Limits]:
+    """Return measured boundaries of experiments, also of several devices, in the plane of alpha and beta.
+
+    Parameters
+    ----------
+    entries : sequence of (str, ExperimentResult, Theory)
+        Label, result, and the theory whose mass and sampling period normalise it.
+    predicted : bool
+        Whether the boundaries of these theories stand beside.
+
+    Source: Hulin 2017, Table 3.1 (alpha = K T^2/m, beta = B T/m).
+    """
+    measured = []
+    for label, result, theory in entries:
+        full = f"{label} (d = {theory.loop.delay:.3g}, δ = {theory.loop.delta:.2g})"
+        measured.append(normalised(measured_curve(result, full), theory))
+    theories = [normalised(theory_curve(theory, "_theory"), theory) for _, _, theory in entries if predicted]
+    return Figure(
+        "plane",
+        "boundaries-normalised",
+        "Boundaries in the normalised plane",
+        f"Measured boundaries{' and theory' if predicted else ''} in α = K T²/m and β = B T/m. Curves that differ in "
+        "mass or sampling period alone coincide here; what still differs is due to delay, to the relative damping "
+        "δ = b T/m, or to what the model does not hold.",
+        (("", (*measured, *theories)),),
+        theory_label="theory (same colour)",
+    )
+
+
+@dataclass(frozen=True)
+class _Builder:
+    """What all boundary figures of a scene are made of."""
+
+    data: SceneData
+    theories: Mapping[str, Theory]
+    results: Sequence[ExperimentResult]
+
+    @property
+    def predicted(self) -> bool:
+        """Whether the scene asks for theory beside the measured curves."""
+        return self.data.scene.shown.has_overlay("theory")
+
+    def free(self) -> Figure[Limits] | None:
+        """Experiments without operator, with theory for each delay that the device file names (Fig. 6.3)."""
+        free = [r for r in self.results if r.grip == "none" and r.experiment in self.theories]
+        if not free or self.data.device is None:
+            return None
+        values = list(dict.fromkeys((p.mass, p.damping, p.stiffness) for p in (self._own(r) for r in free)))
+        first = self.theories[free[0].experiment]
+        conditions = (linear_curve(first), passive_curve(first), _first(bound_curve(r) for r in free))
+        curves = (*(measured_curve(r) for r in free), *self._over_delays(free, values), *filter(None, conditions))
+        m, b, k = values[0]
+        units = UNITS["rotation" if self.data.experiments[0].rotation else "translation"]
+        others = ", ".join(f"{other[1]:g}" for other in values[1:])
+        beside = (
+            f" Theory for m = {m:g} {units.mass}, b = {b:g} {units.damping}, k = {k:g} {units.stiffness} and the delay "
+            f"factors at the curves{f'; thin dots: the same with b = {others} {units.damping}' if others else ''}."
+        )
+        return Figure(
+            "boundaries",
+            "boundaries-free",
+            "Stability boundaries without operator",
+            f"Measured: last stable stiffness at each damping.{beside if self.predicted else ''} "
+            "In the manner of Fig. 6.3.",
+            (("", curves),),
+            theory_label=f"theory, b = {b:g}",
+        )
+
+    def _own(self, result: ExperimentResult) -> TheoryParameters:
+        return self.theories[result.experiment].parameters
+
+    def _over_delays(
+        self, free: Sequence[ExperimentResult], values: Sequence[tuple[float, float, float]]
+    ) -> Iterator[Curve]:
+        """Theory for each delay that is asked for or named in the device file, thin with further parameters."""
+        experiments = {e.name: e for e in self.data.device.experiments} if self.data.device else {}
+        named = {d for r in free if r.experiment in experiments for d in _delays(experiments[r.experiment])}
+        template = self._own(free[0])
+        for index, (m, b, k) in enumerate(values):
+            for number, d in enumerate(sorted(self.data.scene.shown.delays or named) or [template.delay_samples]):
+                changed = {"mass": m, "damping": b, "stiffness": k, "delay_samples": float(d)}
+                label = f"d = {d:g}" if index == 0 else f"theory, b = {b:g}" if number == 0 else "_"
+                theory = Theory(template.model_copy(update=changed))
+                yield theory_curve(theory, label, "band" if index else "theory")
+
+    def operator(self) -> Figure[Limits] | None:
+        """One panel a configuration, one curve a grip (Fig. 6.4)."""
+        held = [r for r in self.results if r.grip != "none" and r.experiment in self.theories]
+        if not held:
+            return None
+        panels = []
+        for configuration in dict.fromkeys(r.configuration for r in held):
+            shown = [r for r in self.results if r.configuration == configuration and r.experiment in self.theories]
+            curves = [measured_curve(r, f"experiment {r.experiment}, {_grip(r.grip)}") for r in shown]
+            curves += [theory_curve(self.theories[r.experiment], f"theory, {_grip(r.grip)}") for r in shown]
+            panels.append((configuration, tuple(curves)))
+        return Figure(
+            "boundaries",
+            "boundaries-operator",
+            "Influence of the operator on the stability boundary",
+            f"Measured{' and theoretical' if self.predicted else ''} boundaries for each grip"
+            f"{', theory with the parameters of each experiment' if self.predicted else ''}. "
+            "In the manner of Fig. 6.4.",
+            tuple(panels),
+        )
+
+    def delay(self) -> Figure[Limits]:
+        """Theory beside measurement for each delay (Fig. 6.9)."""
+        theory = [
+            theory_curve(self.theories[r.experiment], f"d = {self.theories[r.experiment].parameters.delay_samples:g}")
+            for r in self.results
+            if r.experiment in self.theories
+        ]
+        measured = [measured_curve(r, r.experiment) for r in self.results]
+        panels = [("theory", tuple(theory))] if theory else []
+        return Figure(
+            "boundaries",
+            "boundaries-delay",
+            "Influence of delay on the stability boundary",
+            f"{'Theory left, measured right,' if theory and self.predicted else 'Measured,'} for each total delay. "
+            "In the manner of Fig. 6.9.",
+            (*panels, ("measured", tuple(measured))),
+        )
+
+    def estimates(self) -> Figure[Limits] | None:
+        """Theory by the estimates of each experiment, with all that belongs to its boundary."""
+        if not self.data.overlay:
+            return None
+        periods = {e.experiment: e.sampling_period_s for e in self.data.experiments}
+        panels = []
+        for result in self.results:
+            name = result.experiment
+            theory = estimated_theory(result, self.theories.get(name), periods[name])
+            if theory is None:
+                continue
+            more = (envelope_curve(result), bound_curve(result), linear_curve(theory), passive_curve(theory))
+            curves = (measured_curve(result, open_ends=True), theory_curve(theory, "theory from estimates"))
+            panels.append((f"experiment {name}", (*curves, *(c for c in more if c is not None))))
+        if not panels:
+            return None
+        shown = self.data.scene.shown
+        kinds = {curve.kind for _, curves in panels for curve in curves}
+        told = []
+        if "envelope" in kinds and shown.has_overlay("band"):
+            told.append(
+                " Shaded: what the 95 % intervals of these estimates leave open in theory, and the intervals of the "
+                "measured limits."
+            )
+        if "passive" in kinds and shown.has_overlay("passive"):  # without damping there is no passive wall
+            told.append(" Thin outline: passive region (4.12), far inside the stable one.")
+        return Figure(
+            "boundaries",
+            "boundaries-estimates",
+            "Boundaries predicted from what the logs say",
+            "Theory with the estimated mass, damping and delay of each experiment." + "".join(told),
+            tuple(panels),
+        )
+
+
+def _first(curves: Iterable[Curve | None]) -> Curve | None:
+    return next((curve for curve in curves if curve is not None), None)
+
+
+def _delays(experiment: Experiment) -> list[float]:
+    jitter = experiment.jitter_samples
+    return [float(d) for d in range(min(jitter), max(jitter) + 2)] if jitter else [experiment.delay_samples]
+
+
+def _grip(grip: str) -> str:
+    return "no operator" if grip == "none" else f"{grip} grip"

@@ -1,0 +1,1 @@
+"""What a comparison needs: its parts, its file, where it comes from."""

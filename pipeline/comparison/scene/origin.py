@@ -1,0 +1,120 @@
+"""Where a report comes from: logs by hash, profiles, parameters, versions, and the command that repeats it."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+import shlex
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+
+from pipeline import __version__
+from pipeline.base.provenance import digest, sha256
+from pipeline.comparison.scene.scene import SceneData, needed_stages
+from pipeline.measured.experiment.stage_given import WINDOWS_S
+from pipeline.measured.experiment.stages import ExperimentStages
+from pipeline.records.models import CRITERIA
+from pipeline.records.results import LogList
+
+LIBRARIES = ("numpy", "pyarrow", "matplotlib")
+"""Libraries whose version can change a digit or a drawing."""
+
+
+def log_list(stages: ExperimentStages) -> LogList:
+    """Return the logs of an experiment with their SHA-256, sorted by path, and a hash of the stored samples."""
+    columns = ("source_path", "source_sha256")
+    paths, hashes = (stages.trials.column(name).to_pylist() for name in columns)
+    files = dict(sorted(zip(paths, hashes, strict=True)))
+    folder = os.path.commonpath([os.path.dirname(path) for path in files])
+    names = {os.path.relpath(path, folder): sha for path, sha in files.items()}
+    return LogList(
+        experiment=stages.experiment,
+        folder=folder,
+        files=names,
+        sha256=joint_sha256(hashes),
+        samples=stages.samples_digest,
+    )
+
+
+def joint_sha256(hashes: Sequence[str]) -> str:
+    """Return one SHA-256 for some logs, whatever they are called and in which order they come."""
+    return sha256("\n".join(sorted(set(hashes))).encode())
+
+
+def provenance(
+    data: SceneData, lists: Sequence[LogList], processed: Path, *, key: str, code: str, output: Sequence[str] = ()
+) -> dict[str, str]:
+    """Return the entries of a report's origin, for people.
+
+    Parameters
+    ----------
+    data : SceneData
+    lists : sequence of LogList
+        Logs of each experiment.
+    processed : Path
+        Folder of the stored tables, as it was given.
+    key : str
+        Hash of all that the report shows.
+    code : str
+        Hash of the source text that made it.
+    output : sequence of str
+        Further words of the command.
+    """
+    columns = ("profile", "profile_sha256")
+    pairs = {
+        (name, sha)
+        for e in data.experiments
+        for name, sha in zip(*(e.trials.column(c).to_pylist() for c in columns), strict=True)
+    }
+    times = [t for e in data.experiments for t in e.trials.column("source_mtime_ns").to_pylist()]
+    entries = {
+        "key": key,
+        "version": __version__,
+        "code": code,
+        "logs": digest(sorted(e.inputs_digest for e in data.experiments)),
+        "profiles": ", ".join(f"{name} ({sha[:16]})" for name, sha in sorted(pairs)),
+        "command": _command(data, processed, output),
+        "parameters": _parameters(data),
+        "libraries": ", ".join([f"Python {platform.python_version()}", *(f"{n} {version(n)}" for n in LIBRARIES)]),
+        "log files written": f"{_time(min(times))} to {_time(max(times))}",
+    }
+    for logs in lists:
+        entries[f"logs of experiment {logs.experiment}"] = f"{len(logs.files)} files, SHA-256 of theirs: {logs.sha256}"
+        entries[f"samples of experiment {logs.experiment}"] = logs.samples
+    return entries
+
+
+def request(data: SceneData, lists: Sequence[LogList], processed: Path, code: str) -> dict[str, object]:
+    """Return what the comparison was asked for and rests on, as `verify` asks for it again."""
+    logs = {e.experiment: {"files": len(e.files), "sha256": e.sha256, "samples": e.samples} for e in lists}
+    return {"processed": str(processed), "scene": data.scene.model_dump(mode="json"), "logs": logs, "code": code}
+
+
+def hash_file(path: Path) -> str:
+    """Return the SHA-256 of a file."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def _command(data: SceneData, processed: Path, output: Sequence[str]) -> str:
+    scene = data.scene
+    words = ["pipeline", "compare", "--device", scene.device]
+    words += [word for experiment in scene.experiments for word in ("--experiment", experiment)]
+    words += [] if scene.criteria == CRITERIA else ["--criteria", ",".join(scene.criteria)]
+    # names come from logs and may hold anything
+    return shlex.join([*words, "--processed", str(processed), *output])
+
+
+def _parameters(data: SceneData) -> str:
+    scene = data.scene
+    parts = [f"criteria {', '.join(scene.criteria)}"]
+    if "windows" in needed_stages(data):
+        parts.append(f"mass over windows of {', '.join(f'{1e3 * w:g}' for w in WINDOWS_S)} ms")
+    return "; ".join(parts)
+
+
+def _time(nanoseconds: int) -> str:
+    return datetime.fromtimestamp(nanoseconds // 10**9, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")

@@ -1,0 +1,159 @@
+"""Scene files (TOML): read with every mistake by line and key, and drafted from what is stored."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from pipeline.base.errors import SceneError
+from pipeline.comparison.scene.scene import open_scene
+from pipeline.comparison.scene.scene_parts import FIGURE_NAMES
+from pipeline.comparison.tables_d import layouts
+from pipeline.profiles.profile_lines import Mistake, Place, key_lines
+from pipeline.records.models import CRITERIA, SceneFile
+from pipeline.store.names import report_of
+
+REPORT_TABLES = {
+    "scores": "measured against theory",
+    "estimate_scores": "measured against theory by the estimates",
+    "optima": "trials with the least cost",
+    "boundary": "stability limits over damping",
+    "experiments": "trials, verdicts, estimates",
+    "methods": "estimates by method",
+    "model": "does the model explain the logs?",
+    "outcomes": "what the logs show",
+    "windows": "mass over its window",
+    "definitions": "by the definitions of other tools",
+}
+"""Tables that a report has beside those of optima, with what they hold."""
+
+
+def read_scene(path: Path) -> SceneFile:
+    """Read a scene file.
+
+    Raises
+    ------
+    SceneError
+        If there is none or it is wrong; the message names every mistake with its line and key.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise SceneError(
+            f"{path}: cannot be read ({error}). Give a scene file (TOML); `pipeline scene draft` writes one."
+        ) from error
+    try:
+        values = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise SceneError(f"{path}: is no TOML: {error}. Correct that line.") from error
+    mistakes = find_mistakes(values, text)
+    if mistakes:
+        raise SceneError("\n".join(f"{path}:{mistake.line}: {mistake.text}" for mistake in mistakes))
+    return SceneFile.model_validate(values)
+
+
+def find_mistakes(values: Mapping[str, Any], text: str) -> list[Mistake]:
+    """Return all mistakes of a scene file in order of line; empty where there is none.
+
+    Parameters
+    ----------
+    values : mapping
+        The parsed TOML.
+    text : str
+        Its text, for the line numbers.
+    """
+    try:
+        SceneFile.model_validate(values)
+    except ValidationError as error:
+        lines = key_lines(text)
+        found: dict[Place, str] = {}
+        for entry in error.errors():
+            place = tuple(entry["loc"])
+            found.setdefault(place, _words(place, dict(entry)))
+        # a list whose entries are wrong is told of its entries, not of being empty without them
+        held = {place[:length] for place in found for length in range(len(place))}
+        mistakes = [Mistake(_line(lines, place), place, words) for place, words in found.items() if place not in held]
+        return sorted(mistakes, key=lambda mistake: (mistake.line, str(mistake.place)))
+    return []
+
+
+def _words(place: Place, error: Mapping[str, Any]) -> str:
+    key = ".".join(str(part) for part in place)
+    if error["type"] == "extra_forbidden":
+        known = sorted(SceneFile.model_fields)
+        near = get_close_matches(key, known, 1)
+        expected = f"did you mean {near[0]!r}?" if near else f"expected one of {', '.join(known)}."
+        return f"key {key!r}: not known; {expected} Correct or remove it."
+    if error["type"] == "missing":
+        return f"key {key!r}: missing. Add it."
+    message = "a list" if error["type"] == "tuple_type" else str(error["msg"]).removeprefix("Input should be ")
+    near = []
+    if error["type"] == "literal_error" and isinstance(error["input"], str):
+        near = get_close_matches(error["input"], str(error["ctx"]["expected"]).replace("'", "").split(", "), 1)
+    meant = f" Did you mean {near[0]!r}?" if near else ""
+    return f"key {key!r}: expected {message}, found {error['input']!r}.{meant}"
+
+
+def _line(lines: Mapping[Place, int], place: Place) -> int:
+    """Return the line of a key, or of what holds it."""
+    while place not in lines:
+        place = place[:-1]
+    return lines[place]
+
+
+def draft_scene(device: str, processed: Path) -> str:
+    """Return a scene file for all that is stored of a device: every key with its choices, ready to be shortened.
+
+    Raises
+    ------
+    DeviceError, StoreError
+        If nothing is stored of the device; see `scene.open_scene`.
+    """
+    data = open_scene(device, processed, None, None)
+    trials = {e.experiment: e.trials.num_rows for e in data.experiments}
+    lines = [
+        f"# Scene of device {_comment(device)}: what one report shows. Used by: pipeline compare --scene FILE",
+        "# Keys that are left out stand for all that there is data for; only what is asked for is computed.",
+        f"device = {_quoted(device)}",
+        f"experiments = {_list(trials)}  # {', '.join(f'{_comment(e)}: {n} trials' for e, n in trials.items())}",
+        "",
+        "# settle stands for the settling times of the bands [%] below",
+        f"criteria = {_list(['settle', *(c for c in CRITERIA if not c.startswith('settle'))])}",
+        "bands = [1, 2, 5]",
+        "",
+        "# figures: " + "; ".join(f"{kind}: {name}" for kind, name in FIGURE_NAMES.items()),
+        f"figures = {_list(FIGURE_NAMES)}",
+        "",
+        "# overlays of the boundaries: theory by the device file and by the estimates, what their intervals leave",
+        "# open, the linear condition, the passive region, a linear upper bound",
+        'overlays = ["theory", "estimates", "band", "linear", "passive", "bound"]',
+        "",
+        "# delay factors of the theoretical curves, in place of those of the device file",
+        "# delays = [3, 4, 5]",
+        "",
+        "# tables: " + "; ".join(f"{name}: {words}" for name, words in REPORT_TABLES.items()),
+        f"tables = {_list([*(t.name for t in layouts(data)), *REPORT_TABLES])}",
+        "",
+        f"report = {_quoted(report_of(Path('reports'), device).as_posix())}",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _list(words: Any) -> str:
+    return f"[{', '.join(_quoted(word) for word in words)}]"
+
+
+def _quoted(text: str) -> str:
+    """Return a text as a basic string of TOML."""
+    escaped = text.replace("\\", "\\\\").replace('"', '\\"')
+    return '"' + "".join(c if c.isprintable() else f"\\U{ord(c):08X}" for c in escaped) + '"'
+
+
+def _comment(text: str) -> str:
+    """Return a text that a comment can hold."""
+    return "".join(c if c.isprintable() else "?" for c in text)

@@ -1,0 +1,1 @@
+"""How well theory predicts an experiment."""

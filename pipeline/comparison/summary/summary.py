@@ -1,0 +1,221 @@
+"""A comparison in a few sentences with numbers, each with the figure or table it rests on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from statistics import median
+
+from pipeline.base.wording import counted
+from pipeline.comparison.scene.scene import SceneData
+from pipeline.comparison.summary.advice import choice, passive_choice
+from pipeline.comparison.summary.causes import causes
+from pipeline.records.models import ComparisonRow
+from pipeline.records.results import ExperimentResult
+from pipeline.records.score_records import RegionScore
+from pipeline.rendering.labels import (
+    CRITERION_NAMES,
+    UNITS,
+    Units,
+    damping_text,
+    estimate_texts,
+    percent_text,
+    share_text,
+)
+
+MOST_CAUSES = 2
+"""Causes that are named: with more nobody reads on, and the table of scores holds all."""
+
+WELL, ROUGHLY = 0.9, 0.7
+"""Overlap of the regions from which on theory predicts a boundary well, and roughly: with equal shapes 0.9 is an error
+of 5 % in both K and B, 0.7 one of 16 %. Words only; the number stands beside."""
+
+SCORES, BOUNDARY, COSTS, EXPERIMENTS = "table-scores", "sec-boundaries", "sec-costs", "sec-experiments"
+"""Anchors of the page that sentences rest on."""
+
+
+@dataclass(frozen=True)
+class Sentence:
+    """A sentence and the anchor of the figure or table it rests on, empty where there is none."""
+
+    text: str
+    source: str = ""
+
+
+def summarise(
+    data: SceneData, results: Sequence[ExperimentResult], rows: Sequence[ComparisonRow]
+) -> tuple[Sentence, ...]:
+    """Return what a comparison comes to.
+
+    Parameters
+    ----------
+    data : SceneData
+    results : sequence of ExperimentResult
+        With their scores.
+    rows : sequence of ComparisonRow
+
+    Notes
+    -----
+    In this order: does theory predict the device, how far off is it and where, why might that be, which (K, B) to use,
+    and what the logs say of the device. Numbers are those of the first experiment that has them, with the range over
+    all where there are more.
+    """
+    units = UNITS["rotation" if data.experiments[0].rotation else "translation"]
+    scored = [r for r in results if r.scores and r.scores[0].region]
+    lead = next((r for r in scored if not all(p.censored for p in r.boundary)), scored[0] if scored else None)
+    best = next((r for r in results if choice(r, units)), None)
+    found = [
+        Sentence(_region(results), SCORES),
+        Sentence(_costs(results, rows), COSTS),
+        Sentence(_distance(lead, units) if lead else _stiffest(results, units), BOUNDARY),
+        *(Sentence(text, SCORES) for text in (causes(lead, units)[:MOST_CAUSES] if lead else ())),
+        Sentence(choice(best, units) if best else "", COSTS),
+        Sentence(passive_choice(best.scores[0].parameters, units) if best and best.scores else "", EXPERIMENTS),
+        Sentence(_device(results), EXPERIMENTS),
+    ]
+    told = tuple(s for s in found if s.text)
+    if told:
+        return told
+    trials = sum(r.trials for r in results)
+    return (
+        Sentence(
+            f"{counted(trials, 'trial')} {'is' if trials == 1 else 'are'} stored, from which neither parameters nor "
+            "costs follow; the reasons are below."
+        ),
+    )
+
+
+def _region(results: Sequence[ExperimentResult]) -> str:
+    """Does theory predict where the device is stable: overlap of the regions."""
+    found = [(r.experiment, r.scores[0].region) for r in results if r.scores]
+    scored = [(name, region) for name, region in found if region is not None]
+    # without any unstable trial the compared window ends with the stable ones, and both regions fill it
+    known = [(name, region) for name, region in scored if region.censored < region.dampings]
+    if not known:
+        return _no_limit(*scored[0]) if scored else ""
+    name, first = known[0]
+    word = "well" if first.overlap >= WELL else "roughly" if first.overlap >= ROUGHLY else "poorly"
+    text = (
+        f"Theory predicts {word} where this device is stable: the measured region of experiment {name} covers "
+        f"{share_text(first.covered, 0)} % of the theoretical one and is {first.area_ratio:.2f} times as large "
+        f"(overlap {share_text(first.overlap, 0)} %"
+    )
+    if len(known) > 1:
+        overlaps = sorted(region.overlap for _, region in known)
+        text += f"; {share_text(overlaps[0], 0)} to {share_text(overlaps[-1], 0)} % over {len(known)} experiments"
+    if not first.censored:
+        return f"{text})."
+    return (
+        f"{text}); at {first.censored} of {first.dampings} dampings no trial was unstable, and only the tested "
+        "stiffness is compared there."
+    )
+
+
+def _no_limit(name: str, region: RegionScore) -> str:
+    """What can be said of the stable region where no trial was unstable."""
+    return (
+        f"How well theory predicts where this device becomes unstable is not known: in experiment {name} no trial was "
+        f"unstable at any of {counted(region.dampings, 'tested damping')}; theory calls "
+        f"{share_text(region.overlap, 0)} % of the tested region stable."
+    )
+
+
+def _costs(results: Sequence[ExperimentResult], rows: Sequence[ComparisonRow]) -> str:
+    """Does theory predict performance: order of the trials' costs, and costs at the optima."""
+    ranks = sorted(
+        m.rank_correlation for r in results if r.scores for m in r.scores[0].maps if m.rank_correlation is not None
+    )
+    deviations = [r for r in rows if r.deviation_percent is not None]
+    parts = []
+    if ranks:
+        parts.append(
+            f"Costs of the trials are ordered as in theory with a rank correlation of {median(ranks):.2f} in "
+            f"the median of {counted(len(ranks), 'cost map')} (least {ranks[0]:.2f})"
+        )
+    if deviations:
+        smallest, largest = min(deviations, key=_size), max(deviations, key=_size)
+        middle = median(_size(r) for r in deviations)
+        least = f"{_named(smallest)} ({percent_text(smallest.deviation_percent or 0.0)} %)"
+        parts.append(
+            f"{'optimal' if parts else 'Optimal'} costs differ from the discrete theory by {middle:.0f} % in the "
+            f"median of {counted(len(deviations), 'comparison')}: least for {least}, "
+            f"most for {_named(largest)} ({percent_text(largest.deviation_percent or 0.0)} %)"
+        )
+    return "; ".join(parts) + "." if parts else ""
+
+
+def _distance(result: ExperimentResult, units: Units) -> str:
+    """How far off the boundary is, and where: distance over damping and largest stable stiffness."""
+    distance, stiffness = result.scores[0].distance, result.scores[0].stiffness
+    parts = []
+    if distance is not None:
+        where = f"B = {damping_text(distance.largest_damping)} {units.damping}"
+        parts.append(
+            f"the measured boundary differs from theory by {percent_text(100 * distance.median)} % in stiffness in the "
+            f"median of {counted(distance.dampings, 'damping')}, most at {where} "
+            f"({percent_text(100 * distance.largest)} %)"
+        )
+    if stiffness is not None:
+        least = "at least " if stiffness.lower_bound else ""
+        # a lower bound below theory is no deviation
+        told = not stiffness.lower_bound or stiffness.deviation_percent > 0
+        parts.append(
+            f"the largest stable stiffness measured is {least}{stiffness.measured:.0f} {units.stiffness} (at B = "
+            f"{stiffness.measured_damping:g} {units.damping}), theory says {stiffness.theory:.0f} {units.stiffness} at "
+            f"{stiffness.theory_damping:.3g} {units.damping}"
+            + (f" ({percent_text(stiffness.deviation_percent)} %)" if told else "")
+        )
+    return f"Experiment {result.experiment}: {'; '.join(parts)}." if parts else ""
+
+
+def _stiffest(results: Sequence[ExperimentResult], units: Units) -> str:
+    """Largest stable stiffness of the first experiment with a boundary, where there is no theory to compare it with."""
+    for result in results:
+        stable = [(p.stable, p.damping) for p in result.boundary if p.stable is not None]
+        if stable:
+            stiffness, damping = max(stable)
+            least = "at least " if any(p.censored for p in result.boundary) else ""
+            return (
+                f"Experiment {result.experiment}: the largest stable stiffness measured is {least}{stiffness:.0f} "
+                f"{units.stiffness} (at B = {damping:g} {units.damping})."
+            )
+    return ""
+
+
+def _device(results: Sequence[ExperimentResult]) -> str:
+    """What the logs say of the device, and how many of them the model explains."""
+    for result in results:
+        text = _estimates(result)
+        if text:
+            check = result.model_check
+            share = (
+                f"; the model explains {check.explained} of {counted(check.trials, 'log')}"
+                if check and check.trials
+                else ""
+            )
+            return f"Experiment {result.experiment} ({counted(result.trials, 'trial')}): {text}{share}."
+    return ""
+
+
+def _estimates(result: ExperimentResult) -> str:
+    names = {"delay_samples": "delay d", "mass": "mass", "damping": "viscous damping"}
+    parts = []
+    for key, name in names.items():
+        estimate = result.estimates[key]
+        if estimate.value is None:
+            continue
+        value, low, high = estimate_texts(estimate)
+        text = f"{name} {value} {estimate.unit.replace('^2', '²')}"
+        if low and high:
+            text += f" (95 %: {low} to {high})"
+        parts.append(text)
+    return ", ".join(parts)
+
+
+def _size(row: ComparisonRow) -> float:
+    return abs(row.deviation_percent or 0.0)
+
+
+def _named(row: ComparisonRow) -> str:
+    # several experiments may have the same delay
+    return f"{CRITERION_NAMES.get(row.criterion, row.criterion)}, experiment {row.experiment}"

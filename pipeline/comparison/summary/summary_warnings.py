@@ -1,0 +1,204 @@
+"""What a reader must know before trusting the numbers of a comparison, gravest first."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from math import isclose
+
+import numpy as np
+
+from pipeline.base.wording import listed, percent, true_minus
+from pipeline.comparison.figures.boundary_curves import too_late
+from pipeline.comparison.scene.scene import SceneData
+from pipeline.loop.loop import LARGEST_DELAY
+from pipeline.records.models import DRIFTS, ENERGY_CRITERIA, Device, Estimate, Trend
+from pipeline.records.results import ExperimentResult
+from pipeline.rendering.labels import percent_text
+
+Drift = tuple[str, Estimate, Trend]
+"""Experiment, its estimate, and a trend of that which is worth a warning."""
+
+QUANTITIES = {
+    "damping": "viscous damping",
+    "jitter": "jitter of the delay",
+    "implied delay": "delay implied by the boundary",
+}
+"""Names of estimates that could be taken for something else."""
+
+FEW_TRIALS = 30
+"""Trials below which an optimum or a boundary says little."""
+
+PERIOD_TOLERANCE = 0.01
+"""Relative difference of sampling periods that no result shows: K scales with 1/T^2, B with 1/T."""
+
+BAD_FITS = 0.2
+"""Share of trials that the model does not explain from which on it is named: chance leaves 5 % of them unexplained."""
+
+EXTRAPOLATED = 0.05
+"""Share of an optimal energy cost beyond the horizon of the log from which on it is named."""
+
+
+def warnings_of(data: SceneData, results: Sequence[ExperimentResult]) -> tuple[str, ...]:
+    """Return what a reader must know before trusting the numbers; nothing where there is nothing to say."""
+    warnings = []
+    mixed = [r.experiment for r in results if r.simulated]
+    if mixed and len(mixed) < len(results):
+        warnings.append(f"Simulated logs stand beside recorded ones: those of {_named(mixed)} are simulated.")
+    few = [r.experiment for r in results if r.trials < FEW_TRIALS]
+    if few:
+        where = _named(few, len(results))
+        warnings.append(f"Fewer than {FEW_TRIALS} trials in {where}: boundary and optima say little.")
+    warnings += [w for w in map(_bad_fits, results) if w]
+    warnings += _extrapolated(data, results)
+    edge = sorted({f"{r.experiment}" for r in results for o in r.optimum.values() if o.censored})
+    if edge:
+        warnings.append(
+            f"Optima at the edge of the tested range in {_named(edge, len(results))}: the true optimum may lie beyond "
+            "it; such rows are marked."
+        )
+    open_end = [r.experiment for r in results if any(p.censored for p in r.boundary)]
+    if open_end:
+        warnings.append(
+            f"The tested stiffness range ended before a trial was unstable in {_named(open_end, len(results))}: the "
+            "boundary there is a lower bound."
+        )
+    if data.device is not None:
+        warnings += _conflicts(data, data.device)
+    else:
+        warnings.append(
+            f"The device {data.scene.device!r} has no device file: theory uses the parameters estimated from its logs."
+        )
+    warnings += _estimates(results)
+    return tuple(warnings)
+
+
+def _estimates(results: Sequence[ExperimentResult]) -> list[str]:
+    """What is missing or doubtful among the estimates, one sentence each for all drifts and for each quantity.
+
+    Single numbers stand as remarks in the table of methods.
+    """
+    missing: dict[tuple[str, str], list[str]] = {}
+    doubtful: dict[str, list[tuple[str, str]]] = {}
+    drifts: dict[tuple[str, str], list[Drift]] = {}
+    for result in results:
+        for name, estimate in result.estimates.items():
+            quantity = name.removesuffix("_samples").replace("_", " ")
+            if estimate.value is None and "left out" not in (estimate.reason or ""):
+                missing.setdefault((quantity, estimate.reason or ""), []).append(result.experiment)
+            elif estimate.value is not None and estimate.warning:
+                # a warning is made of clauses, those about drifts as their trends tell them
+                clauses = estimate.warning.split("; ")
+                others = "; ".join(clause for clause in clauses if not clause.startswith(DRIFTS))
+                if others:
+                    doubtful.setdefault(quantity, []).append((result.experiment, others))
+                told = [clause for clause in clauses if clause.startswith(DRIFTS)]
+                for trend in estimate.trend:
+                    if any(f"the tested {trend.over} " in clause for clause in told):
+                        drifts.setdefault((quantity, trend.over), []).append((result.experiment, estimate, trend))
+    total = len(results)
+    late = [result.experiment for result in results if too_late(result.estimates["delay_samples"])]
+    beyond = f"the delay is longer than the {LARGEST_DELAY} samples that theory is computed for"
+    found = [f"{_of(late, total)}: {beyond}; there is none from its estimates."] if late else []
+    found += [f"{_of(names, total)}: no {quantity} estimate ({why})." for (quantity, why), names in missing.items()]
+    found += _drifts(drifts, total)
+    for quantity, cases in doubtful.items():
+        first, warning = cases[0]
+        text = f"{_of([name for name, _ in cases], total)}, {QUANTITIES.get(quantity, quantity)}: "
+        text += f"in experiment {first} {warning}" if len(cases) > 1 else warning
+        found.append(f"{text}{'; the table of methods has the others' if len(cases) > 1 else ''}.")
+    return found
+
+
+def _drifts(found: Mapping[tuple[str, str], Sequence[Drift]], experiments: int) -> list[str]:
+    """One sentence: which estimates drift over what, in which experiments, and how much at most."""
+    parts = []
+    for (quantity, over), cases in found.items():
+        name, estimate, trend = max(cases, key=lambda case: abs(_change(case)))
+        where = _named([case[0] for case in cases], experiments)
+        most = f"most in {name}: " if len(cases) > 1 else ""
+        parts.append(f"{QUANTITIES.get(quantity, quantity)} over {over} in {where} ({most}{_amount(estimate, trend)})")
+    if not parts:
+        return []
+    return [
+        f"Estimates drift with the setting of the wall, so that the model does not hold for all trials: "
+        f"{'; '.join(parts)}. The table of methods has the intervals."
+    ]
+
+
+def _change(case: Drift) -> float:
+    """Change over the tested range, relative to the value where that is not zero."""
+    _, estimate, trend = case
+    return trend.slope * (trend.span or 0.0) / (estimate.value or 1.0)
+
+
+def _amount(estimate: Estimate, trend: Trend) -> str:
+    """Change over the tested range: in percent where the value is surely not zero."""
+    change = trend.slope * (trend.span or 0.0)
+    if estimate.value and estimate.low and estimate.high and estimate.low * estimate.high > 0:
+        return f"{percent_text(100 * change / estimate.value)} %"
+    return true_minus(f"{change:+.3g} {estimate.unit}")
+
+
+def _of(names: Sequence[str], experiments: int) -> str:
+    text = _named(names, experiments)
+    return text[0].upper() + text[1:]
+
+
+def _named(names: Sequence[str], experiments: int = 0) -> str:
+    """Name experiments, with the number of all where these are meant."""
+    if len(names) == experiments > 2:
+        return f"all {experiments} experiments"
+    return f"experiment{'s' if len(names) > 1 else ''} {listed(names)}"
+
+
+def _bad_fits(result: ExperimentResult) -> str:
+    check = result.model_check
+    if check is None or not check.trials or check.trials - check.explained < BAD_FITS * check.trials:
+        return ""
+    return (
+        f"Experiment {result.experiment}: mass, damping and delay do not explain {check.trials - check.explained} of "
+        f"{check.trials} fitted logs; theory may speak of another device."
+    )
+
+
+def _extrapolated(data: SceneData, results: Sequence[ExperimentResult]) -> list[str]:
+    """Optimal energy costs of which much lies beyond the end of what was recorded."""
+    found = []
+    for result, stages in zip(results, data.experiments, strict=False):
+        for w, criterion in enumerate(ENERGY_CRITERIA):
+            best = result.optimum.get(criterion)
+            if best is None or best.trial_id is None:
+                continue
+            tail = stages.column("energy", f"energy_w{w}_tail")[stages.texts("energy", "trial_id").index(best.trial_id)]
+            if np.isfinite(tail) and abs(tail) > EXTRAPOLATED * best.cost:
+                found.append(f"experiment {result.experiment}, w = {w} ({percent(abs(tail) / best.cost)})")
+    if not found:
+        return []
+    return [f"Optimal energy costs that are partly extrapolated beyond the logs: {'; '.join(found)}."]
+
+
+def _conflicts(data: SceneData, device: Device) -> list[str]:
+    """Where the logs of a known device do not fit its device file, so that theory speaks of something else."""
+    texts = []
+    known = {e.name for e in device.experiments}
+    foreign = [name for name in data.scene.experiments if name not in known]
+    if foreign:
+        texts.append(
+            f"The device file of {device.name!r} has no experiment {', '.join(foreign)}: its tables have no theory, "
+            "only the curves from its estimates."
+        )
+    late = [e.name for e in device.experiments if e.name in data.scene.experiments and e.delay_samples > LARGEST_DELAY]
+    if late:
+        texts.append(
+            f"The device file of {device.name!r} has a delay of more than the {LARGEST_DELAY} samples that theory is "
+            f"computed for in {_named(late)}: there is no theory by it."
+        )
+    for stages in data.experiments:
+        periods = set(stages.trials.column("sampling_period_s").to_pylist())
+        other = sorted(p for p in periods if not isclose(p, device.sampling_period_s, rel_tol=PERIOD_TOLERANCE))
+        if other:
+            texts.append(
+                f"Experiment {stages.experiment} was sampled every {other[0]:g} s, but theory takes "
+                f"{device.sampling_period_s:g} s from the device file."
+            )
+    return texts

@@ -1,0 +1,1 @@
+"""From files to stored trials: what is found, read, refused, stored, and what a second run need not do."""

@@ -1,0 +1,1 @@
+"""The sampled, delayed loop: the one definition of it, and the exact motion over a sample."""

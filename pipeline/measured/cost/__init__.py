@@ -1,0 +1,1 @@
+"""Costs of a recorded response, with intervals."""

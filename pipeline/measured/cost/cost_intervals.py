@@ -1,0 +1,210 @@
+"""Intervals of settling time and overshoot: what noise, quantum and the delay leave open."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from statistics import NormalDist
+
+import numpy as np
+
+from pipeline.base.errors import ParameterError
+from pipeline.measured.cost.costs import SETTLED_SAMPLES, Overshoot, Settling
+from pipeline.measured.cost.reading_error import ReadingError
+from pipeline.measured.signal.response import Response
+from pipeline.records.batch import Floats, TrialBatch
+from pipeline.records.models import SETTLING_BANDS
+
+CONFIDENCE = 0.95
+"""Coverage that the intervals are made for."""
+
+NO_OVERSHOOT = 1e-12
+"""Overshoot that counts as none (footnote 4 of 5.2.2), and so the smallest upper end."""
+
+LAST_PART = 5
+"""Part of the response (a fifth) at its end that bounds what comes after: it holds a swing of most responses."""
+
+
+@dataclass(frozen=True, eq=False)
+class SettlingInterval:
+    """Interval of the discrete settling time by criterion, each of shape (n,) [samples].
+
+    ``low`` and ``high`` are NaN where the settling time itself has a reason; ``high`` alone is NaN, with a
+    reason, where the response may not have settled by the end of the log.
+    """
+
+    low: Mapping[str, Floats]
+    high: Mapping[str, Floats]
+    reason: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class OvershootInterval:
+    """Interval of the overshoot, shape (n,) [1]; NaN where there is a reason.
+
+    ``bias`` is the most by which the largest of the readings, being the largest, is expected to exceed the truth.
+    """
+
+    low: Floats
+    high: Floats
+    bias: Floats
+    reason: tuple[str, ...]
+
+
+def delay_bounds(delay_samples: int, delay_range: tuple[int, int] | None) -> tuple[int, int]:
+    """Return smallest and largest integer delay factor, checked.
+
+    Parameters
+    ----------
+    delay_samples : int
+        Delay factor that the cost was computed with.
+    delay_range : tuple of int, optional
+        Smallest and largest delay factor; none where the delay is taken as exact.
+
+    Raises
+    ------
+    ParameterError
+        If the range does not hold the delay, or is negative.
+    """
+    low, high = (delay_samples, delay_samples) if delay_range is None else delay_range
+    if not 0 <= low <= delay_samples <= high:
+        raise ParameterError(
+            f"range of the delay {low} to {high} samples: expected 0 <= low <= {delay_samples} <= high, "
+            "the delay that the cost was computed with."
+        )
+    return low, high
+
+
+def settling_interval(
+    batch: TrialBatch,
+    response: Response,
+    error: ReadingError,
+    found: Settling,
+    delay_samples: int,
+    *,
+    delay_range: tuple[int, int] | None = None,
+    bands: Mapping[str, float] = SETTLING_BANDS,
+    confidence: float = CONFIDENCE,
+) -> SettlingInterval:
+    """Return the interval of the discrete settling time.
+
+    Parameters
+    ----------
+    batch : TrialBatch
+    response, error, found : Response, ReadingError, Settling
+        Of the same trials; ``found`` by `costs.settling` with the same delay and bands.
+    delay_samples : int
+        Integer delay factor d that ``found`` was computed with.
+    delay_range : tuple of int, optional
+        Smallest and largest integer delay factor that the experiment leaves open.
+    bands : mapping of str to float
+        Half width relative to the final displacement, by criterion.
+    confidence : float
+        Coverage for a reading at the edge of the band.
+
+    Returns
+    -------
+    SettlingInterval
+
+    Raises
+    ------
+    ParameterError
+        If the range of the delay does not hold the delay.
+
+    Notes
+    -----
+    The ends are the settling times for a band wider and narrower by what noise and quantum leave open of one
+    reading: the last sample outside decides, and it is one reading. A larger delay moves cost index 0, and so
+    shortens the settling time. The settling time jumps where the response just touches the band: there the
+    interval spans half a period of the response or more.
+    """
+    low_delay, high_delay = delay_bounds(delay_samples, delay_range)
+    first = np.maximum(response.edge_row, 0) + delay_samples
+    column = np.arange(batch.position.shape[1])[None, :]
+    counted = batch.valid & (column >= first[:, None])
+    known = np.array([not text for text in error.reason], dtype=np.bool_)
+    distance = np.abs(batch.position - response.position_final_expected[:, None])
+    margin = NormalDist().inv_cdf(0.5 * (1 + confidence)) * np.nan_to_num(error.deviation)
+    low: dict[str, Floats] = {}
+    high: dict[str, Floats] = {}
+    missing: list[list[str]] = [[] for _ in range(len(batch))]
+    for name, band in bands.items():
+        width = band * np.abs(batch.step / np.where(batch.stiffness != 0, batch.stiffness, np.nan))
+        told = np.isfinite(found.samples[name])
+        ends = []
+        for sign in (1, -1):
+            outside = counted & ~(distance <= width[:, None] + sign * margin)
+            ends.append(np.where(outside.any(axis=1), column.size - np.argmax(outside[:, ::-1], axis=1), first))
+        settled = batch.rows - ends[1] >= SETTLED_SAMPLES
+        low[name] = np.where(told & known, np.maximum(ends[0] - first - (high_delay - delay_samples), 0), np.nan)
+        high[name] = np.where(told & known & settled, ends[1] - first + (delay_samples - low_delay), np.nan)
+        for i in np.flatnonzero(told & known & ~settled):
+            missing[i].append(f"{name}: with the error of the sensor it may not have settled by the end of the log")
+    reason = tuple(
+        "; ".join(part for part in (cost, unknown, *parts) if part)
+        for cost, unknown, parts in zip(found.reason, error.reason, missing, strict=True)
+    )
+    return SettlingInterval(low, high, reason)
+
+
+def overshoot_interval(
+    batch: TrialBatch,
+    response: Response,
+    error: ReadingError,
+    found: Overshoot,
+    *,
+    confidence: float = CONFIDENCE,
+) -> OvershootInterval:
+    """Return the interval of the overshoot.
+
+    Parameters
+    ----------
+    batch : TrialBatch
+    response, error, found : Response, ReadingError, Overshoot
+        Of the same trials; ``found`` by `costs.overshoot`.
+    confidence : float
+        Coverage.
+
+    Returns
+    -------
+    OvershootInterval
+
+    Notes
+    -----
+    The largest of many noisy readings lies above the largest true position. Its own error bounds the truth from
+    above: truth <= largest reading - its error. From below the truth is bounded by the largest reading less the
+    largest error of all readings that can have become the largest: those within twice that error of it. What
+    comes after the end of the log is bounded by the distance from the final position in its last fifth, since a
+    stable response decays. An interval that begins at 0 says that there may be no overshoot.
+    """
+    column = np.arange(batch.position.shape[1])[None, :]
+    counted = batch.valid & (column >= np.maximum(response.edge_row, 0)[:, None])
+    known = np.isfinite(found.overshoot) & np.array([not text for text in error.reason], dtype=np.bool_)
+    travel = np.where(known, response.position_final_expected - response.position_start, 1.0)
+    relative = (batch.position - np.where(known, response.position_final_expected, 0.0)[:, None]) / travel[:, None]
+    relative = np.where(counted, relative, -np.inf)
+    peak = np.argmax(relative, axis=1)[:, None]
+    largest = np.take_along_axis(relative, peak, axis=1)[:, 0]
+    spread = np.take_along_axis(np.nan_to_num(error.deviation), peak, axis=1)[:, 0] / np.abs(travel)
+    tail = 0.5 * (1 - confidence)
+    everywhere = _quantile(tail / np.maximum(counted.sum(axis=1), 1))
+    rivals = np.maximum((relative >= (largest - 2 * everywhere * spread)[:, None]).sum(axis=1), 1)
+    low = np.maximum(largest - _quantile(tail / rivals) * spread, 0.0)
+    late = counted & (column >= (batch.rows - (batch.rows - response.edge_row) // LAST_PART)[:, None])
+    # the largest distance in the last part is the largest of many readings, too
+    beyond = np.max(np.where(late, np.abs(relative), 0.0), axis=1, initial=0.0) - everywhere * spread
+    one_reading = NormalDist().inv_cdf(1 - tail) * spread
+    high = np.maximum(np.maximum(largest, beyond) + one_reading, NO_OVERSHOOT)
+    # median of the largest of as many independent errors
+    bias = np.maximum(_quantile(1 - 0.5 ** (1 / rivals)), 0.0) * spread
+    reason = tuple(cost or unknown for cost, unknown in zip(found.reason, error.reason, strict=True))
+    low, high, bias = (np.where(known, value, np.nan) for value in (low, high, bias))
+    return OvershootInterval(low, high, bias, reason)
+
+
+def _quantile(chance: Floats) -> Floats:
+    """Standard normal deviate that is exceeded with a chance, of the shape of the chances."""
+    values, where = np.unique(chance, return_inverse=True)
+    table = np.array([-NormalDist().inv_cdf(float(value)) for value in values])
+    result: Floats = table[where].reshape(chance.shape)
+    return result

@@ -1,0 +1,1 @@
+"""An experiment's trials together: values with intervals, boundary, optima, and the stages that store them."""

@@ -1,0 +1,76 @@
+"""What the rows of a stage are computed from: some trials, and what was found for their whole experiment.
+
+A stage sees nothing else, so that its rows are known by the samples of a group, by what is given, and by the code.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from pipeline.measured.signal.response import Response, declare_edge, find_response
+from pipeline.measured.signal.verdict import Verdicts
+from pipeline.records.batch import Booleans, Integers, TrialBatch
+
+Given = Mapping[str, Any]
+"""Values of the whole experiment by name, as JSON holds them."""
+
+Columns = dict[str, Any]
+
+LONGEST_MOTION = 1 << 16
+"""Rows of a longer log that mass and damping are estimated from: a minute at 1 kHz."""
+
+LEAD = 1024
+"""Rows before the step that a longer log keeps there: the fit reads the position at rest from 40 of them."""
+
+
+def _unjudged() -> Verdicts:
+    return Verdicts(np.empty(0, dtype="<U9"), np.empty(0), ())
+
+
+@dataclass
+class TrialGroup:
+    """Trials that are computed together, with their verdicts as stored; none before the stage that judges them."""
+
+    batch: TrialBatch
+    verdicts: Verdicts = field(default_factory=_unjudged)
+
+    def select(self, which: Booleans) -> TrialGroup:
+        """Return the trials picked by a mask; the group itself where it picks all."""
+        if which.all():
+            return self
+        index = np.flatnonzero(which)
+        verdicts = self.verdicts.select(index) if self.verdicts.reason else self.verdicts
+        some = TrialGroup(self.batch.select(index), verdicts)
+        some.found = self.found.select(index)
+        return some
+
+    def beginning(self) -> tuple[TrialGroup, Integers]:
+        """Return the trials from shortly before the step on for `LONGEST_MOTION` rows, and the first row of each.
+
+        The group itself where all logs are as short: what tells mass and damping is the motion, not the rest after it.
+        """
+        first = np.zeros(len(self.batch), dtype=np.int64)
+        if self.batch.position.shape[1] <= LONGEST_MOTION:
+            return self, first
+        first = np.maximum(self.found.edge_row - LEAD, 0)
+        windows = [
+            self.batch.select(slice(i, i + 1)).window(start, min(int(rows) - start, LONGEST_MOTION))
+            for i, (start, rows) in enumerate(zip(first.tolist(), self.batch.rows, strict=True))
+        ]
+        some = TrialGroup(TrialBatch.joined(windows), self.verdicts)
+        some.found = replace(
+            self.found, edge_row=np.where(self.found.has_edge, self.found.edge_row - first, self.found.edge_row)
+        )
+        return some, first
+
+    @cached_property
+    def found(self) -> Response:
+        """Edge and resolution of each trial; a declared step row stands for what the log does not show."""
+        found = find_response(self.batch)
+        declared = self.batch.step_row
+        return found if declared is None else declare_edge(self.batch, found, declared)

@@ -1,0 +1,1 @@
+"""What one log shows: response, modes, verdict, outcome, events."""

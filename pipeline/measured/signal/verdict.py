@@ -1,0 +1,250 @@
+"""Stable or unstable, judged from the log alone: no mass, no delay, no model of the loop.
+
+With K other than 0 the free motion after the step is a sum of modes about a resting place; the trial is
+unstable if a visible mode grows. With K = 0 the position runs away at constant force; there the trial is
+stable if the acceleration decays, and the rate at which it does is (b + B)/m.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.measured.signal.modes import FEWEST_SAMPLES, NARROW, Growth, fastest_growth
+from pipeline.measured.signal.response import NOISE_FACTOR, Response, find_response
+from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
+
+CHUNK = 128
+"""Trials judged at once: bounds the memory of the windows to about 8 MB."""
+
+FLOOR_FACTOR = 2.0
+"""Motion below this many sensor floors at the end is a rest or a limit cycle that only the sensor causes."""
+
+IDEAL_RANGE = 1e-9
+"""Motion below this fraction of its peak counts as rest in a log without noise and quantum."""
+
+ROUNDING_RANGE = 1e3
+"""As `IDEAL_RANGE`, in units of rounding of the position."""
+
+AT_REST_FROM = 0.8
+"""Part of the motion after which it must be at rest to be called stable without asking for a growth rate."""
+
+TREND_FACTOR = 3.0
+"""Change from first to last quarter that decides a motion that no mode explains; noise alone changes less."""
+
+LIMIT_SIGMAS = 3.0
+"""Rates within this many standard errors of zero are not decided where K = 0."""
+
+RATE_ROUNDING = 1e-9
+"""Smallest change of the acceleration over a whole log that double precision positions can tell."""
+
+
+@dataclass(frozen=True, eq=False)
+class Verdicts:
+    """Verdict of each trial, all of length n.
+
+    Parameters
+    ----------
+    verdict : array of str
+        ``stable``, ``unstable`` or ``undecided``.
+    growth_per_s : float64
+        Growth rate of the fastest growing (slowest decaying) visible mode [1/s]; NaN where none can be told.
+        Where K = 0: growth rate of the acceleration, -(b + B)/m for small (b + B).
+    reason : tuple of str
+        Why a trial is undecided, or has no growth rate; empty otherwise.
+    """
+
+    verdict: np.ndarray[tuple[int, ...], np.dtype[np.str_]]
+    growth_per_s: Floats
+    reason: tuple[str, ...]
+
+    def select(self, some: Integers | slice) -> Verdicts:
+        """Return the verdicts of the trials at indices or in a slice."""
+        reason = self.reason[some] if isinstance(some, slice) else tuple(self.reason[i] for i in some)
+        return Verdicts(self.verdict[some], self.growth_per_s[some], reason)
+
+
+def judge(batch: TrialBatch, response: Response | None = None) -> Verdicts:
+    """Judge the stability of each trial from its log.
+
+    Parameters
+    ----------
+    batch : TrialBatch
+    response : Response, optional
+        What `find_response` said of the same trials, if it is there already.
+
+    Returns
+    -------
+    Verdicts
+
+    Notes
+    -----
+    In a log without noise and quantum a mode that grows at all makes the trial unstable. With a sensor floor
+    the growth must add more than the floor over the log, so that a bounded limit cycle of quantum size is
+    stable. A mode that is too small to be seen, a motion shorter than `FEWEST_SAMPLES`, and a trial without a step
+    (F_0 = 0) cannot be judged.
+
+    Source: Hulin 2017, sec. 3.3 (stability), eq. 3.25 (K = 0) and sec. 6.1.1 (procedure).
+    """
+    response = find_response(batch) if response is None else response
+    verdict = np.full(len(batch), "undecided", dtype="<U9")
+    growth = np.full(len(batch), np.nan)
+    reason = [""] * len(batch)
+    for first in range(0, len(batch), CHUNK):
+        chunk = np.arange(first, min(first + CHUNK, len(batch)))
+        for judged, free in ((_judge_wall, False), (_judge_free, True)):
+            index = chunk[(batch.stiffness[chunk] == 0) == free]
+            if not len(index):
+                continue
+            found = judged(batch.select(index), response.edge_row[index], response.floor[index])
+            verdict[index], growth[index] = found.verdict, found.growth_per_s
+            for i, text in zip(index, found.reason, strict=True):
+                reason[i] = text
+    # what moves a device without a step says nothing of the loop: a hand, a trajectory
+    for i in np.flatnonzero(batch.step == 0):
+        verdict[i], growth[i], reason[i] = "undecided", np.nan, "no step was commanded (step is 0)"
+    return Verdicts(verdict, growth, tuple(reason))
+
+
+def _free_motion(batch: TrialBatch, edge: Integers, floor: Floats) -> Integers:
+    """First row from which the motion is free: the input constant and the delay line filled by it.
+
+    The first movement after the edge shows one delay; after another one the past before the step is
+    forgotten.
+    """
+    start = np.maximum(edge, 0)
+    moved = np.abs(np.nan_to_num(batch.displacement)) > floor[:, None]
+    moved &= np.arange(moved.shape[1])[None, :] > start[:, None]
+    onset = np.where(moved.any(axis=1), np.argmax(moved, axis=1), start)
+    return (2 * onset - start).astype(np.int64)
+
+
+def _judge_wall(batch: TrialBatch, edge: Integers, floor: Floats) -> Verdicts:
+    start = _free_motion(batch, edge, floor)
+    change = np.nan_to_num(np.diff(batch.position, axis=1))
+    column = np.arange(change.shape[1])[None, :]
+    count = np.maximum(batch.rows - 1 - start, 0)
+    free = (column >= start[:, None]) & (column < (batch.rows - 1)[:, None])
+    size = np.where(free, np.abs(change), 0.0)
+    peak = size.max(axis=1, initial=0.0)
+    ideal = floor == 0
+    rounding = np.finfo(np.float64).eps * np.nanmax(np.abs(batch.position), axis=1, initial=0.0)
+    rest = np.where(ideal, np.maximum(IDEAL_RANGE * peak, ROUNDING_RANGE * rounding), floor)
+    moving = size > rest[:, None]
+    lasted = np.where(moving.any(axis=1), size.shape[1] - np.argmax(moving[:, ::-1], axis=1) - start, 0)
+    still = np.where(ideal, lasted < AT_REST_FROM * count, _end_spread(batch, start, count) <= 2 * FLOOR_FACTOR * floor)
+    at_rest = still & (count >= FEWEST_SAMPLES) & (peak > 0)
+    # a motion that comes to rest is fitted while it lasts, with some rest behind it where that is too short
+    length = np.where(at_rest | ideal, np.maximum(lasted, np.minimum(count, 2 * FEWEST_SAMPLES)), count)
+    take = np.minimum(start[:, None] + column, change.shape[1] - 1)
+    signal = np.take_along_axis(change, take, axis=1)
+    # the floor is six standard deviations of the noise wide, or one quantum, whose error is far smaller
+    grown = fastest_growth(signal, length, np.maximum(floor / NOISE_FACTOR, rounding))
+    rate = grown.per_sample
+    grows = _adds(grown, floor) & ~at_rest
+    # in a noisy motion a mode may grow by chance: a true one also grows in windows of another width
+    doubtful = np.flatnonzero(grows & ~grown.clean)
+    if len(doubtful):
+        again = fastest_growth(signal[doubtful], length[doubtful], grown.noise[doubtful], NARROW)
+        rate[doubtful] = np.fmin(rate[doubtful], again.per_sample)
+        grows[doubtful] &= _adds(again, floor[doubtful])
+    # motion that no mode explains to its end: it has died away in the noise, or it has risen out of it
+    trend = _trend(signal, count)
+    unexplained = np.isnan(rate) & ~at_rest & (count >= FEWEST_SAMPLES) & (peak > 0)
+    grows |= unexplained & (trend > TREND_FACTOR)
+    known = np.isfinite(rate) | at_rest | (unexplained & ((trend > TREND_FACTOR) | (trend < 1 / TREND_FACTOR)))
+    verdict = np.where(~known, "undecided", np.where(grows, "unstable", "stable"))
+    rate = np.where(at_rest & (rate > 0), np.nan, rate)
+    reason = tuple(
+        f"no visible motion to judge: {c} samples after the step, of which {FEWEST_SAMPLES} must stand above "
+        "the sensor floor"
+        if not k
+        else ("growth rate not told: the motion ended in the sensor floor" if np.isnan(r) else "")
+        for k, c, r in zip(known, count, rate, strict=True)
+    )
+    return Verdicts(verdict, rate / batch.sampling_period_s, reason)
+
+
+def _adds(grown: Growth, floor: Floats) -> Booleans:
+    """Whether growth adds more to the motion over the log than sensor and unexplained motion can."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        added = grown.amplitude * -np.expm1(-grown.per_sample * grown.span)
+    noise = np.where(grown.clean, 0.0, NOISE_FACTOR * grown.noise)
+    result: Booleans = np.nan_to_num(added) > np.maximum(floor, noise)
+    return result
+
+
+def _trend(signal: Floats, count: Integers) -> Floats:
+    """Root mean square of the last quarter of the motion relative to the first quarter."""
+    column = np.arange(signal.shape[1])[None, :]
+    first = column < (0.25 * count)[:, None]
+    last = (column >= (0.75 * count)[:, None]) & (column < count[:, None])
+    before, after = (
+        np.sqrt(np.where(part, signal**2, 0.0).sum(axis=1) / np.maximum(part.sum(axis=1), 1)) for part in (first, last)
+    )
+    trend: Floats = after / np.where(before > 0, before, 1.0)
+    return trend
+
+
+def _end_spread(batch: TrialBatch, start: Integers, count: Integers) -> Floats:
+    """Peak to peak of the position over the last part of the motion."""
+    column = np.arange(batch.position.shape[1])[None, :]
+    end = batch.valid & (column >= (start + AT_REST_FROM * count)[:, None])
+    largest = np.max(np.where(end, batch.position, -np.inf), axis=1, initial=-np.inf)
+    spread: Floats = largest - np.min(np.where(end, batch.position, np.inf), axis=1, initial=np.inf)
+    return spread
+
+
+def _judge_free(batch: TrialBatch, edge: Integers, floor: Floats) -> Verdicts:
+    """Judge trials with K = 0 by x = A + C t + E exp(rate t), fitted without knowing A, C, E.
+
+    For samples of this form x_k is linear in 1, k, k^2 and the running sum of x, and the factor of the sum is
+    exp(rate T) - 1, exactly. Sums average the noise, where differences would amplify it.
+    """
+    start = _free_motion(batch, edge, floor)
+    # fast modes of the delay line are forgotten after some more delays; a third of the log is left at least
+    extra = np.minimum(3 * np.maximum(start - np.maximum(edge, 0), 2), (batch.rows - start) // 4)
+    start = start + np.maximum(extra, 0)
+    count = np.maximum(batch.rows - start, 0)
+    column = np.arange(batch.position.shape[1])[None, :]
+    inside = column < count[:, None]
+    take = np.minimum(start[:, None] + column, batch.position.shape[1] - 1)
+    x = np.where(inside, np.take_along_axis(batch.position, take, axis=1), 0.0)
+    x = np.where(inside, x - x[:, :1], 0.0)
+    scale = np.maximum(np.abs(x).max(axis=1, initial=0.0), np.finfo(np.float64).tiny)
+    t = np.where(inside, 2 * column / np.maximum(count - 1, 1)[:, None] - 1, 0.0)
+    running = np.cumsum(x, axis=1) - x
+    design = np.stack([np.where(inside, 1.0, 0.0), t, np.where(inside, t * t, 0.0)], axis=2)
+    basis, _ = np.linalg.qr(design)
+    left = _project_out(basis, np.where(inside, running, 0.0))
+    right = _project_out(basis, x)
+    power = (left * left).sum(axis=1)
+    enough = (count >= FEWEST_SAMPLES) & (power > 0) & (scale > 4 * floor)
+    factor = np.where(enough, (left * right).sum(axis=1) / np.where(power > 0, power, 1.0), 0.0)
+    residual = np.sqrt(((right - factor[:, None] * left) ** 2).sum(axis=1) / np.maximum(count - 4, 1))
+    error = residual / np.sqrt(np.where(power > 0, power, 1.0))
+    error = np.maximum(error, RATE_ROUNDING / np.maximum(count, 1))
+    rate = np.log1p(np.maximum(factor, -0.999))
+    resolved = enough & (np.abs(rate) > LIMIT_SIGMAS * error)
+    verdict = np.where(~resolved, "undecided", np.where(rate > 0, "unstable", "stable"))
+    growth = np.where(enough, rate / batch.sampling_period_s, np.nan)
+    spread = LIMIT_SIGMAS * error / batch.sampling_period_s
+    reasons = []
+    for done, usable, g, s in zip(resolved, enough, growth, spread, strict=True):
+        if done:
+            reasons.append("")
+        elif usable:
+            reasons.append(f"at the limit: growth of the acceleration {g:.3g} +- {s:.2g} 1/s does not differ from 0")
+        else:
+            reasons.append(
+                f"too little motion at K = 0: at least {FEWEST_SAMPLES} samples above the sensor floor needed"
+            )
+    return Verdicts(verdict, growth, tuple(reasons))
+
+
+def _project_out(basis: Floats, values: Floats) -> Floats:
+    """Remove from each row of values what the columns of its orthonormal basis explain."""
+    for _ in range(2):  # twice: once leaves rounding of the large part in the small one
+        values = values - (basis @ (np.swapaxes(basis, 1, 2) @ values[:, :, None]))[:, :, 0]
+    return values

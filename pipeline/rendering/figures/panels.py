@@ -1,0 +1,281 @@
+"""What one panel of a figure shows: boundary curves, contour lines of a cost, its front view.
+
+Numbers come in SI; ``scale`` is the factor from SI to the stiffness axis.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.colors import to_rgb
+from matplotlib.patches import PathPatch
+from matplotlib.path import Path
+from matplotlib.transforms import IdentityTransform
+from matplotlib.tri import Triangulation
+from matplotlib.typing import CapStyleType
+
+from pipeline.records.batch import Booleans, Floats
+from pipeline.records.figure_records import CostMap, Curve, Figure
+from pipeline.rendering.figures import style
+from pipeline.rendering.labels import cost_text, printed_scale, significant
+
+LINES_PER_DOUBLING = 2
+"""Contour lines of settling and energy costs, as in Figs. 6.5 to 6.7."""
+DOUBLINGS = 5
+"""Contours end at 32 times the optimum; beyond, they merge with the stability boundary."""
+OVERSHOOT_STEP = 0.1
+"""Distance of the overshoot contours: 10 percentage points."""
+OVERSHOOT_LAST = 1.0
+"""Highest overshoot contour; steeper parts merge with the stability boundary."""
+NO_OVERSHOOT_LINE = 1e-3
+"""Overshoot at which the edge of the no-overshoot region is drawn: less is invisible, and interpolation from
+exact zeros at a lower level follows the grid cells instead of the edge."""
+NO_OVERSHOOT = 1e-12
+"""Overshoot that counts as none (footnote 4 of sec. 5.2.2)."""
+FRONT_RANGE = 4.0
+"""The front view reaches to this multiple of the highest optimum: all that matters for a choice."""
+OVERSHOOT_RANGE = 1.0
+"""Front view of the overshoot: 0 to 100 %."""
+LONGEST_EDGE = 2.3
+"""Longest side, in grid steps, of a triangle that contours cross: spans one missing trial at most."""
+LABEL_SIZE = (0.12, 0.042)
+"""Width and height of a direct label [fraction of the axes]; closer ones overlap and go into the legend."""
+SHORT_LABEL = 9
+"""Longest text [characters] that is written at a curve."""
+KINDS = ("envelope", "passive", "measured", "theory", "linear", "bound", "band")
+"""Kinds of curves in the order in which they are drawn: areas first."""
+LINE_WIDTHS = {"theory": 1.4, "linear": 1.6, "bound": 1.6, "band": 1.0, "passive": 0.8}
+THIN = 0.9
+"""Width of theory curves where there is one to each of many measured ones."""
+SHADES = {"envelope": 0.13, "passive": 0.22, "measured": 0.22}
+"""Opacity of filled areas: light enough for the lines and dots on them, apart from each other in grey."""
+LABELLED_KINDS = ("measured", "theory")
+"""Kinds of curves whose tip may bear a label; linear conditions and bands have none of their own."""
+
+
+def theory_colour(curves: Sequence[Curve]) -> str:
+    """Return the colour of theory curves: one where they have no partners, empty where each has that of its partner.
+
+    One theory curve to each measured one share their colour; otherwise theory would borrow a wrong partner.
+    """
+    measured, theory = (sum(curve.kind == kind for curve in curves) for kind in ("measured", "theory"))
+    return "" if measured in (0, theory) else style.VERMILLION
+
+
+def draw_curves(axes: Axes, curves: Sequence[Curve], scale: float, *, thin: bool = False) -> dict[str, list[Artist]]:
+    """Draw boundaries, on request with thin theory; return by kind what needs a legend: curves without a label."""
+    alone = theory_colour(curves)
+    entries: dict[str, list[Artist]] = {}
+    for kind in KINDS:
+        group = [curve for curve in curves if curve.kind == kind]
+        # All of a kind or none: a legend with some of the curves would be read as complete.
+        places = _label_places(group, axes.get_xlim()[1] / scale, axes.get_ylim())
+        for index, curve in enumerate(group):
+            own = alone if kind == "theory" and alone else style.SERIES[index % len(style.SERIES)]
+            colour = own if kind in LABELLED_KINDS else style.INK
+            artist = _draw_curve(axes, curve, scale, colour, style.MARKERS[index % len(style.MARKERS)], thin=thin)
+            if places:
+                look: dict[str, Any] = {"color": colour, "va": "center", "fontsize": 9.5, "bbox": style.BEHIND_TEXT}
+                axes.annotate(curve.label, places[index], (4, 0), "axes fraction", textcoords="offset points", **look)
+            elif not curve.label.startswith("_"):
+                entries.setdefault(kind, []).append(artist)
+    return entries
+
+
+def _draw_curve(
+    axes: Axes, curve: Curve, scale: float, colour: str, marker: str = "o", *, thin: bool = False
+) -> Artist:
+    look: dict[str, Any] = {"color": colour, "ls": style.LINES[curve.kind], "label": curve.label}
+    k = curve.stiffness * scale
+    between = _fill_between(axes, curve, scale, colour)
+    if between is not None and curve.kind == "envelope":
+        return between
+    if curve.kind == "passive":
+        axes.fill(k, curve.damping, color=colour, alpha=SHADES["passive"], lw=0)
+    if curve.kind != "measured":
+        width = THIN if thin and curve.kind == "theory" else LINE_WIDTHS[curve.kind]
+        return axes.plot(k, curve.damping, lw=width, **look)[0]
+    (line,) = axes.plot(k, curve.damping, lw=1.4, marker=marker, ms=3.4, mew=0, **look)
+    if curve.censored is not None and np.any(curve.censored):
+        where = np.asarray(curve.censored, dtype=bool)
+        hollow: dict[str, Any] = {"mfc": style.PAPER, "mec": colour, "mew": 1.1}
+        axes.plot(k[where], curve.damping[where], ls="none", marker=marker, ms=5, **hollow)
+    return line
+
+
+def _fill_between(axes: Axes, curve: Curve, scale: float, colour: str) -> Artist | None:
+    """Fill what lies between the two stiffnesses at each damping, where a curve has them."""
+    if curve.low is None or curve.high is None:
+        return None
+    known = np.isfinite(curve.low) & np.isfinite(curve.high)
+    low, high, b = curve.low[known] * scale, curve.high[known] * scale, curve.damping[known]
+    outline = (np.append(low, high[::-1]), np.append(b, b[::-1]))
+    return axes.fill(*outline, color=colour, alpha=SHADES[curve.kind], lw=0, label=curve.label)[0]
+
+
+def legend_entries(curves: Sequence[Curve], reach: tuple[float, float, float]) -> int:
+    """Return how many curves have no room for their label and need a legend; ``reach`` is that of `canvas.reach`."""
+    kinds = {curve.kind for curve in curves}
+    shown = [curve for curve in curves if not curve.label.startswith("_")]
+    groups = [[curve for curve in shown if curve.kind == kind] for kind in kinds]
+    return sum(len(group) for group in groups if not _label_places(group, reach[0], reach[1:]))
+
+
+def _label_places(curves: Sequence[Curve], largest: float, damping: tuple[float, float]) -> list[tuple[float, float]]:
+    """Return the tips of the curves [axes fraction] if a short label fits at each of them, else nothing."""
+    places: list[tuple[float, float]] = []
+    for curve in curves:
+        known = np.isfinite(curve.stiffness) & np.isfinite(curve.damping)
+        hidden = curve.label.startswith("_")
+        if hidden or curve.kind not in LABELLED_KINDS or len(curve.label) > SHORT_LABEL or not known.any():
+            return []
+        tip = int(np.argmax(np.where(known, curve.stiffness, -np.inf)))
+        x = float(curve.stiffness[tip]) / largest
+        y = (float(curve.damping[tip]) - damping[0]) / (damping[1] - damping[0])
+        if x > 1 or any(abs(x - a) < LABEL_SIZE[0] and abs(y - b) < LABEL_SIZE[1] for a, b in places):
+            return []
+        places.append((x, y))
+    return places
+
+
+def draw_map(axes: Axes, cost_map: CostMap, criterion: str, scale: float) -> None:
+    """Draw the stability boundary, the contour lines of the cost and the optimum as a blue plus."""
+    _draw_curve(axes, cost_map.boundary, scale, style.INK)
+    if not np.isfinite(cost_map.cost).any():
+        axes.text(0.5, 0.5, "no trial with this cost", transform=axes.transAxes, ha="center")
+        return
+    if criterion == "overshoot":
+        calm = cost_map.trial_cost <= NO_OVERSHOOT
+        dots(axes, cost_map.trial_stiffness[calm] * scale, cost_map.trial_damping[calm], style.INK, 2.4)
+    _draw_contours(axes, cost_map, criterion, scale)
+    for curve, line in ((cost_map.best_damping, "-"), (cost_map.best_stiffness, style.LINES["theory"])):
+        if curve is not None:
+            axes.plot(curve.stiffness * scale, curve.damping, color=style.INK, lw=1.1, ls=line)
+    best = cost_map.optimum
+    if best is not None:
+        axes.plot(best.stiffness * scale, best.damping, "+", color=style.BLUE, ms=13, mew=2.4)
+
+
+def _draw_contours(axes: Axes, cost_map: CostMap, criterion: str, scale: float) -> None:
+    """Draw lines of equal cost, heavier at whole doublings, which can be counted also in grey; theory has numbers."""
+    known = np.isfinite(cost_map.cost)
+    levels = _levels(criterion, cost_map.cost[known])
+    if not levels.size:
+        return
+    if criterion == "overshoot":
+        wide, labelled = np.where(levels <= NO_OVERSHOOT_LINE, 1.8, 1.0), levels[levels > NO_OVERSHOOT_LINE][::2]
+    else:
+        whole = np.arange(levels.size) % LINES_PER_DOUBLING == LINES_PER_DOUBLING - 1
+        wide, labelled = np.where(whole, 1.3, 0.8), levels[1::LINES_PER_DOUBLING]
+    shade = [(*to_rgb(style.GREEN), alpha) for alpha in np.linspace(1.0, 0.45, levels.size)]
+    look: dict[str, Any] = {"levels": levels, "colors": shade, "linewidths": wide}
+    if cost_map.kind == "theory":
+        lines = axes.contour(cost_map.stiffness * scale, cost_map.damping, cost_map.cost, **look)
+        text: dict[str, Any] = {"fontsize": 8.5, "colors": style.INK, "inline_spacing": 2}
+        factor = printed_scale(criterion)
+        axes.clabel(lines, labelled[:2], fmt=lambda level: significant(level * factor, 3), **text)
+        return
+    triangles = _triangles(cost_map, known)
+    if triangles is not None:
+        triangles.x = triangles.x * scale
+        axes.tricontour(triangles, cost_map.cost[known], **look)
+
+
+def _levels(criterion: str, cost: Floats) -> Floats:
+    """Return the contour levels inside the range of the costs: two a doubling, or every 10 % of overshoot."""
+    low, high = float(cost.min()), float(cost.max())
+    if criterion == "overshoot":
+        steps = np.arange(1, round(OVERSHOOT_LAST / OVERSHOOT_STEP) + 1) * OVERSHOOT_STEP
+        levels = np.concatenate([[NO_OVERSHOOT_LINE], steps])
+    else:
+        # A level that equals many costs exactly (settling times are whole numbers) would fray into plateaus.
+        exponents = np.arange(1, DOUBLINGS * LINES_PER_DOUBLING + 1) / LINES_PER_DOUBLING
+        levels = low * 2.0**exponents * (1 + 1e-6)
+    return np.asarray(levels[(levels > low) & (levels < high)])
+
+
+def draw_front(axes: Axes, cost_map: CostMap, criterion: str, scale: float, top: float) -> None:
+    """Draw the least cost for each stiffness, all trials as dots, and the optimum with its cost."""
+    factor = printed_scale(criterion)
+    axes.set_ylim(0, top * factor)
+    inside = cost_map.trial_cost <= top
+    dots(axes, cost_map.trial_stiffness[inside] * scale, cost_map.trial_cost[inside] * factor, style.GREEN, 2.6)
+    known = np.isfinite(cost_map.cost).any(axis=0)
+    lowest = np.where(np.isfinite(cost_map.cost), cost_map.cost, np.inf).min(axis=0)[known]
+    axes.plot(cost_map.stiffness[known] * scale, lowest * factor, color=style.INK, lw=1.3)
+    best = cost_map.optimum
+    if best is None:
+        return
+    place = (best.stiffness * scale, best.cost * factor)
+    axes.plot(*place, "+", color=style.BLUE, ms=11, mew=2.2, zorder=5)
+    text = cost_text(criterion, best.cost) + (" %" if criterion == "overshoot" else "")
+    offset = (0, -15 if best.cost > 0.2 * top else 14)  # else the value would collide with the axis
+    look: dict[str, Any] = {"va": "center", "color": style.BLUE, "fontweight": "bold", "bbox": style.BEHIND_TEXT}
+    look["ha"] = "left" if place[0] < 0.1 * axes.get_xlim()[1] else "center"
+    axes.annotate(text, place, offset, "data", textcoords="offset points", **look)
+
+
+def front_top(figure: Figure[CostMap]) -> float:
+    """Return the upper end of the cost axis of the front views, the same for all maps of a figure."""
+    if figure.criterion == "overshoot":
+        return OVERSHOOT_RANGE
+    lowest = [float(np.nanmin(m.cost)) for m in figure.panels if np.isfinite(m.cost).any()]
+    return FRONT_RANGE * max(lowest, default=1.0)
+
+
+def cost_axis_label(criterion: str) -> str:
+    """Return quantity and unit of the cost axis of a front view."""
+    if criterion == "overshoot":
+        return "overshoot [%]"
+    if criterion.startswith("settle"):
+        return "settling time [samples]"
+    return "energy cost" if criterion.startswith("energy") else criterion
+
+
+def _triangles(cost_map: CostMap, known: Booleans) -> Triangulation | None:
+    """Triangulate the tested points of a map with holes; None where they span no area.
+
+    Distances count in grid steps, so that the very different numbers of stiffness and damping do not matter.
+    """
+    rows, columns = np.nonzero(known)
+    k, b = cost_map.stiffness[columns], cost_map.damping[rows]
+    # Columns may be shifted against each other: the step is the usual one inside a column.
+    same = np.diff(rows) == 0
+    k_step = float(np.median(np.diff(k)[same])) if same.any() else 1.0
+    b_steps = np.diff(np.unique(b))
+    b_step = float(np.median(b_steps)) if b_steps.size else 1.0
+    points = np.column_stack([k / k_step, b / b_step])
+    if len(points) < 3 or np.linalg.matrix_rank(points - points[0]) < 2:
+        return None
+    triangles = Triangulation(points[:, 0], points[:, 1])
+    corners = points[triangles.triangles]
+    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+    if (longest > LONGEST_EDGE).all():
+        return None
+    return Triangulation(k, b, triangles.triangles, mask=longest > LONGEST_EDGE)
+
+
+def dots(
+    axes: Axes, x: Floats, y: Floats, colour: str, size: float, *, square: bool = False, clip: bool = True
+) -> None:
+    """Draw points as one path of dots of a size in pixels, one a pixel at most: small however many trials there are.
+
+    Rejected: `scatter` (one element a point) and a raster image (does not follow the page's colours).
+    """
+    cap: CapStyleType = "projecting" if square else "round"
+    pixels = axes.transData.transform(np.column_stack([x, y]))
+    pixels = np.unique(np.round(pixels), axis=0)
+    if not len(pixels):
+        return
+    # Neighbours one above the other make a short line: the same picture from one pair of points.
+    joined = (np.diff(pixels[:, 0]) == 0) & (np.diff(pixels[:, 1]) == 1)
+    first, last = np.append(True, ~joined), np.append(~joined, True)
+    ends = np.stack([pixels[first], pixels[last]], axis=1).reshape(-1, 2)
+    path = Path(ends, np.tile(np.array([Path.MOVETO, Path.LINETO], dtype=np.uint8), len(ends) // 2))
+    look: dict[str, Any] = {"fill": False, "edgecolor": colour, "lw": size, "capstyle": cap, "clip_on": clip}
+    # `add_patch` would search the path for limits of the axes, which are set already
+    axes.add_artist(PathPatch(path, transform=IdentityTransform(), **look))

@@ -1,0 +1,82 @@
+"""Figures of a report, drawn, with the words around them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, get_args
+
+from pipeline.records.figure_records import CostMap, Figure, Limits
+from pipeline.records.models import FigureKind, Motion
+from pipeline.records.results import ReportData
+
+_MARKS = (
+    "Filled marks: the measured cost is larger; open marks: smaller; dots: less than the smallest step; their size is "
+    "the departure. Dashed: stability boundary of theory."
+)
+
+
+@dataclass(frozen=True)
+class Drawing:
+    """A figure on the page: panels as ``<svg>`` elements, and the words around them."""
+
+    identifier: str
+    title: str
+    caption: str
+    panels: tuple[str, ...]
+    key: str
+
+
+def drawings(data: ReportData) -> dict[FigureKind, list[Drawing]]:
+    """Return the figures of a report by their kind; empty where there is nothing to draw."""
+    motion = data.result.motion
+    return {kind: [draw(f, motion) for f in data.figures if f.kind == kind] for kind in get_args(FigureKind)}
+
+
+def draw(figure: Figure[Any], motion: Motion) -> Drawing:
+    """Draw a figure and put the words around it."""
+    # matplotlib takes 0.6 s, which a report without figures need not wait for
+    from pipeline.rendering.figures import figures, residual_panels, response_drawing
+
+    kinds: dict[str, tuple[Callable[[Figure[Any], Motion], tuple[str, ...]], Callable[[Figure[Any]], str]]] = {
+        "boundaries": (figures.boundaries, _line_key),
+        "plane": (figures.boundaries, _line_key),
+        "maps": (figures.cost_maps, _map_key),
+        "delay": (figures.delays, lambda _: ""),
+        "response": (response_drawing.responses, lambda _: ""),
+        "residuals": (residual_panels.residuals, lambda _: _MARKS),
+    }
+    panels, key = kinds[figure.kind]
+    title = (figure.title[:1].upper() + figure.title[1:]).rstrip(".")  # the page adds a full stop
+    return Drawing(figure.identifier, title, figure.caption, panels(figure, motion), key(figure))
+
+
+def _line_key(figure: Figure[Limits]) -> str:
+    """What the lines of a boundary figure mean, as far as it has them."""
+    curves = [curve for _, panel in figure.panels for curve in panel]
+    kinds = {curve.kind for curve in curves}
+    names = (("measured", "solid: measured"), ("theory", "dashed: theory"), ("linear", "dotted: linear condition"))
+    text = "; ".join(name for kind, name in names if kind in kinds)
+    text = f"{text[:1].upper()}{text[1:]}." if text else ""
+    if any(curve.censored is not None and curve.censored.any() for curve in curves):
+        text += " Open markers: the tested range ended before an unstable trial."
+    return text.strip()
+
+
+def _map_key(figure: Figure[CostMap]) -> str:
+    """What lines and marks of a cost figure mean."""
+    overshoot = figure.criterion == "overshoot"
+    lines = (
+        "every 10 percentage points, the heavy one at 0.1 % around the region without"
+        if overshoot
+        else "two for each doubling, starting at the optimum"
+    )
+    curves = ""
+    if any(m.best_damping is not None for m in figure.panels):
+        curves = " Lines across: best damping for each stiffness (solid), best stiffness for each damping (dashed)."
+    dots = " and all trials (dots)" if any(m.trial_cost.size for m in figure.panels) else ""
+    calm = " Dots in the map: trials without overshoot." if overshoot and len(figure.panels) > 1 else ""
+    return (
+        f"Outer curve: stability boundary. Green: lines of equal cost, {lines}.{curves} Plus: optimum. "
+        f"Below: least cost for each stiffness (line){dots}.{calm}"
+    )

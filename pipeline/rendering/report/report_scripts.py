@@ -1,0 +1,79 @@
+"""Scripts of the report page: what they are, and the policy that lets the browser run them and nothing else.
+
+The page makes no request to any host. Its policy forbids all but inline styles, images inside the page, and the scripts
+whose hashes it names, so that a name in a log that slipped through the escaping would still not run.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+from typing import Any
+
+from pipeline.rendering.report.page_template import TEMPLATES
+
+TABLES_SCRIPT = "report/tables.js"
+TRIALS_SCRIPTS = ("report/plane.js", "report/response.js", "report/trials.js")
+PLOT = "vendor/uPlot.iife.min.js"
+PLOT_LICENCE = "vendor/uPlot.LICENSE"
+PLOT_STYLE = "vendor/uPlot.min.css"
+
+
+def scripts(with_trials: bool) -> tuple[str, ...]:
+    """Return the inline scripts of a report in their order.
+
+    Parameters
+    ----------
+    with_trials : bool
+        Whether the page shows trials, which asks for the plot library and its licence.
+    """
+    tables = _text(TABLES_SCRIPT)
+    if not with_trials:
+        return (tables,)
+    licence = f"/*! uPlot\n{_text(PLOT_LICENCE).strip()}\n*/\n"
+    return tables, licence + _text(PLOT), "".join(_text(name) for name in TRIALS_SCRIPTS)
+
+
+def page_files() -> tuple[str, ...]:
+    """Return all files that a report is made from besides code, as `provenance.code_digest` takes them."""
+    found = [TEMPLATES / name for name in ("report.html.j2", "macros.html.j2", "report.css")]
+    found += [path for folder in ("report", "vendor") for path in (TEMPLATES / folder).iterdir()]
+    return tuple(sorted(path.relative_to(TEMPLATES.parents[1]).as_posix() for path in found))
+
+
+def plot_style() -> str:
+    """Return the style sheet of the plot library."""
+    return _text(PLOT_STYLE)
+
+
+def policy(inline: tuple[str, ...]) -> str:
+    """Return the Content-Security-Policy of a page with these inline scripts.
+
+    Styles may be inline: figures and the plot library set positions and colours by style attributes.
+    """
+    allowed = " ".join(f"'sha256-{_hash(text)}'" for text in inline) or "'none'"
+    return (
+        f"default-src 'none'; script-src {allowed}; style-src 'unsafe-inline'; img-src data:; "
+        "base-uri 'none'; form-action 'none'"
+    )
+
+
+def json_text(content: Any) -> str:
+    """Return JSON that may stand inside a ``<script>`` element: it holds no ``<``, ``>`` or ``&``.
+
+    Raises
+    ------
+    ValueError
+        If a number is not finite, which JSON does not know.
+    """
+    text = json.dumps(content, separators=(",", ":"), allow_nan=False, ensure_ascii=True)
+    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+
+
+def _text(name: str) -> str:
+    return (TEMPLATES / name).read_text(encoding="utf-8")
+
+
+def _hash(text: str) -> str:
+    return base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()

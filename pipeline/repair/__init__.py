@@ -1,0 +1,1 @@
+"""Damaged stored files: found, and all saved that can be read."""

@@ -1,0 +1,185 @@
+"""Commands that simulate logs and measure the methods: parse, call, print."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from pipeline.base.errors import UsageError
+from pipeline.shell import console
+from pipeline.shell.outputs import check_output
+
+if TYPE_CHECKING:
+    from pipeline.records.models import Device
+
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout, nothing else there.")]
+Processed = Annotated[Path, typer.Option("--processed", help="Folder of the stored tables.")]
+Experiments = Annotated[
+    list[str] | None,
+    typer.Option("--experiment", "-e", help="Only this experiment; may be given several times."),
+]
+
+
+class DampingRange(StrEnum):
+    """Which dampings a simulated course covers."""
+
+    tested = "tested"
+    full = "full"
+
+
+class AccuracyPart(StrEnum):
+    """Which part of the accuracy page is measured."""
+
+    theory = "theory"
+    measured = "measured"
+
+
+def demo(
+    full: Annotated[bool, typer.Option("--full", help="Thesis size: all experiments, all trials.")] = False,
+) -> None:
+    """Simulate, ingest and compare a small course of the Falcon and of the light-weight robot.
+
+    Writes raw/demo/, processed/demo/, reports/falcon.html and reports/lwr.html below the current folder, and
+    replaces files of these names.
+
+    Example: pipeline demo
+    """
+    from pipeline.shell.demo import run_demo
+
+    check_output(Path("reports/falcon.html"), "", document_beside=True)
+    for line in run_demo(full=full, report_progress=console.note).lines:
+        console.say(line)
+
+
+def _count(advance: console.Advance, kept: int) -> None:
+    """Show how many trials a course has so far; how many there will be is known only at its end."""
+    advance(kept, None)
+
+
+def simulate(
+    device: Annotated[str, typer.Argument(help="Name of a known device, or a device file (.toml).")],
+    experiment: Experiments = None,
+    out: Annotated[Path, typer.Option("--out", help="Logs go to DEVICE/EXPERIMENT below this folder.")] = Path("raw"),
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of noise and jitter.")] = 0,
+    ideal: Annotated[bool, typer.Option("--ideal", help="Without noise, quantum and jitter.")] = False,
+    quantum: Annotated[
+        float | None, typer.Option("--quantum", help="Sensor quantum in m or rad, in place of the device's.")
+    ] = None,
+    noise: Annotated[
+        float | None,
+        typer.Option("--noise", help="Standard deviation of the sensor noise in m or rad, in place of the device's."),
+    ] = None,
+    jitter: Annotated[
+        str | None,
+        typer.Option("--jitter", help='Delays to draw from, such as "3,4,5", or "none".'),
+    ] = None,
+    duration: Annotated[
+        float | None, typer.Option("--duration", help="Length of a trial in s, in place of the device's.")
+    ] = None,
+    damping_range: Annotated[
+        DampingRange,
+        typer.Option("--range", help="Dampings as tested, or on until no stiffness is stable."),
+    ] = DampingRange.tested,
+    coarsen: Annotated[int, typer.Option("--coarsen", help="Every n-th damping and n times the stiffness step.")] = 1,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the logs of an earlier simulation.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Write simulated logs of a device, and the true parameters beside them (truth.json).
+
+    Example: pipeline simulate falcon --experiment 1 --out raw --seed 1
+    """
+    from pipeline.simulation.course import run_course, write_course
+
+    record = _device(device)
+    names = [e.name for e in record.experiments] if not experiment else list(dict.fromkeys(experiment))
+    delays = None if jitter is None else _jitter(jitter)
+    counts: dict[str, int] = {}
+    for name in names:
+        with console.progress(f"{record.name} {name}", "trials", as_json) as advance:
+            course = run_course(
+                record,
+                name,
+                seed=seed,
+                ideal=ideal,
+                quantum=quantum,
+                noise=noise,
+                jitter=delays,
+                duration_s=duration,
+                damping_range=damping_range.value,
+                coarsen=coarsen,
+                progress=partial(_count, advance),
+            )
+        counts[name] = write_course(course, out, overwrite=overwrite)
+        if not as_json:
+            console.say(f"{record.name}, experiment {name}: {counts[name]} logs in {out}")
+    if as_json:
+        console.print_json({"device": record.name, "folder": str(out), "seed": seed, "logs": counts})
+
+
+def _device(text: str) -> Device:
+    from pipeline.devices.devices import load_device, read_device
+
+    return read_device(Path(text)) if text.endswith(".toml") else load_device(text)
+
+
+def _jitter(text: str) -> tuple[int, ...]:
+    if text.strip() == "none":
+        return ()
+    try:
+        return tuple(int(word) for word in text.split(","))
+    except ValueError as error:
+        raise UsageError(
+            f'--jitter {text!r}: expected whole numbers of samples, such as "3,4,5", or "none".'
+        ) from error
+
+
+def accuracy(
+    out: Annotated[Path, typer.Option("--out", help="HTML file to write, with the JSON document beside it.")] = Path(
+        "reports/accuracy.html"
+    ),
+    only: Annotated[
+        AccuracyPart | None, typer.Option("--only", help="This part alone; the page then has no other.")
+    ] = None,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Fewer settings and repetitions: seconds, not two minutes.")
+    ] = False,
+    processed: Processed = Path("processed"),
+    as_json: Json = False,
+) -> None:
+    """Measure error against run time of every method of theory and measured branch, and write a page.
+
+    The part on the measured branch says how long a course of experiments must be. Reports of comparisons show the
+    part on the theory while code and machine are unchanged.
+
+    Example: pipeline accuracy --quick
+    """
+    from pipeline.base.disk import write_text
+    from pipeline.records import accuracy as results
+    from pipeline.studies.accuracy import page, run
+
+    check_output(out, "--out", document_beside=True)
+    say = (lambda _: None) if as_json else console.note
+    parts = {"theory": only != AccuracyPart.measured, "measured": only != AccuracyPart.theory}
+    report = run.measure(quick, say, **parts)
+    page.write(report, out)
+    write_text(out.with_suffix(".json"), report.model_dump_json(indent=1) + "\n")
+    if report.rungs:
+        results.store(report, processed)
+    if as_json:
+        console.print_json(report.model_dump(mode="json"))
+        return
+    columns = ("quantity", "error", "time", "other", "compared")
+    if report.rungs:
+        for line in console.table(page.summary_rows(report), columns):
+            console.say(line)
+    for text in (*report.summary, *report.distrusted):
+        console.say(text)
+    if report.measured_branch is not None:
+        for text in (*report.measured_branch.course_length, *report.measured_branch.summary):
+            console.say(text)
+    console.say(f"{report.machine['processor']}, Python {report.machine['python']}, numpy {report.machine['numpy']}")
+    console.say(f"report: {out}")

@@ -1,0 +1,200 @@
+"""Commands of `pipeline profile` and `pipeline quarantine`: parse, call, print."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pipeline.base.errors import EXIT_QUARANTINED, UsageError
+from pipeline.shell import console
+from pipeline.shell.outputs import check_output
+
+profile_app = typer.Typer(
+    no_args_is_help=True,
+    help="Profiles of foreign logs: draft one from a sample, check what one reads.",
+)
+quarantine_app = typer.Typer(
+    no_args_is_help=True,
+    help="Logs that were refused: list them, show where each is wrong, try again.",
+)
+
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout.")]
+Processed = Annotated[Path, typer.Option("--processed", help="Folder of the stored tables.")]
+
+
+@profile_app.command("check")
+def check(
+    profile: Annotated[str, typer.Argument(help="Profile file (.toml), or name of a shipped profile.")],
+    samples: Annotated[list[Path], typer.Argument(help="Sample logs, or folders with some.")],
+    as_json: Json = False,
+) -> None:
+    """Show what a profile would read of samples: conditions, columns in SI, quality of time, step, warnings.
+
+    Nothing is stored. Exit status 3 where a sample would be refused, 1 where the profile itself is wrong: all of its
+    mistakes are told at once.
+
+    Example: pipeline profile check lab.toml run_01.csv
+    """
+    from pipeline.profiles.profile_files import load_profile
+    from pipeline.shell.profile.profile_check import check_document, check_lines, check_samples
+
+    loaded = load_profile(profile)
+    checked = check_samples(loaded, samples)
+    if as_json:
+        console.print_json(check_document(loaded, checked))
+    else:
+        for sample in checked:
+            for line in check_lines(sample):
+                console.say(line)
+    if any(sample.reason is not None for sample in checked):
+        raise typer.Exit(EXIT_QUARANTINED)
+
+
+@profile_app.command("draft")
+def draft(
+    sample: Annotated[Path, typer.Argument(help="A log of the lab.")],
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Profile file to write; printed where not given.", show_default=False)
+    ] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the profile file.")] = False,
+    as_json: Json = False,
+) -> None:
+    """Write a first profile for a sample: what is sure is filled in, the rest is asked.
+
+    Lines "# QUESTION: key: ..." stand where units, signs, conditions and the like must not be guessed. Set the key
+    below and remove the line; `pipeline profile check` lists what is open. With --json: the profile's text, the file
+    that was written (null where none), and the questions with line and key.
+
+    Example: pipeline profile draft run_01.csv --out lab.toml
+    """
+    from pipeline.base.disk import write_text
+    from pipeline.profiles.profile_lines import find_questions
+    from pipeline.shell.profile.profile_draft import draft_profile
+
+    if out is not None:
+        check_output(out, "--out")
+    if out is not None and out.exists() and not overwrite:
+        raise UsageError(f"{out}: exists. Give another file, or --overwrite.")
+    text = draft_profile(sample)
+    questions = find_questions(text)
+    if out is not None:
+        write_text(out, text)
+    if as_json:
+        asked = [{"line": q.line, "key": ".".join(map(str, q.place)), "question": q.text} for q in questions]
+        document = {"sample": str(sample), "out": None if out is None else str(out), "profile": text}
+        console.print_json({**document, "questions": asked})
+    elif out is None:
+        console.say(text.rstrip("\n"))
+    else:
+        console.say(f"{out}: {len(questions)} questions are open")
+
+
+def _see_folder(processed: Path) -> None:
+    """Refuse a folder that is not there: a mistyped one must not look like one without refusals."""
+    if not processed.is_dir():
+        raise UsageError(f"{processed}: no such folder. Give the folder of the stored tables (--processed).")
+
+
+@quarantine_app.command("list")
+def list_(processed: Processed = Path("processed"), as_json: Json = False) -> None:
+    """List the logs in quarantine with id, path, row, code and reason, and a line of a profile that might help.
+
+    Codes are explained in docs/logs.md.
+
+    Example: pipeline quarantine list
+    """
+    from pipeline.ingest.quarantine import list_quarantine, record_id
+
+    _see_folder(processed)
+    records = list_quarantine(processed)
+    if as_json:
+        console.print_json([{"id": record_id(record), **record.model_dump(mode="json")} for record in records])
+        return
+    for record in records:
+        row = "" if record.row is None else f", row {record.row}"
+        code = "" if record.code is None else f" [{record.code}]"
+        console.say(f"{record_id(record)}  {record.path}{row}{code}: {record.reason}")
+        if record.profile_line is not None:
+            console.say(f"{'':16}  profile: {'; '.join(record.profile_line.splitlines())}")
+    console.say(f"{len(records)} in quarantine")
+
+
+@quarantine_app.command("show")
+def show(
+    wanted: Annotated[str, typer.Argument(help="Id or path of a log in quarantine.", metavar="ID_OR_PATH")],
+    processed: Processed = Path("processed"),
+    as_json: Json = False,
+) -> None:
+    """Show why a log was refused, with the lines around the row at fault.
+
+    Example: pipeline quarantine show logs/run_01.csv
+    """
+    from pipeline.ingest.quarantine import find_record, record_id
+
+    _see_folder(processed)
+    record = find_record(processed, wanted)
+    if as_json:
+        console.print_json({"id": record_id(record), **record.model_dump(mode="json")})
+        return
+    for key in ("path", "profile", "size", "row", "byte", "code", "reason"):
+        value = getattr(record, key)
+        console.say(f"{key:<8} {'–' if value is None else value}")
+    if record.profile_line is not None:
+        console.say("this might help in the profile:")
+        for line in record.profile_line.splitlines():
+            console.say(f"    {line}")
+    if not record.excerpt:
+        console.say("no excerpt: the file has no lines, could not be read, or was too large to be copied")
+    for number, line in record.excerpt:
+        console.say(f"{'>' if number == record.row else ' '} {number:>6}  {line}")
+
+
+@quarantine_app.command("retry")
+def retry(
+    paths: Annotated[
+        list[str] | None, typer.Argument(help="Paths or ids of logs in quarantine; all where none is given.")
+    ] = None,
+    profile: Annotated[
+        str | None, typer.Option("--profile", help="Log profile by name, or a profile file (.toml).")
+    ] = None,
+    processed: Processed = Path("processed"),
+    as_json: Json = False,
+) -> None:
+    """Ingest logs in quarantine again, after they or the profile were corrected.
+
+    Exit status 3 where some are still refused, or are no longer where they were.
+
+    Example: pipeline quarantine retry --profile lab.toml
+    """
+    from pipeline.base.file_names import path_of_text
+    from pipeline.ingest.ingest import ingest
+    from pipeline.ingest.quarantine import find_record, list_quarantine, quarantine_folder, record_id
+
+    _see_folder(processed)
+    records = [find_record(processed, path) for path in paths] if paths else list_quarantine(processed)
+    sources = {record.path: path_of_text(record.path) for record in records}
+    ids = {record.path: record_id(record) for record in records}
+    gone = [path for path, source in sources.items() if not os.path.exists(source)]
+    # to follow a link that leads out of its folder is for who names it
+    outside = {record.path for record in records if record.code == "link-outside" and not paths}
+    links = [path for path in outside if path not in gone and os.path.islink(sources[path])]
+    present = [source for path, source in sources.items() if path not in gone and path not in links]
+    report = ingest(present, processed, profile, rehash=True)
+    if as_json:
+        console.print_json({**report.model_dump(mode="json"), "gone": gone, "links": links})
+    else:
+        accepted = report.ingested + report.skipped
+        console.say(f"{len(records)} tried, {accepted} accepted, {len(report.quarantined)} refused, {len(gone)} gone")
+        for refusal in report.quarantined:
+            row = "" if refusal.row is None else f", row {refusal.row}"
+            console.say(f"{refusal.path}{row}: {refusal.reason}")
+        for path in gone:
+            folder = quarantine_folder(processed) / ids[path]
+            console.say(f"{path}: is no longer there, or may not be looked at. Put it back, or remove {folder}.")
+        for path in links:
+            console.say(f"{path}: is a link that leads out of its folder. Give its path to follow it.")
+    if report.quarantined or gone or links:
+        raise typer.Exit(EXIT_QUARANTINED)

@@ -1,0 +1,288 @@
+"""Commands about reports and scenes: parse, call, print."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from pipeline.base.errors import EXIT_ERROR, UsageError
+from pipeline.shell import console
+from pipeline.shell.commands import cli_theory
+from pipeline.shell.outputs import check_output
+
+if TYPE_CHECKING:
+    from pipeline.rendering.report.report_against import AgainstPage
+
+scene_app = typer.Typer(no_args_is_help=True, help="Scene files: what one report shows. Draft one, check one.")
+
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout, nothing else there.")]
+Processed = Annotated[Path, typer.Option("--processed", help="Folder of the stored tables.")]
+Experiments = Annotated[
+    list[str] | None,
+    typer.Option("--experiment", "-e", help="Only this experiment; may be given several times."),
+]
+
+
+def compare(
+    device: Annotated[
+        str | None, typer.Option("--device", help="Device whose logs are compared; may stand in the scene file.")
+    ] = None,
+    experiment: Experiments = None,
+    criteria: Annotated[
+        str | None,
+        typer.Option("--criteria", help="Criteria, separated by commas; all where not given."),
+    ] = None,
+    processed: Processed = Path("processed"),
+    report: Annotated[
+        Path | None,
+        typer.Option("--report", help="HTML file; reports/DEVICE.html where not given.", show_default=False),
+    ] = None,
+    scene: Annotated[
+        Path | None,
+        typer.Option("--scene", help="Scene file (.toml): what the report shows. Options given here come first."),
+    ] = None,
+    tables_format: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--tables-format", help="Write the tables beside the report, too: csv, json, markdown, latex, with commas."
+        ),
+    ] = None,
+    against: Annotated[
+        str | None,
+        typer.Option("--against", help="Compare one experiment against this one: EXPERIMENT, or DEVICE:EXPERIMENT."),
+    ] = None,
+    against_device: Annotated[
+        str | None, typer.Option("--against-device", help="Device of the experiment that --against names.")
+    ] = None,
+    against_report: Annotated[
+        Path | None,
+        typer.Option("--against-report", help="Compare against the document (.json) of an earlier report."),
+    ] = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be done and why, do nothing.")] = False,
+    full: Annotated[
+        bool, typer.Option("--full", help="Put the response of every trial into the page, whatever its size.")
+    ] = False,
+    as_json: Json = False,
+) -> None:
+    """Estimate, judge and compare with theory; write the report.
+
+    With --against two experiments, devices (in the plane of alpha and beta) or code versions are compared with each
+    other, on a page of their own.
+
+    Example: pipeline compare --device falcon --experiment 1 --criteria settle_2pct,overshoot
+    """
+    from pipeline.comparison.compare import compare as compare_device
+    from pipeline.comparison.scene.scene_file import read_scene
+    from pipeline.rendering.table_export import export_tables, parse_formats, tables_folder
+    from pipeline.shell.report_index import write_index
+    from pipeline.store.names import AGAINST, report_of
+
+    two = against is not None or against_device is not None
+    if two:
+        _refuse("--against", dry_run=dry_run, full=full, against_report=against_report is not None)
+    if two or against_report is not None:
+        _refuse("--against" if two else "--against-report", tables_format=tables_format is not None)
+    asked = None if scene is None else read_scene(scene)
+    name = device or (asked.device if asked else None)
+    if name is None:
+        raise typer.BadParameter("no device is given. Name it here, or in a scene file.", param_hint="--device")
+    formats = parse_formats(tables_format or ())
+    wanted = cli_theory.split(criteria) if criteria is not None else asked.chosen_criteria if asked else None
+    if two:
+        names = experiment or (asked.experiments if asked else None)
+        _compare_against(name, names, against, against_device, processed, wanted, report, as_json)
+        return
+    drawn = Path(asked.report) if asked and asked.report else report_of(Path("reports"), name)
+    target = report or drawn
+    if not dry_run:
+        check_output(target, "--report", document_beside=True)
+    outcome = compare_device(
+        name,
+        processed,
+        experiments=experiment or (asked.experiments if asked else None),
+        criteria=wanted,
+        report=target,
+        dry_run=dry_run,
+        full=full,
+        shown=asked.shown if asked else None,
+        scene_file=scene,
+        progress=None if as_json else console.note,
+    )
+    if outcome.result is None:
+        stages = [dict(zip(("stage", "action", "reason"), row, strict=True)) for row in outcome.stages]
+        if as_json:
+            console.print_json(stages)
+            return
+        for line in console.table(stages, ("stage", "action", "reason")):
+            console.say(line)
+        return
+    # other folders may be anybody's: there an index is kept current, but not begun
+    write_index(target.parent, only_renew=target.parent != Path("reports"))
+    if against_report is not None:
+        from pipeline.comparison.against_run import against_document
+
+        _print_against(
+            against_document(outcome.result, against_report), target, f"{target.stem}{AGAINST}earlier", as_json
+        )
+        return
+    written = export_tables(outcome.result, tables_folder(target), formats) if formats else ()
+    if as_json:
+        console.print_json(outcome.result.model_dump(mode="json"))
+        return
+    for line in (*outcome.result.summary, *(f"Warning: {text}" for text in outcome.result.warnings)):
+        console.say(line)
+    if outcome.report is not None:
+        console.say(f"report: {outcome.report}")
+    if written:
+        console.say(f"tables: {len(written)} files in {tables_folder(target)}")
+
+
+def _compare_against(
+    device: str,
+    experiments: Sequence[str] | None,
+    against: str | None,
+    against_device: str | None,
+    processed: Path,
+    criteria: Sequence[str] | None,
+    report: Path | None,
+    as_json: bool,
+) -> None:
+    """Compare two experiments and print what differs."""
+    from pipeline.comparison.against_run import against_experiments, names_of
+    from pipeline.store.names import AGAINST, folder_name
+    from pipeline.store.storage import list_experiments
+
+    if experiments is None or len(experiments) != 1:
+        raise UsageError("--against compares one experiment with another one. Name the first with --experiment.")
+    (first,) = experiments
+    if against is None:
+        stored = list_experiments(processed, against_device or device)
+        if len(stored) != 1:
+            raise UsageError(
+                f"device {against_device!r} has the experiments {', '.join(stored) or 'none'}; name one with --against."
+            )
+        against = stored[0]
+    second = names_of(against, device, against_device, list_experiments(processed, device))
+    other = second[1] if second[0] == device else f"{second[0]}-{second[1]}"
+    target = report or Path("reports") / f"{folder_name(f'{device}-{first}{AGAINST}{other}')}.html"
+    check_output(target, "--report", document_beside=True)
+    progress = None if as_json else console.note
+    page = against_experiments(processed, (device, first), second, criteria, progress)
+    _print_against(page, target, None, as_json)
+
+
+def _refuse(option: str, **others: bool) -> None:
+    """Refuse options that another one would leave without effect."""
+    for other, given in others.items():
+        if given:
+            raise UsageError(
+                f"{option} and --{other.replace('_', '-')} do not go together: the page of two experiments knows no "
+                "such choice. Leave one of them out."
+            )
+
+
+def _print_against(page: AgainstPage, report: Path, name: str | None, as_json: bool) -> None:
+    """Write a page of differences (beside the report where it has a name of its own), and print what it comes to."""
+    from pipeline.rendering.report.report_against import write
+
+    result = write(page, report if name is None else report.with_name(f"{name}.html"))
+    if as_json:
+        console.print_json(result.model_dump(mode="json"))
+        return
+    for pair in result.pairs:
+        if len(result.pairs) > 1:
+            console.say(f"experiment {pair.first.experiment}:")
+        for line in pair.sentences:
+            console.say(line)
+    console.say(f"report: {result.report}")
+
+
+def verify(
+    report: Annotated[Path, typer.Argument(help="Report (HTML) by `pipeline compare`.")],
+    processed: Annotated[
+        Path | None,
+        typer.Option("--processed", help="Folder of the stored tables; the one that the report names where not given."),
+    ] = None,
+    profile: Annotated[
+        list[Path] | None,
+        typer.Option("--profile", help="Profile file (.toml) that read the logs; may be given several times."),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Compute the numbers of a report anew from the logs, and name those that differ.
+
+    Reads the logs from where they lay (their stored samples where they are gone), computes everything in a temporary
+    folder, and compares each cell, figure, sentence and value. What no log determines, such as run times, is held
+    against hashes in the page. Exit status 1 where something differs.
+
+    Example: pipeline verify reports/falcon.html
+    """
+    from pipeline.shell.verify.verify import lines_of
+    from pipeline.shell.verify.verify import verify as verify_report
+
+    found = verify_report(report, processed, profile or (), None if as_json else console.note)
+    if as_json:
+        console.print_json(found.model_dump(mode="json"))
+    else:
+        for line in lines_of(found):
+            console.say(line)
+    if not found.equal:
+        raise typer.Exit(EXIT_ERROR)
+
+
+@scene_app.command("draft")
+def draft(
+    device: Annotated[str, typer.Option("--device", help="Device with stored logs.", show_default=False)],
+    processed: Processed = Path("processed"),
+    out: Annotated[
+        Path | None, typer.Option("--out", help="Scene file to write; printed where not given.", show_default=False)
+    ] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the scene file.")] = False,
+) -> None:
+    """Write a scene file with all that is stored of a device, to be shortened.
+
+    Example: pipeline scene draft --device falcon --out falcon.toml
+    """
+    from pipeline.base.disk import write_text
+    from pipeline.comparison.scene.scene_file import draft_scene
+
+    if out is not None:
+        check_output(out, "--out")
+    if out is not None and out.exists() and not overwrite:
+        raise UsageError(f"{out}: exists. Give another file, or --overwrite.")
+    text = draft_scene(device, processed)
+    if out is None:
+        console.say(text.rstrip("\n"))
+        return
+    write_text(out, text)
+    console.say(f"scene: {out}")
+
+
+@scene_app.command("check")
+def check(
+    scene: Annotated[Path, typer.Argument(help="Scene file (.toml).")],
+    processed: Annotated[
+        Path | None, typer.Option("--processed", help="Check against what is stored there, too.")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Check a scene file, and show what it asks for. Exit status 1 where it is wrong: all mistakes are told at once.
+
+    Example: pipeline scene check falcon.toml
+    """
+    from pipeline.comparison.scene.scene import open_scene
+    from pipeline.comparison.scene.scene_file import read_scene
+
+    asked = read_scene(scene)
+    if processed is not None:
+        open_scene(asked.device, processed, asked.experiments, asked.chosen_criteria, asked.shown)
+    document = asked.model_dump(mode="json") | {"criteria": list(asked.chosen_criteria)}
+    if as_json:
+        console.print_json(document)
+        return
+    for key, value in document.items():
+        words = ", ".join(str(v) for v in value) if isinstance(value, list) else value
+        console.say(f"{key:<12} {'all' if value is None else words}")

@@ -1,0 +1,268 @@
+"""Commands that store logs and look after what is stored: parse, call, print."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from pipeline.base.errors import EXIT_ERROR, EXIT_OK, EXIT_QUARANTINED, UsageError
+from pipeline.shell import console
+
+if TYPE_CHECKING:
+    from pipeline.repair.check import CheckReport
+
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout, nothing else there.")]
+Processed = Annotated[Path, typer.Option("--processed", help="Folder of the stored tables.")]
+Wait = Annotated[
+    float, typer.Option("--wait", help="Seconds to wait while another command writes there; 0 refuses at once.")
+]
+
+WAIT_S = 60.0
+"""As `lock.WAIT_S`, a number of its own so that `--help` needs no lock."""
+
+LISTED = 10
+"""Lines of one kind that are printed; `--json` has all."""
+
+
+def ingest(
+    paths: Annotated[list[Path], typer.Argument(help="Folders with logs (searched below, too), and logs.")],
+    profile: Annotated[
+        str | None, typer.Option("--profile", help="Log profile by name, or a profile file (.toml).")
+    ] = None,
+    processed: Processed = Path("processed"),
+    jobs: Annotated[int | None, typer.Option("--jobs", help="Threads; one per processor where not given.")] = None,
+    rehash: Annotated[
+        bool, typer.Option("--rehash", help="Look at the content even where size and time are unchanged.")
+    ] = False,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Read and check, write nothing; say for each log what would be done.")
+    ] = False,
+    wait: Wait = WAIT_S,
+    as_json: Json = False,
+) -> None:
+    """Check logs and store what is new; logs that are refused go into quarantine with the reason.
+
+    Logs are only read. An interrupted ingest is finished by the next one. Exit status 3 where a log is in quarantine, 1
+    where a stored file is damaged: it is named, and all other logs are stored.
+
+    Example: pipeline ingest raw --processed processed
+
+    Example: pipeline ingest raw --dry-run
+
+    Example: pipeline ingest raw --profile lab.toml --wait 600
+    """
+    from pipeline.ingest.rerun import Search, recall
+
+    if jobs is not None and jobs < 1:
+        raise UsageError(f"jobs must be at least 1, found {jobs}. Leave it out for one per processor.")
+    search = Search(tuple(map(str, paths)), str(processed), profile)
+    document = None if dry_run or rehash else recall(search)
+    if document is None:
+        from pipeline.ingest.ingest import ingest as ingest_logs
+
+        with console.progress("ingest", "logs", as_json) as advance:
+            document = ingest_logs(
+                paths,
+                processed,
+                profile,
+                jobs,
+                dry_run,
+                rehash,
+                advance,
+                wait_s=wait,
+                say=None if as_json else console.note,
+            ).model_dump(mode="json")
+    if document["plan"] is None:
+        del document["plan"]
+    if as_json:
+        console.print_json(document)
+    else:
+        for line in _ingest_lines(document):
+            console.say(line)
+    if document["damaged"] or document["quarantined"]:
+        raise typer.Exit(EXIT_ERROR if document["damaged"] else EXIT_QUARANTINED)
+
+
+def _ingest_lines(report: Mapping[str, Any]) -> Iterable[str]:
+    counts = {key: report[key] for key in ("found", "ingested", "skipped")}
+    counts["quarantined"] = len(report["quarantined"])
+    yield from console.table([counts], tuple(counts))
+    if "plan" in report:
+        yield from _plan_lines(report["plan"])
+    for refusal in report["quarantined"]:
+        row = "" if refusal["row"] is None else f", row {refusal['row']}"
+        yield f"{refusal['path']}{row}: {refusal['reason']}"
+    for warning in report["warnings"]:
+        yield f"warning: {warning['path']}: {warning['warning']}"
+    for source in report["changed"]:
+        yield f"changed: {source['path']}: {source['outcome']}"
+    yield from _listed("removed, its trials stay stored", report["removed"])
+    yield from _listed("waiting, modified a moment ago", report["waiting"])
+    yield from _listed("damaged", report["damaged"])
+
+
+def _plan_lines(plan: Iterable[Mapping[str, str]]) -> Iterable[str]:
+    """Return what a dry run would do, grouped by action and reason."""
+    groups: dict[tuple[str, str], list[str]] = {}
+    for source in plan:
+        if source["action"] != "refuse":  # told one by one below
+            groups.setdefault((source["action"], source["reason"]), []).append(source["path"])
+    for (action, reason), paths in sorted(groups.items(), key=lambda group: -len(group[1])):
+        yield from _listed(f"{action} ({reason})", paths)
+
+
+def _listed(title: str, paths: list[str]) -> Iterable[str]:
+    """Return one line a path, at most `LISTED` of them, under their number."""
+    if not paths:
+        return
+    if len(paths) == 1:
+        yield f"{title}: {paths[0]}"
+        return
+    yield f"{title}: {len(paths)}"
+    yield from (f"  {path}" for path in paths[:LISTED])
+    if len(paths) > LISTED:
+        yield f"  and {len(paths) - LISTED} more"
+
+
+def compact(
+    processed: Processed = Path("processed"),
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be done, do nothing.")] = False,
+    wait: Wait = WAIT_S,
+    as_json: Json = False,
+) -> None:
+    """Merge all batches of each experiment into one file, and remove what interrupted commands left.
+
+    No trial is changed, and results that rest on them stay valid. What is stored can be read meanwhile.
+
+    Example: pipeline compact --processed processed
+    """
+    from pipeline.ingest.compaction import compact as compact_store
+
+    _must_exist(processed)
+    report = compact_store(processed, dry_run, wait, None if as_json else console.note)
+    if as_json:
+        console.print_json(report.model_dump(mode="json"))
+        return
+    rows = [
+        {
+            **{key: getattr(merged, key) for key in ("device", "experiment", "batches", "trials")},
+            "MB before": merged.bytes_before / 1e6,
+            "MB after": None if merged.bytes_after is None else merged.bytes_after / 1e6,
+        }
+        for merged in report.merged
+    ]
+    columns = ("device", "experiment", "batches", "trials", "MB before", "MB after")
+    for line in console.table(rows, columns) if rows else ["nothing to merge"]:
+        console.say(line)
+    if report.orphans:
+        verb = "would be removed" if dry_run else "removed"
+        console.say(f"{len(report.orphans)} files that no trial names {verb}: {report.orphan_bytes / 1e6:.3g} MB")
+
+
+def check(
+    repair: Annotated[
+        bool, typer.Option("--repair", help="Save what can be saved; what cannot is kept in PROCESSED/damaged.")
+    ] = False,
+    processed: Processed = Path("processed"),
+    profile: Annotated[
+        str | None, typer.Option("--profile", help="Profile beside the shipped ones that logs are read again by.")
+    ] = None,
+    wait: Wait = WAIT_S,
+    as_json: Json = False,
+) -> None:
+    """Hold every stored byte against its checksum: names damaged files and trials, and what can be saved.
+
+    Exit status 1 where something is damaged; with --repair where something could not be saved.
+
+    Example: pipeline check --processed processed
+
+    Example: pipeline check --repair --json
+    """
+    from pipeline.repair.repair_damage import check as check_store
+
+    _must_exist(processed)
+    with console.progress("check", "files", as_json) as advance:
+        found = check_store(processed, repair, profile, advance, wait, None if as_json else console.note)
+    if as_json:
+        console.print_json(found.model_dump(mode="json"))
+    else:
+        for line in _check_lines(found):
+            console.say(line)
+    if any(damage.lost or damage.remedy == "set aside" or not repair for damage in found.damage):
+        raise typer.Exit(EXIT_ERROR)
+
+
+def _check_lines(found: CheckReport) -> Iterable[str]:
+    yield f"{found.files} files, {_mb(found.bytes)}: {len(found.damage) or 'none'} damaged"
+    if found.unsealed:
+        yield f"{found.unsealed} of an earlier version have checksums of their pages alone, or none"
+    done = "done" if found.repaired else "by --repair"
+    for damage in found.damage:
+        yield f"{damage.file}: {damage.fault}"
+        kept = damage.trials - damage.read_again - sum(lost.whole for lost in damage.lost)
+        counts = f": {kept} trials kept, {damage.read_again} read again from their logs" if damage.trials else ""
+        yield f"  {damage.remedy} ({done}){counts}"
+        lost = [f"{one.trial_id} of {one.source_path}: {', '.join(one.columns)}" for one in damage.lost]
+        yield from _listed("  lost", lost)
+
+
+def status(
+    processed: Processed = Path("processed"),
+    reports: Annotated[Path, typer.Option("--reports", help="Folder of the reports.")] = Path("reports"),
+    as_json: Json = False,
+) -> None:
+    """Show what is stored, what is out of date, which logs changed or are gone, and who writes at this moment.
+
+    Nothing is changed.
+
+    Example: pipeline status --processed processed
+    """
+    from pipeline.shell.status import status as status_of
+
+    _must_exist(processed)
+    found = status_of(processed, reports)
+    if as_json:
+        console.print_json(found.model_dump(mode="json"))
+        raise typer.Exit(EXIT_ERROR if found.damaged else EXIT_OK)
+    console.say(f"{processed}: {found.trials} trials, {found.rows} samples, {found.files} tables, {_mb(found.bytes)}")
+    rows = [
+        {**e.model_dump(), "size": _mb(e.bytes), "stale": ", ".join(e.stale) or "nothing"} for e in found.experiments
+    ]
+    columns = ("device", "experiment", "trials", "rows", "batches", "row_groups", "size", "stale")
+    for line in console.table(rows, columns) if rows else ():
+        console.say(line)
+    for report in found.reports:
+        console.say(f"{report.report}: {'out of date' if report.stale else 'up to date'}")
+        for reason in report.stale[:LISTED]:
+            console.say(f"  {reason}")
+    changed = _listed("changed or touched since ingested", list(found.changed))
+    for line in (*changed, *_listed("gone", list(found.removed))):
+        console.say(line)
+    for code, count in found.quarantined.items():
+        console.say(f"in quarantine, {code}: {count}")
+    for line in _listed("in quarantine, and no longer where it was", list(found.refused_gone)):
+        console.say(line)
+    if found.orphans or found.temporary_bytes:
+        left = found.orphan_bytes + found.temporary_bytes
+        if found.lock is None:
+            console.say(f"left by interrupted commands: {_mb(left)}; `pipeline compact` removes it")
+        else:
+            console.say(f"not complete, or left by interrupted commands: {_mb(left)}")
+    if found.lock is not None:
+        console.say(f"process {found.lock.pid} on {found.lock.host} writes there since {found.lock.since}")
+    for line in _listed("damaged", list(found.damaged)):
+        console.say(line)
+    if found.damaged:
+        raise typer.Exit(EXIT_ERROR)
+
+
+def _mb(size: int) -> str:
+    return f"{size / 1e6:.3g} MB"
+
+
+def _must_exist(processed: Path) -> None:
+    if not processed.is_dir():
+        raise UsageError(f"{processed}: no such folder. Give the folder of the stored tables (--processed).")

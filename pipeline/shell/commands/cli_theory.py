@@ -1,0 +1,217 @@
+"""Commands of `pipeline theory`: parse, call, print. Parameters are normalised (T = 1, m = 1)."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pipeline.shell import console
+from pipeline.shell.outputs import check_output
+
+app = typer.Typer(
+    no_args_is_help=True,
+    help="Stability boundary, costs and optimal points of the sampled, delayed loop. Parameters are normalised "
+    "by sampling period T and mass m: alpha = K T^2/m, beta = B T/m, gamma = k T^2/m, delta = b T/m.",
+)
+
+Delay = Annotated[
+    float, typer.Option("--delay", help="Delay d in samples, integer or fractional, at most 256.", show_default=False)
+]
+Gamma = Annotated[float, typer.Option("--gamma", help="Normalised stiffness of the device itself.")]
+Delta = Annotated[float, typer.Option("--delta", help="Normalised viscous damping of the device itself.")]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout.")]
+
+
+class Signal(StrEnum):
+    """Which response a cost is taken from."""
+
+    continuous = "continuous"
+    discrete = "discrete"
+
+
+@app.command("points")
+def points(
+    cases: Annotated[
+        Path,
+        typer.Argument(help="CSV file with the columns alpha, beta, gamma, delta, delay.", metavar="CSV"),
+    ],
+    as_json: Json = False,
+) -> None:
+    """Stability, spectral radius and costs of the points listed in a CSV file.
+
+    Example: pipeline theory points cases.csv --json
+    """
+    from pipeline.theory import cases as theory
+
+    documents = theory.point_costs(theory.read_cases(cases))
+    if as_json:
+        console.print_json(documents)
+        return
+    columns = ("alpha", "beta", "gamma", "delta", "delay", "stable", "spectral_radius")
+    for line in console.table(documents, (*columns, "settle_2pct", "overshoot", "energy_step_w0", "reason")):
+        console.say(line)
+
+
+@app.command("boundary")
+def boundary(delay: Delay, gamma: Gamma = 0.0, delta: Delta = 0.0, as_json: Json = False) -> None:
+    """Boundary of the stable region and its extreme points.
+
+    Example: pipeline theory boundary --delay 2 --gamma 0.001 --delta 0.02 --json
+    """
+    from pipeline.loop.loop import Loop
+    from pipeline.theory import cases as theory
+
+    document = theory.boundary_document(Loop(gamma, delta, delay))
+    if as_json:
+        console.print_json(document)
+        return
+    console.say(f"largest alpha {document['alpha_max']:.6g} at beta {document['beta_at_alpha_max']:.6g}")
+    console.say(f"largest beta  {document['beta_max']:.6g} at alpha {document['alpha_at_beta_max']:.6g}")
+    console.say(f"({len(document['alpha'])} points along the boundary: --json)")
+
+
+@app.command("optimum")
+def optimum(
+    criterion: Annotated[
+        str,
+        typer.Option(
+            "--criterion",
+            help="Such as settle_2pct, pole_radius, energy_impulse_w1; a wrong one lists all.",
+            show_default=False,
+        ),
+    ],
+    delay: Delay,
+    gamma: Gamma = 0.0,
+    delta: Delta = 0.0,
+    signal: Annotated[
+        Signal | None,
+        typer.Option("--signal", help="Response that is judged; as the criterion's name says where not given."),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Optimal virtual stiffness and damping for a criterion.
+
+    Example: pipeline theory optimum --criterion settle_2pct --delay 1 --signal discrete --json
+    """
+    from pipeline.loop.loop import Loop
+    from pipeline.theory import cases as theory
+
+    document = theory.optimum_document(Loop(gamma, delta, delay), criterion, signal.value if signal else None)
+    if as_json:
+        console.print_json(document)
+        return
+    cost = "" if document["cost"] is None else f", cost {document['cost']:.6g}"
+    console.say(f"{document['criterion']}: alpha {document['alpha']:.6g}, beta {document['beta']:.6g}{cost}")
+
+
+@app.command("map")
+def cost_map(
+    delay: Delay,
+    out: Annotated[Path, typer.Option("--out", help="Parquet file to write.", show_default=False)],
+    gamma: Gamma = 0.0,
+    delta: Delta = 0.0,
+    size: Annotated[int, typer.Option("--size", help="Grid points along each axis.")] = 251,
+    criteria: Annotated[
+        str | None,
+        typer.Option(
+            "--criteria",
+            help="Separated by commas; settle_2pct, overshoot and energy_step_w0..2 where not given.",
+        ),
+    ] = None,
+    longest: Annotated[
+        int | None,
+        typer.Option("--longest", help="Samples after which a response that still moves gets no cost."),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Costs on a grid over the bounding box of the stable region, as a Parquet file.
+
+    Example: pipeline theory map --delay 1 --criteria settle_2pct,energy_step_w0 --out map.parquet
+    """
+    from pipeline.loop.loop import Loop
+    from pipeline.theory.cost.map_file import write_map
+    from pipeline.theory.cost.theory_map import MAP_DEFAULT, MAP_LONGEST, CostMap
+
+    check_output(out, "--out")
+    names = MAP_DEFAULT if criteria is None else split(criteria)
+    cost_map = CostMap(Loop(gamma, delta, delay), size, names, MAP_LONGEST if longest is None else longest)
+    with console.progress("map", "points", silent=as_json) as advance:
+        stable = write_map(out, cost_map, advance)
+    if as_json:
+        console.print_json({"file": str(out), "rows": size**2, "stable": stable})
+        return
+    columns = ["alpha", "beta", "stable", *cost_map.names]
+    console.say(f"{out}: {size**2} points, {stable} of them stable, columns {columns}")
+
+
+@app.command("tables")
+def tables(
+    table: Annotated[
+        list[str] | None,
+        typer.Option("--table", help="Such as B.1, C.3, 5.1(a); may be given again. All where not given."),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Tables B.1 to B.4, C.1 to C.3 and 5.1 of the thesis, computed anew beside the printed numbers.
+
+    Example: pipeline theory tables --table C.1 --table C.2
+    """
+    from pipeline.devices.published_theory import THEORY_TABLES
+    from pipeline.studies.thesis import table_text
+    from pipeline.studies.thesis import tables as theory
+
+    rows: list[theory.TheoryRow] = []
+    for name, count, of_table in theory.recomputed_tables(table or THEORY_TABLES):
+        found = []
+        with console.progress(f"Table {name}", "rows", silent=as_json) as advance:
+            for row in of_table:
+                found.append(row)
+                advance(len(found), count)
+        rows += found
+        if not as_json:
+            for line in table_text.table_lines(name, found, console.table):
+                console.say(line)
+    if as_json:
+        console.print_json(table_text.document(rows))
+        return
+    console.say(table_text.summary_line(rows))
+
+
+@app.command("figures")
+def figures(
+    out: Annotated[Path, typer.Option("--out", help="HTML file to write.")] = Path("reports/theory.html"),
+    figure: Annotated[
+        list[str] | None,
+        typer.Option("--figure", help="Such as 3.6; may be given again. All where not given."),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Data figures 3.5 to 5.16 of the thesis, computed anew, on one page.
+
+    Example: pipeline theory figures --figure 3.6 --figure 5.4 --out theory.html
+    """
+    from pipeline.studies.thesis import figures as theory
+
+    check_output(out, "--out")
+    asked = tuple(dict.fromkeys(figure or theory.NUMBERS))
+    computed = theory.compute(asked)  # refuses an unknown number before the drawing library is loaded
+    from pipeline.studies.thesis import page
+
+    drawn = []
+    with console.progress("theory figures", "figures", silent=as_json) as advance:
+        for done in computed:
+            drawn.append(done)
+            advance(len(drawn), len(asked))
+    page.write(drawn, out)
+    if as_json:
+        console.print_json({"file": str(out), "figures": [done.number for done in drawn]})
+        return
+    console.say(f"{out}: {len(drawn)} figures")
+
+
+def split(text: str) -> tuple[str, ...]:
+    """Return the words between commas; an empty word is kept, so that its reader refuses it."""
+    return tuple(word.strip() for word in text.split(","))

@@ -1,0 +1,163 @@
+"""The command that keeps reports current: parse, call, print."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from datetime import UTC, datetime
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from pipeline.base.errors import EXIT_OK, UsageError
+from pipeline.base.process import on_stop_signals
+from pipeline.shell import console
+
+if TYPE_CHECKING:
+    from pipeline.shell.watch.watch import Watched
+
+INTERVAL_S, SETTLE_S = 2.0, 2.0
+
+
+def watch(
+    folders: Annotated[list[Path], typer.Argument(help="Folders in which logs arrive (searched below, too).")],
+    processed: Annotated[Path, typer.Option("--processed", help="Folder of the stored tables.")] = Path("processed"),
+    reports: Annotated[Path, typer.Option("--reports", help="Folder of the reports and the index page.")] = Path(
+        "reports"
+    ),
+    profile: Annotated[
+        str | None, typer.Option("--profile", help="Log profile by name, or a profile file (.toml).")
+    ] = None,
+    scene: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--scene",
+            help="Scene file (.toml) of a report; may be given several times. Without it: one report for each device.",
+        ),
+    ] = None,
+    interval: Annotated[
+        float, typer.Option("--interval", help="Seconds between two looks; grows fivefold when nothing happens.")
+    ] = INTERVAL_S,
+    settle: Annotated[
+        float, typer.Option("--settle", help="Seconds a log must stay the same before it is read.")
+    ] = SETTLE_S,
+    once: Annotated[
+        bool, typer.Option("--once", help="One pass, which waits for nothing; logs that still settle are left.")
+    ] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print each line as a JSON document.")] = False,
+) -> None:
+    """Keep reports and the index page current while logs arrive, until Ctrl-C or SIGTERM.
+
+    Only reports whose logs changed are renewed. Logs that are refused go into quarantine, and the watch goes on.
+    Nothing is lost when it is killed: the next start does what is left. Exit status with --once: 1 where something
+    failed, 3 where logs are in quarantine.
+
+    Example: pipeline watch raw
+
+    Example: pipeline watch raw --once --processed processed --reports reports
+    """
+    watched = _watched(folders, processed, reports, profile, scene or [], interval, settle)
+    status = _once(watched, as_json) if once else _until_stopped(watched, interval, as_json)
+    if status != EXIT_OK:
+        raise typer.Exit(status)
+
+
+def _watched(
+    folders: list[Path],
+    processed: Path,
+    reports: Path,
+    profile: str | None,
+    scenes: list[Path],
+    interval: float,
+    settle: float,
+) -> Watched:
+    from pipeline.shell.watch.watch import Watched
+
+    if not 0 < interval < float("inf"):
+        raise UsageError(f"--interval {interval:g}: expected a time above 0 s.")
+    if not 0 <= settle < float("inf"):
+        raise UsageError(f"--settle {settle:g}: expected a time of 0 s or more.")
+    for folder in folders:
+        if not os.path.isdir(folder):
+            raise UsageError(f"{folder}: no such folder. Give folders in which logs arrive.")
+        if Path(os.path.abspath(reports)).is_relative_to(os.path.abspath(folder)):
+            raise UsageError(
+                f"{reports}: lies in the watched folder {folder}, where reports would be taken for logs. Give another "
+                "folder for them (--reports), or watch the folder of the logs alone."
+            )
+        if Path(os.path.abspath(folder)).is_relative_to(os.path.abspath(processed)):
+            raise UsageError(f"{folder}: lies in {processed}, where results are kept. Give folders with logs.")
+    for scene in scenes:
+        if not scene.is_file():
+            raise UsageError(f"{scene}: no such file. `pipeline scene draft` writes a scene file.")
+    return Watched(tuple(folders), processed, reports, profile, tuple(scenes), settle)
+
+
+def _until_stopped(watched: Watched, interval: float, as_json: bool) -> int:
+    from pipeline.shell.watch.watch import Watch
+
+    running = Watch(watched, interval, lambda event: _print(event, as_json))
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        if running.stop():
+            # not by the buffered streams, which may be in use at the moment of the signal
+            os.write(2, b"stopping; a second signal stops at once\n")
+
+    with on_stop_signals(stop):
+        running.run()
+    return EXIT_OK
+
+
+def _once(watched: Watched, as_json: bool) -> int:
+    from pipeline.shell.watch.watch_pass import PassRequest, run_pass
+
+    request = PassRequest(**watched.request(), wait_s=0.0)
+    return run_pass(request, lambda event: _print(event, as_json)).status
+
+
+def _print(event: dict[str, Any], as_json: bool) -> None:
+    """Print an event as a line with its time (UTC), at once: somebody may be reading the lines as they come."""
+    now = datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+    if as_json:
+        sys.stdout.write(json.dumps({"time": now, **event}, allow_nan=False) + "\n")
+    else:
+        console.say(f"{now} {line_of(event)}".replace("\n", " "))
+    sys.stdout.flush()
+
+
+def line_of(event: dict[str, Any]) -> str:
+    """Return an event in words."""
+    match event["event"]:
+        case "started":
+            return (
+                f"watching {', '.join(event['folders'])} (every {event['interval_s']:g} s, settle "
+                f"{event['settle_s']:g} s); tables in {event['processed']}, reports in {event['reports']}"
+            )
+        case "ingest":
+            waiting = f", {len(event['waiting'])} still settle and are left for later" if event["waiting"] else ""
+            refused = f", {event['quarantined']} in quarantine" if event["quarantined"] else ""
+            return f"logs: {event['ingested']} new, {event['found']} in all{refused}{waiting}"
+        case "refused":
+            row = "" if event["row"] is None else f", row {event['row']}"
+            return f"refused: {event['path']}{row}: {event['reason']}"
+        case "changed":
+            return f"changed: {event['path']}: {event['outcome']}"
+        case "report":
+            return f"report: {event['report']} ({event['trials']} trials, {event['seconds']:.1f} s)"
+        case "unchanged":
+            return f"report: {event['report']} is up to date"
+        case "index":
+            return f"index: {event['path']}"
+        case "failed":
+            return f"failed: {event['what']}: {event['reason']}"
+        case "unreachable":
+            return f"cannot be looked at: {event['path']} ({event['reason']})"
+        case "reachable":
+            return f"can be looked at again: {event['path']}"
+        case "busy":
+            return f"{event['reason']}; left to it"
+        case kind:
+            return str(kind)

@@ -1,0 +1,1 @@
+"""Log profiles: drafted, tried on samples, warned of."""

@@ -1,0 +1,274 @@
+"""What a profile would read of sample files: conditions and where each comes from, columns in SI, time, step, warnings.
+
+Nothing is stored. A file that would be refused is shown with the reason that `pipeline ingest` would give.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.base.errors import LogError
+from pipeline.base.units import UNITS
+from pipeline.devices.devices import known_devices
+from pipeline.ingest.reading import load_source, motion_of
+from pipeline.ingest.sources import find_sources
+from pipeline.measured.signal.response import NO_ROW, find_response
+from pipeline.profiles.profile_columns import QUANTITIES, ColumnSource, TimeSource
+from pipeline.profiles.profile_files import Profile
+from pipeline.profiles.profile_model import CONDITION_QUANTITIES, CONDITIONS
+from pipeline.readers import Log, RawLog, reader_of
+from pipeline.readers.conditions import entry_of, places_of
+from pipeline.readers.frame import ColumnInfo
+from pipeline.readers.mapping import format_module
+from pipeline.readers.time_axis import step_flags
+from pipeline.records.batch import TrialBatch
+from pipeline.records.models import Motion, Record
+from pipeline.shell.profile.profile_warnings import other_step, other_units
+
+
+class CheckedCondition(Record):
+    """A condition of a trial: value in SI, and the place of the profile (or the header) that gives it."""
+
+    name: str
+    value: float | str
+    unit: str
+    place: str
+
+
+class CheckedColumn(Record):
+    """A column of a trial: name and unit in the file, first and last value in SI, what the file says of its unit."""
+
+    column: str
+    source: str
+    unit: str
+    first: float
+    last: float
+    unit_si: str
+    file_says: str = ""
+
+
+class CheckedTrial(Record):
+    """A trial that would be stored.
+
+    ``time`` holds the flags of `pipeline.readers.time_axis.step_flags` and what was settled in the rows. ``step_row``
+    is the row of the step, counted from 0, ``step`` how it is known, or why it is not.
+    """
+
+    label: str | None
+    conditions: tuple[CheckedCondition, ...]
+    rows: int
+    columns: tuple[CheckedColumn, ...]
+    time: dict[str, float | int | None]
+    step_row: int | None
+    step: str
+    warnings: tuple[str, ...]
+
+
+class CheckedSample(Record):
+    """A sample file: its trials, or the reason why it would be refused, with the row."""
+
+    path: str
+    trials: tuple[CheckedTrial, ...] = ()
+    reason: str | None = None
+    row: int | None = None
+
+
+def check_samples(profile: Profile, samples: Sequence[Path]) -> list[CheckedSample]:
+    """Read samples as `pipeline ingest --profile` would, and show what is found.
+
+    Parameters
+    ----------
+    profile : Profile
+    samples : sequence of Path
+        Files, and folders that are searched.
+
+    Returns
+    -------
+    list of CheckedSample
+        One a log, in order of path.
+
+    Raises
+    ------
+    UsageError
+        If a path does not exist.
+    """
+    motions = {name: device.motion for name, device in known_devices().items()}
+    checked = []
+    for source in find_sources(samples, (profile,)):
+        try:
+            name = source.files[0].name if source.files else source.path.name
+            if not profile.claims(name) and profile.log_of_partner(source.path) is None:
+                raise LogError(
+                    f"the name fits none of files = {list(profile.files)} of profile {profile.name}, so that "
+                    "`pipeline ingest` would not read it so. Correct `files`, or rename the log.",
+                    code="no-profile",
+                )
+            raw, _, _ = load_source(source)
+            (outcome,) = reader_of(profile)(profile, [raw], False)
+            if isinstance(outcome, LogError):
+                raise outcome
+            hints = _hints(profile, raw)
+            trials = tuple(_trial(profile, raw.names[0], log, motion_of(log, motions), hints) for log in outcome)
+            checked.append(CheckedSample(path=str(source.path), trials=trials))
+        except LogError as error:
+            checked.append(CheckedSample(path=str(source.path), reason=error.reason, row=error.row))
+    return checked
+
+
+def _hints(profile: Profile, raw: RawLog) -> dict[str, str]:
+    """Return what the file says of its columns, by name and by position."""
+    if profile.format in ("native", "json"):  # they say nothing of columns
+        return {}
+    try:
+        infos = [info for data, name in zip(raw.data, raw.names, strict=True) for info in _infos(profile, name, data)]
+    except LogError:  # what is not asked for may be damaged
+        return {}
+    by_position = {str(i + 1): info.hint for i, info in enumerate(infos)} if profile.format == "delimited" else {}
+    return by_position | {info.name: info.hint for info in infos}
+
+
+def _infos(profile: Profile, name: str, data: bytes) -> list[ColumnInfo]:
+    infos: list[ColumnInfo] = format_module(profile).list_columns(name, data, profile)
+    return infos
+
+
+def _trial(profile: Profile, name: str, log: Log, motion: Motion, hints: dict[str, str]) -> CheckedTrial:
+    rows = np.array([len(log.time)])
+    (flags,) = step_flags(log.time, rows, np.array([log.header.sampling_period_s]))
+    batch = _batch(log)
+    step_row, step = _step(log, batch)
+    columns = tuple(_columns(profile, log, motion, hints))
+    said = {column.column: column.file_says for column in columns}
+    return CheckedTrial(
+        label=log.label,
+        conditions=_conditions(profile, name, log, motion),
+        rows=len(log.time),
+        columns=columns,
+        time=flags | dict(log.counts),
+        step_row=step_row,
+        step=step,
+        warnings=(*log.warnings, *other_units(profile, said), *other_step(log, step_row, batch)),
+    )
+
+
+def _conditions(profile: Profile, name: str, log: Log, motion: Motion) -> tuple[CheckedCondition, ...]:
+    places: dict[str, str] = {}
+    if profile.format != "native":
+        part = next((step for step in profile.steps if step.label == log.label), None)
+        places = places_of(profile, name, entry_of(profile, name), part)
+    found = []
+    for key in CONDITIONS:
+        quantities = CONDITION_QUANTITIES.get(key)
+        unit = si_unit(quantities[motion]) if quantities else ""
+        place = places.get(key, "header" if profile.format == "native" else "default")
+        found.append(CheckedCondition(name=key, value=getattr(log.header, key), unit=unit, place=place))
+    place = "constants" if "motion" in profile.constants.model_fields_set else "default"
+    place = "header" if profile.format == "native" and log.header.motion else place
+    return (*found, CheckedCondition(name="motion", value=motion, unit="", place=place))
+
+
+def _columns(profile: Profile, log: Log, motion: Motion, hints: dict[str, str]) -> list[CheckedColumn]:
+    sources = profile.column_sources()
+    columns = []
+    for key in ("time", "command", "position", "force", "velocity"):
+        values = getattr(log, key)
+        if values is None:
+            continue
+        source, quantity = sources.get(key), QUANTITIES[key][motion]
+        unit = si_unit(quantity)
+        name, written = (key, unit) if source is None else (source.key, source.unit or "")
+        if isinstance(source, TimeSource) and not source.has_stamps:
+            name, written = "(one row each sampling period)", ""
+        if isinstance(source, ColumnSource):
+            stands = f", stands for {source.stands_for}" if source.stands_for else ""
+            written += stands + (", sign -1" if source.sign == -1 else "")
+        if source is not None and source.counts_per_unit is not None:
+            written = f"counts, {source.counts_per_unit:g} a {written}"
+        columns.append(
+            CheckedColumn(
+                column=key,
+                source=name,
+                unit=written,
+                first=float(values[0]),
+                last=float(values[-1]),
+                unit_si=unit,
+                file_says=hints.get(name, ""),
+            )
+        )
+    return columns
+
+
+def _batch(log: Log) -> TrialBatch:
+    header = log.header
+    return TrialBatch(
+        ("sample",),
+        stiffness=np.array([header.stiffness]),
+        damping=np.array([header.damping]),
+        step=np.array([header.step]),
+        sampling_period_s=np.array([header.sampling_period_s]),
+        rows=np.array([len(log.time)]),
+        time=log.time[None],
+        command=log.command[None],
+        position=log.position[None],
+    )
+
+
+def _step(log: Log, batch: TrialBatch) -> tuple[int | None, str]:
+    """Return the row of the step, and how it is known."""
+    if "step_row" in log.header.extra:
+        row = int(log.header.extra["step_row"])
+        return row, f"declared, at {log.time[row]:.9g} s"
+    found = find_response(batch)
+    row = int(found.edge_row[0])
+    if row == NO_ROW:
+        return None, found.edge_reason[0]
+    return row, f"found in the command, at {log.time[row]:.9g} s"
+
+
+def si_unit(quantity: str) -> str:
+    """Return the SI unit of a physical quantity (`pipeline.base.units`).
+
+    >>> si_unit("rotational stiffness")
+    'Nm/rad'
+    """
+    return next(symbol for symbol, unit in UNITS.items() if unit.quantity == quantity and unit.factor == 1.0)
+
+
+def check_lines(sample: CheckedSample) -> list[str]:
+    """Return a sample as lines for a reader."""
+    if sample.reason is not None:
+        row = "" if sample.row is None else f", row {sample.row}"
+        return [f"{sample.path}{row}: would be refused: {sample.reason}"]
+    count = "1 trial" if len(sample.trials) == 1 else f"{len(sample.trials)} trials"
+    lines = [f"{sample.path}: {count} would be stored"]
+    for trial in sample.trials:
+        if trial.label is not None:
+            lines.append(f"trial {trial.label!r}")
+        for condition in trial.conditions:
+            value = condition.value if isinstance(condition.value, str) else f"{condition.value:.9g}"
+            lines.append(f"  {condition.name:<20} {f'{value} {condition.unit}'.strip():<20} from {condition.place}")
+        for column in trial.columns:
+            said = f" (the file says {column.file_says})" if column.file_says else ""
+            origin = f"{column.source} [{column.unit}]{said}" if column.unit else f"{column.source}{said}"
+            values = f"{column.first:.9g} to {column.last:.9g} {column.unit_si}"
+            lines.append(f"  {column.column:<20} {values:<32} from {origin}")
+        settled = {key: value for key, value in trial.time.items() if value}
+        lines.append(f"  {'rows':<20} {trial.rows}")
+        times = ", ".join(f"{key} {value:.6g}" for key, value in settled.items())
+        lines.append(f"  {'quality of time':<20} {times}")
+        lines.append(
+            f"  {'step':<20} {'not known' if trial.step_row is None else f'row {trial.step_row}'}: {trial.step}"
+        )
+        lines += [f"  {'warning':<20} {text}" for text in trial.warnings]
+    return lines
+
+
+def check_document(profile: Profile, samples: Sequence[CheckedSample]) -> dict[str, object]:
+    """Return what was found as a JSON document."""
+    refused = sum(sample.reason is not None for sample in samples)
+    dumped = [json.loads(sample.model_dump_json()) for sample in samples]
+    return {"profile": profile.name, "samples": dumped, "refused": refused}

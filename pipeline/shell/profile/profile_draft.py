@@ -1,0 +1,259 @@
+"""A first profile for a sample: TOML with what is sure filled in, and questions where nothing must be guessed.
+
+A question stands as ``# QUESTION: key: words`` above the key, which is commented out with a possible answer.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.base.errors import LogError, ProfileError, UsageError
+from pipeline.base.units import UNITS, find_unit
+from pipeline.profiles.profile_columns import QUANTITIES
+from pipeline.profiles.profile_lines import QUESTION
+from pipeline.profiles.profile_model import Format, Profile
+from pipeline.readers.formats.plain_text import is_packed, unpacked
+from pipeline.readers.frame import ColumnInfo, Frame
+from pipeline.readers.layout import Layout, format_of, text_layout
+from pipeline.readers.mapping import format_module
+
+LISTED_CHOICES = 10
+"""Columns that a question names; with more it points to the list."""
+
+LONGEST_FIRST = 80
+"""Characters of the first values of a column that are shown."""
+
+LISTED_COLUMNS = 24
+"""Columns that the draft lists as comments; a robot with seven joints has some thirty, a bag hundreds."""
+
+_ROLES = {
+    "time": r"t|time|times?tamps?|stamp|zeit|zeitstempel|tout|@stamp|@time",
+    "command": r"command|cmd|force[ _-]?(?:command|cmd|desired)|(?:tau|torque)[ _-]?(?:command|cmd|desired)",
+    "position": r"position|pos|weg|lage|winkel|angle",
+}
+"""Names that say beyond doubt what a column is, without their unit; symbols such as x or F do not."""
+
+_SIGN_QUESTIONS = {
+    "command": "does a positive command push towards greater positions (1), or against them (-1)?",
+    "position": "do its numbers rise in the direction that counts as positive (1), or fall (-1)?",
+}
+
+_UNIT_BEHIND = re.compile(r"(.*?)\s*(?:[\[(]([^\])]*)[\])]|_(s|ms|us|ns|m|mm|um|rad|deg|n|nm))?\s*", re.IGNORECASE)
+
+
+def draft_profile(sample: Path) -> str:
+    """Return a first profile for a sample as TOML text.
+
+    Raises
+    ------
+    UsageError
+        If the file cannot be read.
+    ProfileError
+        If it is a native log, which needs none, or no columns are found in it.
+    """
+    try:
+        data = sample.read_bytes()
+    except OSError as error:
+        raise UsageError(f"{sample}: cannot be read ({error.strerror}). Give a log.") from error
+    kind = format_of(sample.name, data)
+    if kind == "delimited" and is_packed(data):
+        kind = format_of(sample.name, unpacked(sample.name, data))
+    if kind == "native":
+        raise ProfileError(f"{sample} is a native log, which needs no profile: `pipeline ingest {sample}` reads it.")
+    try:
+        return "".join(f"{_printable(line)}\n" for line in _lines(sample.name, data, kind))
+    except LogError as error:
+        raise ProfileError(f"{sample}: no profile can be drafted: {error.reason}") from error
+
+
+def _lines(name: str, data: bytes, kind: Format) -> Iterator[str]:
+    """Yield the lines of the draft."""
+    layout = text_layout(name, data) if kind == "delimited" else Layout()
+    profile = Profile.model_construct(name="draft", format=kind, files=("*",), **layout.to_read())
+    infos: list[ColumnInfo] = format_module(profile).list_columns(name, data, profile)
+    infos = [info for info in infos if info.rows > 1 and info.name]
+    if kind == "json" and infos and infos[0].hint:
+        layout.keys["records"] = json.loads(infos[0].hint.removeprefix("records = "))
+        infos = [replace(info, hint="") for info in infos]
+    if all(info.dtype == "text" for info in infos):
+        raise LogError(
+            "it holds no columns of numbers with several rows. Export the recorded signals as plain columns.",
+            code="empty",
+        )
+    packed = name.lower().endswith((".gz", ".zst"))
+    suffix = "".join(Path(name).suffixes[-2 if packed else -1 :])
+    short = re.sub(r"[^a-z0-9]+", "_", Path(name).stem.lower()).strip("_")
+    yield f"# Draft for {_toml(name)}. Where a question stands: set the key below it, then remove its line."
+    yield f"name = {_toml(short or 'lab')}"
+    yield f"format = {_toml(kind)}"
+    yield f"files = [{_toml('*' + suffix)}] # names of the logs"
+    for key, value in layout.keys.items():
+        yield f"{key} = {_toml(value)}"
+    for key, words in layout.questions.items():
+        yield from _question(key, words, f"{key} = {_toml(',' if key == 'decimal' else 'latin-1')}")
+    yield from _step_question()
+    by_position = kind == "delimited" and not layout.keys.get("header", True)
+    yield ""
+    yield "# Columns of the file:"
+    for info in infos[:LISTED_COLUMNS]:
+        hint = f", the file says {info.hint!r}" if info.hint else ""
+        first = ", ".join(info.first)[:LONGEST_FIRST]
+        yield f"#   {_toml(info.name)}: {info.dtype}, {info.rows} rows, {first}{hint}"
+    if len(infos) > LISTED_COLUMNS:
+        yield f"#   and {len(infos) - LISTED_COLUMNS} more"
+    roles = {} if by_position else _roles(infos)
+    frame = _frame(name, data, layout, roles, kind)
+    for key in QUANTITIES:
+        if key in ("time", "command", "position"):
+            yield from _column(key, roles.get(key), infos, by_position, frame)
+    yield from _constants(name, frame, roles)
+
+
+def _printable(line: str) -> str:
+    """Return a line with what TOML does not allow, or nobody sees, escaped."""
+    return "".join(c if c.isprintable() else f"\\U{ord(c):08x}" for c in line)
+
+
+def _toml(value: object) -> str:
+    return json.dumps(value, ensure_ascii=False)
+
+
+def _question(key: str, words: str, answer: str) -> Iterator[str]:
+    yield f"{QUESTION} {key}: {words}"
+    yield f"# {answer}"
+
+
+def _step_question() -> Iterator[str]:
+    yield from _question(
+        "step_at",
+        'when does the step happen: "command edge" (found in the command; rows before it are recorded) or "first row"? '
+        "Or give step_row or step_time_s in its place.",
+        'step_at = "command edge"',
+    )
+
+
+def _bare(info: ColumnInfo) -> tuple[str, str]:
+    """Return the last part of a name without its unit, and the unit that the file states there or in its hint."""
+    match = _UNIT_BEHIND.fullmatch(info.name.split(".")[-1].split("/")[-1])
+    bare, bracket, suffix = match.groups() if match else (info.name, None, None)
+    return bare.strip().lower(), bracket or suffix or info.hint
+
+
+def _roles(infos: list[ColumnInfo]) -> dict[str, ColumnInfo]:
+    """Return the columns whose name says what they are, where one alone does."""
+    found = {}
+    numbers = [info for info in infos if info.dtype != "text"]
+    for role, pattern in _ROLES.items():
+        fits = [info for info in numbers if re.fullmatch(pattern, _bare(info)[0])]
+        if len(fits) == 1:
+            found[role] = fits[0]
+    return found
+
+
+def _frame(name: str, data: bytes, layout: Layout, roles: dict[str, ColumnInfo], kind: Format) -> Frame | None:
+    """Return the columns whose role is known, to look at their numbers; None where they do not go together."""
+    if not roles:
+        return None
+    profile = Profile.model_construct(name="draft", format=kind, files=("*",), **layout.to_read())
+    try:
+        frame: Frame = format_module(profile).read_frame(profile, name, data, tuple(i.name for i in roles.values()))
+    except LogError:
+        return None
+    return frame
+
+
+def _column(
+    key: str, info: ColumnInfo | None, infos: list[ColumnInfo], by_position: bool, frame: Frame | None
+) -> Iterator[str]:
+    yield ""
+    yield f"[columns.{key}]"
+    if info is not None:
+        yield f"name = {_toml(info.name)}"
+    else:
+        part = "column" if by_position else "name"
+        numbers = [i.name for i in infos if i.dtype != "text"]
+        short = len(numbers) <= LISTED_CHOICES
+        listed = f"One of 1 to {len(infos)}." if by_position else "One of those above."
+        if short and not by_position:
+            listed = f"One of {', '.join(map(_toml, numbers))}."
+        what = {
+            "time": 'the time stamps (without any, give kind = "sampled" in its place)',
+            "command": "the total force or torque that the controller commands",
+            "position": "the position that the controller measures",
+        }[key]
+        shown = numbers[0] if by_position else _toml(numbers[0])
+        yield from _question(f"columns.{key}.{part}", f"which column holds {what}? {listed}", f"{part} = {shown}")
+    quantities = set(QUANTITIES[key].values())
+    stated = _bare(info)[1] if info is not None else ""
+    known = [symbol for symbol, unit in UNITS.items() if unit.quantity in quantities]
+    match = find_unit(stated) if stated else None
+    fits = match is not None and match.quantity in quantities
+    said = f"the file says {stated!r}; is it right? " if stated else "the file does not say it. "
+    counts = " For counts give counts_per_unit, too." if key == "position" else ""
+    answer = stated if fits else known[0]
+    yield from _question(f"columns.{key}.unit", f"{said}One of {', '.join(known)}.{counts}", f"unit = {_toml(answer)}")
+    if key in _SIGN_QUESTIONS:
+        yield from _question(f"columns.{key}.sign", _SIGN_QUESTIONS[key], "sign = 1")
+    if key == "time":
+        yield from _time_questions(info, frame)
+
+
+def _time_questions(info: ColumnInfo | None, frame: Frame | None) -> Iterator[str]:
+    """Ask what the numbers of the time column leave open."""
+    values = None if info is None or frame is None else frame.columns.get(info.name)
+    if values is None or values.dtype.kind not in "iuf" or len(values) < 2:
+        return
+    # whole numbers such as ns since 1970 lose digits as floats, their distances do not
+    steps = np.diff(values - values.min() if values.dtype.kind in "iu" else values).astype(np.float64)
+    if np.isnan(steps).any():
+        yield from _question(
+            "columns.time.blanks", 'some stamps are blank. Leave such rows out ("skip")?', 'blanks = "skip"'
+        )
+        return
+    if (steps > 0).all():
+        yield f"# stamps rise by {np.median(steps):.6g} in the median, {steps.min():.6g} to {steps.max():.6g}"
+        return
+    back, same = int((steps < 0).sum()), int((steps == 0).sum())
+    if back:
+        words = (
+            f'time runs backwards {back} times. Is it a counter that wraps (kind = "counter" and wrap), are they steps '
+            '(kind = "steps"), or rows out of order (kind = "absolute" and order = "sort")?'
+        )
+        yield from _question("columns.time.kind", words, 'kind = "counter"')
+    if same:
+        words = f'{same} stamps are doubled. Which row stays, "keep first" or "keep last"?'
+        words += ' Or were they printed coarsely (kind = "sampled")?'
+        yield from _question("columns.time.duplicates", words, 'duplicates = "keep first"')
+
+
+def _constants(name: str, frame: Frame | None, roles: dict[str, ColumnInfo]) -> Iterator[str]:
+    attributes = {} if frame is None else dict(frame.attributes)
+    yield ""
+    if attributes:
+        yield "# Values beside the table, which [attributes] may take conditions from:"
+        shown = list(attributes.items())[:LISTED_COLUMNS]
+        yield from (f"#   {_toml(key)}: {_toml(str(value)[:LONGEST_FIRST])}" for key, value in shown)
+    yield "# Conditions that differ from file to file may come from name_pattern, [attributes], [condition_columns] or"
+    yield "# [[file]]: then put the key there in place of the one below."
+    numbers = re.findall(r"([A-Za-z]+)[_=-]?(-?\d+(?:\.\d+)?)", Path(name).stem)
+    if numbers:
+        pattern = ".*".join(f"{letters}(?P<...>[-0-9.]+)" for letters, _ in numbers)
+        yield f"# The file name has numbers; if they are conditions: name_pattern = {_toml(pattern)} (above all tables)"
+    yield "[constants]"
+    yield from _question("constants.device", "what is the device called?", 'device = "bench"')
+    yield from _question("constants.experiment", "what is the experiment called?", 'experiment = "1"')
+    yield from _question("constants.motion", 'is it a "translation" or a "rotation"?', 'motion = "translation"')
+    asked = {
+        "stiffness": "virtual stiffness K of the wall, in N/m or Nm/rad (or its unit in [units]); 0 without a wall",
+        "damping": "virtual damping B of the wall, in Ns/m or Nms/rad",
+        "step": "size of the external step, in N or Nm; 0 where none was commanded",
+        "sampling_period_s": "sampling period T of the controller, in s",
+    }
+    for key, words in asked.items():
+        yield from _question(f"constants.{key}", f"{words}?", f"{key} = {'0.001' if key == 'sampling_period_s' else 0}")

@@ -1,0 +1,79 @@
+"""Where a log reads without a fault and yet speaks against its profile: other units, signs, another step."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+
+import numpy as np
+
+from pipeline.base.units import find_unit
+from pipeline.measured.signal.response import external_force
+from pipeline.profiles.profile_files import Profile
+from pipeline.readers import Log
+from pipeline.records.batch import TrialBatch
+
+FIRST_MOTION = 0.05
+"""Part of the largest excursion from which on the first motion after the step counts: above the quantum of coarse
+sensors, below the first swing."""
+
+STEP_ROWS = 3
+"""Rows from the step on whose median is its size: one may flicker, and later ones may bear the filter of a velocity."""
+
+STEP_TOLERANCE = 0.1
+"""Part of the step by which its size may differ: a round number stands for what the controller commands."""
+
+_UNIT_IN_NAME = re.compile(r"[\[(]([^\[\]()]+)[\])]\s*$")
+
+
+def other_units(profile: Profile, said: Mapping[str, str]) -> list[str]:
+    """Return where a file states another unit than the profile.
+
+    Parameters
+    ----------
+    profile : Profile
+    said : mapping of str to str
+        Unit that the file states of each SI column; where it is empty, brackets behind the column's name are read.
+    """
+    found = []
+    for key, source in profile.column_sources().items():
+        if source.unit is None:
+            continue
+        brackets = _UNIT_IN_NAME.search(source.key)
+        stated = said.get(key) or (brackets[1] if brackets else "")
+        if (unit := find_unit(stated)) is not None and unit != find_unit(source.unit):
+            found.append(f"columns.{key}.unit is {source.unit!r}, but the file says {stated!r}: which is right?")
+    return found
+
+
+def other_step(log: Log, step_row: int | None, batch: TrialBatch) -> list[str]:
+    """Return where the command jumps by another step than the profile says, or the position goes against it.
+
+    Parameters
+    ----------
+    log : Log
+    step_row : int or None
+        Row of the step, counted from 0; None where it is not known.
+    batch : TrialBatch
+        The same log.
+    """
+    step = log.header.step
+    if step_row is None or step == 0:
+        return []
+    found = []
+    force = external_force(batch)[0]
+    before = force[:step_row] if step_row else np.zeros(1)
+    jump = float(np.median(force[step_row : step_row + STEP_ROWS]) - np.median(before))
+    # chatter before the step, fed through a filter of the velocity, shows how well the jump is known
+    if abs(jump - step) > STEP_TOLERANCE * abs(step) + float(np.ptp(before)):
+        found.append(f"the command jumps by {jump:.4g} in row {step_row}, but the step is {step:.4g}: which is right?")
+    moved = (log.position[step_row:] - log.position[step_row]) * np.sign(step)
+    # noise is seen before the step; a first motion that stands out of it tells the direction
+    noise = float(np.ptp(log.position[: step_row + 1]))
+    clear = np.flatnonzero(np.abs(moved) > max(2 * noise, FIRST_MOTION * float(np.abs(moved).max(initial=0.0))))
+    if len(clear) and moved[clear[0]] < 0:
+        found.append(
+            "the position moves against the step at first: check the signs of columns.command, columns.position and of "
+            "the step"
+        )
+    return found

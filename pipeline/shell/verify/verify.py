@@ -1,0 +1,218 @@
+"""`pipeline verify`: every number of a report computed anew from the logs, and the names of those that differ."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from pydantic import BaseModel, ValidationError
+
+from pipeline.base.errors import PipelineError, StoreError, UsageError
+from pipeline.base.provenance import code_digest, digest
+from pipeline.base.wording import counted
+from pipeline.comparison.compare import REPORT_CODE, compare
+from pipeline.records.models import Record, Scene
+from pipeline.records.results import ComparisonResult
+from pipeline.rendering.report import report_parts
+from pipeline.rendering.report.report_parts import Parts, take_apart
+from pipeline.shell.verify.verify_differences import (
+    MISSING,
+    Comparison,
+    Difference,
+    embedded_responses,
+    free_differences,
+    leaves,
+    part_differences,
+    value_differences,
+)
+from pipeline.shell.verify.verify_logs import LogProblem, ReportedLogs, read_anew
+
+
+class Verification(Record):
+    """What `verify` found.
+
+    Parameters
+    ----------
+    report : str
+    equal : bool
+        Whether all numbers are those of the logs, and all logs those of the report.
+    checked : dict of str to int
+        Number of parts that were held against the logs, or against the hashes in the page, by kind.
+    differences : tuple of Difference
+    logs : tuple of LogProblem
+    notes : tuple of str
+        What could not be checked, and why.
+    """
+
+    report: str
+    equal: bool
+    checked: dict[str, int]
+    differences: tuple[Difference, ...]
+    logs: tuple[LogProblem, ...]
+    notes: tuple[str, ...]
+
+
+class _Request(BaseModel):
+    processed: str
+    scene: Scene
+    logs: dict[str, ReportedLogs]
+    code: str
+    full: bool = False
+    document: str = ""
+
+
+def verify(
+    report: Path,
+    processed: Path | None = None,
+    profiles: Sequence[Path] = (),
+    progress: Callable[[str], None] | None = None,
+) -> Verification:
+    """Compute the numbers of a report anew and compare them, part by part.
+
+    The logs are read again from where they lay, or from the stored samples where they are gone; stages, costs and
+    theory are computed in a temporary folder. Nothing in ``processed`` is changed.
+
+    Parameters
+    ----------
+    report : Path
+        HTML page by `compare`.
+    processed : Path, optional
+        Folder of the stored tables; by default the one that the report names, looked for in the current folder and
+        beside the report.
+    profiles : sequence of Path
+        Profile files of the lab that read the logs.
+    progress : callable, optional
+        Gets the name of each step when it begins.
+
+    Raises
+    ------
+    UsageError
+        If the file is no report, or the folder is not found.
+    StoreError
+        If `processed` is damaged.
+    """
+    say = progress or (lambda _: None)
+    try:
+        page = report.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise UsageError(f"{report}: cannot be read ({error}). Give a report by `pipeline compare`.") from error
+    found = take_apart(page)
+    request = _request(report, found)
+    folder = _processed(report, processed or Path(request.processed), given=processed is not None)
+    document, notes = _document(report)
+    if request.code != code_digest(*REPORT_CODE):
+        notes.append("the report was made by another version of the code: numbers may differ for that reason")
+    with tempfile.TemporaryDirectory(prefix="pipeline-verify-") as temporary:
+        store = Path(temporary) / "processed"
+        say("reading the logs")
+        lists = {logs.experiment: logs for logs in document.logs} if document else {}
+        fresh = read_anew(request.scene.device, folder, request.logs, lists, store, profiles)
+        if (folder / "accuracy.json").is_file():
+            shutil.copy(folder / "accuracy.json", store / "accuracy.json")
+        say(f"computing anew: {fresh.read} trials from logs, {fresh.kept} from stored samples")
+        again = Path(temporary) / "report.html"
+        try:
+            outcome = compare(
+                request.scene.device,
+                store,
+                experiments=request.scene.experiments,
+                criteria=request.scene.criteria,
+                report=again,
+                full=request.full,
+                responses=embedded_responses(found, len(request.scene.experiments)),
+                shown=request.scene.shown,
+                progress=progress,
+            )
+        except (UsageError, StoreError):
+            raise
+        except PipelineError as error:
+            raise StoreError(f"{report}: its numbers cannot be computed anew: {error}") from error
+        expected = take_apart(again.read_text(encoding="utf-8"))
+    stored = found.digests
+    untouched = stored is not None and stored.page == report_parts.page_digest(page)
+    # what was changed by hand, or rests on other logs, must agree to the last digit
+    as_made = untouched and not fresh.problems
+    parts = Comparison(rounding=as_made)
+    differences = [*part_differences(expected, found, parts), *free_differences(found)]
+    checked = {
+        "cells": len(found.cells),
+        "figures": len(found.figures),
+        "sentences": len(found.texts),
+        "data": len(found.data),
+    }
+    if document and outcome.result:
+        values = Comparison(rounding=as_made and request.document == digest(document.numbers()))
+        differences += value_differences(outcome.result, document, values)
+        checked["values"] = sum(1 for _ in leaves(document.numbers()))
+        parts.rounded += values.rounded
+    if parts.rounded:
+        notes.append(
+            f"{counted(parts.rounded, 'part')} computed anew with other last digits, as on another processor; the "
+            "report is as it was written"
+        )
+    if not differences and stored and not untouched:
+        text = "the page was changed outside its numbers, sentences and figures"
+        differences.append(Difference(name="page", kind="page", expected=stored.page, found=text))
+    return Verification(
+        report=str(report),
+        equal=not differences and not fresh.problems,
+        checked=checked,
+        differences=tuple(differences),
+        logs=tuple(fresh.problems),
+        notes=(*notes, *fresh.notes),
+    )
+
+
+def lines_of(verification: Verification) -> list[str]:
+    """Return a verification as lines for a terminal: what differs first, the outcome last."""
+    lines = [
+        f"{problem.path}: {problem.problem}"
+        + (f"; expected {problem.expected}, found {problem.found or MISSING}" if problem.expected else "")
+        for problem in verification.logs
+    ]
+    lines += [f"{d.name}: computed anew {d.expected}, the report says {d.found}" for d in verification.differences]
+    lines += [f"Note: {note}" for note in verification.notes]
+    counts = ", ".join(f"{count} {kind}" for kind, count in verification.checked.items())
+    if verification.equal:
+        return [*lines, f"{verification.report}: all equal ({counts})"]
+    number = len(verification.differences)
+    parts = f"{counted(number, 'part')} {'differs' if number == 1 else 'differ'}"
+    told = f"{parts}, {counted(len(verification.logs), 'log')} or stored samples are not those"
+    return [*lines, f"{verification.report}: {told} of the report ({counts} checked)"]
+
+
+def _request(report: Path, parts: Parts) -> _Request:
+    try:
+        return _Request.model_validate(parts.request)
+    except ValidationError as error:
+        raise UsageError(
+            f"{report}: holds no request of a comparison that can be read; expected a report by `pipeline compare`, of "
+            "this version or a later one. Write it anew with the command in its section on origin."
+        ) from error
+
+
+def _processed(report: Path, folder: Path, given: bool) -> Path:
+    places = [folder] if given else [folder, report.parent / folder, report.parent.parent / folder]
+    for place in places:
+        if (place / "trials").is_dir():
+            return place
+    raise UsageError(
+        f"{', '.join(str(p) for p in dict.fromkeys(places))}: no stored trials; expected the folder that the report "
+        "was made from. Give it with --processed."
+    )
+
+
+def _document(report: Path) -> tuple[ComparisonResult | None, list[str]]:
+    path = report.with_suffix(".json")
+    try:
+        return ComparisonResult.model_validate_json(path.read_bytes()), []
+    except FileNotFoundError:
+        return None, [f"{path}: is not there, so that only the page was checked"]
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(str(part) for part in first["loc"])
+        return None, [
+            f"{path}: is no result of this version ({place}: {first['msg']}), so that only the page was checked"
+        ]

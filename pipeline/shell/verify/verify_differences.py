@@ -1,0 +1,180 @@
+"""Parts of a report and the same parts computed anew: which differ, and which by rounding only."""
+
+from __future__ import annotations
+
+import json
+import math
+import zlib
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Literal
+
+from pipeline.records.models import Record
+from pipeline.records.results import ComparisonResult
+from pipeline.records.trial_codec import unpack
+from pipeline.rendering.report import report_parts
+from pipeline.rendering.report.report_parts import Parts
+from pipeline.shell.verify.verify_rounding import same_drawing, same_text, same_value
+
+Kind = Literal["cell", "figure", "data", "sentence", "value", "page"]
+
+ROUNDING = 1e-9
+"""Relative difference of two values of the JSON document that counts as none: other processors and builds of numpy
+round the last digits of a sum in another way."""
+
+MOST_CHARACTERS = 200
+"""Characters of a part that are quoted."""
+
+MISSING = "(missing)"
+
+TRIAL_DATA = "trial-data"
+"""Data block with the trials of the page."""
+
+PACKED = ("/columns", "/responses")
+"""Ends of the places in it that `trial_codec.pack` packed."""
+
+
+class Difference(Record):
+    """A part of the report that differs: ``expected`` was computed anew, ``found`` stands in the report."""
+
+    name: str
+    kind: Kind
+    expected: str
+    found: str
+
+
+@dataclass
+class Comparison:
+    """How parts are compared.
+
+    Parameters
+    ----------
+    rounding : bool
+        Whether parts that differ by rounding only count as equal.
+    rounded : int
+        How many did.
+    """
+
+    rounding: bool
+    rounded: int = 0
+
+    def equal(self, new: Any, old: Any, same: Callable[[Any, Any], bool]) -> bool:
+        """Tell whether two parts count as equal; ``same`` tells it of parts that differ, none of them None."""
+        if new == old:
+            return True
+        if self.rounding and new is not None and old is not None and same(new, old):
+            self.rounded += 1
+            return True
+        return False
+
+
+def part_differences(expected: Parts, found: Parts, comparison: Comparison) -> Iterator[Difference]:
+    """Yield which cells, drawings, data and sentences of a page (``found``) are not those computed anew."""
+    cells = ({n: t for n, t in p.cells.items() if not report_parts.is_free_cell(n)} for p in (expected, found))
+    yield from _text_differences("cell", comparison, *cells)
+    for name in {**expected.figures, **found.figures}:
+        pair = (expected.figures.get(name), found.figures.get(name))
+        if not comparison.equal(*pair, same_drawing):
+            new, old = ("(missing)" if text is None else f"drawing {report_parts.short(text)}" for text in pair)
+            yield Difference(name=f"figure {name}", kind="figure", expected=new, found=old)
+    for name in {**expected.data, **found.data}:
+        yield from _data_differences(name, expected.data.get(name), found.data.get(name), comparison)
+    texts = ({n: t for n, t in p.texts.items() if not report_parts.is_free_text(n)} for p in (expected, found))
+    yield from _text_differences("sentence", comparison, *texts)
+
+
+def free_differences(found: Parts) -> Iterator[Difference]:
+    """Parts that no log determines, held against the hashes in the page."""
+    stored = found.digests
+    if stored is None:
+        yield Difference(name="page", kind="page", expected="hashes of the parts in the head", found=MISSING)
+        return
+    now = report_parts.digests_of("", found)
+    kinds: tuple[tuple[Kind, dict[str, str], dict[str, str], dict[str, str]], ...] = (
+        ("cell", stored.cells, now.cells, found.cells),
+        ("sentence", stored.texts, now.texts, found.texts),
+    )
+    for kind, before, after, texts in kinds:
+        for name in {**before, **after}:
+            if before.get(name) != after.get(name):
+                expected = f"a text with the hash {before[name]}" if name in before else MISSING
+                yield _difference(kind, name, expected, texts.get(name, MISSING))
+
+
+def _text_differences(
+    kind: Kind, comparison: Comparison, expected: Mapping[str, str], found: Mapping[str, str]
+) -> Iterator[Difference]:
+    for name in {**expected, **found}:
+        new, old = expected.get(name), found.get(name)
+        if not comparison.equal(new, old, same_text):
+            yield _difference(kind, name, *(MISSING if text is None else text for text in (new, old)))
+
+
+def _data_differences(
+    name: str, expected: str | None, found: str | None, comparison: Comparison
+) -> Iterator[Difference]:
+    if expected == found:
+        return
+    try:
+        new, old = (dict(leaves(json.loads(text or "null"))) for text in (expected, found))
+    except json.JSONDecodeError:
+        new, old = ({"": report_parts.short(text) if text is not None else None} for text in (expected, found))
+    for place in {**new, **old}:
+        a, b = new.get(place, MISSING), old.get(place, MISSING)
+        if not comparison.equal(a, b, lambda a, b: same_text(json.dumps(a), json.dumps(b))):
+            yield _difference("data", f"{name}{place}", str(a), str(b))
+
+
+def value_differences(
+    expected: ComparisonResult, found: ComparisonResult, comparison: Comparison
+) -> Iterator[Difference]:
+    """Yield which values of a JSON document (``found``) are not those computed anew."""
+    new, old = (dict(leaves(result.numbers())) for result in (expected, found))
+    for place in {**new, **old}:
+        a, b = new.get(place, MISSING), old.get(place, MISSING)
+        if isinstance(a, float) and isinstance(b, float) and math.isclose(a, b, rel_tol=ROUNDING):
+            continue
+        if not comparison.equal(a, b, partial(same_value, place)):
+            yield _difference("value", f"json{place}", str(a), str(b))
+
+
+def embedded_responses(found: Parts, experiments: int) -> list[int] | None:
+    """Return how many responses of each experiment a page holds; None where it does not say."""
+    try:
+        numbers = [int(e["shown"]) for e in json.loads(found.data[TRIAL_DATA])["experiments"]]
+    except (KeyError, TypeError, ValueError):
+        return None
+    return numbers if len(numbers) == experiments and min(numbers, default=0) >= 0 else None
+
+
+def leaves(value: Any, place: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield place and value of everything in a document that is no list and no object, also of what is packed in it."""
+    items: Iterable[tuple[Any, Any]]
+    if place.endswith(PACKED):
+        value = _unpacked(value)
+    if isinstance(value, dict):
+        items = value.items()
+    elif isinstance(value, list):
+        items = enumerate(value)
+    else:
+        yield place, value
+        return
+    for key, part in items:
+        yield from leaves(part, f"{place}/{key}")
+
+
+def _unpacked(value: Any) -> Any:
+    """Return what is packed in a value; the value where nothing is. The same content packs to other bytes elsewhere."""
+    try:
+        return unpack(value)
+    except (TypeError, ValueError, zlib.error):
+        return value
+
+
+def _difference(kind: Kind, name: str, expected: str, found: str) -> Difference:
+    return Difference(name=name, kind=kind, expected=_cut(expected), found=_cut(found))
+
+
+def _cut(text: str) -> str:
+    return text if len(text) <= MOST_CHARACTERS else f"{text[:MOST_CHARACTERS]} ..."

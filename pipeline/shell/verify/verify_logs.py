@@ -1,0 +1,262 @@
+"""Logs of a report read anew into a folder of their own, and what is not as it was when the report was made.
+
+Nothing that was computed from the logs is taken over: the folder gets trials and samples, no stages and no theory.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from pipeline.comparison.scene.origin import joint_sha256
+from pipeline.ingest.ingest import ingest
+from pipeline.profiles.profile_files import load_profile, shipped_profiles
+from pipeline.records.batch import Floats, TrialBatch
+from pipeline.records.models import Record
+from pipeline.records.results import LogList
+from pipeline.records.table_files import write_table
+from pipeline.store.samples import load_groups
+from pipeline.store.storage import read_trials, trials_folder
+
+_COLUMNS = ("time", "command", "position", "force", "velocity")
+
+
+class LogProblem(Record):
+    """A log, or what is stored of it, that is not the one behind the report; ``path`` may be an experiment."""
+
+    path: str
+    problem: str
+    expected: str | None = None
+    found: str | None = None
+
+
+class ReportedLogs(Record):
+    """What a page says of the logs of an experiment: number of files, their joint SHA-256, hash of their samples."""
+
+    files: int
+    sha256: str
+    samples: str
+
+
+@dataclass
+class FreshStore:
+    """A folder with the logs as they are now.
+
+    Parameters
+    ----------
+    folder : Path
+    problems : list of LogProblem
+    notes : list of str
+        What could not be looked at, and why.
+    read, kept : int
+        Trials that were read from their logs, and those of which only the stored samples are left.
+    """
+
+    folder: Path
+    problems: list[LogProblem] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    read: int = 0
+    kept: int = 0
+
+
+def read_anew(
+    device: str,
+    processed: Path,
+    reported: Mapping[str, ReportedLogs],
+    lists: Mapping[str, LogList],
+    folder: Path,
+    profiles: Sequence[Path] = (),
+) -> FreshStore:
+    """Read the logs behind a report again.
+
+    Parameters
+    ----------
+    device : str
+    processed : Path
+        Folder of the stored tables: it says where the logs lie, and has the samples of logs that are gone.
+    reported : mapping of str to ReportedLogs
+        What the page says of the logs of each experiment.
+    lists : mapping of str to LogList
+        Logs of each experiment by the JSON beside the page; may lack some.
+    folder : Path
+        Gets trials and samples.
+    profiles : sequence of Path
+        Profile files of the lab; the shipped profiles are known.
+
+    Returns
+    -------
+    FreshStore
+
+    Raises
+    ------
+    StoreError
+        If `processed` is damaged.
+    """
+    store = FreshStore(folder)
+    for experiment, said in reported.items():
+        trials = _of_the_report(store, read_trials(processed, device, experiment), said, lists.get(experiment))
+        if not trials.num_rows:
+            store.problems.append(LogProblem(path=f"experiment {experiment}", problem="none of its logs are stored"))
+            continue
+        readable = _readable(store, trials, profiles)
+        again = _read(store, experiment, trials.filter(readable), profiles)
+        left = pc.invert(pc.is_in(trials.column("source_path"), value_set=pa.array(sorted(again), pa.string())))
+        kept = trials.filter(left)
+        _keep(store, device, experiment, processed, kept)
+        store.read += trials.num_rows - kept.num_rows
+        store.kept += kept.num_rows
+        _compare_samples(store, device, experiment, processed, trials, said)
+    return store
+
+
+def _of_the_report(store: FreshStore, trials: pa.Table, said: ReportedLogs, listed: LogList | None) -> pa.Table:
+    """Return the stored trials of the report's logs; logs that came later are no part of it."""
+    hashes = trials.column("source_sha256").to_pylist()
+    if joint_sha256(hashes) == said.sha256:
+        return trials
+    if listed is None or joint_sha256(list(listed.files.values())) != said.sha256:
+        found = f"{len(set(hashes))} files, {joint_sha256(hashes)}"
+        text = "the stored logs are not those of the report, and no list of these lies beside it"
+        name = trials.column("experiment")[0].as_py() if trials.num_rows else "?"
+        expected = f"{said.files} files, {said.sha256}"
+        store.problems.append(LogProblem(path=f"experiment {name}", problem=text, expected=expected, found=found))
+        return trials
+    stored = dict(zip(trials.column("source_path").to_pylist(), hashes, strict=True))
+    present = set(hashes)
+    for name, sha in listed.files.items():
+        path = os.path.join(listed.folder, name)
+        if sha not in present:
+            text = "is not stored as it was when the report was made"
+            store.problems.append(LogProblem(path=path, problem=text, expected=sha, found=stored.get(path)))
+    # the log that stands where one of the report stood shows what its change does to the numbers
+    paths = [os.path.join(listed.folder, name) for name in listed.files]
+    ours = pc.or_(
+        pc.is_in(trials.column("source_sha256"), value_set=pa.array(list(listed.files.values()), pa.string())),
+        pc.is_in(trials.column("source_path"), value_set=pa.array(paths, pa.string())),
+    )
+    if later := trials.num_rows - pc.sum(ours).as_py():
+        store.notes.append(f"experiment {listed.experiment}: {later} trials were stored later and are left out")
+    return trials.filter(ours)
+
+
+def _readable(store: FreshStore, trials: pa.Table, profiles: Sequence[Path]) -> pa.Array:
+    """Return which trials can be read again: the log is there, and so is the profile that read it."""
+    known = {p.name: p.digest() for p in (*shipped_profiles(), *(load_profile(path) for path in profiles))}
+    here: list[bool] = []
+    gone: list[str] = []
+    foreign: dict[str, int] = defaultdict(int)
+    changed: set[str] = set()
+    columns = ("source_path", "profile", "profile_sha256")
+    for path, profile, sha in zip(*(trials.column(c).to_pylist() for c in columns), strict=True):
+        there = os.path.isfile(path)
+        if not there:
+            gone.append(path)
+        elif profile not in known:
+            foreign[profile] += 1
+        elif known[profile] != sha:
+            changed.add(profile)
+        here.append(there and profile in known)
+    if gone:
+        store.notes.append(
+            f"{len(gone)} logs are no longer where they were, such as {gone[0]}: of these the stored samples count"
+        )
+    for name, count in sorted(foreign.items()):
+        store.notes.append(
+            f"{count} logs were read by profile {name!r}, which is not shipped: of these the stored samples count. "
+            "Give it with --profile to read them again."
+        )
+    for name in sorted(changed):
+        store.notes.append(f"profile {name!r} has changed since the logs were read; they are read by it as it is now")
+    return pa.array(here, pa.bool_())
+
+
+def _read(store: FreshStore, experiment: str, trials: pa.Table, profiles: Sequence[Path]) -> set[str]:
+    """Ingest logs from their sources; return the paths that need no stored samples."""
+    files = {load_profile(path).name: path for path in profiles}
+    by_profile: dict[str, dict[str, str]] = defaultdict(dict)
+    columns = ("source_path", "source_sha256", "profile")
+    for path, sha, profile in zip(*(trials.column(c).to_pylist() for c in columns), strict=True):
+        by_profile[profile][path] = sha
+    for profile, sources in by_profile.items():
+        report = ingest([Path(path) for path in sources], store.folder, files.get(profile, profile))
+        for refusal in report.quarantined:
+            store.problems.append(
+                LogProblem(
+                    path=refusal.path, problem=f"is refused now: {refusal.reason}", expected=sources[refusal.path]
+                )
+            )
+    found = read_trials(store.folder, columns=["source_path", "source_sha256", "experiment"])
+    now = dict(zip(*(found.column(c).to_pylist() for c in ("source_path", "source_sha256")), strict=True))
+    before = {path: sha for sources in by_profile.values() for path, sha in sources.items()}
+    for path, sha in before.items():
+        if path in now and now[path] != sha:
+            text = f"has changed since it was ingested (experiment {experiment})"
+            store.problems.append(LogProblem(path=path, problem=text, expected=sha, found=now[path]))
+    return set(before)
+
+
+def _keep(store: FreshStore, device: str, experiment: str, processed: Path, trials: pa.Table) -> None:
+    """Take stored samples over, by links."""
+    if not trials.num_rows:
+        return
+    for name in set(trials.column("sample_file").to_pylist()):
+        link = store.folder / name
+        link.parent.mkdir(parents=True, exist_ok=True)
+        if not link.exists():
+            link.symlink_to((processed / name).resolve())
+    table = trials.replace_schema_metadata({"pipeline.table": "trials"})
+    write_table(trials_folder(store.folder, device, experiment) / "stored.parquet", table)
+
+
+def _compare_samples(
+    store: FreshStore, device: str, experiment: str, processed: Path, trials: pa.Table, said: ReportedLogs
+) -> None:
+    """Hold what is stored against what was read just now, and against the hash in the report."""
+    stored = load_groups(processed, trials)
+    fresh = load_groups(store.folder, read_trials(store.folder, device, experiment))
+    both = sorted(set(stored.of_trials("trial_id")) & set(fresh.of_trials("trial_id")))
+    paths = dict(zip(*(trials.column(c).to_pylist() for c in ("trial_id", "source_path")), strict=True))
+    before = len(store.problems)
+    for trial in both:
+        differs = _difference(fresh.named(trial), stored.named(trial))
+        if differs is not None:
+            words, expected, found = differs
+            problem = f"its stored {words} differs from the log (experiment {experiment}, trial {trial})"
+            store.problems.append(LogProblem(path=paths[trial], problem=problem, expected=expected, found=found))
+    told = len(store.problems) > before
+    same_logs = joint_sha256(trials.column("source_sha256").to_pylist()) == said.sha256
+    if same_logs and not told and stored.digest != said.samples:
+        text = "its stored samples are not those of the report"
+        store.problems.append(
+            LogProblem(path=f"experiment {experiment}", problem=text, expected=said.samples, found=stored.digest)
+        )
+
+
+def _difference(fresh: TrialBatch, stored: TrialBatch) -> tuple[str, str, str] | None:
+    """Return what differs first in one trial, its value by the log and the stored one; None where nothing does."""
+    if fresh.digests == stored.digests:
+        return None
+    for name in ("rows", "stiffness", "damping", "step", "sampling_period_s"):
+        a, b = getattr(fresh, name)[0].item(), getattr(stored, name)[0].item()
+        if a != b:
+            return name.replace("_", " "), repr(a), repr(b)
+    for name in _COLUMNS:
+        x, y = (_samples(batch, name)[0, : int(batch.rows[0])] for batch in (fresh, stored))
+        differ = (x != y) & ~(np.isnan(x) & np.isnan(y))
+        if differ.any():
+            sample = int(np.argmax(differ))
+            return f"{name} of sample {sample}", repr(x[sample].item()), repr(y[sample].item())
+    return None
+
+
+def _samples(batch: TrialBatch, column: str) -> Floats:
+    """Return a column of samples; one that no trial has as NaN."""
+    values = getattr(batch, column)
+    return np.full_like(batch.position, np.nan) if values is None else np.asarray(values, dtype=np.float64)

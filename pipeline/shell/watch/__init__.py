@@ -1,0 +1,1 @@
+"""Keeps reports current while logs arrive."""

@@ -1,0 +1,160 @@
+"""Criteria that are read from the poles of the loop: pole radius, damping ratio, and overshoot down to zero.
+
+They hold for the continuous and for the sampled response alike, whose poles are the same.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.polynomial import Polynomial
+
+from pipeline.base.errors import ParameterError
+from pipeline.loop.loop import Loop, as_points
+from pipeline.records.batch import Booleans, Floats
+from pipeline.theory.cost.transient import transient_costs
+from pipeline.theory.stability.stability import poles, sampled_plant
+
+_TIME_CONSTANTS = 4.0
+"""Time constants of the slowest pole in a settling time (5.4): exp(-4) = 1.8 %."""
+
+_FAINT = 1e-60
+"""Deviation down to which a response is looked at for overshoot of any size. From there on the slowest modes have
+outlived every other: one that decays by a tenth faster has shrunk by six more decades."""
+
+_REAL = 1e-7
+"""Angle of a pole that counts as real: a double pole is split by sqrt(1e-16) = 1e-8, where ratios lose nothing."""
+
+_POLISHINGS = 3
+"""Newton steps from a root by eigenvalues, good to 1e-8 and better: each doubles its digits."""
+
+_REACH = 0.04
+"""Relative range of u = 1/z in which a threefold pole is looked for around the slowest pole of a search."""
+
+
+def pole_settling_time(radius: object) -> Floats:
+    """Return the settling time [samples] that the largest pole modulus stands for: -4/ln r.
+
+    Parameters
+    ----------
+    radius : array_like, shape (n,)
+        Largest pole modulus r in (0, 1), from `stability.spectral_radius`.
+
+    Raises
+    ------
+    ParameterError
+        If a radius lies outside (0, 1): a response that does not decay has no settling time.
+
+    Notes
+    -----
+    An approximation for a band of 2 %: at the optima of C.1 to C.3 the step response takes twice as long (5.2.1).
+
+    Source: Hulin 2017, eq. 5.4.
+    """
+    r = np.atleast_1d(np.asarray(radius, dtype=np.float64))
+    if not np.all((r > 0) & (r < 1)):
+        raise ParameterError("pole radius: expected numbers between 0 and 1; ask for stable points only.")
+    return -_TIME_CONSTANTS / np.log(r)
+
+
+def damping_ratio(loop: Loop, alpha: object, beta: object) -> Floats:
+    """Return the damping ratio of each point: the smallest of -Re(ln z)/|ln z| over its poles z.
+
+    Parameters
+    ----------
+    loop : Loop
+    alpha, beta : array_like, shape (n,)
+        Normalised virtual stiffness and damping.
+
+    Returns
+    -------
+    float64, shape (n,)
+        1 where all poles are real and not negative, 0 or less where the loop is not stable. The logarithm is the
+        principal one, so a pole on the negative real axis counts as an oscillation with two samples a period.
+
+    Notes
+    -----
+    A pole at z = 0 (pure delay) has the ratio 1. Poles of multiplicity p are rounded by eps^(1/p), and a ratio of 1
+    there by the square of that: 1e-10 at a threefold pole.
+
+    Source: Hulin 2017, eqs. 5.5 and 5.6.
+    """
+    z = poles(loop, alpha, beta)
+    size = np.abs(z)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        decay = -np.log(size)
+        ratio = decay / np.hypot(decay, np.angle(z))
+    ratio = np.where(size == 0, 1.0, np.nan_to_num(ratio, nan=0.0))  # 0/0: a pole at z = 1, which does not decay
+    return np.asarray(ratio.min(axis=1))
+
+
+def threefold_pole(loop: Loop, near: float) -> tuple[float, float, float] | None:
+    """Return alpha, beta and z of the threefold real pole next to a modulus, or None if there is none within 4 %.
+
+    Notes
+    -----
+    With u = 1/z and s = 1 - u the characteristic equation is alpha + beta s = W(s), W = -1/G: for real z the poles are
+    where a straight line meets the curve W. A threefold pole is a point of inflection with its tangent: W'' = 0,
+    beta = W', alpha = W - beta s. An eigenvalue solver splits such poles by eps^(1/3), 1e-5, on each processor
+    otherwise; here they are simple roots of a polynomial.
+    """
+    top, bottom, power = _delayed_plant(loop)
+    u, slope, bend = Polynomial([1.0, -1.0]), top.deriv(), bottom.deriv()
+    # W = -P/(u^n q): W'' times -u^(n+2) q^3, with M = u q times the logarithmic derivative of u^n q
+    m = u * bend - power * bottom
+    curved = m * m + power * bottom**2 - u * u * (bottom.deriv(2) * bottom - bend**2)
+    bends = top.deriv(2) * (u * bottom) ** 2 - 2 * slope * u * bottom * m + top * curved
+    roots = np.asarray(bends.roots(), dtype=np.complex128)
+    real = roots.real[np.abs(roots.imag) < _REAL * np.abs(1 - roots)]
+    for _ in range(_POLISHINGS):
+        real = real - bends(real) / bends.deriv()(real)
+    away = np.abs((1 - real) * near - 1)
+    if away.min(initial=np.inf) > _REACH:
+        return None
+    s = float(real[away.argmin()])
+    scale = -1 / ((1 - s) ** power * bottom(s))
+    beta = float(scale * (slope(s) - top(s) * m(s) / (u(s) * bottom(s))))
+    return float(scale * top(s)) - beta * s, beta, 1 / (1 - s)
+
+
+def _delayed_plant(loop: Loop) -> tuple[Polynomial, Polynomial, int]:
+    """Return P, q and n of the delayed plant G = u^n q(s)/P(s), u = 1/z, s = 1 - u."""
+    plant = sampled_plant(loop)
+    s, u = Polynomial([0.0, 1.0]), Polynomial([1.0, -1.0])
+    top = s * s + plant.linear * s * u + plant.constant * u * u
+    whole = loop.segments[-1].age
+    parts = (u ** (age - whole) * (slope * s + offset * u) for age, slope, offset in plant.pushes)
+    return top, sum(parts, Polynomial([0.0])), whole + 1
+
+
+def never_overshoots(loop: Loop, alpha: object, beta: object, *, continuous: bool = True) -> Booleans:
+    """Return where the step response has no overshoot at all, however small.
+
+    Parameters
+    ----------
+    loop : Loop
+    alpha, beta : array_like, shape (n,)
+        Normalised virtual stiffness and damping; stable, alpha + gamma > 0.
+    continuous : bool
+        Whether the motion between samples counts, or the samples only.
+
+    Notes
+    -----
+    In the long run the slowest mode decides: with a pole that is not real and positive the response crosses its final
+    position again and again, by less and less. So the largest pole must be real and positive, and the response
+    must stay below its final position until it has shrunk to 1e-60, which it does without loss of relative precision.
+
+    The thesis, which allows 1e-12 (footnote 4 of 5.2.2), finds a region that reaches 3 to 4 % further.
+    """
+    a, b = as_points(alpha, beta)
+    z = poles(loop, a, b)
+    size = np.abs(z)
+    real = np.where((np.abs(z.imag) <= _REAL * size) & (z.real > 0), size, 0.0)
+    result = np.asarray(real.max(axis=1) >= size.max(axis=1) * (1 - _REAL))
+    slow_is_real = np.flatnonzero(result)
+    if len(slow_is_real):
+        name = "overshoot" if continuous else "overshoot_discrete"
+        costs = transient_costs(
+            loop, a[slow_is_real], b[slow_is_real], (), continuous=continuous, quiet=_FAINT, enough=0.0
+        )
+        result[slow_is_real] = costs[name] == 0
+    return result

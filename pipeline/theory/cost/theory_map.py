@@ -1,0 +1,133 @@
+"""Costs over the whole stable region, in blocks of rows: what `pipeline theory map` writes (`map_file`)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.base.errors import ParameterError
+from pipeline.loop.loop import Loop
+from pipeline.records.batch import Booleans, Floats
+from pipeline.theory.cost.pointcosts import IMPULSE_ENERGIES, SETTLING, STEP_ENERGIES, point_costs_by_name
+from pipeline.theory.stability.region import is_inside, is_well_inside
+from pipeline.theory.stability.stability import boundary, boundary_points, spectral_radius
+
+MAP_CRITERIA = (*SETTLING, "overshoot", *STEP_ENERGIES, *IMPULSE_ENERGIES, "pole_radius")
+"""Criteria of a map; all but ``pole_radius`` also as ``_discrete``."""
+
+MAP_DEFAULT = ("settle_2pct", "overshoot", *STEP_ENERGIES)
+
+MAP_LONGEST = 1 << 14
+"""Samples after which a response on a map is given up; only cells along the boundary need more."""
+
+MAP_QUIET = 1e-13
+"""Deviation at which a response on a map without overshoot ends: below the 1e-12 that counts as none."""
+
+LARGEST_MAP = 4001
+"""Grid points along an axis, for the sake of time: minutes. Memory is that of a block, whatever the size."""
+
+BLOCK = 1 << 16
+"""Grid points of a block, but at least one row: some 100 MB while its costs are computed, a map of 251 x 251 in one."""
+
+MARGIN = 1e-9
+"""Distance from the boundary, as a share of alpha + gamma, within which costs would be rounding errors."""
+
+_NEAR_ZERO = 1e-5
+"""Angle that stands for theta -> 0: the boundary is off its limit by O(theta^2), rounding by 1e-16/theta."""
+
+
+def bounding_box(loop: Loop) -> tuple[float, float, float, float]:
+    """Return alpha_low, alpha_high, beta_low, beta_high of the stable region.
+
+    The region's lowest beta is often the limit of the boundary for theta -> 0, on the line alpha = -gamma.
+    """
+    border = boundary(loop)
+    start = float(boundary_points(loop, np.array([_NEAR_ZERO]))[1][0])
+    return -loop.gamma, border.alpha_max, min(start, float(border.beta.min())), border.beta_max
+
+
+@dataclass(frozen=True, eq=False)
+class MapBlock:
+    """Rows of a map: all points of some beta, beta changing slowest; costs by name, NaN where there is none."""
+
+    alpha: Floats
+    beta: Floats
+    stable: Booleans
+    costs: dict[str, Floats]
+
+
+@dataclass(frozen=True)
+class CostMap:
+    """What a map shows: a grid over the bounding box of the stable region, both ends included.
+
+    Parameters
+    ----------
+    loop : Loop
+    size : int
+        Grid points along each axis, 2 to 4001.
+    criteria : sequence of str
+        Any of `MAP_CRITERIA`, also with ``_discrete`` appended (not ``pole_radius``).
+    longest : int
+        Samples after which a response that still moves gets no cost.
+
+    Raises
+    ------
+    ParameterError
+        For an unknown criterion or a size out of range.
+
+    Notes
+    -----
+    Responses without overshoot are followed down to a deviation of 1e-13.
+
+    Source: Hulin 2017, ch. 5, footnote 1 (grid of 251 x 251 points).
+    """
+
+    loop: Loop
+    size: int = 251
+    criteria: Sequence[str] = MAP_DEFAULT
+    longest: int = MAP_LONGEST
+
+    def __post_init__(self) -> None:
+        known = {*MAP_CRITERIA, *(f"{name}_discrete" for name in MAP_CRITERIA if name != "pole_radius")}
+        unknown = [name for name in self.criteria if name not in known]
+        if unknown:
+            raise ParameterError(
+                f"criterion {unknown[0]!r} is unknown; expected some of {', '.join(MAP_CRITERIA)}, "
+                "all but pole_radius also with _discrete appended."
+            )
+        if not 2 <= self.size <= LARGEST_MAP:
+            raise ParameterError(f"size = {self.size}: expected 2 to {LARGEST_MAP} grid points along an axis.")
+        if self.longest < 1:
+            raise ParameterError(f"longest = {self.longest}: expected at least 1 sample.")
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Criteria, each once."""
+        return tuple(dict.fromkeys(self.criteria))
+
+    def blocks(self, points: int = BLOCK) -> Iterator[MapBlock]:
+        """Compute the map from the lowest beta on, in blocks of about so many points (at least a row).
+
+        Costs are null where a point is not stable or (overshoot, settling time) its response still moves after
+        ``longest`` samples. A block's size changes no more than rounding of them.
+        """
+        box = bounding_box(self.loop)
+        alpha, beta = np.linspace(*box[:2], self.size), np.linspace(*box[2:], self.size)
+        rows = max(1, points // self.size)
+        for first in range(0, self.size, rows):
+            yield self._block(*(grid.ravel() for grid in np.meshgrid(alpha, beta[first : first + rows])))
+
+    def _block(self, alpha: Floats, beta: Floats) -> MapBlock:
+        stable = is_inside(self.loop, alpha, beta)
+        inside = np.flatnonzero(is_well_inside(self.loop, alpha, beta, MARGIN))
+        costs = {name: np.full(len(alpha), np.nan) for name in self.names}
+        if "pole_radius" in costs:
+            costs["pole_radius"][inside] = spectral_radius(self.loop, alpha[inside], beta[inside])
+        asked = [name for name in costs if name != "pole_radius"]
+        points = self.loop, alpha[inside], beta[inside]
+        found = point_costs_by_name(*points, asked, self.longest, MAP_QUIET, part=True)
+        for name, values in found.items():
+            costs[name][inside] = values
+        return MapBlock(alpha, beta, stable, costs)

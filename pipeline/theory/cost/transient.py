@@ -1,0 +1,335 @@
+"""Settling time and overshoot of the loop's step response, from the exact motion between samples.
+
+The deviation from the final position is advanced sample by sample for all points at once; points leave the
+computation as soon as nothing that is asked for can change any more.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from pipeline.base.errors import ParameterError
+from pipeline.loop.loop import Loop, as_points
+from pipeline.records.batch import Floats, Integers
+
+LONGEST = 1 << 18
+"""Samples after which a response that still moves is given up (no settling time): spectral radius about 1 - 1e-5."""
+
+NO_OVERSHOOT = 1e-12
+"""Overshoot up to this fraction counts as none. Part of the definition: Hulin 2017, footnote 4 of 5.2.2."""
+
+_BLOCK = 16
+"""Samples between two checks of which points are finished."""
+
+_SETTLED = 0.1
+"""A point is finished when its motion has stayed below this share of the band (or of the overshoot found) for a block
+and a delay. Motion is position plus velocity times `lever`: from such a state no stable loop with d <= 16 swings out
+further than fourfold (largest row sums of the powers of A over the stable region)."""
+
+_FADED = 0.25
+"""Motion relative to the largest deviation found below which no larger one follows: the reciprocal of fourfold."""
+
+QUIET = 0.1 * NO_OVERSHOOT
+"""Motion below which a response is no longer followed for overshoot, by the same margin."""
+
+
+@dataclass
+class Crossing:
+    """Last entry into a band: start, length, state and input of the segment in which it happened."""
+
+    start: Floats
+    low: Floats
+    high: Floats
+    position: Floats
+    velocity: Floats
+    force: Floats
+    level: Floats
+
+    @classmethod
+    def empty(cls, n: int) -> Crossing:
+        """Return crossings of n points, none of them known yet."""
+        return cls(*(np.full(n, np.nan) for _ in range(7)))
+
+    def set(self, index: Integers, start: float, low: Floats | float, high: Floats | float, *values: Floats) -> None:
+        """Note a crossing of some points; ``values`` are position, velocity, force and level."""
+        self.start[index] = start
+        self.low[index] = low
+        self.high[index] = high
+        for name, value in zip(("position", "velocity", "force", "level"), values, strict=True):
+            getattr(self, name)[index] = value
+
+
+@dataclass
+class _Active:
+    """State of the points that still move."""
+
+    index: Integers
+    alpha: Floats
+    beta: Floats
+    position: Floats
+    before: Floats
+    velocity: Floats
+    lever: Floats
+    forces: list[Floats]
+    quiet: Floats = field(init=False)
+    calm: Floats = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.quiet = np.zeros_like(self.alpha)
+        self.calm = np.zeros_like(self.alpha)
+
+    def keep(self, mask: np.ndarray) -> None:
+        for name in ("index", "alpha", "beta", "position", "before", "velocity", "lever", "quiet", "calm"):
+            setattr(self, name, getattr(self, name)[mask])
+        self.forces = [f[mask] for f in self.forces]
+
+
+def transient_costs(
+    loop: Loop,
+    alpha: object,
+    beta: object,
+    bands: Sequence[float] = (0.01, 0.02, 0.05),
+    *,
+    overshoot: bool = True,
+    continuous: bool = True,
+    longest: int = LONGEST,
+    quiet: float = QUIET,
+    cutoff: float = np.inf,
+    enough: float = np.inf,
+    unfinished_overshoot: bool = False,
+) -> dict[str, Floats]:
+    """Return settling times and overshoot of the step response of stable points.
+
+    Parameters
+    ----------
+    loop : Loop
+    alpha, beta : array_like, shape (n,)
+        Normalised virtual stiffness and damping; stable, alpha + gamma > 0.
+    bands : sequence of float
+        Half widths of the settling bands relative to the final displacement, in (0, 1).
+    overshoot : bool
+        Whether the overshoot is asked for; without it responses are followed only until they have settled.
+    continuous : bool
+        Whether the motion between samples is asked for, besides the samples.
+    longest : int
+        Samples after which a point that still moves gets no result.
+    quiet : float
+        Deviation below which a response without overshoot so far is no longer followed; a map that is only drawn
+        does not need the default.
+    cutoff : float
+        Settling time [samples] from which on a point is of no interest: one still outside all bands then is given
+        up. A search knows the best value so far.
+    enough : float
+        Overshoot above which a point is of no further interest; only for calls without bands.
+    unfinished_overshoot : bool
+        Whether points that still move after ``longest`` samples get the overshoot found so far instead of none.
+
+    Returns
+    -------
+    dict of float64, shape (n,)
+        ``settle_<band in percent>pct_discrete`` [samples]: smallest k with all samples from k on inside the band;
+        ``settle_<..>pct`` [samples]: last entry of the continuous position into the band; ``overshoot`` and
+        ``overshoot_discrete``: largest excess over the final position relative to the final displacement, >= 0.
+        NaN where the response still moves too much after ``longest`` samples to know; a settling time may be known
+        where the overshoot, which has the finer limit, is not.
+
+    Source: Hulin 2017, eqs. 5.10 to 5.12.
+    """
+    a, b = as_points(alpha, beta)
+    if np.any(a + loop.gamma <= 0):
+        raise ParameterError("a step response needs alpha + gamma > 0: without stiffness there is no final position.")
+    if any(not 0 < band < 1 for band in bands):
+        raise ParameterError(f"bands = {list(bands)}: expected fractions between 0 and 1, such as 0.02.")
+    n = len(a)
+    peaks = {"overshoot": np.zeros(n), "overshoot_discrete": np.zeros(n)}
+    settled = {band: np.zeros(n) for band in bands}
+    crossings = {band: Crossing.empty(n) for band in bands}
+    run = _Active(
+        np.arange(n),
+        a,
+        b,
+        np.full(n, -1.0),
+        np.full(n, -1.0),
+        np.zeros(n),
+        lever(loop, a),
+        [a] * (loop.oldest_force + 1),
+    )
+    given_up: list[Integers] = []
+    calm = _SETTLED * min(bands) if bands else 1.0
+    for k in range(longest):
+        if not len(run.index):
+            break
+        _advance(loop, run, k, peaks["overshoot"], crossings, continuous)
+        size = np.abs(run.position)
+        for band in bands:
+            settled[band][run.index[size > band]] = k + 1
+        peaks["overshoot_discrete"][run.index] = np.maximum(peaks["overshoot_discrete"][run.index], run.position)
+        if k > cutoff and not overshoot:
+            late = size > max(bands)
+            if late.any():
+                given_up.append(run.index[late])
+                run.keep(~late)
+                size = size[~late]
+        if k % _BLOCK == 0:
+            limit = np.full(len(size), calm)
+            if overshoot:
+                found = _SETTLED * peaks["overshoot_discrete"][run.index]
+                limit = np.minimum(limit, np.maximum(found, quiet))
+            motion = size + run.lever * np.abs(run.velocity)
+            run.quiet = np.where(motion > limit, 0.0, run.quiet + 1)
+            run.calm = np.where(motion > calm, 0.0, run.calm + 1)
+            done = run.quiet * _BLOCK > loop.oldest_force + 2
+            if not bands:
+                done |= np.maximum(peaks["overshoot"], peaks["overshoot_discrete"])[run.index] > enough
+            if done.any():
+                run.keep(~done)
+    # a slow response may have settled long before it is known not to overshoot
+    restless = np.concatenate([run.index[run.calm * _BLOCK <= loop.oldest_force + 2], *given_up])
+    unfinished = np.concatenate([run.index, *given_up])
+    result: dict[str, Floats] = {}
+    for band in bands:
+        name = f"settle_{100 * band:g}pct"
+        result[f"{name}_discrete"] = settled[band] + 1
+        if continuous:
+            result[name] = entry_times(loop, crossings[band])
+    if overshoot:
+        result["overshoot_discrete"] = peaks["overshoot_discrete"]
+        if continuous:
+            result["overshoot"] = np.maximum(peaks["overshoot"], peaks["overshoot_discrete"])
+    for name, values in result.items():
+        if name.startswith("settle"):
+            values[restless] = np.nan
+        elif not unfinished_overshoot:
+            values[unfinished] = np.nan
+    return result
+
+
+def late_deviation(loop: Loop, alpha: object, beta: object, first: int, longest: int) -> Floats:
+    """Return the largest deviation of the samples from ``first`` on, relative to the final displacement.
+
+    A discrete settling time of at most ``first`` can be had where this lies inside the band; unlike the settling time
+    it is continuous in alpha and beta.
+
+    Parameters
+    ----------
+    loop : Loop
+    alpha, beta : array_like, shape (n,)
+        Normalised virtual stiffness and damping; stable, alpha + gamma > 0.
+    first : int
+        First sample that counts, >= 1.
+    longest : int
+        Samples after which the largest deviation so far is returned.
+    """
+    a, b = as_points(alpha, beta)
+    n = len(a)
+    start = np.full(n, -1.0)
+    run = _Active(np.arange(n), a, b, start, start, np.zeros(n), lever(loop, a), [a] * (loop.oldest_force + 1))
+    largest = np.zeros(n)
+    for k in range(1, longest + 1):
+        _advance(loop, run, k - 1, start, {}, continuous=False)
+        if k < first:
+            continue
+        largest = np.maximum(largest, np.abs(run.position))
+        if (k - first) % _BLOCK == _BLOCK - 1:
+            motion = np.abs(run.position) + run.lever * np.abs(run.velocity)
+            run.quiet = np.where(motion > _FADED * largest, 0.0, run.quiet + 1)
+            if np.all(run.quiet * _BLOCK > loop.oldest_force + 2):
+                break
+    return largest
+
+
+def lever(loop: Loop, alpha: Floats) -> Floats:
+    """Samples for which a velocity may carry on before the wall turns it: the delay, or an eighth of an oscillation."""
+    return np.maximum(8 * (loop.delay + 1), 2 / np.sqrt(alpha + loop.gamma))
+
+
+def _advance(
+    loop: Loop, run: _Active, k: int, peak: Floats, crossings: dict[float, Crossing], continuous: bool
+) -> None:
+    """Move all points by one sample; note extrema between samples and entries into the bands."""
+    force = run.beta * run.before - (run.alpha + run.beta) * run.position
+    run.forces = [force, *run.forces[:-1]]
+    run.before = run.position
+    time = float(k)
+    for segment, motion in zip(loop.segments, loop.flows, strict=True):
+        u = run.forces[segment.age]
+        (xx, xv), (vx, vv) = motion.transition
+        position = xx * run.position + xv * run.velocity + motion.gain[0] * u
+        velocity = vx * run.position + vv * run.velocity + motion.gain[1] * u
+        if continuous:
+            _note(loop, run, u, position, velocity, (time, segment.duration), peak, crossings)
+        run.position, run.velocity = position, velocity
+        time += segment.duration
+
+
+def _note(
+    loop: Loop,
+    run: _Active,
+    force: Floats,
+    position: Floats,
+    velocity: Floats,
+    segment: tuple[float, float],
+    peak: Floats,
+    crossings: dict[float, Crossing],
+) -> None:
+    start, duration = segment
+    turn = np.flatnonzero(run.velocity * velocity < 0)
+    e, v, u = run.position[turn], run.velocity[turn], force[turn]
+    when = turning_time(loop.gamma, loop.delta, e, v, u, duration)
+    extreme = loop.position_after(when, e, v, u)
+    which = run.index[turn]
+    peak[which] = np.maximum(peak[which], extreme)
+    size_before, size_after = np.abs(run.position), np.abs(position)
+    turned = np.full(len(size_before), np.nan)
+    turned[turn] = when
+    for band, crossing in crossings.items():
+        inside = size_after <= band
+        enter = np.flatnonzero(inside & (size_before > band))
+        if len(enter):
+            # an extremum inside the band follows the entry; one outside it is met below
+            high = np.where(np.isnan(turned[enter]), duration, turned[enter])
+            at = run.position[enter]
+            crossing.set(run.index[enter], start, 0.0, high, at, run.velocity[enter], force[enter], np.sign(at) * band)
+        peaked = np.abs(extreme) > band
+        out = turn[peaked & inside[turn]]
+        if len(out):
+            crossing.set(
+                *(run.index[out], start, turned[out], duration, run.position[out], run.velocity[out]),
+                *(force[out], np.sign(extreme[peaked & inside[turn]]) * band),
+            )
+
+
+def turning_time(gamma: float, delta: float, e: Floats, v: Floats, u: Floats, duration: float) -> Floats:
+    """Time at which the velocity changes sign inside a segment, in closed form.
+
+    v(t) exp(delta t/2) = v c(t) + (a + delta v/2) s(t), with a the acceleration at the start, c and s the (hyperbolic)
+    cosine and sine of the plant's own motion.
+    """
+    slope = u - gamma * e - 0.5 * delta * v
+    square = 0.25 * delta * delta - gamma
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        if square > 0:
+            root = np.sqrt(square)
+            time = np.arctanh(np.clip(-v * root / slope, -1, 1)) / root
+        elif square < 0:
+            root = np.sqrt(-square)
+            time = np.arctan2(root * np.abs(v), -np.sign(v) * slope) / root
+        else:
+            time = -v / slope
+    bounded: Floats = np.clip(np.nan_to_num(time, nan=0.0), 0.0, duration)
+    return bounded
+
+
+def entry_times(loop: Loop, crossing: Crossing) -> Floats:
+    """Time of entry into the band: root of a monotone motion, by bisection to the last bit."""
+    low, high = np.nan_to_num(crossing.low), np.nan_to_num(crossing.high)
+    outside = np.sign(crossing.level)
+    for _ in range(54):  # halves an interval of one sample to below 1e-16
+        middle = 0.5 * (low + high)
+        excess = loop.position_after(middle, crossing.position, crossing.velocity, crossing.force) - crossing.level
+        still = excess * outside > 0
+        low, high = np.where(still, middle, low), np.where(still, high, middle)
+    return crossing.start + 0.5 * (low + high)  # NaN where the band was never entered

@@ -1,0 +1,1 @@
+"""The (K, B) of smallest cost, curves of best damping, rules of thumb."""

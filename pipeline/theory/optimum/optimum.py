@@ -1,0 +1,270 @@
+"""Optimal points of the loop for each criterion.
+
+Each kind of criterion has the search that its costs ask for: energy is smooth; settling time jumps where an extremum of
+the response crosses the band, and its optimum sits in the corner of such a jump; the discrete settling time has steps;
+pole radius and damping ratio have kinks where poles meet; the region without overshoot ends in cusps. Why each
+search finds the global optimum stands in `search`, `lines` and `overshoot` of this folder.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache, partial
+
+import numpy as np
+
+from pipeline.base.errors import ParameterError
+from pipeline.loop.loop import Loop
+from pipeline.records.batch import Floats
+from pipeline.theory.cost.energy import energy_costs
+from pipeline.theory.cost.poles import damping_ratio, threefold_pole
+from pipeline.theory.cost.transient import late_deviation, transient_costs
+from pipeline.theory.optimum.lines import search_lines, search_plane
+from pipeline.theory.optimum.overshoot import stiffest_without_overshoot
+from pipeline.theory.optimum.search import (
+    JUMPING,
+    SMOOTH,
+    OptimalPoint,
+    bounding_box,
+    grid,
+    region,
+    search,
+    where_stable,
+)
+from pipeline.theory.stability.stability import spectral_radius
+
+STEP_CRITERIA = (
+    "settle_1pct",
+    "settle_2pct",
+    "settle_5pct",
+    "overshoot",
+    *(f"energy_step_w{w}" for w in (0, 1, 2)),
+)
+"""Criteria of the step response; each also as ``_discrete``."""
+
+RESPONSE_CRITERIA = (*STEP_CRITERIA, "overshoot_at_all", *(f"energy_impulse_w{w}" for w in (0, 1, 2)))
+"""Criteria of a response; each also as ``_discrete``. ``overshoot_at_all`` allows none whatever its size."""
+
+POLE_CRITERIA = ("pole_radius", "damping")
+"""Criteria of the poles, which continuous and sampled response share."""
+
+COST_CRITERIA = (*POLE_CRITERIA, *RESPONSE_CRITERIA)
+"""Criteria with an optimum here."""
+
+UNDAMPED_LOSS = 1e-9
+"""Distance of a damping ratio from 1 that is rounding: a threefold pole is split by 1e-5, which costs 2e-10."""
+
+_ENDLESS = 60
+"""Samples, times d + 1, after which a response counts as not settled in a search; optima settle in about 5 (d + 1)."""
+
+_IMPULSE_INSET = 0.002
+"""Share of the width by which the first grid for an impulse stays clear of alpha = -gamma."""
+
+_NEAR_LINE = 1e-4
+"""Distance from alpha = -gamma, relative to the width, from which its limit is extrapolated by a parabola: the cost is
+smooth in the distance, so this is off by about 1e-10, and sums over 1e4 samples and more keep as many digits."""
+
+_CREEP = 1e-9
+"""Smallest (alpha + gamma) and |beta|, relative to the largest, where the best damping is looked for: with
+delay it lies next to the line alpha = -gamma (5.1.2)."""
+
+_CORNER = 1e-5
+"""Relative distance within which a closed form replaces what a search found."""
+
+_KINK_LEVELS = 16
+"""0.35^16 = 5e-8 of a first step: beyond that, rounding of multiple poles decides between points."""
+
+
+def criterion_names() -> list[str]:
+    """Return all criteria that `optimal_point` knows."""
+    return [*POLE_CRITERIA, *RESPONSE_CRITERIA, *(f"{name}_discrete" for name in RESPONSE_CRITERIA)]
+
+
+@lru_cache(maxsize=1024)
+def optimal_point(loop: Loop, criterion: str) -> OptimalPoint:
+    """Return the optimal point of a criterion.
+
+    Parameters
+    ----------
+    loop : Loop
+    criterion : str
+        One of `POLE_CRITERIA`, or of `RESPONSE_CRITERIA`, these also with ``_discrete`` appended for the costs of the
+        sampled response.
+
+    Returns
+    -------
+    OptimalPoint
+        Cost as the tables print it: pole modulus; damping ratio (largest, not its negative of 5.3); settling time
+        [samples]; overshoot; energy. Where points tie: for the discrete settling time the centre of the bounding box
+        of all of them; for overshoot, and for a damping ratio of 1, the stiffest. ``attained`` is False where
+        the optimum is a limit: E_0 of an impulse for alpha -> -gamma; with delay and gamma = 0 the damping
+        ratio, which tends to 1 for alpha, beta -> 0 (the extra poles tend to 0 and the plant's own are real).
+
+    Raises
+    ------
+    ParameterError
+        For an unknown criterion.
+
+    Source: Hulin 2017, secs. 5.1 and 5.2; reproduces C.1 to C.3 and the theory rows of D.1 to D.6.
+    """
+    base = criterion.removesuffix("_discrete")
+    if base not in COST_CRITERIA or (base in POLE_CRITERIA and criterion != base):
+        raise ParameterError(
+            f"criterion {criterion!r} is unknown; expected one of {[*COST_CRITERIA]}, those of a response also with "
+            "_discrete appended."
+        )
+    if base == "pole_radius":
+        return _smallest_radius(loop)
+    if base == "damping":
+        return _most_damped(loop)
+    if base.startswith("overshoot"):
+        return stiffest_without_overshoot(loop, continuous=criterion == base, at_all=base != "overshoot")
+    if base == "energy_impulse_w0":
+        return _least_impulse_energy(loop, criterion)
+    if base.startswith("energy"):
+        signal = base.split("_")[1]
+        bounds = region(loop) if signal == "step" else region(loop, _IMPULSE_INSET)
+        return search(loop, lambda a, b, _: energy_costs(loop, a, b, signal)[criterion], SMOOTH, bounds)
+    band = float(base.removeprefix("settle_").removesuffix("pct")) / 100
+    if criterion == base:
+        return search(loop, lambda a, b, best: _settling(loop, a, b, band, best)[base])
+    return _settling_region(loop, band, criterion)
+
+
+def _settling(loop: Loop, alpha: Floats, beta: Floats, band: float, best: float) -> dict[str, Floats]:
+    longest = int(_ENDLESS * (loop.delay + 1))
+    return transient_costs(loop, alpha, beta, (band,), overshoot=False, longest=longest, cutoff=best)
+
+
+def _smallest_radius(loop: Loop) -> OptimalPoint:
+    """Smallest pole modulus; where three real poles meet there, their place in closed form."""
+    low, high = region(loop, inset=0.0)
+
+    radius = where_stable(loop, lambda alpha, beta, _: spectral_radius(loop, alpha, beta))
+    alpha, beta, cost = search_plane(radius, low, high, levels=_KINK_LEVELS)
+    exact = threefold_pole(loop, cost)
+    if exact is not None and abs(exact[2] - cost) <= _CORNER * 10:
+        away = max(abs(exact[0] - alpha) / (high[0] - low[0]), abs(exact[1] - beta) / (high[1] - low[1]))
+        if away <= 100 * _CORNER:
+            return OptimalPoint(*exact)
+    return OptimalPoint(alpha, beta, cost)
+
+
+def _most_damped(loop: Loop) -> OptimalPoint:
+    """Largest damping ratio; among points without any oscillation the stiffest.
+
+    With delay the best points lie next to the line alpha = -gamma and to beta = 0, so both are searched by orders of
+    magnitude.
+    """
+    low, high = region(loop, inset=0.0)
+    width, largest = float(high[0] - low[0]), float(max(high[1], -low[1]))
+    unit = _CREEP * largest
+
+    def cost(alpha: Floats, beta: Floats, _: float) -> Floats:
+        ratio = damping_ratio(loop, alpha, beta)
+        return np.where(ratio < 1 - UNDAMPED_LOSS, -ratio, -1 - (alpha + loop.gamma) / width)
+
+    guarded = where_stable(loop, cost)
+
+    def by_magnitude(first: Floats, second: Floats, best: float) -> Floats:
+        return guarded(-loop.gamma + width * np.exp(first), unit * np.sinh(second), best)
+
+    reach = float(np.arcsinh(1 / _CREEP))
+    corners = np.array([np.log(_CREEP), -reach]), np.array([0.0, reach])
+    first, second, found = search_plane(by_magnitude, *corners, coarse=(61, 241), levels=_KINK_LEVELS)
+    alpha, beta = -loop.gamma + width * float(np.exp(first)), unit * float(np.sinh(second))
+    plant_is_real = loop.delta**2 >= 4 * loop.gamma
+    if plant_is_real and (found > -1 or alpha < _CREEP * width):
+        # without a wall no pole oscillates; for gamma = 0 the one at z = 1 makes this a limit
+        return OptimalPoint(0.0, 0.0, 1.0, attained=loop.gamma > 0)
+    if found > -1:
+        return OptimalPoint(alpha, beta, -found)
+    radius = float(spectral_radius(loop, alpha, beta)[0])
+    exact = threefold_pole(loop, radius)
+    if exact is not None and abs(exact[0] - alpha) <= _CORNER * width:
+        alpha, beta, _ = exact
+    return OptimalPoint(alpha, beta, 1.0)
+
+
+def _least_impulse_energy(loop: Loop, criterion: str) -> OptimalPoint:
+    """Optimum of E_0 after an impulse: along the limit alpha -> -gamma, or inside where that should be less."""
+    low, high = region(loop, _IMPULSE_INSET)
+    nearest = nearest_to_line(loop)
+
+    def cost(alpha: Floats, beta: Floats, _: float) -> Floats:
+        # closer to the line the limit stands for the cost, which a search must not gain on by rounding
+        return np.where(alpha >= nearest, energy_costs(loop, alpha, beta, "impulse")[criterion], np.inf)
+
+    inside = search(loop, cost, SMOOTH, (low, high))
+    end = np.array([low[1]]), np.array([high[1]])
+    line = search_lines(lambda _, beta, __: impulse_energy_limit(loop, beta, criterion), *end, coarse=61, levels=12)
+    if line.cost[0] <= inside.cost:
+        return OptimalPoint(0.0 - loop.gamma, float(line.place[0]), float(line.cost[0]), attained=False)
+    return inside
+
+
+def nearest_to_line(loop: Loop) -> float:
+    """Return the alpha below which the limit alpha -> -gamma stands for the impulse energy w = 0."""
+    return _NEAR_LINE * (float(region(loop)[1][0]) + loop.gamma) - loop.gamma
+
+
+def impulse_energy_limit(loop: Loop, beta: Floats, criterion: str = "energy_impulse_w0") -> Floats:
+    """Return the limit of the impulse energy w = 0 for alpha -> -gamma from above; infinity where it is not stable.
+
+    Parameters
+    ----------
+    loop : Loop
+    beta : float64, shape (n,)
+    criterion : str
+        ``energy_impulse_w0`` or ``energy_impulse_w0_discrete``.
+
+    Notes
+    -----
+    Towards the line the potential energy falls with alpha + gamma and the time that it is stored rises with the
+    reciprocal: its integral has a positive limit, though it is zero on the line. The cost is a smooth function of the
+    distance; the limit is that of the parabola through three points close to the line.
+
+    Source: Hulin 2017, sec. 5.2.3.
+    """
+    step = nearest_to_line(loop) + loop.gamma
+    cost = where_stable(loop, lambda a, b, _: energy_costs(loop, a, b, "impulse")[criterion])
+    near, far, farther = (cost(np.full(len(beta), -loop.gamma + step * n), beta, np.inf) for n in (1, 2, 4))
+    usable = np.isfinite(near) & np.isfinite(far) & np.isfinite(farther)
+    result = np.full(len(beta), np.inf)
+    result[usable] = (8 * near[usable] - 6 * far[usable] + farther[usable]) / 3
+    return result
+
+
+def _settling_region(loop: Loop, band: float, criterion: str) -> OptimalPoint:
+    """Smallest discrete settling time and the bounding box of all points that have it.
+
+    A number of samples n can be reached where the largest deviation of samples n, n+1, ... can be brought into the
+    band; that deviation is continuous, so its minimum can be searched for where the settling time itself has steps.
+    """
+    longest = int(_ENDLESS * (loop.delay + 1))
+
+    def deviation(alpha: Floats, beta: Floats, _: float, first: int) -> Floats:
+        return late_deviation(loop, alpha, beta, first, longest)
+
+    def samples_to_settle(alpha: Floats, beta: Floats, _: float) -> Floats:
+        costs = transient_costs(loop, alpha, beta, (band,), overshoot=False, continuous=False, longest=longest)
+        return costs[criterion]
+
+    # a first number that can surely be had; below it, each number is tried in turn
+    alpha, beta = grid(*region(loop), JUMPING.coarse)
+    tried = where_stable(loop, samples_to_settle)(alpha, beta, np.inf)
+    index = int(np.argmin(tried))
+    if not np.isfinite(tried[index]):
+        raise ParameterError(f"{loop}: no response settles into a band of {band} within {longest} samples.")
+    samples = int(tried[index])
+    point = OptimalPoint(float(alpha[index]), float(beta[index]), float(samples))
+    while samples > 1:  # ends: each round that goes on needs a sample less
+        better = search(loop, partial(deviation, first=samples - 1))
+        if better.cost > band:
+            break
+        samples, point = samples - 1, better
+
+    def feasible(alpha: Floats, beta: Floats, _: float) -> Floats:
+        return np.where(deviation(alpha, beta, np.inf, samples) <= band, 0.0, np.inf)
+
+    box = bounding_box(where_stable(loop, feasible), np.array([point.alpha, point.beta]), region(loop))
+    return OptimalPoint(0.5 * (box[0] + box[1]), 0.5 * (box[2] + box[3]), float(samples), box)

@@ -1,0 +1,1 @@
+"""Which (K, B) are stable, passive or robust, in closed form."""

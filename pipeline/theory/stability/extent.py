@@ -1,0 +1,317 @@
+"""Limits and size of the stable region: largest stiffness, dampings, area, and how far the linear condition carries.
+
+Everything is read from the exact branches of `region`. Where several branches bound the region, its corners are found
+by bisection of the verdict.
+
+Source: Hulin 2017, secs. 3.4, 3.5 and 4.3.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+from numpy.polynomial.legendre import leggauss
+from numpy.typing import NDArray
+
+from pipeline.base.errors import ParameterError
+from pipeline.loop.loop import Loop, as_points
+from pipeline.records.batch import Booleans, Floats
+from pipeline.theory.stability.branches import curve_points
+from pipeline.theory.stability.region import Cells, Region, is_inside, region, solve, stable_intervals, stiffness_limit
+
+_SWEEP = 400
+"""Dampings of a sweep through a region that several branches bound; parts below 1/400 of its height are not seen."""
+
+_GAUSS = leggauss(48)
+"""For integrals over pieces of the boundary that are smooth inside."""
+
+_BISECTIONS = 60
+"""Halves a step of a sweep to the last bit of a double."""
+
+_ZOOMS = 24
+"""Rounds of a search that narrows to a fifth each time: to rounding, for corners; a flat maximum needs half of them."""
+
+_MOST_CORNERS = 20
+"""Corners between two neighbours of a sweep that are told apart; more than one is rare."""
+
+
+def damping_range(loop: Loop) -> tuple[float, float]:
+    """Return the infimum and supremum of stable beta.
+
+    Raises
+    ------
+    ParameterError
+        If no wall with alpha > -gamma is stable.
+    """
+    r = region(loop)
+    if r.first is not None:
+        return r.curve.start, float(curve_points(r.curve, np.array([_first_end(r, r.first)])).beta[0])
+    levels = _levels(r)
+    found = np.flatnonzero(_any_stable(loop, levels))
+    if not len(found):
+        raise ParameterError(
+            f"gamma = {loop.gamma}, delta = {loop.delta}, delay = {loop.delay}: no stable wall with alpha > -gamma."
+        )
+    inner = levels[found[[0, -1]]]
+    outer = levels[[max(found[0] - 1, 0), min(found[-1] + 1, len(levels) - 1)]]
+    ends = _bisect(lambda b: _any_stable(loop, b), inner, outer)
+    return float(ends[0]), float(ends[1])
+
+
+def damping_limits(loop: Loop, alpha: object) -> tuple[Floats, Floats]:
+    """Return the smallest and largest stable beta at each alpha; inf and -inf where there is none.
+
+    Parameters
+    ----------
+    loop : Loop
+    alpha : array_like, shape (n,)
+        Normalised virtual stiffness.
+
+    Notes
+    -----
+    Between the two all beta are stable where the first branch encloses the region; otherwise there may be gaps.
+    """
+    a, _ = as_points(alpha, 0.0)
+    r = region(loop)
+    low, high = np.full(len(a), np.inf), np.full(len(a), -np.inf)
+    if r.first is not None:
+        has = np.flatnonzero((a > -loop.gamma) & (a < stiffest_point(loop)[0]))
+        low[has], high[has] = _on_first(r, r.first, a[has])
+        return low, high
+    levels = _corners(loop, r)
+    for i, value in enumerate(a):
+        found = np.flatnonzero(is_inside(loop, value, levels))
+        if len(found):
+            inner = levels[found[[0, -1]]]
+            outer = levels[[max(found[0] - 1, 0), min(found[-1] + 1, len(levels) - 1)]]
+            low[i], high[i] = _bisect(partial(is_inside, loop, value), inner, outer)
+    return low, high
+
+
+def stiffest_point(loop: Loop) -> tuple[float, float]:
+    """Return the supremum of stable alpha and the beta at which it is reached.
+
+    Raises
+    ------
+    ParameterError
+        If no wall with alpha > -gamma is stable.
+    """
+    r = region(loop)
+    if r.first is not None:
+        p = curve_points(r.curve, np.array([_peak(r, r.first)[1]]))
+        return float(p.alpha[0]), float(p.beta[0])
+    levels = _corners(loop, r)
+    best = int(np.argmax(stiffness_limit(loop, levels)))
+    low, high = levels[max(best - 1, 0)], levels[min(best + 1, len(levels) - 1)]
+    peak, at = -np.inf, 0.0
+    for _ in range(_ZOOMS):
+        grid = np.append(np.linspace(low, high, 11), levels[best])
+        limit = stiffness_limit(loop, grid)
+        i = int(np.argmax(limit))
+        if limit[i] > peak:
+            peak, at = float(limit[i]), float(grid[i])
+        reach = 0.2 * (high - low)
+        low, high = max(low, at - 0.5 * reach), min(high, at + 0.5 * reach)
+    return peak, at
+
+
+def maximum_stiffness(delays: object, gamma: float, delta: float) -> tuple[Floats, Floats]:
+    """Return alpha_max and its beta over delay factors d, shape (n,) each.
+
+    Source: Hulin 2017, Figs. 3.9 and 4.4(a), Tables B.1 to B.4.
+    """
+    d, _ = as_points(delays, 0.0)
+    found = np.array([stiffest_point(Loop(gamma, delta, float(value))) for value in d]).reshape(len(d), 2)
+    return found[:, 0], found[:, 1]
+
+
+def area(loop: Loop) -> float:
+    """Return the area of the stable region in the (alpha, beta) plane: the Z-width as one number.
+
+    In physical units times m^2/T^3.
+
+    Notes
+    -----
+    Where the first branch encloses: the integral of (alpha + gamma) d beta along it. Otherwise the stable length of
+    alpha over beta, integrated from corner to corner with beta = b_0 + (b_1 - b_0) sin^2, which takes the roots at
+    its ends away.
+
+    Source: Hulin 2017, secs. 3.4 and 5 (Z-width as the size of the stable region); exact in place of a grid.
+    """
+    r = region(loop)
+    nodes, weights = 0.5 * (_GAUSS[0] + 1), 0.5 * _GAUSS[1]
+    if r.first is not None:
+        low, high = r.first.low, np.append(r.first.high[:-1], _first_end(r, r.first))
+        size = (high - low)[:, None]
+        p = curve_points(r.curve, (low[:, None] + size * nodes).ravel())
+        return float((((p.alpha + loop.gamma) * p.beta_slope).reshape(len(low), -1) * size @ weights).sum())
+    edges = _corners(loop, r)
+    size = np.diff(edges)[:, None]
+    levels = edges[:-1, None] + size * np.sin(0.5 * np.pi * nodes) ** 2
+    found = stable_intervals(loop, levels.ravel())
+    length = np.bincount(found.index, found.high - found.low, minlength=levels.size).reshape(levels.shape)
+    return float((length * size * 0.5 * np.pi * np.sin(np.pi * nodes) @ weights).sum())
+
+
+def linear_error(loop: Loop, beta: object) -> Floats:
+    """Return the relative error of the linear condition at each beta, with its sign.
+
+    (alpha_lin - alpha)/(alpha + gamma), alpha_lin = (beta + delta)/(1/2 + d) and alpha on the boundary; (3.28) is its
+    modulus. Positive where the linear condition calls unstable walls stable; nan where no alpha is stable. Beta and
+    result have the shape (n,).
+
+    Raises
+    ------
+    ParameterError
+        If a beta is not finite.
+
+    Source: Hulin 2017, eqs. 3.27 and 3.28, Fig. 3.11.
+    """
+    _, b = as_points(0.0, beta)
+    limit = stiffness_limit(loop, b)
+    limit[limit == -np.inf] = np.nan
+    return ((b + loop.delta) / (0.5 + loop.delay) - limit) / (limit + loop.gamma)
+
+
+def linear_error_crossings(loop: Loop, level: float) -> tuple[Floats, Floats]:
+    """Return the boundary points (alpha, beta), upwards, at which the error of the linear condition is a level.
+
+    Parameters
+    ----------
+    loop : Loop
+    level : float
+        Modulus (3.28), >= 0: 0, 0.02 and 0.05 are the circles, triangles and squares of Fig. 3.11.
+
+    Source: Hulin 2017, eq. 3.28 and Fig. 3.11.
+    """
+    bottom, top = damping_range(loop)
+    x = 0.5 * (1 - np.cos(np.pi * (np.arange(_SWEEP) + 0.5) / _SWEEP))  # dense at both ends
+    levels = bottom + (top - bottom) * x
+    roots = []
+    for sign in (1.0, -1.0) if level > 0 else (1.0,):
+        above = linear_error(loop, levels) > sign * level
+        at = np.flatnonzero(above[1:] != above[:-1])
+        good = np.where(above[at], levels[at], levels[at + 1])
+        bad = np.where(above[at], levels[at + 1], levels[at])
+        roots.append(_bisect(partial(_exceeds, loop, sign * level), good, bad))
+    b = np.sort(np.concatenate(roots))
+    return stiffness_limit(loop, b), b
+
+
+def _exceeds(loop: Loop, level: float, beta: Floats) -> Booleans:
+    return np.asarray(linear_error(loop, beta) > level)
+
+
+def _bisect(holds: Callable[[Floats], Booleans], good: Floats, bad: Floats) -> Floats:
+    """Last values, from ``good`` towards ``bad``, at which a condition holds."""
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (good + bad)
+        fine = holds(middle)
+        good, bad = np.where(fine, middle, good), np.where(fine, bad, middle)
+    return good
+
+
+def _any_stable(loop: Loop, beta: Floats) -> Booleans:
+    return np.isin(np.arange(len(beta)), stable_intervals(loop, beta).index)
+
+
+def _levels(r: Region) -> Floats:
+    """Sweep of beta over all of the plane that a stable region can lie in, with the values at which branches turn."""
+    cells = r.cells
+    assert cells is not None
+    near = np.maximum(cells.alpha_low, cells.alpha_high) >= -r.loop.gamma
+    turn = np.flatnonzero(np.diff(np.sign(cells.beta_high - cells.beta_low)) != 0)
+    meet = cells.alpha_low + r.loop.gamma, cells.alpha_high + r.loop.gamma
+    at = np.flatnonzero((meet[0] > 0) != (meet[1] > 0))
+    share = meet[0][at] / (meet[0][at] - meet[1][at])
+    values = np.concatenate(
+        [
+            cells.beta_high[turn][near[turn]],
+            cells.beta_low[at] + share * (cells.beta_high[at] - cells.beta_low[at]),
+            [r.curve.start, 0.0],
+            [0.5 * (r.curve.level + r.loop.gamma)] if np.isfinite(r.curve.level) else [],
+        ]
+    )
+    largest = 4 / (r.loop.delay + 0.5) + 4 * (1 + r.loop.delta + r.loop.gamma)
+    values = np.unique(np.clip(values, -largest, largest))
+    beyond = 0.05 * (values[-1] - values[0])  # the values that were interpolated may lie inside
+    values = np.concatenate([[values[0] - beyond], values, [values[-1] + beyond]])
+    fine = np.linspace(0, 1, 12)[1:-1]
+    between = values[:-1, None] + np.diff(values)[:, None] * fine
+    return np.unique(np.concatenate([values, between.ravel(), np.linspace(values[0], values[-1], _SWEEP)]))
+
+
+def _outline(loop: Loop, beta: Floats) -> NDArray[np.intp]:
+    """Number for the branches that bound the region on each line of beta; the same branches have the same number."""
+    found = stable_intervals(loop, beta)
+    result = np.zeros(len(beta), dtype=np.intp)
+    np.add.at(result, found.index, (found.outline + 1) ** 2)
+    return result
+
+
+def _corners(loop: Loop, r: Region) -> Floats:
+    """Values of beta between which the length of stable alpha is smooth."""
+    bottom, top = damping_range(loop)
+    levels = _levels(r)
+    levels = np.concatenate(
+        [levels[(levels > bottom) & (levels < top)], bottom + (top - bottom) * np.linspace(0, 1, _SWEEP)]
+    )
+    levels = np.unique(levels)
+    known = _outline(loop, levels)
+    low, high = levels[:-1], levels[1:]
+    left, right = known[:-1], known[1:]
+    corners = [levels]
+    for _ in range(_MOST_CORNERS):
+        differ = left != right
+        if not differ.any():
+            break
+        low, high, left, right = (v[differ] for v in (low, high, left, right))
+        first, after = low, high
+        for _ in range(_BISECTIONS):
+            middle = 0.5 * (first + after)
+            same = _outline(loop, middle) == left
+            first, after = np.where(same, middle, first), np.where(same, after, middle)
+        corners += [first, after]
+        low, left = after, _outline(loop, after)
+    return np.unique(np.concatenate(corners))
+
+
+def _peak(r: Region, first: Cells) -> tuple[int, float]:
+    """Cell and angle of the stiffest point of the first branch."""
+    cell = int(np.flatnonzero(~first.rises)[0])
+    low, high = first.low[cell], first.high[cell]
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (low + high)
+        rises = curve_points(r.curve, np.array([middle])).alpha_slope[0] > 0
+        low, high = (middle, high) if rises else (low, middle)
+    return cell, float(0.5 * (low + high))
+
+
+def _on_first(r: Region, first: Cells, alpha: Floats) -> tuple[Floats, Floats]:
+    """Beta of the first branch at given alpha, before and behind its stiffest point."""
+    cell, angle = _peak(r, first)
+    low, high = np.insert(first.low, cell + 1, angle), np.insert(first.high, cell, angle)
+    ends = curve_points(r.curve, low), curve_points(r.curve, high)
+    split = Cells(
+        low,
+        high,
+        ends[0].beta,
+        ends[1].beta,
+        ends[0].alpha,
+        ends[1].alpha,
+        np.empty(0, np.bool_),
+        np.empty(0, np.bool_),
+    )
+    rising = np.searchsorted(split.alpha_high[: cell + 1], alpha)
+    falling = len(low) - 1 - np.searchsorted(split.alpha_low[:cell:-1], alpha)
+    cells = np.minimum(rising, cell), np.maximum(falling, cell + 1)
+    before, behind = (curve_points(r.curve, solve(r.curve, split, c, alpha, "alpha")).beta for c in cells)
+    return before, behind
+
+
+def _first_end(r: Region, first: Cells) -> float:
+    """Angle at which the first branch returns to alpha = -gamma."""
+    last = np.array([len(first.low) - 1])
+    return float(solve(r.curve, first, last, np.array([-r.loop.gamma]), "alpha")[0])

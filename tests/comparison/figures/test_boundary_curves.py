@@ -1,0 +1,113 @@
+"""Curves beside the boundaries, held against the formulas that define them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from report_data import experiment
+
+from pipeline.comparison.figures.boundary_curves import (
+    bound_curve,
+    envelope_curve,
+    measured_curve,
+    normalised,
+    passive_curve,
+)
+from pipeline.comparison.figures.figure_boundaries import plane_figure
+from pipeline.records.models import BoundaryPoint
+from pipeline.records.results import TheoryParameters
+from pipeline.records.score_records import BandScore, BoundScore, Scores
+from pipeline.theory.predictions import Theory
+
+
+def theory(mass: float = 0.58, damping: float = 4.0, delay: float = 4.0, period: float = 1e-3) -> Theory:
+    return Theory(
+        TheoryParameters(
+            mass=mass, damping=damping, stiffness=0, sampling_period_s=period, delay_samples=delay, source="test"
+        )
+    )
+
+
+@pytest.mark.parametrize("delay", [0.0, 1.0, 4.0])
+def test_outline_of_the_passive_region_needs_all_of_the_device_damping(delay: float) -> None:
+    curve = passive_curve(theory(delay=delay))
+    assert curve is not None
+    w = np.linspace(1e-6, np.pi, 40_001)
+    inner = curve.stiffness > 0
+    k, b = curve.stiffness[inner] * 1e-3, curve.damping[inner]
+    # (4.6): b must exceed this at every frequency; on the outline the largest of them is b itself
+    need = (np.sin((delay + 0.5) * w) * k[:, None] + 2 * np.sin(w / 2) * np.cos((delay + 1) * w) * -b[:, None]) / (
+        2 * np.sin(w / 2)
+    )
+    assert need.max(axis=1) == pytest.approx(4.0, rel=1e-6)
+    assert curve.stiffness[0] == curve.stiffness[-1] == 0
+    assert curve.damping.min() == -4.0
+
+
+def test_nothing_is_passive_without_damping() -> None:
+    assert passive_curve(theory(damping=0.0)) is None
+    assert passive_curve(theory(damping=0.1)) is None, "a dot in a drawing"
+
+
+def test_measured_limits_have_the_interval_of_their_estimate_or_their_trials() -> None:
+    points = (
+        BoundaryPoint(damping=0, stable=100, unstable=300, censored=False),
+        BoundaryPoint(damping=4, stable=500, unstable=700, censored=False, estimate=590, low=560, high=640),
+        BoundaryPoint(damping=8, stable=900, unstable=None, censored=True, low=850),
+    )
+    curve = measured_curve(experiment("1").model_copy(update={"boundary": points}), open_ends=True)
+    assert curve.low is not None
+    assert curve.high is not None
+    assert curve.low.tolist() == [100, 560, 900]
+    assert curve.high[:2].tolist() == [300, 640]
+    assert np.isnan(curve.high[2])
+    assert measured_curve(experiment("1")).low is None
+
+
+def test_bound_and_band_are_those_of_the_scores() -> None:
+    p = theory().parameters
+    bound = BoundScore(
+        stiffness=38e3, stiffness_low=37e3, stiffness_high=39e3, slope=230, slope_low=220, slope_high=240,
+        damping_low=90, damping_high=150, dampings=15, cut=0.1, p_value=1e-9,
+    )  # fmt: skip
+    band = BandScore(
+        mass=(0.5, 0.6), viscous_damping=(3, 4), delay_samples=(3, 4), damping=(0, 4), low=(90, 400), high=(200, 800),
+        points=2, inside=2,
+    )  # fmt: skip
+    scores = (
+        Scores(parameters=p, basis="device file", bound=bound),
+        Scores(parameters=p, basis="estimates", band=band),
+    )
+    result = experiment("1").model_copy(update={"scores": scores})
+    line, envelope = bound_curve(result), envelope_curve(result)
+    assert line is not None
+    assert envelope is not None
+    assert line.stiffness.tolist() == [38e3 - 230 * 90, 38e3 - 230 * 150]  # (6.5)
+    assert envelope.low is not None
+    assert envelope.high is not None
+    assert (envelope.low.tolist(), envelope.high.tolist()) == ([90, 400], [200, 800])
+    assert bound_curve(experiment("1")) is envelope_curve(experiment("1")) is None
+
+
+def test_normalised_plane_holds_several_devices_each_with_its_theory() -> None:
+    light, heavy = theory(), theory(mass=1.16, damping=8.0)  # twice all: the same loop in alpha and beta
+    slow = theory(mass=0.2, damping=0.0, delay=2.0, period=2e-3)
+    entries: Any = [(f"device {i}", experiment("1"), t) for i, t in enumerate((light, heavy, slow))]
+    figure = plane_figure(entries)
+    ((_, curves),) = figure.panels
+    assert figure.kind == "plane"
+    assert [c.label for c in curves if c.kind == "measured"] == [
+        "device 0 (d = 4, δ = 0.0069)",
+        "device 1 (d = 4, δ = 0.0069)",
+        "device 2 (d = 2, δ = 0)",
+    ]
+    predicted = [c for c in curves if c.kind == "theory"]
+    assert len(predicted) == 3, "each shares the colour of its experiment"
+    assert predicted[0].stiffness == pytest.approx(predicted[1].stiffness)
+    physical = measured_curve(experiment("1"))
+    # alpha = K T^2/m, beta = B T/m (Table 3.1)
+    assert curves[2].stiffness == pytest.approx(physical.stiffness * 4e-6 / 0.2)
+    assert curves[2].damping == pytest.approx(physical.damping * 2e-3 / 0.2)
+    assert normalised(physical, light).stiffness == pytest.approx(2 * normalised(physical, heavy).stiffness)

@@ -1,0 +1,241 @@
+"""Scene files: mistakes by line and key, drafts that can be read, and reports with nothing but what was asked for."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import tomllib
+
+import pytest
+from places import ROOT
+from typer.testing import CliRunner
+
+from pipeline.base.errors import DeviceError, SceneError
+from pipeline.comparison.compare import compare
+from pipeline.comparison.compare_experiment import nominal_theories
+from pipeline.comparison.figures.figure_data import DAMPED, requests_of_delay_figure
+from pipeline.comparison.scene.scene import LEAVE_OUT, open_scene
+from pipeline.comparison.scene.scene_file import draft_scene, read_scene
+from pipeline.comparison.scene.scene_parts import with_overlays
+from pipeline.measured.experiment import stages
+from pipeline.records.figure_records import Curve, Figure
+from pipeline.records.models import SceneFile, Shown
+from pipeline.rendering.report.report import cells
+from pipeline.rendering.report.report_parts import take_apart
+from pipeline.shell.cli import app
+from pipeline.theory import predictions
+
+pytestmark = pytest.mark.usefixtures("one_process")
+
+WRONG = """\
+# a comment
+device = "falcon"
+criteria = ["settle", "overshot"]
+bands = [2,
+         3]
+
+figure = ["maps"]
+overlays = ["theory", "estimate"]
+delays = [-1]
+tables = "D.1"
+"""
+
+
+@pytest.fixture
+def scene(tmp_path):
+    def write(text: str):
+        path = tmp_path / "scene.toml"
+        path.write_text(text, encoding="utf-8")
+        return path
+
+    return write
+
+
+def test_every_mistake_is_told_with_file_line_and_key(scene):
+    path = scene(WRONG)
+    with pytest.raises(SceneError) as caught:
+        read_scene(path)
+    lines = str(caught.value).splitlines()
+    assert [line.removeprefix(f"{path}:").split(":")[0] for line in lines] == ["3", "4", "7", "8", "9", "10"]
+    keys = [re.search(r"key '([^']*)'", line)[1] for line in lines]
+    assert keys == ["criteria.1", "bands.1", "figure", "overlays.1", "delays.0", "tables"]
+    assert "Did you mean 'overshoot'?" in lines[0]
+    assert "found 3" in lines[1]
+    assert "did you mean 'figures'?" in lines[2]
+    assert "Did you mean 'estimates'?" in lines[3]
+    assert "greater than or equal to 0, found -1" in lines[4]
+
+
+def test_a_missing_device_and_a_wrong_syntax_are_told(scene, tmp_path):
+    with pytest.raises(SceneError, match=r"scene\.toml:1: key 'device': missing"):
+        read_scene(scene('criteria = ["overshoot"]\n'))
+    with pytest.raises(SceneError, match=r"is no TOML: Invalid value \(at end of document\)"):
+        read_scene(scene('device = "a"\ncriteria = [\n'))
+    with pytest.raises(SceneError, match="scene draft"):
+        read_scene(tmp_path / "none.toml")
+
+
+def test_bands_spell_out_settle_and_leave_the_other_criteria():
+    assert SceneFile(device="a").chosen_criteria == (
+        *("settle_1pct", "settle_2pct", "settle_5pct", "overshoot"),
+        *("energy_step_w0", "energy_step_w1", "energy_step_w2"),
+    )
+    asked = SceneFile(device="a", criteria=("overshoot", "settle", "settle_2pct"), bands=(2, 1))
+    assert asked.chosen_criteria == ("overshoot", "settle_2pct", "settle_1pct")
+
+
+def test_a_draft_can_be_read_and_asks_for_all_that_is_stored(lwr, scene):
+    text = draft_scene("lwr", lwr.processed)
+    asked = read_scene(scene(text))
+    whole = open_scene("lwr", lwr.processed, None, None).scene
+    assert (asked.device, asked.experiments) == ("lwr", whole.experiments)
+    assert set(asked.chosen_criteria) == set(whole.criteria)
+    assert {"D.4", "D.5", "D.6"} <= set(asked.tables)
+    assert set(tomllib.loads(text)) == set(SceneFile.model_fields) - {"delays"}
+    with pytest.raises(DeviceError):
+        draft_scene("phantom", lwr.processed)
+
+
+HOSTILE = 'a"\\\n[x]\x00 = é'
+
+
+def test_a_draft_holds_hostile_names(monkeypatch, falcon, scene):
+    data = open_scene("falcon", falcon.processed, None, None)
+    object.__setattr__(data.experiments[0], "experiment", HOSTILE)
+    monkeypatch.setattr("pipeline.comparison.scene.scene_file.open_scene", lambda *_: data)
+    asked = read_scene(scene(draft_scene(HOSTILE, falcon.processed)))
+    assert (asked.device, asked.experiments) == (HOSTILE, (HOSTILE,))
+
+
+def test_shipped_schema_tells_the_same_mistakes():
+
+    schema = json.loads((ROOT / "schemas" / "scene_file.json").read_text(encoding="utf-8"))
+    assert set(schema["properties"]) == set(SceneFile.model_fields)
+    assert schema["required"] == ["device"]
+    assert schema["additionalProperties"] is False
+
+
+# --- only what is asked for -------------------------------------------------------------------------------------------
+
+SETTLING = Shown(figures=("boundaries", "maps"), tables=("D.1", "boundary"), overlays=("theory",))
+
+
+@pytest.fixture(scope="module")
+def settling(falcon, tmp_path_factory):
+    path = tmp_path_factory.mktemp("scene") / "settling.html"
+    outcome = compare("falcon", falcon.processed, criteria=["settle_2pct"], report=path, shown=SETTLING)
+    return outcome, path.read_text(encoding="utf-8")
+
+
+def test_a_settling_scene_has_its_figures_and_tables_and_no_empty_section(settling):
+    outcome, page = settling
+    parts = take_apart(page)
+    tables = {name.split("/")[0] for name in cells(page)}
+    assert {"D.1", "boundary"} <= tables <= {"D.1", "boundary", "missing", "stages", "provenance", "accuracy"}
+    assert {row.criterion for row in outcome.result.tables} == {"settle_2pct"}
+    assert {name.rsplit("-", 1)[0] for name in parts.figures} == {"boundaries-free", "D-1-settle_2pct"}
+    for section in re.findall(r"<section\b[^>]*>(.*?)(?=<section\b|</main>)", page, re.DOTALL):
+        content = re.sub(r"<h\d[^>]*>.*?</h\d>|</section>", "", section, flags=re.DOTALL)
+        if "<section" not in section and "<h2>" in section and "<h3>" not in section:
+            assert re.sub(r"<[^>]*>|\s", "", content) or "<section" in page, section[:200]
+    links = set(re.findall(r'href="#([^"]+)"', page))
+    assert links <= set(re.findall(r'\bid="([^"]+)"', page)), "no link leads to a part that was left out"
+
+
+def test_what_the_scene_leaves_out_is_not_computed(falcon, tmp_path, monkeypatch):
+    """Stages, optima and figures that nothing asks for would fail here."""
+
+    def refuse(*_, **__):
+        raise AssertionError("was computed")
+
+    for stage in ("outcome", "mass", "damping", "model", "energy", "windows", "overshoot"):
+        monkeypatch.setitem(stages.WHOLE if stage in stages.WHOLE else stages.GIVEN, stage, refuse)
+    asked = []
+    real = predictions.optimal_point
+    monkeypatch.setattr(predictions, "optimal_point", lambda loop, c: asked.append(c) or real(loop, c))
+    monkeypatch.setattr("pipeline.comparison.compare.trial_page", refuse)
+    shutil.copytree(falcon.processed, tmp_path / "p", ignore=shutil.ignore_patterns("stages", "theory"))
+    only = Shown(figures=("boundaries",), tables=("boundary",), overlays=())
+    compare("falcon", tmp_path / "p", criteria=["settle_2pct"], report=tmp_path / "r.html", shown=only)
+    assert asked == [], "no table and no map asks for an optimum"
+    page = take_apart((tmp_path / "r.html").read_text(encoding="utf-8"))
+    assert {name.rsplit("-", 1)[0] for name in page.figures} == {"boundaries-free"}
+
+
+@pytest.mark.parametrize(
+    ("shown", "wanted"),
+    [
+        (Shown(), True),
+        (Shown(figures=("delay",), tables=()), True),
+        (Shown(figures=(), tables=("scores", "D.6")), True),
+        (Shown(figures=("boundaries", "maps"), tables=("D.4", "D.6")), False),
+    ],
+)
+def test_the_damped_curve_is_computed_only_where_it_is_shown(lwr, shown, wanted):
+    data = open_scene("lwr", lwr.processed, None, ["settle_2pct"], shown)
+    asked = requests_of_delay_figure(data, nominal_theories(data))
+    assert bool(asked) is wanted
+    assert all(loop.delta == DAMPED for loop, _ in asked)
+
+
+def test_dry_run_tells_of_figures_and_tables(falcon, tmp_path):
+    outcome = compare("falcon", falcon.processed, report=tmp_path / "r.html", dry_run=True, shown=SETTLING)
+    plan = {stage: (action, reason) for stage, action, reason in outcome.stages}
+    assert plan["figure: trials to look into"] == (LEAVE_OUT, "the scene does not ask for it")
+    assert plan["figure: cost maps"][0] == "run"
+    assert plan["table: D.1"][0] == "run"
+    assert plan["table: D.2"] == (LEAVE_OUT, "the scene does not ask for it")
+
+
+def test_overlays_are_dropped_by_kind_and_measured_curves_stay():
+    kinds = ("measured", "theory", "band", "envelope", "linear", "passive", "bound")
+    curves = tuple(Curve(kind, kind, None, None) for kind in kinds)
+    figures = [
+        Figure(kind, name, "", "", (("", curves),))
+        for kind, name in (
+            ("boundaries", "boundaries-free"),
+            ("boundaries", "boundaries-estimates"),
+            ("plane", "boundaries-normalised"),
+        )
+    ]
+    shown = with_overlays(figures, Shown(overlays=("linear", "estimates"), figures=("boundaries",)))
+    found = {f.identifier: [c.kind for c in f.panels[0][1]] for f in shown}
+    assert found == {
+        "boundaries-free": ["measured", "linear"],
+        "boundaries-estimates": ["measured", "theory", "linear"],
+    }
+    assert with_overlays(figures, Shown()) == tuple(figures)
+
+
+def test_delays_of_the_scene_replace_those_of_the_device_file(falcon, tmp_path):
+    only = Shown(figures=("boundaries",), tables=(), overlays=("theory",), delays=(2.5, 7))
+    path = tmp_path / "r.html"
+    compare("falcon", falcon.processed, criteria=["overshoot"], report=path, shown=only)
+    drawing = take_apart(path.read_text(encoding="utf-8")).figures["boundaries-free-0"]
+    assert {m[1] for m in re.finditer(r"d = ([\d.]+) \(theory\)", drawing)} == {"2.5", "7"}
+
+
+def test_commands_draft_check_and_use_a_scene(falcon, tmp_path):
+    runner = CliRunner()
+    path = tmp_path / "f.toml"
+    processed = ["--processed", str(falcon.processed)]
+    result = runner.invoke(app, ["scene", "draft", "--device", "falcon", "--out", str(path), *processed])
+    assert result.exit_code == 0, result.output
+    result = runner.invoke(app, ["scene", "check", str(path), *processed])
+    assert result.exit_code == 0, result.output
+    assert "device       falcon" in result.stdout
+    only = tmp_path / "only.toml"
+    only.write_text('device = "falcon"\ncriteria = ["overshoot"]\nfigures = []\ntables = ["D.1"]\noverlays = []\n')
+    result = runner.invoke(
+        app, ["compare", "--scene", str(only), *processed, "--report", str(tmp_path / "o.html"), "--json"]
+    )
+    assert result.exit_code == 0, result.output
+    assert f"--scene {only}" in json.loads(result.stdout)["provenance"]["command"]
+    assert take_apart((tmp_path / "o.html").read_text(encoding="utf-8")).figures == {}
+    asked = json.loads(runner.invoke(app, ["scene", "check", str(path), "--json"]).stdout)
+    assert asked["experiments"] == ["1"]
+    result = runner.invoke(app, ["compare", "--scene", str(path), *processed, "--dry-run", "--criteria", "overshoot"])
+    assert result.exit_code == 0, result.output
+    assert "1: settling" in result.stdout
+    assert "no settling time is asked for" in result.stdout

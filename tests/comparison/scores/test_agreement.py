@@ -1,0 +1,83 @@
+"""Distances, verdicts and ranks against numbers by hand and against scipy."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.stats import spearmanr
+
+from pipeline.comparison.scores.agreement import FEWEST_TRIALS, boundary_distance, rank_agreement, verdict_agreement
+
+NONE = np.zeros(4, dtype=bool)
+
+
+def test_distance_of_a_boundary_that_is_ten_percent_too_stiff():
+    B, theory = np.array([0.0, 10, 20, 30]), np.array([1000.0, 2000, 3000, 2000])
+    found = boundary_distance(B, 1.1 * theory, theory, NONE)
+    assert found is not None
+    assert (found.median, found.largest) == pytest.approx((0.1, 0.1), rel=1e-12)
+    assert found.rms == pytest.approx(np.sqrt((100**2 + 200**2 + 300**2 + 200**2) / 4), rel=1e-12)
+    assert (found.dampings, found.near_zero, found.lower_bounds, found.open) == (4, 0, 0, 0)
+
+
+def test_largest_distance_keeps_its_sign_and_damping():
+    theory = np.full(4, 1000.0)
+    found = boundary_distance(np.arange(4.0), np.array([1000.0, 1100, 600, 1300]), theory, NONE)
+    assert found is not None
+    assert (found.largest, found.largest_damping) == pytest.approx((-0.4, 2.0), rel=1e-12)
+    assert found.median == pytest.approx(0.05, rel=1e-12)
+
+
+def test_nothing_is_divided_by_a_limit_near_zero():
+    theory = np.array([10.0, 1000, 1000, -np.inf])
+    found = boundary_distance(np.arange(4.0), np.array([200.0, 1000, 1000, 100]), theory, NONE)
+    assert found is not None
+    assert (found.dampings, found.near_zero, found.largest) == (2, 2, 0.0)
+    assert found.rms == pytest.approx(np.sqrt((190**2 + 100**2) / 4), rel=1e-12)
+
+
+def test_lower_bounds_count_only_above_theory():
+    theory = np.full(4, 1000.0)
+    measured = np.array([1000.0, 1000, 1500, 500])
+    found = boundary_distance(np.arange(4.0), measured, theory, np.array([False, False, True, True]))
+    assert found is not None
+    assert (found.dampings, found.lower_bounds, found.open) == (3, 1, 1)
+    assert (found.median, found.largest) == (0.0, 0.5)
+    assert boundary_distance(np.arange(4.0), measured, np.zeros(4), NONE) is None
+
+
+def test_verdicts_are_counted_in_four_fields():
+    said = np.array(["stable"] * 5 + ["unstable"] * 4 + ["undecided", "stable"])
+    K = np.array([1.0] * 10 + [0.0])
+    predicted = np.array([True] * 3 + [False] * 2 + [True] + [False] * 3 + [True, True])
+    found = verdict_agreement(K, said, predicted)
+    assert found is not None
+    assert (found.both_stable, found.only_log_stable, found.only_theory_stable, found.both_unstable) == (3, 2, 1, 3)
+    assert (found.undecided, found.without_wall) == (1, 1)
+    assert found.agreement == pytest.approx(6 / 9, rel=1e-12)
+    assert verdict_agreement(K, np.array(["undecided"] * 11), predicted) is None
+
+
+costs = st.lists(st.tuples(st.integers(0, 8), st.integers(0, 8)), min_size=FEWEST_TRIALS, max_size=40)
+
+
+@given(costs)
+def test_rank_correlation_is_that_of_scipy_with_ties(pairs):
+    a, b = (np.array(x, dtype=float) for x in zip(*pairs, strict=True))
+    found = rank_agreement(a, b)
+    if np.ptp(a) == 0 or np.ptp(b) == 0:
+        assert found.correlation is None
+        assert "equal" in str(found.reason)
+    else:
+        assert found.correlation == pytest.approx(spearmanr(a, b).statistic, abs=1e-12)
+
+
+def test_ratio_is_over_pairs_of_costs_above_zero():
+    theory = np.array([0.0, *range(1, 12)])
+    found = rank_agreement(1.25 * theory, theory)
+    assert (found.correlation, found.median_ratio, found.ratios) == pytest.approx((1.0, 1.25, 11), rel=1e-12)
+    few = rank_agreement(theory[:4], theory[:4])
+    assert few.correlation is None
+    assert "4 common" in str(few.reason)

@@ -1,0 +1,247 @@
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from simulated import FALCON, LWR, simulate
+
+from pipeline.base.errors import ParameterError
+from pipeline.devices.devices import load_device
+from pipeline.measured.cost import costs
+from pipeline.measured.experiment.aggregate import choose_optimum
+from pipeline.measured.signal.response import find_response
+from pipeline.measured.signal.verdict import judge
+from pipeline.simulation.course import run_course
+from pipeline.simulation.simulate import simulate as simulate_device
+
+K = np.array([4469.0, 12000.0, 600.0, 1500.0, 3000.0, 8000.0, 4000.0])
+B = np.array([73.05, 90.0, 24.0, 40.0, 100.0, 140.0, 72.0])
+
+
+def evaluate(batch, delay=4):
+    response = find_response(batch)
+    verdicts = judge(batch, response)
+    return (
+        costs.settling(batch, response, verdicts, delay),
+        costs.overshoot(batch, response, verdicts),
+        costs.energy(batch, response, verdicts, delay),
+    )
+
+
+def direct(batch, i, delay, mass, edge=20):
+    """Costs of one trial by a plain loop over its samples, as the definitions are worded."""
+    x = [float(p) for p in batch.position[i, edge + delay : batch.rows[i]]]
+    k_wall, force, T = float(batch.stiffness[i]), float(batch.step[i]), float(batch.sampling_period_s[i])
+    start = float(batch.position[i, 0])
+    final = start + force / k_wall
+    energy = [0.0, 0.0, 0.0]
+    before = x[0]
+    for k, now in enumerate(x):
+        stored = k_wall / 2 * (now - final) ** 2 + mass / 2 * ((now - before) / T) ** 2
+        for w in (0, 1, 2):
+            energy[w] += k**w * stored / (force**2 / (2 * k_wall))
+        before = now
+    settled = {}
+    for band in (0.01, 0.02, 0.05):
+        k = len(x)
+        while k > 0 and abs(x[k - 1] - final) <= band * abs(force / k_wall):
+            k -= 1
+        settled[band] = k if len(x) - k >= 5 else None
+    return energy, settled, max(0.0, max((now - final) / (force / k_wall) for now in x))
+
+
+@pytest.mark.parametrize(("dev", "delay"), [(FALCON, 4), ({**FALCON, "step": -8.0}, 4), ({**FALCON, "delay": 2}, 2)])
+def test_ideal_costs_equal_a_direct_evaluation(dev, delay):
+    batch = simulate(K, B, **dev)
+    settling, overshoot, energy = evaluate(batch, delay)
+    for i in range(len(K)):
+        expected, settled, over = direct(batch, i, delay, 0.58)
+        cost = energy.potential[i] + 0.58 * energy.kinetic[i]
+        # 12000 N/m, 90 Ns/m has not decayed within 400 samples (d = 4): what it lacks is tested below
+        known = np.isfinite(cost)
+        assert known.tolist() == ([True, False, False] if i == 1 and delay == 4 else [True] * 3)
+        np.testing.assert_allclose(cost[known], np.array(expected)[known], rtol=1e-12)
+        assert overshoot.overshoot[i] == pytest.approx(over, rel=1e-12, abs=1e-15)
+        for name, band in (("settle_1pct", 0.01), ("settle_2pct", 0.02), ("settle_5pct", 0.05)):
+            value = settling.samples[name][i]
+            assert (None if np.isnan(value) else value) == settled[band]
+    assert energy.horizon_samples.tolist() == [400 - 20 - delay] * len(K)
+
+
+@pytest.mark.parametrize(("dev", "delay", "cost", "box"), [
+    (FALCON, 4, 24, (4461.8, 4478.4, 72.98, 73.16)),
+    (LWR, 2, 15, (3723, 3800, 38.84, 39.36)),
+])  # fmt: skip
+def test_region_of_the_published_settling_optimum(dev, delay, cost, box):
+    """Tables D.1 and D.4, discrete theory: smallest settling time and the box of all (K, B) that reach it."""
+    k_grid, b_grid = (np.linspace(2 * a - c, 2 * c - a, 46) for a, c in (box[:2], box[2:]))
+    batch = simulate(*(a.ravel() for a in np.meshgrid(k_grid, b_grid)), **dev)
+    found = evaluate(batch, delay)[0].samples["settle_2pct"]
+    best = found == np.nanmin(found)
+    assert np.nanmin(found) == cost
+    for axis, grid, low, high in ((batch.stiffness, k_grid, *box[:2]), (batch.damping, b_grid, *box[2:])):
+        step = grid[1] - grid[0]
+        # the region ends in tips that a grid cuts off
+        assert low - step < axis[best].min() < low + 4 * step
+        assert high - 4 * step < axis[best].max() < high + step
+
+
+def test_energy_near_the_published_optimum():
+    grid = np.meshgrid(np.linspace(3000, 6500, 15), np.linspace(40, 62, 15))
+    _, _, energy = evaluate(simulate(*(a.ravel() for a in grid), **LWR), 2)
+    cost = energy.potential + 0.19 * energy.kinetic
+    # the minimum over a grid lies above the published one by little, as the optimum is flat
+    np.testing.assert_allclose(cost.min(axis=0), [8.690, 40.881, 320.081], rtol=5e-3)
+    assert (cost.min(axis=0) >= [8.6895, 40.8805, 320.0805]).all()
+
+
+def test_no_overshoot_region():
+    # the edge lies at 5056 N/m (Falcon, d = 4, tolerance 1e-12)
+    _, found, _ = evaluate(simulate([3000.0, 4000.0, 6000.0], [74.0, 80.0, 84.0], **FALCON))
+    assert found.overshoot[0] <= 1e-12
+    assert found.overshoot[2] > 1e-6
+
+
+@pytest.mark.parametrize("sensor", [{"noise": 5e-7, "quantum": 2e-6}, {"quantum": 1e-5}])
+@pytest.mark.parametrize("rows", [400, 1000])
+def test_sensor_does_not_swamp_the_energy(sensor, rows):
+    good = [0, 2, 3, 4, 6]  # trials that die out well inside the log
+    ideal, seen = (evaluate(simulate(K[good], B[good], **FALCON, rows=rows, **s))[2] for s in ({}, sensor))
+    cost, noisy = (e.potential + 0.58 * e.kinetic for e in (ideal, seen))
+    # uncut, a quantum of 10 um turns w = 2 into many times its value over 1,000 rows
+    np.testing.assert_allclose(noisy, cost, rtol=0.06)
+    assert (seen.horizon_samples < 300).all()
+
+
+def test_a_sum_with_a_large_tail_is_no_cost():
+    """Logs that end before the response has decayed, against a longer one that tells what is lost."""
+    rows = np.array([340, 460, 620, 900])
+    whole = evaluate(simulate([12000.0], [90.0], **FALCON, rows=3000))[2]
+    assert whole.reason == ("",)
+    full = (whole.potential + 0.58 * whole.kinetic)[0]
+    parts = [evaluate(simulate([12000.0], [90.0], **FALCON, rows=int(r)))[2] for r in rows]
+    cost = np.array([(part.potential + 0.58 * part.kinetic)[0] for part in parts])
+    assert np.isfinite(cost).tolist() == [
+        [True, False, False],
+        [True, True, False],
+        [True, True, True],
+        [True, True, True],
+    ]
+    assert "no value (w = 2): record longer" in parts[1].reason[0]
+    assert parts[3].reason == ("",)
+    for at, w in ((0, 0), (1, 1), (2, 2)):
+        told = float(parts[at].reason[0].split(f"w = {w}: ")[1].split(" %")[0]) / 100
+        lost = full[w] / cost[at, w] - 1
+        # twice for the kinetic energy, which it leaves out, twice for the mean below the envelope, some for a beat
+        assert lost < told < 8 * lost
+
+
+def lasting(amplitude):
+    """A good trial on whose response an oscillation of the given share of the displacement lasts."""
+    batch = simulate([4000.0], [80.0], **FALCON, quantum=2e-6, noise=5e-7)
+    row = np.arange(400)
+    motion = amplitude * 8 / 4000 * np.sin(2 * np.pi * (row - 20) / 25) * (row >= 20)
+    return dataclasses.replace(batch, position=batch.position + motion)
+
+
+def test_a_response_that_never_settles_has_no_energy_cost():
+    batch = lasting(0.2)
+    response = dataclasses.replace(find_response(lasting(0.0)), floor=np.array([6e-6]))
+    found = costs.energy(batch, response, judge(lasting(0.0)), 4)
+    assert np.isnan(found.potential).all()
+    assert np.isnan(found.kinetic).all()
+    assert found.reason[0] == "never settles: 20 % of the final displacement lasts to the end of the log"
+
+
+def test_a_wide_floor_may_not_hide_a_lasting_motion():
+    """Chatter before the step widened the floor, which cut the sum and made the cost the smallest of all."""
+    quiet, swinging = lasting(0.0), lasting(0.2)
+    response = dataclasses.replace(find_response(quiet), floor=np.array([3e-5]))
+    verdicts = judge(quiet)
+    # 20 % of 2 mm are 400 um: 8 floors of 60 um, not of 30 um, let that pass for a limit cycle of the sensor
+    wide = dataclasses.replace(response, floor=np.array([6e-5]))
+    assert np.isfinite(costs.energy(quiet, response, verdicts, 4).potential[0, :2]).all()
+    for one in (response, wide):
+        assert np.isnan(costs.energy(swinging, one, verdicts, 4).potential).all()
+
+
+def test_chatter_before_the_step_widens_the_floor_of_the_overshoot():
+    batch = simulate([4000.0], [80.0], **FALCON, quantum=2e-6, noise=5e-7)
+    response, verdicts = find_response(batch), judge(batch)
+    calm = costs.overshoot(batch, response, verdicts)
+    chatter = dataclasses.replace(response, baseline_motion=np.array([3e-5]))
+    found = costs.overshoot(batch, chatter, verdicts)
+    assert found.floor[0] - calm.floor[0] == pytest.approx(3e-5 / (8 / 4000))
+    assert found.overshoot[0] == calm.overshoot[0]
+
+
+def test_optima_of_a_jittered_noisy_course_are_trustworthy():
+    """Each optimum against the cost of the same trial with the same jitter, no sensor and a long log."""
+    course = run_course(load_device("falcon"), "1", seed=1, coarsen=2)
+    batch = course.batch
+    K, B = batch.stiffness, batch.damping
+    response = find_response(batch)
+    verdicts = judge(batch, response)
+    bare = dataclasses.replace(course.setup, noise=0.0, quantum=0.0, rows=2000)
+    unstable = verdicts.verdict == "unstable"
+
+    def best(cost, floor=None):
+        return choose_optimum(cost, K, B, batch.trial_id, unstable=unstable, floor=floor)
+
+    energy = costs.energy(batch, response, verdicts, 4)
+    for w in (0, 1, 2):
+        chosen = best(energy.potential[:, w] + 0.58 * energy.kinetic[:, w])
+        i = batch.trial_id.index(chosen.trial_id)
+        true = simulate_device(bare, K[[i]], B[[i]], seed=1, stream="falcon/1")
+        # the horizon leaves out some percent, the sensor moves the device by some more
+        assert chosen.cost == pytest.approx(direct(true, 0, 4, 0.58)[0][w], rel=0.1)
+    overshoot = costs.overshoot(batch, response, verdicts)
+    found = best(overshoot.overshoot, overshoot.floor)
+    # theory without jitter: 5056 N/m; the thesis measured 6800 and 6600 N/m
+    assert 4500 < found.stiffness < 7500
+    assert found.cost < 0.01
+
+
+def test_band_below_the_sensor_floor_is_not_identifiable():
+    batch = simulate([12000.0], [90.0], **FALCON, quantum=1e-5, rows=1000)
+    settling, overshoot, _ = evaluate(batch)
+    # 1 % of 8 N / 12000 N/m is 6.7 um
+    assert np.isnan(settling.samples["settle_1pct"][0])
+    assert "below the sensor floor" in settling.reason[0]
+    assert overshoot.floor[0] == pytest.approx(1e-5 / (8 / 12000), rel=1e-6)
+
+
+def test_not_settled_and_settled_too_late():
+    batch = simulate([12000.0], [90.0], **FALCON, rows=120)
+    settling, _, _ = evaluate(batch)
+    assert np.isnan(settling.samples["settle_2pct"][0])
+    assert "settle_2pct: not settled" in settling.reason[0]
+    whole = simulate([4000.0], [72.0], **FALCON)
+    time = int(evaluate(whole)[0].samples["settle_5pct"][0])
+    for rows, told in ((20 + 4 + time + 5, True), (20 + 4 + time + 4, False)):
+        cut = simulate([4000.0], [72.0], **FALCON, rows=rows)
+        assert np.isfinite(evaluate(cut)[0].samples["settle_5pct"][0]) == told
+
+
+def test_trials_without_costs():
+    batch = simulate([20000.0, 0.0, 4000.0], [60.0, 0.0, 70.0], **FALCON)
+    response = find_response(batch)
+    response = dataclasses.replace(response, edge_row=np.array([20, 20, -1]))
+    verdicts = judge(batch, response)
+    for found in (
+        costs.settling(batch, response, verdicts, 4),
+        costs.overshoot(batch, response, verdicts),
+        costs.energy(batch, response, verdicts, 4),
+    ):
+        assert [text.split(":")[0] for text in found.reason] == [
+            "unstable",
+            "no final position",
+            "no start of the response",
+        ]
+    assert np.isnan(costs.energy(batch, response, verdicts, 4).potential).all()
+    assert np.isnan(costs.overshoot(batch, response, verdicts).overshoot).all()
+    short = simulate([4000.0], [70.0], **FALCON, rows=30)
+    assert "ends before" in evaluate(short, 15)[2].reason[0]
+    with pytest.raises(ParameterError):
+        evaluate(short, -1)

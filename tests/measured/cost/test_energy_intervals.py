@@ -1,0 +1,195 @@
+"""Energy with its interval against the energy of the same loop without a sensor, over a long log."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from sensor_trials import DELAY, EDGE, FEWEST, FREE, SENSORS, measured, trials, truth
+from simulated import FALCON, simulate
+
+from pipeline.base.errors import ParameterError
+from pipeline.measured.cost import costs
+from pipeline.measured.cost.energy_intervals import HORIZON_PARTS, energy_interval
+from pipeline.measured.cost.reading_error import reading_error
+from pipeline.measured.signal.response import find_response
+from pipeline.measured.signal.verdict import judge
+
+MASS = FALCON["mass"]
+
+
+def energies(batch, K, delay=DELAY, mass=MASS):
+    """Costs for w = 0, 1, 2 by their definition, and what of them lies in the last 100 samples."""
+    x = batch.displacement[:, EDGE + delay :]
+    k = np.arange(x.shape[1])
+    speed = np.diff(x, axis=1, prepend=x[:, :1]) / 1e-3
+    stored = (K[:, None] / 2 * (x - 8 / K[:, None]) ** 2 + mass / 2 * speed**2) / (32 / K[:, None])
+    return tuple(np.stack([(k**w * stored)[:, part].sum(axis=1) for w in range(3)], axis=1) for part in (
+        slice(None), slice(-100, None)
+    ))  # fmt: skip
+
+
+def known_truth(count=150):
+    """Energies of the ideal trials; NaN where 3,000 samples do not hold them."""
+    total, rest = energies(truth(count)[0], trials(count)[0])
+    return np.where(rest < 1e-4 * total, total, np.nan)
+
+
+def interval(batch, **more):
+    response = find_response(batch)
+    verdicts = judge(batch, response)
+    error = reading_error(batch, response, DELAY)
+    return energy_interval(batch, response, verdicts, error, DELAY, MASS, **more)
+
+
+def held(found, true):
+    told = np.isfinite(found.value) & np.isfinite(true)
+    return [
+        ((found.low[:, w] <= true[:, w]) & (true[:, w] <= found.high[:, w]))[told[:, w]].mean() for w in range(3)
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize(("quantum", "noise"), SENSORS)
+def test_intervals_hold_the_truth(quantum, noise):
+    batch, response, verdicts, error = measured(quantum, noise)
+    found = energy_interval(batch, response, verdicts, error, DELAY, MASS)
+    true = known_truth()
+    assert min(held(found, true)) >= FEWEST
+    assert (np.isnan(found.value).any(axis=1) == [bool(text) for text in found.reason]).all()
+    # they say something: half are narrower than 4 % (w = 0) and 15 % (w = 2) of the value on each side
+    width = 0.5 * (found.high - found.low) / found.value
+    assert (np.nanmedian(width, axis=0) < [0.04, 0.1, 0.15]).all()
+    # more trials have a cost for w = 2 than by the plain sum, and their values are as good
+    plain = costs.energy(batch, response, verdicts, DELAY)
+    sums = plain.potential + MASS * plain.kinetic
+    assert np.isfinite(found.value[:, 2]).sum() > 1.2 * np.isfinite(sums[:, 2]).sum()
+    both = np.isfinite(sums) & np.isfinite(found.value) & np.isfinite(true)
+    for w in (1, 2):
+        ours, theirs = (np.median(np.abs(part / true - 1)[:, w][both[:, w]]) for part in (found.value, sums))
+        assert ours < theirs
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("quantum", "noise"), [*SENSORS, (2e-6, 0.0), (1e-5, 0.0)])
+def test_intervals_hold_the_truth_of_500_trials(quantum, noise):
+    batch, response, verdicts, error = measured(quantum, noise, 500)
+    found = energy_interval(batch, response, verdicts, error, DELAY, MASS)
+    assert min(held(found, known_truth(500))) >= 0.92
+
+
+def test_a_coarse_sensor_is_refused_rather_than_guessed():
+    batch, response, verdicts, error = measured(6e-5, 1e-6)
+    found = energy_interval(batch, response, verdicts, error, DELAY, MASS)
+    assert np.isfinite(found.value).mean(axis=0)[2] < 0.1
+    assert (np.isnan(found.value).any(axis=1) == [bool(text) for text in found.reason]).all()
+    assert any("too much for a final displacement" in text for text in found.reason)
+    assert any("leave" in text and "open" in text for text in found.reason)
+
+
+def test_the_tail_is_carried_on():
+    """A log that ends while the response swings, against one that is ten times as long."""
+    K, B = np.array([12000.0]), np.array([90.0])
+    total, rest = energies(simulate(K, B, **FREE, rows=6000), K)
+    assert (rest < 1e-12 * total).all()
+    found = interval(simulate(K, B, **FREE, rows=420))
+    lost = total - found.by_horizon[:, :, -1]
+    # without the tail the sum for w = 2 lacks 4 to 5 %
+    assert (lost > [1e-3, 1e-2, 4e-2] * total).all()
+    # the tail restores nine tenths of that at least: its swing is averaged
+    assert (np.abs(found.value - total) < 0.1 * lost).all()
+    noisy = interval(simulate(K, B, **FREE, rows=420, quantum=2e-6, noise=5e-7))
+    for one in (found, noisy):
+        assert (one.low <= total).all()
+        assert (total <= one.high).all()
+    # by its sum alone a noisy log would be outside
+    assert (noisy.high - noisy.tail < total)[0, 2]
+
+
+def test_ideal_logs():
+    batch, _ = truth()
+    K, _ = trials()
+    short = simulate(*trials(), **FREE)
+    found, true = interval(short), known_truth()
+    assert (found.bias[np.isfinite(found.bias)] == 0).all()
+    # a relative 1e-9 for rounding, where the response has died away and the interval is empty
+    rounded = dataclasses.replace(found, low=found.low * (1 - 1e-9), high=found.high * (1 + 1e-9))
+    assert min(held(rounded, true)) >= 0.95
+    long = interval(batch)
+    done = np.isfinite(true) & np.isfinite(long.value)
+    # the tail of a log of 3,000 samples is what the truth lacks, less than 1e-4 of it in its last 100 samples
+    np.testing.assert_allclose(long.value[done], true[done], rtol=2e-3)
+    assert K.size == len(short)
+
+
+def test_another_delay_moves_the_sums():
+    K, B = np.array([4469.0, 4000.0]), np.array([73.05, 72.0])
+    batch = simulate(K, B, **FREE, rows=1500)
+    exact, loose = interval(batch), interval(batch, delay_range=(3, 6))
+    earlier, later = energies(batch, K, 3)[0], energies(batch, K, 6)[0]
+    # the samples that a smaller delay takes in are at rest in an ideal log: exact
+    np.testing.assert_allclose(loose.high - exact.high, earlier - exact.value, rtol=1e-6)
+    # of those that a larger one drops the second has moved a little: 1 % of their energy
+    np.testing.assert_allclose(loose.low - exact.low, later - exact.value, rtol=0.01)
+
+
+def test_an_uncertain_mass_widens_the_interval():
+    batch, response, verdicts, error = measured(2e-6, 5e-7)
+    plain = costs.energy(batch, response, verdicts, DELAY)
+    sharp, wide = (energy_interval(batch, response, verdicts, error, DELAY, MASS, mass_error=e) for e in (0.0, 0.06))
+    np.testing.assert_array_equal(sharp.bias[np.isfinite(wide.value)], wide.bias[np.isfinite(wide.value)])
+    up = np.sqrt((wide.high - wide.value) ** 2 - (sharp.high - sharp.value) ** 2)[:, 0]
+    told = np.isfinite(up) & np.isfinite(plain.kinetic[:, 0])
+    # the plain sum ends a little earlier
+    np.testing.assert_allclose(up[told], 1.96 * 0.06 * plain.kinetic[told, 0], rtol=0.02)
+
+
+def test_dependence_on_the_horizon():
+    batch, response, verdicts, error = measured(2e-6, 5e-7)
+    found = energy_interval(batch, response, verdicts, error, DELAY, MASS)
+    assert found.by_horizon.shape == (len(batch), 3, len(HORIZON_PARTS))
+    told = np.isfinite(found.value).all(axis=1)
+    assert (np.diff(found.by_horizon[told], axis=2) >= 0).all()
+    np.testing.assert_allclose(
+        found.value[told], (found.by_horizon[:, :, -1] - found.bias + found.tail)[told], rtol=1e-12
+    )
+    i = int(np.flatnonzero(told)[0])
+    rows = int(found.horizon_samples[i])
+    x = batch.displacement[i, EDGE + DELAY : EDGE + DELAY + rows]
+    k = np.arange(rows)
+    K = batch.stiffness[i]
+    speed = np.diff(x, prepend=x[0]) / 1e-3
+    stored = (K / 2 * (x - 8 / K) ** 2 + MASS / 2 * speed**2) / (32 / K)
+    for n, part in enumerate(HORIZON_PARTS):
+        stop = int(np.ceil(part * rows))
+        expected = [(k**w * stored)[:stop].sum() for w in range(3)]
+        np.testing.assert_allclose(found.by_horizon[i, :, n], expected, rtol=1e-9)
+    eighth = rows // 8
+    np.testing.assert_allclose(found.per_sample[i], [(k**w * stored)[-eighth:].mean() for w in range(3)], rtol=1e-9)
+
+
+def test_a_motion_that_lasts_has_no_value():
+    batch = simulate([4000.0], [80.0], **FALCON, quantum=2e-6, noise=5e-7)
+    row = np.arange(400)
+    swing = 0.2 * 8 / 4000 * np.sin(2 * np.pi * (row - 20) / 25) * (row >= 20)
+    moved = dataclasses.replace(batch, position=batch.position + swing)
+    response, verdicts = find_response(batch), judge(batch)
+    error = reading_error(moved, response, DELAY)
+    found = energy_interval(moved, response, verdicts, error, DELAY, MASS)
+    assert np.isnan(found.value).all()
+    assert "record longer" in found.reason[0]
+
+
+def test_reasons_and_wrong_arguments():
+    batch = simulate([4000.0, 0.0, 20000.0], [70.0, 0.0, 60.0], **FALCON, quantum=2e-6, noise=5e-7)
+    found = interval(batch)
+    assert [text.split(":")[0].split(" ")[0] for text in found.reason] == ["", "no", "unstable"]
+    assert np.isnan(found.value).tolist() == [[False] * 3, [True] * 3, [True] * 3]
+    assert np.isnan(found.by_horizon[1:]).all()
+    brief = interval(simulate([4000.0], [70.0], **FALCON, quantum=2e-6, noise=5e-7, rows=40))
+    assert np.isnan(brief.value).all()
+    assert brief.reason[0]
+    for wrong in ({"mass": 0.0}, {"mass": 1.0, "mass_error": -1.0}, {"mass": 1.0, "delay_range": (5, 6)}):
+        response = find_response(batch)
+        with pytest.raises(ParameterError):
+            energy_interval(batch, response, judge(batch, response), reading_error(batch, response), DELAY, **wrong)

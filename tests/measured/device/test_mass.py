@@ -1,0 +1,144 @@
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from simulated import FALCON, LWR, simulate, spectral_radius
+
+from pipeline.base.errors import ParameterError
+from pipeline.measured.device.mass import by_momentum, correct, window_scan
+from pipeline.measured.signal.response import find_response
+
+FIRM = {**FALCON, "mass": 1.0, "b": 34.0}
+
+
+def course(dev, top, spread=13):
+    """Stable trials over the whole region of a device."""
+    grid = np.meshgrid(np.linspace(200, top, spread), np.linspace(0, 180 if dev["mass"] > 0.5 else 55, spread))
+    K, B = (a.ravel() for a in grid)
+    stable = np.array([spectral_radius(k, b, **dev) < 1 for k, b in zip(K, B, strict=True)])
+    return K[stable], B[stable]
+
+
+@pytest.mark.parametrize(("dev", "top"), [(FALCON, 13600.0), (FIRM, 29000.0), (LWR, 11800.0)])
+def test_corrected_mass_is_the_true_one_over_the_whole_region(dev, top):
+    batch = simulate(*course(dev, top), **dev)
+    found = by_momentum(batch, find_response(batch), dev["delay"])
+    assert set(found.reason) == {""}
+    np.testing.assert_allclose(correct(found, dev["b"]), dev["mass"], rtol=1e-5)
+
+
+def test_uncorrected_mass_has_its_analytic_bias():
+    # a free mass under a constant force from t = 0 has v = F/b (1 - exp(-b t/m)); the balance gives F t/v.
+    # K = B = 0 keeps the command constant; the last interval lies about t = (15 - 4 - 1/2) samples.
+    batch = simulate([0.0], [0.0], **FALCON)
+    found = by_momentum(batch, find_response(batch), 4)
+    t = (15 - 4 - 0.5) * 1e-3
+    bias = (4 / 0.58 * t) / -np.expm1(-4 / 0.58 * t) - 1
+    assert found.mass_momentum[0] / 0.58 - 1 == pytest.approx(bias, rel=5e-3)
+    assert found.damping_share[0] == pytest.approx((0.58 * bias) / 4, rel=5e-3)
+
+
+def test_bias_over_experiment_1_is_as_known():
+    batch = simulate(*course(FALCON, 13600.0, 25), **FALCON)
+    bias = by_momentum(batch, find_response(batch), 4).mass_momentum / 0.58 - 1
+    assert bias.min() == pytest.approx(0.038, abs=0.004)
+    assert np.median(bias) == pytest.approx(0.05, abs=0.01)
+
+
+@pytest.mark.parametrize("jitter", [(), (3, 4, 5)])
+def test_sensor_and_jitter_leave_the_median(jitter):
+    batch = simulate(*course(FALCON, 12000.0, 22), **FALCON, quantum=2e-6, noise=5e-7, jitter=jitter)
+    mass = correct(by_momentum(batch, find_response(batch), 4), 4.0)
+    # jitter shifts the impulse of a trial by up to a sample of ten
+    assert np.nanmedian(mass) == pytest.approx(0.58, rel=0.03 if jitter else 0.01)
+
+
+def test_window_scan_shows_the_growing_bias_of_damping():
+    batch = simulate(np.zeros(4), np.zeros(4), **FALCON)
+    windows = np.array([0.010, 0.015, 0.030, 0.045])
+    scan = window_scan(batch, find_response(batch), 4, windows)
+    assert scan.mass.shape == (4, 4)
+    assert scan.trials.tolist() == [4] * 4
+    # free mass under a constant force, as above, for each window
+    t = windows - 4.5e-3
+    bias = (4 / 0.58 * t) / -np.expm1(-4 / 0.58 * t) - 1
+    np.testing.assert_allclose(scan.median / 0.58 - 1, bias, rtol=6e-3)
+    np.testing.assert_allclose(scan.scatter, 0, atol=1e-9)
+    single = by_momentum(batch, find_response(batch), 4, window_s=0.030)
+    np.testing.assert_array_equal(scan.mass[:, 2], single.mass_momentum)
+
+
+def test_longer_windows_scatter_and_lose_trials():
+    # as the thesis saw: the wall turns the motion back, and the velocity change is small beside what is left out
+    batch = simulate(*course(FALCON, 12000.0, 15), **FALCON, quantum=2e-6, noise=5e-7, jitter=(3, 4, 5))
+    scan = window_scan(batch, find_response(batch), 4, np.array([0.015, 0.040, 0.080]))
+    assert scan.scatter[1] > 2 * scan.scatter[0]
+    assert scan.trials[2] < 0.9 * scan.trials[0]
+    assert scan.reason[2]
+
+
+def test_window_scan_without_any_mass():
+    batch = simulate([3000.0], [50.0], **FALCON)
+    scan = window_scan(batch, find_response(batch), 4, np.array([0.004, 0.015]))
+    assert np.isnan(scan.mass[0, 0])
+    assert "fills it" in scan.reason[0]
+    assert np.isnan(scan.median).all()  # one trial has no scatter, and no median worth the name
+
+
+def test_logged_times_are_integrated():
+    batch = simulate([3000.0], [50.0], **FALCON)
+    response = find_response(batch)
+    even = by_momentum(batch, response, 4)
+    logged = by_momentum(batch, response, 4, logged_times=True)
+    np.testing.assert_allclose(logged.mass_momentum, even.mass_momentum, rtol=1e-9)
+    # all time steps 2 % longer: the same impulse per step, 2 % more of it, and velocities 2 % smaller
+    slow = dataclasses.replace(batch, time=1.02 * batch.time)
+    assert np.isnan(by_momentum(slow, response, 4).mass_momentum[0])
+    stretched = by_momentum(slow, response, 4, window_s=0.0153, logged_times=True)
+    np.testing.assert_allclose(stretched.mass_momentum, 1.02**2 * even.mass_momentum, rtol=1e-9)
+
+
+def test_a_measured_force_stands_in_for_the_command():
+    batch = simulate([3000.0], [50.0], **FALCON)
+    response = find_response(batch)
+    one = by_momentum(batch, response, 4).mass_momentum
+    np.testing.assert_allclose(by_momentum(batch, response, 4, force=0.5 * batch.command).mass_momentum, 0.5 * one)
+    with pytest.raises(ParameterError, match="shape"):
+        by_momentum(batch, response, 4, force=batch.command[:, 1:])
+
+
+def test_scales_with_force():
+    light = simulate([3000.0], [50.0], **FALCON)
+    heavy = dataclasses.replace(
+        light,
+        command=3 * light.command,
+        stiffness=3 * light.stiffness,
+        damping=3 * light.damping,
+        step=3 * light.step,
+    )
+    one, three = (by_momentum(b, find_response(b), 4).mass_momentum for b in (light, heavy))
+    np.testing.assert_allclose(three, 3 * one, rtol=1e-12)
+
+
+def test_reasons():
+    batch = simulate([3000.0], [50.0], **FALCON)
+    response = find_response(batch)
+    no_edge = simulate([3000.0], [50.0], **FALCON, baseline=0)
+    assert "no baseline" in by_momentum(no_edge, find_response(no_edge), 4).reason[0]
+    short = simulate([3000.0], [50.0], **FALCON, rows=34)
+    assert "ends earlier" in by_momentum(short, find_response(short), 4).reason[0]
+    assert "fills it" in by_momentum(batch, response, 40).reason[0]
+    coarse = simulate([3000.0], [50.0], **FALCON, quantum=5e-5)
+    assert "noise threshold" in by_momentum(coarse, find_response(coarse), 4).reason[0]
+    time = batch.time.copy()
+    time[0, 25:] += 2e-5
+    assert "differ from T" in by_momentum(dataclasses.replace(batch, time=time), response, 4).reason[0]
+    time = batch.time.copy()
+    time[0, 100:] += 2e-5
+    assert by_momentum(dataclasses.replace(batch, time=time), response, 4).reason == ("",)
+    turned = dataclasses.replace(batch, position=2 * batch.position[:, :1] - batch.position)
+    assert "opposite signs" in by_momentum(turned, response, 4).reason[0]
+    with pytest.raises(ParameterError):
+        by_momentum(batch, response, -1)

@@ -1,0 +1,134 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from simulated import FALCON, LWR, simulate, spectral_radius
+
+from pipeline.measured.signal.verdict import judge
+
+FIRM = {**FALCON, "mass": 1.0, "b": 34.0}
+FALCON_SENSOR = {"noise": 5e-7, "quantum": 2e-6}
+LWR_SENSOR = {"noise": 1e-6, "quantum": 5e-6}
+
+
+def limit(dev, B, low=1.0, high=40000.0):
+    """Stiffness at which the loop loses stability for a damping, by bisection on the spectral radius."""
+    while high - low > 1e-3:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if spectral_radius(middle, B, **dev) < 1 else (low, middle)
+    return low
+
+
+@pytest.mark.parametrize("dev", [FALCON, FIRM, LWR, {**LWR, "delay": 8}, {**FALCON, "delay": 0}])
+def test_ideal_verdict_is_the_sign_of_the_spectral_radius(dev):
+    damping = np.linspace(0, 180 if dev["mass"] > 0.5 else 60, 12)
+    K, B = (a.ravel() for a in np.meshgrid(np.r_[np.arange(200, 2000, 150.0), np.arange(2000, 30000, 1400.0)], damping))
+    radius = np.array([spectral_radius(k, b, **dev) for k, b in zip(K, B, strict=True)])
+    found = judge(simulate(K, B, **dev))
+    clear = abs(radius - 1) > 1e-5
+    assert found.verdict[clear].tolist() == np.where(radius[clear] > 1, "unstable", "stable").tolist()
+    visible = (radius > 0.95) & (radius < 1.05)
+    np.testing.assert_allclose(found.growth_per_s[visible] * 1e-3, np.log(radius[visible]), atol=1e-8)
+
+
+@pytest.mark.parametrize("dev", [FALCON, LWR])
+def test_ideal_verdict_right_beside_the_limit(dev):
+    B = np.array([4.0, 20.0, 60.0, 90.0]) if dev is FALCON else np.array([1.0, 10.0, 40.0])
+    edge = np.array([limit(dev, b) for b in B])
+    for shift, verdict in ((-1.0, "stable"), (1.0, "unstable")):
+        assert judge(simulate(edge + shift, B, **dev)).verdict.tolist() == [verdict] * len(B)
+
+
+@pytest.mark.parametrize(("dev", "sensor"), [(FALCON, FALCON_SENSOR), (LWR, LWR_SENSOR), (FALCON, {"quantum": 1e-5})])
+def test_sensor_moves_the_boundary_by_little_and_leaves_no_stray_verdict(dev, sensor):
+    B = np.linspace(4, 120, 7) if dev is FALCON else np.linspace(2, 60, 7)
+    edge = np.array([limit(dev, b) for b in B])
+    share = np.r_[np.linspace(0.1, 0.95, 12), np.linspace(1.05, 1.4, 6)]
+    K, S = np.outer(edge, share).ravel(), np.outer(np.ones(7), share).ravel()
+    found = judge(simulate(K, np.repeat(B, len(share)), **dev, **sensor))
+    # a tenth of the stiffness off the limit: growth of the motion stands far above the sensor
+    sure = (S < 0.96) | (S > 1.09)
+    assert found.verdict[sure].tolist() == np.where(S[sure] > 1, "unstable", "stable").tolist()
+
+
+def test_jitter_and_sensor_leave_no_stray_verdict():
+    B = np.linspace(4, 90, 6)
+    edge = np.array([limit(FALCON, b) for b in B])
+    share = np.r_[np.linspace(0.25, 0.8, 25), np.linspace(1.4, 1.8, 6)]
+    K, S = np.outer(edge, share).ravel(), np.outer(np.ones(6), share).ravel()
+    found = judge(simulate(K, np.repeat(B, len(share)), **FALCON, **FALCON_SENSOR, jitter=(3, 4, 5), seed=5))
+    assert found.verdict.tolist() == np.where(S > 1, "unstable", "stable").tolist()
+
+
+def test_limit_cycle_of_quantum_size_is_stable():
+    # near the upper boundary a quantum of 10 um keeps an oscillation of a few quanta alive
+    batch = simulate([9000.0, 11000.0], [140.0, 120.0], **FALCON, quantum=1e-5, rows=1500)
+    end = np.ptp(batch.position[:, -200:], axis=1)
+    assert (end > 5e-6).all()
+    assert judge(batch).verdict.tolist() == ["stable", "stable"]
+
+
+def test_log_that_ended_at_the_travel_limit_is_unstable():
+    batch = simulate([18000.0, 25000.0, 4000.0], [60.0, 90.0, 0.0], **FALCON, **FALCON_SENSOR)
+    assert (batch.rows < 400).all()
+    assert judge(batch).verdict.tolist() == ["unstable"] * 3
+
+
+@pytest.mark.parametrize("dev", [FALCON, FIRM, LWR, {**LWR, "delay": 8}])
+def test_growth_of_the_acceleration_at_zero_stiffness(dev):
+    B = -dev["b"] + np.array([-6.0, -2.0, -0.5, -0.05, 0.05, 0.5, 2.0]) * (1 if dev["mass"] > 0.5 else 0.2)
+    B = B[B <= 0]
+    rate = np.array([np.log(spectral_radius(0.0, b, **dev, poles_at_one=1)) for b in B]) * 1e3
+    found = judge(simulate(np.zeros_like(B), B, **dev))
+    assert found.verdict.tolist() == np.where(rate > 0, "unstable", "stable").tolist()
+    # a thousandth of b/m, and of 1 N s/m over m where the device is undamped
+    np.testing.assert_allclose(found.growth_per_s, rate, atol=1e-3 * max(dev["b"], 1.0) / dev["mass"])
+
+
+def test_exactly_at_the_limit_of_zero_stiffness_is_undecided():
+    found = judge(simulate([0.0, 0.0], [0.0, -4.0], **{**FALCON, "b": 0.0}))
+    assert found.verdict.tolist() == ["undecided", "unstable"]
+    assert "at the limit" in found.reason[0]
+    assert judge(simulate([0.0], [-4.0], **FALCON)).verdict.tolist() == ["undecided"]
+
+
+def test_growth_at_zero_stiffness_with_sensor_and_jitter():
+    B = np.array([-12.0, -8.0, -6.0, -2.0, 0.0])
+    found = judge(simulate(np.zeros(5), B, **FALCON, **FALCON_SENSOR, jitter=(3, 4, 5)))
+    rate = np.array([np.log(spectral_radius(0.0, b, **FALCON, poles_at_one=1)) for b in B]) * 1e3
+    # 1 um of noise on 50 mm of cubic motion, and half a sample of delay, leave some percent of b/m = 7 1/s
+    np.testing.assert_allclose(found.growth_per_s, rate, atol=0.5)
+    assert found.verdict.tolist() == ["unstable"] * 3 + ["stable"] * 2
+
+
+def test_nothing_to_judge_is_undecided_with_a_reason():
+    short = simulate([3000.0, 0.0], [50.0, 0.0], **FALCON, rows=28)
+    found = judge(short)
+    assert found.verdict.tolist() == ["undecided"] * 2
+    assert all("motion" in text for text in found.reason)
+    still = simulate([3000.0, 0.0], [50.0, 0.0], **{**FALCON, "step": 1e-30})
+    assert judge(still).verdict.tolist() == ["undecided"] * 2
+
+
+def test_open_loop_log_of_a_foreign_device_without_baseline():
+    t = np.arange(800) * 5e-3
+    swing = 0.3 * (1 - np.exp(-0.4 * t) * np.cos(5 * t))
+    batch = simulate([0.0], [0.0], **FALCON, rows=800)
+    foreign = type(batch)(
+        ("p",),
+        *(np.array([v]) for v in (0.0, 0.0, 0.9, 5e-3)),
+        np.array([800]),
+        t[None],
+        np.full((1, 800), 0.9),
+        swing[None],
+    )
+    found = judge(foreign)
+    assert found.verdict[0] in {"stable", "undecided"}
+
+
+def test_verdict_of_a_trial_does_not_depend_on_its_neighbours():
+    K, B = np.linspace(500, 15000, 40), np.linspace(0, 150, 40)
+    batch = simulate(K, B, **FALCON, **FALCON_SENSOR)
+    together = judge(batch)
+    alone = [judge(batch.select(np.array([i]))) for i in range(0, 40, 7)]
+    assert [a.verdict[0] for a in alone] == together.verdict[::7].tolist()

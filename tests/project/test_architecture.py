@@ -1,0 +1,201 @@
+"""Imports inside the package point one way; function-level imports count like any other."""
+
+import ast
+from collections import Counter
+from pathlib import Path
+
+import pytest
+from places import ROOT
+
+PACKAGE = ROOT / "pipeline"
+LONGEST_MODULE = 400
+
+DIRECTLY: dict[str, tuple[str, ...]] = {
+    "base": (),
+    "records": ("base",),
+    "devices": ("records",),
+    "profiles": ("records",),
+    "readers": ("profiles",),
+    "store": ("records",),
+    "ingest": ("readers", "store", "devices"),
+    "repair": ("ingest",),
+    "loop": ("records",),
+    "measured": ("records", "store"),
+    "theory": ("loop",),
+    "simulation": ("devices", "store", "loop"),
+    "rendering": ("records",),
+    "comparison": ("store", "devices", "profiles", "measured", "theory", "rendering"),
+    # they hold estimators against simulated truth, whose exact costs and limits are those of theory
+    "studies": ("measured", "theory", "simulation", "rendering"),
+}
+"""Folders that the modules of a folder may import from, as in docs/architecture.md; and all that these may."""
+
+DIRECTLY["shell"] = tuple(DIRECTLY)
+
+
+def lower(folder: str) -> set[str]:
+    return {folder}.union(*(lower(other) for other in DIRECTLY[folder]))
+
+
+MAY_IMPORT = {folder: lower(folder) for folder in DIRECTLY}
+
+EXCEPTIONS = {
+    ("simulation.course", "measured.signal.verdict"): "a lab stops raising K when the log looks unstable",
+}
+
+MOST_MODULES = 18
+"""Of one folder, without its ``__init__``."""
+
+
+def imports_of(source: str, modules: set[str], package: str = "") -> set[str]:
+    """Modules of the package that a source text imports; ``package`` is where relative imports start."""
+    found = set()
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            base = node.module or ""
+            if node.level:
+                assert node.level == 1, "relative imports beyond the own folder are not used"
+                base = ".".join(part for part in ("pipeline", package, base) if part)
+            names = [base, *(f"{base}.{alias.name}" for alias in node.names)]
+        elif isinstance(node, ast.Call) and getattr(node.func, "attr", "") == "import_module":
+            names = [str(arg.value) for arg in node.args if isinstance(arg, ast.Constant)]
+        else:
+            continue
+        for name in names:
+            inner = "__init__" if name == "pipeline" else name.removeprefix("pipeline.")
+            if name.split(".")[0] == "pipeline" and inner in modules:
+                found.add(inner)
+    return found
+
+
+def module_files() -> dict[str, Path]:
+    files = {}
+    for path in sorted(PACKAGE.rglob("*.py")):
+        parts = path.relative_to(PACKAGE).with_suffix("").parts
+        name = ".".join(parts)
+        files[name.removesuffix(".__init__") if len(parts) > 1 else name] = path
+    return files
+
+
+FILES = module_files()
+IMPORTS = {
+    name: imports_of(path.read_text(encoding="utf-8"), set(FILES), name.rpartition(".")[0]) - {name}
+    for name, path in FILES.items()
+}
+TOP = {"__init__": "base", "__main__": "shell"}
+"""Modules that stand in no folder, with the one whose rules hold for them."""
+
+FOLDER_OF = {name: TOP.get(name, name.split(".")[0]) for name in FILES}
+
+
+def modules_in(folder: str) -> set[str]:
+    return {name for name, place in FOLDER_OF.items() if place == folder}
+
+
+def reach(start: str) -> set[str]:
+    seen: set[str] = set()
+    waiting = [start]
+    while waiting:
+        for name in IMPORTS.get(waiting.pop(), set()) - seen:
+            seen.add(name)
+            waiting.append(name)
+    return seen
+
+
+def test_every_folder_has_rules() -> None:
+    assert set(FOLDER_OF.values()) == set(MAY_IMPORT), "name the folder in MAY_IMPORT and in docs/architecture.md"
+
+
+def test_architecture_page_names_every_folder() -> None:
+    page = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    inner = {path.parent.name for path in PACKAGE.rglob("*.py")} - {"pipeline"}
+    assert sorted(name for name in inner if f"`{name}`" not in page) == []
+
+
+def test_a_folder_fits_in_a_head() -> None:
+    counts = Counter(path.parent for path in PACKAGE.rglob("*.py") if path.stem != "__init__")
+    assert {str(folder): count for folder, count in counts.items() if count > MOST_MODULES} == {}
+
+
+@pytest.mark.parametrize("name", sorted(FILES))
+def test_imports_point_to_lower_folders(name: str) -> None:
+    allowed = MAY_IMPORT[FOLDER_OF[name]]
+    upward = {other for other in IMPORTS[name] if FOLDER_OF[other] not in allowed and (name, other) not in EXCEPTIONS}
+    assert upward == set(), f"{name} may import from {sorted(allowed)} only"
+
+
+def test_exceptions_are_used() -> None:
+    assert [pair for pair in EXCEPTIONS if pair[1] not in IMPORTS[pair[0]]] == []
+
+
+def test_no_module_reaches_itself() -> None:
+    assert [name for name in FILES if name in reach(name)] == []
+
+
+def test_measured_and_theory_never_meet() -> None:
+    measured, theory = modules_in("measured"), modules_in("theory")
+    assert len(measured) > 5
+    assert len(theory) > 5
+    assert {(m, t) for m in measured for t in reach(m) & theory} == set()
+    assert {(t, m) for t in theory for m in reach(t) & measured} == set()
+
+
+def test_measured_quantities_are_functions_of_arrays() -> None:
+    store = modules_in("store") | modules_in("readers") | modules_in("ingest")
+    experiment = "measured.experiment"
+    quantities = modules_in("measured") - {
+        f"{experiment}.stages",
+        f"{experiment}.stage_columns",
+        f"{experiment}.stage_given",
+    }
+    readers = {name for name in quantities if reach(name) & (store | {"records.table_files"})}
+    assert readers == set(), (
+        "only `stages` reads and writes files, and `stage_columns` and `stage_given` know their columns"
+    )
+    assert not (reach(f"{experiment}.stage_columns") | reach(f"{experiment}.stage_given")) & store
+
+
+def test_nothing_imports_the_command_line() -> None:
+    shell = {
+        name
+        for name in modules_in("shell")
+        if name == "__main__" or name == "shell.cli" or name.startswith("shell.commands.")
+    }
+    assert {name for name in FILES if name not in shell and IMPORTS[name] & shell} == set()
+
+
+def test_no_module_is_long() -> None:
+    lines = {name: len(path.read_text(encoding="utf-8").splitlines()) for name, path in FILES.items()}
+    assert {name: count for name, count in lines.items() if count > LONGEST_MODULE} == {}
+
+
+def test_imports_are_found_wherever_they_stand() -> None:
+    modules = {
+        "__init__",
+        "readers",
+        "readers.formats",
+        "readers.formats.native",
+        "loop",
+        "loop.loop",
+        "loop.plant",
+        "measured.experiment.stages",
+    }
+    source = (
+        "import os, pipeline.measured.experiment.stages\n"
+        "from pipeline import __version__\n"
+        "from pipeline.loop import loop\n"
+        "def f():\n"
+        "    from pipeline.loop.plant import flow\n"
+        "    if True:\n"
+        "        import pipeline.readers.formats.native as n\n"
+        "    importlib.import_module('pipeline.measured.experiment.stages')\n"
+    )
+    assert imports_of(source, modules) == modules - {"readers", "readers.formats"}
+    assert imports_of("from . import native", modules, "readers") == {
+        "readers",
+        "readers.formats",
+        "readers.formats.native",
+    }
+    assert imports_of("from numpy import theory", modules) == set()

@@ -1,0 +1,370 @@
+"""The report in a real browser: it needs no network, works by mouse and keyboard, prints, and is accessible.
+
+Needs Chromium (`apt-get install chromium`) and Playwright (`pip install -e '.[dev]'`); skipped where one is missing.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from report_data import HOSTILE, report_data
+from trial_pages import trial_page
+
+from pipeline.comparison.compare import Outcome
+from pipeline.rendering.report import report
+
+pytestmark = pytest.mark.browser
+playwright = pytest.importorskip("playwright.sync_api", reason="no Playwright: pip install -e '.[dev]'")
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+WIDTHS = (1440, 390)
+SCHEMES = ("light", "dark")
+DRAWN = "document.querySelector('#trial-plot canvas') !== null"
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    if CHROMIUM is None:
+        pytest.skip("no Chromium: apt-get install chromium")
+    with playwright.sync_playwright() as driver:
+        # in a container tests run as root, where Chromium has no sandbox
+        started = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        yield started
+        started.close()
+
+
+@pytest.fixture(scope="module")
+def measured(lwr_outcome: Outcome) -> Path:
+    """Report of a simulated course: two delays, some 200 trials."""
+    assert lwr_outcome.report is not None
+    return lwr_outcome.report
+
+
+@pytest.fixture(scope="module")
+def hostile(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Report in which every name tries to be markup."""
+    path: Path = tmp_path_factory.mktemp("hostile") / "hostile.html"
+    data = report_data(full=False, hostile=True)
+    data = replace(data, trials=trial_page((HOSTILE, '"><img src=x onerror=alert(1)>'), HOSTILE))
+    report.write(data, path)
+    return path
+
+
+class Opened:
+    """A page in the browser, with all that it reported and asked for."""
+
+    def __init__(self, browser: Any, path: Path, *, width: int = 1440, wait: bool = True, **options: Any) -> None:
+        self.context = browser.new_context(viewport={"width": width, "height": 900}, **options)
+        self.page = self.context.new_page()
+        self.complaints: list[str] = []
+        self.requests: list[str] = []
+        self.page.on("console", lambda message: self.complaints.append(f"{message.type}: {message.text}"))
+        self.page.on("pageerror", lambda error: self.complaints.append(f"error: {error}"))
+        self.page.on("dialog", lambda dialog: (self.complaints.append(dialog.message), dialog.dismiss()))
+        self.page.on("request", lambda request: self.requests.append(request.url))
+        self.page.goto(path.as_uri())
+        if wait:
+            until(self.page, DRAWN)
+
+    def __enter__(self) -> Any:
+        return self.page
+
+    def __exit__(self, *_: object) -> None:
+        self.context.close()
+
+
+def until(page: Any, expression: str) -> None:
+    """Wait until an expression is true: Playwright's own waiting evaluates text, which the page's policy forbids."""
+    for _ in range(500):
+        if page.evaluate(expression):
+            return
+        page.wait_for_timeout(20)
+    raise AssertionError(f"not within 10 s: {expression}")
+
+
+def title(page: Any) -> str:
+    return str(page.locator("#trial-title").inner_text())
+
+
+def status(page: Any) -> str:
+    return str(page.locator("#plane-status").inner_text())
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_opens_without_complaint_and_without_any_request(browser: Any, measured: Path, scheme: str) -> None:
+    opened = Opened(browser, measured, color_scheme=scheme)
+    with opened as page:
+        page.mouse.wheel(0, 20_000)
+        page.emulate_media(media="print")
+        assert opened.complaints == []
+        assert opened.requests == [measured.as_uri()]
+
+
+def test_hostile_names_are_shown_and_not_obeyed(browser: Any, hostile: Path) -> None:
+    opened = Opened(browser, hostile)
+    with opened as page:
+        assert HOSTILE in title(page)
+        assert HOSTILE in page.locator("#trial-facts").inner_text()
+        page.locator("#choose-experiment").select_option("1")
+        until(page, "document.getElementById('trial-title').textContent.includes('onerror')")
+        assert page.locator("img").count() == 0
+        assert opened.complaints == []
+        assert opened.requests == [hostile.as_uri()]
+
+
+def test_policy_stops_a_script_that_is_not_the_pages_own(browser: Any, hostile: Path) -> None:
+    with Opened(browser, hostile) as page:
+        page.evaluate(
+            "() => { const s = document.createElement('script');"
+            " s.textContent = 'window.owned = 1'; document.body.append(s);"
+            " const i = document.createElement('div'); i.setAttribute('onclick', 'window.owned = 2');"
+            " document.body.append(i); i.click(); }"
+        )
+        assert page.evaluate("window.owned") is None
+
+
+def test_pointing_tells_of_a_trial_and_clicking_shows_its_response(browser: Any, measured: Path) -> None:
+    with Opened(browser, measured) as page:
+        plane = page.locator("#plane")
+        plane.scroll_into_view_if_needed()
+        spot = page.evaluate("""() => {
+            const plane = explorer.plane, row = [...explorer.shown.byRow.keys()][3];
+            const box = plane.canvas.getBoundingClientRect(), { k, b } = explorer.shown;
+            return { x: plane.x(k[row]), y: plane.y(b[row]), k: k[row], b: b[row] };
+        }""")
+        plane.hover(position={"x": spot["x"], "y": spot["y"]})
+        assert status(page).startswith(f"K = {spot['k']:g} Nm/rad, B = {spot['b']:g} Nms/rad: ")
+        assert "settling time, 1 % band [samples]" in status(page)
+        before = title(page)
+        plane.click(position={"x": spot["x"], "y": spot["y"]})
+        assert title(page) != before
+        assert f"K = {spot['k']:g} Nm/rad" in title(page)
+        assert page.locator("#trial-plot canvas").bounding_box()["height"] > 200
+        facts = page.locator("#trial-facts").inner_text()
+        for name in ("verdict and outcome", "evidence", "fitted model", "m = ", "energy cost, w = 2"):
+            assert name in facts
+        assert re.search(r"#trial-0-\d+$", page.url)
+
+
+def test_choosing_criterion_and_experiment_changes_plane_key_and_response(browser: Any, measured: Path) -> None:
+    picture = "document.getElementById('plane').toDataURL()"
+    with Opened(browser, measured) as page:
+        first = page.evaluate(picture)
+        page.locator("#choose-criterion").select_option("verdict")
+        assert "undecided" in page.locator("#plane-key").inner_text()
+        second = page.evaluate(picture)
+        before = title(page)
+        page.locator("#choose-experiment").select_option("1")
+        until(page, f"document.getElementById('trial-title').textContent !== {before!r}")
+        assert "delay-4" in title(page)
+        assert len({first, second, page.evaluate(picture)}) == 3
+
+
+def test_figures_of_the_scripts_follow_the_colour_scheme(browser: Any, measured: Path) -> None:
+    pictures = "[...document.querySelectorAll('#explorer canvas')].map((canvas) => canvas.toDataURL())"
+    with Opened(browser, measured) as page:
+        assert page.evaluate(f"(window.light = {pictures}).length") == 2
+        page.emulate_media(color_scheme="dark")
+        until(page, f"{pictures}.every((picture, index) => picture !== window.light[index])")
+
+
+def test_keyboard_reaches_every_control_and_moves_in_the_plane(browser: Any, measured: Path) -> None:
+    with Opened(browser, measured) as page:
+        stops = "a[href], button, select, input, summary, [tabindex='0']"
+        wanted = page.evaluate(
+            "(stops) => [...document.querySelectorAll(stops)].filter((e) => e.checkVisibility())"
+            ".map((e, n) => { e.dataset.stop = n; return n; })",
+            stops,
+        )
+        reached = set()
+        for _ in range(len(wanted) + 5):
+            page.keyboard.press("Tab")
+            stop = page.evaluate("document.activeElement.dataset.stop")
+            if stop is not None:
+                reached.add(int(stop))
+        assert sorted(set(wanted) - reached) == []
+        page.locator("#plane").focus()
+        told = [status(page)]
+        for key in ("ArrowRight", "ArrowUp", "ArrowUp", "End", "Home"):
+            page.keyboard.press(key)
+            told.append(status(page))
+        assert len(set(told)) >= 5
+        before = title(page)
+        page.keyboard.press("End")
+        page.keyboard.press("Enter")
+        assert title(page) != before
+        assert status(page).split(":")[0] in title(page)
+
+
+def test_skip_link_comes_first_and_leads_past_the_navigation(browser: Any, measured: Path) -> None:
+    with Opened(browser, measured) as page:
+        page.keyboard.press("Tab")
+        assert page.evaluate("document.activeElement.className") == "skip"
+        assert page.evaluate("document.activeElement.getBoundingClientRect().left") >= 0
+        page.keyboard.press("Enter")
+        page.keyboard.press("Tab")
+        assert page.evaluate("document.activeElement.closest('main') !== null")
+
+
+def test_number_in_a_table_leads_to_its_trial(browser: Any, measured: Path) -> None:
+    with Opened(browser, measured) as page:
+        link = page.locator("[data-row='optima/delay-4/overshoot'] [data-cell='stiffness'] a")
+        page.evaluate("document.querySelectorAll('details').forEach((part) => { part.open = true; })")
+        stiffness = link.inner_text()
+        link.click()
+        until(page, "document.activeElement.id === 'trial-title'")
+        assert title(page).startswith(f"Experiment delay-4: K = {stiffness} Nm/rad")
+        page.go_back()
+        until(page, "!location.hash.includes('trial')")
+
+
+def test_address_of_a_trial_opens_it_and_a_wrong_one_does_no_harm(browser: Any, measured: Path, tmp_path: Path) -> None:
+    with Opened(browser, measured) as page:
+        page.goto(measured.as_uri() + "#trial-1-5")
+        page.reload()
+        until(page, DRAWN)
+        assert "delay-4" in title(page)
+        for wrong in ("#trial-9-0", "#trial-0-99999", "#trial-x"):
+            page.evaluate(f"location.hash = '{wrong}'")
+            page.wait_for_timeout(50)
+        assert "K = " in title(page)
+
+
+def test_trial_without_response_says_how_to_get_it(browser: Any, hostile: Path) -> None:
+    with Opened(browser, hostile) as page:
+        page.evaluate("location.hash = '#trial-0-1'")
+        until(page, "document.getElementById('trial-alternative').textContent.includes('not in this page')")
+        assert "--full" in page.locator("#sec-trials").inner_text()
+        assert page.locator("#trial-plot canvas").count() == 0
+
+
+def test_tables_sort_by_number_with_missing_values_last_and_back(browser: Any, measured: Path) -> None:
+    with Opened(browser, measured) as page:
+        page.evaluate("document.querySelectorAll('details').forEach((part) => { part.open = true; })")
+        cells = "[data-row^='boundary/'] [data-cell='delay-2/unstable']"
+        heads = page.locator(f"table:has({cells}) thead tr:last-child th")
+        texts = page.locator(cells)
+
+        def column() -> list[str]:
+            return [text.strip() for text in texts.all_inner_texts()]
+
+        original = column()
+        button = heads.nth(2).locator("button")
+        button.focus()
+        page.keyboard.press("Enter")
+        assert heads.nth(2).get_attribute("aria-sort") == "ascending"
+        rising = [text for text in column() if not text.startswith("–")]
+        assert [float(text) for text in rising] == sorted(float(text) for text in rising)
+        assert rising == column()[: len(rising)]
+        button.click()
+        assert heads.nth(2).get_attribute("aria-sort") == "descending"
+        assert column()[: len(rising)] == rising[::-1] != rising
+        button.click()
+        assert heads.nth(2).get_attribute("aria-sort") is None
+        assert column() == original
+
+
+def test_long_table_filters_and_says_how_many_rows_are_left(browser: Any, measured: Path) -> None:
+    with Opened(browser, measured) as page:
+        page.evaluate("document.querySelectorAll('details').forEach((part) => { part.open = true; })")
+        table = page.locator("table:has([data-row^='stages/'])")
+        filter_ = page.locator(".scroll:has([data-row^='stages/'])").locator("xpath=preceding-sibling::*[1]")
+        rows = table.locator("tbody tr:not(.blockhead):visible")
+        everything = rows.count()
+        filter_.locator("input").fill("delay-4: overshoot")
+        assert rows.count() == 1
+        assert filter_.locator("[role=status]").inner_text() == f"1 of {everything} rows"
+        filter_.locator("input").fill("")
+        assert rows.count() == everything
+
+
+def test_without_scripts_all_results_are_there(browser: Any, measured: Path) -> None:
+    with Opened(browser, measured, wait=False, java_script_enabled=False) as page:
+        assert page.locator("#explorer").is_hidden()
+        assert page.locator(".unscripted").is_visible()
+        shown = page.locator("figure:not(details:not([open]) figure) svg").all()
+        assert len(shown) > 5
+        for figure in shown:
+            assert figure.bounding_box()["height"] > 50
+        assert page.locator("table:visible").count() > 4
+
+
+@pytest.mark.parametrize("scripts", [True, False], ids=["scripts", "no-scripts"])
+def test_print_shows_every_figure_and_every_table(browser: Any, measured: Path, scripts: bool) -> None:
+    with Opened(browser, measured, wait=scripts, java_script_enabled=scripts) as page:
+        page.emulate_media(media="print")
+        page.set_viewport_size({"width": 680, "height": 960})  # what the margins leave of A4
+        if scripts:
+            page.evaluate("dispatchEvent(new Event('beforeprint'))")
+        # one part wider than the paper, and the browser shrinks the whole report
+        assert page.evaluate("document.documentElement.scrollWidth") <= 680
+        figures, tables = page.locator("figure svg").all(), page.locator("table:not(.u-legend)").all()
+        assert len(figures) > 5
+        assert len(tables) > 5
+        for part in (*figures, *tables):
+            box = part.bounding_box()
+            assert box is not None
+            assert box["height"] > 20
+            assert box["width"] > 20
+        for hidden in ("#sec-trials", "nav", ".skip"):
+            assert page.locator(hidden).first.is_hidden()
+        if scripts:
+            page.evaluate("dispatchEvent(new Event('afterprint'))")
+            assert page.locator("details:not([open])").count() > 0
+        pdf = page.pdf(prefer_css_page_size=True)
+    sizes = set(re.findall(rb"/MediaBox \[0 0 ([\d.]+) ([\d.]+)\]", pdf))
+    assert {(round(float(w)), round(float(h))) for w, h in sizes} == {(595, 842)}  # A4 in points
+    assert len(re.findall(rb"/Type /Page\b", pdf)) > 4
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+@pytest.mark.parametrize("scheme", SCHEMES)
+def test_axe_finds_nothing_serious(browser: Any, measured: Path, width: int, scheme: str) -> None:
+    axe = Path(pytest.importorskip("axe_playwright_python").__file__).with_name("axe.min.js")
+    with Opened(browser, measured, width=width, color_scheme=scheme) as page:
+        page.evaluate("document.querySelectorAll('details').forEach((part) => { part.open = true; })")
+        page.evaluate(axe.read_text(encoding="utf-8"))
+        tags = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "best-practice"]
+        found = page.evaluate("(tags) => axe.run({ runOnly: tags, resultTypes: ['violations'] })", tags)
+        faults = [
+            f"{rule['impact']} {rule['id']}: {node['target']} {node.get('failureSummary', '')}"
+            for rule in found["violations"]
+            for node in rule["nodes"][:3]
+        ]
+        assert faults == []
+        assert len(found["passes"]) > 20
+
+
+@pytest.mark.parametrize("width", [390, 768])
+def test_no_sideways_scrolling_on_narrow_screens(browser: Any, measured: Path, width: int) -> None:
+    with Opened(browser, measured, width=width) as page:
+        page.evaluate("document.querySelectorAll('details').forEach((part) => { part.open = true; })")
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+        assert page.locator("#plane").bounding_box()["width"] <= width
+
+
+def test_no_number_at_the_plane_is_cut(browser: Any, measured: Path) -> None:
+    """The last number of the stiffness axis may stand at the very edge of the canvas."""
+    with Opened(browser, measured, width=390) as page:
+        page.evaluate("""() => {
+          window.cut = [];
+          const real = CanvasRenderingContext2D.prototype.fillText;
+          CanvasRenderingContext2D.prototype.fillText = function (text, x, y) {
+            const half = this.measureText(text).width / 2;
+            if (this.canvas.id === "plane" && this.textAlign === "center" && this.getTransform().b === 0
+                && x + half > this.canvas.clientWidth + 0.5) window.cut.push(text);
+            real.call(this, text, x, y);
+          };
+          const plane = document.getElementById("plane");
+          plane.focus();
+        }""")
+        # the axis ends 4 % beyond the stiffest trial: make that the round number that ends it
+        page.evaluate("explorer.plane.kEnds = [0, 10000 * (1 + 1e-6)]")
+        page.keyboard.press("ArrowRight")
+        page.wait_for_timeout(100)
+        assert page.evaluate("window.cut") == []

@@ -1,0 +1,588 @@
+"""The command line: each option is parsed, calls the right function, and prints and exits as promised."""
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pytest
+import typer
+from native_logs import FAULTS, log_text
+
+from pipeline import __version__
+from pipeline.base.errors import StoreError
+from pipeline.comparison import compare
+from pipeline.shell import cli, console
+from pipeline.shell.cli import app, run
+
+COMMANDS = {
+    "demo": ["--full"],
+    "simulate": [
+        *("--experiment", "--out", "--seed", "--ideal", "--quantum", "--noise", "--jitter", "--duration"),
+        *("--range", "--coarsen", "--overwrite", "--json"),
+    ],
+    "ingest": ["--profile", "--processed", "--jobs", "--rehash", "--dry-run", "--wait", "--json"],
+    "status": ["--processed", "--reports", "--json"],
+    "watch": [
+        *("--processed", "--reports", "--profile", "--scene", "--interval", "--settle", "--once", "--json"),
+    ],
+    "compact": ["--processed", "--dry-run", "--wait", "--json"],
+    "check": ["--repair", "--processed", "--profile", "--wait", "--json"],
+    "compare": ["--device", "--experiment", "--criteria", "--processed", "--report", "--dry-run", "--json"],
+    "theory points": ["--json"],
+    "theory boundary": ["--delay", "--gamma", "--delta", "--json"],
+    "theory optimum": ["--criterion", "--delay", "--gamma", "--delta", "--signal", "--json"],
+    "theory tables": ["--table", "--json"],
+    "theory figures": ["--figure", "--out", "--json"],
+    "accuracy": ["--only", "--quick", "--out", "--processed", "--json"],
+    "theory map": ["--delay", "--gamma", "--delta", "--size", "--criteria", "--out", "--json"],
+}
+
+
+@pytest.fixture
+def call(capsys, monkeypatch, tmp_path):
+    """Run the command line in an empty folder; returns exit status, stdout and stderr."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "200")
+
+    def run_here(*arguments):
+        with pytest.raises(SystemExit) as leaving:
+            run([str(a) for a in arguments])
+        out, err = capsys.readouterr()
+        return leaving.value.code or 0, out, err
+
+    return run_here
+
+
+def document(result, status=0):
+    assert result[0] == status, result
+    return json.loads(result[1])
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_names_purpose_options_and_an_example(call, command):
+    status, out, _ = call(*command.split(), "--help")
+    assert status == 0
+    assert [option for option in COMMANDS[command] if option not in out] == []
+    assert f"Example: pipeline {command}" in out
+
+
+def leaves(command, words=()):
+    """Each command with the words that call it."""
+    if not hasattr(command, "commands"):
+        return [(words, command)]
+    return [leaf for name, below in command.commands.items() for leaf in leaves(below, (*words, name))]
+
+
+@pytest.mark.parametrize(
+    ("words", "command"),
+    leaves(typer.main.get_command(app)),
+    ids=lambda part: " ".join(part) if isinstance(part, tuple) else "",
+)
+def test_help_shows_every_word_of_what_options_say(call, words, command):
+    shown = "".join(re.sub("[│╭╮╰╯─]", " ", call(*words, "--help")[1]).split())
+    for parameter in command.params:
+        if parameter.help and not parameter.hidden:  # square brackets would be taken for a style, and vanish
+            assert "".join(parameter.help.split()) in shown, parameter.name
+
+
+def test_help_and_version_need_none_of_the_heavy_packages():
+    heavy = ["numpy", "scipy", "pyarrow", "matplotlib", "jinja2", "pipeline.loop.loop"]
+    script = (
+        "import sys\nfrom pipeline.shell.cli import run\ntry:\n    run(sys.argv[1:])\nfinally:\n"
+        f"    print([m for m in {heavy} if m in sys.modules], file=sys.stderr)"
+    )
+    for arguments in (["--help"], ["--version"], ["ingest", "--help"]):
+        process = subprocess.run([sys.executable, "-c", script, *arguments], capture_output=True, text=True, check=True)
+        assert process.stderr.strip() == "[]", arguments
+
+
+HEAVY = ["pandas", "scipy", "pydantic", "matplotlib", "jinja2", "rich.progress", "numpy.ma", "pyarrow.dataset"]
+"""What takes longer to load than a short command to run."""
+
+LOADED = {
+    "--help": (),
+    "theory boundary --delay 2": ("numpy",),
+    "theory points cases.csv": ("numpy",),
+    "theory optimum --criterion energy_step_w0 --delay 2": ("numpy",),
+    "theory map --delay 2 --size 5 --out map.parquet": ("numpy", "pyarrow", "pyarrow.parquet"),
+}
+"""What each command may load of these and of numpy and pyarrow."""
+
+
+@pytest.mark.parametrize("command", LOADED)
+def test_commands_load_what_they_need(command, tmp_path):
+    """Pyarrow would load pandas where it is installed, for 0.2 s of each command."""
+    (tmp_path / "cases.csv").write_text("alpha,beta,gamma,delta,delay\n0.02,0.2,0,0,2\n")
+    watched = [*HEAVY, "numpy", "pyarrow", "pyarrow.parquet"]
+    script = (
+        "import sys\nfrom pipeline.shell.cli import run\ntry:\n    run()\nfinally:\n"
+        f"    print(*[m for m in {watched} if sys.modules.get(m)], sep=' ', file=sys.stderr)"
+    )
+    words = [str(tmp_path / word) if "." in word else word for word in command.split()]
+    process = subprocess.run([sys.executable, "-c", script, *words], capture_output=True, text=True, check=True)
+    assert tuple(process.stderr.splitlines()[-1].split()) == LOADED[command]
+
+
+def test_a_command_alone_is_that_of_the_whole_command_line():
+    whole = typer.main.get_command(app)
+    for name in cli.COMMANDS:
+        alone = typer.main.get_command(cli.application(name))
+        assert list(alone.commands) == [name]
+        assert [words for words, _ in leaves(alone.commands[name])] == [w for w, _ in leaves(whole.commands[name])]
+        assert alone.commands[name].help == whole.commands[name].help
+
+
+def test_version(call):
+    assert call("--version") == (0, f"pipeline {__version__}\n", "")
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [["fly"], ["ingest"], ["ingest", "raw", "--fast"], ["compare"], ["simulate", "falcon", "--seed", "x"], ["theory"]],
+)
+def test_usage_errors_leave_with_2(call, arguments):
+    status, _, err = call(*arguments)
+    assert status == 2
+    assert "Usage" in err or arguments == ["theory"]
+
+
+# simulate
+
+
+def test_simulate_writes_logs_and_counts_them(call, tmp_path):
+    arguments = ("simulate", "lwr", "--experiment", "delay-8", "--coarsen", "4", "--seed", "3", "--json")
+    status, out, err = call(*arguments)
+    found = json.loads(out)
+    folder = tmp_path / "raw" / "lwr" / "delay-8"
+    assert (status, err) == (0, "")
+    assert found == {"device": "lwr", "folder": "raw", "seed": 3, "logs": {"delay-8": len(list(folder.glob("*.csv")))}}
+    assert found["logs"]["delay-8"] > 20
+    assert json.loads((folder / "truth.json").read_text())["seed"] == 3
+    status, out, err = call(*arguments)
+    assert (status, out) == (2, "")
+    assert "--overwrite" in err
+    assert document(call(*arguments, "--overwrite")) == found
+
+
+def test_simulate_options_reach_the_simulation(call, tmp_path):
+    options = ("--ideal", "--quantum", "1e-5", "--noise", "2e-6", "--duration", "0.1", "--coarsen", "8")
+    out = tmp_path / "logs"
+    document(call("simulate", "falcon", "-e", "4", "-e", "6", "--jitter", "3,5", *options, "--out", out, "--json"))
+    assert sorted(p.name for p in (out / "falcon").iterdir()) == ["4", "6"]
+    truth = json.loads((out / "falcon" / "6" / "truth.json").read_text())
+    assert (truth["quantum"], truth["noise"], truth["jitter_samples"]) == (1e-5, 2e-6, [3, 5])
+    assert max(log["rows"] for log in truth["logs"].values()) == 100
+    arguments = ("--experiment", "6", "--jitter", "none", "--duration", "0.1", "--coarsen", "8", "--json")
+    document(call("simulate", "falcon", *arguments, "--out", tmp_path / "none"))
+    assert json.loads((tmp_path / "none/falcon/6/truth.json").read_text())["jitter_samples"] == []
+
+
+def test_simulate_takes_a_device_file_and_a_damping_range(call, tmp_path):
+    shipped = Path(compare.__file__).parents[2] / "schemas" / "devices" / "lwr.toml"
+    text = shipped.read_text(encoding="utf-8").replace('name = "lwr"', 'name = "mine"', 1)
+    (tmp_path / "mine.toml").write_text(text, encoding="utf-8")
+    arguments = ("mine.toml", "-e", "delay-6", "--coarsen", "8", "--duration", "0.1", "--json")
+    tested = document(call("simulate", *arguments))
+    full = document(call("simulate", *arguments, "--range", "full", "--out", "full"))
+    assert tested["device"] == "mine"
+    # 0.19 * 0.22535/1e-3 = 42.8 Nms/rad (Table B.1) lies above the tested 40
+    assert full["logs"]["delay-6"] > tested["logs"]["delay-6"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "message"),
+    [
+        (["hammer"], 1, "device 'hammer' is not known; known are falcon, lwr"),
+        (["none.toml"], 1, "none.toml: device file cannot be read"),
+        (["falcon", "-e", "9"], 1, "no experiment '9'"),
+        (["falcon", "--jitter", "3;4"], 2, "--jitter '3;4': expected whole numbers"),
+        (["falcon", "--coarsen", "0"], 1, "coarsen = 0"),
+        (["lwr", "-e", "delay-8", "--quantum", "-1"], 1, "quantum"),
+        (["lwr", "-e", "delay-8", "--noise", "nan"], 1, "noise"),
+        (["lwr", "-e", "delay-8", "--duration", "0"], 1, "duration = 0.0 s"),
+        (["lwr", "-e", "delay-8", "--duration", "nan"], 1, "duration = nan s"),
+    ],
+)
+def test_wrong_simulations_are_refused(call, arguments, status, message, tmp_path):
+    found, out, err = call("simulate", *arguments)
+    assert (found, out) == (status, "")
+    assert err.startswith("Error: ")
+    assert re.search(message, err)
+    assert not (tmp_path / "raw").exists()
+
+
+# ingest
+
+
+@pytest.fixture
+def logs(tmp_path):
+    (tmp_path / "logs").mkdir()
+    for stiffness in (300, 600):
+        (tmp_path / "logs" / f"{stiffness}.csv").write_text(log_text(float(stiffness)))
+    return tmp_path / "logs"
+
+
+def test_ingest_counts_and_stays_quiet(call, logs, tmp_path):
+    counts = {"found": 2, "ingested": 2, "skipped": 0}
+    counts |= {key: [] for key in ("quarantined", "warnings", "removed", "changed", "waiting", "damaged")}
+    plan = [{"path": f"logs/{k}.csv", "action": "ingest", "reason": "new"} for k in (300, 600)]
+    assert document(call("ingest", "logs", "--dry-run", "--json")) == counts | {"plan": plan}
+    assert not (tmp_path / "processed").exists()
+    status, out, err = call("ingest", "logs", "--json", "--jobs", "1")
+    assert (status, json.loads(out), err) == (0, counts, "")
+    again = {**counts, "ingested": 0, "skipped": 2}
+    assert document(call("ingest", "logs", "--json")) == again
+    assert document(call("ingest", "logs", "--rehash", "--json")) == again
+    assert document(call("ingest", "logs", "--processed", "other", "--profile", "native", "--json")) == counts
+
+
+def test_a_plan_names_action_and_reason(call, logs):
+    assert call("ingest", "logs", "--json")[0] == 0
+    (logs / "300.csv").write_text(log_text(301.0))
+    (logs / "copy.csv").write_text((logs / "600.csv").read_text())
+    (logs / "bad.csv").write_text(FAULTS["text cell"][0])
+    status, out, _ = call("ingest", "logs", "--dry-run")
+    assert status == 3
+    assert out.splitlines()[2:] == [
+        "ingest (content changed): logs/300.csv",
+        "skip (unchanged: size and modification time): logs/600.csv",
+        f"skip (same content as {logs / '600.csv'}): logs/copy.csv",
+        *(line for line in out.splitlines() if line.startswith("logs/bad.csv, row 17: command must be")),
+        "changed: logs/300.csv: its trials were replaced by those of the new content",
+    ]
+    actions = {e["path"]: e["action"] for e in document(call("ingest", "logs", "--dry-run", "--json"), 3)["plan"]}
+    assert actions["logs/bad.csv"] == "refuse"
+
+
+def test_long_lists_are_cut_in_text_alone(call, logs, tmp_path):
+    for k in range(30):
+        (logs / f"{k}.csv").write_text(log_text(float(k)))
+    lines = call("ingest", "logs", "--dry-run")[1].splitlines()
+    assert lines[2] == "ingest (new): 32"
+    assert len(lines) == 2 + 1 + 10 + 1
+    assert lines[-1] == "  and 22 more"
+    assert len(document(call("ingest", "logs", "--dry-run", "--json"))["plan"]) == 32
+
+
+def test_a_second_writer_is_refused_and_readers_are_not(call, logs, tmp_path):
+    from pipeline.base.lock import writing
+
+    assert call("ingest", "logs")[0] == 0
+    (logs / "new.csv").write_text(log_text(1.0))
+    with writing(tmp_path / "processed", 0):
+        for command in (["ingest", "logs"], ["compact"]):
+            status, out, err = call(*command, "--wait", "0")
+            assert (status, out) == (1, "")
+            assert "writes there; waited 0 s" in err
+        found = document(call("status", "--json"))
+        assert found["lock"]["pid"] > 0
+        assert call("status")[1].splitlines()[-1].startswith(f"process {found['lock']['pid']} on ")
+        assert call("compact", "--dry-run")[0] == 0
+        assert call("ingest", "logs", "--dry-run")[0] == 0
+    assert document(call("ingest", "logs", "--wait", "0", "--json"))["ingested"] == 1
+
+
+def test_check_names_what_is_damaged_and_repairs_it(call, logs):
+    call("ingest", str(logs))
+    status, out, _ = call("check")
+    assert (status, out.splitlines()[0].split(": ")[1]) == (0, "none damaged")
+    (file,) = Path("processed").glob("samples/**/*.parquet")
+    data = bytearray(file.read_bytes())
+    data[40] ^= 1
+    file.write_bytes(data)
+    status, out, _ = call("check", "--json")
+    (damage,) = json.loads(out)["damage"]
+    assert (status, damage["file"], damage["remedy"]) == (1, file.relative_to("processed").as_posix(), "restore")
+    assert call("check", "--repair")[0] == 0
+    assert call("check")[0] == 0
+
+
+def test_status_and_compact_show_and_merge_what_is_stored(call, logs):
+    for number in range(3):
+        (logs / f"new{number}.csv").write_text(log_text(float(number)))
+        assert call("ingest", "logs")[0] == 0
+    (logs / "300.csv").unlink()
+    status, out, _ = call("status")
+    assert status == 0
+    first, columns, row, gone = out.splitlines()
+    assert first.startswith("processed: 5 trials, 150 samples, 6 tables, ")
+    assert columns.split() == ["device", "experiment", "trials", "rows", "batches", "row_groups", "size", "stale"]
+    assert row.split()[:6] == ["bench", "1", "5", "150", "3", "3"]
+    assert gone == f"gone: {logs / '300.csv'}"
+    (merged,) = document(call("compact", "--dry-run", "--json"))["merged"]
+    assert (merged["batches"], merged["trials"], merged["bytes_after"]) == (3, 5, None)
+    lines = call("compact")[1].splitlines()
+    assert lines[1].split()[:4] == ["bench", "1", "3", "5"]
+    assert call("compact")[1] == "nothing to merge\n"
+    assert document(call("status", "--json"))["experiments"][0]["batches"] == 1
+    for command in ("status", "compact"):
+        assert call(command, "--processed", "nowhere")[0] == 2
+
+
+def test_quarantine_is_told_and_leaves_with_3(call, logs):
+    text, row, _ = FAULTS["text cell"]
+    (logs / "bad.csv").write_text(text)
+    found = document(call("ingest", "logs", "--json"), status=3)
+    assert (found["found"], found["ingested"]) == (3, 2)
+    (refusal,) = found["quarantined"]
+    assert (refusal["path"], refusal["row"]) == ("logs/bad.csv", row)
+    status, out, _ = call("ingest", "logs")
+    assert status == 3
+    header, counts, reason = out.splitlines()
+    assert header.split() == ["found", "ingested", "skipped", "quarantined"]
+    assert counts.split() == ["3", "0", "2", "1"]
+    assert reason == f"logs/bad.csv, row {row}: {refusal['reason']}"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "message"),
+    [(["nowhere"], 2, "nowhere: no such file"), (["logs", "--jobs", "0"], 2, "jobs must be at least 1")],
+)
+def test_wrong_ingests_are_refused(call, logs, arguments, status, message):
+    found, out, err = call("ingest", *arguments)
+    assert (found, out) == (status, "")
+    assert message in err
+
+
+# compare
+
+
+@pytest.fixture(scope="module")
+def course(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("course")
+    for arguments in (
+        ["simulate", "lwr", "-e", "delay-8", "--coarsen", "3", "--out", str(folder / "raw")],
+        ["ingest", str(folder / "raw"), "--processed", str(folder / "processed")],
+    ):
+        with pytest.raises(SystemExit) as leaving:
+            run(arguments)
+        assert not leaving.value.code
+    return folder / "processed"
+
+
+def test_compare_says_what_it_would_do_and_why(call, course, tmp_path):
+    arguments = ("compare", "--device", "lwr", "--processed", course, "--dry-run")
+    plan = document(call(*arguments, "--json"))
+    assert {frozenset(stage) for stage in plan} == {frozenset(("stage", "action", "reason"))}
+    assert {stage["action"] for stage in plan} <= {"run", "reuse", "leave out"}
+    status, out, _ = call(*arguments)
+    assert status == 0
+    assert len(out.splitlines()) == len(plan) + 1
+    assert not (tmp_path / "reports").exists()
+
+
+def test_compare_prints_one_document_and_writes_the_report(call, course, tmp_path):
+    options = ("--experiment", "delay-8", "--criteria", "overshoot,settle_5pct", "--processed", course)
+    status, out, err = call("compare", "--device", "lwr", *options, "--json")
+    found = json.loads(out)
+    assert (status, err) == (0, "")
+    assert found["criteria"] == ["overshoot", "settle_5pct"]
+    assert [e["experiment"] for e in found["experiments"]] == ["delay-8"]
+    assert (tmp_path / "reports" / "lwr.html").is_file()
+    assert 'href="./lwr.html"' in (tmp_path / "reports" / "index.html").read_text()
+    status, out, err = call("compare", "--device", "lwr", *options, "--report", "here.html")
+    assert status == 0
+    assert out.splitlines()[-1] == "report: here.html"
+    assert (tmp_path / "here.html").is_file()
+    assert not (tmp_path / "index.html").exists()  # that folder may be anybody's
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "message"),
+    [
+        (["--device", "falcon"], 1, "falcon"),
+        (["--device", "lwr", "--experiment", "delay-2"], 1, "delay-2"),
+        (["--device", "lwr", "--criteria", "overshoot,speed"], 2, "speed"),
+        (["--device", "lwr", "--criteria", ""], 2, "criterion ''"),
+        (["--device", "lwr", "--report", ""], 2, "is a folder; expected a file"),
+        (["--device", "lwr", "--report", "stored"], 2, "is a folder; expected a file"),
+        (["--device", "lwr", "--report", "a.json"], 2, "Give a.html."),
+        (["--device", "lwr", "--report", "stored/file/new/a.html"], 1, "since stored/file takes no files (Not a dir"),
+    ],
+)
+def test_wrong_comparisons_are_refused(call, course, arguments, status, message, tmp_path):
+    (tmp_path / "stored").mkdir()
+    (tmp_path / "stored" / "file").touch()
+    found, out, err = call("compare", *arguments, "--processed", course)
+    assert (found, out) == (status, "")
+    assert message in err
+    assert sorted(path.name for path in tmp_path.rglob("*")) == ["file", "stored"]
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        *(["theory", "figures", "--figure", "3.6", "--out"], ["theory", "map", "--delay", "1", "--out"]),
+        *(
+            ["accuracy", "--quick", "--out"],
+            ["profile", "draft", "s.csv", "--out"],
+            ["scene", "draft", "--device", "lwr", "--out"],
+        ),
+    ],
+)
+def test_a_file_that_cannot_be_written_is_told_before_the_work(call, words, tmp_path):
+    (tmp_path / "file").touch()
+    refused = ((".", 2, "--out .: is a folder"), ("file/a.html", 1, "since file takes no files (Not a directory)"))
+    for place, expected, message in refused:
+        status, out, err = call(*words, place)
+        assert (status, out) == (expected, "")
+        assert message in err
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+def test_reports_that_cannot_be_written_stop_demo_and_comparison_at_once(call, course, tmp_path):
+    (tmp_path / "reports").touch()
+    for words in (["demo"], ["compare", "--device", "lwr", "--processed", course]):
+        status, out, err = call(*words)
+        assert (status, out) == (1, "")
+        assert "since reports takes no files (Not a directory)" in err
+    assert [path.name for path in tmp_path.iterdir()] == ["reports"]
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        *(["--against", "delay-4", "--dry-run"], ["--against", "delay-4", "--full"]),
+        *(["--against", "delay-4", "--tables-format", "csv"], ["--against-device", "lwr", "--dry-run"]),
+        *(["--against-report", "a.json", "--tables-format", "csv"], ["--against", "x", "--against-report", "a.json"]),
+    ],
+)
+def test_options_without_effect_on_the_page_of_two_are_refused(call, course, words, tmp_path):
+    status, out, err = call("compare", "--device", "lwr", "-e", "delay-8", *words, "--processed", course)
+    assert (status, out, list(tmp_path.iterdir())) == (2, "", [])
+    assert "do not go together" in err
+
+
+def test_the_page_on_accuracy_is_not_replaced_by_its_document(call, tmp_path):
+    status, _, err = call("accuracy", "--quick", "--out", "a.json")
+    assert (status, list(tmp_path.iterdir())) == (2, [])
+    assert "Give a.html." in err
+
+
+# theory
+
+
+def test_theory_points(call, tmp_path):
+    (tmp_path / "c.csv").write_text("alpha,beta,gamma,delta,delay\n0.3220,0.9800,0,0,0\n9,9,0,0,0\n")
+    stable, unstable = document(call("theory", "points", "c.csv", "--json"))
+    assert stable["energy_step_w0"] == pytest.approx(2.583, abs=5e-4)  # Table C.1
+    assert (unstable["stable"], unstable["energy_step_w0"]) == (False, None)
+    status, out, _ = call("theory", "points", "c.csv")
+    assert status == 0
+    assert [line.split()[5] for line in out.splitlines()] == ["stable", "yes", "no"]
+    (tmp_path / "c.csv").write_text("alpha,beta,gamma,delta\n")
+    assert call("theory", "points", "c.csv")[0] == 1
+
+
+def test_theory_boundary(call):
+    found = document(call("theory", "boundary", "--delay", "1", "--delta", "0.02", "--json"))
+    assert found["alpha_max"] == pytest.approx(0.15480, abs=5e-6)  # Table B.3
+    damped = document(call("theory", "boundary", "--delay", "1", "--delta", "0.02", "--gamma", "0.001", "--json"))
+    assert damped["alpha_max"] == pytest.approx(0.15433, abs=5e-6)  # Table B.4
+    status, out, _ = call("theory", "boundary", "--delay", "1", "--delta", "0.02")
+    assert status == 0
+    assert "largest alpha 0.1548" in out
+
+
+def test_theory_optimum(call):
+    arguments = ("theory", "optimum", "--criterion", "energy_step_w0", "--delay", "2")
+    assert document(call(*arguments, "--json"))["cost"] == pytest.approx(8.21, abs=5e-3)  # Table D.5
+    discrete = document(call(*arguments, "--signal", "discrete", "--json"))
+    assert (discrete["criterion"], discrete["cost"]) == ("energy_step_w0_discrete", pytest.approx(8.690, abs=5e-4))
+    status, out, _ = call(*arguments)
+    assert status == 0
+    assert out.startswith("energy_step_w0: alpha 0.0305")  # 5796 Nm/rad on 0.19 kg m^2
+
+
+def test_theory_map(call, tmp_path):
+    arguments = (
+        "theory",
+        "map",
+        "--delay",
+        "1",
+        "--size",
+        "9",
+        "--criteria",
+        "overshoot, settle_1pct",
+        "--out",
+        "m.pq",
+    )
+    found = document(call(*arguments, "--json"))
+    table = pq.read_table(tmp_path / "m.pq")
+    assert table.column_names == ["alpha", "beta", "stable", "overshoot", "settle_1pct"]
+    assert found == {"file": "m.pq", "rows": 81, "stable": sum(table.column("stable").to_pylist())}
+    assert call(*arguments)[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["boundary", "--delay", "-1"], "delay = -1"),
+        (["boundary", "--delay", "nan"], "delay = nan"),
+        (["boundary", "--delay", "1", "--gamma", "-0.1"], "gamma = -0.1"),
+        (["optimum", "--delay", "1", "--criterion", "speed"], "supported are alpha_max"),
+        (["map", "--delay", "1", "--criteria", "speed", "--out", "m.pq"], "expected some of settle_1pct"),
+        (["map", "--delay", "-1", "--out", "m.pq"], "delay = -1"),
+        (["points", "none.csv"], "cannot be read"),
+    ],
+)
+def test_wrong_theory_is_refused(call, arguments, message, tmp_path):
+    status, out, err = call("theory", *arguments, "--json") if "map" not in arguments else call("theory", *arguments)
+    assert (status, out) == (1, "")
+    assert err.startswith("Error: ")
+    assert message in err
+    assert list(tmp_path.iterdir()) == []
+
+
+# the frame
+
+
+def test_named_errors_are_messages_and_others_pass(monkeypatch, call, course):
+    def damaged(*_, **__):
+        raise StoreError("a.parquet: is damaged.")
+
+    monkeypatch.setattr(compare, "compare", damaged)
+    assert call("compare", "--device", "lwr") == (1, "", "Error: a.parquet: is damaged.\n")
+
+    def broken(*_, **__):
+        raise ZeroDivisionError("a defect")
+
+    monkeypatch.setattr(compare, "compare", broken)
+    with pytest.raises(ZeroDivisionError, match="a defect"):
+        run(["compare", "--device", "lwr"])
+
+
+def test_progress_is_lines_where_stderr_is_no_terminal(monkeypatch, capsys):
+    clock = iter([0.0, 1.0, 2.5, 3.0, 5.0])
+    monkeypatch.setattr(console.time, "monotonic", lambda: next(clock))
+    with console.progress("ingest", "logs", silent=False) as advance:
+        for done in (1, 2, 3):
+            advance(done, 4)
+        advance(4, None)
+    assert capsys.readouterr() == ("", "ingest: 2 of 4 logs, 0.8/s, 2.5 s left\ningest: 4 logs, 0.8/s\n")
+
+
+def test_progress_is_a_bar_on_a_terminal_and_nothing_with_json(monkeypatch, capsys):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    monkeypatch.setenv("TERM", "xterm")
+    with console.progress("ingest", "logs", silent=True) as advance:
+        advance(1, 2)
+    assert capsys.readouterr() == ("", "")
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    with console.progress("ingest", "logs", silent=False) as advance:
+        advance(1, 2)
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert "1/2 logs" in err
+
+
+def test_table_aligns_and_shows_what_is_missing():
+    rows = [{"name": "a", "cost": None, "good": True}, {"name": "long", "cost": 1 / 3, "good": False}]
+    assert console.table(rows, ("name", "cost", "good")) == [
+        "name  cost      good",
+        "a     –         yes",
+        "long  0.333333  no",
+    ]

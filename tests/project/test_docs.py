@@ -1,0 +1,218 @@
+"""What the documentation says exists: commands, options, links, symbols; examples in docstrings run."""
+
+import ast
+import doctest
+import importlib
+import re
+import shlex
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+import pytest
+import typer
+from places import ROOT
+
+PAGES = [ROOT / name for name in ("README.md", "CHANGELOG.md", "CONTRIBUTING.md")]
+PAGES += sorted((ROOT / "docs").glob("*.md"))
+MODULES = sorted(".".join(path.relative_to(ROOT).with_suffix("").parts) for path in (ROOT / "pipeline").rglob("*.py"))
+LARGEST_IMAGE = 150_000
+PRIVATE = re.compile(r"(?<![\w.])/(?:work|tmp|home|root|mnt|opt)/")
+
+
+def read(path: Path) -> str:
+    return path.read_text(encoding="utf-8")
+
+
+def commands(text: str) -> list[str]:
+    """Commands in code blocks and in back quotes."""
+    spans = re.findall(r"`(pipeline(?: [^`]+)?)`", " ".join(text.split("\n")))
+    lines = re.findall(r"^ {4}(pipeline .*)$", text, flags=re.MULTILINE)
+    return [span for span in (*spans, *lines) if " " in span]
+
+
+def fault(command: str) -> str | None:
+    """What is wrong with a command line, or None."""
+    from pipeline.shell.cli import app
+
+    words = shlex.split(command.split("#")[0])[1:]
+    here: Any = typer.main.get_command(app)
+    while words and hasattr(here, "commands") and not words[0].startswith("-"):
+        if words[0] not in here.commands:
+            return f"no command {words[0]!r} in {sorted(here.commands)}"
+        here = here.commands[words.pop(0)]
+    options = {name: p for p in here.params if p.param_type_name == "option" for name in p.opts}
+    arguments = sum(p.param_type_name == "argument" for p in here.params)
+    given: set[str] = set()
+    position = 0
+    while words:
+        word = words.pop(0)
+        if not word.startswith("--"):
+            position += 1
+        elif word == "--help":
+            return None
+        elif word not in options:
+            return f"no option {word}; there are {sorted(options)}"
+        else:
+            given |= set(options[word].opts)
+            if not options[word].is_flag:
+                if not words:
+                    return f"{word} needs a value"
+                words.pop(0)
+    if position > arguments and not any(p.nargs == -1 for p in here.params):
+        return f"{position} arguments, {arguments} expected"
+    needed = {p.opts[-1] for p in here.params if p.required and p.param_type_name == "option"}
+    # a command that is only named, as in a list of changes, says nothing of its options
+    if (given or position) and needed - given:
+        return f"{sorted(needed - given)} missing"
+    return None
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda path: path.name)
+def test_commands_exist_with_their_options(page: Path) -> None:
+    assert {command: fault(command) for command in commands(read(page)) if fault(command)} == {}
+
+
+def test_command_check_finds_faults() -> None:
+    assert fault("pipeline compare --device falcon --json") is None
+    assert fault("pipeline frobnicate logs") is not None
+    assert fault("pipeline theory frobnicate") is not None
+    assert fault("pipeline compare --devise falcon") is not None
+    assert fault("pipeline scene draft --overwrite") is not None
+    assert fault("pipeline demo here") is not None
+    assert commands("a `pipeline` b `pipeline demo` c\n\n    pipeline ingest logs/\n") == [
+        "pipeline demo",
+        "pipeline ingest logs/",
+    ]
+
+
+def test_readme_shows_the_commands_that_a_user_needs() -> None:
+    shown = " ".join(commands(read(ROOT / "README.md")))
+    for name in ("ingest", "compare", "simulate", "theory"):
+        assert f"pipeline {name}" in shown
+
+
+def test_log_of_the_readme_is_accepted(tmp_path: Path) -> None:
+    from pipeline.ingest.ingest import ingest
+    from pipeline.store.storage import read_trials
+
+    block = re.search(r"^ {4}# device: .*\n(?: {4}.*\n)+", read(ROOT / "README.md"), flags=re.MULTILINE)
+    assert block
+    (tmp_path / "logs").mkdir()
+    (tmp_path / "logs" / "a.csv").write_text(re.sub(r"^ {4}", "", block[0], flags=re.MULTILINE), encoding="utf-8")
+    report = ingest([tmp_path / "logs"], tmp_path / "processed")
+    assert (report.found, report.ingested) == (1, 1)
+    trial = read_trials(tmp_path / "processed").to_pylist()[0]
+    assert (trial["device"], trial["stiffness"], trial["damping"], trial["step"]) == ("falcon", 3200, 18, 8)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda path: path.name)
+def test_make_targets_exist(page: Path) -> None:
+    targets = set(re.findall(r"^([a-z-]+):", read(ROOT / "Makefile"), flags=re.MULTILINE))
+    named = re.findall(r"(?:^ {4}|`)make ([a-z-]+)", read(page), flags=re.MULTILINE)
+    assert set(named) <= targets
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda path: path.name)
+def test_links_lead_to_files(page: Path) -> None:
+    links = re.findall(r"\]\(([^)]+)\)", read(page))
+    local = [link.split("#")[0] for link in links if "://" not in link]
+    assert [link for link in local if not (page.parent / link).exists()] == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda path: path.name)
+def test_modules_and_folders_that_are_named_exist(page: Path) -> None:
+    paths = re.findall(r"`((?:pipeline|schemas|docs|tests)/[\w/.*]*)`", read(page))
+    assert [path for path in paths if not any(ROOT.glob(path.rstrip("/")))] == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda path: path.name)
+def test_no_path_of_a_machine(page: Path) -> None:
+    assert PRIVATE.findall(read(page)) == []
+
+
+def test_image_is_small_and_needs_no_network() -> None:
+    images = [ROOT / name for name in re.findall(r"!\[[^\]]*\]\(([^)]+)\)", read(ROOT / "README.md"))]
+    assert images
+    for image in images:
+        assert image.stat().st_size <= LARGEST_IMAGE
+        assert not re.search(r'(?:href|src)="(?!#)|url\((?!#)|@import', read(image))
+
+
+def test_readme_names_the_trials_that_the_figure_shows() -> None:
+    shown = re.search(r"[\d,]+ trials", read(ROOT / "docs" / "img" / "cost-map.svg"))
+    assert shown
+    assert f"{shown[0].split()[0]} simulated logs" in " ".join(read(ROOT / "README.md").split())
+
+
+def names_of_the_code() -> set[str]:
+    """Arguments, attributes, keys and column names that occur in the package, and fields of device files."""
+    names: set[str] = set()
+    for path in (ROOT / "pipeline").rglob("*.py"):
+        for node in ast.walk(ast.parse(read(path))):
+            if isinstance(node, ast.arg):
+                names.add(node.arg)
+            elif isinstance(node, ast.Attribute):
+                names.add(node.attr)
+            elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+                names.add(node.value)
+    return names
+
+
+def test_nomenclature_is_that_of_the_code() -> None:
+    from pipeline.records.tables import COLUMNS
+
+    rows = [line.split("|") for line in read(ROOT / "docs" / "nomenclature.md").splitlines() if "|" in line]
+    listed = {name for row in rows for name in re.findall(r"`([^`]+)`", row[2])}
+    assert len(listed) > 40
+    known = names_of_the_code()
+    bases = {name.removesuffix("_discrete") for name in listed}
+    energy = {f"energy_{signal}_w{w}" for signal in ("step", "impulse") for w in (0, 1, 2)}
+    assert bases - known - energy - set(COLUMNS) == set()
+
+
+def test_stored_columns_are_in_the_nomenclature() -> None:
+    from pipeline.records.tables import COLUMNS, TABLES
+
+    page = read(ROOT / "docs" / "nomenclature.md")
+    results = {name for table, names in TABLES.items() if table not in ("samples", "trials") for name in names}
+    assert [name for name in sorted(results - {"trial_id"}) if f"`{name}`" not in page] == []
+    assert set(COLUMNS) >= results
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_examples_in_docstrings_run(name: str) -> None:
+    source = read(ROOT / Path(*name.split(".")).with_suffix(".py"))
+    if ">>>" not in source:
+        return
+    assert doctest.testmod(importlib.import_module(name.removesuffix(".__init__"))).failed == 0
+
+
+def test_citation_names_software_version_and_thesis() -> None:
+    from pipeline import __version__
+
+    text = read(ROOT / "CITATION.cff")
+    assert re.search(rf"^version: {re.escape(__version__)}$", text, flags=re.MULTILINE)
+    assert "family-names: Hulin" in text
+    assert f"## {__version__}" in read(ROOT / "CHANGELOG.md")
+
+
+def test_every_dependency_is_explained() -> None:
+    import tomllib
+
+    project = tomllib.loads(read(ROOT / "pyproject.toml"))
+    needed = [*project["project"]["dependencies"], *chain(*project["project"]["optional-dependencies"].values())]
+    needed += project["build-system"]["requires"]
+    page = read(ROOT / "docs" / "dependencies.md")
+    packages = {re.split(r"[<>=!~\[]", entry)[0] for entry in needed} - {project["project"]["name"]}
+    assert [name for name in packages if f"| {name} |" not in page] == []
+
+
+def test_tests_named_in_the_verification_exist() -> None:
+    named = re.findall(r"`(test_\w+\.py)::(test_\w+)`( \(slow\))?", read(ROOT / "docs" / "verification.md"))
+    assert len(named) > 40
+    for file, name, slow in named:
+        text = read(ROOT / "tests" / file)
+        assert re.search(rf"^def {name}\(", text, flags=re.MULTILINE), f"{file}: no {name}"
+        marked = re.search(rf"^@pytest\.mark\.slow\n(?:@.*\n)*def {name}\(", text, flags=re.MULTILINE)
+        assert bool(marked) == bool(slow), f"{file}::{name}: marked slow in one of test and page only"

@@ -1,0 +1,54 @@
+"""Whoever stops an ingest is told what is stored, and that the rest is found again."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+from native_logs import FAULTS, log_text
+from stored import stored_rows
+
+from pipeline.ingest import ingest as ingest_module
+from pipeline.ingest.ingest import ingest
+
+COMMAND = [sys.executable, "-c", "from pipeline.shell.cli import run; run()", "ingest", "logs", "--jobs", "1"]
+
+
+def test_an_interrupted_ingest_says_what_is_stored(tmp_path, monkeypatch):
+    (tmp_path / "logs").mkdir()
+    for number in range(6):
+        (tmp_path / "logs" / f"{number}.csv").write_text(log_text(float(number + 1)))
+    (tmp_path / "logs" / "0bad.csv").write_text(FAULTS["text cell"][0])
+    monkeypatch.setattr(ingest_module, "PENDING_BYTES", 3 * 30 * 24)  # three logs
+
+    def stop(done, found):
+        if done == 6:
+            raise KeyboardInterrupt
+
+    try:
+        ingest([tmp_path / "logs"], tmp_path / "processed", jobs=1, progress=stop)
+    except KeyboardInterrupt as error:
+        (note,) = error.__notes__
+    stored = stored_rows(tmp_path / "processed").total()
+    assert 0 < stored < 6
+    assert note.startswith(f"{stored} new logs are stored in {tmp_path / 'processed'} and 0 more are in quar")
+    assert note.endswith("The same command finds the rest again.")
+    again = ingest([tmp_path / "logs"], tmp_path / "processed", jobs=1)
+    assert (again.ingested, again.skipped, len(again.quarantined)) == (6 - stored, stored, 1)
+
+
+def test_ctrl_c_is_answered_on_stderr(tmp_path):
+    (tmp_path / "logs").mkdir()
+    for number in range(400):
+        (tmp_path / "logs" / f"{number}.csv").write_text(log_text(float(number + 1), rows=900))
+    process = subprocess.Popen(COMMAND, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 60
+    while not (tmp_path / "processed" / ".lock").exists() and time.monotonic() < deadline:
+        time.sleep(0.01)
+    os.kill(process.pid, signal.SIGINT)
+    _, told = process.communicate(timeout=60)
+    assert process.returncode != 0
+    assert "Traceback" not in told
+    assert "new logs are stored in processed" in told
+    assert "The same command finds the rest again." in told

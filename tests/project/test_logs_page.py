@@ -1,0 +1,137 @@
+"""docs/logs.md: its files are written and its commands run, in order, in an empty folder with nothing else."""
+
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from places import ROOT
+
+from pipeline.profiles.profile_columns import ColumnSource, Fraction, TimeSource
+from pipeline.profiles.profile_model import ConditionUnits, Constants, FileEntry, Partner, Profile, StepEntry, Window
+from pipeline.shell.cli import run
+
+PAGE = (ROOT / "docs" / "logs.md").read_text(encoding="utf-8")
+BLOCK = re.compile(r"^```(\w+) ?(\S*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+
+
+def blocks(text):
+    return [match.groups() for match in BLOCK.finditer(text)]
+
+
+def section(title):
+    """Text of a section, up to the next one of its rank."""
+    start = PAGE.index(f"{title}\n")
+    rank = title.split()[0]
+    end = re.search(rf"^#{{1,{len(rank)}}} ", PAGE[start + len(title) :], re.MULTILINE)
+    return PAGE[start : start + len(title) + end.start()] if end else PAGE[start:]
+
+
+def follow(text, capsys):
+    """Do what a page says; returns what each command printed."""
+    printed = []
+    for language, name, content in blocks(text):
+        if language != "sh":
+            assert name, "a file needs a name"
+            Path(name).parent.mkdir(parents=True, exist_ok=True)
+            Path(name).write_text(content, encoding="utf-8")
+            continue
+        for line in content.splitlines():
+            command, _, expected = line.partition(" # status ")
+            words = shlex.split(command)
+            if words[0] == "python":
+                subprocess.run([sys.executable, *words[1:]], check=True, timeout=60)
+                continue
+            assert words[0] == "pipeline", line
+            with pytest.raises(SystemExit) as leaving:
+                run(words[1:])
+            out, err = capsys.readouterr()
+            assert (leaving.value.code or 0) == int(expected or 0), f"{line}\n{out}\n{err}"
+            printed.append((command, out, err))
+    return printed
+
+
+@pytest.fixture(autouse=True)
+def empty_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "200")
+
+
+def test_from_a_foreign_csv_to_a_report(capsys):
+    printed = follow(section("## From a foreign CSV to a report"), capsys)
+    outputs = {command: out + err for command, out, err in printed}
+    questions = outputs["pipeline profile check lab.toml lab/K4800_B24.csv"]
+    assert "would be stored" in questions
+    first = next(out + err for command, out, err in printed if command.startswith("pipeline profile check lab.toml"))
+    for key in ("columns.time.unit", "columns.command.name", "columns.command.sign", "constants.stiffness", "step_at"):
+        assert f"'{key}': open question" in first
+    # the page shows the first of them as it is printed
+    (shown,) = re.findall(r"`(lab\.toml:\d+: key 'columns\.time\.unit': .*?)`", " ".join(PAGE.split()))
+    assert shown in " ".join(first.split())
+    report = Path("reports/bench.html").read_text(encoding="utf-8")
+    assert "<svg" in report
+    assert "tability boundar" in report
+    assert "largest stable stiffness" in outputs["pipeline compare --device bench"]
+    assert "lab/K100_B1.csv, row 4: " in outputs["pipeline ingest lab --profile lab.toml"]
+    assert ">      4  1;--;0;" in outputs["pipeline quarantine show lab/K100_B1.csv"]
+    assert "1 tried, 1 accepted, 0 refused, 0 gone" in outputs["pipeline quarantine retry --profile lab.toml"]
+
+
+def test_the_foreign_course_gives_the_same_trials_as_the_simulated_logs(capsys):
+    from pipeline.ingest.ingest import ingest
+    from pipeline.store.samples import load_batch
+    from pipeline.store.storage import read_trials
+
+    text = section("## From a foreign CSV to a report")
+    follow(text[: text.index("**When a log is refused")].replace("pipeline compare --device bench\n", ""), capsys)
+    assert ingest([Path("simulated")], Path("native")).quarantined == ()
+    found, true = (load_batch(folder, read_trials(folder)) for folder in (Path("processed"), Path("native")))
+
+    def by_condition(batch):
+        order = sorted(range(len(batch)), key=lambda i: (batch.stiffness[i], batch.damping[i]))
+        return [
+            (batch.stiffness[i], batch.damping[i], batch.rows[i], batch.position[i], batch.command[i]) for i in order
+        ]
+
+    assert len(found) == len(true) > 80
+    for a, b in zip(by_condition(found), by_condition(true), strict=True):
+        assert a[:3] == b[:3]
+        rows = int(a[2])
+        # six digits of mm and N were written
+        assert abs(a[3][:rows] - b[3][:rows]).max() < 1e-9
+        assert abs(a[4][:rows] - b[4][:rows]).max() < 1e-6
+
+
+FAMILIES = re.findall(r"^### (.*)$", section("## One example for each kind of file"), re.MULTILINE)
+
+
+@pytest.mark.parametrize("title", FAMILIES)
+def test_each_family_is_read(title, capsys):
+    printed = follow(section(f"### {title}"), capsys)
+    assert any("would be stored" in out for _, out, _ in printed)
+
+
+def test_families_and_their_values(capsys):
+    assert len(FAMILIES) == 11
+    (_, out, _), *_ = follow(section("### Headerless columns in counts"), capsys)
+    # 1000 us over the wrap: 4294967296 - 4294966796 + 500
+    assert re.search(r"time +0 to 0\.003 s", out)
+    assert "wraps 1" in out
+    (_, out, _), *_ = follow(section("### Banner with labels and values"), capsys)
+    assert re.search(r"stiffness +32000 N/m +from attributes: 'Gain'", out)
+    assert "last row is cut: '4229185'" in out
+    (_, out, _), *_ = follow(section("### Several steps in one file, and runs that are disturbed later"), capsys)
+    assert re.search(r"trial '8 N'.*step +row 2: declared, at 0\.006 s", out, re.DOTALL)
+    (_, out, _), *_ = follow(section("### Delimited text"), capsys)
+    assert re.search(r"stiffness +1145\.9\d* Nm/rad", out)  # 20 Nm/deg 180/pi
+    assert "skipped_position 1" in out
+
+
+def test_every_key_of_a_profile_is_in_the_table():
+    table = section("## All keys of a profile")
+    models = (Profile, TimeSource, ColumnSource, Fraction, Constants, ConditionUnits, FileEntry, StepEntry, Window)
+    keys = {key for model in (*models, Partner) for key in model.model_fields}
+    parts = set(re.findall(r"[A-Za-z_]+", " ".join(re.findall(r"`([^`]+)`", table))))
+    assert keys - parts - {"columns"} == set()

@@ -1,0 +1,322 @@
+"""Where file and profile, or parts of a file, contradict each other: refused or warned of, never settled silently."""
+
+import gzip
+import json
+from io import BytesIO
+
+import numpy as np
+import pyarrow as pa
+import pytest
+import scipy.io
+from foreign_files import bag_file, hdf5_file, joint_log, tdms_log
+from pyarrow import parquet
+
+from pipeline.base.errors import LogError, ProfileError
+from pipeline.profiles.profile_files import Profile, read_profile
+from pipeline.readers import Log, RawLog, reader_of
+from pipeline.readers.formats.delimited import list_columns
+from pipeline.shell.cli import run
+from pipeline.shell.profile.profile_check import check_samples
+from pipeline.shell.profile.profile_draft import draft_profile
+
+COLUMNS = {
+    "time": {"name": "t", "unit": "ms"},
+    "command": {"name": "F", "unit": "N", "sign": 1},
+    "position": {"name": "x", "unit": "mm", "sign": 1},
+}
+CONDITIONS = {
+    "device": "bench",
+    "experiment": "1",
+    "stiffness": 300,
+    "damping": 2,
+    "step": 8,
+    "sampling_period_s": 0.001,
+}
+TEXT = {"format": "delimited", "decimal": "."}
+GERMAN = {"format": "delimited", "decimal": ",", "delimiter": ";"}
+BANNER = {"labels": ":", "header_at": "^t", "attributes": {"stiffness": "K"}}
+
+
+def profile(layout, columns=COLUMNS, **more) -> Profile:
+    values = {"name": "lab", "files": ["*"], "columns": columns, "constants": CONDITIONS}
+    return Profile.model_validate(
+        values | ({} if {"step_time_s"} & set(more) else {"step_at": "command edge"}) | layout | more
+    )
+
+
+def read(chosen: Profile, data: bytes | str, name="run") -> Log | LogError:
+    raw = RawLog((name,), (data if isinstance(data, bytes) else data.encode(),))
+    (outcome,) = reader_of(chosen)(chosen, [raw], False)
+    return outcome if isinstance(outcome, LogError) else outcome[0]
+
+
+def reason(chosen: Profile, data: bytes | str) -> str:
+    outcome = read(chosen, data)
+    assert isinstance(outcome, LogError), outcome
+    return outcome.reason
+
+
+def table(rows) -> str:
+    return "t,F,x\n" + "".join(f"{','.join(map(str, row))}\n" for row in rows)
+
+
+RUN = [(k, 8 * (k > 1), k) for k in range(6)]
+
+
+@pytest.mark.parametrize("value", ["1.200", "1.200 N/m", "0.5 N/mm"])
+def test_a_point_in_a_condition_of_a_file_with_decimal_commas_is_refused(value):
+    body = "t;F;x{}\n0;0;0,5{}\n1;8;1,5{}\n"
+    label = profile(GERMAN | BANNER)
+    assert "the point may part thousands" in reason(label, f"K: {value}\n" + body.format("", "", ""))
+    column = profile(GERMAN, condition_columns={"stiffness": "K"})
+    cells = body.format(";K", f";{value}", f";{value}")
+    assert "the point may part thousands" in reason(column, cells)
+    log = read(column, cells.replace(".", ","))
+    assert log.header.stiffness == {"1.200": 1.2, "1.200 N/m": 1.2, "0.5 N/mm": 500.0}[value]
+
+
+def test_a_point_in_a_file_name_is_decimal():
+    chosen = profile(GERMAN, name_pattern=r"K(?P<stiffness>[0-9.]+)_")
+    assert read(chosen, "t;F;x\n0;0;0,5\n1;8;1,5\n", "K0.5_1").header.stiffness == 0.5
+
+
+@pytest.mark.parametrize("text", ["K: 100\nK: 300\n" + table(RUN), "K: 100\n" + table(RUN[:3]) + "K: 300\n3,8,3\n"])
+def test_a_label_that_changes_is_no_condition(text):
+    chosen = profile(TEXT | BANNER)
+    outcome = read(chosen, text)
+    assert isinstance(outcome, LogError)
+    assert "'K', which gives the stiffness, is '100' and here '300'" in outcome.reason
+    assert text.splitlines()[outcome.row - 1] == "K: 300"
+    assert read(chosen, text.replace("300", "100")).header.stiffness == 100
+    # no condition is taken from it: the last value is kept beside the trial
+    assert read(profile(TEXT | BANNER | {"attributes": {}}), text).header.extra["file.K"] == "300"
+
+
+def test_the_declared_time_of_the_step_is_met_by_the_row_that_bears_it():
+    # 501 x 1e-6 is below 0.000501 in floats, as for every third stamp in us
+    rows = [(k, 8 * (k >= 501), 0) for k in range(495, 510)]
+    micro = COLUMNS | {"time": {"name": "t", "unit": "us"}}
+    for k in range(495, 510):
+        log = read(profile(TEXT, micro, step_time_s=float(f"{k}e-6")), table(rows))
+        assert log.header.extra["step_row"] == str(k - 495)
+    assert "outside the samples" in reason(profile(TEXT, micro, step_time_s=510e-6), table(rows))
+
+
+def stamps(kind) -> bytes:
+    buffer = BytesIO()
+    times = (
+        pa.array(1_700_000_000_000 + np.arange(6)).cast(kind)
+        if kind == pa.timestamp("ms")
+        else pa.array(range(6), kind)
+    )
+    parquet.write_table(pa.table({"t": times, "F": [0.0, 0, 8, 8, 8, 8], "x": range(6)}), buffer)
+    return buffer.getvalue()
+
+
+JOINTS = {
+    key: {"name": f"/arm/joints.position[{i}]", "unit": unit, "sign": 1}
+    for i, (key, unit) in enumerate([("command", "N"), ("position", "m")])
+}
+CHANNELS = {
+    "command": {"name": "/arm/force", "unit": "N", "sign": 1},
+    "position": {"name": "/arm/count", "unit": "mm", "sign": 1},
+}
+TYPED = {
+    "timestamp": ("parquet", lambda: stamps(pa.timestamp("ms")), COLUMNS, "t", "ms", "ns"),
+    "duration": ("parquet", lambda: stamps(pa.duration("us")), COLUMNS, "t", "us", "ns"),
+    "ROS stamp": ("mcap", lambda: bag_file("mcap", joint_log), JOINTS, "/arm/joints.header.stamp", "s", "ns"),
+    "ROS part": ("rosbag", lambda: bag_file("db3", joint_log), JOINTS, "/arm/joints.@received", "us", "ns"),
+    "waveform": ("tdms", tdms_log, CHANNELS, "@time", "ms", "s"),
+    "TDMS stamp": ("tdms", tdms_log, CHANNELS, "/arm/stamp", "s", "ns"),
+}
+
+
+@pytest.mark.parametrize("which", TYPED)
+def test_times_whose_type_states_the_unit_take_no_other(which):
+    kind, write, columns, name, wrong, right = TYPED[which]
+    data = write()
+
+    def of(unit, **more):
+        return profile({"format": kind}, columns | {"time": {"name": name, "unit": unit, "kind": "counter"} | more})
+
+    refusal = read(of(wrong), data)
+    assert isinstance(refusal, LogError)
+    assert refusal.code == "profile-wrong"
+    assert f"which are read in {right}; profile lab says unit = '{wrong}'" in refusal.reason
+    assert refusal.profile_line == f'[columns.time]\nunit = "{right}"'
+    log = read(of(right), data)
+    assert isinstance(log, Log), log
+    # the same in other words
+    same = read(of("s", counts_per_unit={"ns": 1e9, "s": 1}[right]), data)
+    np.testing.assert_allclose(same.time, log.time, rtol=1e-15)
+
+
+@pytest.mark.parametrize("rows", [3, 4])
+def test_a_matrix_alone_has_more_samples_than_signals(rows):
+    """As Simulink's "To File" writes it: one signal in each row, time above."""
+    signals = np.vstack([np.arange(50.0), 8.0 * (np.arange(50) > 20), np.arange(50) * 0.1, np.ones(50)])[:rows]
+    columns = {key: source | {"name": f"ans[{i}]"} for i, (key, source) in enumerate(COLUMNS.items())}
+    buffer = BytesIO()
+    scipy.io.savemat(buffer, {"ans": signals})
+    wide = read(profile({"format": "matlab"}, columns), buffer.getvalue())
+    buffer = BytesIO()
+    scipy.io.savemat(buffer, {"ans": signals.T})
+    for log in (wide, read(profile({"format": "matlab"}, columns), buffer.getvalue())):
+        assert log.raw_time.tolist() == signals[0].tolist()
+        assert log.command.tolist() == signals[1].tolist()
+    write = hdf5_file(lambda file: file.create_dataset("ans", data=signals))
+    assert read(profile({"format": "hdf5"}, columns), write).command.tolist() == signals[1].tolist()
+
+
+def test_stamps_of_another_pace_than_the_sampling_period_are_warned_of():
+    seconds = table((k / 1000, force, x) for k, force, x in RUN)
+    (warning,) = read(profile(TEXT), seconds).warnings
+    assert "rows are 1e-06 s apart in the median, but sampling_period_s is 0.001 s" in warning
+    assert read(profile(TEXT), table(RUN)).warnings == ()
+    assert read(profile(TEXT), table(RUN[::2])).warnings == ()  # half of the samples lost
+
+
+@pytest.mark.parametrize("pack", [gzip.compress, lambda data: pa.compress(data, codec="zstd", asbytes=True)])
+def test_packed_json_is_read_and_drafted(pack, tmp_path):
+    lines = "".join(json.dumps({"t": t, "F": force, "x": x}) + "\n" for t, force, x in RUN)
+    log = read(profile({"format": "json"}), pack(lines.encode()))
+    assert log.raw_time.tolist() == [0, 1, 2, 3, 4, 5]
+    (tmp_path / "a.jsonl.gz").write_bytes(pack(lines.encode()))
+    assert 'format = "json"\nfiles = ["*.jsonl.gz"]' in draft_profile(tmp_path / "a.jsonl.gz")
+
+
+def test_stamps_that_no_whole_number_keeps_are_refused():
+    """As floats they would jitter by half a microsecond."""
+    first = 2**63 - 2_000_000
+    text = table((first + 1_000_000 * k, force, x) for k, force, x in RUN)
+    nano = COLUMNS | {"time": {"name": "t", "unit": "ns", "kind": "counter"}}
+    buffer = BytesIO()
+    times = pa.array([first + 1_000_000 * k for k, _, _ in RUN], pa.uint64())
+    parquet.write_table(pa.table({"t": times, "F": [0, 0, 8, 8, 8, 8], "x": range(6)}), buffer)
+    for outcome in (read(profile(TEXT, nano), text), read(profile({"format": "parquet"}, nano), buffer.getvalue())):
+        assert isinstance(outcome, LogError)
+        assert "the stamp 9223372036854775808 (column 't'" in outcome.reason
+    assert read(profile(TEXT, nano), table((first + k, force, x) for k, force, x in RUN)).raw_time[0] == first
+
+
+def test_a_cut_last_json_line_is_kept_whole():
+    lines = "".join(json.dumps({"t": t, "F": force, "x": x, "note": "n" * 400}) + "\n" for t, force, x in RUN)
+    log = read(profile({"format": "json"}), lines[:-5])
+    assert len(log.time) == 5
+    assert log.header.extra["file.cut_last_row"] == lines.splitlines()[-1][:-4]
+
+
+@pytest.mark.parametrize(
+    ("data", "kind", "words"),
+    [
+        (
+            json.dumps([{"t": "0", "F": 0, "x": 0}, {"t": "1", "F": 8, "x": 1}]),
+            {"format": "json"},
+            "'t' holds texts, such as '0'",
+        ),
+        ("t,F,x\n2024-05-01 12:00:00.001,0,0\n", TEXT, "dates and times of day are not read"),
+    ],
+)
+def test_times_in_words_are_refused_by_what_they_are(data, kind, words):
+    assert words in reason(profile(kind), data)
+
+
+@pytest.mark.parametrize(("cell", "listed"), [("--", True), ("N/A", True), ("1 234", False), ("5 N", False)])
+def test_only_words_are_said_to_be_no_value(cell, listed):
+    outcome = read(profile(TEXT), f"t,F,x\n0,0,{cell}\n1,8,2\n")
+    assert isinstance(outcome, LogError)
+    assert outcome.profile_line == (f'missing = ["{cell}"]' if listed else None)
+    assert ("add missing" in outcome.reason) == listed
+
+
+def test_a_delimiter_behind_the_names_alone_has_its_remedy():
+    text = "t;F;x;\n0;0;1,5\n1;8;2\n"
+    outcome = read(profile(GERMAN), text)
+    assert isinstance(outcome, LogError)
+    assert outcome.profile_line == "trailing_delimiter = true"
+    assert len(read(profile(GERMAN | {"trailing_delimiter": True}), text).time) == 2
+
+
+TOML = """name = "lab"
+format = "delimited"
+files = ["*.csv"]
+decimal = "."
+step_at = "command edge"
+[columns]
+time = { name = "t [ms]", unit = "ms" }
+command = { name = "F", unit = "N", sign = 1 }
+position = { name = "x", unit = "mm", sign = 1 }
+[constants]
+device = "bench"
+experiment = "1"
+stiffness = 300
+damping = 2
+step = 8
+sampling_period_s = 0.001
+"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('name = "x"', 'name = "F"', ":9: key 'columns.position.name': 'F' is columns.command, too"),
+        ("sign = 1 }\nposition", "sign = true }\nposition", ":8: key 'columns.command.sign': Input should be 1 or -1"),
+        ("stiffness = 300", 'stiffness = "300"', ":13: key 'constants.stiffness': Input should be a valid number"),
+        ("damping = 2", "damping = true", ":14: key 'constants.damping': Input should be a valid number"),
+        ("[columns]", 'name_pattern = "K([0-9]+)"\n[columns]', ":6: key 'name_pattern': has no named group"),
+        ('["*.csv"]', '"*.csv"', ":3: key 'files': Input should be a list in brackets"),
+    ],
+)
+def test_mistakes_of_kind_and_doubled_columns_are_named(old, new, words, tmp_path):
+    assert TOML.count(old) == 1
+    (tmp_path / "lab.toml").write_text(TOML.replace(old, new), encoding="utf-8")
+    with pytest.raises(ProfileError) as error:
+        read_profile(tmp_path / "lab.toml")
+    assert words in str(error.value)
+    assert str(error.value).count("lab.toml:") == 1
+
+
+def checked(tmp_path, toml, rows):
+    (tmp_path / "lab.toml").write_text(toml, encoding="utf-8")
+    (tmp_path / "a.csv").write_text(table(rows).replace("t,F", "t [ms],F"), encoding="utf-8")
+    ((sample,),) = [check_samples(read_profile(tmp_path / "lab.toml"), [tmp_path / "a.csv"])]
+    (trial,) = sample.trials
+    return trial.warnings
+
+
+def test_a_check_warns_of_another_unit_or_step_and_of_a_motion_against_it(tmp_path):
+    rows = [(k, 8 * (k > 4), 0.01 * max(k - 6, 0) ** 2) for k in range(40)]
+    assert checked(tmp_path, TOML, rows) == ()
+    micro = TOML.replace('unit = "ms"', 'unit = "us"').replace("0.001", "1e-6")
+    (warning,) = checked(tmp_path, micro, rows)
+    assert warning == "columns.time.unit is 'us', but the file says 'ms': which is right?"
+    (warning,) = checked(tmp_path, TOML.replace("step = 8", "step = 9"), rows)
+    assert warning == "the command jumps by 8 in row 5, but the step is 9: which is right?"
+    (warning,) = checked(tmp_path, TOML.replace('"mm", sign = 1', '"mm", sign = -1'), rows)
+    assert warning.startswith("the position moves against the step at first: check the signs")
+
+
+def test_units_of_a_unit_line_are_known_in_their_brackets(tmp_path):
+    text = "t\tF\tx\n[ms]\t(N)\t[mm]\n" + "".join(f"{t}\t{force}\t{x}.5\n" for t, force, x in RUN)
+    chosen = profile(TEXT | {"delimiter": "\t", "unit_line": True})
+    assert [info.hint for info in list_columns("a", text.encode(), chosen)] == ["ms", "N", "mm"]
+    (tmp_path / "a.txt").write_text(text, encoding="utf-8")
+    draft = draft_profile(tmp_path / "a.txt")
+    assert "columns.time.unit: the file says 'ms'; is it right? One of s, ms, us, ns, min.\n# unit = \"ms\"" in draft
+
+
+def test_labels_in_remarks_are_read_by_the_draft(tmp_path):
+    (tmp_path / "a.csv").write_text("# K = 300\n# made by hand\n" + table(RUN), encoding="utf-8")
+    draft = draft_profile(tmp_path / "a.csv")
+    assert 'labels = "="\ncomment = "#"' in draft
+    assert '#   "K": "300"' in draft
+
+
+def test_a_draft_shows_steps_of_long_stamps_exactly(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    rows = ((1_700_000_000_000_000_000 + 1_000_000 * k, force, x) for k, force, x in RUN)
+    (tmp_path / "a.csv").write_text(table(rows), encoding="utf-8")
+    with pytest.raises(SystemExit) as end:
+        run(["profile", "draft", "a.csv"])
+    assert end.value.code in (0, None)
+    assert "# stamps rise by 1e+06 in the median, 1e+06 to 1e+06" in capsys.readouterr().out

@@ -1,0 +1,135 @@
+"""HDF5 logs, written by h5py."""
+
+from concurrent.futures import ThreadPoolExecutor
+
+import h5py
+import numpy as np
+import pytest
+from foreign_files import hdf5_file, hdf5_log, profile, samples
+
+from pipeline.base.errors import LogError
+from pipeline.readers.formats.hdf5 import list_columns, open_image, read_frame
+
+
+def frame(data, *wanted):
+    return read_frame(profile(), "log.h5", data, wanted)
+
+
+def test_every_value_comes_back():
+    time, position, counter = samples()
+    read = frame(hdf5_file(hdf5_log))
+    expected = {
+        "/arm/t": time,
+        **{f"/arm/q[{i}]": position[:, i] for i in range(3)},
+        **{f"/arm/by_joint[{i}]": position[:, i] for i in range(3)},
+        "/arm/single": position[:, 0].astype("f4").astype("f8"),
+        "/counter": counter,
+        "/label": np.array(["ä", "b"] * 20),
+        "/log.t": time,
+        "/log.n": np.arange(40),
+        **{f"/log.v[{i}]": position[:, i] for i in range(3)},
+    }
+    assert set(read.columns) == set(expected)
+    for key, values in expected.items():
+        np.testing.assert_array_equal(read.columns[key], values, err_msg=key)
+    assert read.columns["/counter"].dtype == np.int64
+    assert read.attributes == {"device": "arm", "/arm/t@unit": "s", "/stiffness": 3200.0}
+
+
+def test_the_first_slash_may_be_left_out():
+    _, position, _ = samples()
+    read = frame(hdf5_file(hdf5_log), "arm/t", "arm/q[1]", "/log.v[0]")
+    assert list(read.columns) == ["arm/t", "arm/q[1]", "/log.v[0]"]
+    assert read.columns["arm/q[1]"].tolist() == position[:, 1].tolist()
+
+
+def test_axis_of_time_is_the_one_that_fits():
+    def write(file):
+        file["t"] = np.arange(5.0)
+        file["wide"] = np.arange(35.0).reshape(7, 5)
+        file["square"] = np.arange(25.0).reshape(5, 5)
+        file["other"] = np.arange(3.0)
+        file["pose"] = np.arange(80.0).reshape(5, 4, 4)
+
+    data = hdf5_file(write)
+    read = frame(data, "t", "wide[6]", "square[1]", "pose[1][2]")
+    assert read.columns["wide[6]"].tolist() == [30, 31, 32, 33, 34]
+    assert read.columns["square[1]"].tolist() == [1, 6, 11, 16, 21]
+    assert read.columns["pose[1][2]"].tolist() == [6, 22, 38, 54, 70]
+    with pytest.raises(LogError, match=r"different lengths .'/t': 5, '/other': 3") as error:
+        frame(data, "t", "other")
+    assert error.value.row == 4
+    with pytest.raises(LogError, match=r"shape \(7, 5\).*'/wide\[0\]' to '/wide\[6\]'.*'/wide\[7\]'"):
+        frame(data, "t", "wide[7]")
+    with pytest.raises(LogError, match="Name one element"):
+        frame(data, "t", "wide")
+
+
+def test_columns_are_listed():
+    infos = {info.name: info for info in list_columns("log.h5", hdf5_file(hdf5_log))}
+    assert (infos["/arm/t"].dtype, infos["/arm/t"].rows, infos["/arm/t"].hint) == ("number", 40, "s")
+    assert infos["/log.n"].first == ("0", "1", "2")
+    assert infos["/stiffness"].rows == 1
+
+
+def test_what_is_no_column_is_refused_with_the_reason():
+    def write(file):
+        file["t"] = np.arange(3.0)
+        file["z"] = np.array([1 + 1j])
+        file["nothing"] = h5py.Empty("f8")
+
+    with pytest.raises(LogError, match="'/z' is of type complex128"):
+        frame(hdf5_file(write), "t", "z")
+    with pytest.raises(LogError, match="'/nothing' is empty"):
+        frame(hdf5_file(write), "nothing")
+    with pytest.raises(LogError, match=r"no column '/tt'.*It has: /t\. Not readable: '/nothing'"):
+        frame(hdf5_file(write), "tt")
+
+
+def test_no_other_file_is_opened(tmp_path):
+    with h5py.File(tmp_path / "secret.h5", "w") as other:
+        other["key"] = np.arange(3.0)
+
+    def write(file):
+        file["t"] = np.arange(3.0)
+        file["link"] = h5py.ExternalLink(str(tmp_path / "secret.h5"), "/key")
+        layout = h5py.VirtualLayout((3,), "f8")
+        layout[:] = h5py.VirtualSource(str(tmp_path / "secret.h5"), "key", (3,))
+        file.create_virtual_dataset("virtual", layout)
+        file.create_dataset("raw", (3,), "f8", external=str(tmp_path / "secret.h5"))
+
+    data = hdf5_file(write)
+    infos = {info.name: info.hint for info in list_columns("log.h5", data)}
+    assert list(infos) == ["/t", "/raw", "/virtual"]
+    assert "other files" in infos["/raw"]
+    with pytest.raises(LogError, match="no column '/link'"):
+        frame(data, "link")
+    for name in ("virtual", "raw"):
+        with pytest.raises(LogError, match="values in other files"):
+            frame(data, name)
+
+
+def test_a_claim_of_many_values_is_refused_before_they_are_read():
+    data = hdf5_file(lambda file: file.create_dataset("t", (10**12,), "f8", chunks=(1000,)))
+    with pytest.raises(LogError, match="dataset '/t' claims 8000000000000 bytes in a file of"):
+        frame(data, "t")
+    (info,) = list_columns("log.h5", data)
+    assert "claims 8000000000000 bytes" in info.hint
+
+
+def test_loops_of_groups_end():
+    def write(file):
+        file["a/t"] = np.arange(2.0)
+        file["a/again"] = file["a"]
+
+    assert list(frame(hdf5_file(write)).columns) == ["/a/t"]
+
+
+def test_two_files_of_one_name_stay_apart():
+    first, second = (hdf5_file(lambda file, n=n: file.create_dataset("t", data=np.full(3, n))) for n in (1.0, 2.0))
+    with open_image(first, "hdf5") as one, open_image(second, "hdf5") as two:
+        assert one["t"][0] == 1.0
+        assert two["t"][0] == 2.0
+    with ThreadPoolExecutor(4) as pool:
+        found = list(pool.map(lambda data: frame(data, "t").columns["t"][0], [first, second] * 20))
+    assert found == [1.0, 2.0] * 20

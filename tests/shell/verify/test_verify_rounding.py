@@ -1,0 +1,157 @@
+"""What counts as equal on another machine, and what does not."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from kernels import WITHOUT, environment
+
+from pipeline.comparison.compare import compare
+from pipeline.devices.devices import load_device
+from pipeline.ingest.ingest import ingest
+from pipeline.rendering.figures.svg import line_data
+from pipeline.shell.demo import run_demo
+from pipeline.shell.verify.verify_rounding import SEEN, same_drawing, same_text, same_value
+from pipeline.simulation.course import run_course, write_course
+
+FRAME = (
+    '<svg viewBox="0 0 3500 4300"><title>cost 106.57</title><path stroke="{colour}" d="{data}"/>'
+    '<text x="{x}">5</text></svg>'
+)
+
+
+def drawing(points: np.ndarray, *, colour: str = "blue", x: int = 520) -> str:
+    """A drawing with one polyline; points in pixels."""
+    return FRAME.format(colour=colour, data=line_data([(points, False)]), x=x)
+
+
+def ring(start: int = 0, *, shift: float = 0.0, wobble: float = 0.0) -> np.ndarray:
+    """A closed contour of 400 points that begins at one of them."""
+    angle = 2 * math.pi * (np.arange(401) + start) / 400
+    noise = wobble * np.random.default_rng(start).uniform(-1, 1, (400, 2))
+    points = np.column_stack([100 + 40 * np.cos(angle) + shift, 120 + 70 * np.sin(2 * angle + 0.3)])
+    points[:400] += noise
+    points[400] = points[0]
+    return points
+
+
+def test_contours_that_begin_elsewhere_look_the_same():
+    for start in (1, 57, 200):
+        other = drawing(ring(start, wobble=0.02))
+        assert other != drawing(ring())
+        assert same_drawing(drawing(ring()), other)
+        assert same_drawing(drawing(ring()[::-1]), other)
+
+
+def test_lines_half_a_pixel_apart_are_different():
+    assert not same_drawing(drawing(ring()), drawing(ring(shift=SEEN / 10 + 0.2)))
+    assert not same_drawing(drawing(ring()), drawing(ring()[:200]))
+    assert not same_drawing(drawing(ring()[:200]), drawing(ring()))
+    bump = ring()
+    bump[100, 0] += 1.0
+    assert not same_drawing(drawing(ring()), drawing(bump))
+    assert not same_drawing(drawing(bump), drawing(ring()))
+
+
+def test_what_is_no_line_must_be_the_same_but_for_a_tenth_of_a_pixel():
+    first = drawing(ring())
+    assert same_drawing(first, drawing(ring(), x=521))
+    assert not same_drawing(first, drawing(ring(), x=522))
+    assert not same_drawing(first, drawing(ring(), colour="red"))
+    assert not same_drawing(first, first.replace(">5<", ">6<"))
+    assert same_drawing(first, first.replace("106.57", "106.58"))
+    assert not same_drawing(first, first.replace("106.57", "106.59"))
+    assert not same_drawing(first, first.replace("</svg>", '<path d="M0 0h5"/></svg>'))
+
+
+def test_markers_with_curves_must_be_equal():
+    disc = FRAME.format(colour="blue", data="M5 5a10 10 0 1 0 20 0z", x=1)
+    assert same_drawing(disc, disc)
+    assert not same_drawing(disc, disc.replace("M5 5a", "M6 5a"))
+
+
+def test_paths_of_all_commands_are_followed():
+    absolute = FRAME.format(colour="blue", data="M10 10L50 10L50 40L10 40L10 10M90 90", x=1)
+    relative = FRAME.format(colour="blue", data="M10 10h40v30h-40zm80 80h0", x=1)
+    assert same_drawing(absolute, relative)
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "same"),
+    [
+        ("overlap 92.4 % of 2529 trials", "overlap 92.5 % of 2529 trials", True),
+        ("overlap 92.4 % of 2529 trials", "overlap 92.6 % of 2529 trials", False),
+        ("2529 trials", "2528 trials", False),
+        ("0.99", "1.00", True),
+        ("0.99", "1.0", False),
+        ("1.5e-07", "1.6e-07", False),
+        ("1.67e-13", "-4e-14", True),
+        ("\N{MINUS SIGN}0.1", "0.1", False),
+        ("0.1 N/m", "0.1 Ns/m", False),
+        ("", "0", False),
+    ],
+)
+def test_texts_may_differ_by_one_in_the_last_decimal(a, b, same):
+    assert same_text(a, b) is same_text(b, a) is same
+
+
+@pytest.mark.parametrize(
+    ("place", "a", "b", "same"),
+    [
+        ("/boundary/3/low", 6154.0, 6154.00006, True),
+        ("/boundary/3/low", 6154.0, 6154.1, False),
+        ("/optima/0/stiffness_percent", 0.0, 9e-6, True),
+        ("/optima/0/stiffness_percent", 0.0, 1e-4, False),
+        ("/trend/0/slope", 0.0, 1e-13, True),
+        ("/trend/0/slope", 0.0, 1e-11, False),
+        ("/damping/value", 0.0, 1e-13, False),
+        ("/trials", 100000, 100001, False),
+        ("/stable", True, 1.0, False),
+        ("/stable", True, True, True),
+        ("/value", None, 1.0, False),
+        ("/reason", "6.2 %", "6.3 %", True),
+    ],
+)
+def test_values_may_differ_by_what_flat_optima_leave_open(place, a, b, same):
+    assert same_value(place, a, b) is same_value(place, b, a) is same
+
+
+def verified(report: Path, processed: Path, kernel: str) -> None:
+    """Verify a report as on another processor."""
+    run = subprocess.run(
+        [sys.executable, "-m", "pipeline", "verify", str(report), "--processed", str(processed)],
+        env=environment(kernel),
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert run.returncode == 0, run.stdout + run.stderr
+    assert "all equal" in run.stdout
+
+
+def test_a_small_report_holds_on_a_processor_of_2008(tmp_path, one_process):
+    write_course(run_course(load_device("lwr"), "delay-8", seed=5, coarsen=8), tmp_path / "raw")
+    processed, report = tmp_path / "processed", tmp_path / "lwr.html"
+    ingest([tmp_path / "raw"], processed)
+    compare("lwr", processed, criteria=("settle_2pct", "energy_step_w0"), report=report)
+    verified(report, processed, "Nehalem")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kernel", WITHOUT)
+def test_the_reports_of_the_demo_hold_with_each_kernel(demonstrated, kernel):
+    folder, reports = demonstrated
+    assert len(reports) == 2
+    for report in reports:
+        verified(report, folder / "processed" / "demo", kernel)
+
+
+@pytest.fixture(scope="module")
+def demonstrated(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("demo")
+    return folder, run_demo(folder).reports

@@ -1,0 +1,624 @@
+"""A watch loses no log and doubles none, whenever logs come and it is killed; its reports are those of one run."""
+
+import json
+import os
+import random
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections import Counter
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+from native_logs import FAULTS, log_text
+from places import ROOT
+
+from pipeline.base import lock
+from pipeline.base.provenance import USER_FOLDER_VARIABLE
+from pipeline.comparison.compare import compare
+from pipeline.comparison.scene.scene_file import read_scene
+from pipeline.devices.devices import load_device
+from pipeline.ingest.ingest import ingest
+from pipeline.ingest.quarantine import list_quarantine
+from pipeline.rendering.report.report import cells
+from pipeline.shell.cli import run
+from pipeline.shell.commands.cli_watch import line_of
+from pipeline.shell.watch import watch, watch_pass
+from pipeline.shell.watch.watch import Watch, Watched
+from pipeline.shell.watch.watch_pass import PASS_FOLDER, PassRequest, run_pass
+from pipeline.simulation.course import run_course, write_course
+from pipeline.store.storage import read_trials
+
+INTERVAL_S, SETTLE_S, PAUSE_S = 0.1, 0.8, 0.25
+"""A half-written log stands still for a pause of several looks, which is shorter than the time to settle."""
+
+SCENE = """
+device = "lwr"
+criteria = ["overshoot"]
+figures = []
+tables = ["boundary"]
+overlays = []
+report = "reports/lwr.html"
+"""
+
+
+class Recorder:
+    """Drops logs into a folder as a lab would: whole, in two parts, by renaming, at random moments."""
+
+    def __init__(self, logs: list[Path], folder: Path, seconds: float) -> None:
+        self.logs, self.folder = logs, folder
+        self.random = random.Random(1)
+        self.mean_s = seconds / len(logs)
+        self.longest_pause_s = 0.0
+
+    def drop(self, logs: list[Path]) -> None:
+        for log in logs:
+            time.sleep(self.random.uniform(0, 2 * self.mean_s))
+            target = self.folder / log.parent.name / log.name
+            target.parent.mkdir(exist_ok=True, parents=True)
+            manner = self.random.random()
+            if manner < 0.1:
+                data = log.read_bytes()
+                with target.open("wb") as stream:
+                    stream.write(data[: len(data) // 2])
+                    stream.flush()
+                    began = time.monotonic()
+                    time.sleep(PAUSE_S)
+                    stream.write(data[len(data) // 2 :])
+                self.longest_pause_s = max(self.longest_pause_s, time.monotonic() - began)
+            elif manner < 0.3:
+                hidden = target.with_name(f".{log.name}.part")
+                shutil.copy2(log, hidden)  # with its time of long ago
+                hidden.rename(target)
+            else:
+                shutil.copy(log, target)
+
+
+class Process:
+    """A watch as a process, with its events in a file."""
+
+    def __init__(self, folder: Path, *options: str) -> None:
+        self.folder = folder
+        self.lines = folder / "events.jsonl"
+        command = [sys.executable, "-m", "pipeline", "watch", "raw", "--json", *options]
+        command += ["--interval", str(INTERVAL_S), "--settle", str(SETTLE_S)]
+        with self.lines.open("a") as stream:
+            self.process = subprocess.Popen(command, cwd=folder, stdout=stream, stderr=subprocess.PIPE, text=True)
+
+    def events(self) -> list[dict]:
+        return [json.loads(line) for line in self.lines.read_text().splitlines()]
+
+    def wait_for(self, kind: str, seconds: float, **values: object) -> None:
+        ended = time.monotonic() + seconds
+        while time.monotonic() < ended:
+            if any(e["event"] == kind and values.items() <= e.items() for e in self.events()):
+                return
+            assert self.process.poll() is None, self.process.communicate()
+            time.sleep(0.05)
+        raise AssertionError(f"no {kind} with {values} in {self.events()[-5:]}")
+
+    def kill(self) -> None:
+        self.process.kill()
+        self.process.communicate()
+
+    def stop(self, number: signal.Signals = signal.SIGTERM) -> str:
+        self.process.send_signal(number)
+        _, err = self.process.communicate(timeout=60)
+        assert self.process.returncode == 0, err
+        assert self.events()[-1]["event"] == "stopped"
+        return err
+
+
+def course(folder: Path, experiments: tuple[str, ...], coarsen: int) -> list[Path]:
+    for name in experiments:
+        write_course(run_course(load_device("lwr"), name, ideal=True, coarsen=coarsen), folder)
+    return sorted(folder.rglob("*.csv"))
+
+
+def document_without_places(path: Path) -> dict:
+    """Result of a comparison without what names folders: it is to be the same wherever it was made."""
+    document = json.loads(path.read_text())
+    del document["report"]
+    for key in ("key", "command"):
+        del document["provenance"][key]
+    return document
+
+
+def cells_of_results(path: Path) -> dict[str, str]:
+    found = cells(path.read_text(encoding="utf-8"))
+    return {name: text for name, text in found.items() if name.split("/")[0] not in ("stages", "provenance")}
+
+
+def follow_a_course(tmp_path: Path, logs: list[Path], seconds: float, options: tuple[str, ...], kills: int) -> None:
+    raw = tmp_path / "raw"
+    raw.mkdir()
+    random.Random(2).shuffle(logs)
+    recorder = Recorder(logs, raw, seconds)
+    process = Process(tmp_path, *options)
+    share = len(logs) // (kills + 1) + 1
+    for number in range(kills + 1):
+        recorder.drop(logs[number * share : (number + 1) * share])
+        if number == 0:
+            (raw / "broken.csv").write_text(FAULTS["text cell"][0])
+        if number < kills:
+            process.kill()
+            process = Process(tmp_path, *options)
+    process.wait_for("report", 120, trials=len(logs))
+    while process.events()[-1]["event"] != "index":  # it comes last, and an end takes what is not written away
+        time.sleep(0.05)
+        assert process.process.poll() is None
+    process.stop()
+    events = process.events()
+
+    trials = read_trials(tmp_path / "processed")
+    assert Counter(Path(path).name for path in trials.column("source_path").to_pylist()) == Counter(
+        log.name for log in logs
+    )
+    assert [Path(record.path).name for record in list_quarantine(tmp_path / "processed")] == ["broken.csv"]
+    assert [e["path"] for e in events if e["event"] == "refused"].count("raw/broken.csv") <= 1 + kills
+    assert lock.holder(tmp_path / "processed" / PASS_FOLDER) is None
+    if recorder.longest_pause_s < SETTLE_S / 2:  # the machine was not held up so long that a half log seemed whole
+        # a watch that was killed between the refusal and its line has not told of it; the record is there, as above
+        assert {e["path"] for e in events if e["event"] == "refused"} <= {"raw/broken.csv"}
+        assert [e for e in events if e["event"] == "changed"] == []
+
+    # the same logs in one run, and the same report
+    ingest([raw], tmp_path / "processed-once")
+    scene = read_scene(tmp_path / "scene.toml") if "--scene" in options else None
+    compare(
+        "lwr",
+        tmp_path / "processed-once",
+        criteria=scene.chosen_criteria if scene else None,
+        shown=scene.shown if scene else None,
+        report=tmp_path / "once.html",
+    )
+    kept, once = tmp_path / "reports" / "lwr.html", tmp_path / "once.html"
+    assert document_without_places(kept.with_suffix(".json")) == document_without_places(once.with_suffix(".json"))
+    assert cells_of_results(kept) == cells_of_results(once)
+    assert len(cells_of_results(kept)) > 20
+    index = (tmp_path / "reports" / "index.html").read_text(encoding="utf-8")
+    assert f"{len(logs):,}</td>" in index
+
+
+def test_sixty_logs_at_random_moments_give_the_report_of_one_run(tmp_path):
+    logs = course(tmp_path / "all", ("delay-6",), 3)[:60]
+    assert len(logs) == 60
+    (tmp_path / "scene.toml").write_text(SCENE)
+    follow_a_course(tmp_path, logs, 2.5, ("--scene", "scene.toml"), kills=1)
+
+
+@pytest.mark.slow
+def test_five_hundred_logs_at_random_moments_give_the_report_of_one_run(tmp_path):
+    logs = course(tmp_path / "all", ("delay-2", "delay-3"), 2)[:500]
+    assert len(logs) == 500
+    # all criteria and tables; figures take most of the time, and JSON and cells do not depend on them
+    (tmp_path / "scene.toml").write_text('device = "lwr"\nfigures = []\nreport = "reports/lwr.html"\n')
+    follow_a_course(tmp_path, logs, 15.0, ("--scene", "scene.toml"), kills=3)
+
+
+def write_logs(folder: Path, count: int = 4, **more: object) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    for number in range(count):
+        path = folder / f"{more.get('device', 'bench')}{number}.csv"
+        path.write_text(log_text(float(number), **more))
+        os.utime(path, (1e9, 1e9))
+
+
+def request(folder: Path, **more: object) -> PassRequest:
+    places = {"processed": str(folder / "processed"), "reports": str(folder / "reports")}
+    return PassRequest(folders=(str(folder / "raw"),), **places, **more)
+
+
+@pytest.fixture
+def compared(monkeypatch):
+    """Comparisons by device, not done; a value that is an exception is raised."""
+    asked: list[str] = []
+    answers: dict[str, object] = {}
+
+    class Found:
+        result = None
+        stages = (("report", "run", ""),)
+
+    def fake(device, *arguments, **options):
+        asked.append(device)
+        if device in answers:
+            raise answers[device]
+        return Found
+
+    monkeypatch.setattr(watch_pass, "compare", fake)
+    return asked, answers
+
+
+def kinds(events: list[dict]) -> list[str]:
+    return [event["event"] for event in events]
+
+
+def test_a_report_that_fails_stops_no_other(tmp_path, compared, capsys):
+    from pipeline.base.errors import DeviceError
+
+    asked, answers = compared
+    for device in ("alpha", "bench", "gamma"):
+        write_logs(tmp_path / "raw", device=device)
+    answers |= {"alpha": DeviceError("too few logs"), "bench": ZeroDivisionError("a defect")}
+    events: list[dict] = []
+    outcome = run_pass(request(tmp_path), events.append)
+    assert asked == ["alpha", "bench", "gamma"]
+    assert kinds(events) == ["ingest", "failed", "failed", "report", "index"]
+    assert [e["reason"] for e in events[1:3]] == [
+        "too few logs",
+        "defect in the program: ZeroDivisionError('a defect'); please report it",
+    ]
+    assert "Traceback" in capsys.readouterr().err
+    assert (outcome.status, outcome.retry, set(outcome.failed)) == (1, False, {"alpha", "bench"})
+
+    # tried again when its logs change, and not before
+    again = request(tmp_path, failed=outcome.failed, quiet=True)
+    asked.clear()
+    assert run_pass(again, events.append).failed == outcome.failed
+    assert asked == ["gamma"]
+    (tmp_path / "raw" / "one-more.csv").write_text(log_text(77.0, device="alpha"))
+    asked.clear()
+    outcome = run_pass(again, events.append)
+    assert asked == ["alpha", "gamma"]
+    assert set(outcome.failed) == {"alpha", "bench"}
+
+
+def test_every_device_has_a_report_of_its_own_beside_our_pages(tmp_path, monkeypatch):
+    reports = {}
+
+    def fake(device, processed, report, **options):
+        report.parent.mkdir(exist_ok=True)
+        report.write_text(device)
+        reports[device] = report
+
+        class Found:
+            result, stages = None, (("report", "run", ""),)
+
+        return Found
+
+    monkeypatch.setattr(watch_pass, "compare", fake)
+    devices = ["index", "Index", "accuracy", "theory", "arm", "ARM", "arm-1-against-2", "con"]
+    for device in devices:
+        write_logs(tmp_path / "raw", 1, device=device)
+    assert run_pass(request(tmp_path), lambda event: None).status == 0
+    assert {device: path.read_text() for device, path in reports.items()} == {device: device for device in devices}
+    names = [path.name.casefold() for path in reports.values()]
+    assert len(set(names)) == len(devices)
+    assert not {"index.html", "accuracy.html", "theory.html", "arm-1-against-2.html"} & set(names)
+    assert "pipeline index" in (tmp_path / "reports" / "index.html").read_text()
+    former = dict(reports)
+    run_pass(request(tmp_path), lambda event: None)
+    assert reports == former
+
+
+@pytest.mark.parametrize("error", [OSError(28, "No space left on device"), "store"])
+def test_what_may_pass_without_a_change_is_to_be_tried_again(tmp_path, compared, error):
+    from pipeline.base.errors import StoreError
+
+    write_logs(tmp_path / "raw")
+    compared[1]["bench"] = StoreError("damaged") if error == "store" else error
+    outcome = run_pass(request(tmp_path), lambda event: None)
+    assert (outcome.status, outcome.retry, outcome.failed) == (1, True, {})
+
+
+def test_what_did_not_change_is_told_once(tmp_path, compared):
+    write_logs(tmp_path / "raw")
+    (tmp_path / "raw" / "broken.csv").write_text(FAULTS["text cell"][0])
+    events: list[dict] = []
+    assert run_pass(request(tmp_path, quiet=True), events.append).status == 3
+    assert kinds(events) == ["ingest", "refused", "report", "index"]
+    assert (events[1]["path"], events[1]["row"]) == (str(tmp_path / "raw" / "broken.csv"), 17)
+    events.clear()
+    assert run_pass(request(tmp_path, quiet=True), events.append).status == 3
+    assert kinds(events) == ["report"]
+    # a log that was good is overwritten by a broken one
+    (tmp_path / "raw" / "bench0.csv").write_text(FAULTS["text cell"][0] + "\n")
+    for told in (["ingest", "refused", "changed", "report"], ["report"]):
+        events.clear()
+        run_pass(request(tmp_path, quiet=True), events.append)
+        assert kinds(events) == told
+
+
+def test_young_logs_are_left_and_told(tmp_path, compared):
+    write_logs(tmp_path / "raw")
+    (tmp_path / "raw" / "young.csv").write_text(log_text(99.0))
+    events: list[dict] = []
+    outcome = run_pass(request(tmp_path, settle_s=60.0), events.append)
+    assert (events[0]["ingested"], events[0]["waiting"]) == (4, [str(tmp_path / "raw" / "young.csv")])
+    assert outcome.late
+    assert not run_pass(request(tmp_path), events.append).late
+    assert read_trials(tmp_path / "processed").num_rows == 5
+
+
+def test_one_pass_at_a_time(tmp_path, compared):
+    write_logs(tmp_path / "raw")
+    events: list[dict] = []
+    with lock.writing(tmp_path / "processed" / PASS_FOLDER):
+        outcome = run_pass(request(tmp_path, wait_s=0.0), events.append)
+    assert kinds(events) == ["busy"]
+    assert f"process {os.getpid()}" in events[0]["reason"]
+    assert (outcome.status, outcome.retry) == (0, True)
+    assert compared[0] == []
+
+
+# The loop, with passes that do nothing but what is to be tested
+
+
+def pass_of(monkeypatch, tmp_path: Path, body: str) -> Path:
+    """Have passes done by a script that notes each request in a file; returns that file."""
+    notes = tmp_path / "passes.jsonl"
+    script = "import json, os, signal, sys, time\nrequest = json.loads(sys.stdin.readline())\n"
+    script += (
+        f"with open({str(notes)!r}, 'a') as f: f.write(json.dumps(request | {{'at': time.monotonic()}}) + '\\n')\n"
+    )
+    script += "def tell(**event): print(json.dumps(event), flush=True)\n"
+    script += "def done(status=0, retry=False, late=False, failed={}):\n"
+    script += "    tell(event='outcome', status=status, retry=retry, late=late, failed=failed)\n"
+    monkeypatch.setattr(watch, "_PASS", script + body)
+    return notes
+
+
+def follow(tmp_path: Path, until, settle_s: float = 0.2, seconds: float = 20.0, **more) -> list[dict]:
+    """Run a watch in a thread until something holds; returns its events."""
+    (tmp_path / "raw").mkdir(exist_ok=True)
+    watched = Watched((tmp_path / "raw",), tmp_path / "processed", tmp_path / "reports", settle_s=settle_s, **more)
+    events: list[dict] = []
+    running = Watch(watched, 0.05, events.append)
+    thread = threading.Thread(target=running.run)
+    thread.start()
+    try:
+        ended = time.monotonic() + seconds
+        while not until(events) and time.monotonic() < ended:
+            time.sleep(0.02)
+        assert until(events), events
+    finally:
+        running.stop()
+        thread.join(30)
+    assert not thread.is_alive()
+    return events
+
+
+def passes(notes: Path) -> list[dict]:
+    return [json.loads(line) for line in notes.read_text().splitlines()] if notes.exists() else []
+
+
+def test_a_pass_that_dies_is_told_and_tried_again_ever_more_rarely(tmp_path, monkeypatch):
+    monkeypatch.setattr(watch, "RETRY_S", 0.2)
+    body = 'sys.stdout.write(\'{"event": "rep\'); sys.stdout.flush(); os.kill(os.getpid(), signal.SIGKILL)'
+    notes = pass_of(monkeypatch, tmp_path, body)
+    events = follow(tmp_path, lambda events: len(passes(notes)) >= 4)
+    failures = [event for event in events if event["event"] == "failed"]
+    assert len(failures) == 1, "the same failure is told once"
+    assert "status -9" in failures[0]["reason"]
+    times = [request["at"] for request in passes(notes)]
+    waits = [after - before for before, after in pairwise(times)]
+    assert all(wait > 0.2 * 2**number for number, wait in enumerate(waits))
+
+
+def test_failures_are_told_again_after_they_were_gone(tmp_path, monkeypatch):
+    monkeypatch.setattr(watch, "RETRY_S", 0.05)
+    monkeypatch.setattr(watch, "LONGEST_RETRY_S", 0.05)
+    body = f"n = len(open({str(tmp_path / 'passes.jsonl')!r}).readlines())\n"
+    body += "if n != 3: tell(event='failed', what='bench', reason='too few')\n"
+    body += "else: tell(event='report', what='bench')\n"
+    body += "done(status=int(n != 3), retry=True, failed={'other': 'x'})"
+    notes = pass_of(monkeypatch, tmp_path, body)
+    events = follow(tmp_path, lambda events: len(passes(notes)) >= 6)
+    assert [e["event"] for e in events if e["event"] in ("failed", "report")][:3] == ["failed", "report", "failed"]
+    assert [p["failed"] for p in passes(notes)][:2] == [{}, {"other": "x"}]
+
+
+def test_nothing_is_done_while_nothing_changes_and_growing_files_are_named(tmp_path, monkeypatch):
+    notes = pass_of(monkeypatch, tmp_path, "done()")
+    (tmp_path / "raw").mkdir()
+    (tmp_path / "raw" / "rests.csv").write_text("x")
+    growing = tmp_path / "raw" / "grows.csv"
+    ended = threading.Event()
+
+    def grow():
+        while not ended.wait(0.02):
+            with growing.open("a") as stream:
+                stream.write("x")
+
+    writer = threading.Thread(target=grow)
+    writer.start()
+    try:
+        follow(tmp_path, lambda events: passes(notes), settle_s=0.5)
+    finally:
+        ended.set()
+        writer.join()
+    first = passes(notes)[0]
+    assert str(tmp_path / "raw" / "rests.csv") not in first["growing"]
+    assert first["growing"] in ([str(growing)], [])  # empty only where the writer was held up for half a second
+    assert len(passes(notes)) <= 2
+    notes.unlink()
+    follow(tmp_path, lambda events: passes(notes) and passes(notes)[-1]["at"] + 1.0 < time.monotonic())
+    assert len(passes(notes)) == 1
+
+
+def test_a_device_file_that_changes_or_comes_has_a_pass_done(tmp_path, monkeypatch):
+    notes = pass_of(monkeypatch, tmp_path, "done()")
+    (tmp_path / "devices").mkdir()
+    (tmp_path / "devices" / "arm.toml").write_text("a")
+    monkeypatch.setenv(USER_FOLDER_VARIABLE, str(tmp_path / "devices"))
+    changes = {1: ("arm.toml", "ab"), 2: ("other.toml", "a")}
+
+    def until(events):
+        done = len(passes(notes))
+        if done in changes:
+            name, text = changes.pop(done)
+            (tmp_path / "devices" / name).write_text(text)
+        return done == 3
+
+    follow(tmp_path, until)
+    assert len(passes(notes)) == 3
+
+
+def test_a_scene_that_changes_and_a_folder_that_goes_and_comes(tmp_path, monkeypatch):
+    notes = pass_of(monkeypatch, tmp_path, "done()")
+    scene = tmp_path / "scene.toml"
+    scene.write_text("a")
+    steps = iter(
+        [
+            (lambda events: len(passes(notes)) == 1, lambda: scene.write_text("ab")),
+            (lambda events: len(passes(notes)) == 2, lambda: (tmp_path / "raw").rename(tmp_path / "away")),
+            (lambda events: "unreachable" in kinds(events), lambda: (tmp_path / "away").rename(tmp_path / "raw")),
+            (lambda events: "reachable" in kinds(events), lambda: None),
+        ]
+    )
+    waits_for, act = next(steps)
+
+    def until(events):
+        nonlocal waits_for, act
+        if waits_for is not None and waits_for(events):
+            act()
+            waits_for, act = next(steps, (None, None))
+        return waits_for is None
+
+    events = follow(tmp_path, until, scenes=(scene,))
+    assert kinds(events).count("unreachable") == kinds(events).count("reachable") == 1
+
+
+def test_a_second_request_to_stop_kills_the_pass(tmp_path, monkeypatch):
+    notes = pass_of(
+        monkeypatch, tmp_path, "signal.signal(signal.SIGTERM, signal.SIG_IGN)\ntell(event='x')\ntime.sleep(60)"
+    )
+    (tmp_path / "raw").mkdir()
+    watched = Watched((tmp_path / "raw",), tmp_path / "processed", tmp_path / "reports", settle_s=0.0)
+    events: list[dict] = []
+    running = Watch(watched, 0.05, events.append)
+    thread = threading.Thread(target=running.run)
+    thread.start()
+    while "x" not in kinds(events):
+        time.sleep(0.01)
+    running.stop()
+    thread.join(0.3)
+    assert thread.is_alive()
+    running.stop()
+    thread.join(30)
+    assert not thread.is_alive()
+    assert kinds(events)[-1] == "stopped"
+    assert len(passes(notes)) == 1
+
+
+# The command
+
+
+@pytest.fixture
+def call(capsys, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+
+    def run_here(*arguments):
+        with pytest.raises(SystemExit) as leaving:
+            run(["watch", *arguments])
+        out, err = capsys.readouterr()
+        return leaving.value.code or 0, out, err
+
+    return run_here
+
+
+def test_once_tells_in_words_and_in_json(call, tmp_path, compared):
+    write_logs(tmp_path / "raw")
+    status, out, _ = call("raw", "--once")
+    assert status == 0
+    stamped = r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\dZ "
+    lines = out.splitlines()
+    assert all(re.match(stamped, line) for line in lines)
+    assert "logs: 4 new, 4 in all" in lines[0]
+    (tmp_path / "raw" / "broken.csv").write_text(FAULTS["text cell"][0])
+    (tmp_path / "raw" / "young.csv").write_text(log_text(99.0))
+    os.utime(tmp_path / "raw" / "broken.csv", (1e9, 1e9))
+    status, out, _ = call("raw", "--once", "--json", "--settle", "60")
+    events = [json.loads(line) for line in out.splitlines()]
+    assert status == 3
+    assert kinds(events)[:2] == ["ingest", "refused"]
+    assert all(line_of(event) for event in events)
+    assert events[0]["waiting"] == ["raw/young.csv"]
+    # found = ingested + skipped + quarantined holds here, too
+    assert events[0]["found"] == events[0]["ingested"] + events[0]["skipped"] + events[0]["quarantined"] == 5
+
+
+def test_once_leaves_with_1_where_a_report_failed(call, tmp_path, compared):
+    write_logs(tmp_path / "raw")
+    compared[1]["bench"] = OSError(28, "No space left on device")
+    status, out, _ = call("raw", "--once")
+    assert status == 1
+    assert "failed: bench: [Errno 28] No space left on device" in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["none"], "none: no such folder"),
+        (["raw", "--interval", "0"], "--interval 0: expected a time above 0 s"),
+        (["raw", "--settle", "-1"], "--settle -1: expected a time of 0 s or more"),
+        ([".", "--once"], "reports: lies in the watched folder"),
+        (["processed"], "processed: lies in processed"),
+        (["raw", "--scene", "none.toml"], "none.toml: no such file"),
+    ],
+)
+def test_wrong_usage_is_told_before_anything_is_begun(call, tmp_path, arguments, words):
+    for name in ("raw", "processed"):
+        (tmp_path / name).mkdir()
+    status, out, err = call(*arguments)
+    assert (status, out) == (2, "")
+    assert words in err
+    assert not list((tmp_path / "processed").iterdir())
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_signals_end_a_watch_with_status_0_and_no_process_left(tmp_path, number):
+    write_logs(tmp_path / "raw")
+    process = Process(tmp_path)
+    process.wait_for("ingest", 60)
+    err = process.stop(number)
+    assert "Traceback" not in err
+    assert lock.holder(tmp_path / "processed" / PASS_FOLDER) is None
+    assert read_trials(tmp_path / "processed").num_rows == 4
+    assert not list(tmp_path.rglob("*.tmp"))
+
+
+# What the page on it says
+
+
+def test_commands_of_the_service_and_of_cron_exist():
+    from test_docs import fault
+
+    text = (ROOT / "docs" / "watch.md").read_text(encoding="utf-8")
+    commands = re.findall(r"bin/(pipeline watch .*)$", text, flags=re.MULTILINE)
+    assert len(commands) == 2
+    assert [fault(command) for command in commands] == [None, None]
+
+
+def test_every_event_is_on_the_page_and_has_words():
+    sources = [
+        (ROOT / "pipeline" / "shell" / f"{name}.py").read_text() for name in ("watch", "watch_pass", "cli_watch")
+    ]
+    found = {kind for text in sources for kind in re.findall(r'"event": "(\w+)"', text)} - {"outcome"}
+    found |= {"report", "unchanged"}  # chosen by whether something changed
+    page = (ROOT / "docs" / "watch.md").read_text(encoding="utf-8")
+    assert [kind for kind in sorted(found) if f"`{kind}`" not in page] == []
+    assert len(found) > 10
+    words = (ROOT / "pipeline" / "shell" / "cli_watch.py").read_text()
+    assert [kind for kind in sorted(found - {"stopped"}) if f'case "{kind}":' not in words] == []
+
+
+def test_the_process_that_looks_is_small():
+    heavy = [
+        "numpy",
+        "pyarrow",
+        "matplotlib",
+        "jinja2",
+        "pydantic",
+        "pipeline.comparison.compare",
+        "pipeline.ingest.ingest",
+    ]
+    script = "import sys, pipeline.shell.cli, pipeline.shell.watch.watch\n"
+    script += f"print([name for name in {heavy} if name in sys.modules])"
+    process = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert process.stdout.strip() == "[]"

@@ -1,0 +1,322 @@
+"""The course against testing one trial after the other, and what it leaves on disk."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.base.errors import DeviceError, ParameterError, PipelineError, UsageError
+from pipeline.devices.devices import find_experiment, load_device
+from pipeline.records.batch import TrialBatch
+from pipeline.records.models import Device
+from pipeline.records.native import parse_header
+from pipeline.simulation import course as course_module
+from pipeline.simulation import procedure
+from pipeline.simulation.course import TRUTH_FILE, Course, run_course, write_course
+from pipeline.simulation.simulate import MassSpringDamper, idealise, setup_of, simulate, spectral_radius
+
+FALCON, LWR = load_device("falcon"), load_device("lwr")
+
+
+@dataclass
+class Judged:
+    verdict: np.ndarray
+
+
+Judge = Callable[[TrialBatch], Judged]
+
+
+def judge_by_noise(batch: TrialBatch) -> Judged:
+    """Verdict that depends on the noise of the log and is not monotonic in K: hard for speculation."""
+    motion = np.abs(np.diff(batch.position, axis=1))
+    verdict = []
+    for row, count in zip(motion, batch.rows, strict=True):
+        if count < 100:
+            verdict.append("unstable")
+            continue
+        early, late = row[count - 81 : count - 41].max(), row[count - 41 : count - 1].max()
+        verdict.append("unstable" if late > early else "undecided" if late > 0.9 * early else "stable")
+    return Judged(np.array(verdict))
+
+
+def judge_by_theory(device: Device, experiment: str) -> Judge:
+    conditions = find_experiment(device, experiment)
+    setup = setup_of(device, conditions)
+    plant = MassSpringDamper(conditions.mass, conditions.damping)
+
+    def judge(batch: TrialBatch) -> Judged:
+        # 1e-9: at K = 0 and B = -b the radius is 1 exactly, but for the rounding of an eigenvalue
+        radius = spectral_radius(plant, setup, batch.stiffness, batch.damping)
+        return Judged(np.where(radius > 1 + 1e-9, "unstable", "stable"))
+
+    return judge
+
+
+def sequential(device: Device, experiment: str, judge: Judge, coarsen: int, seed: int) -> list[tuple[float, float]]:
+    """Pairs (K, B) of a lab that tests one trial after the other, in plain loops."""
+    e = find_experiment(device, experiment)
+    setup = setup_of(device, e)
+    tested: list[tuple[float, float]] = []
+
+    def unstable(K: float, B: float) -> bool:
+        tested.append((K, B))
+        batch = simulate(setup, np.array([K]), np.array([B]), stream=f"{device.name}/{e.name}", seed=seed)
+        return bool(judge(batch).verdict[0] == "unstable")
+
+    step = e.stiffness_step * coarsen
+    B = e.damping_first
+    while e.damping_last >= B:
+        stable = 0
+        while not unstable((stable + 1) * step, B):
+            stable += 1
+        for part in (0.2, 0.4, 0.6, 0.8):
+            if unstable((stable + part) * step, B):
+                break
+        B += e.damping_step * coarsen
+    stable = -1
+    while not unstable(0.0, -(stable + 1) * e.damping_step):
+        stable += 1
+    for part in (0.2, 0.4, 0.6, 0.8):
+        if unstable(0.0, -(stable + part) * e.damping_step):
+            break
+    return tested
+
+
+@pytest.mark.parametrize(("device", "experiment", "coarsen"), [(FALCON, "6", 9), (LWR, "delay-5", 10)])
+def test_course_equals_testing_one_after_the_other(
+    device: Device, experiment: str, coarsen: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    expected = sequential(device, experiment, judge_by_noise, coarsen, 5)
+    for wave in (1, 3, 12):
+        monkeypatch.setattr(procedure, "WAVE", wave)
+        course = run_course(device, experiment, seed=5, coarsen=coarsen, judge=judge_by_noise)
+        batch = course.batch
+        assert np.allclose(np.stack((batch.stiffness, batch.damping), axis=1), expected, rtol=1e-12, atol=1e-12)
+    assert set(course.verdict) == {"stable", "unstable", "undecided"}
+    assert set(course.passes) == {1, 2}
+
+
+def test_verdicts_from_the_logs_lead_through_the_course_that_theory_predicts(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    theory = run_course(FALCON, "1", ideal=True, coarsen=5, judge=judge_by_theory(FALCON, "1")).batch
+    for wave in (5, 12):
+        monkeypatch.setattr(procedure, "WAVE", wave)
+        found = run_course(FALCON, "1", ideal=True, coarsen=5).batch
+        assert found.trial_id == theory.trial_id
+
+
+def test_kept_trials_are_those_of_a_single_simulation() -> None:
+    course = run_course(FALCON, "6", seed=5, coarsen=9, judge=judge_by_noise)
+    for i in (0, len(course.batch) // 2, len(course.batch) - 1):
+        K, B = course.batch.stiffness[[i]], course.batch.damping[[i]]
+        alone = simulate(course.setup, K, B, seed=5, stream="falcon/6")
+        rows = course.batch.rows[i]
+        assert alone.rows[0] == rows
+        assert np.array_equal(alone.position[0], course.batch.position[i, :rows])
+        assert np.isnan(course.batch.position[i, rows:]).all()
+
+
+@pytest.mark.parametrize(
+    ("device", "experiment", "size"), [(FALCON, "1", 2320), (FALCON, "6", 1080), (LWR, "delay-2", 1420)]
+)
+def test_size_of_an_ideal_course(device: Device, experiment: str, size: int) -> None:
+    course = run_course(device, experiment, ideal=True, judge=judge_by_theory(device, experiment))
+    # sizes from DEFINITIONS ("about"); one more fine or K = 0 trial for each of 40 dampings would be 3 %
+    assert len(course.batch) == pytest.approx(size, rel=0.015)
+    assert len(set(course.batch.trial_id)) == len(course.batch)
+
+
+def test_limits_are_bracketed_to_a_fifth_of_the_step() -> None:
+    course = run_course(FALCON, "2", ideal=True, coarsen=6, judge=judge_by_theory(FALCON, "2"))
+    K, B, unstable = course.batch.stiffness, course.batch.damping, course.verdict == "unstable"
+    for damping in np.unique(B[K > 0]):
+        here = (damping == B) & (K > 0)
+        assert K[here & unstable].min() - K[here & ~unstable].max() == pytest.approx(6 * 200 / 5)
+    free = K == 0
+    assert B[free & unstable].max() == pytest.approx(-2.4)  # b = 2: the first step of 0.8 beyond the limit
+    assert B[free & ~unstable].min() == pytest.approx(-1.6)
+
+
+def test_full_range_goes_on_until_no_stiffness_is_stable(monkeypatch: pytest.MonkeyPatch) -> None:
+    judge = judge_by_theory(LWR, "delay-5")
+    tested = run_course(LWR, "delay-5", ideal=True, coarsen=8, judge=judge)
+    assert tested.batch.damping.max() == 40.0
+    sizes = []
+    for ahead in (1, 6):
+        monkeypatch.setattr(course_module, "COLUMNS_AHEAD", ahead)
+        full = run_course(LWR, "delay-5", ideal=True, coarsen=8, damping_range="full", judge=judge)
+        last = full.batch.damping == full.batch.damping.max()
+        assert (full.verdict[last] == "unstable").all()
+        below = (full.batch.damping == full.batch.damping.max() - 8) & (full.batch.stiffness > 0)
+        assert (full.verdict[below] == "stable").any()
+        sizes.append(len(full.batch))
+    assert full.batch.damping.max() > 40
+    assert sizes[0] == sizes[1]
+
+
+def test_where_no_damping_at_zero_stiffness_is_stable_the_limit_is_enclosed_from_above() -> None:
+    def judge(batch: TrialBatch) -> Judged:
+        return Judged(np.where((batch.stiffness > 0) | (batch.damping < 0.5), "unstable", "stable"))
+
+    course = run_course(LWR, "delay-2", coarsen=40, ideal=True, judge=judge)
+    free = course.batch.stiffness == 0
+    assert course.batch.damping[free] == pytest.approx([0.0, 0.8, 0.6, 0.4])
+    assert course.verdict[free].tolist() == ["unstable", "stable", "stable", "unstable"]
+
+
+def test_a_course_without_end_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(procedure, "LONGEST_CLIMB", 24)
+    with pytest.raises(ParameterError, match=r"no unstable trial after 24 steps \(K = 4800, B = 0\)"):
+        run_course(FALCON, "1", judge=lambda b: Judged(np.full(len(b), "stable")))
+
+
+def test_options_replace_the_devices_values() -> None:
+    seen: list[int] = []
+    course = run_course(
+        *(FALCON, "6"),
+        quantum=1e-5,
+        noise=0.0,
+        jitter=(4,),
+        duration_s=0.3,
+        coarsen=9,
+        judge=judge_by_noise,
+        progress=seen.append,
+    )
+    assert (course.setup.quantum, course.setup.noise, course.setup.jitter_samples) == (1e-5, 0.0, (4,))
+    assert course.batch.rows.max() == 300
+    assert seen == sorted(seen)
+    assert seen[-1] == len(course.batch)
+    ideal = run_course(FALCON, "6", ideal=True, coarsen=9, judge=judge_by_theory(FALCON, "6"))
+    assert ideal.setup == idealise(setup_of(FALCON, find_experiment(FALCON, "6")))
+
+
+def test_wrong_requests_are_refused() -> None:
+    with pytest.raises(DeviceError, match="no experiment '9'"):
+        run_course(FALCON, "9")
+    with pytest.raises(ParameterError, match="coarsen = 0"):
+        run_course(FALCON, "1", coarsen=0)
+    with pytest.raises(ParameterError, match=r"duration = 1000000000.0 s: expected at most 20 s \(20000 samples\)"):
+        run_course(FALCON, "1", duration_s=1e9)
+
+
+@pytest.fixture(scope="module")
+def small() -> Course:
+    return run_course(FALCON, "6", seed=2, coarsen=9, judge=judge_by_noise)
+
+
+def test_logs_hold_the_trials_to_the_last_bit(small: Course, tmp_path: Path) -> None:
+    assert write_course(small, tmp_path) == len(small.batch)
+    folder = tmp_path / "falcon" / "6"
+    assert {p.name for p in folder.iterdir()} == {f"{i}.csv" for i in small.batch.trial_id} | {TRUTH_FILE}
+    for i, name in enumerate(small.batch.trial_id):
+        lines = (folder / f"{name}.csv").read_text().splitlines()
+        header = parse_header(lines)
+        body = lines.index("time_s,command,position") + 1
+        values = np.array([[float(cell) for cell in line.split(",")] for line in lines[body:]])
+        rows = small.batch.rows[i]
+        assert (header.stiffness, header.damping) == (small.batch.stiffness[i], small.batch.damping[i])
+        assert (header.device, header.experiment, header.grip) == ("falcon", "6", "firm")
+        assert (header.step, header.sampling_period_s, header.simulated) == (8.0, 0.001, True)
+        assert values.shape == (rows, 3)
+        assert np.array_equal(values[:, 0], small.batch.time[i, :rows])
+        assert np.array_equal(values[:, 1], small.batch.command[i, :rows])
+        assert np.array_equal(values[:, 2], small.batch.position[i, :rows])
+
+
+def test_names_are_readable_and_sortable(small: Course) -> None:
+    names = small.batch.trial_id
+    assert names[0] == "B000_K003600_p1"
+    assert any(name.startswith("B-010_K000000_p1") for name in names)
+    assert len(set(names)) == len(names)
+
+
+def test_truth_says_what_was_simulated(small: Course, tmp_path: Path) -> None:
+    write_course(small, tmp_path)
+    truth = json.loads((tmp_path / "falcon" / "6" / TRUTH_FILE).read_text())
+    assert truth["plant"] == {"mass": 1.0, "damping": 34.0, "stiffness": 0.0}
+    assert (truth["delay_samples"], truth["jitter_samples"], truth["seed"]) == (4.0, [3, 4, 5], 2)
+    assert (truth["quantum"], truth["noise"], truth["edge_row"], truth["complete"]) == (2e-6, 5e-7, 20, True)
+    assert list(truth["logs"]) == [f"{name}.csv" for name in small.batch.trial_id]
+    first = truth["logs"]["B000_K003600_p1.csv"]
+    assert (first["stiffness"], first["damping"], first["verdict"]) == (3600.0, 0.0, small.verdict[0])
+    assert first["rows"] == small.batch.rows[0]
+
+
+def test_an_earlier_simulation_is_replaced_only_on_request(small: Course, tmp_path: Path) -> None:
+    write_course(small, tmp_path)
+    folder = tmp_path / "falcon" / "6"
+    own = folder / "my_own.csv"
+    own.write_text("recorded by hand")
+    with pytest.raises(UsageError, match="--overwrite"):
+        write_course(small, tmp_path)
+    few = small.batch.select(np.arange(5))
+    half = replace(small, batch=few, passes=small.passes[:5], verdict=small.verdict[:5])
+    assert write_course(half, tmp_path, overwrite=True) == 5
+    listed = {f"{name}.csv" for name in few.trial_id}
+    assert {p.name for p in folder.iterdir()} == listed | {TRUTH_FILE, own.name}
+    assert own.read_text() == "recorded by hand"
+
+
+def test_a_log_that_is_not_listed_is_never_replaced(small: Course, tmp_path: Path) -> None:
+    folder = tmp_path / "falcon" / "6"
+    folder.mkdir(parents=True)
+    own = folder / f"{small.batch.trial_id[3]}.csv"
+    own.write_text("recorded by hand")
+    for overwrite in (False, True):
+        with pytest.raises(UsageError, match=own.name):
+            write_course(small, tmp_path, overwrite=overwrite)
+    assert [p.name for p in folder.iterdir()] == [own.name]
+    assert own.read_text() == "recorded by hand"
+
+
+@pytest.mark.parametrize("text", ["{", "[]", '{"logs": 3}', "{}"])
+def test_a_foreign_truth_file_stops_the_replacement(small: Course, tmp_path: Path, text: str) -> None:
+    folder = tmp_path / "falcon" / "6"
+    folder.mkdir(parents=True)
+    (folder / TRUTH_FILE).write_text(text)
+    with pytest.raises(UsageError, match="is not a list of simulated logs"):
+        write_course(small, tmp_path, overwrite=True)
+    assert (folder / TRUTH_FILE).read_text() == text
+
+
+def test_a_listed_path_outside_the_folder_is_left_alone(small: Course, tmp_path: Path) -> None:
+    folder = tmp_path / "falcon" / "6"
+    folder.mkdir(parents=True)
+    outside = tmp_path / "keep.csv"
+    outside.write_text("keep")
+    notes = folder / "notes.txt"
+    notes.write_text("keep")
+    (folder / TRUTH_FILE).write_text(json.dumps({"logs": ["../../keep.csv", str(outside), "notes.txt"]}))
+    write_course(small, tmp_path, overwrite=True)
+    assert outside.exists()
+    assert notes.exists()
+
+
+def test_a_broken_run_leaves_complete_logs_that_the_next_run_replaces(
+    small: Course, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "falcon" / "6"
+    real, written = Path.write_bytes, []
+
+    def full_disk(path: Path, data: bytes) -> int:
+        written.append(path)
+        if len(written) == 8:
+            real(path, data[:100])
+            raise OSError(28, "No space left on device", str(path))
+        return real(path, data)
+
+    monkeypatch.setattr(Path, "write_bytes", full_disk)
+    with pytest.raises(PipelineError, match="No space left"):
+        write_course(small, tmp_path)
+    monkeypatch.undo()
+    assert json.loads((folder / TRUTH_FILE).read_text())["complete"] is False
+    found = sorted(p.name for p in folder.iterdir() if p.name != TRUTH_FILE)
+    assert found == sorted(f"{name}.csv" for name in small.batch.trial_id[:7])  # whole logs, no temporary file
+    assert write_course(small, tmp_path, overwrite=True) == len(small.batch)
+    assert json.loads((folder / TRUTH_FILE).read_text())["complete"] is True

@@ -1,0 +1,272 @@
+"""The simulated loop against plain loops with the matrix exponential; its sensor, delay, limits singly."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.linalg import expm
+
+from pipeline.base.errors import ParameterError
+from pipeline.devices.devices import load_device
+from pipeline.records.batch import Floats, Integers, TrialBatch
+from pipeline.simulation.simulate import (
+    MassSpringDamper,
+    Setup,
+    idealise,
+    in_force,
+    setup_of,
+    simulate,
+    spectral_radius,
+)
+
+T = 0.001
+FALCON = setup_of(load_device("falcon"), load_device("falcon").experiments[0])
+IDEAL = idealise(FALCON)
+
+
+def fine_loop(setup: Setup, plant: MassSpringDamper, K: float, B: float, p: int, q: int) -> tuple[Floats, Floats]:
+    """Displacement and command of the ideal loop with d = p/q: q matrix exponential steps per sample."""
+    gamma, delta = plant.stiffness / plant.mass, plant.damping / plant.mass
+    step = expm(np.array([[0, 1, 0], [-gamma, -delta, 1 / plant.mass], [0, 0, 0]]) * T / q)
+    state = np.zeros(3)
+    sent: list[float] = []
+    position: list[float] = []
+    command: list[float] = []
+    for fine in range(setup.rows * q):
+        if fine % q == 0:
+            position.append(state[0])
+            before = position[-2] if len(position) > 1 else 0.0
+            external = setup.step if len(position) > setup.edge_row else 0.0
+            command.append(external - K * state[0] - B * (state[0] - before) / T)
+        sent.append(command[-1])
+        state[2] = sent[fine - p] if fine >= p else 0.0
+        state = step @ state
+    return np.array(position), np.array(command)
+
+
+@pytest.mark.parametrize(("k", "b"), [(0.0, 4.0), (0.0, 0.0), (300.0, 2.0)])
+@pytest.mark.parametrize(("p", "q"), [(0, 1), (1, 1), (4, 1), (9, 2), (1, 4), (7, 3)])
+def test_ideal_loop_equals_an_independent_loop(p: int, q: int, k: float, b: float) -> None:
+    plant = MassSpringDamper(0.58, b, k)
+    setup = replace(IDEAL, plant=plant, delay_samples=p / q)
+    K, B = np.array([400.0, 4400.0, 200.0]), np.array([4.0, 72.0, -1.0])
+    batch = simulate(setup, K, B)
+    for i in range(3):
+        position, command = fine_loop(setup, plant, K[i], B[i], p, q)
+        rows = batch.rows[i]
+        assert rows > 100
+        # positions are read at 0.12 m: rounding of 1e-17 m, 1e-14 of a response, times the gain of the loop
+        assert np.abs(batch.displacement[i, :rows] - position[:rows]).max() <= 1e-12 * np.abs(position).max()
+        assert np.abs(batch.command[i, :rows] - command[:rows]).max() <= 1e-12 * np.abs(command).max() * 20
+
+
+@pytest.mark.parametrize("d", [0.0, 2.0, 4.5])
+@pytest.mark.parametrize("tau", [0.0, 0.002])
+def test_spectral_radius_is_the_growth_of_the_simulated_response(d: float, tau: float) -> None:
+    setup = replace(IDEAL, delay_samples=d, travel=np.inf, rows=3000, velocity_filter_s=tau)
+    plant = MassSpringDamper(0.58, 4.0)
+    # beyond the stability limit one pair of modes wins in the end: x_{k+2} = p x_{k+1} + q x_k, |z|^2 = -q
+    K, B = np.array([60_000.0, 60_000.0]), np.array([0.0, -20.0])
+    rho = spectral_radius(plant, setup, K, B)
+    assert (rho > 1.003).all()
+    for i in range(2):
+        rows = min(setup.rows, int(np.log(1e12) / np.log(rho[i])))
+        x = simulate(replace(setup, rows=rows), K[i : i + 1], B[i : i + 1]).displacement[0, -60:]
+        recurrence = np.linalg.lstsq(np.stack((x[1:-1], x[:-2]), axis=1) / x[-1], x[2:] / x[-1])[0]
+        assert np.sqrt(-recurrence[1]) == pytest.approx(rho[i], rel=1e-6)
+
+
+def test_spectral_radius_at_zero_stiffness_leaves_out_the_integrator() -> None:
+    rho = spectral_radius(MassSpringDamper(0.58, 4.0), IDEAL, np.zeros(3), np.array([0.0, -3.9, -4.1]))
+    assert rho[0] == pytest.approx(np.exp(-4.0 / 0.58 * T), rel=1e-9)  # only the device's own damping
+    assert rho[1] < 1 < rho[2]
+
+
+def test_trial_starts_at_rest_at_centre_minus_step_over_stiffness() -> None:
+    batch = simulate(IDEAL, np.array([400.0, 4000.0, 0.0]), np.array([20.0, 60.0, 0.0]))
+    start = np.array([0.12 - 8 / 400, 0.12 - 8 / 4000, 0.12])
+    quiet = IDEAL.edge_row + 5  # the plant feels the step 4 samples later and shows it at the sample after
+    assert (batch.position[:, :quiet] == start[:, None]).all()
+    assert (batch.position[:, quiet] > start).all()
+    assert (batch.command[:, : IDEAL.edge_row] == 0).all()
+    assert (batch.command[:, IDEAL.edge_row] == 8).all()
+    assert batch.position[1, -1] == pytest.approx(0.12, rel=1e-4)
+
+
+def test_without_stiffness_the_travel_is_reached_after_85_ms() -> None:
+    setup = replace(IDEAL, plant=MassSpringDamper(0.58))
+    batch = simulate(setup, np.zeros(1), np.zeros(1))
+    arrival = np.sqrt(2 * 0.05 * 0.58 / 8)  # 85.1 ms
+    assert batch.rows[0] - 1 == IDEAL.edge_row + 4 + np.ceil(arrival / T)
+    assert batch.displacement[0, -1] > 0.05 >= batch.displacement[0, -2]
+
+
+def test_a_trial_ends_with_the_first_sample_outside_its_travel_and_the_others_go_on() -> None:
+    batch = simulate(IDEAL, np.array([4000.0, 30_000.0]), np.array([60.0, 0.0]))
+    rows = batch.rows[1]
+    assert batch.rows[0] == IDEAL.rows > rows
+    distance = np.abs(batch.position[1] - 0.12)
+    assert distance[rows - 1] > 0.05
+    assert (distance[: rows - 1] <= 0.05).all()
+    assert np.isnan(batch.position[1, rows:]).all()
+    assert np.isnan(batch.command[1, rows:]).all()
+    assert np.isnan(batch.time[1, rows:]).all()
+    alone = simulate(IDEAL, np.array([30_000.0]), np.zeros(1))
+    assert alone.position.shape == (1, rows)
+
+
+def test_a_start_outside_the_travel_does_not_end_the_trial_at_once() -> None:
+    batch = simulate(FALCON, np.array([40.0]), np.array([30.0]))  # starts 0.2 m from the centre, travel 0.05 m
+    assert batch.rows[0] == FALCON.rows
+
+
+@given(st.lists(st.lists(st.integers(0, 6), min_size=3, max_size=3), min_size=1, max_size=40))
+@settings(max_examples=60, deadline=None)
+def test_newest_arrived_command_holds(delays: list[list[int]]) -> None:
+    matrix: Integers = np.array(delays)
+    found = in_force(matrix)
+    for trial in range(3):
+        for row in range(len(matrix)):
+            arrived = [sent for sent in range(row + 1) if sent + matrix[sent, trial] <= row]
+            assert found[row, trial] == max(arrived, default=-1)
+    assert (np.diff(found, axis=0) >= 0).all()  # no overtaking
+
+
+def felt_command(batch: TrialBatch, row: int, mass: float) -> float:
+    """Command that an undamped plant felt in the interval after a row, from three positions."""
+    x = batch.position[0]
+    state = np.array([0.0, 0.0])
+    for k in range(row):
+        force = mass * (x[k + 1] - x[0] - state[0] - T * state[1]) * 2 / T**2
+        state = state + np.array([T * state[1] + force / mass * T**2 / 2, force / mass * T])
+    return float(mass * (x[row + 1] - x[0] - state[0] - T * state[1]) * 2 / T**2)
+
+
+def test_jitter_delays_lie_in_the_set_and_commands_do_not_overtake() -> None:
+    # an undamped mass: the felt force follows from the positions alone, without the simulator's bookkeeping
+    setup = replace(IDEAL, plant=MassSpringDamper(0.58), jitter_samples=(3, 4, 5), rows=60, edge_row=2)
+    setup = replace(setup, centre=0.0)
+    batch = simulate(setup, np.array([3000.0]), np.array([60.0]), seed=7)
+    command = batch.command[0]
+    assert len(np.unique(command[10:])) == 50  # every command of the response can be told from the others
+    sources = []
+    for row in range(16, 40):
+        distance = np.abs(command[: row + 1] - felt_command(batch, row, 0.58))
+        assert distance.min() < 1e-6
+        sources.append(int(distance.argmin()))
+    age = np.arange(16, 40) - np.array(sources)
+    # what is in force is never older than the longest delay: the command of that age has arrived for certain
+    assert set(age.tolist()) == {3, 4, 5}
+    assert (np.diff(sources) >= 0).all()
+
+
+def test_jitter_of_one_value_is_a_constant_delay() -> None:
+    K, B = np.array([400.0, 4000.0]), np.array([10.0, 60.0])
+    jittered = simulate(replace(IDEAL, jitter_samples=(4,)), K, B)
+    constant = simulate(IDEAL, K, B)
+    assert np.array_equal(jittered.position, constant.position)
+
+
+def test_positions_lie_on_the_grid_of_the_quantum() -> None:
+    setup = replace(FALCON, quantum=1e-5)
+    batch = simulate(setup, np.array([500.0, 4000.0]), np.array([10.0, 60.0]))
+    steps = batch.position / 1e-5
+    assert np.abs(steps - np.rint(steps)).max() < 1e-9
+    assert len(np.unique(np.rint(steps))) > 100
+
+
+def test_noise_has_the_given_size_and_is_not_filtered_into_the_plant() -> None:
+    # K = B = 0: the plant rests until the step, so that the baseline is noise alone
+    setup = replace(IDEAL, noise=1e-6, rows=4100, edge_row=4099, travel=1.0)
+    x = simulate(setup, np.zeros(1), np.zeros(1)).position[0]
+    assert x.std() == pytest.approx(1e-6, rel=0.05)  # standard error of 4,100 values: 1.1 %
+    assert x.mean() == pytest.approx(0.12, abs=1e-7)
+    assert abs(np.corrcoef(x[1:], x[:-1])[0, 1]) < 0.06  # white: 4 standard errors
+
+
+def test_force_limit_clips_the_command_and_the_plant_feels_the_clipped_one() -> None:
+    limited = simulate(replace(IDEAL, force_limit=3.0), np.array([400.0]), np.array([4.0]))
+    assert np.nanmax(limited.command) == 3.0
+    assert np.nanmin(limited.command) == -3.0
+    free = simulate(replace(IDEAL, step=3.0), np.zeros(1), np.zeros(1))
+    head = IDEAL.edge_row + 12  # as long as the wall takes less than 5 N off the 8 N
+    assert np.allclose(limited.displacement[0, :head], free.displacement[0, :head], rtol=0, atol=1e-15)
+    assert limited.displacement[0, head - 1] > 1e-4
+
+
+def test_velocity_filter_is_the_first_order_low_pass() -> None:
+    setup = replace(IDEAL, velocity_filter_s=0.003)
+    K, B = 1000.0, 20.0
+    batch = simulate(setup, np.array([K]), np.array([B]))
+    velocity = (8.0 * (np.arange(IDEAL.rows) >= IDEAL.edge_row) - batch.command[0] - K * batch.displacement[0]) / B
+    raw = np.diff(batch.position[0], prepend=batch.position[0, 0]) / T
+    # exact response of v' = (raw - v)/tau to an input that is constant over each period
+    weights = np.exp(-np.arange(IDEAL.rows) * T / 0.003) * (1 - np.exp(-T / 0.003))
+    expected = np.convolve(raw, weights)[: IDEAL.rows]
+    assert np.abs(velocity - expected).max() < 1e-11
+    assert np.abs(raw - expected).max() > 1e-3
+
+
+def test_a_trial_does_not_depend_on_its_batch() -> None:
+    K = np.array([500.0, 3000.0, 12_000.0, 20_000.0, 0.0])
+    B = np.array([10.0, 60.0, 100.0, 4.0, -4.0])
+    together = simulate(FALCON, K, B, seed=3, stream="falcon/1")
+    for i in (4, 2, 0):
+        alone = simulate(FALCON, K[[i]], B[[i]], seed=3, stream="falcon/1")
+        rows = alone.rows[0]
+        assert rows == together.rows[i]
+        assert np.array_equal(alone.position[0], together.position[i, :rows])
+        assert np.array_equal(alone.command[0], together.command[i, :rows])
+
+
+def test_a_longer_trial_begins_like_the_shorter_one() -> None:
+    K, B = np.array([3000.0]), np.array([60.0])
+    short, long = simulate(FALCON, K, B), simulate(replace(FALCON, rows=1000), K, B)
+    assert np.array_equal(short.position[0], long.position[0, :400])
+
+
+@pytest.mark.parametrize("change", [{"seed": 1}, {"stream": "falcon/2"}, {"repetition": 1}])
+def test_seed_experiment_and_repetition_change_the_trial(change: dict[str, object]) -> None:
+    K, B = np.array([3000.0]), np.array([60.0])
+    one, other = simulate(FALCON, K, B), simulate(FALCON, K, B, **change)  # type: ignore[arg-type]
+    assert not np.array_equal(one.position, other.position)
+
+
+@pytest.mark.parametrize(("K", "B", "seed"), [(-1.0, 0.0, 0), (np.nan, 0.0, 0), (1.0, np.inf, 0), (1.0, 0.0, -1)])
+def test_conditions_out_of_range_are_refused(K: float, B: float, seed: int) -> None:
+    with pytest.raises(ParameterError):
+        simulate(IDEAL, np.array([K]), np.array([B]), seed=seed)
+
+
+@pytest.mark.parametrize(
+    "change", [{"delay_samples": -1.0}, {"jitter_samples": (3, -1)}, {"edge_row": 400}, {"noise": -1e-6}]
+)
+def test_setups_out_of_range_are_refused(change: dict[str, object]) -> None:
+    with pytest.raises(ParameterError):
+        replace(IDEAL, **change)  # type: ignore[arg-type]
+
+
+class HalfSteps:
+    """Another plant: the same mass and damper, moved in two halves, with a third state: its age."""
+
+    def rest(self, trials: int) -> Floats:
+        return np.zeros((3, trials))
+
+    def advance(self, state: Floats, force: Floats, time_s: float) -> Floats:
+        plant = MassSpringDamper(0.58, 4.0)
+        half = plant.advance(state[:2], force, time_s / 2)
+        return np.vstack((plant.advance(half, force, time_s / 2), state[2:] + time_s))
+
+
+def test_the_plant_can_be_replaced() -> None:
+    K, B = np.array([400.0, 4000.0]), np.array([10.0, 60.0])
+    one, other = simulate(IDEAL, K, B), simulate(replace(IDEAL, plant=HalfSteps()), K, B)
+    assert np.abs(one.displacement - other.displacement).max() < 1e-12 * one.displacement.max()
+
+
+def test_no_trials_give_an_empty_batch() -> None:
+    assert len(simulate(FALCON, np.empty(0), np.empty(0))) == 0

@@ -1,0 +1,51 @@
+"""A delay that is longer than theory is computed for: the measured part of a report stands, without theory."""
+
+import pytest
+
+from pipeline.base.provenance import schema_folder
+from pipeline.comparison.compare import compare
+from pipeline.comparison.figures.boundary_curves import too_late
+from pipeline.devices.devices import USER_FOLDER_VARIABLE, read_device
+from pipeline.ingest.ingest import ingest
+from pipeline.records.models import Estimate
+from pipeline.simulation.course import run_course, write_course
+
+DELAY = 280
+
+
+@pytest.mark.parametrize(
+    ("value", "high", "late"),
+    [(256.0, 256.0, False), (257.0, None, True), (255.0, 257.0, True), (None, None, False), (256.0, None, False)],
+)
+def test_what_the_interval_leaves_open_counts(value, high, late):
+    reason = "not seen" if value is None else None
+    assert too_late(Estimate(value=value, low=value, high=high, unit="samples", method="first", reason=reason)) is late
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("known", [True, False])
+def test_a_report_without_theory_says_why(known, tmp_path, monkeypatch):
+    text = (schema_folder() / "devices" / "lwr.toml").read_text(encoding="utf-8")
+    first = text.index("[[experiment]]")
+    second = text.index("[[experiment]]", first + 1)
+    far = (
+        text[:second]
+        .replace('name = "lwr"', 'name = "far"', 1)
+        .replace("delay_samples = 2\n", f"delay_samples = {DELAY}\n")
+    )
+    folder = tmp_path / "devices"
+    folder.mkdir()
+    (folder / "far.toml").write_text(far, encoding="utf-8")
+    course = run_course(read_device(folder / "far.toml"), "delay-2", coarsen=40, duration_s=0.7)
+    write_course(course, tmp_path / "logs")
+    ingest([tmp_path / "logs"], tmp_path / "processed")
+    if known:
+        monkeypatch.setenv(USER_FOLDER_VARIABLE, str(folder))
+    result = compare("far", tmp_path / "processed", report=tmp_path / "far.html").result
+    assert result.known_device is known
+    (found,) = result.experiments
+    assert found.estimates["delay_samples"].value == DELAY
+    assert found.theory is None
+    assert any("longer than the 256 samples that theory is computed for" in text for text in result.warnings)
+    assert any("device file of 'far' has a delay" in text for text in result.warnings) is known
+    assert (tmp_path / "far.html").exists()

@@ -1,0 +1,233 @@
+"""What an ingest meets outside a tidy laboratory: limits of the system, bad disks, links, damage, closed outputs."""
+
+import errno
+import os
+import resource
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from native_logs import FAULTS, HEADER_LINES, log_text, short_log, with_cell
+from stored import check_whole
+
+from pipeline.base import lock
+from pipeline.base.errors import StoreError, UsageError
+from pipeline.ingest import compaction, quarantine
+from pipeline.ingest.compaction import compact
+from pipeline.ingest.ingest import ingest
+from pipeline.shell.status import status
+from pipeline.shell.watch.watch_pass import PassRequest, run_pass
+from pipeline.store.storage import list_experiments, read_trials, steadily
+
+PIPELINE = [sys.executable, "-c", "from pipeline.shell.cli import run; run()"]
+
+
+def test_more_experiments_than_files_may_be_open(logs, processed):
+    """A lab may call each recording an experiment of its own; no batch keeps a file open while others are collected."""
+    for number in range(40):
+        (logs / f"{number}.csv").write_text(short_log(number + 1.0, experiment=f"run {number}"))
+    opened = len(os.listdir("/proc/self/fd")) if os.path.isdir("/proc/self/fd") else 64
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (opened + 25, hard))
+    try:
+        assert ingest([logs], processed, jobs=2).ingested == 40
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+    assert len(list_experiments(processed, "bench")) == 40
+    assert check_whole(processed, {}) == {str(path) for path in logs.iterdir()}
+
+
+def test_batches_of_one_flush_have_numbers_of_their_own(logs, processed):
+    for number in range(3):
+        (logs / f"{number}.csv").write_text(short_log(number + 1.0, experiment=f"{number}"))
+    ingest([logs], processed, jobs=1)
+    names = [file.name for file in (processed / "trials").rglob("*.parquet")]
+    assert sorted(name.split("-")[0] for name in names) == ["000001", "000002", "000003"]
+
+
+def test_a_log_on_a_bad_sector_costs_itself_alone(logs, processed, monkeypatch):
+    (logs / "bad.csv").write_text(FAULTS["text cell"][0])
+    (logs / "good.csv").write_text(log_text())
+
+    class BadDisk:
+        """Opens, and fails when it is read."""
+
+        def __init__(self, path, within=None):
+            self.stream = open(path, "rb")  # noqa: SIM115
+
+        def __enter__(self):
+            return self
+
+        def __exit__(self, *_):
+            self.stream.close()
+
+        def fileno(self):
+            return self.stream.fileno()
+
+        def read(self, size):
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    monkeypatch.setattr(quarantine, "open_regular", BadDisk)
+    report = ingest([logs], processed, jobs=1)
+    assert (report.found, report.ingested, len(report.quarantined)) == (2, 1, 1)
+    (record,) = quarantine.list_quarantine(processed)
+    assert record.excerpt == ()
+
+
+@pytest.mark.parametrize(
+    ("period", "line"),
+    [("1e-320", None), ("1e300", None), ("0.001", "1e308,0,0"), ("0.001", "1e99,0,0")],
+)
+def test_a_period_that_cannot_count_the_rows_is_refused(logs, processed, period, line):
+    """Such a number once ended the ingest of all other logs by an overflow."""
+    text = log_text().replace("sampling_period_s: 0.001", f"sampling_period_s: {period}")
+    assert period in text
+    last = HEADER_LINES + 30
+    (logs / "bad.csv").write_text(text if line is None else with_cell(text, last, line))
+    (logs / "good.csv").write_text(log_text(200.0))
+    report = ingest([logs], processed, jobs=1)
+    assert report.ingested == 1
+    assert [refusal.code for refusal in report.quarantined] == ["time-wrong"]
+
+
+def test_the_store_is_left_out_by_whatever_name_it_is_reached(logs, processed, tmp_path):
+    (logs / "a.csv").write_text(log_text())
+    linked = tmp_path / "linked"
+    linked.symlink_to(logs)
+    for searched, store in ((logs, linked / "store"), (linked, logs / "store"), (logs, logs / "store")):
+        report = ingest([searched], store, jobs=1)
+        assert (report.found, report.quarantined) == (1, ())
+    with pytest.raises(UsageError, match="where results are kept"):
+        ingest([logs / "store" / "trials"], linked / "store")
+
+
+@pytest.fixture
+def store(logs, processed):
+    for number in range(3):
+        (logs / f"{number}.csv").write_text(short_log(number + 1.0))
+    ingest([logs], processed, jobs=1)
+    return processed
+
+
+@pytest.mark.parametrize("damage", ["missing", "cut"])
+def test_samples_that_are_missing_or_damaged_are_named(store, damage):
+    (file,) = (store / "samples").rglob("*.parquet")
+    if damage == "missing":
+        file.unlink()
+    else:
+        os.truncate(file, 100)
+    for look in (lambda: compact(store, dry_run=True), lambda: compact(store)):
+        with pytest.raises(StoreError, match=r"missing or damaged.*pipeline check") as raised:
+            look()
+        assert str(file) in str(raised.value)
+    (told,) = status(store).damaged
+    assert str(file) in told
+
+
+def test_a_look_at_files_that_move_is_repeated_and_one_at_damage_is_not(store):
+    calls = []
+
+    def look():
+        calls.append(len(calls))
+        (file,) = (store / "trials").rglob("*.parquet")
+        if len(calls) < 3:
+            file.touch()
+            raise FileNotFoundError(file)
+        return "seen"
+
+    assert (steadily(store, look), calls) == ("seen", [0, 1, 2])
+
+    def damaged():
+        calls.append(-1)
+        raise StoreError("damaged")
+
+    with pytest.raises(StoreError, match="damaged"):
+        steadily(store, damaged)
+    assert calls.count(-1) == 1
+
+
+def test_what_becomes_visible_meanwhile_is_no_orphan(store, logs, monkeypatch):
+    (logs / "new.csv").write_text(short_log(9.0))
+    original = compaction.read_versions
+
+    def read(*arguments):
+        ingest([logs], store, jobs=1)
+        return original(*arguments)
+
+    monkeypatch.setattr(compaction, "read_versions", read)
+    assert compaction.find_orphans(store) == []
+
+
+def test_what_a_writer_has_not_completed_is_not_told_as_left(store, capsys):
+    from pipeline.shell.commands.cli_storage import status as command
+
+    (store / "samples" / ".x.1.tmp").write_bytes(b"12345")
+    command(store, store)
+    assert "left by interrupted commands: 5e-06 MB; `pipeline compact` removes it" in capsys.readouterr().out
+    with lock.writing(store, 0):
+        command(store, store)
+    words = capsys.readouterr().out
+    assert "not complete, or left by interrupted commands" in words
+    assert "compact" not in words
+
+
+def test_refused_logs_that_are_gone_are_listed(store, logs):
+    bad = logs / "bad.csv"
+    bad.write_text(FAULTS["text cell"][0])
+    ingest([logs], store, jobs=1)
+    assert status(store).refused_gone == ()
+    bad.unlink()
+    assert status(store).refused_gone == (str(bad),)
+
+
+def test_a_pass_on_a_disk_that_takes_nothing_is_told(store, logs, monkeypatch):
+    def no_folder(*_):
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS), str(store / ".watch"))
+
+    monkeypatch.setattr("pipeline.shell.watch.watch_pass.writing", no_folder)
+    events = []
+    request = PassRequest((str(logs),), str(store), str(store.parent / "reports"))
+    outcome = run_pass(request, events.append)
+    assert (outcome.status, outcome.retry) == (1, True)
+    (event,) = events
+    assert "Read-only file system" in event["reason"]
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full, a device that is always full (Linux)")
+def test_an_output_that_takes_nothing_is_told_by_name_and_status(store):
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(
+            [*PIPELINE, "status", "--processed", str(store)],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
+        )
+    assert done.returncode == 1
+    assert done.stderr.startswith("Error: standard output: cannot be")
+    assert len(done.stderr.splitlines()) == 1
+
+
+def test_a_closed_output_is_no_error(store):
+    shell = shutil.which("sh")
+    assert shell is not None
+    command = " ".join(f"'{part}'" for part in [*PIPELINE, "status", "--json", "--processed", str(store)])
+    done = subprocess.run([shell, "-c", f"{command} >&-"], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_trials_of_a_store_are_read_once_when_a_log_stands_under_two_names(store, logs):
+    """As after a rename that was interrupted between the new trials and the removal of the former ones."""
+    shutil.copy(logs / "0.csv", logs / "9.csv")
+    other = store.parent / "other"
+    ingest([logs / "9.csv"], other, jobs=1)
+    (file,) = (other / "trials").rglob("*.parquet")
+    (samples,) = (other / "samples").rglob("*.parquet")
+    name = file.name.replace("000001", "000002")
+    # the file says where its samples lie: only the number of the batch differs, which decides
+    shutil.copy(samples, store / samples.relative_to(other))
+    shutil.copy(file, (store / file.relative_to(other)).with_name(name))
+    paths = [Path(path).name for path in read_trials(store).column("source_path").to_pylist()]
+    assert sorted(paths) == ["1.csv", "2.csv", "9.csv"]
