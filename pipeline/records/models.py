@@ -11,6 +11,8 @@ from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from pipeline.records.loop_parts import LoopParts
+
 Motion = Literal["translation", "rotation"]
 Grip = Literal["none", "comfortable", "firm"]
 Stability = Literal["stable", "unstable", "undecided"]
@@ -47,12 +49,6 @@ class Limits(Record):
     force: Positive | None = None
 
 
-class Controller(Record):
-    """Wall controller: time constant of the first-order velocity filter in s, 0 for the plain difference."""
-
-    velocity_filter_s: NonNegative = 0.0
-
-
 class Experiment(Record):
     """One course of measurements: configuration, plant as published, and the grid of (K, B) that is tested."""
 
@@ -69,6 +65,7 @@ class Experiment(Record):
     damping_last: float
     damping_step: Positive
     stiffness_step: Positive
+    loop: LoopParts = LoopParts()
 
     @model_validator(mode="after")
     def _grid_is_ordered(self) -> Self:
@@ -108,11 +105,26 @@ class Device(Record):
     baseline_s: Positive
     sensor: Sensor = Sensor()
     limits: Limits
-    controller: Controller = Controller()
+    loop: LoopParts = LoopParts()
     experiments: tuple[Experiment, ...] = Field(alias="experiment", min_length=1)
     tables: tuple[TableLayout, ...] = Field(default=(), alias="table")
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, validate_by_name=True)
+
+    def loop_of(self, experiment: Experiment) -> LoopParts:
+        """Return the parts of an experiment's loop: its own, and the device's where it names none."""
+        return experiment.loop.over(self.loop)
+
+    @model_validator(mode="after")
+    def _loops_are_possible(self) -> Self:
+        found = [
+            f"experiment {experiment.name!r}: {mistake}"
+            for experiment in self.experiments
+            for mistake in self.loop_of(experiment).mistakes(experiment.mass, self.sampling_period_s)
+        ]
+        if found:
+            raise ValueError("; ".join(found))
+        return self
 
     @model_validator(mode="after")
     def _names_fit_together(self) -> Self:

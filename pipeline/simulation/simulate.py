@@ -155,7 +155,6 @@ def setup_of(device: Device, experiment: Experiment) -> Setup:
         quantum=device.sensor.quantum,
         noise=device.sensor.noise,
         force_limit=device.limits.force,
-        velocity_filter_s=device.controller.velocity_filter_s,
     )
 
 

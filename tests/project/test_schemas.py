@@ -101,15 +101,18 @@ def problems(value: Any, schema: dict[str, Any], root: dict[str, Any], where: st
         "anyOf",
         "const",
         "default",
+        "discriminator",
         "description",
         "enum",
         "items",
         "exclusiveMinimum",
         "maxLength",
+        "maxItems",
         "maximum",
         "minItems",
         "minLength",
         "minimum",
+        "oneOf",
         "properties",
         "required",
         "title",
@@ -121,6 +124,8 @@ def problems(value: Any, schema: dict[str, Any], root: dict[str, Any], where: st
         found += problems(value, root["$defs"][schema["$ref"].removeprefix("#/$defs/")], root, where)
     if "anyOf" in schema and all(problems(value, part, root, where) for part in schema["anyOf"]):
         found.append(f"{where}: {value!r} fits no alternative")
+    if "oneOf" in schema and sum(not problems(value, part, root, where) for part in schema["oneOf"]) != 1:
+        found.append(f"{where}: {value!r} must fit one alternative")
     if "enum" in schema and value not in schema["enum"]:
         found.append(f"{where}: {value!r} is not one of {schema['enum']}")
     kinds: dict[str, Any] = {

@@ -1,0 +1,124 @@
+"""What a loop has beside mass, damper and delay: the ``[loop]`` table of a device file. Absent parts are ideal."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+Positive = Annotated[float, Field(gt=0)]
+NonNegative = Annotated[float, Field(ge=0)]
+
+
+class Part(BaseModel):
+    """Base of all parts: immutable, no unknown fields, no NaN or infinity."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, defer_build=True)
+
+
+class Difference(Part):
+    """Velocity as the mean over N samples, (x_k - x_{k-N})/(N T); N = 1 is the ideal one."""
+
+    kind: Literal["difference"]
+    samples: Annotated[int, Field(ge=1, le=1000)]
+
+
+class Butterworth(Part):
+    """Butterworth low-pass of (x_k - x_{k-1})/T by the bilinear transform, prewarped at the cut-off [Hz]."""
+
+    kind: Literal["butterworth"]
+    order: Annotated[int, Field(ge=1, le=4)]
+    cutoff_hz: Positive
+
+
+class Coefficients(Part):
+    """Filter b(z)/a(z) of (x_k - x_{k-1})/T in powers of 1/z; stable, with a gain of its own at rest."""
+
+    kind: Literal["coefficients"]
+    b: Annotated[tuple[float, ...], Field(min_length=1, max_length=64)]
+    a: Annotated[tuple[float, ...], Field(min_length=1, max_length=64)]
+
+    @model_validator(mode="after")
+    def _is_stable(self) -> Self:
+        from numpy import roots
+
+        if self.a[0] == 0:
+            raise ValueError("a[0] must not be 0: it multiplies the newest velocity")
+        if not any(self.b):
+            raise ValueError("b must not be all 0: no damping would be rendered")
+        radius = max(abs(roots(self.a)), default=0.0)
+        if radius >= 1:
+            raise ValueError(
+                f"expected a stable filter, found a pole at distance {radius:.6g} from 0; it must be below 1"
+            )
+        return self
+
+
+VelocityFilter = Annotated[Difference | Butterworth | Coefficients, Field(discriminator="kind")]
+
+
+class Mode(Part):
+    """One vibration mode: two masses on a spring, of which the motor's side bears force, damping and operator.
+
+    ``frequency_hz`` is the free-free resonance, ``damping_ratio`` that of the relative motion, ``mass`` [kg, kg m^2]
+    the far one; the experiment's mass is the sum of both.
+    """
+
+    frequency_hz: Positive
+    damping_ratio: NonNegative
+    mass: Positive
+    sensor: Literal["motor", "load"] = "motor"
+
+
+class Operator(Part):
+    """A hand or arm that holds the motor's side rigidly: mass, damping and stiffness are added to the device's."""
+
+    mass: Positive
+    damping: NonNegative = 0.0
+    stiffness: NonNegative = 0.0
+
+
+class Friction(Part):
+    """Coulomb friction and stiction [N, Nm] on the motor's side; the Stribeck velocity [m/s, rad/s] joins them."""
+
+    coulomb: NonNegative
+    stiction: NonNegative | None = None
+    stribeck_velocity: Positive = 0.01
+
+    @model_validator(mode="after")
+    def _stiction_holds_more(self) -> Self:
+        if self.stiction is not None and self.stiction < self.coulomb:
+            raise ValueError(f"stiction ({self.stiction}) must not be below coulomb ({self.coulomb})")
+        return self
+
+
+class LoopParts(Part):
+    """The ``[loop]`` table of a device or an experiment; what it does not name is ideal."""
+
+    velocity: VelocityFilter | None = None
+    actuator_lag_s: NonNegative = 0.0
+    force_gain: Positive = 1.0
+    mode: Mode | None = None
+    operator: Operator | None = None
+    friction: Friction | None = None
+
+    def over(self, lower: LoopParts) -> LoopParts:
+        """Return these parts, with those of another where this one does not name them."""
+        return LoopParts(**{**_named(lower), **_named(self)})
+
+    def mistakes(self, mass: float, sampling_period_s: float) -> list[str]:
+        """Return what a device of a mass [kg, kg m^2] and a sampling period [s] cannot have, as sentences."""
+        found = []
+        if self.mode is not None and self.mode.mass >= mass:
+            found.append(f"loop.mode.mass: found {self.mode.mass:g}; must be below the mass of both sides, {mass:g}")
+        nyquist = 0.5 / sampling_period_s
+        if isinstance(self.velocity, Butterworth) and self.velocity.cutoff_hz >= nyquist:
+            found.append(
+                f"loop.velocity.cutoff_hz: found {self.velocity.cutoff_hz:g}; must be below half the sampling rate, "
+                f"{nyquist:g} Hz"
+            )
+        return found
+
+
+def _named(parts: LoopParts) -> dict[str, object]:
+    return {name: getattr(parts, name) for name in parts.model_fields_set}
