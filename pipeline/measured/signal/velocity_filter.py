@@ -1,0 +1,138 @@
+"""The filter that a wall law applies to the velocity, from what goes in and what comes out of it.
+
+In: the change of position dx_k = x_k - x_{k-1}, which the log holds. Out: T/B (F_k - K (x_k - x_0) - u_k), which is the
+filtered change. Both are exact, so that a filter that is found leaves nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.records.batch import Booleans, Floats
+
+HIGHEST_ORDER = 4
+"""Of a recursive velocity filter that is looked for; the thesis and drives use 1 or 2."""
+
+LONGEST_DIFFERENCE = 64
+"""Samples of the longest difference that is looked for."""
+
+FITTED_ROWS = 400
+"""Rows from the edge on that a filter is found from: it needs ten, and noise is none."""
+
+
+@dataclass(frozen=True)
+class VelocityFilterFound:
+    """Filter b(z)/a(z) of the backward difference, a[0] = 1.
+
+    ``difference`` is N where it is a mean over N samples, ``cutoff_hz`` the cut-off where it is a Butterworth filter.
+    """
+
+    b: tuple[float, ...]
+    a: tuple[float, ...] = (1.0,)
+    difference: int | None = None
+    cutoff_hz: float | None = None
+
+    def words(self) -> str:
+        """Return what the filter does to the velocity."""
+        if self.difference:
+            return f"is the mean over {self.difference} samples"
+        order = len(self.a) - 1
+        if self.cutoff_hz:
+            return f"has a Butterworth filter of order {order}, {self.cutoff_hz:.4g} Hz"
+        return f"has a recursive filter of order {order}"
+
+
+def find_filter(
+    change: Floats, output: Floats, rows: Booleans, tolerance: float, sampling_period_s: float
+) -> VelocityFilterFound | None:
+    """Return the filter from a change of position to its filtered value, or None where none explains the rows.
+
+    Parameters
+    ----------
+    change, output : float64, shape (N,)
+        dx and what the wall law takes for it [m, rad], from rest.
+    rows : bool, shape (N,)
+        Rows whose output is known: the command is not clipped.
+    tolerance : float
+        Rounding of the output [m, rad].
+    sampling_period_s : float
+        T [s].
+    """
+    found = _difference(change, output, rows, tolerance) or _recursive(change, output, rows, tolerance)
+    if found is None or found.difference:
+        return found
+    return _butterworth(change, output, rows, found, tolerance, sampling_period_s) or found
+
+
+def _difference(change: Floats, output: Floats, rows: Booleans, tolerance: float) -> VelocityFilterFound | None:
+    displacement = np.cumsum(change)
+    for samples in range(2, min(LONGEST_DIFFERENCE, len(output) - 1) + 1):
+        mean = (displacement - _delayed(displacement, samples)) / samples
+        if np.abs(output - mean)[rows].max(initial=0.0) <= tolerance:
+            return VelocityFilterFound((1 / samples,) * samples, difference=samples)
+    return None
+
+
+def _recursive(change: Floats, output: Floats, known: Booleans, tolerance: float) -> VelocityFilterFound | None:
+    """Return the filter of lowest order, by y_k + sum a_i y_{k-i} = sum b_j dx_{k-j}."""
+    for order in range(1, HIGHEST_ORDER + 1):
+        back = range(1, order + 1)
+        columns = [-_delayed(output, i) for i in back] + [_delayed(change, j) for j in (0, *back)]
+        unknown = np.any([_delayed((~known).astype(np.float64), i) > 0 for i in (0, *back)], axis=0)
+        rows = np.flatnonzero(~unknown)
+        terms = np.stack(columns, axis=1)
+        if len(rows) < 4 * terms.shape[1]:
+            return None
+        fitted = rows[rows >= np.argmax(change != 0)][:FITTED_ROWS]
+        scale = np.abs(terms[fitted]).max(axis=0)
+        scale[scale == 0] = 1.0
+        coefficients = np.linalg.lstsq(terms[fitted] / scale, output[fitted], rcond=None)[0] / scale
+        error = np.abs(terms @ coefficients - output)[rows].max()
+        a, b = (1.0, *coefficients[:order].tolist()), tuple(coefficients[order:].tolist())
+        # one unit of rounding in each term of the sum
+        if error <= tolerance * (1 + np.abs(coefficients).sum()) and np.abs(np.roots(a)).max() < 1:
+            return VelocityFilterFound(b, a)
+    return None
+
+
+def _butterworth(
+    change: Floats, output: Floats, rows: Booleans, near: VelocityFilterFound, tolerance: float, period: float
+) -> VelocityFilterFound | None:
+    """Return the Butterworth filter near a recursive one, of its order or a higher one, if one explains all rows.
+
+    Low cut-offs make the equations of a recursive filter ill-conditioned: one of lower order then explains the rows,
+    too. Here the filter runs along the log, which is not.
+    """
+    from scipy.optimize import minimize_scalar
+    from scipy.signal import butter, freqz, lfilter
+
+    angles, gain = freqz(near.b, near.a, 2048)
+    below = np.flatnonzero(np.abs(gain) < np.sqrt(0.5) * np.abs(gain[0]))
+    if not len(below) or below[0] == 0:
+        return None
+    nyquist = 0.5 / period
+    middle = float(angles[below[0]] / np.pi)
+
+    def error(logarithm: float, order: int) -> float:
+        b, a = butter(order, min(np.exp(logarithm), 1 - 1e-9))
+        return float(np.abs(lfilter(b, a, change) - output)[rows].max())
+
+    for order in range(len(near.a) - 1, HIGHEST_ORDER + 1):
+        width = np.log(2.0)
+        best = minimize_scalar(
+            error, bounds=(np.log(middle) - width, min(np.log(middle) + width, 0.0)), args=(order,), method="bounded",
+            options={"xatol": 1e-10},
+        )  # fmt: skip
+        exact = np.exp(best.x) * nyquist
+        for cutoff in (float(f"{exact:.4g}"), float(f"{exact:.8g}")):
+            if error(np.log(cutoff / nyquist), order) <= 2 * tolerance:
+                b, a = butter(order, cutoff / nyquist)
+                return VelocityFilterFound(tuple(b.tolist()), tuple(a.tolist()), cutoff_hz=cutoff)
+    return None
+
+
+def _delayed(values: Floats, samples: int) -> Floats:
+    """Return values some samples later; 0 before the log."""
+    return np.concatenate([np.zeros(samples), values[: len(values) - samples]]) if samples else values

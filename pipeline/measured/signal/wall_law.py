@@ -1,0 +1,371 @@
+"""Does a logged command obey the wall law, and if not, why: seen in the log alone, before anything rests on it.
+
+The law is u_k = F_k - K (x_k - x_0) - B (x_k - x_{k-1})/T with F_k = 0 before the edge and F_0 from it on. Of a
+controller that applies it nothing but rounding is left in u + K (x - x_0) + B dx/T - F. What is left otherwise has a
+shape by which its cause is known: a command that is clipped, a wall that pushes only, another step, rows that are
+missing or repeated, a velocity that is filtered.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.measured.signal.log_rows import LogRows
+from pipeline.measured.signal.response import Response, external_force
+from pipeline.measured.signal.velocity_filter import VelocityFilterFound, find_filter
+from pipeline.records.batch import Booleans, Floats, TrialBatch
+
+PLATEAU = 2
+"""Rows of equal extreme command that show a limit: two equal numbers are no chance."""
+
+EQUAL = 1e-12
+"""Relative difference of commands that are the same number."""
+
+LONGEST_RAMP = 0.25
+"""Part of the rows after the edge that a ramped step may take."""
+
+LEVEL_ROWS = 5
+"""Rows for which the external force must stay on a level to be a step of its own."""
+
+MOST_LEVELS = 12
+"""Levels beyond which an external force is no staircase."""
+
+MOST_SPIKES = 0.34
+"""Largest share of rows off the law that single lost or repeated rows cause; with more, nothing is single."""
+
+STILL_FLOORS = 3.0
+"""Change of position on both sides of a row, in sensor floors, between which a device cannot stand still for a row."""
+
+CAUGHT_UP = 1.3
+"""Way in the row after one that was held, relative to the way before it: twice at an even speed."""
+
+EXPLAINED = 1e-6
+"""Part of the damping force that a filter may leave unexplained, beside rounding: what is found is exact or not it."""
+
+CODES = (
+    "saturation",
+    "unilateral_wall",
+    "constant_force",
+    "step_not_a_step",
+    "several_steps",
+    "missing_rows",
+    "repeated_rows",
+    "velocity_filter",
+    "other_wall",
+    "unknown",
+)
+"""What a log can be found to be beside the wall law. ``other_wall``: other K, B or sign than the header's."""
+
+
+@dataclass(frozen=True)
+class Departure:
+    """One way in which a log departs from the wall law: code, a sentence with its numbers, rows concerned."""
+
+    code: str
+    evidence: str
+    rows: int = 0
+    value: float | None = None
+    filter: VelocityFilterFound | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class WallLaw:
+    """Residual of the law of each trial, shape (n,), and why it is not rounding.
+
+    Parameters
+    ----------
+    residual : float64
+        Largest |u + K (x - x_0) + B dx/T - F| relative to |F_0|; NaN without a command edge.
+    rounding : float64
+        What rounding of the printed numbers leaves of it at most.
+    departures : tuple of tuple of Departure
+        Why it is more, most certain first; empty where the law holds.
+    """
+
+    residual: Floats
+    rounding: Floats
+    departures: tuple[tuple[Departure, ...], ...]
+
+    @property
+    def holds(self) -> Booleans:
+        """Where the law holds up to rounding and nothing else speaks against the rows, shape (n,)."""
+        return np.array([not found for found in self.departures]) & np.isfinite(self.residual)
+
+
+def wall_law(batch: TrialBatch, response: Response) -> WallLaw:
+    """Hold the logged command of each trial against the wall law.
+
+    Parameters
+    ----------
+    batch : TrialBatch
+    response : Response
+        Of the same trials.
+
+    Returns
+    -------
+    WallLaw
+
+    Notes
+    -----
+    Positions and command are taken as printed. Rounding of the command is that of its last decimal, or of double
+    (single) precision; positions count as rounded in print only where the command is, since the quantum of a sensor
+    is on a grid of decimals, too, and is what the controller saw.
+
+    Source: Hulin 2017, eqs. 3.9 and 3.10 (wall), sec. 6.1.1 (command as logged).
+    """
+    external = external_force(batch)
+    n = len(batch)
+    residual, rounding = np.full(n, np.nan), np.full(n, np.nan)
+    departures: list[tuple[Departure, ...]] = [()] * n
+    for i in np.flatnonzero(response.has_edge & (batch.step != 0)):
+        log = LogRows.of(batch, response, int(i), external[i])
+        off = np.abs(log.residual)
+        residual[i], rounding[i] = off.max() / abs(log.step), log.rounding / abs(log.step)
+        departures[i] = tuple(_departures(log))
+    return WallLaw(residual, rounding, tuple(departures))
+
+
+def _departures(log: LogRows) -> Iterator[Departure]:
+    """Yield what departs from the law: what shows by itself first, then what explains all that is left."""
+    rows = _repeated(log) or _missing(log)
+    if rows is not None:
+        yield rows
+    off = np.abs(log.residual) > log.rounding
+    if not off.any() or (rows is not None and rows.rows >= off.sum()):
+        return
+    for explanation in _EXPLANATIONS:
+        found = explanation(log)
+        if found is not None:
+            yield from found
+            return
+    if rows is None:
+        size = np.abs(log.residual).max()
+        yield Departure(
+            "unknown",
+            f"the logged command departs from the wall law by up to {size:.3g}, in {int(off.sum())} of {len(off)} rows",
+            int(off.sum()),
+        )
+
+
+def _missing(log: LogRows) -> Departure | None:
+    """Rows that the stamps skip, or that are missing between stamps that do not show it."""
+    gaps = np.flatnonzero(np.rint(np.diff(log.time) / log.period) > 1)
+    if len(gaps):
+        lost = int((np.rint(np.diff(log.time) / log.period)[gaps] - 1).sum())
+        return Departure("missing_rows", f"the stamps skip {lost} rows, first after row {gaps[0]}", len(gaps), lost)
+    off = (np.abs(log.residual) > log.rounding) & log.after
+    if not off.any() or log.damping == 0 or off.mean() > MOST_SPIKES:
+        return None
+    # over a row that is missing the position changed by more than since the row before: the residual is a part of
+    # the damping force that the logged rows would give
+    moving = off & (log.change != 0)
+    if not moving.any():
+        return None
+    part = log.residual[moving] * log.period / (log.damping * log.change[moving])
+    single = off & ~np.roll(off, 1)
+    if np.median(part) > 0 and np.mean((part > -1) & (part < 2)) > 0.9 and single.sum() > 0.7 * off.sum():
+        rows = np.flatnonzero(off)
+        return Departure(
+            "missing_rows",
+            f"{len(rows)} single rows, first row {rows[0]}, fit the wall law only with a row missing before them",
+            len(rows),
+            float(len(rows)),
+        )
+    return None
+
+
+def _repeated(log: LogRows) -> Departure | None:
+    """Rows that stand still while the device moves before and after them."""
+    change = np.abs(log.change)
+    least = STILL_FLOORS * log.floor + EQUAL * np.ptp(log.position)
+    still = (change == 0) & log.after
+    # the row behind makes up for the way of the one that stood still; a device that turns comes back instead
+    behind = np.append(log.change[1:], 0.0)
+    before = np.where(np.roll(change, 1) > 0, np.roll(log.change, 1), np.roll(log.change, 2))
+    still &= (np.abs(behind) > least) & (np.abs(before) > least) & (behind * before > 0)
+    still &= np.abs(behind) > CAUGHT_UP * np.abs(before)
+    rows = np.flatnonzero(still)
+    if len(rows) < PLATEAU:
+        return None
+    both = int((log.command[rows] == log.command[rows - 1]).sum())
+    what = "rows repeat the one before" if both > len(rows) / 2 else "readings of the position are held"
+    # the row after a repeated one is off the law, too
+    off = int((np.abs(log.residual) > log.rounding).sum())
+    return Departure(
+        "repeated_rows",
+        f"{len(rows)} {what} while the device moves, first row {rows[0]}",
+        off if off <= 2 * len(rows) else len(rows),
+        float(len(rows)),
+    )
+
+
+def _clipped(log: LogRows) -> tuple[Departure, ...] | None:
+    demand = log.step * log.after - log.wall
+    low, high = float(log.command.min()), float(log.command.max())
+    if _equal(np.array([low, high]), log.step).any():
+        return None  # a command that never passes the step is that of a wall that never pulls
+    at = [_equal(log.command, limit) for limit in (low, high)]
+    beyond = [(demand < low - log.rounding) & at[0], (demand > high + log.rounding) & at[1]]
+    count = int(beyond[0].sum() + beyond[1].sum())
+    if count < PLATEAU:
+        return None
+    found = Departure(
+        "saturation",
+        f"the logged command is clipped at {high if beyond[1].any() else low:.4g} in {count} rows",
+        count,
+        float(max(abs(low) if beyond[0].any() else 0.0, abs(high) if beyond[1].any() else 0.0)),
+    )
+    free = ~(at[0] & beyond[0]) & ~(at[1] & beyond[1])
+    return (found,) if not log.off(demand, free) else None
+
+
+def _equal(values: Floats, limit: float) -> Booleans:
+    result: Booleans = np.abs(values - limit) <= EQUAL * max(abs(limit), 1e-300)
+    return result
+
+
+def _one_sided(log: LogRows) -> tuple[Departure, ...] | None:
+    """A wall that exists on one side of its surface, or that only pushes."""
+    inside = (log.position - log.position[0]) * np.sign(log.step) > 0
+    pushing = np.maximum(log.wall * np.sign(log.step), 0.0) * np.sign(log.step)
+    force = log.step * log.after
+    for predicted, how in (
+        (force - np.where(inside, log.wall, 0.0), "is there on one side of x_0 only"),
+        (force - np.where(inside, pushing, 0.0), "is there on one side of x_0 and only pushes"),
+        (force - pushing, "only pushes and never pulls"),
+    ):
+        if not log.off(predicted):
+            rows = int((np.abs(log.residual) > log.rounding).sum())
+            return (Departure("unilateral_wall", f"the wall {how}: {rows} rows without its force", rows),)
+    return None
+
+
+def _offset(log: LogRows) -> tuple[Departure, ...] | None:
+    """A constant beside the law, from the first row on or from the step on."""
+    value = float(np.median(log.residual[log.after]))
+    if np.abs(log.residual - value).max() <= log.rounding:
+        return (
+            Departure(
+                "constant_force",
+                f"the command holds a constant {value:.4g} beside the wall law",
+                len(log.residual),
+                value,
+            ),
+        )
+    rows = np.flatnonzero(log.after)
+    if (
+        np.abs(log.residual[rows] - value).max() <= log.rounding
+        and np.abs(log.residual[: log.edge]).max() <= log.rounding
+    ):
+        return (
+            Departure(
+                "step_not_a_step",
+                f"the step is {log.step + value:.6g}, its header says {log.step:.6g}",
+                len(rows),
+                log.step + value,
+            ),
+        )
+    return None
+
+
+def _other_step(log: LogRows) -> tuple[Departure, ...] | None:
+    """An external force that rises over several rows, or in several steps."""
+    e = log.external
+    turns = np.flatnonzero(np.abs(np.diff(e)) > 2 * log.rounding) + 1
+    if not len(turns):
+        return None
+    starts = np.concatenate([[0], turns])
+    lengths = np.diff(np.concatenate([starts, [len(e)]]))
+    first, last = int(turns[0]), int(turns[-1])
+    level = float(e[last])
+    ramp = last - first + 1
+    rising = np.diff(e[first - 1 : last + 1]) * np.sign(level) > 0
+    if (
+        ramp > 1
+        and ramp <= max(LONGEST_RAMP * len(e), 2)
+        and rising.all()
+        and lengths[1:-1].max(initial=1) < LEVEL_ROWS
+    ):
+        return (
+            Departure(
+                "step_not_a_step",
+                f"the step rises over {ramp} rows, from row {first} to row {last}, to {level:.4g}",
+                ramp,
+                float(ramp),
+            ),
+        )
+    levels = [(int(s), float(e[s])) for s, length in zip(starts, lengths, strict=True) if length >= LEVEL_ROWS]
+    if 2 < len(levels) <= MOST_LEVELS and lengths[lengths < LEVEL_ROWS].sum() <= LEVEL_ROWS * len(levels):
+        text = ", ".join(f"{value:.4g} from row {row}" for row, value in levels[1:])
+        return (
+            Departure(
+                "several_steps",
+                f"the external force has {len(levels) - 1} steps: {text}",
+                len(e) - log.edge,
+                float(len(levels) - 1),
+            ),
+        )
+    return None
+
+
+def _other_wall(log: LogRows) -> tuple[Departure, ...] | None:
+    """Another stiffness, damping, step or sign than the header's."""
+    displacement = log.position - log.position[0]
+    terms = np.stack([log.after.astype(np.float64), -displacement, -log.change / log.period], axis=1)
+    used = np.abs(terms).max(axis=0) > 0
+    solution, *_ = np.linalg.lstsq(terms[:, used] / np.abs(terms[:, used]).max(axis=0), log.command, rcond=None)
+    values = np.zeros(3)
+    values[used] = solution / np.abs(terms[:, used]).max(axis=0)
+    if log.off(np.matmul(terms, values).astype(np.float64)):
+        return None
+    step, stiffness, damping = values
+    return (
+        Departure(
+            "other_wall",
+            f"the command obeys K = {stiffness:.6g}, B = {damping:.6g} and a step of {step:.6g}; its header says "
+            f"K = {log.stiffness:.6g}, B = {log.damping:.6g}, {log.step:.6g}",
+            len(log.command),
+        ),
+    )
+
+
+def _filtered(log: LogRows) -> tuple[Departure, ...] | None:
+    """A filter of the velocity: over N samples, else recursive, of the lowest order; then with a clipped command."""
+    if log.damping == 0:
+        return None
+    force = log.step * log.after - log.stiffness * (log.position - log.position[0])
+    output = (force - log.command) * (log.period / log.damping)
+    tolerance = log.rounding * log.period / abs(log.damping) + EXPLAINED * float(np.abs(log.change).max())
+    limits = _equal(log.command, log.command.min()) | _equal(log.command, log.command.max())
+    for clipped in (np.zeros_like(limits), limits):
+        found = find_filter(log.change, output, ~clipped, tolerance, log.period)
+        if found is None:
+            continue
+        how = (
+            f"is the mean over {found.difference} samples"
+            if found.difference
+            else f"has a filter of order {len(found.a) - 1}"
+        )
+        filtered = Departure("velocity_filter", f"the velocity of the wall law {how}", len(output), filter=found)
+        if not clipped.any():
+            return (filtered,)
+        limit, rows = float(np.abs(log.command).max()), int(clipped.sum())
+        return (
+            Departure("saturation", f"the logged command is clipped at {limit:.4g} in {rows} rows", rows, limit),
+            filtered,
+        )
+    return None
+
+
+_EXPLANATIONS: tuple[Callable[[LogRows], tuple[Departure, ...] | None], ...] = (
+    _clipped,
+    _one_sided,
+    _offset,
+    _other_step,
+    _other_wall,
+    _filtered,
+)
+"""In order: what changes the fewest rows before what could imitate it by changing all."""
