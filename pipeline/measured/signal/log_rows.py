@@ -45,6 +45,7 @@ class LogRows:
 
     @classmethod
     def of(cls, batch: TrialBatch, response: Response, i: int, external: Floats) -> LogRows:
+        """Return the rows of a trial of a batch, with its `external_force`."""
         rows = slice(0, int(batch.rows[i]))
         command, position = batch.command[i, rows], batch.position[i, rows]
         K, B, T = float(batch.stiffness[i]), float(batch.damping[i]), float(batch.sampling_period_s[i])
