@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from test_watch import document_without_places
+from report_data import document_without_places
 
 from pipeline.base import lock
 from pipeline.devices.devices import load_device

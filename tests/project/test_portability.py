@@ -10,7 +10,7 @@ import sys
 
 import pytest
 from places import ROOT
-from test_watch import document_without_places
+from report_data import document_without_places
 
 from pipeline.devices.devices import load_device
 from pipeline.simulation.course import run_course, write_course

@@ -195,7 +195,7 @@ def test_every_extra_that_a_message_names_exists():
     root = ROOT
     extras = set(tomllib.loads((root / "pyproject.toml").read_text())["project"]["optional-dependencies"])
     named = set()
-    for path in sorted((root / "pipeline" / "readers").glob("*.py")):
+    for path in sorted((root / "pipeline" / "readers").rglob("*.py")):
         named |= set(re.findall(r'library\([^()]*"(\w+)"\)|open_image\(data, "(\w+)"\)', path.read_text()))
     names = {name for pair in named for name in pair if name}
     assert names == {"mat", "hdf5", "bags", "tdms"}

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -303,3 +305,12 @@ def bare(data: ReportData) -> ReportData:
         }
     )
     return replace(data, result=empty, figures=(), stages=())
+
+
+def document_without_places(path: Path) -> dict:
+    """Result of a comparison without what names folders: it is to be the same wherever it was made."""
+    document = json.loads(path.read_text())
+    del document["report"]
+    for key in ("key", "command"):
+        del document["provenance"][key]
+    return document

@@ -15,8 +15,10 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
+from command_lines import fault
 from native_logs import FAULTS, log_text
 from places import ROOT
+from report_data import document_without_places
 
 from pipeline.base import lock
 from pipeline.base.provenance import USER_FOLDER_VARIABLE
@@ -118,15 +120,6 @@ def course(folder: Path, experiments: tuple[str, ...], coarsen: int) -> list[Pat
     for name in experiments:
         write_course(run_course(load_device("lwr"), name, ideal=True, coarsen=coarsen), folder)
     return sorted(folder.rglob("*.csv"))
-
-
-def document_without_places(path: Path) -> dict:
-    """Result of a comparison without what names folders: it is to be the same wherever it was made."""
-    document = json.loads(path.read_text())
-    del document["report"]
-    for key in ("key", "command"):
-        del document["provenance"][key]
-    return document
 
 
 def cells_of_results(path: Path) -> dict[str, str]:
@@ -587,8 +580,6 @@ def test_signals_end_a_watch_with_status_0_and_no_process_left(tmp_path, number)
 
 
 def test_commands_of_the_service_and_of_cron_exist():
-    from test_docs import fault
-
     text = (ROOT / "docs" / "watch.md").read_text(encoding="utf-8")
     commands = re.findall(r"bin/(pipeline watch .*)$", text, flags=re.MULTILINE)
     assert len(commands) == 2
@@ -597,14 +588,15 @@ def test_commands_of_the_service_and_of_cron_exist():
 
 def test_every_event_is_on_the_page_and_has_words():
     sources = [
-        (ROOT / "pipeline" / "shell" / f"{name}.py").read_text() for name in ("watch", "watch_pass", "cli_watch")
+        (ROOT / "pipeline" / "shell" / f"{name}.py").read_text()
+        for name in ("watch/watch", "watch/watch_pass", "commands/cli_watch")
     ]
     found = {kind for text in sources for kind in re.findall(r'"event": "(\w+)"', text)} - {"outcome"}
     found |= {"report", "unchanged"}  # chosen by whether something changed
     page = (ROOT / "docs" / "watch.md").read_text(encoding="utf-8")
     assert [kind for kind in sorted(found) if f"`{kind}`" not in page] == []
     assert len(found) > 10
-    words = (ROOT / "pipeline" / "shell" / "cli_watch.py").read_text()
+    words = (ROOT / "pipeline" / "shell" / "commands" / "cli_watch.py").read_text()
     assert [kind for kind in sorted(found - {"stopped"}) if f'case "{kind}":' not in words] == []
 
 

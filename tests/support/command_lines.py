@@ -1,0 +1,53 @@
+"""Command lines in documentation, and what is wrong with them."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from typing import Any
+
+import typer
+
+
+def commands(text: str) -> list[str]:
+    """Commands in code blocks and in back quotes."""
+    spans = re.findall(r"`(pipeline(?: [^`]+)?)`", " ".join(text.split("\n")))
+    lines = re.findall(r"^ {4}(pipeline .*)$", text, flags=re.MULTILINE)
+    return [span for span in (*spans, *lines) if " " in span]
+
+
+def fault(command: str) -> str | None:
+    """What is wrong with a command line, or None."""
+    from pipeline.shell.cli import app
+
+    words = shlex.split(command.split("#")[0])[1:]
+    here: Any = typer.main.get_command(app)
+    while words and hasattr(here, "commands") and not words[0].startswith("-"):
+        if words[0] not in here.commands:
+            return f"no command {words[0]!r} in {sorted(here.commands)}"
+        here = here.commands[words.pop(0)]
+    options = {name: p for p in here.params if p.param_type_name == "option" for name in p.opts}
+    arguments = sum(p.param_type_name == "argument" for p in here.params)
+    given: set[str] = set()
+    position = 0
+    while words:
+        word = words.pop(0)
+        if not word.startswith("--"):
+            position += 1
+        elif word == "--help":
+            return None
+        elif word not in options:
+            return f"no option {word}; there are {sorted(options)}"
+        else:
+            given |= set(options[word].opts)
+            if not options[word].is_flag:
+                if not words:
+                    return f"{word} needs a value"
+                words.pop(0)
+    if position > arguments and not any(p.nargs == -1 for p in here.params):
+        return f"{position} arguments, {arguments} expected"
+    needed = {p.opts[-1] for p in here.params if p.required and p.param_type_name == "option"}
+    # a command that is only named, as in a list of changes, says nothing of its options
+    if (given or position) and needed - given:
+        return f"{sorted(needed - given)} missing"
+    return None
