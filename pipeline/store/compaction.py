@@ -19,8 +19,9 @@ import pyarrow.parquet as pq
 
 from pipeline.base.disk import remove, sync_folder
 from pipeline.base.errors import StoreError
+from pipeline.base.json_seal import DamageError
 from pipeline.base.lock import WAIT_S, writing
-from pipeline.base.seal import DamageError, verify
+from pipeline.base.seal import verify
 from pipeline.records.models import Motion, Record
 from pipeline.records.table_files import GROUP_ROWS, damaged_file, read_table
 from pipeline.records.tables import TABLES

@@ -61,6 +61,7 @@ def ingest(
     growing: Collection[str] = (),
     wait_s: float = WAIT_S,
     say: Callable[[str], None] | None = None,
+    search: Search | None = None,
 ) -> IngestReport:
     """Store all new logs below some folders.
 
@@ -89,6 +90,8 @@ def ingest(
         How long to wait for another command that writes to `processed` [s].
     say : callable, optional
         Gets a line when waiting begins.
+    search : Search, optional
+        The same search, with what `rerun.recall` has listed for it a moment ago.
 
     Returns
     -------
@@ -107,7 +110,7 @@ def ingest(
         raise UsageError(f"jobs must be at least 1, found {jobs}. Leave it out for one per processor.")
     profiles = shipped_profiles() if profile is None else (load_profile(profile),)
     folders = [Path(path) for path in paths]
-    search = Search(tuple(map(str, paths)), str(processed), None if profile is None else str(profile))
+    search = search or Search(tuple(map(str, paths)), str(processed), None if profile is None else str(profile))
     notices: list[LogWarning] = []
 
     def at_rest(path: str, mtime_ns: int) -> bool:
@@ -121,7 +124,7 @@ def ingest(
             notices.append(LogWarning(path=path_text(folder), warning=text))
             look.notice(folder, text)
 
-        return look, find_sources(folders, profiles, processed, noticed, look.passes)
+        return look, find_sources(folders, profiles, processed, noticed, look.files)
 
     look, sources = looked(not (dry_run or rehash))
     run: _Ingest | None = None

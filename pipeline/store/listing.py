@@ -40,6 +40,13 @@ class Folder(NamedTuple):
     others: dict[str, str]
 
 
+class Listing(NamedTuple):
+    """The folders below one, and those that are not searched, each with the reason."""
+
+    folders: list[Folder]
+    notices: list[tuple[Path, str]]
+
+
 def list_folders(folder: Path | str, excluded: frozenset[str], notice: Notice, deep: bool = True) -> Iterator[Folder]:
     """Yield a folder and, if `deep`, those below it; hidden files and `UNCOUNTED` are left out.
 

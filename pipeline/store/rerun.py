@@ -12,16 +12,16 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO
 
 from pipeline import __version__
 from pipeline.base.disk import replacing
+from pipeline.base.json_seal import sealed_json, unsealed_json
 from pipeline.base.provenance import code_digest, digest, schema_folder
-from pipeline.base.seal import sealed_json, unsealed_json
-from pipeline.store.listing import Folder, list_folders
+from pipeline.store.listing import Folder, Listing, Notice, list_folders
 
 NOTE_FILE = ".last_ingest.json"
 
@@ -34,11 +34,12 @@ Index = dict[str, dict[str, str]]
 
 @dataclass(frozen=True)
 class Search:
-    """Which logs are looked for: paths and profile as given."""
+    """Which logs are looked for: paths and profile as given; ``listed`` hands on what was listed for `recall`."""
 
     paths: tuple[str, ...]
     processed: str
     profile: str | None
+    listed: dict[str, Listing] = field(default_factory=dict, compare=False)
 
     @property
     def key(self) -> str:
@@ -74,8 +75,17 @@ class Look:
         self.passed: set[str] = set()
         """Paths of stored logs that are as they were."""
 
-    def passes(self, folder: Folder) -> list[str]:
-        """Return the names in a folder that are to be looked at: all but stored logs that are as they were."""
+    def files(self, folder: Path, excluded: frozenset[str], notice: Notice) -> Iterator[Path]:
+        """Yield the files below a folder that are to be looked at: all but stored logs that are as they were."""
+        # the next look lists anew
+        listing = self.search.listed.pop(str(folder), None) or _listing(folder, excluded)
+        for place, text in listing.notices:
+            notice(place, text)
+        for here in listing.folders:
+            for name in self._passes(here):
+                yield Path(here.path, name)
+
+    def _passes(self, folder: Folder) -> list[str]:
         self._lines.append(_line(folder))
         self._found[folder.absolute] = folder
         plain, known = folder.plain, self._index.get(folder.absolute, {})
@@ -88,7 +98,7 @@ class Look:
 
     def notice(self, folder: Path, text: str) -> None:
         """Note a folder that is not searched."""
-        self._lines.append(f"{folder}\0{text}")
+        self._lines.append(_notice_line(folder, text))
 
     def holds(self) -> bool:
         """Return whether the store still is as the index says."""
@@ -157,14 +167,17 @@ def _found(search: Search) -> str:
     """Return the hash of all that a search finds."""
     lines = _beside(search)
     excluded = frozenset((os.path.realpath(search.processed),))
-
-    def notice(folder: Path, text: str) -> None:
-        lines.append(f"{folder}\0{text}")
-
     for path in search.paths:
         if os.path.isdir(path):
-            lines += map(_line, list_folders(path, excluded, notice))
+            listing = search.listed[path] = _listing(path, excluded)
+            lines += map(_line, listing.folders)
+            lines += (_notice_line(*told) for told in listing.notices)
     return _digest(lines)
+
+
+def _listing(folder: Path | str, excluded: frozenset[str]) -> Listing:
+    notices: list[tuple[Path, str]] = []
+    return Listing(list(list_folders(folder, excluded, lambda *told: notices.append(told))), notices)
 
 
 def _beside(search: Search) -> list[str]:
@@ -175,6 +188,10 @@ def _beside(search: Search) -> list[str]:
             around = list_folders(os.path.dirname(os.path.abspath(path)), frozenset(), lambda *_: None, deep=False)
             lines += map(_line, around)
     return lines
+
+
+def _notice_line(folder: Path, text: str) -> str:
+    return f"{folder}\0{text}"
 
 
 def _line(folder: Folder) -> str:
