@@ -122,7 +122,6 @@ def ingest(
 
         def noticed(folder: Path, text: str) -> None:
             notices.append(LogWarning(path=path_text(folder), warning=text))
-            look.notice(folder, text)
 
         return look, find_sources(folders, profiles, processed, noticed, look.files)
 
@@ -189,7 +188,7 @@ class _Ingest:
         self.stored = StoredSources(processed, self.damaged)
         self.refused = {record.path: record for record in list_quarantine(processed, self.damaged)}
         self.replaced: set[tuple[str, str, str]] = set()
-        # hash of a content -> hash of its profile, and its path; a source that is looked at again enters after that
+        # hash of a content -> hash of its profile, and its path
         self.known: dict[str, str] = {}
         self.place: dict[str, str] = {}
         # hash of a content -> path where it stood, and nothing stands any more
@@ -199,13 +198,13 @@ class _Ingest:
     def process(self, sources: list[Source], jobs: int, present: Set[str]) -> None:
         """Decide on every source and store what is new; `present` are the paths of all that was found."""
         unsettled = [source for source in sources if not self._settled_unread(source)]
-        again = {source.key for source in unsettled}
-        for path, sha256, profile_sha256 in self.stored.whole():
-            if path not in again:
-                self.known[sha256] = profile_sha256
-                self.place[sha256] = path
-                if path not in present and is_gone(path_of_text(path)):
-                    self.gone[sha256] = path
+        self.place, self.known = self.stored.whole()
+        for former in (self.stored[source.key] for source in unsettled if source.key in self.stored):
+            # a source that is looked at again enters after that
+            if former.whole:
+                del self.place[former.sha256], self.known[former.sha256]
+        away = [(sha256, path) for sha256, path in self.place.items() if path not in present]
+        self.gone = {sha256: path for sha256, path in away if is_gone(path_of_text(path))}
         # stored sources come first: a log that was copied and touched is recognised at its old place
         unsettled.sort(key=lambda source: (source.key not in self.stored, source.key))
         read = partial(self._read, use_threads=jobs > 2)

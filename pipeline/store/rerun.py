@@ -21,7 +21,7 @@ from pipeline import __version__
 from pipeline.base.disk import replacing
 from pipeline.base.json_seal import sealed_json, unsealed_json
 from pipeline.base.provenance import code_digest, digest, schema_folder
-from pipeline.store.listing import Folder, Listing, Notice, list_folders
+from pipeline.store.listing import Folder, Listing, Notice, listing_of
 
 NOTE_FILE = ".last_ingest.json"
 
@@ -78,7 +78,8 @@ class Look:
     def files(self, folder: Path, excluded: frozenset[str], notice: Notice) -> Iterator[Path]:
         """Yield the files below a folder that are to be looked at: all but stored logs that are as they were."""
         # the next look lists anew
-        listing = self.search.listed.pop(str(folder), None) or _listing(folder, excluded)
+        listing = self.search.listed.pop(str(folder), None) or listing_of(folder, excluded)
+        self._lines += listing.lines
         for place, text in listing.notices:
             notice(place, text)
         for here in listing.folders:
@@ -86,19 +87,15 @@ class Look:
                 yield Path(here.path, name)
 
     def _passes(self, folder: Folder) -> list[str]:
-        self._lines.append(_line(folder))
         self._found[folder.absolute] = folder
         plain, known = folder.plain, self._index.get(folder.absolute, {})
         same = {name: state for name, state in plain.items() if known.get(name) == state}
         if self.at_rest is not None:
             same = {n: s for n, s in same.items() if self.at_rest(_path(folder.absolute, n), int(s.split()[1]))}
         self._new[folder.absolute] = same
-        self.passed.update(_path(folder.absolute, name) for name in same)
+        place = _path(folder.absolute, "")
+        self.passed.update([place + name for name in same])
         return [*(name for name in plain if name not in same), *folder.others]
-
-    def notice(self, folder: Path, text: str) -> None:
-        """Note a folder that is not searched."""
-        self._lines.append(_notice_line(folder, text))
 
     def holds(self) -> bool:
         """Return whether the store still is as the index says."""
@@ -169,15 +166,9 @@ def _found(search: Search) -> str:
     excluded = frozenset((os.path.realpath(search.processed),))
     for path in search.paths:
         if os.path.isdir(path):
-            listing = search.listed[path] = _listing(path, excluded)
-            lines += map(_line, listing.folders)
-            lines += (_notice_line(*told) for told in listing.notices)
+            search.listed[path] = listing_of(path, excluded)
+            lines += search.listed[path].lines
     return _digest(lines)
-
-
-def _listing(folder: Path | str, excluded: frozenset[str]) -> Listing:
-    notices: list[tuple[Path, str]] = []
-    return Listing(list(list_folders(folder, excluded, lambda *told: notices.append(told))), notices)
 
 
 def _beside(search: Search) -> list[str]:
@@ -185,18 +176,8 @@ def _beside(search: Search) -> list[str]:
     lines: list[str] = []
     for path in search.paths:
         if not os.path.isdir(path):
-            around = list_folders(os.path.dirname(os.path.abspath(path)), frozenset(), lambda *_: None, deep=False)
-            lines += map(_line, around)
+            lines += listing_of(os.path.dirname(os.path.abspath(path)), frozenset(), deep=False).lines
     return lines
-
-
-def _notice_line(folder: Path, text: str) -> str:
-    return f"{folder}\0{text}"
-
-
-def _line(folder: Folder) -> str:
-    # in the order of the folder, which stays while nothing in it changes
-    return f"{folder.path}\0{folder.plain}{folder.others}"
 
 
 def _path(folder: str, name: str) -> str:

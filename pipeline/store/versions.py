@@ -53,8 +53,8 @@ class StoredSources(Mapping[str, StoredSource]):
     def __init__(self, processed: Path, damaged: dict[Path, str] | None = None) -> None:
         columns = ["source_trials", "source_size", *VERSION_COLUMNS]
         self._table, _ = read_versions(processed, None, None, columns, damaged)
-        paths = self._table.column("source_path").to_pylist()
-        self._trials = self._table.column("source_trials").to_pylist()
+        self._columns: dict[str, list[Any]] = {}
+        paths = self._column("source_path")
         rows = np.flatnonzero(newest_versions(self._table)).tolist()
         self._last: dict[str, int] = {paths[row]: row for row in rows}
         # of sources with several trials alone: a list for each of 100,000 takes longer than all else
@@ -66,8 +66,8 @@ class StoredSources(Mapping[str, StoredSource]):
     def __getitem__(self, path: str) -> StoredSource:
         last = self._last[path]
         names = (*_CONTENT, "source_size", "source_mtime_ns")
-        sha256, profile_sha256, size, mtime_ns = (self._value(name, last) for name in names)
-        trials = frozenset(self._value("trial_id", row) for row in self._several.get(path, (last,)))
+        sha256, profile_sha256, size, mtime_ns = (self._column(name)[last] for name in names)
+        trials = frozenset(self._column("trial_id")[row] for row in self._several.get(path, (last,)))
         return StoredSource(sha256, profile_sha256, size, mtime_ns, trials, self._is_whole(path, last))
 
     def __iter__(self) -> Iterator[str]:
@@ -76,19 +76,23 @@ class StoredSources(Mapping[str, StoredSource]):
     def __len__(self) -> int:
         return len(self._last)
 
-    def whole(self) -> Iterator[tuple[str, str, str]]:
-        """Yield path, hash of the content and hash of the profile of all sources that are stored as a whole."""
-        contents, profiles = (self._table.column(name).to_pylist() for name in _CONTENT)
-        for path, last in self._last.items():
-            if self._is_whole(path, last):
-                yield path, contents[last], profiles[last]
+    def whole(self) -> tuple[dict[str, str], dict[str, str]]:
+        """Return path and hash of the profile of all sources that are stored as a whole, by the hash of the content."""
+        contents, profiles = map(self._column, _CONTENT)
+        rows = {path: row for path, row in self._last.items() if self._is_whole(path, row)}
+        return (
+            {contents[row]: path for path, row in rows.items()},
+            {contents[row]: profiles[row] for row in rows.values()},
+        )
 
     def _is_whole(self, path: str, last: int) -> bool:
-        trials: int = self._trials[last]
+        trials: int = self._column("source_trials")[last]
         return trials == 1 or len(self._several.get(path, (last,))) >= trials
 
-    def _value(self, name: str, row: int) -> Any:
-        return self._table.column(name)[row].as_py()
+    def _column(self, name: str) -> list[Any]:
+        if name not in self._columns:
+            self._columns[name] = self._table.column(name).to_pylist()
+        return self._columns[name]
 
 
 def why_ingested(former: StoredSource | None, sha256: str, profile_sha256: str) -> str:
