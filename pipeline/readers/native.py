@@ -35,7 +35,11 @@ LONGEST_HEADER_LINE = 1 << 14
 _SEARCHED = 1 << 20
 """Bytes of a body that are searched at once for the row at fault: lines as objects take ten times their bytes."""
 
+_BLOCK = 8 << 20
+"""Bytes that one thread parses at once: a usual batch as a whole, so that no columns are to be put together."""
+
 _BLANK = b"\r\n\t "
+_LINE_FEED = 10
 
 Columns = tuple[Floats, Floats, Floats]
 
@@ -50,7 +54,9 @@ class _Body:
         self.header, start, self.first_row = _split(data)
         if data.endswith(b"\n") and data[-2:-1] not in _BLANK:
             # as it is nearly always: no copy
-            self.view, self.lines = memoryview(data)[start:], data.count(b"\n", start)
+            self.view = memoryview(data)[start:]
+            # takes a third of the time of `bytes.count`
+            self.lines = int(np.count_nonzero(np.frombuffer(self.view, np.uint8) == _LINE_FEED))
         else:
             text = data[start:].rstrip(_BLANK) + b"\n"
             self.view, self.lines = memoryview(text), text.count(b"\n") if len(text) > 1 else 0
@@ -156,7 +162,9 @@ def _parse(text: bytes, lines: int, use_threads: bool) -> Columns | None:
     try:
         table = pacsv.read_csv(
             pa.BufferReader(text),
-            read_options=pacsv.ReadOptions(column_names=_NAMES, use_threads=use_threads),
+            read_options=pacsv.ReadOptions(
+                column_names=_NAMES, use_threads=use_threads, block_size=None if use_threads else _BLOCK
+            ),
             # blank lines are rows and quotes are text, so that one line is one row
             parse_options=pacsv.ParseOptions(quote_char=False, ignore_empty_lines=False),
             convert_options=pacsv.ConvertOptions(

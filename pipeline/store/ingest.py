@@ -208,10 +208,11 @@ class _Ingest:
         # stored sources come first: a log that was copied and touched is recognised at its old place
         unsettled.sort(key=lambda source: (source.key not in self.stored, source.key))
         read = partial(self._read, use_threads=jobs > 2)
-        with ThreadPoolExecutor(jobs) as pool:
-            self.writer.executor = pool if jobs > 1 else None
+        # one pool reads and writes: more threads than processors only take the interpreter from each other
+        with ThreadPoolExecutor(jobs) if jobs > 1 else nullcontext() as pool:
+            self.writer.executor = pool
             try:
-                for batch in in_order(read, batches_of(unsettled), jobs):
+                for batch in in_order(read, batches_of(unsettled), pool, jobs):
                     for done in batch:
                         self._settle(done)
                     self.keeper.flush()
