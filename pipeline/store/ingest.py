@@ -201,8 +201,8 @@ class _Ingest:
         self.place, self.known = self.stored.whole()
         for former in (self.stored[source.key] for source in unsettled if source.key in self.stored):
             # a source that is looked at again enters after that
-            if former.whole:
-                del self.place[former.sha256], self.known[former.sha256]
+            for by_content in (self.place, self.known) if former.whole else ():
+                by_content.pop(former.sha256, None)
         away = [(sha256, path) for sha256, path in self.place.items() if path not in present]
         self.gone = {sha256: path for sha256, path in away if is_gone(path_of_text(path))}
         # stored sources come first: a log that was copied and touched is recognised at its old place

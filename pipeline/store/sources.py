@@ -65,6 +65,7 @@ class Source:
 
 
 Files = Callable[[Path, frozenset[str], Notice], Iterable[Path]]
+"""Yields the wanted files below a folder, but for those below excluded ones; gives notice of what is not searched."""
 
 
 def find_sources(
