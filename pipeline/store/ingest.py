@@ -198,11 +198,8 @@ class _Ingest:
     def process(self, sources: list[Source], jobs: int, present: Set[str]) -> None:
         """Decide on every source and store what is new; `present` are the paths of all that was found."""
         unsettled = [source for source in sources if not self._settled_unread(source)]
-        self.place, self.known = self.stored.whole()
-        for former in (self.stored[source.key] for source in unsettled if source.key in self.stored):
-            # a source that is looked at again enters after that
-            for by_content in (self.place, self.known) if former.whole else ():
-                by_content.pop(former.sha256, None)
+        # a source that is looked at again enters after that
+        self.place, self.known = self.stored.whole(but={source.key for source in unsettled})
         away = [(sha256, path) for sha256, path in self.place.items() if path not in present]
         self.gone = {sha256: path for sha256, path in away if is_gone(path_of_text(path))}
         # stored sources come first: a log that was copied and touched is recognised at its old place

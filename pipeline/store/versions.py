@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Set
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -76,10 +76,10 @@ class StoredSources(Mapping[str, StoredSource]):
     def __len__(self) -> int:
         return len(self._last)
 
-    def whole(self) -> tuple[dict[str, str], dict[str, str]]:
-        """Return path and hash of the profile of all sources that are stored as a whole, by the hash of the content."""
+    def whole(self, but: Set[str]) -> tuple[dict[str, str], dict[str, str]]:
+        """Return path and profile's hash of all sources but some that are stored as a whole, by hash of the content."""
         contents, profiles = map(self._column, _CONTENT)
-        rows = {path: row for path, row in self._last.items() if self._is_whole(path, row)}
+        rows = {path: row for path, row in self._last.items() if path not in but and self._is_whole(path, row)}
         return (
             {contents[row]: path for path, row in rows.items()},
             {contents[row]: profiles[row] for row in rows.values()},
