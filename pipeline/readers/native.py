@@ -35,9 +35,6 @@ LONGEST_HEADER_LINE = 1 << 14
 _SEARCHED = 1 << 20
 """Bytes of a body that are searched at once for the row at fault: lines as objects take ten times their bytes."""
 
-_BLOCK = 8 << 20
-"""Bytes that one thread parses at once: a usual batch as a whole, so that no columns are to be put together."""
-
 _BLANK = b"\r\n\t "
 _LINE_FEED = 10
 
@@ -162,9 +159,7 @@ def _parse(text: bytes, lines: int, use_threads: bool) -> Columns | None:
     try:
         table = pacsv.read_csv(
             pa.BufferReader(text),
-            read_options=pacsv.ReadOptions(
-                column_names=_NAMES, use_threads=use_threads, block_size=None if use_threads else _BLOCK
-            ),
+            read_options=pacsv.ReadOptions(column_names=_NAMES, use_threads=use_threads),
             # blank lines are rows and quotes are text, so that one line is one row
             parse_options=pacsv.ParseOptions(quote_char=False, ignore_empty_lines=False),
             convert_options=pacsv.ConvertOptions(
