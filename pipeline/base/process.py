@@ -16,7 +16,6 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib import import_module
-from importlib.abc import MetaPathFinder
 from types import FrameType
 
 from pipeline.base.errors import EXIT_ERROR
@@ -27,7 +26,7 @@ STOP_SIGNALS = tuple(
 """Signals that ask for an end: Ctrl-C, a service manager, a terminal that is closed; as far as the system has them."""
 
 
-class _NoPandas(MetaPathFinder):
+class _NoPandas:
     """Finds pandas nowhere, and leaves other modules to others."""
 
     def find_spec(self, fullname: str, path: object = None, target: object = None) -> None:

@@ -13,15 +13,16 @@ byte by byte. Any reader of Parquet skips the seal. The annex holds what the wri
 from __future__ import annotations
 
 import io
-import json
 import os
 import struct
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO, cast
+from typing import BinaryIO, cast
 
 import numpy as np
+
+from pipeline.base.json_seal import DamageError
 
 _MAGIC = b"pl-seal1"
 
@@ -53,14 +54,6 @@ _LAST = b"PAR1"
 
 _ENDING = 8
 """Bytes behind a footer: its length, and `_LAST`."""
-
-
-_CHECKSUM = b'{"checksum": "'
-"""How a sealed JSON document begins."""
-
-
-class DamageError(ValueError):
-    """A file is not as it was written."""
 
 
 @dataclass(frozen=True)
@@ -269,30 +262,6 @@ def read_annex(stream: BinaryIO) -> bytes:
         return b""
     stream.seek(seal.start - seal.annex)
     return stream.read(seal.annex)
-
-
-def sealed_json(text: str) -> str:
-    """Return a JSON object with the CRC-32 of what follows as its first value."""
-    rest = text[1:]
-    return f'{_CHECKSUM.decode()}{zlib.crc32(rest.encode()):08x}",{rest}'
-
-
-def unsealed_json(data: bytes) -> dict[str, Any]:
-    """Return the content of a JSON object, held against its checksum where it has one, without it.
-
-    Raises
-    ------
-    ValueError
-        If it is none, or a byte is not as it was written (`DamageError`).
-    """
-    digits, comma, rest = data.removeprefix(_CHECKSUM).partition(b'",')
-    if data.startswith(_CHECKSUM) and (not comma or digits != b"%08x" % zlib.crc32(rest)):
-        raise DamageError("its checksum differs")
-    document = json.loads(data)
-    if not isinstance(document, dict):
-        raise DamageError("is no JSON object")
-    document.pop("checksum", None)
-    return document
 
 
 def footer_of(data: bytes) -> bytes:

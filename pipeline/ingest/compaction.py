@@ -19,8 +19,9 @@ import pyarrow.parquet as pq
 
 from pipeline.base.disk import remove, sync_folder
 from pipeline.base.errors import StoreError
+from pipeline.base.json_seal import DamageError
 from pipeline.base.lock import WAIT_S, writing
-from pipeline.base.seal import DamageError, verify
+from pipeline.base.seal import verify
 from pipeline.ingest.versions import repair
 from pipeline.records.models import Motion, Record
 from pipeline.records.table_files import GROUP_ROWS, damaged_file, read_table
@@ -206,12 +207,13 @@ def _batches(processed: Path, device: str, experiment: str) -> list[_Batch]:
     found = []
     for file in trials_files(processed, device, experiment):
         table = read_table(file, ["motion", "sample_file", "rows"])
-        motions = table.column("motion").unique().to_pylist()
-        samples = tuple(processed / name for name in sorted(table.column("sample_file").unique().to_pylist()))
+        motion = table.column("motion")[0].as_py()
+        # `unique` would import what takes longer than all else here
+        samples = tuple(processed / name for name in sorted(set(table.column("sample_file").to_pylist())))
         rows = int(np.sum(table.column("rows").to_numpy()))
         size = sum(path.stat().st_size for path in samples if path.is_file())
         # one file, one motion: its metadata state the units
-        found.append(_Batch(file, cast(Motion, motions[0]), samples, rows, size))
+        found.append(_Batch(file, cast(Motion, motion), samples, rows, size))
     return found
 
 

@@ -108,4 +108,6 @@ def _shown(line: bytes, codec: str) -> str:
     except UnicodeDecodeError:
         text = head.decode("latin-1")
     text = text.removeprefix("\ufeff").rstrip("\r\n")[:LONGEST_SHOWN]
+    if text.isprintable():
+        return text
     return "".join(c if c.isprintable() or c == "\t" else c.encode("unicode_escape").decode() for c in text)

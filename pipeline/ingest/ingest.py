@@ -61,6 +61,7 @@ def ingest(
     growing: Collection[str] = (),
     wait_s: float = WAIT_S,
     say: Callable[[str], None] | None = None,
+    search: Search | None = None,
 ) -> IngestReport:
     """Store all new logs below some folders.
 
@@ -89,6 +90,8 @@ def ingest(
         How long to wait for another command that writes to `processed` [s].
     say : callable, optional
         Gets a line when waiting begins.
+    search : Search, optional
+        The same search, with what `rerun.recall` has listed for it a moment ago.
 
     Returns
     -------
@@ -107,7 +110,7 @@ def ingest(
         raise UsageError(f"jobs must be at least 1, found {jobs}. Leave it out for one per processor.")
     profiles = shipped_profiles() if profile is None else (load_profile(profile),)
     folders = [Path(path) for path in paths]
-    search = Search(tuple(map(str, paths)), str(processed), None if profile is None else str(profile))
+    search = search or Search(tuple(map(str, paths)), str(processed), None if profile is None else str(profile))
     notices: list[LogWarning] = []
 
     def at_rest(path: str, mtime_ns: int) -> bool:
@@ -119,9 +122,8 @@ def ingest(
 
         def noticed(folder: Path, text: str) -> None:
             notices.append(LogWarning(path=path_text(folder), warning=text))
-            look.notice(folder, text)
 
-        return look, find_sources(folders, profiles, processed, noticed, look.passes)
+        return look, find_sources(folders, profiles, processed, noticed, look.files)
 
     look, sources = looked(not (dry_run or rehash))
     run: _Ingest | None = None
@@ -186,7 +188,7 @@ class _Ingest:
         self.stored = StoredSources(processed, self.damaged)
         self.refused = {record.path: record for record in list_quarantine(processed, self.damaged)}
         self.replaced: set[tuple[str, str, str]] = set()
-        # hash of a content -> hash of its profile, and its path; a source that is looked at again enters after that
+        # hash of a content -> hash of its profile, and its path
         self.known: dict[str, str] = {}
         self.place: dict[str, str] = {}
         # hash of a content -> path where it stood, and nothing stands any more
@@ -196,20 +198,18 @@ class _Ingest:
     def process(self, sources: list[Source], jobs: int, present: Set[str]) -> None:
         """Decide on every source and store what is new; `present` are the paths of all that was found."""
         unsettled = [source for source in sources if not self._settled_unread(source)]
-        again = {source.key for source in unsettled}
-        for path, sha256, profile_sha256 in self.stored.whole():
-            if path not in again:
-                self.known[sha256] = profile_sha256
-                self.place[sha256] = path
-                if path not in present and is_gone(path_of_text(path)):
-                    self.gone[sha256] = path
+        # a source that is looked at again enters after that
+        self.place, self.known = self.stored.whole(but={source.key for source in unsettled})
+        away = [(sha256, path) for sha256, path in self.place.items() if path not in present]
+        self.gone = {sha256: path for sha256, path in away if is_gone(path_of_text(path))}
         # stored sources come first: a log that was copied and touched is recognised at its old place
         unsettled.sort(key=lambda source: (source.key not in self.stored, source.key))
         read = partial(self._read, use_threads=jobs > 2)
-        with ThreadPoolExecutor(jobs) as pool:
-            self.writer.executor = pool if jobs > 1 else None
+        # one pool reads and writes: more threads than processors only take the interpreter from each other
+        with ThreadPoolExecutor(jobs) if jobs > 1 else nullcontext() as pool:
+            self.writer.executor = pool
             try:
-                for batch in in_order(read, batches_of(unsettled), jobs):
+                for batch in in_order(read, batches_of(unsettled), pool, jobs):
                     for done in batch:
                         self._settle(done)
                     self.keeper.flush()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
@@ -13,7 +14,8 @@ from pipeline.records.models import Record
 Action = Literal["ingest", "skip", "refuse", "wait"]
 
 
-class Refusal(Record):
+@dataclass(frozen=True, slots=True)
+class Refusal:
     """A source in quarantine: path as found, why, the row at fault, counted from 1, and what `errors.LogError` adds."""
 
     path: str
@@ -23,21 +25,24 @@ class Refusal(Record):
     profile_line: str | None = None
 
 
-class LogWarning(Record):
+@dataclass(frozen=True, slots=True)
+class LogWarning:
     """What was accepted in a source and should be known."""
 
     path: str
     warning: str
 
 
-class ChangedSource(Record):
+@dataclass(frozen=True, slots=True)
+class ChangedSource:
     """A source whose content is not the one that is stored, and what became of the stored trials."""
 
     path: str
     outcome: str
 
 
-class PlannedSource(Record):
+@dataclass(frozen=True, slots=True)
+class PlannedSource:
     """What a dry run would do with a source, and why."""
 
     path: str

@@ -40,6 +40,26 @@ class Folder(NamedTuple):
     others: dict[str, str]
 
 
+class Listing(NamedTuple):
+    """The folders below one; those that are not searched, each with the reason; and a line of text for each of both.
+
+    Lines of two searches are equal only where both found the same.
+    """
+
+    folders: list[Folder]
+    notices: list[tuple[Path, str]]
+    lines: list[str]
+
+
+def listing_of(folder: Path | str, excluded: frozenset[str], deep: bool = True) -> Listing:
+    """Return what `list_folders` finds."""
+    notices: list[tuple[Path, str]] = []
+    folders = list(list_folders(folder, excluded, lambda *told: notices.append(told), deep))
+    # in the order of the folder, which stays while nothing in it changes
+    lines = [f"{here.path}\0{here.plain}{here.others}" for here in folders]
+    return Listing(folders, notices, [*lines, *(f"{place}\0{text}" for place, text in notices)])
+
+
 def list_folders(folder: Path | str, excluded: frozenset[str], notice: Notice, deep: bool = True) -> Iterator[Folder]:
     """Yield a folder and, if `deep`, those below it; hidden files and `UNCOUNTED` are left out.
 

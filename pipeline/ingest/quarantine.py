@@ -17,9 +17,9 @@ from pydantic import ValidationError
 from pipeline.base.disk import NewFile, make_folders, publish_all, remove
 from pipeline.base.errors import REMEDY, Code, LogError, StoreError, UsageError
 from pipeline.base.file_names import path_of_text, path_text, storable
+from pipeline.base.json_seal import sealed_json, unsealed_json
 from pipeline.base.provenance import digest
 from pipeline.base.regular_files import open_regular
-from pipeline.base.seal import sealed_json, unsealed_json
 from pipeline.ingest.excerpt import NOTHING, Excerpt, excerpt_of
 from pipeline.ingest.sources import Source
 from pipeline.records.models import Record

@@ -6,7 +6,7 @@ import hashlib
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Executor, Future
 from dataclasses import dataclass, replace
 from itertools import islice
 
@@ -210,19 +210,17 @@ def batches_of(sources: Sequence[Source]) -> Iterator[list[Source]]:
 
 
 def in_order(
-    work: Callable[[list[Source]], list[Read]], batches: Iterator[list[Source]], jobs: int
+    work: Callable[[list[Source]], list[Read]], batches: Iterator[list[Source]], pool: Executor | None, ahead: int
 ) -> Iterator[list[Read]]:
-    """Work on batches in threads, the caller's being one of `jobs`, and yield the results in order.
+    """Work on batches in the threads of a pool, by default in the caller's, and yield the results in order.
 
-    At most `jobs` batches are ahead, so that memory is bounded. More threads than processors only take the interpreter
-    from each other: half of the work holds its lock.
+    At most so many batches are ahead, so that memory is bounded.
     """
-    if jobs == 1:
+    if pool is None:
         yield from map(work, batches)
         return
-    with ThreadPoolExecutor(jobs - 1) as pool:
-        running: list[Future[list[Read]]] = [pool.submit(work, batch) for batch in islice(batches, jobs)]
-        while running:
-            done = running.pop(0).result()
-            running += [pool.submit(work, batch) for batch in islice(batches, 1)]
-            yield done
+    running: list[Future[list[Read]]] = [pool.submit(work, batch) for batch in islice(batches, ahead)]
+    while running:
+        done = running.pop(0).result()
+        running += [pool.submit(work, batch) for batch in islice(batches, 1)]
+        yield done

@@ -12,16 +12,16 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO
 
 from pipeline import __version__
 from pipeline.base.disk import replacing
+from pipeline.base.json_seal import sealed_json, unsealed_json
 from pipeline.base.provenance import code_digest, digest, schema_folder
-from pipeline.base.seal import sealed_json, unsealed_json
-from pipeline.ingest.listing import Folder, list_folders
+from pipeline.ingest.listing import Folder, Listing, Notice, listing_of
 
 NOTE_FILE = ".last_ingest.json"
 
@@ -34,11 +34,12 @@ Index = dict[str, dict[str, str]]
 
 @dataclass(frozen=True)
 class Search:
-    """Which logs are looked for: paths and profile as given."""
+    """Which logs are looked for: paths and profile as given; ``listed`` hands on what was listed for `recall`."""
 
     paths: tuple[str, ...]
     processed: str
     profile: str | None
+    listed: dict[str, Listing] = field(default_factory=dict, compare=False)
 
     @property
     def key(self) -> str:
@@ -74,21 +75,27 @@ class Look:
         self.passed: set[str] = set()
         """Paths of stored logs that are as they were."""
 
-    def passes(self, folder: Folder) -> list[str]:
-        """Return the names in a folder that are to be looked at: all but stored logs that are as they were."""
-        self._lines.append(_line(folder))
+    def files(self, folder: Path, excluded: frozenset[str], notice: Notice) -> Iterator[Path]:
+        """Yield the files below a folder that are to be looked at: all but stored logs that are as they were."""
+        # the next look lists anew
+        listing = self.search.listed.pop(str(folder), None) or listing_of(folder, excluded)
+        self._lines += listing.lines
+        for place, text in listing.notices:
+            notice(place, text)
+        for here in listing.folders:
+            for name in self._passes(here):
+                yield Path(here.path, name)
+
+    def _passes(self, folder: Folder) -> list[str]:
         self._found[folder.absolute] = folder
         plain, known = folder.plain, self._index.get(folder.absolute, {})
         same = {name: state for name, state in plain.items() if known.get(name) == state}
         if self.at_rest is not None:
             same = {n: s for n, s in same.items() if self.at_rest(_path(folder.absolute, n), int(s.split()[1]))}
         self._new[folder.absolute] = same
-        self.passed.update(_path(folder.absolute, name) for name in same)
+        place = _path(folder.absolute, "")
+        self.passed.update([place + name for name in same])
         return [*(name for name in plain if name not in same), *folder.others]
-
-    def notice(self, folder: Path, text: str) -> None:
-        """Note a folder that is not searched."""
-        self._lines.append(f"{folder}\0{text}")
 
     def holds(self) -> bool:
         """Return whether the store still is as the index says."""
@@ -157,13 +164,10 @@ def _found(search: Search) -> str:
     """Return the hash of all that a search finds."""
     lines = _beside(search)
     excluded = frozenset((os.path.realpath(search.processed),))
-
-    def notice(folder: Path, text: str) -> None:
-        lines.append(f"{folder}\0{text}")
-
     for path in search.paths:
         if os.path.isdir(path):
-            lines += map(_line, list_folders(path, excluded, notice))
+            search.listed[path] = listing_of(path, excluded)
+            lines += search.listed[path].lines
     return _digest(lines)
 
 
@@ -172,14 +176,8 @@ def _beside(search: Search) -> list[str]:
     lines: list[str] = []
     for path in search.paths:
         if not os.path.isdir(path):
-            around = list_folders(os.path.dirname(os.path.abspath(path)), frozenset(), lambda *_: None, deep=False)
-            lines += map(_line, around)
+            lines += listing_of(os.path.dirname(os.path.abspath(path)), frozenset(), deep=False).lines
     return lines
-
-
-def _line(folder: Folder) -> str:
-    # in the order of the folder, which stays while nothing in it changes
-    return f"{folder.path}\0{folder.plain}{folder.others}"
 
 
 def _path(folder: str, name: str) -> str:

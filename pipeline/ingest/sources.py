@@ -13,7 +13,7 @@ from pipeline.base.errors import Code, UsageError
 from pipeline.base.file_names import path_of_text, path_text
 from pipeline.base.regular_files import OutsideError, is_gone, real_file
 from pipeline.ingest.bags import bag_of, may_belong
-from pipeline.ingest.listing import Folder, Notice, list_folders
+from pipeline.ingest.listing import Notice, list_folders
 from pipeline.profiles.profile_files import Profile, claim
 
 
@@ -64,12 +64,16 @@ class Source:
         return own and self.problem is None
 
 
+Files = Callable[[Path, frozenset[str], Notice], Iterable[Path]]
+"""Yields the wanted files below a folder, but for those below excluded ones; gives notice of what is not searched."""
+
+
 def find_sources(
     paths: Sequence[Path],
     profiles: tuple[Profile, ...],
     exclude: Path | None = None,
     notice: Notice | None = None,
-    choose: Callable[[Folder], Sequence[str]] | None = None,
+    files: Files | None = None,
 ) -> list[Source]:
     """Return every log below the given folders and files, each once, in order of path.
 
@@ -86,8 +90,8 @@ def find_sources(
         Folder that is left out (`processed/`, which may lie inside a searched folder).
     notice : callable, optional
         Called with each folder that is not searched, and why: it is a link, or may not be read.
-    choose : callable, optional
-        Called with each folder; returns the names of the files in it that are wanted, by default all.
+    files : callable, optional
+        Called with a folder, those to leave out, and `notice`; yields the files that are wanted, by default all.
 
     Raises
     ------
@@ -112,18 +116,15 @@ def find_sources(
         folder = path if path.is_dir() else path.parent
         # a link that is given itself is the user's own choice
         within = None if folder != path and path.is_symlink() else os.path.realpath(folder)
-        files = _files(path, excluded, notice or _say_nothing, choose) if folder == path else [path]
-        for file in files:
+        for file in (files or _files)(path, excluded, notice or _say_nothing) if folder == path else [path]:
             source = _source(file, profiles, within)
             found.setdefault(source.key, source)
     return [found[key] for key in sorted(found)]
 
 
-def _files(
-    folder: Path, excluded: frozenset[str], notice: Notice, choose: Callable[[Folder], Sequence[str]] | None
-) -> Iterator[Path]:
+def _files(folder: Path, excluded: frozenset[str], notice: Notice) -> Iterator[Path]:
     for here in list_folders(folder, excluded, notice):
-        for name in (*here.plain, *here.others) if choose is None else choose(here):
+        for name in (*here.plain, *here.others):
             yield Path(here.path, name)
 
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Set
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -14,7 +14,9 @@ from pipeline.base.seal import read_annex
 from pipeline.ingest.rerun import NOTE_FILE
 from pipeline.records.table_files import read_table, write_table
 from pipeline.store.batch_files import remove_batches
-from pipeline.store.storage import BATCH, FILE, VERSION_COLUMNS, newest_versions, read_versions
+from pipeline.store.storage import FILE, VERSION_COLUMNS, newest_versions, read_versions
+
+_CONTENT = ("source_sha256", "profile_sha256")
 
 
 class StoredSource(NamedTuple):
@@ -50,10 +52,10 @@ class StoredSources(Mapping[str, StoredSource]):
 
     def __init__(self, processed: Path, damaged: dict[Path, str] | None = None) -> None:
         columns = ["source_trials", "source_size", *VERSION_COLUMNS]
-        table, _ = read_versions(processed, None, None, columns, damaged)
-        self._columns = {n: table.column(n).to_pylist() for n in table.column_names if n not in (BATCH, FILE)}
-        paths = self._columns["source_path"]
-        rows = np.flatnonzero(newest_versions(table)).tolist()
+        self._table, _ = read_versions(processed, None, None, columns, damaged)
+        self._columns: dict[str, list[Any]] = {}
+        paths = self._column("source_path")
+        rows = np.flatnonzero(newest_versions(self._table)).tolist()
         self._last: dict[str, int] = {paths[row]: row for row in rows}
         # of sources with several trials alone: a list for each of 100,000 takes longer than all else
         self._several: dict[str, list[int]] = {}
@@ -63,9 +65,10 @@ class StoredSources(Mapping[str, StoredSource]):
 
     def __getitem__(self, path: str) -> StoredSource:
         last = self._last[path]
-        size, mtime_ns = (self._columns[name][last] for name in ("source_size", "source_mtime_ns"))
-        trials = frozenset(self._columns["trial_id"][row] for row in self._several.get(path, (last,)))
-        return StoredSource(*self._content(last), size, mtime_ns, trials, self._is_whole(path, last))
+        names = (*_CONTENT, "source_size", "source_mtime_ns")
+        sha256, profile_sha256, size, mtime_ns = (self._column(name)[last] for name in names)
+        trials = frozenset(self._column("trial_id")[row] for row in self._several.get(path, (last,)))
+        return StoredSource(sha256, profile_sha256, size, mtime_ns, trials, self._is_whole(path, last))
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._last)
@@ -73,17 +76,23 @@ class StoredSources(Mapping[str, StoredSource]):
     def __len__(self) -> int:
         return len(self._last)
 
-    def whole(self) -> Iterator[tuple[str, str, str]]:
-        """Yield path, hash of the content and hash of the profile of all sources that are stored as a whole."""
-        for path, last in self._last.items():
-            if self._is_whole(path, last):
-                yield path, *self._content(last)
+    def whole(self, but: Set[str]) -> tuple[dict[str, str], dict[str, str]]:
+        """Return path and profile's hash of all sources but some that are stored as a whole, by hash of the content."""
+        contents, profiles = map(self._column, _CONTENT)
+        rows = {path: row for path, row in self._last.items() if path not in but and self._is_whole(path, row)}
+        return (
+            {contents[row]: path for path, row in rows.items()},
+            {contents[row]: profiles[row] for row in rows.values()},
+        )
 
     def _is_whole(self, path: str, last: int) -> bool:
-        return len(self._several.get(path, (last,))) >= int(self._columns["source_trials"][last])
+        trials: int = self._column("source_trials")[last]
+        return trials == 1 or len(self._several.get(path, (last,))) >= trials
 
-    def _content(self, row: int) -> tuple[str, str]:
-        return self._columns["source_sha256"][row], self._columns["profile_sha256"][row]
+    def _column(self, name: str) -> list[Any]:
+        if name not in self._columns:
+            self._columns[name] = self._table.column(name).to_pylist()
+        return self._columns[name]
 
 
 def why_ingested(former: StoredSource | None, sha256: str, profile_sha256: str) -> str:

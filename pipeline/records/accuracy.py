@@ -9,8 +9,8 @@ from pathlib import Path
 
 from pipeline import __version__
 from pipeline.base.disk import write_text
+from pipeline.base.json_seal import sealed_json, unsealed_json
 from pipeline.base.provenance import PACKAGE_FOLDER, code_digest, digest, schema_folder, sha256
-from pipeline.base.seal import sealed_json, unsealed_json
 from pipeline.records.models import Record
 
 OURS = "this package"

@@ -17,7 +17,8 @@ import pyarrow.parquet as pq
 
 from pipeline.base.disk import replacing
 from pipeline.base.errors import REMEDY, StoreError
-from pipeline.base.seal import MARK, DamageError, SealingStream, verify
+from pipeline.base.json_seal import DamageError
+from pipeline.base.seal import MARK, SealingStream, verify
 from pipeline.records.tables import COLUMNS, TABLES
 
 GROUP_ROWS = 1 << 19

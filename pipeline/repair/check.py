@@ -16,8 +16,9 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from pipeline.base.json_seal import DamageError, unsealed_json
 from pipeline.base.provenance import sha256 as hash_of
-from pipeline.base.seal import DamageError, footer_of, mended, sealed, unsealed_json, verify
+from pipeline.base.seal import footer_of, mended, sealed, verify
 from pipeline.ingest.compaction import unseen_trials
 from pipeline.ingest.quarantine import RECORD_FILE, QuarantineRecord
 from pipeline.ingest.rerun import NOTE_FILE

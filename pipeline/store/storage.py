@@ -274,11 +274,10 @@ def newest_versions(table: pa.Table) -> Booleans:
     Newer is the higher batch number; among files without one, the later modification of the source. A log that stands
     under two paths, as while one is renamed, is returned under the newer.
     """
-    paths, trials = (table.column(name).to_pylist() for name in ("source_path", "trial_id"))
-    sources = table.column("source_sha256").to_pylist()
+    paths, sources = (table.column(name).to_pylist() for name in ("source_path", "source_sha256"))
     if len(set(paths)) == len(set(sources)) == len(paths):
         return np.ones(table.num_rows, dtype=np.bool_)
-    profiles = table.column("profile_sha256").to_pylist()
+    trials, profiles = (table.column(name).to_pylist() for name in ("trial_id", "profile_sha256"))
     stamps, numbers = (table.column(name).to_numpy() for name in ("source_mtime_ns", BATCH))
     order = np.lexsort((np.arange(len(paths)), stamps, numbers)).tolist()
     newest = {paths[row]: (sources[row], profiles[row]) for row in order}

@@ -16,9 +16,9 @@ from typing import Any, Self
 from pydantic import BaseModel, ConfigDict
 
 from pipeline.base.disk import if_writable, write_text
+from pipeline.base.json_seal import sealed_json, unsealed_json
 from pipeline.base.process_pool import process_pool
 from pipeline.base.provenance import code_digest, digest
-from pipeline.base.seal import sealed_json, unsealed_json
 from pipeline.loop.loop import Loop, Normalised
 from pipeline.records.results import TheoryParameters
 from pipeline.theory.optimum.optimum import optimal_point

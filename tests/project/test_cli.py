@@ -112,18 +112,32 @@ LOADED = {
 """What each command may load of these and of numpy and pyarrow."""
 
 
-@pytest.mark.parametrize("command", LOADED)
-def test_commands_load_what_they_need(command, tmp_path):
-    """Pyarrow would load pandas where it is installed, for 0.2 s of each command."""
-    (tmp_path / "cases.csv").write_text("alpha,beta,gamma,delta,delay\n0.02,0.2,0,0,2\n")
-    watched = [*HEAVY, "numpy", "pyarrow", "pyarrow.parquet"]
+def loaded(*words: str) -> tuple[str, ...]:
+    """Return what a command loads of `HEAVY`, numpy and pyarrow."""
+    watched = [*HEAVY, "numpy", "pyarrow", "pyarrow.parquet", "pyarrow.compute"]
     script = (
         "import sys\nfrom pipeline.shell.cli import run\ntry:\n    run()\nfinally:\n"
         f"    print(*[m for m in {watched} if sys.modules.get(m)], sep=' ', file=sys.stderr)"
     )
-    words = [str(tmp_path / word) if "." in word else word for word in command.split()]
     process = subprocess.run([sys.executable, "-c", script, *words], capture_output=True, text=True, check=True)
-    assert tuple(process.stderr.splitlines()[-1].split()) == LOADED[command]
+    return tuple(process.stderr.splitlines()[-1].split())
+
+
+@pytest.mark.parametrize("command", LOADED)
+def test_commands_load_what_they_need(command, tmp_path):
+    """Pyarrow would load pandas where it is installed, for 0.2 s of each command."""
+    (tmp_path / "cases.csv").write_text("alpha,beta,gamma,delta,delay\n0.02,0.2,0,0,2\n")
+    assert loaded(*(str(tmp_path / word) if "." in word else word for word in command.split())) == LOADED[command]
+
+
+def test_ingest_loads_what_it_needs(tmp_path):
+    """Profiles are read, by pydantic, only where a log is looked at; nothing new is told without any package."""
+    (tmp_path / "logs").mkdir()
+    command = ("ingest", str(tmp_path / "logs"), "--processed", str(tmp_path / "processed"))
+    for number in range(2):
+        (tmp_path / "logs" / f"{number}.csv").write_text(log_text(float(number)))
+        assert loaded(*command) == ("pydantic", "numpy.ma", "numpy", "pyarrow", "pyarrow.parquet")
+        assert loaded(*command) == ()
 
 
 def test_a_command_alone_is_that_of_the_whole_command_line():

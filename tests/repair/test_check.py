@@ -16,7 +16,8 @@ from native_logs import FAULTS, log_text
 
 from pipeline.base import disk
 from pipeline.base.errors import StoreError
-from pipeline.base.seal import MARK, DamageError, find_seal, mended, sealed, verify
+from pipeline.base.json_seal import DamageError
+from pipeline.base.seal import MARK, find_seal, mended, sealed, verify
 from pipeline.ingest import trialstore
 from pipeline.ingest.compaction import compact, find_orphans
 from pipeline.ingest.ingest import ingest

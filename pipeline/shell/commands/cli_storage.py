@@ -74,6 +74,7 @@ def ingest(
                 advance,
                 wait_s=wait,
                 say=None if as_json else console.note,
+                search=search,
             ).model_dump(mode="json")
     if document["plan"] is None:
         del document["plan"]
