@@ -7,7 +7,7 @@ import numpy as np
 from pipeline.measured.combine import with_sign_warning
 from pipeline.measured.damping import LimitDamping
 from pipeline.records.batch import Booleans, Floats, Integers
-from pipeline.records.models import Estimate, Optimum
+from pipeline.records.findings import Estimate, Optimum
 
 CONFIDENCE = 0.95
 """Coverage of every interval."""

@@ -13,7 +13,7 @@ from pipeline.measured.costs import SETTLED_SAMPLES, Overshoot, Settling
 from pipeline.measured.reading_error import ReadingError
 from pipeline.measured.response import Response
 from pipeline.records.batch import Floats, TrialBatch
-from pipeline.records.models import SETTLING_BANDS
+from pipeline.records.findings import SETTLING_BANDS
 
 CONFIDENCE = 0.95
 """Coverage that the intervals are made for."""

@@ -15,7 +15,7 @@ from pipeline.measured import aggregate, damping
 from pipeline.measured.combine import combine, with_sign_warning
 from pipeline.measured.response import NO_ROW
 from pipeline.records.batch import Floats
-from pipeline.records.models import Estimate, ModelCheck
+from pipeline.records.findings import Estimate, ModelCheck
 
 MODEL_SHARE = 0.5
 """Share of the trials that the model has to explain to be recommended: what is wrong for most is no model."""

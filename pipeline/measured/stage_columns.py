@@ -1,4 +1,4 @@
-"""The columns of each stage that has one row a trial: which functions make them, from what."""
+"""The columns of a stage with one row a trial: those that every stage has, and forms of the others."""
 
 from __future__ import annotations
 
@@ -7,28 +7,13 @@ from collections.abc import Callable, Iterable
 import numpy as np
 import pyarrow as pa
 
-from pipeline.measured import costs, damping, delay, fit, friction, mass, onset, outcome, verdict
-from pipeline.measured.cost_intervals import overshoot_interval, settling_interval
-from pipeline.measured.disturbance import Device
-from pipeline.measured.energy_intervals import HORIZON_PARTS, energy_interval
-from pipeline.measured.ghost import simulate_ghost
-from pipeline.measured.reading_error import ReadingError, reading_error
-from pipeline.measured.response import NO_ROW
 from pipeline.measured.stage_groups import Columns, Given, TrialGroup
-from pipeline.measured.step_metrics import TOOLS, reconcile
 from pipeline.records.batch import Floats
-from pipeline.records.models import SETTLING_BANDS
 from pipeline.records.tables import TABLES, to_arrow
 
-BALANCE_TERMS = ("damping", "friction")
-"""Forces that the corrected momentum balance allows for beside the inertia: those of every drive."""
 
-OPEN_LOOP_TERMS = ("damping", "friction", "start")
-"""As `BALANCE_TERMS` for logs without a wall: their delay is uncertain, so that momentum may be missing at the start.
-A rotating device in the open loop may be a pendulum, for which gravity is added."""
-
-
-def _conditions(of: TrialGroup) -> Columns:
+def conditions(of: TrialGroup) -> Columns:
+    """Return the columns by which trials are known."""
     return {
         "trial_id": list(of.batch.trial_id),
         "samples_sha256": list(of.batch.digests),
@@ -37,186 +22,29 @@ def _conditions(of: TrialGroup) -> Columns:
     }
 
 
-def _texts(*reasons: Iterable[str]) -> list[str | None]:
-    """Reasons of each trial, joined; None where there is none."""
+def joined_texts(*reasons: Iterable[str]) -> list[str | None]:
+    """Return the reasons of each trial, joined; None where there is none."""
     return ["; ".join(dict.fromkeys(text for text in texts if text)) or None for texts in zip(*reasons, strict=True)]
 
 
-def _integer(values: Floats) -> pa.Array:
+def integer_column(values: Floats) -> pa.Array:
+    """Return whole numbers as int64, null where they are not finite."""
     missing = ~np.isfinite(values)
     return pa.array(np.where(missing, 0, values).astype(np.int64), mask=missing)
 
 
-def _row(values: np.ndarray) -> pa.Array:
-    """Rows or counts of which a negative one stands for none."""
+def row_column(values: np.ndarray) -> pa.Array:
+    """Return rows or counts of which a negative one stands for none."""
     return pa.array(values, mask=values < 0)
 
 
-def _response(of: TrialGroup, given: Given) -> Columns:
-    found = of.found
-    judged = verdict.judge(of.batch, found)
-    return _conditions(of) | {
-        "verdict": list(judged.verdict),
-        "reason": _texts(judged.reason, found.reason),
-        "growth_per_s": judged.growth_per_s,
-        "edge_row": _row(found.edge_row),
-        **{name: getattr(found, name) for name in ("position_start", "position_final_expected")},
-        **{name: getattr(found, name) for name in ("position_final_measured", "sensor_quantum", "sensor_noise")},
-    }
-
-
-def _outcome(of: TrialGroup, given: Given) -> Columns:
-    device = Device(**given["device"])
-    found = outcome.classify(of.batch, of.found, of.verdicts, usual_rows=given["usual_rows"], device=device)
-    return _conditions(of) | {
-        "outcome": list(found.outcome),
-        "evidence": list(found.evidence),
-        "outcome_row": _row(found.first_row),
-        "band": found.band,
-        "amplitude_end": found.amplitude_end,
-    }
-
-
-def _delay(of: TrialGroup, given: Given) -> Columns:
-    first = delay.first_change(of.batch, of.found)
-    began = onset.motion_onset(of.batch, of.found, first)
-    return _conditions(of) | {
-        "delay_samples": _row(onset.rounded(first, began)),
-        "first_change_samples": _row(first.delay_samples),
-        "onset_samples": began.delay_samples,
-        "onset_error": began.standard_error,
-        "reason": _texts(first.reason),
-    }
-
-
-def _model(of: TrialGroup, given: Given) -> Columns:
-    begin, first = of.beginning()
-    found = fit.fit_trials(begin.batch, begin.found)
-    beside = simulate_ghost(of.batch, of.found, found.mass, found.damping, found.delay)
-    named = ("mass", "damping", "delay", "jitter")
-    return _conditions(of) | {
-        **{f"model_{name}": getattr(found, name) for name in named},
-        **{f"model_{name}_error": getattr(found, f"{name}_error") for name in named},
-        "model_start": found.start,
-        "misfit": found.misfit,
-        "whiteness": found.whiteness,
-        "leaves_row": _row(np.where(found.leaves_row < 0, NO_ROW, found.leaves_row + first)),
-        "ghost_deviation": beside.deviation,
-        "ghost_relative": beside.relative,
-        "ghost_row": _row(beside.leaves_row),
-        "reason": _texts(found.reason),
-    }
-
-
-def _damping(of: TrialGroup, given: Given) -> Columns:
-    begin, _ = of.beginning()
-    found = damping.from_trials(begin.batch, begin.found, given["delay"])
-    return _conditions(of) | {"viscous_damping": found.viscous_damping, "reason": _texts(found.reason)}
-
-
-def _mass(of: TrialGroup, given: Given) -> Columns:
-    nothing = np.full(len(of.batch), np.nan)
-    samples = given["delay"]
-    begin, _ = of.beginning()
-    found = mass.by_momentum(begin.batch, begin.found, samples)
-    terms: tuple[str, ...] = BALANCE_TERMS
-    if given["open_loop"]:
-        terms = (*OPEN_LOOP_TERMS, "gravity") if given["rotation"] else OPEN_LOOP_TERMS
-        samples = 0  # the start term stands for the delay, which friction hides
-    balance = friction.fit_balance(begin.batch, begin.found, samples, terms=terms)
-    columns = _conditions(of) | {
-        "mass_momentum": found.mass_momentum,
-        "damping_share": found.damping_share,
-        "mass": nothing,
-        "balance_mass": balance.mass,
-        "balance_mass_error": balance.mass_error,
-        "force_mass": nothing,
-        "force_mass_error": nothing,
-        "reason": _texts(found.reason),
-    }
-    if begin.batch.force is not None:
-        # a force measured at the device has passed the delay already
-        force = friction.fit_balance(begin.batch, begin.found, 0, terms=terms, force=begin.batch.force, held=False)
-        columns |= {"force_mass": force.mass, "force_mass_error": force.mass_error}
-    return columns
-
-
-def _reading_error(of: TrialGroup, given: Given) -> ReadingError:
-    sensor = float("nan") if given["sensor"] is None else given["sensor"]
-    return reading_error(of.batch, of.found, given["delay"], sensor=sensor, rest=given["rest"])
-
-
-def _overshoot(of: TrialGroup, given: Given) -> Columns:
-    found = costs.overshoot(of.batch, of.found, of.verdicts)
-    interval = overshoot_interval(of.batch, of.found, _reading_error(of, given), found)
-    return _conditions(of) | {
-        "overshoot": found.overshoot,
-        "overshoot_floor": found.floor,
-        "overshoot_low": interval.low,
-        "overshoot_high": interval.high,
-        "overshoot_last_sample": reconcile(of.batch, of.found, of.verdicts, 0).overshoot["matlab_final_value"].value,
-        "reason": _texts(found.reason, interval.reason),
-    }
-
-
-def _settling(of: TrialGroup, given: Given) -> Columns:
-    samples = given["delay"]
-    found = costs.settling(of.batch, of.found, of.verdicts, samples)
-    interval = settling_interval(
-        *(of.batch, of.found, _reading_error(of, given), found, samples), delay_range=tuple(given["delay_range"])
-    )
-    columns = _conditions(of) | {"reason": _texts(found.reason, interval.reason)}
-    others = reconcile(of.batch, of.found, of.verdicts, samples).settling
-    columns |= {f"settle_{tool}": others[tool].value for tool in TOOLS}
-    for name in SETTLING_BANDS:
-        columns[name] = _integer(found.samples[name])
-        columns[f"{name}_low"], columns[f"{name}_high"] = (
-            _integer(interval.low[name]),
-            _integer(interval.high[name]),
-        )
-    return columns
-
-
-def _energy(of: TrialGroup, given: Given) -> Columns:
-    found = energy_interval(
-        *(of.batch, of.found, of.verdicts, _reading_error(of, given), given["delay"], given["mass"]),
-        mass_error=given["mass_error"],
-        delay_range=tuple(given["delay_range"]),
-    )
-    half, full = HORIZON_PARTS.index(0.5), HORIZON_PARTS.index(1.0)
-    columns = _conditions(of) | {
-        "horizon_samples": _row(np.where(found.horizon_samples > 0, found.horizon_samples, NO_ROW)),
-        "reason": _texts(found.reason),
-    }
-    for w in costs.WEIGHTS:
-        parts = {"": found.value, "_low": found.low, "_high": found.high, "_bias": found.bias, "_tail": found.tail}
-        columns |= {f"energy_w{w}{end}": values[:, w] for end, values in parts.items()}
-        columns |= {
-            f"energy_w{w}_half": found.by_horizon[:, w, half],
-            f"energy_w{w}_full": found.by_horizon[:, w, full],
-        }
-    return columns
-
-
-COMPUTE: dict[str, Callable[[TrialGroup, Given], Columns]] = {
-    "response": _response,
-    "outcome": _outcome,
-    "delay": _delay,
-    "model": _model,
-    "damping": _damping,
-    "mass": _mass,
-    "overshoot": _overshoot,
-    "settling": _settling,
-    "energy": _energy,
-}
-"""What computes the columns of a stage with one row a trial."""
-
-
-def stage_rows(of: TrialGroup, stage: str, given: Given, *, rotation: bool) -> pa.Table:
+def stage_rows(
+    of: TrialGroup, stage: str, columns: Callable[[TrialGroup, Given], Columns], given: Given, *, rotation: bool
+) -> pa.Table:
     """Return the rows of a stage for some trials; nulls and the reason where the experiment lacks what it needs."""
     if "missing" in given:
         nothing: Columns = dict.fromkeys(TABLES[stage], [None] * len(of.batch))
-        columns = nothing | _conditions(of) | {"reason": [given["missing"]] * len(of.batch)}
+        found = nothing | conditions(of) | {"reason": [given["missing"]] * len(of.batch)}
     else:
-        columns = COMPUTE[stage](of, given)
-    return to_arrow(stage, columns, rotation=rotation)
+        found = columns(of, given)
+    return to_arrow(stage, found, rotation=rotation)

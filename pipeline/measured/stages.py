@@ -27,8 +27,8 @@ from pipeline.measured.stage_columns import stage_rows
 from pipeline.measured.stage_given import DERIVED, GIVEN, WHOLE
 from pipeline.measured.stage_groups import Given, TrialGroup
 from pipeline.records.batch import Floats
+from pipeline.records.findings import ENERGY_CRITERIA, SETTLING_BANDS, BoundaryPoint, Estimate, ModelCheck, Optimum
 from pipeline.records.groups import TrialGroups
-from pipeline.records.models import ENERGY_CRITERIA, SETTLING_BANDS, BoundaryPoint, Estimate, ModelCheck, Optimum
 from pipeline.records.table_files import read_metadata, read_table, write_table
 from pipeline.records.tables import arrow_schema, to_arrow
 from pipeline.store.samples import load_groups

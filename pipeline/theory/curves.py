@@ -12,7 +12,7 @@ import numpy as np
 
 from pipeline.base.errors import ParameterError
 from pipeline.records.batch import Booleans, Floats, Integers
-from pipeline.records.models import SETTLING_BANDS
+from pipeline.records.findings import SETTLING_BANDS
 from pipeline.theory.energy import energy_costs
 from pipeline.theory.lines import LEVELS, LineCost, LineOptima, extents, search_lines
 from pipeline.theory.loop import Loop

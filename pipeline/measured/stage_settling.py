@@ -1,0 +1,41 @@
+"""Stage `settling`: the settling times of each trial with their intervals."""
+
+from __future__ import annotations
+
+from pipeline.measured import costs
+from pipeline.measured.cost_intervals import settling_interval
+from pipeline.measured.estimates import delay_estimate
+from pipeline.measured.known_delay import delay_range, with_delay
+from pipeline.measured.stage_columns import conditions, integer_column, joined_texts
+from pipeline.measured.stage_given import Experiment
+from pipeline.measured.stage_groups import Columns, Given, TrialGroup
+from pipeline.measured.stage_overshoot import error_of, sensor_of
+from pipeline.measured.step_metrics import TOOLS, reconcile
+from pipeline.records.findings import SETTLING_BANDS
+
+
+def given(of: Experiment) -> Given:
+    """Return what the stage takes from the whole experiment."""
+    found = with_delay(of)
+    if "missing" in found:
+        return found
+    return {**sensor_of(of, found["delay"]), "delay_range": delay_range(delay_estimate(of))}
+
+
+def columns(of: TrialGroup, given: Given) -> Columns:
+    """Return the columns of the stage for some trials."""
+    samples = given["delay"]
+    found = costs.settling(of.batch, of.found, of.verdicts, samples)
+    interval = settling_interval(
+        *(of.batch, of.found, error_of(of, given), found, samples), delay_range=tuple(given["delay_range"])
+    )
+    columns = conditions(of) | {"reason": joined_texts(found.reason, interval.reason)}
+    others = reconcile(of.batch, of.found, of.verdicts, samples).settling
+    columns |= {f"settle_{tool}": others[tool].value for tool in TOOLS}
+    for name in SETTLING_BANDS:
+        columns[name] = integer_column(found.samples[name])
+        columns[f"{name}_low"], columns[f"{name}_high"] = (
+            integer_column(interval.low[name]),
+            integer_column(interval.high[name]),
+        )
+    return columns
