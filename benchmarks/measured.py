@@ -62,8 +62,8 @@ def compute(file: Path) -> dict[str, Any]:
     from pipeline.measured.ghost import simulate_ghost
     from pipeline.measured.reading_error import reading_error
     from pipeline.measured.response import find_response
-    from pipeline.measured.stage_columns import BALANCE_TERMS
-    from pipeline.measured.stage_given import WINDOWS_S
+    from pipeline.measured.stage_mass import BALANCE_TERMS
+    from pipeline.measured.stage_windows import WINDOWS_S
     from pipeline.records.batch import TrialBatch
 
     with np.load(file) as stored:

@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.comparison.boundary_curves import theory_curve
-from pipeline.measured.aggregate import choose_optimum, estimate_delay
+from pipeline.measured.aggregate import choose_optimum
 from pipeline.measured.boundary import measured_boundary
 from pipeline.measured.costs import WEIGHTS, energy
 from pipeline.measured.delay import first_change
+from pipeline.measured.known_delay import estimate_delay
 from pipeline.measured.onset import motion_onset, rounded
 from pipeline.measured.response import find_response
 from pipeline.measured.verdict import judge

@@ -7,8 +7,8 @@ import pytest
 from scipy.linalg import expm
 from simulated import FALCON, LWR, simulate
 
-from pipeline.measured.aggregate import estimate_delay
 from pipeline.measured.delay import first_change
+from pipeline.measured.known_delay import estimate_delay
 from pipeline.measured.onset import motion_onset, rounded
 from pipeline.measured.response import declare_edge, find_response
 from pipeline.records.batch import TrialBatch

@@ -92,7 +92,7 @@ def reachable(*modules: str) -> frozenset[str]:
     return frozenset(found)
 
 
-_PACKAGE = PACKAGE_FOLDER.name
+_ROOT, _PACKAGE = os.path.split(PACKAGE_FOLDER)
 _IMPORT = re.compile(rf"\n[ \t]*(?:from ({_PACKAGE}[\w.]*) )?import (\([^)]*\)|.*)")
 _NO_NAME = re.compile(r"#.*|[()]")
 _BY_NAME = re.compile(rf'import_module\(f"({_PACKAGE}[\w.]*)\.{{')
@@ -108,35 +108,43 @@ def _imported(module: str) -> frozenset[str]:
     parts = module.split(".")
     found = set(filter(_file, (".".join(parts[:end]) for end in range(1, len(parts)))))
     for base, listed in _IMPORT.findall(source):
-        names = [part.split()[0] for part in _NO_NAME.sub("", listed).split(",") if part.strip()]
-        if not base:
-            found |= {name for name in names if name.partition(".")[0] == _PACKAGE}
-        elif _file(base).endswith(f"{os.sep}{base.rpartition('.')[2]}.py"):
+        if base and not os.path.isdir(_place(base)):
             found.add(base)
-        else:
+            continue
+        names = [part.split()[0] for part in _NO_NAME.sub("", listed).split(",") if part.strip()]
+        if base:
             found |= {f"{base}.{name}" if _file(f"{base}.{name}") else base for name in names}
-    for package in _BY_NAME.findall(source):
-        files = (
-            file.relative_to(PACKAGE_FOLDER.parent).with_suffix("")
-            for file in Path(_file(package)).parent.rglob("*.py")
-        )
-        found |= {".".join(file.parts).removesuffix(".__init__") for file in files}
-    return frozenset(found)
+        else:
+            found |= {name for name in names if name.partition(".")[0] == _PACKAGE}
+    return frozenset(found.union(*map(_inside, _BY_NAME.findall(source))))
+
+
+@cache
+def _inside(package: str) -> frozenset[str]:
+    """Return all modules of a package and of those in it."""
+    files = (file.relative_to(_ROOT).with_suffix("") for file in Path(_place(package)).rglob("*.py"))
+    return frozenset(".".join(file.parts).removesuffix(".__init__") for file in files)
+
+
+def _place(module: str) -> str:
+    return os.path.join(_ROOT, *module.split("."))
 
 
 @cache
 def _file(module: str) -> str:
     """Return the source file of a module of this package; empty where there is none."""
-    place = os.path.join(PACKAGE_FOLDER.parent, *module.split("."))
-    files = (f"{place}.py", os.path.join(place, "__init__.py"))
-    return next(filter(os.path.isfile, files), "") if f"{module}.".startswith(f"{_PACKAGE}.") else ""
+    if module.partition(".")[0] != _PACKAGE:
+        return ""
+    place = _place(module)
+    return next(filter(os.path.isfile, (f"{place}.py", os.path.join(place, "__init__.py"))), "")
 
 
 @cache
 def _source(module: str) -> bytes:
     if not _file(module):
         raise ModuleNotFoundError(f"{module!r} is no module of this package", name=module)
-    return Path(_file(module)).read_bytes()
+    with open(_file(module), "rb") as stream:
+        return stream.read()
 
 
 def stamp(**entries: str) -> Mapping[str, str]:

@@ -10,8 +10,7 @@ from pipeline.comparison.implied_delay import implied_delay
 from pipeline.comparison.implied_slope import DeviceParameters
 from pipeline.comparison.scene import SceneData, needed_stages
 from pipeline.measured.boundary_band import boundary_area
-from pipeline.measured.estimates import with_model_delay
-from pipeline.measured.stage_given import standard_error
+from pipeline.measured.estimates import standard_error, with_model_delay
 from pipeline.measured.stages import STAGES, ExperimentStages
 from pipeline.records.models import Estimate, Experiment, Motion, Optimum
 from pipeline.records.results import ExperimentResult, MassWindow, OtherDefinitions, TheoryParameters
@@ -72,7 +71,7 @@ def estimated_theories(results: Sequence[ExperimentResult], data: SceneData) -> 
 def experiment_result(data: SceneData, stages: ExperimentStages, theory: Theory | None) -> ExperimentResult:
     """Compute what is needed of one experiment and gather it."""
     needed = needed_stages(data)
-    for stage in sorted(needed, key=STAGES.index):
+    for stage in sorted(needed, key=list(STAGES).index):
         stages.table(stage)
     units = UNITS[motion_of(data)]
     named: dict[str, Experiment] = {e.name: e for e in data.device.experiments} if data.device else {}

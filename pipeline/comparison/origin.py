@@ -14,7 +14,7 @@ from pathlib import Path
 from pipeline import __version__
 from pipeline.base.provenance import digest, sha256
 from pipeline.comparison.scene import SceneData, needed_stages
-from pipeline.measured.stage_given import WINDOWS_S
+from pipeline.measured.stage_windows import WINDOWS_S
 from pipeline.measured.stages import ExperimentStages
 from pipeline.records.models import CRITERIA
 from pipeline.records.results import LogList

@@ -39,7 +39,7 @@ def compute_stages(experiments: Collection[ExperimentStages], needed: Collection
         return
     # the longest first, so that no processor ends up waiting for the last
     small.sort(key=lambda e: -e.trials.num_rows)
-    wanted = tuple(sorted(needed, key=STAGES.index))
+    wanted = tuple(sorted(needed, key=list(STAGES).index))
     with process_pool(processors if large else min(len(small), processors)) as pool:
         jobs = [pool.submit(_compute, e.processed, e.device, e.experiment, wanted) for e in small]
         try:

@@ -10,13 +10,11 @@ import numpy as np
 
 from pipeline.base.errors import ParameterError
 from pipeline.measured.costs import SETTLED_SAMPLES, Overshoot, Settling
+from pipeline.measured.intervals import CONFIDENCE
 from pipeline.measured.reading_error import ReadingError
 from pipeline.measured.response import Response
 from pipeline.records.batch import Floats, TrialBatch
 from pipeline.records.findings import SETTLING_BANDS
-
-CONFIDENCE = 0.95
-"""Coverage that the intervals are made for."""
 
 NO_OVERSHOOT = 1e-12
 """Overshoot that counts as none (footnote 4 of 5.2.2), and so the smallest upper end."""

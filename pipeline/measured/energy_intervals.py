@@ -9,9 +9,10 @@ import numpy as np
 
 from pipeline.base.errors import ParameterError
 from pipeline.base.wording import percent
-from pipeline.measured.cost_intervals import CONFIDENCE, delay_bounds
+from pipeline.measured.cost_intervals import delay_bounds
 from pipeline.measured.costs import WEIGHTS
 from pipeline.measured.horizon import EnergyTerms, energy_terms
+from pipeline.measured.intervals import CONFIDENCE
 from pipeline.measured.reading_error import ReadingError
 from pipeline.measured.response import Response
 from pipeline.measured.tail import extrapolate

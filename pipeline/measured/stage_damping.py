@@ -9,7 +9,7 @@ from pipeline.measured.stage_given import Experiment
 from pipeline.measured.stage_groups import Columns, Given, TrialGroup
 
 
-def given(of: Experiment) -> Given:
+def given_of(of: Experiment) -> Given:
     """Return what the stage takes from the whole experiment."""
     return with_delay(of)
 

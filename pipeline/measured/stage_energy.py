@@ -6,21 +6,21 @@ import numpy as np
 
 from pipeline.measured import costs
 from pipeline.measured.energy_intervals import HORIZON_PARTS, energy_interval
-from pipeline.measured.estimates import mass_estimate
+from pipeline.measured.estimates import mass_estimate, standard_error
 from pipeline.measured.response import NO_ROW
 from pipeline.measured.stage_columns import conditions, joined_texts, row_column
-from pipeline.measured.stage_given import Experiment, standard_error
+from pipeline.measured.stage_given import Experiment
 from pipeline.measured.stage_groups import Columns, Given, TrialGroup
 from pipeline.measured.stage_overshoot import error_of
-from pipeline.measured.stage_settling import given as settling_given
+from pipeline.measured.stage_settling import given_of as given_to_settling
 
 
-def given(of: Experiment) -> Given:
+def given_of(of: Experiment) -> Given:
     """Return what the stage takes from the whole experiment."""
     mass = mass_estimate(of)
     if mass.value is None:
         return {"missing": f"energy needs the mass: {mass.reason}"}
-    return {**settling_given(of), "mass": mass.value, "mass_error": standard_error(mass)}
+    return {**given_to_settling(of), "mass": mass.value, "mass_error": standard_error(mass)}
 
 
 def columns(of: TrialGroup, given: Given) -> Columns:
@@ -31,15 +31,15 @@ def columns(of: TrialGroup, given: Given) -> Columns:
         delay_range=tuple(given["delay_range"]),
     )
     half, full = HORIZON_PARTS.index(0.5), HORIZON_PARTS.index(1.0)
-    columns = conditions(of) | {
+    made = conditions(of) | {
         "horizon_samples": row_column(np.where(found.horizon_samples > 0, found.horizon_samples, NO_ROW)),
         "reason": joined_texts(found.reason),
     }
     for w in costs.WEIGHTS:
         parts = {"": found.value, "_low": found.low, "_high": found.high, "_bias": found.bias, "_tail": found.tail}
-        columns |= {f"energy_w{w}{end}": values[:, w] for end, values in parts.items()}
-        columns |= {
+        made |= {f"energy_w{w}{end}": values[:, w] for end, values in parts.items()}
+        made |= {
             f"energy_w{w}_half": found.by_horizon[:, w, half],
             f"energy_w{w}_full": found.by_horizon[:, w, full],
         }
-    return columns
+    return made

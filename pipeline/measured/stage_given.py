@@ -7,11 +7,9 @@ from typing import Any, Protocol, TypeVar
 
 import pyarrow as pa
 
-from pipeline.measured.intervals import NORMAL_95
 from pipeline.measured.stage_groups import Given
 from pipeline.measured.verdict import Verdicts
 from pipeline.records.batch import Floats
-from pipeline.records.findings import Estimate
 from pipeline.records.groups import TrialGroups
 
 Result = TypeVar("Result")
@@ -48,13 +46,6 @@ class Experiment(Protocol):
 
     def of_each(self, function: Callable[..., Result], **given: Any) -> list[Result]:
         """Results of a function of each group."""
-
-
-def standard_error(estimate: Estimate) -> float:
-    """Return the standard error that an interval of 95 % stands for; 0 where there is none."""
-    if estimate.low is None or estimate.high is None:
-        return 0.0
-    return (estimate.high - estimate.low) / (2 * NORMAL_95)
 
 
 def nothing(of: Experiment) -> Given:

@@ -6,8 +6,8 @@ import numpy as np
 import pyarrow as pa
 
 from pipeline.measured import friction, mass
-from pipeline.measured.estimates import damping_estimate, delay_estimate, model_mass
-from pipeline.measured.known_delay import with_delay
+from pipeline.measured.estimates import damping_estimate, model_mass
+from pipeline.measured.known_delay import delay_estimate, with_delay
 from pipeline.measured.stage_columns import conditions, joined_texts
 from pipeline.measured.stage_given import Experiment
 from pipeline.measured.stage_groups import Columns, Given, TrialGroup
@@ -20,7 +20,7 @@ OPEN_LOOP_TERMS = ("damping", "friction", "start")
 A rotating device in the open loop may be a pendulum, for which gravity is added."""
 
 
-def given(of: Experiment) -> Given:
+def given_of(of: Experiment) -> Given:
     """Return what the stage takes from the whole experiment."""
     walls = (of.trials.column(name).to_numpy() for name in ("stiffness", "damping"))
     return {
@@ -41,7 +41,7 @@ def columns(of: TrialGroup, given: Given) -> Columns:
         terms = (*OPEN_LOOP_TERMS, "gravity") if given["rotation"] else OPEN_LOOP_TERMS
         samples = 0  # the start term stands for the delay, which friction hides
     balance = friction.fit_balance(begin.batch, begin.found, samples, terms=terms)
-    columns = conditions(of) | {
+    made = conditions(of) | {
         "mass_momentum": found.mass_momentum,
         "damping_share": found.damping_share,
         "mass": nothing,
@@ -54,8 +54,8 @@ def columns(of: TrialGroup, given: Given) -> Columns:
     if begin.batch.force is not None:
         # a force measured at the device has passed the delay already
         force = friction.fit_balance(begin.batch, begin.found, 0, terms=terms, force=begin.batch.force, held=False)
-        columns |= {"force_mass": force.mass, "force_mass_error": force.mass_error}
-    return columns
+        made |= {"force_mass": force.mass, "force_mass_error": force.mass_error}
+    return made
 
 
 def corrected(of: Experiment, rows: pa.Table) -> Columns:

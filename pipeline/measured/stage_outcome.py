@@ -16,7 +16,7 @@ from pipeline.measured.stage_groups import Columns, Given, TrialGroup
 from pipeline.records.batch import Floats
 
 
-def given(of: Experiment) -> Given:
+def given_of(of: Experiment) -> Given:
     """Return what the stage takes from the whole experiment."""
     quantum, noise = (of.column("response", f"sensor_{name}") for name in ("quantum", "noise"))
     edge = np.nan_to_num(of.column("response", "edge_row"), nan=NO_ROW).astype(np.int64)

@@ -14,7 +14,7 @@ from pipeline.measured.step_metrics import reconcile
 from pipeline.records.batch import Floats
 
 
-def given(of: Experiment) -> Given:
+def given_of(of: Experiment) -> Given:
     """Return what the stage takes from the whole experiment."""
     return sensor_of(of, 0)
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from pipeline.measured import costs
 from pipeline.measured.cost_intervals import settling_interval
-from pipeline.measured.estimates import delay_estimate
-from pipeline.measured.known_delay import delay_range, with_delay
+from pipeline.measured.known_delay import delay_estimate, delay_range, with_delay
 from pipeline.measured.stage_columns import conditions, integer_column, joined_texts
 from pipeline.measured.stage_given import Experiment
 from pipeline.measured.stage_groups import Columns, Given, TrialGroup
@@ -14,7 +13,7 @@ from pipeline.measured.step_metrics import TOOLS, reconcile
 from pipeline.records.findings import SETTLING_BANDS
 
 
-def given(of: Experiment) -> Given:
+def given_of(of: Experiment) -> Given:
     """Return what the stage takes from the whole experiment."""
     found = with_delay(of)
     if "missing" in found:
@@ -29,13 +28,13 @@ def columns(of: TrialGroup, given: Given) -> Columns:
     interval = settling_interval(
         *(of.batch, of.found, error_of(of, given), found, samples), delay_range=tuple(given["delay_range"])
     )
-    columns = conditions(of) | {"reason": joined_texts(found.reason, interval.reason)}
+    made = conditions(of) | {"reason": joined_texts(found.reason, interval.reason)}
     others = reconcile(of.batch, of.found, of.verdicts, samples).settling
-    columns |= {f"settle_{tool}": others[tool].value for tool in TOOLS}
+    made |= {f"settle_{tool}": others[tool].value for tool in TOOLS}
     for name in SETTLING_BANDS:
-        columns[name] = integer_column(found.samples[name])
-        columns[f"{name}_low"], columns[f"{name}_high"] = (
+        made[name] = integer_column(found.samples[name])
+        made[f"{name}_low"], made[f"{name}_high"] = (
             integer_column(interval.low[name]),
             integer_column(interval.high[name]),
         )
-    return columns
+    return made

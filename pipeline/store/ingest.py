@@ -256,7 +256,8 @@ class _Ingest:
         """Leave a note for the next run of the same command, which says nothing if that has to read a source again."""
         stored = ((source.key, source.size, source.mtime_ns) for source in self.kept if source.stands_alone)
         open_ends = self.waiting or self.unread or self.damaged
-        self.look.remember(stored, None if open_ends else repeated(report, tuple(notices)).model_dump(mode="json"))
+        document = None if open_ends else repeated(report, tuple(notices)).model_dump(mode="json")
+        self.look.remember(stored, document, __name__)
 
     def _plan(self, source: Source, action: Action, reason: str) -> None:
         if self.dry_run:

@@ -11,7 +11,7 @@ from pipeline.measured import damping, delay, fit, friction, mass, onset, verdic
 from pipeline.measured.combine import combine
 from pipeline.measured.mass import WINDOW_S
 from pipeline.measured.onset import WINDOWS, OnsetDelays
-from pipeline.measured.stage_columns import BALANCE_TERMS
+from pipeline.measured.stage_mass import BALANCE_TERMS
 from pipeline.records.accuracy import Rung
 from pipeline.records.batch import Floats, TrialBatch
 from pipeline.simulation.simulate import simulate
