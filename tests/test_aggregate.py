@@ -7,11 +7,11 @@ from scipy.stats import binom
 from pipeline.measured.aggregate import (
     choose_optimum,
     estimate_damping,
-    estimate_delay,
     estimate_mass,
     estimate_median,
 )
 from pipeline.measured.damping import LimitDamping
+from pipeline.measured.known_delay import estimate_delay
 
 NONE = np.array([np.nan, np.nan])
 

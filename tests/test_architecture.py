@@ -134,12 +134,9 @@ def test_measured_and_theory_never_meet() -> None:
 
 def test_measured_quantities_are_functions_of_arrays() -> None:
     store = modules_in("store") | modules_in("readers")
-    quantities = modules_in("measured") - {"measured.stages", "measured.stage_columns", "measured.stage_given"}
+    quantities = modules_in("measured") - {"measured.stages", "measured.stage_tables"}
     readers = {name for name in quantities if reach(name) & (store | {"records.table_files"})}
-    assert readers == set(), (
-        "only `stages` reads and writes files, and `stage_columns` and `stage_given` know their columns"
-    )
-    assert not (reach("measured.stage_columns") | reach("measured.stage_given")) & store
+    assert readers == set(), "only `stage_tables` reads and writes files"
 
 
 def test_nothing_imports_the_command_line() -> None:

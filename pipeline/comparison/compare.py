@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 
 from pydantic import ValidationError
@@ -211,7 +210,6 @@ def _plan_report(path: Path | None) -> PlannedStage:
     return PlannedStage("report", RUN, "there is none, or something that it shows changed")
 
 
-@cache
 def report_code() -> str:
     """Return a hash of all that a report is made by: code, and the files that it loads."""
     return code_digest(__name__, files=(*page_files(), *published_files()))
