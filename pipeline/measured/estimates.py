@@ -12,6 +12,7 @@ from pipeline.base.wording import commonest
 from pipeline.measured import aggregate, damping
 from pipeline.measured.combine import with_sign_warning
 from pipeline.measured.intervals import NORMAL_95
+from pipeline.measured.known_delay import delay_estimate
 from pipeline.measured.stored import Stored, combined
 from pipeline.records.findings import Estimate, ModelCheck
 
@@ -36,15 +37,9 @@ def jitter_estimate(of: Stored) -> Estimate:
     return _by_model(of, "jitter", "samples")
 
 
-def damping_estimate(of: Stored, mass: Estimate, delay: Estimate) -> Estimate:
-    """Return the viscous damping of an experiment.
-
-    Parameters
-    ----------
-    of : Stored
-    mass, delay : Estimate
-        By the model and of the experiment; the decay of free trials needs them.
-    """
+def damping_estimate(of: Stored) -> Estimate:
+    """Return the viscous damping of an experiment; the decay of free trials takes the delay and the model's mass."""
+    mass, delay = model_mass(of), of.once(delay_estimate)
     unit = "Nms/rad" if of.rotation else "Ns/m"
     K, B, growth = (of.column("response", name) for name in ("stiffness", "damping", "growth_per_s"))
     thesis = aggregate.estimate_damping(damping.by_limit(B, K, growth), of.column("damping", "viscous_damping"), unit)

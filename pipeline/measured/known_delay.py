@@ -96,7 +96,7 @@ def delay_estimate(of: Stored) -> Estimate:
 
 def with_delay(of: Experiment) -> Given:
     """Return the integer delay factor of an experiment, or what its stages say where there is none."""
-    value = delay_estimate(of).value
+    value = of.once(delay_estimate).value
     return {"missing": "needs the delay, which is not known"} if value is None else {"delay": int(value)}
 
 

@@ -17,7 +17,7 @@ from pipeline.measured.stage_settling import given_of as given_to_settling
 
 def given_of(of: Experiment) -> Given:
     """Return what the stage takes from the whole experiment."""
-    mass = mass_estimate(of)
+    mass = of.once(mass_estimate)
     if mass.value is None:
         return {"missing": f"energy needs the mass: {mass.reason}"}
     return {**given_to_settling(of), "mass": mass.value, "mass_error": standard_error(mass)}

@@ -44,6 +44,9 @@ class Experiment(Protocol):
     def texts(self, stage: str, name: str) -> list[str]:
         """Text column of an earlier stage, null as an empty string."""
 
+    def once(self, function: Callable[[Any], Result]) -> Result:
+        """What a function finds in the experiment; it is called once."""
+
     def of_each(self, function: Callable[..., Result], **given: Any) -> list[Result]:
         """Results of a function of each group."""
 

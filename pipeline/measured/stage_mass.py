@@ -6,8 +6,8 @@ import numpy as np
 import pyarrow as pa
 
 from pipeline.measured import friction, mass
-from pipeline.measured.estimates import damping_estimate, model_mass
-from pipeline.measured.known_delay import delay_estimate, with_delay
+from pipeline.measured.estimates import damping_estimate
+from pipeline.measured.known_delay import with_delay
 from pipeline.measured.stage_columns import conditions, joined_texts
 from pipeline.measured.stage_given import Experiment
 from pipeline.measured.stage_groups import Columns, Given, TrialGroup
@@ -62,5 +62,5 @@ def corrected(of: Experiment, rows: pa.Table) -> Columns:
     """Return the columns that follow from the others by the damping of the whole experiment."""
     plain, share = (rows.column(name).to_numpy() for name in ("mass_momentum", "damping_share"))
     found = mass.Masses(plain, share, ())
-    b = damping_estimate(of, model_mass(of), delay_estimate(of)).value
+    b = of.once(damping_estimate).value
     return {"mass": np.full(rows.num_rows, np.nan) if b is None else mass.correct(found, b)}

@@ -18,7 +18,7 @@ def given_of(of: Experiment) -> Given:
     found = with_delay(of)
     if "missing" in found:
         return found
-    return {**sensor_of(of, found["delay"]), "delay_range": delay_range(delay_estimate(of))}
+    return {**sensor_of(of, found["delay"]), "delay_range": delay_range(of.once(delay_estimate))}
 
 
 def columns(of: TrialGroup, given: Given) -> Columns:

@@ -93,6 +93,7 @@ class StageTables:
     experiment: str
     trials: pa.Table
     _tables: dict[str, pa.Table] = field(default_factory=dict)
+    _found: dict[Callable[..., Any], Any] = field(default_factory=dict, init=False)
     _mapped: Callable[..., Iterable[Any]] = map
 
     @cached_property
@@ -135,6 +136,13 @@ class StageTables:
         for group, places in zip(self._groups, self.samples.places, strict=True):
             group.verdicts = self.verdicts.select(places)
         return self._groups
+
+    def once(self, function: Callable[[Any], Result]) -> Result:
+        """Return what a function finds in this experiment, which is kept."""
+        if function not in self._found:
+            self._found[function] = function(self)
+        found: Result = self._found[function]
+        return found
 
     def of_each(self, function: Callable[..., Result], **given: Any) -> list[Result]:
         """Return the results of a function of each group, `TrialGroup` and what is given, in order of the groups."""

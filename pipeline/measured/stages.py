@@ -62,17 +62,17 @@ class ExperimentStages(StageTables):
     @cached_property
     def delay_estimate(self) -> Estimate:
         """Integer delay factor of the experiment."""
-        return known_delay.delay_estimate(self)
+        return self.once(known_delay.delay_estimate)
 
     @cached_property
     def damping_estimate(self) -> Estimate:
         """Viscous damping of the experiment."""
-        return estimates.damping_estimate(self, estimates.model_mass(self), self.delay_estimate)
+        return self.once(estimates.damping_estimate)
 
     @cached_property
     def mass_estimate(self) -> Estimate:
         """Mass of the experiment."""
-        return estimates.mass_estimate(self)
+        return self.once(estimates.mass_estimate)
 
     @cached_property
     def jitter_estimate(self) -> Estimate:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from collections.abc import Callable
+from typing import Any, Protocol, TypeVar
 
 from pipeline.base.wording import commonest
 from pipeline.measured.combine import combine
 from pipeline.records.batch import Floats
 from pipeline.records.findings import Estimate
+
+Result = TypeVar("Result")
 
 
 class Stored(Protocol):
@@ -26,6 +29,9 @@ class Stored(Protocol):
 
     def texts(self, stage: str, name: str) -> list[str]:
         """Text column of a stage, null as an empty string."""
+
+    def once(self, function: Callable[[Any], Result]) -> Result:
+        """What a function finds in the experiment; it is called once."""
 
 
 def combined(of: Stored, columns: tuple[str, str, str], unit: str, method: str) -> Estimate:

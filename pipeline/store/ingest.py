@@ -255,9 +255,8 @@ class _Ingest:
     def remember(self, report: IngestReport, notices: Sequence[LogWarning]) -> None:
         """Leave a note for the next run of the same command, which says nothing if that has to read a source again."""
         stored = ((source.key, source.size, source.mtime_ns) for source in self.kept if source.stands_alone)
-        open_ends = self.waiting or self.unread or self.damaged
-        document = None if open_ends else repeated(report, tuple(notices)).model_dump(mode="json")
-        self.look.remember(stored, document, __name__)
+        again = None if self.waiting or self.unread or self.damaged else repeated(report, tuple(notices))
+        self.look.remember(stored, again and again.model_dump(mode="json"), __name__)
 
     def _plan(self, source: Source, action: Action, reason: str) -> None:
         if self.dry_run:

@@ -20,6 +20,7 @@ from pipeline.base.process_pool import process_pool
 from pipeline.base.provenance import code_digest, digest
 from pipeline.base.seal import sealed_json, unsealed_json
 from pipeline.records.results import TheoryParameters
+from pipeline.theory import optimum
 from pipeline.theory.loop import Loop, Normalised
 from pipeline.theory.optimum import optimal_point
 from pipeline.theory.search import OptimalPoint
@@ -150,7 +151,7 @@ class Predictions:
                 write_text(self._file(loop), sealed_json(json.dumps(document, indent=1) + "\n"))
 
     def _file(self, loop: Loop) -> Path:
-        key = digest([loop.gamma, loop.delta, loop.delay, code_digest(optimal_point.__module__)])
+        key = digest([loop.gamma, loop.delta, loop.delay, code_digest(optimum.__name__)])
         return self.folder / f"{key}.json"
 
     def _read(self, loop: Loop) -> dict[str, OptimalPoint]:
