@@ -17,7 +17,6 @@ from pipeline.measured import (
     damping,
     delay,
     mass,
-    onset,
     response,
     stage_energy,
     stage_tables,
@@ -203,7 +202,7 @@ def test_key_changes_with_the_logs_and_the_code_but_not_with_time(falcon, edit):
     trials = falcon.stages("1").trials
     assert all(new != before[s] for s, new in keys(trials.slice(1)).items())
     assert keys(trials.take(pa.array(range(trials.num_rows - 1, -1, -1)))) == before
-    edit(onset)
+    edit(delay)
     changed = {stage for stage, new in keys().items() if new != before[stage]}
     assert changed == {"delay", "model", "damping", "mass", "settling", "energy", "windows"}
 
