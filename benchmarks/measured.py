@@ -61,12 +61,12 @@ def compute(file: Path) -> dict[str, Any]:
     from pipeline.measured.cost.reading_error import reading_error
     from pipeline.measured.device import damping, delay, friction, mass, onset
     from pipeline.measured.experiment.boundary_band import boundary_band
-    from pipeline.measured.experiment.stage_columns import BALANCE_TERMS
-    from pipeline.measured.experiment.stage_given import WINDOWS_S
     from pipeline.measured.fit import fit
     from pipeline.measured.fit.ghost import simulate_ghost
     from pipeline.measured.signal import outcome, verdict
     from pipeline.measured.signal.response import find_response
+    from pipeline.measured.stages.stage_mass import BALANCE_TERMS
+    from pipeline.measured.stages.stage_windows import WINDOWS_S
     from pipeline.records.batch import TrialBatch
 
     with np.load(file) as stored:

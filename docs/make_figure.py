@@ -12,8 +12,9 @@ from pipeline.devices.devices import load_device
 from pipeline.measured.cost.costs import WEIGHTS, energy
 from pipeline.measured.device.delay import first_change
 from pipeline.measured.device.onset import motion_onset, rounded
-from pipeline.measured.experiment.aggregate import choose_optimum, estimate_delay
+from pipeline.measured.experiment.aggregate import choose_optimum
 from pipeline.measured.experiment.boundary import measured_boundary
+from pipeline.measured.experiment.known_delay import estimate_delay
 from pipeline.measured.signal.response import find_response
 from pipeline.measured.signal.verdict import judge
 from pipeline.records.figure_records import CostMap, Curve, Figure

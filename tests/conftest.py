@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pipeline.base import provenance
 from pipeline.comparison.compare import Outcome, compare
 from pipeline.devices.devices import load_device
 from pipeline.ingest.ingest import ingest
-from pipeline.measured.experiment.stages import ExperimentStages
+from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.models import Device
 from pipeline.simulation.course import Course, run_course, write_course
 from pipeline.store.storage import read_trials
@@ -43,6 +44,24 @@ def make_lab(folder: Path, device: Device, experiments: tuple[str, ...], **optio
     report = ingest([folder / "raw"], folder / "processed")
     assert report.ingested == written == report.found
     return Lab(device, courses, folder / "raw", folder / "processed")
+
+
+@pytest.fixture
+def edit(monkeypatch):
+    """Call it with modules: from then on the source of each has a line more, though what runs stays the same."""
+    original = provenance._source
+    edited = set()
+
+    def edit_modules(*modules):
+        edited.update(module.__name__ for module in modules)
+        provenance.code_digest.cache_clear()
+
+    def source(module):
+        return original(module) + (b"# edited\n" if module in edited else b"")
+
+    monkeypatch.setattr(provenance, "_source", source)
+    yield edit_modules
+    provenance.code_digest.cache_clear()
 
 
 @pytest.fixture(scope="session")

@@ -23,9 +23,6 @@ from pipeline.records.results import ComparisonResult, ExperimentResult
 from pipeline.rendering.report.report_against import AgainstPage
 from pipeline.theory.predictions import Theory
 
-STAGES_CODE = ("stages", "stage_columns", "estimates", "aggregate", "against", "against_run")
-"""Modules whose source tells versions of the numbers apart."""
-
 
 def against_experiments(
     processed: Path,
@@ -62,7 +59,7 @@ def against_experiments(
         say(f"device {device}, experiment {experiment}: estimates and costs")
         found.append(_gather(open_scene(device, processed, [experiment], criteria)))
     (a, a_theory, a_data), (b, b_theory, b_data) = found
-    code = code_digest(*STAGES_CODE)
+    code = code_digest(experiment_result.__module__, compare_pair.__module__)
     one, other = (Side(device=d, experiment=e, version=__version__, code=code) for d, e in (first, second))
     motions = (motion_of(a_data), motion_of(b_data))
     scales = None

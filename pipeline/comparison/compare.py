@@ -30,6 +30,7 @@ from pipeline.comparison.stage_pool import compute_stages
 from pipeline.comparison.summary.summary import summarise
 from pipeline.comparison.summary.summary_warnings import warnings_of
 from pipeline.comparison.tables_d import TableBuilder
+from pipeline.devices.published import published_files
 from pipeline.records import accuracy as measured_accuracy
 from pipeline.records.models import Shown
 from pipeline.records.results import (
@@ -38,69 +39,7 @@ from pipeline.records.results import (
 )
 from pipeline.rendering.report.report import write as write_report
 from pipeline.rendering.report.report_scripts import page_files
-from pipeline.theory.predictions import THEORY_CODE, Predictions, Theory
-
-REPORT_CODE = (
-    *(
-        "compare",
-        "compare_experiment",
-        "implied_delay",
-        "implied_slope",
-        "scene",
-        "scene_parts",
-        "tables_d",
-        "figure_data",
-        "figure_boundaries",
-        "boundary_curves",
-        "figure_optima",
-        "figure_residuals",
-        "figure_response",
-        "figure_records",
-        "summary",
-        "summary_warnings",
-        "causes",
-        "advice",
-        "passivity",
-        "report_scores",
-        "maps",
-        "predictions",
-        "published",
-        "results",
-        "origin",
-    ),
-    *("scores", "score_costs", "score_records", "agreement", "overlap", "theory_band", "upper_bound", "intervals"),
-    *("boundary_band", "estimates", "pointcosts", "march", "envelope", "rules", "published_theory"),
-    *(
-        "report",
-        "report_parts",
-        "table",
-        "report_tables",
-        "report_estimates",
-        "report_figures",
-        "figures",
-        "residual_panels",
-        "response_drawing",
-        "panels",
-        "canvas",
-        "svg",
-        "labels",
-        "style",
-        "models",
-        "accuracy",
-    ),
-    *(
-        "wording",
-        "page_template",
-        "delay_rows",
-        "report_scripts",
-        "trial_data",
-        "trial_codec",
-        "trial_records",
-        "ghost",
-        *page_files(),
-    ),
-    *THEORY_CODE,
-)
+from pipeline.theory.predictions import Predictions, Theory
 
 
 @dataclass(frozen=True)
@@ -221,7 +160,7 @@ def compare(
         summary_sources=tuple(sentence.source for sentence in sentences),
         warnings=warnings_of(data, results),
         report=str(report) if report else None,
-        provenance=provenance(data, logs, processed, key=key, code=code_digest(*REPORT_CODE), output=output),
+        provenance=provenance(data, logs, processed, key=key, code=report_code(), output=output),
         logs=logs,
     )
     if report is not None:
@@ -236,7 +175,7 @@ def compare(
             if asked.has_figure("trials")
             else None,
             tables=asked.tables,
-            request=request(data, logs, processed, code_digest(*REPORT_CODE))
+            request=request(data, logs, processed, report_code())
             | {"full": full, "document": digest(result.numbers())},
         )
         write_report(page, report)
@@ -271,12 +210,17 @@ def _plan_report(path: Path | None) -> PlannedStage:
     return PlannedStage("report", RUN, "there is none, or something that it shows changed")
 
 
+def report_code() -> str:
+    """Return a hash of all that a report is made by: code, and the files that it loads."""
+    return code_digest(__name__, files=(*page_files(), *published_files()))
+
+
 def _report_key(data: SceneData, path: Path | None, accuracy: str, full: bool) -> str:
     """Hash of all that a report shows: stages, device file, criteria, code, and where it lies."""
     needed = sorted(needed_stages(data))
     stages = [[e.experiment, *(e.key(s) for s in needed)] for e in data.experiments]
     device = data.device.model_dump_json() if data.device else ""
-    return digest([data.scene.model_dump_json(), stages, device, code_digest(*REPORT_CODE), str(path), accuracy, full])
+    return digest([data.scene.model_dump_json(), stages, device, report_code(), str(path), accuracy, full])
 
 
 def _stored_result(path: Path | None, key: str) -> ComparisonResult | None:

@@ -11,9 +11,8 @@ from pipeline.comparison.scores.implied_delay import implied_delay
 from pipeline.comparison.scores.implied_slope import DeviceParameters
 from pipeline.loop.loop import LARGEST_DELAY
 from pipeline.measured.experiment.boundary_band import boundary_area
-from pipeline.measured.experiment.estimates import with_model_delay
-from pipeline.measured.experiment.stage_given import standard_error
-from pipeline.measured.experiment.stages import STAGES, ExperimentStages
+from pipeline.measured.experiment.estimates import standard_error, with_model_delay
+from pipeline.measured.stages.stages import STAGES, ExperimentStages
 from pipeline.records.models import Estimate, Experiment, Motion, Optimum
 from pipeline.records.results import ExperimentResult, MassWindow, OtherDefinitions, TheoryParameters
 from pipeline.rendering.labels import UNITS, Units
@@ -72,7 +71,7 @@ def estimated_theories(results: Sequence[ExperimentResult], data: SceneData) -> 
 def experiment_result(data: SceneData, stages: ExperimentStages, theory: Theory | None) -> ExperimentResult:
     """Compute what is needed of one experiment and gather it."""
     needed = needed_stages(data)
-    for stage in sorted(needed, key=STAGES.index):
+    for stage in sorted(needed, key=list(STAGES).index):
         stages.table(stage)
     units = UNITS[motion_of(data)]
     named: dict[str, Experiment] = {e.name: e for e in data.device.experiments} if data.device else {}

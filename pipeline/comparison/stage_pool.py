@@ -10,7 +10,7 @@ from pathlib import Path
 import pyarrow as pa
 
 from pipeline.base.process_pool import process_pool
-from pipeline.measured.experiment.stages import STAGES, ExperimentStages
+from pipeline.measured.stages.stages import STAGES, ExperimentStages
 from pipeline.store.storage import read_trials
 
 LARGE = 1000
@@ -39,7 +39,7 @@ def compute_stages(experiments: Collection[ExperimentStages], needed: Collection
         return
     # the longest first, so that no processor ends up waiting for the last
     small.sort(key=lambda e: -e.trials.num_rows)
-    wanted = tuple(sorted(needed, key=STAGES.index))
+    wanted = tuple(sorted(needed, key=list(STAGES).index))
     with process_pool(processors if large else min(len(small), processors)) as pool:
         jobs = [pool.submit(_compute, e.processed, e.device, e.experiment, wanted) for e in small]
         try:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from pipeline.comparison.scene.scene import SceneData
 from pipeline.devices.published import find
-from pipeline.measured.experiment.stages import ExperimentStages
+from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.models import CRITERIA, SETTLING_BANDS, ComparisonRow, Optimum, Shown, TableLayout
 from pipeline.records.results import ExperimentResult
 from pipeline.theory.predictions import Prediction, Predictions, Request, Theory

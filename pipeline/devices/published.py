@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import csv
 from functools import cache
+from pathlib import Path
 from typing import TypeVar
 
 from pydantic import ValidationError
@@ -93,6 +94,11 @@ def shipped_rows(file: str, row: type[RowT]) -> tuple[RowT, ...]:
                 "Restore the file that ships with the package."
             ) from error
     return tuple(rows)
+
+
+def published_files() -> tuple[Path, ...]:
+    """Return all files of published values that ship with the package."""
+    return tuple(sorted((schema_folder() / "published").glob("*.csv")))
 
 
 @cache

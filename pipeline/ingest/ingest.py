@@ -38,7 +38,8 @@ from pipeline.ingest.rerun import Look, Search
 from pipeline.ingest.sources import Source, by_rest, find_sources, is_settled, removed_below
 from pipeline.ingest.trialstore import TrialWriter, accepted_logs
 from pipeline.ingest.versions import StoredSource, StoredSources, drop_superseded, repair, why_ingested
-from pipeline.profiles.profile_files import Profile, load_profile, shipped_profiles
+from pipeline.profiles.profile_files import load_profile, shipped_profiles
+from pipeline.profiles.profile_model import Profile
 from pipeline.readers import Log
 from pipeline.store.storage import trials_folder
 
@@ -255,8 +256,8 @@ class _Ingest:
     def remember(self, report: IngestReport, notices: Sequence[LogWarning]) -> None:
         """Leave a note for the next run of the same command, which says nothing if that has to read a source again."""
         stored = ((source.key, source.size, source.mtime_ns) for source in self.kept if source.stands_alone)
-        open_ends = self.waiting or self.unread or self.damaged
-        self.look.remember(stored, None if open_ends else repeated(report, tuple(notices)).model_dump(mode="json"))
+        again = None if self.waiting or self.unread or self.damaged else repeated(report, tuple(notices))
+        self.look.remember(stored, None if again is None else again.model_dump(mode="json"), __name__)
 
     def _plan(self, source: Source, action: Action, reason: str) -> None:
         if self.dry_run:

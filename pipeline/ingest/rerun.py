@@ -25,9 +25,6 @@ from pipeline.ingest.listing import Folder, Listing, Notice, listing_of
 
 NOTE_FILE = ".last_ingest.json"
 
-_CODE = ("ingest", "sources", "reading", "profile_files", "profile_model", "listing", "rerun")
-"""Modules that decide which files are logs, and which of them are known."""
-
 Index = dict[str, dict[str, str]]
 """Size and modification time of stored logs, as `listing.Folder` has them, by folder and name."""
 
@@ -41,14 +38,24 @@ class Search:
     profile: str | None
     listed: dict[str, Listing] = field(default_factory=dict, compare=False)
 
-    @property
-    def key(self) -> str:
-        """Hash of the search, and of the profiles and code by which it is done."""
+    def key(self, code: str) -> str:
+        """Return a hash of the search, and of the profiles and code by which it is done.
+
+        Parameters
+        ----------
+        code : str
+            Name of the module that searches and stores.
+
+        Raises
+        ------
+        ModuleNotFoundError
+            If there is no such module.
+        """
         given = self.profile is not None and os.path.isfile(self.profile)
         profiles = sorted((schema_folder() / "profiles").glob("*.toml")) + ([Path(str(self.profile))] if given else [])
         texts = [hashlib.sha256(path.read_bytes()).hexdigest() for path in profiles]
         place = [os.getcwd(), self.processed, *self.paths, str(self.profile)]
-        return digest([__version__, code_digest(*_CODE), place, texts])
+        return digest([__version__, code_digest(code), place, texts])
 
 
 class Look:
@@ -101,7 +108,7 @@ class Look:
         """Return whether the store still is as the index says."""
         return self.store is None or self.store == _store(self.search.processed)
 
-    def remember(self, stored: Iterable[tuple[str, int, int]], report: Mapping[str, Any] | None) -> None:
+    def remember(self, stored: Iterable[tuple[str, int, int]], report: Mapping[str, Any] | None, code: str) -> None:
         """Write the note.
 
         Parameters
@@ -110,13 +117,16 @@ class Look:
             Logs that are stored under their path, beside those that were passed: size [byte] and time [ns] when read.
         report : mapping or None
             What the same command will report if nothing changes; None where it has to look at a file again.
+        code : str
+            Name of the module that searched and stored; by its code the note is known to hold still.
         """
         for path, size, mtime_ns in stored:
             folder, name = os.path.split(path)
             state = f"{size} {mtime_ns}"
             if folder in self._found and self._found[folder].plain.get(name) == state:
                 self._new[folder][name] = state
-        head = {"key": self.search.key, "store": _store(self.search.processed), "report": report}
+        key = self.search.key(code)
+        head = {"key": key, "code": code, "store": _store(self.search.processed), "report": report}
         if report is not None:
             head["found"] = _digest(self._lines)
         with replacing(Path(self.search.processed) / NOTE_FILE) as stream:
@@ -153,9 +163,9 @@ def _believed(search: Search, first: Callable[[BinaryIO], bytes]) -> dict[str, A
     try:
         with open(Path(search.processed) / NOTE_FILE, "rb") as stream:
             head = unsealed_json(first(stream))
-        if head["key"] == search.key and head["store"] == _store(search.processed):
+        if head["key"] == search.key(head["code"]) and head["store"] == _store(search.processed):
             return head
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, ModuleNotFoundError):
         pass
     return {}
 

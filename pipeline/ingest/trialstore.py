@@ -20,7 +20,7 @@ from pipeline.base.file_names import path_text
 from pipeline.base.provenance import sha256 as hash_of
 from pipeline.ingest.reading import motion_of
 from pipeline.ingest.sources import Source
-from pipeline.profiles.profile_files import Profile
+from pipeline.profiles.profile_model import Profile
 from pipeline.readers import Log
 from pipeline.readers.time_axis import step_flags
 from pipeline.records.batch import Floats, Integers

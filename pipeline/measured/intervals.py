@@ -6,6 +6,9 @@ import numpy as np
 
 from pipeline.records.batch import Floats
 
+CONFIDENCE = 0.95
+"""Coverage of every interval."""
+
 NORMAL_95 = 1.959963984540054
 """Half width of the 95 % interval of a normal distribution in standard deviations."""
 

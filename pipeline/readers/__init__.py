@@ -11,7 +11,7 @@ from importlib import import_module
 from typing import Any
 
 from pipeline.base.errors import LogError
-from pipeline.profiles.profile_files import Profile
+from pipeline.profiles.profile_model import Profile
 from pipeline.readers.log import Log, RawLog, check_samples
 
 __all__ = ["Log", "Outcome", "RawLog", "Reader", "check_samples", "reader_of"]

@@ -13,8 +13,7 @@ import numpy as np
 from pipeline.base.errors import LogError, ParameterError
 from pipeline.base.units import factor_to_si
 from pipeline.profiles.patterns import find_groups
-from pipeline.profiles.profile_files import Profile
-from pipeline.profiles.profile_model import CONDITION_QUANTITIES, REQUIRED_CONDITIONS, FileEntry, StepEntry
+from pipeline.profiles.profile_model import CONDITION_QUANTITIES, REQUIRED_CONDITIONS, FileEntry, Profile, StepEntry
 from pipeline.readers.frame import Frame, Scalar
 from pipeline.records.batch import Integers
 from pipeline.records.native import NativeHeader, parse_header

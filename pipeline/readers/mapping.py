@@ -18,8 +18,7 @@ from pipeline.base.errors import LogError, ProfileError
 from pipeline.base.file_names import storable
 from pipeline.base.units import factor_to_si
 from pipeline.profiles.profile_columns import QUANTITIES, ColumnSource
-from pipeline.profiles.profile_files import Profile
-from pipeline.profiles.profile_model import REQUIRED_CONDITIONS, StepTime, Window
+from pipeline.profiles.profile_model import REQUIRED_CONDITIONS, Profile, StepTime, Window
 from pipeline.readers.conditions import conditions_of, entry_of, header_of
 from pipeline.readers.file_kind import refuse_other_kind
 from pipeline.readers.frame import Frame

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from pipeline.base.errors import LogError
 from pipeline.profiles.profile_columns import Source, TimeSource
-from pipeline.profiles.profile_files import Profile
+from pipeline.profiles.profile_model import Profile
 from pipeline.readers.frame import Frame
 from pipeline.readers.time_axis import distinct, in_order, read_stamps
 from pipeline.records.batch import Booleans, Floats, Integers

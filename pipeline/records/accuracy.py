@@ -10,7 +10,7 @@ from pathlib import Path
 from pipeline import __version__
 from pipeline.base.disk import write_text
 from pipeline.base.json_seal import sealed_json, unsealed_json
-from pipeline.base.provenance import PACKAGE_FOLDER, code_digest, digest, schema_folder, sha256
+from pipeline.base.provenance import PACKAGE_FOLDER, digest, digest_all, schema_folder, sha256
 from pipeline.records.models import Record
 
 OURS = "this package"
@@ -134,7 +134,7 @@ def _processor() -> str:
 
 def key() -> str:
     """Return what a measurement holds for: code, reference values, machine and versions."""
-    code = code_digest(*(p.relative_to(PACKAGE_FOLDER).as_posix() for p in PACKAGE_FOLDER.rglob("*.py")))
+    code = digest_all(sha256(path.read_bytes()) for path in sorted(PACKAGE_FOLDER.rglob("*.py")))
     values = sha256(reference_file().read_bytes())
     return digest({"code": code, "values": values, **machine()})
 

@@ -22,7 +22,7 @@ from pipeline.base.seal import footer_of, mended, sealed, verify
 from pipeline.ingest.compaction import unseen_trials
 from pipeline.ingest.quarantine import RECORD_FILE, QuarantineRecord
 from pipeline.ingest.rerun import NOTE_FILE
-from pipeline.profiles.profile_files import Profile
+from pipeline.profiles.profile_model import Profile
 from pipeline.records.models import Record
 from pipeline.records.table_files import parquet_bytes
 from pipeline.repair.reread import same_logs

@@ -18,7 +18,8 @@ from pipeline.base.errors import StoreError
 from pipeline.base.lock import WAIT_S, holder, writing
 from pipeline.ingest.quarantine import RECORD_FILE
 from pipeline.ingest.versions import repair as finish_writers
-from pipeline.profiles.profile_files import Profile, load_profile, shipped_profiles
+from pipeline.profiles.profile_files import load_profile, shipped_profiles
+from pipeline.profiles.profile_model import Profile
 from pipeline.records.tables import TABLES
 from pipeline.repair.check import (
     DAMAGED_FOLDER,

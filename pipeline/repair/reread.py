@@ -14,7 +14,7 @@ from pipeline.devices.devices import known_devices
 from pipeline.ingest.reading import batches_of, load_source, read_and_check
 from pipeline.ingest.sources import Source, find_sources
 from pipeline.ingest.trialstore import TrialWriter, accepted_logs
-from pipeline.profiles.profile_files import Profile
+from pipeline.profiles.profile_model import Profile
 
 _PENDING_BYTES = 64 << 20
 """Samples that are collected before they become visible, as by an ingest."""

@@ -21,7 +21,7 @@ from pipeline.comparison.compare import compare
 from pipeline.comparison.scene.scene import RUN
 from pipeline.ingest.compaction import find_orphans
 from pipeline.ingest.quarantine import list_quarantine
-from pipeline.measured.experiment.stages import STAGES, ExperimentStages
+from pipeline.measured.stages.stages import STAGES, ExperimentStages
 from pipeline.profiles.profile_files import shipped_profiles
 from pipeline.records.models import Record
 from pipeline.store.names import report_of

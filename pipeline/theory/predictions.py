@@ -21,15 +21,10 @@ from pipeline.base.process_pool import process_pool
 from pipeline.base.provenance import code_digest, digest
 from pipeline.loop.loop import Loop, Normalised
 from pipeline.records.results import TheoryParameters
+from pipeline.theory.optimum import optimum
 from pipeline.theory.optimum.optimum import optimal_point
 from pipeline.theory.optimum.search import OptimalPoint
 from pipeline.theory.stability.stability import Boundary, boundary
-
-THEORY_CODE = (
-    *("plant", "loop", "stability", "branches", "region", "energy", "lagsums", "chain", "transient", "poles"),
-    *("search", "lines", "overshoot", "optimum"),
-)
-"""Modules on which an optimum or a map depends: what they found is valid while their source is the same."""
 
 BOUNDARY_POINTS = 160
 """Points of a boundary that is drawn."""
@@ -156,7 +151,7 @@ class Predictions:
                 write_text(self._file(loop), sealed_json(json.dumps(document, indent=1) + "\n"))
 
     def _file(self, loop: Loop) -> Path:
-        key = digest([loop.gamma, loop.delta, loop.delay, code_digest(*THEORY_CODE)])
+        key = digest([loop.gamma, loop.delta, loop.delay, code_digest(optimum.__name__)])
         return self.folder / f"{key}.json"
 
     def _read(self, loop: Loop) -> dict[str, OptimalPoint]:

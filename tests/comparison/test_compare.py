@@ -16,7 +16,7 @@ from pipeline.comparison.compare import compare
 from pipeline.comparison.figures.figure_data import FigureBuilder
 from pipeline.comparison.scene.scene import LEAVE_OUT, REUSE, RUN
 from pipeline.ingest.ingest import ingest
-from pipeline.measured.experiment import stages
+from pipeline.measured.stages import stage_tables
 from pipeline.records.results import ComparisonResult
 from pipeline.rendering.report import report
 from pipeline.theory import predictions
@@ -63,9 +63,8 @@ def nothing_is_computed(monkeypatch):
         def refuse(*_, **__):
             raise AssertionError("was computed again")
 
-        for stage in stages.STAGES:
-            monkeypatch.setitem(stages.WHOLE if stage in stages.WHOLE else stages.GIVEN, stage, refuse)
-        monkeypatch.setattr(stages, "load_groups", refuse)
+        monkeypatch.setattr(stage_tables.StageTables, "_computed", refuse)
+        monkeypatch.setattr(stage_tables, "load_groups", refuse)
         monkeypatch.setattr(predictions, "optimal_point", refuse)
         monkeypatch.setattr(comparison, "write_report", refuse)
         monkeypatch.setattr(comparison, "write_text", refuse)
@@ -271,8 +270,7 @@ def test_a_missing_report_is_written_again_without_computing_stages(own, monkeyp
     def refuse(*_):
         raise AssertionError("something was computed again")
 
-    for made in ("GIVEN", "WHOLE"):
-        monkeypatch.setattr(stages, made, dict.fromkeys(getattr(stages, made), refuse))
+    monkeypatch.setattr(stage_tables.StageTables, "_computed", refuse)
     monkeypatch.setattr(predictions, "optimal_point", refuse)
     assert actions(run(own))["report"] == RUN
     assert outcome.report.is_file()

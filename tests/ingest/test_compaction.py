@@ -15,7 +15,7 @@ from pipeline.base.errors import StoreError
 from pipeline.ingest import compaction
 from pipeline.ingest.compaction import compact, find_orphans
 from pipeline.ingest.ingest import ingest
-from pipeline.measured.experiment.stages import ExperimentStages
+from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records import table_files
 from pipeline.store import storage
 from pipeline.store.samples import load_batch

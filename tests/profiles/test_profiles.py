@@ -12,8 +12,9 @@ from places import SHARED
 
 from pipeline.base.errors import LogError, ParameterError, ProfileError
 from pipeline.base.units import UNITS, factor_to_si
-from pipeline.profiles.profile_files import Profile, claim, load_profile, read_profile, shipped_profiles
+from pipeline.profiles.profile_files import claim, load_profile, read_profile, shipped_profiles
 from pipeline.profiles.profile_lines import key_lines
+from pipeline.profiles.profile_model import Profile
 from pipeline.readers import Log, RawLog, reader_of
 
 PENDULUM = SHARED / "real" / "dfki_pendulum"

@@ -144,17 +144,9 @@ def test_measured_and_theory_never_meet() -> None:
 
 def test_measured_quantities_are_functions_of_arrays() -> None:
     store = modules_in("store") | modules_in("readers") | modules_in("ingest")
-    experiment = "measured.experiment"
-    quantities = modules_in("measured") - {
-        f"{experiment}.stages",
-        f"{experiment}.stage_columns",
-        f"{experiment}.stage_given",
-    }
+    quantities = modules_in("measured") - {"measured.stages.stages", "measured.stages.stage_tables"}
     readers = {name for name in quantities if reach(name) & (store | {"records.table_files"})}
-    assert readers == set(), (
-        "only `stages` reads and writes files, and `stage_columns` and `stage_given` know their columns"
-    )
-    assert not (reach(f"{experiment}.stage_columns") | reach(f"{experiment}.stage_given")) & store
+    assert readers == set(), "only `stage_tables` reads and writes files"
 
 
 def test_nothing_imports_the_command_line() -> None:
@@ -183,14 +175,14 @@ def test_imports_are_found_wherever_they_stand() -> None:
         "measured.experiment.stages",
     }
     source = (
-        "import os, pipeline.measured.experiment.stages\n"
+        "import os, pipeline.measured.stages.stages\n"
         "from pipeline import __version__\n"
         "from pipeline.loop import loop\n"
         "def f():\n"
         "    from pipeline.loop.plant import flow\n"
         "    if True:\n"
         "        import pipeline.readers.formats.native as n\n"
-        "    importlib.import_module('pipeline.measured.experiment.stages')\n"
+        "    importlib.import_module('pipeline.measured.stages.stages')\n"
     )
     assert imports_of(source, modules) == modules - {"readers", "readers.formats"}
     formats = {"readers.formats", "readers.formats.native"}

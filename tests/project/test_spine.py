@@ -18,7 +18,7 @@ from pipeline.base.errors import DeviceError
 from pipeline.comparison.compare import compare
 from pipeline.devices.devices import load_device
 from pipeline.ingest.ingest import ingest
-from pipeline.measured.experiment.stages import STAGES, ExperimentStages
+from pipeline.measured.stages.stages import STAGES, ExperimentStages
 from pipeline.records.models import CRITERIA
 from pipeline.records.native import NativeHeader, format_header
 from pipeline.records.results import ComparisonResult

@@ -14,7 +14,7 @@ from nptdms import ChannelObject, TdmsWriter
 from pyarrow import feather, parquet
 
 from pipeline.profiles.profile_columns import TimeSource
-from pipeline.profiles.profile_files import Profile
+from pipeline.profiles.profile_model import Profile
 from pipeline.readers import Log, RawLog, reader_of
 from pipeline.readers.dates import are_dates, whole_dates
 

@@ -12,7 +12,8 @@ from foreign_files import bag_file, hdf5_file, joint_log, tdms_log
 from pyarrow import parquet
 
 from pipeline.base.errors import LogError, ProfileError
-from pipeline.profiles.profile_files import Profile, read_profile
+from pipeline.profiles.profile_files import read_profile
+from pipeline.profiles.profile_model import Profile
 from pipeline.readers import Log, RawLog, reader_of
 from pipeline.readers.formats.delimited import list_columns
 from pipeline.shell.cli import run

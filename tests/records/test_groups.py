@@ -25,12 +25,13 @@ from pipeline.base.disk import write_text
 from pipeline.comparison.compare import compare
 from pipeline.devices.devices import load_device
 from pipeline.ingest.ingest import ingest
-from pipeline.measured.experiment import stages
-from pipeline.measured.experiment.stage_columns import COMPUTE, stage_rows
-from pipeline.measured.experiment.stage_given import DERIVED
-from pipeline.measured.experiment.stage_groups import LONGEST_MOTION, TrialGroup
-from pipeline.measured.experiment.stages import STAGES
+from pipeline.measured.cost import costs
+from pipeline.measured.experiment import known_delay
 from pipeline.measured.signal.verdict import judge
+from pipeline.measured.stages import stage_mass, stage_settling, stage_tables, stages
+from pipeline.measured.stages.stage_columns import stage_rows
+from pipeline.measured.stages.stage_groups import LONGEST_MOTION, TrialGroup
+from pipeline.measured.stages.stages import STAGES
 from pipeline.records import groups
 from pipeline.records.groups import LENGTHS, TrialGroups, group_trials, padded_length
 from pipeline.shell import console
@@ -97,7 +98,7 @@ def test_groups_hold_the_samples_of_one_batch(lab, monkeypatch):
     assert np.isnan(window.position[2, 20:]).all()
 
 
-@pytest.mark.parametrize("stage", COMPUTE)
+@pytest.mark.parametrize("stage", [stage for stage in STAGES if STAGES[stage].rows])
 @pytest.mark.parametrize("readings", [1, 1300])
 def test_rows_of_a_trial_are_the_same_bits_in_any_company(lab, monkeypatch, stage, readings):
     def rows():
@@ -105,7 +106,7 @@ def test_rows_of_a_trial_are_the_same_bits_in_any_company(lab, monkeypatch, stag
         for part in load_groups(lab.processed, read_trials(lab.processed)).parts:
             group = TrialGroup(part)
             group.verdicts = judge(part, group.found)
-            found.append(stage_rows(group, stage, GIVEN, rotation=False))
+            found.append(stage_rows(group, stage, STAGES[stage].rows, GIVEN, rotation=False))
         return pa.concat_tables(found).sort_by("trial_id")
 
     together = rows()
@@ -155,7 +156,7 @@ def test_after_a_change_all_is_as_from_scratch_and_little_is_computed(lab, tmp_p
         computed.append((stage, len(of.batch)))
         return stage_rows(of, stage, *arguments, **more)
 
-    monkeypatch.setattr(stages, "stage_rows", counting)
+    monkeypatch.setattr(stage_tables, "stage_rows", counting)
     of = stages.ExperimentStages(processed, "falcon", "1", trials)
     assert not of.is_stored("model")
     now = {stage: of.table(stage) for stage in STAGES}
@@ -170,17 +171,18 @@ def test_after_a_change_all_is_as_from_scratch_and_little_is_computed(lab, tmp_p
 
 
 @pytest.mark.parametrize("changed", ["code", "given", "samples"])
-def test_no_row_outlives_what_it_rests_on(lab, tmp_path, monkeypatch, changed):
+def test_no_row_outlives_what_it_rests_on(lab, tmp_path, monkeypatch, edit, changed):
     processed = copy_store(lab, tmp_path)
     before = lab.stages("1", processed)
     before.table("settling")
     of = lab.stages("1", processed)
     monkeypatch.setattr(of, "is_stored", lambda stage: stage != "settling")
     if changed == "code":
-        original = stages.code_digest
-        monkeypatch.setattr(stages, "code_digest", lambda *m: original(*m) + ("!" if "costs" in m else ""))
+        edit(costs)
     elif changed == "given":
-        of.__dict__["delay_estimate"] = of.delay_estimate.model_copy(update={"value": 5.0, "high": 7.0})
+        other = of.delay_estimate.model_copy(update={"value": 5.0, "high": 7.0})
+        for module in (known_delay, stage_settling):
+            monkeypatch.setattr(module, "delay_estimate", lambda _: other)
     else:
         moved = [replace(part, position=part.position + 1e-9 * (part.position > 0)) for part in of.samples.parts]
         of.__dict__["samples"] = TrialGroups(of.samples.places, tuple(moved))
@@ -190,19 +192,20 @@ def test_no_row_outlives_what_it_rests_on(lab, tmp_path, monkeypatch, changed):
         computed.append(len(group.batch))
         return stage_rows(group, *arguments, **more)
 
-    monkeypatch.setattr(stages, "stage_rows", counting)
+    monkeypatch.setattr(stage_tables, "stage_rows", counting)
     of.table("settling")
     assert sum(computed) == of.trials.num_rows
 
 
-def test_masses_are_corrected_with_the_damping_of_now(lab, tmp_path):
+def test_masses_are_corrected_with_the_damping_of_now(lab, tmp_path, monkeypatch):
     of = lab.stages("1", copy_store(lab, tmp_path))
     masses = of.table("mass")
     share = masses.column("damping_share").to_numpy()
     other = lab.stages("1", tmp_path)
     estimate = other.damping_estimate
-    other.__dict__["damping_estimate"] = estimate.model_copy(update={"value": estimate.value + 1.0})
-    found = DERIVED["mass"](other, masses)["mass"]
+    more = estimate.model_copy(update={"value": estimate.value + 1.0})
+    monkeypatch.setattr(stage_mass, "damping_estimate", lambda *_: more)
+    found = stage_mass.corrected(other, masses)["mass"]
     np.testing.assert_allclose(found, masses.column("mass").to_numpy() - share, rtol=1e-12)
 
 

@@ -22,7 +22,7 @@ from pipeline.ingest import trialstore
 from pipeline.ingest.compaction import compact, find_orphans
 from pipeline.ingest.ingest import ingest
 from pipeline.loop.loop import Loop
-from pipeline.measured.experiment.stages import ExperimentStages
+from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records import table_files, tables
 from pipeline.repair.check import look
 from pipeline.repair.repair_damage import check

@@ -23,7 +23,7 @@ from foreign_files import arrow_log, bag_file, hdf5_file, joint_log, matlab5_log
 from pyarrow import parquet
 
 from pipeline.base.errors import LogError
-from pipeline.profiles.profile_files import Profile
+from pipeline.profiles.profile_model import Profile
 from pipeline.readers import isolation
 from pipeline.readers.formats import arrow_tables, delimited, hdf5, json_records, matlab, mcap, rosbag, tdms
 

@@ -21,7 +21,7 @@ from pipeline.comparison.scene.scene_parts import with_overlays
 from pipeline.comparison.tables_d import layouts
 from pipeline.loop.loop import LARGEST_DELAY, Loop
 from pipeline.measured.experiment.aggregate import without_overshoot
-from pipeline.measured.experiment.stages import ExperimentStages
+from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.batch import Floats
 from pipeline.records.delay_rows import delay_points
 from pipeline.records.figure_records import CostMap, Curve, DelayPanel, Figure, Limits

@@ -11,7 +11,7 @@ from pipeline.comparison.figures.boundary_curves import theory_curve
 from pipeline.comparison.scene.scene import SceneData
 from pipeline.comparison.tables_d import layouts
 from pipeline.measured.experiment.aggregate import NO_OVERSHOOT, without_overshoot
-from pipeline.measured.experiment.stages import ExperimentStages
+from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.batch import Booleans, Floats
 from pipeline.records.figure_records import Curve, Figure, ResidualMap
 from pipeline.rendering.labels import criterion_label

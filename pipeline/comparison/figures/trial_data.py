@@ -15,10 +15,10 @@ import numpy as np
 
 from pipeline.comparison.figures.boundary_curves import measured_curve, theory_curve
 from pipeline.comparison.scene.scene import SceneData, needed_stages
-from pipeline.measured.experiment.stage_groups import TrialGroup
-from pipeline.measured.experiment.stages import ExperimentStages, cost_column
 from pipeline.measured.fit.ghost import simulate_ghost
 from pipeline.measured.signal.outcome import OUTCOMES
+from pipeline.measured.stages.stage_groups import TrialGroup
+from pipeline.measured.stages.stages import ExperimentStages, cost_column
 from pipeline.records.batch import Floats, Integers, TrialBatch
 from pipeline.records.figure_records import Curve
 from pipeline.records.models import SETTLING_BANDS, Motion

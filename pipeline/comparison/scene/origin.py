@@ -14,8 +14,8 @@ from pathlib import Path
 from pipeline import __version__
 from pipeline.base.provenance import digest, sha256
 from pipeline.comparison.scene.scene import SceneData, needed_stages
-from pipeline.measured.experiment.stage_given import WINDOWS_S
-from pipeline.measured.experiment.stages import ExperimentStages
+from pipeline.measured.stages.stage_windows import WINDOWS_S
+from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.models import CRITERIA
 from pipeline.records.results import LogList
 

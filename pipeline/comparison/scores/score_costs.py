@@ -13,7 +13,7 @@ from pipeline.comparison.tables_d import layouts
 from pipeline.devices.published_theory import published_points
 from pipeline.loop.loop import Loop
 from pipeline.measured.experiment.aggregate import NO_OVERSHOOT, without_overshoot
-from pipeline.measured.experiment.stages import ExperimentStages, cost_column
+from pipeline.measured.stages.stages import ExperimentStages, cost_column
 from pipeline.records.batch import Floats
 from pipeline.records.models import Optimum
 from pipeline.records.results import ExperimentResult

@@ -16,7 +16,7 @@ from pipeline.comparison.scores.score_costs import map_scores, optimum_scores
 from pipeline.comparison.scores.theory_band import band_score, parameter_box
 from pipeline.comparison.scores.upper_bound import TheoryCurve, upper_bound
 from pipeline.measured.experiment.estimates import MODEL_SHARE
-from pipeline.measured.experiment.stages import ExperimentStages
+from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.batch import Floats
 from pipeline.records.results import ExperimentResult
 from pipeline.records.score_records import BoundScore, DelayScore, RegionScore, Scores, StiffnessScore

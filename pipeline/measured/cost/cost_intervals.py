@@ -11,12 +11,10 @@ import numpy as np
 from pipeline.base.errors import ParameterError
 from pipeline.measured.cost.costs import SETTLED_SAMPLES, Overshoot, Settling
 from pipeline.measured.cost.reading_error import ReadingError
+from pipeline.measured.intervals import CONFIDENCE
 from pipeline.measured.signal.response import Response
 from pipeline.records.batch import Floats, TrialBatch
-from pipeline.records.models import SETTLING_BANDS
-
-CONFIDENCE = 0.95
-"""Coverage that the intervals are made for."""
+from pipeline.records.findings import SETTLING_BANDS
 
 NO_OVERSHOOT = 1e-12
 """Overshoot that counts as none (footnote 4 of 5.2.2), and so the smallest upper end."""

@@ -9,10 +9,11 @@ import numpy as np
 
 from pipeline.base.errors import ParameterError
 from pipeline.base.wording import percent
-from pipeline.measured.cost.cost_intervals import CONFIDENCE, delay_bounds
+from pipeline.measured.cost.cost_intervals import delay_bounds
 from pipeline.measured.cost.costs import WEIGHTS
 from pipeline.measured.cost.reading_error import ReadingError
 from pipeline.measured.cost.tail import extrapolate
+from pipeline.measured.intervals import CONFIDENCE
 from pipeline.measured.signal.horizon import EnergyTerms, energy_terms
 from pipeline.measured.signal.response import Response
 from pipeline.measured.signal.verdict import Verdicts

@@ -6,11 +6,9 @@ import numpy as np
 
 from pipeline.measured.device.damping import LimitDamping
 from pipeline.measured.experiment.combine import with_sign_warning
-from pipeline.records.batch import Booleans, Floats, Integers
-from pipeline.records.models import Estimate, Optimum
-
-CONFIDENCE = 0.95
-"""Coverage of every interval."""
+from pipeline.measured.intervals import CONFIDENCE
+from pipeline.records.batch import Booleans, Floats
+from pipeline.records.findings import Estimate, Optimum
 
 NO_OVERSHOOT = 1e-12
 """Overshoot that counts as none (footnote 4 of 5.2.2): part of the definition, it gives the printed edges."""
@@ -21,58 +19,6 @@ lines in the published maps (10 percentage points)."""
 
 TIE_TOLERANCE = 1e-12
 """Relative difference of costs that rounding alone makes."""
-
-
-def estimate_delay(delay_samples: Integers, *, sampling_period_s: float | None = None) -> Estimate:
-    """Return the integer delay factor of an experiment: the median of its trials.
-
-    Parameters
-    ----------
-    delay_samples : int64, shape (n,)
-        Integer factor of each trial; negative where there is none.
-    sampling_period_s : float, optional
-        T [s]; with it ``by_method`` also holds the mean delay in seconds.
-
-    Notes
-    -----
-    The interval is the range that holds 95 % of the trials (jitter), its upper end one sample more by (6.3):
-    a factor d stands for delays d T <= t_d < (d + 1) T. An even number of trials takes the lower median, so
-    that the value is a factor that occurred.
-
-    Source: Hulin 2017, eqs. 6.2 and 6.3.
-    """
-    method = "first position change"
-    known = np.sort(delay_samples[delay_samples >= 0])
-    if not len(known):
-        return Estimate(
-            value=None,
-            unit="samples",
-            method=method,
-            reason=f"none of {len(delay_samples)} trials shows a command edge and a position change after it",
-        )
-    cut = 0.5 * (1 - CONFIDENCE)
-    low, median, high = (float(known[int(np.floor(q * (len(known) - 1)))]) for q in (cut, 0.5, 1 - cut))
-    by_method = {}
-    if sampling_period_s is not None:
-        # (6.3) leaves the position inside the period open: its middle is the mean of all that it may be
-        mean = (float(known.mean()) + 0.5) * sampling_period_s
-        by_method["mean_delay"] = Estimate(
-            value=mean,
-            low=low * sampling_period_s,
-            high=(high + 1) * sampling_period_s,
-            unit="s",
-            method="mean of the first position change, middle of its period",
-            trials=len(known),
-        )
-    return Estimate(
-        value=median,
-        low=low,
-        high=high + 1,
-        unit="samples",
-        method=method,
-        trials=len(known),
-        by_method=by_method,
-    )
 
 
 def estimate_median(values: Floats, unit: str, method: str, reason: str) -> Estimate:

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from pipeline.base.errors import ParameterError
 from pipeline.records.batch import Floats
-from pipeline.records.models import BoundaryPoint
+from pipeline.records.findings import BoundaryPoint
 
 
 def measured_boundary(

@@ -17,7 +17,7 @@ from pipeline.base.wording import counted
 from pipeline.measured.experiment.boundary import measured_boundary
 from pipeline.measured.intervals import NORMAL_95, student_95
 from pipeline.records.batch import Booleans, Floats
-from pipeline.records.models import BoundaryPoint, Estimate
+from pipeline.records.findings import BoundaryPoint, Estimate
 
 NEAREST = 10
 """Trials next to the limit that are fitted: two coarse and the fine steps of a course (6.1.1), and some more."""

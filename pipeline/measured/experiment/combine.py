@@ -18,7 +18,7 @@ from pipeline.base.wording import true_minus
 from pipeline.measured.experiment.trend import DRIFT, Axis, drift_warning, find_trends
 from pipeline.measured.intervals import NORMAL_QUARTILE, ROUNDING, SMALLEST, student_95
 from pipeline.records.batch import Booleans, Floats
-from pipeline.records.models import Estimate
+from pipeline.records.findings import Estimate
 
 OUTLIER = 3.5
 """Deviation in standard deviations from which on one of many trials is an outlier: 1 of 2,000 good ones is."""

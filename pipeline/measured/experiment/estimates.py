@@ -6,66 +6,21 @@ when it is wrong. Else the methods of the thesis stand, with a warning that says
 
 from __future__ import annotations
 
-from typing import Protocol
-
 import numpy as np
 
 from pipeline.base.wording import commonest
 from pipeline.measured.device import damping
 from pipeline.measured.experiment import aggregate
-from pipeline.measured.experiment.combine import combine, with_sign_warning
-from pipeline.measured.signal.response import NO_ROW
-from pipeline.records.batch import Floats
-from pipeline.records.models import Estimate, ModelCheck
+from pipeline.measured.experiment.combine import with_sign_warning
+from pipeline.measured.experiment.known_delay import delay_estimate
+from pipeline.measured.experiment.stored import Stored, combined
+from pipeline.measured.intervals import NORMAL_95
+from pipeline.records.findings import Estimate, ModelCheck
 
 MODEL_SHARE = 0.5
 """Share of the trials that the model has to explain to be recommended: what is wrong for most is no model."""
 
 NOT_EXPLAINED = "the model explains no trial; the reasons stand with the trials"
-
-
-class Stored(Protocol):
-    """What the estimates of an experiment are made from: stored columns of its stages."""
-
-    @property
-    def rotation(self) -> bool:
-        """Whether units are rotational."""
-
-    @property
-    def sampling_period_s(self) -> float:
-        """Sampling period T [s]."""
-
-    def column(self, stage: str, name: str) -> Floats:
-        """Numeric column of a stage, null as NaN."""
-
-    def texts(self, stage: str, name: str) -> list[str]:
-        """Text column of a stage, null as an empty string."""
-
-
-def delay_estimate(of: Stored) -> Estimate:
-    """Return the integer delay factor of an experiment; ``by_method`` holds what is not rounded.
-
-    Cost indices are counted from the command edge plus this factor (6.1.4), so that it is an integer; its interval is
-    the range that holds 95 % of the trials. It needs no fitted model, and a scene without one has this estimate; see
-    `with_model_delay`.
-    """
-    found = np.nan_to_num(of.column("delay", "delay_samples"), nan=NO_ROW).astype(np.int64)
-    plain = np.nan_to_num(of.column("delay", "first_change_samples"), nan=NO_ROW).astype(np.int64)
-    best = aggregate.estimate_delay(found, sampling_period_s=of.sampling_period_s)
-    if best.value is None:
-        best = best.model_copy(
-            update={"reason": f"{best.reason}; most trials: {commonest(of.texts('delay', 'reason'))}"}
-        )
-    thesis = aggregate.estimate_delay(plain).model_copy(update={"method": "first position change (6.2, 6.3)"})
-    onset = _combined(
-        of, ("delay", "onset_samples", "onset_error"), "samples", "onset of motion, by the motion that the quantum hid"
-    )
-    return best.model_copy(
-        update={
-            "method": "onset of motion where it is sure enough, else first position change; rounded",
-            "by_method": best.by_method | {"first_change": thesis, "onset": onset},
-        }
-    )
 
 
 def with_model_delay(of: Stored, delay: Estimate) -> Estimate:
@@ -83,15 +38,9 @@ def jitter_estimate(of: Stored) -> Estimate:
     return _by_model(of, "jitter", "samples")
 
 
-def damping_estimate(of: Stored, mass: Estimate, delay: Estimate) -> Estimate:
-    """Return the viscous damping of an experiment.
-
-    Parameters
-    ----------
-    of : Stored
-    mass, delay : Estimate
-        By the model and of the experiment; the decay of free trials needs them.
-    """
+def damping_estimate(of: Stored) -> Estimate:
+    """Return the viscous damping of an experiment; the decay of free trials takes the delay and the model's mass."""
+    mass, delay = model_mass(of), of.once(delay_estimate)
     unit = "Nms/rad" if of.rotation else "Ns/m"
     K, B, growth = (of.column("response", name) for name in ("stiffness", "damping", "growth_per_s"))
     thesis = aggregate.estimate_damping(damping.by_limit(B, K, growth), of.column("damping", "viscous_damping"), unit)
@@ -110,7 +59,7 @@ def mass_estimate(of: Stored) -> Estimate:
     if thesis.value is None:
         why = f"{thesis.reason}; most trials: {commonest(of.texts('mass', 'reason'))}"
         thesis = thesis.model_copy(update={"reason": why})
-    friction = _combined(
+    friction = combined(
         *(of, ("mass", "balance_mass", "balance_mass_error"), unit), "momentum balance with friction (and gravity)"
     )
     model = model_mass(of)
@@ -121,7 +70,7 @@ def mass_estimate(of: Stored) -> Estimate:
         "model": model,
     }
     if np.isfinite(of.column("mass", "force_mass")).any():
-        methods["measured_force"] = _combined(
+        methods["measured_force"] = combined(
             *(of, ("mass", "force_mass", "force_mass_error"), unit),
             "momentum balance by the measured force, with viscous damping and Coulomb friction",
         )
@@ -151,25 +100,21 @@ def model_check(of: Stored) -> ModelCheck:
     )
 
 
+def standard_error(estimate: Estimate) -> float:
+    """Return the standard error that an interval of 95 % stands for; 0 where there is none."""
+    if estimate.low is None or estimate.high is None:
+        return 0.0
+    return (estimate.high - estimate.low) / (2 * NORMAL_95)
+
+
 def _by_model(of: Stored, name: str, unit: str) -> Estimate:
-    estimate = _combined(
+    estimate = combined(
         *(of, ("model", f"model_{name}", f"model_{name}_error"), unit), "model fitted to the whole response"
     )
     if estimate.value is not None:
         return estimate
     return estimate.model_copy(
         update={"reason": f"{NOT_EXPLAINED}; most trials: {commonest(of.texts('model', 'reason'))}"}
-    )
-
-
-def _combined(of: Stored, columns: tuple[str, str, str], unit: str, method: str) -> Estimate:
-    stage, value, error = columns
-    return combine(
-        *(of.column(stage, value), of.column(stage, error), of.texts(stage, "trial_id"), unit, method),
-        f"no trial has a value with an interval; most trials: {commonest(of.texts(stage, 'reason'))}",
-        stiffness=of.column(stage, "stiffness"),
-        damping=of.column(stage, "damping"),
-        rotation=of.rotation,
     )
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from pipeline.base.wording import true_minus
 from pipeline.measured.intervals import NORMAL_QUARTILE, ROUNDING, SMALLEST, student_95
 from pipeline.records.batch import Floats
-from pipeline.records.models import DRIFTS, Trend
+from pipeline.records.findings import DRIFTS, Trend
 
 DRIFT = 0.02
 """Change over the tested range, relative to the value, that matters: it shifts either end by 1 %, as much as the mass

@@ -14,7 +14,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from pipeline.base.errors import LogError
-from pipeline.profiles.profile_files import Profile
+from pipeline.profiles.profile_model import Profile
 from pipeline.readers.formats.arrays import LISTED_ELEMENTS, Array, plain_column, unknown_column
 from pipeline.readers.frame import ColumnInfo, Frame, Scalar
 from pipeline.readers.isolation import isolated

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from pipeline.base.errors import LogError
 from pipeline.profiles.patterns import find_groups
-from pipeline.profiles.profile_files import Profile
+from pipeline.profiles.profile_model import Profile
 from pipeline.profiles.profile_text import BLANKS, TextLayout
 from pipeline.readers.dates import whole_dates
 from pipeline.readers.formats.plain_text import plain_text

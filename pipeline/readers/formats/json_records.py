@@ -14,7 +14,7 @@ import pyarrow as pa
 
 from pipeline.base.errors import LogError
 from pipeline.profiles.profile_columns import TimeSource
-from pipeline.profiles.profile_files import Profile
+from pipeline.profiles.profile_model import Profile
 from pipeline.readers.dates import whole_dates
 from pipeline.readers.formats.arrays import Array, StoredArray, frame_of_arrays, list_arrays, stored, unknown_column
 from pipeline.readers.formats.json_text import LongNumber, Place, parse_json

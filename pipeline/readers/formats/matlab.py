@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from pipeline.base.errors import LogError
-from pipeline.profiles.profile_files import Profile
+from pipeline.profiles.profile_model import Profile
 from pipeline.readers.formats.arrays import frame_of_arrays, list_arrays
 from pipeline.readers.formats.hdf5 import is_hdf5, open_image
 from pipeline.readers.formats.matlab5 import HEADER, MatContents, parse_mat5

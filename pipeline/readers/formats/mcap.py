@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from zlib import crc32
 
 from pipeline.base.errors import LogError
-from pipeline.profiles.profile_files import Profile
+from pipeline.profiles.profile_model import Profile
 from pipeline.readers.formats.recording import LISTED_MESSAGES, Parts, Recording, Topic, split
 from pipeline.readers.formats.topics import IMPORTS, SECONDS_PER_BYTE, frame_of_topics, list_topics, topics_of
 from pipeline.readers.frame import ColumnInfo, Frame

@@ -15,7 +15,7 @@ import pyarrow as pa
 import pyarrow.csv as pacsv
 
 from pipeline.base.errors import LogError
-from pipeline.profiles.profile_files import Profile
+from pipeline.profiles.profile_model import Profile
 from pipeline.readers.file_kind import refuse_other_kind
 from pipeline.readers.formats.plain_text import LONGEST_LINE
 from pipeline.readers.log import Log, RawLog, check_samples

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.base.errors import LogError
-from pipeline.profiles.profile_files import Profile
+from pipeline.profiles.profile_model import Profile
 from pipeline.readers.formats.arrays import Array, StoredArray, frame_of_arrays, list_arrays, stored
 from pipeline.readers.frame import ColumnInfo, Frame, Scalar
 from pipeline.readers.isolation import isolated

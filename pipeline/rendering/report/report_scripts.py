@@ -9,6 +9,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
+from pathlib import Path
 from typing import Any
 
 from pipeline.rendering.report.page_template import TEMPLATES
@@ -35,11 +36,11 @@ def scripts(with_trials: bool) -> tuple[str, ...]:
     return tables, licence + _text(PLOT), "".join(_text(name) for name in TRIALS_SCRIPTS)
 
 
-def page_files() -> tuple[str, ...]:
-    """Return all files that a report is made from besides code, as `provenance.code_digest` takes them."""
+def page_files() -> tuple[Path, ...]:
+    """Return all files that a page is made from besides code."""
     found = [TEMPLATES / name for name in ("report.html.j2", "macros.html.j2", "report.css")]
     found += [path for folder in ("report", "vendor") for path in (TEMPLATES / folder).iterdir()]
-    return tuple(sorted(path.relative_to(TEMPLATES.parents[1]).as_posix() for path in found))
+    return tuple(sorted(found))
 
 
 def plot_style() -> str:

@@ -18,8 +18,7 @@ from pipeline.ingest.reading import load_source, motion_of
 from pipeline.ingest.sources import find_sources
 from pipeline.measured.signal.response import NO_ROW, find_response
 from pipeline.profiles.profile_columns import QUANTITIES, ColumnSource, TimeSource
-from pipeline.profiles.profile_files import Profile
-from pipeline.profiles.profile_model import CONDITION_QUANTITIES, CONDITIONS
+from pipeline.profiles.profile_model import CONDITION_QUANTITIES, CONDITIONS, Profile
 from pipeline.readers import Log, RawLog, reader_of
 from pipeline.readers.conditions import entry_of, places_of
 from pipeline.readers.frame import ColumnInfo

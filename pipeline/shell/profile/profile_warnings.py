@@ -9,7 +9,7 @@ import numpy as np
 
 from pipeline.base.units import find_unit
 from pipeline.measured.signal.response import external_force
-from pipeline.profiles.profile_files import Profile
+from pipeline.profiles.profile_model import Profile
 from pipeline.readers import Log
 from pipeline.records.batch import TrialBatch
 

@@ -10,9 +10,9 @@ from pathlib import Path
 from pydantic import BaseModel, ValidationError
 
 from pipeline.base.errors import PipelineError, StoreError, UsageError
-from pipeline.base.provenance import code_digest, digest
+from pipeline.base.provenance import digest
 from pipeline.base.wording import counted
-from pipeline.comparison.compare import REPORT_CODE, compare
+from pipeline.comparison.compare import compare, report_code
 from pipeline.records.models import Record, Scene
 from pipeline.records.results import ComparisonResult
 from pipeline.rendering.report import report_parts
@@ -102,7 +102,7 @@ def verify(
     request = _request(report, found)
     folder = _processed(report, processed or Path(request.processed), given=processed is not None)
     document, notes = _document(report)
-    if request.code != code_digest(*REPORT_CODE):
+    if request.code != report_code():
         notes.append("the report was made by another version of the code: numbers may differ for that reason")
     with tempfile.TemporaryDirectory(prefix="pipeline-verify-") as temporary:
         store = Path(temporary) / "processed"

@@ -11,9 +11,9 @@ from pipeline.measured.device import damping, delay, friction, mass, onset
 from pipeline.measured.device.mass import WINDOW_S
 from pipeline.measured.device.onset import WINDOWS, OnsetDelays
 from pipeline.measured.experiment.combine import combine
-from pipeline.measured.experiment.stage_columns import BALANCE_TERMS
 from pipeline.measured.fit import fit
 from pipeline.measured.signal import verdict
+from pipeline.measured.stages.stage_mass import BALANCE_TERMS
 from pipeline.records.accuracy import Rung
 from pipeline.records.batch import Floats, TrialBatch
 from pipeline.simulation.simulate import simulate

@@ -13,7 +13,7 @@ import numpy as np
 from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop
 from pipeline.records.batch import Booleans, Floats, Integers
-from pipeline.records.models import SETTLING_BANDS
+from pipeline.records.findings import SETTLING_BANDS
 from pipeline.theory.cost.energy import energy_costs
 from pipeline.theory.cost.poles import damping_ratio
 from pipeline.theory.cost.transient import NO_OVERSHOOT, transient_costs

@@ -10,7 +10,7 @@ from simulated import FALCON, LWR, simulate
 from pipeline.devices.devices import load_device
 from pipeline.measured.device.delay import first_change
 from pipeline.measured.device.onset import motion_onset, rounded
-from pipeline.measured.experiment.aggregate import estimate_delay
+from pipeline.measured.experiment.known_delay import estimate_delay
 from pipeline.measured.signal.response import declare_edge, find_response
 from pipeline.records.batch import TrialBatch
 from pipeline.simulation.course import run_course

@@ -8,10 +8,10 @@ from pipeline.measured.device.damping import LimitDamping
 from pipeline.measured.experiment.aggregate import (
     choose_optimum,
     estimate_damping,
-    estimate_delay,
     estimate_mass,
     estimate_median,
 )
+from pipeline.measured.experiment.known_delay import estimate_delay
 
 NONE = np.array([np.nan, np.nan])
 

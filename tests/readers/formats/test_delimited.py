@@ -9,7 +9,7 @@ import pyarrow as pa
 import pytest
 
 from pipeline.base.errors import LogError
-from pipeline.profiles.profile_files import Profile
+from pipeline.profiles.profile_model import Profile
 from pipeline.readers.formats import plain_text as plain_text_module
 from pipeline.readers.formats.delimited import list_columns, read_frame
 

@@ -22,9 +22,9 @@ from independent import (
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop
-from pipeline.theory.cost.poles import damping_ratio, never_overshoots, pole_settling_time, poles, threefold_pole
+from pipeline.theory.cost.poles import damping_ratio, never_overshoots, pole_settling_time, threefold_pole
 from pipeline.theory.optimum.optimum import optimal_point
-from pipeline.theory.stability.stability import spectral_radius
+from pipeline.theory.stability.stability import poles, spectral_radius
 
 Case = tuple[float, float, float, float, float]
 """gamma, delta, delay, alpha, beta"""

@@ -1,4 +1,4 @@
-"""Stages of the measured branch: each takes the samples of one experiment and writes one table.
+"""How the stages of an experiment are computed, stored and reused; of what each of them computes it knows nothing.
 
 A stage is reused while its key is the same: a hash of the trials (source and profile hashes), of the code that
 computes it, and of the values it takes from stages before it. Where it is not, the rows of those trials are still
@@ -13,7 +13,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 import pyarrow as pa
@@ -21,75 +21,19 @@ import pyarrow as pa
 from pipeline.base.disk import if_writable
 from pipeline.base.errors import StoreError
 from pipeline.base.provenance import code_digest, digest, stamp
-from pipeline.base.wording import commonest
-from pipeline.measured.experiment import aggregate, estimates
-from pipeline.measured.experiment.stage_columns import stage_rows
-from pipeline.measured.experiment.stage_given import DERIVED, GIVEN, WHOLE
-from pipeline.measured.experiment.stage_groups import Given, TrialGroup
-from pipeline.measured.signal import verdict
+from pipeline.measured.signal.verdict import Verdicts
+from pipeline.measured.stages.stage_columns import stage_rows
+from pipeline.measured.stages.stage_given import Experiment, nothing
+from pipeline.measured.stages.stage_groups import Columns, Given, TrialGroup
 from pipeline.records.batch import Floats
 from pipeline.records.groups import TrialGroups
-from pipeline.records.models import ENERGY_CRITERIA, SETTLING_BANDS, BoundaryPoint, Estimate, ModelCheck, Optimum
 from pipeline.records.table_files import read_metadata, read_table, write_table
 from pipeline.records.tables import arrow_schema, to_arrow
 from pipeline.store.samples import load_groups
 from pipeline.store.storage import stage_file
 
-STAGES = (
-    *("response", "outcome", "boundary", "delay", "model", "damping", "mass"),
-    *("overshoot", "settling", "energy", "windows"),
-)
-"""Stages in the order in which they can be computed."""
-
-NEEDS: dict[str, tuple[str, ...]] = {
-    "response": (),
-    "outcome": ("response",),
-    "boundary": ("response",),
-    "delay": ("response",),
-    "model": ("response",),
-    "damping": ("response", "delay", "model"),
-    "mass": ("response", "delay", "model", "damping"),
-    "overshoot": ("response",),
-    "settling": ("response", "delay"),
-    "energy": ("response", "delay", "model", "damping", "mass"),
-    "windows": ("response", "delay"),
-}
-"""Stages whose results a stage takes; the plan is made backwards along these."""
-
 SAMPLED = "response"
 """Stage that every scene needs; its result is stored with a hash of the samples."""
-
-_SHARED_CODE = (
-    "batch",
-    "groups",
-    "stages",
-    "stage_groups",
-    "stage_given",
-    "stage_columns",
-    "aggregate",
-    "estimates",
-    "combine",
-    "trend",
-    "intervals",
-    "wording",
-)
-_MOTION = ("response", "verdict", "modes")
-_BALANCE = ("response", "momentum", "averaging", "correlated")
-_FIT = ("fit", "fit_filter", "fit_jitter", "fit_motion", "fit_noise", "fit_search", "fit_window", "ghost")
-_COSTS = ("response", "horizon", "costs", "reading_error", "cost_intervals", "step_metrics")
-_CODE: dict[str, tuple[str, ...]] = {
-    "response": _MOTION,
-    "outcome": (*_MOTION, "outcome", "events", "disturbance"),
-    "boundary": ("boundary", "boundary_band"),
-    "delay": ("response", "delay", "onset"),
-    "model": ("response", "delay", *_FIT),
-    "damping": (*_BALANCE, "damping"),
-    "mass": (*_BALANCE, "mass", "friction"),
-    "overshoot": _COSTS,
-    "settling": _COSTS,
-    "energy": (*_COSTS, "energy_intervals", "tail"),
-    "windows": (*_BALANCE, "mass"),
-}
 
 ROW_KEY = "samples_sha256"
 """Column by which a row of a stage is known; what else it rests on is the same for all rows of a file."""
@@ -97,9 +41,42 @@ ROW_KEY = "samples_sha256"
 Result = TypeVar("Result")
 
 
+@dataclass(frozen=True)
+class Stage:
+    """What computes a stage.
+
+    Parameters
+    ----------
+    needs : tuple of str
+        Stages whose results it takes.
+    rows : callable, optional
+        Makes the columns of some trials, for a stage with one row a trial.
+    given : callable
+        What the rows take from the whole experiment.
+    whole : callable, optional
+        Makes the columns from the whole experiment, for a stage without a row a trial.
+    derived : callable, optional
+        Makes columns that follow from the others by a value of the whole experiment, anew with each.
+    """
+
+    needs: tuple[str, ...] = ()
+    rows: Callable[[TrialGroup, Given], Columns] | None = None
+    given: Callable[[Experiment], Given] = nothing
+    whole: Callable[[Experiment], Columns] | None = None
+    derived: Callable[[Experiment, pa.Table], Columns] | None = None
+
+    @property
+    def code(self) -> str:
+        """Hash of the code that computes the stage: of its functions, and of all by which they are called."""
+        functions = filter(None, (self.rows, self.given, self.whole, self.derived))
+        return code_digest(__name__, *sorted({function.__module__ for function in functions}))
+
+
 @dataclass
-class ExperimentStages:
-    """The stages of one experiment: what is stored, what is stale, and how to compute it.
+class StageTables:
+    """The tables of the stages of one experiment: what is stored, what is stale, and how to compute it.
+
+    A class made from it says which stages there are.
 
     Parameters
     ----------
@@ -109,11 +86,14 @@ class ExperimentStages:
         Rows of the trials table that belong to the experiment.
     """
 
+    stages: ClassVar[Mapping[str, Stage]]
+
     processed: Path
     device: str
     experiment: str
     trials: pa.Table
     _tables: dict[str, pa.Table] = field(default_factory=dict)
+    _found: dict[Callable[..., Any], Any] = field(default_factory=dict, init=False)
     _mapped: Callable[..., Iterable[Any]] = map
 
     @cached_property
@@ -157,14 +137,21 @@ class ExperimentStages:
             group.verdicts = self.verdicts.select(places)
         return self._groups
 
+    def once(self, function: Callable[[Any], Result]) -> Result:
+        """Return what a function finds in this experiment, which is kept."""
+        if function not in self._found:
+            self._found[function] = function(self)
+        found: Result = self._found[function]
+        return found
+
     def of_each(self, function: Callable[..., Result], **given: Any) -> list[Result]:
         """Return the results of a function of each group, `TrialGroup` and what is given, in order of the groups."""
         return list(self._mapped(partial(function, given=given), self._judged))
 
     def key(self, stage: str) -> str:
         """Return the key under which the result of a stage is valid."""
-        code = code_digest(*_SHARED_CODE, *_CODE[stage])
-        return digest([stage, self.inputs_digest, code, *(self.key(need) for need in NEEDS[stage])])
+        made = self.stages[stage]
+        return digest([stage, self.inputs_digest, made.code, *(self.key(need) for need in made.needs)])
 
     def is_stored(self, stage: str) -> bool:
         """Return whether a result with the present key is stored."""
@@ -187,7 +174,7 @@ class ExperimentStages:
             if self.is_stored(stage):
                 self._tables[stage] = read_table(self._file(stage))
             else:
-                self._tables[stage] = self._whole(stage) if stage in WHOLE else self._of_trials(stage)
+                self._tables[stage] = self._computed(stage)
                 with if_writable():
                     write_table(self._file(stage), self._tables[stage])
         return self._tables[stage]
@@ -212,24 +199,31 @@ class ExperimentStages:
 
     def _common(self, stage: str, given: Given) -> str:
         """Return a hash of all that the rows of a stage rest on beside their samples."""
-        code = code_digest(*_SHARED_CODE, *(name for each in required([stage]) for name in _CODE[each]))
-        return digest([stage, code, given, self.rotation])
+        return digest([stage, self._all_code(stage), given, self.rotation])
 
-    def _whole(self, stage: str) -> pa.Table:
-        return to_arrow(stage, WHOLE[stage](self), rotation=self.rotation, metadata=self._stamp(stage))
+    def _all_code(self, stage: str) -> list[str]:
+        made = self.stages[stage]
+        return [made.code, *(code for need in made.needs for code in self._all_code(need))]
 
-    def _of_trials(self, stage: str) -> pa.Table:
+    def _computed(self, stage: str) -> pa.Table:
+        made = self.stages[stage]
+        if made.whole is not None:
+            return to_arrow(stage, made.whole(self), rotation=self.rotation, metadata=self._stamp(stage))
+        return self._of_trials(stage, made)
+
+    def _of_trials(self, stage: str, made: Stage) -> pa.Table:
         """Compute a stage with one row a trial, but for the rows that are stored and rest on the same."""
-        given = GIVEN[stage](self)
+        assert made.rows is not None, "a stage is made by rows or as a whole"
+        given = made.given(self)
         common = self._common(stage, given)
         former = self._former(stage, common)
         kept = set(former.column(ROW_KEY).to_pylist())
         groups = self._groups if stage == SAMPLED else self._judged
         new = [group.select(np.array([key not in kept for key in group.batch.digests])) for group in groups]
-        compute = partial(stage_rows, stage=stage, given=given, rotation=self.rotation)
+        compute = partial(stage_rows, stage=stage, columns=made.rows, given=given, rotation=self.rotation)
         rows = pa.concat_tables([former, *self._mapped(compute, [group for group in new if len(group.batch)])])
-        if stage in DERIVED:
-            for name, values in DERIVED[stage](self, rows).items():
+        if made.derived is not None:
+            for name, values in made.derived(self, rows).items():
                 index = rows.schema.get_field_index(name)
                 rows = rows.set_column(index, rows.schema.field(name), pa.array(values, from_pandas=True))
         place = {key: row for row, key in enumerate(rows.column(ROW_KEY).to_pylist())}
@@ -247,13 +241,8 @@ class ExperimentStages:
         return schema.empty_table()
 
     def _stamp(self, stage: str, **more: str) -> Mapping[str, str]:
-        code = code_digest(*_SHARED_CODE, *_CODE[stage])
+        code = self.stages[stage].code
         return stamp(stage=stage, key=self.key(stage), inputs=self.inputs_digest, code=code, **more)
-
-    @property
-    def samples_digest(self) -> str:
-        """Hash of the samples that the results rest on, as they were when the first stage was computed."""
-        return str(self.table(SAMPLED).schema.metadata[b"pipeline.samples"].decode())
 
     def column(self, stage: str, name: str) -> Floats:
         """Return a numeric column of a stage as float64, null as NaN."""
@@ -265,38 +254,13 @@ class ExperimentStages:
         return [text or "" for text in self.table(stage).column(name).to_pylist()]
 
     @cached_property
-    def verdicts(self) -> verdict.Verdicts:
+    def verdicts(self) -> Verdicts:
         """Verdict of each trial, as stored."""
-        return verdict.Verdicts(
+        return Verdicts(
             np.array(self.texts("response", "verdict"), dtype="<U9"),
             self.column("response", "growth_per_s"),
             tuple(self.texts("response", "reason")),
         )
-
-    @cached_property
-    def delay_estimate(self) -> Estimate:
-        """Integer delay factor of the experiment."""
-        return estimates.delay_estimate(self)
-
-    @cached_property
-    def damping_estimate(self) -> Estimate:
-        """Viscous damping of the experiment."""
-        return estimates.damping_estimate(self, estimates.model_mass(self), self.delay_estimate)
-
-    @cached_property
-    def mass_estimate(self) -> Estimate:
-        """Mass of the experiment."""
-        return estimates.mass_estimate(self)
-
-    @cached_property
-    def jitter_estimate(self) -> Estimate:
-        """Standard deviation of the delay within a trial."""
-        return estimates.jitter_estimate(self)
-
-    @cached_property
-    def model_check(self) -> ModelCheck:
-        """How well the fitted model explains the logs."""
-        return estimates.model_check(self)
 
     @cached_property
     def sampling_period_s(self) -> float:
@@ -314,56 +278,3 @@ class ExperimentStages:
                 "expected one. Name the experiments apart in the logs' headers and ingest them into a new folder."
             )
         return float(periods[0])
-
-    @cached_property
-    def boundary_points(self) -> tuple[BoundaryPoint, ...]:
-        """Measured stability boundary, as stored."""
-        rows = self.table("boundary").to_pylist()
-        return tuple(BoundaryPoint(**row) for row in rows)
-
-    def cost(self, criterion: str) -> tuple[Floats, str]:
-        """Return the cost of each trial by a criterion (NaN where there is none) and, if none has one, why."""
-        stage, column = cost_column(criterion)
-        return self.column(stage, column), commonest(self.texts(stage, "reason"))
-
-    def cost_interval(self, criterion: str) -> tuple[Floats, Floats]:
-        """Return lower and upper end of the 95 % interval of each trial's cost, NaN where there is none."""
-        stage, column = cost_column(criterion)
-        return self.column(stage, f"{column}_low"), self.column(stage, f"{column}_high")
-
-    def optimum(self, criterion: str) -> Optimum | None:
-        """Return the best trial by a criterion, or None where no trial has that cost."""
-        cost, _ = self.cost(criterion)
-        table = self.table("response")
-        best = aggregate.choose_optimum(
-            cost,
-            self.column("response", "stiffness"),
-            self.column("response", "damping"),
-            tuple(table.column("trial_id").to_pylist()),
-            unstable=self.verdicts.verdict == "unstable",
-            floor=self.column("overshoot", "overshoot_floor") if criterion == "overshoot" else None,
-        )
-        if best is None:
-            return None
-        trial = list(self.texts("response", "trial_id")).index(str(best.trial_id))
-        low, high = (float(ends[trial]) for ends in self.cost_interval(criterion))
-        return best.model_copy(
-            update={"cost_low": None if np.isnan(low) else low, "cost_high": None if np.isnan(high) else high}
-        )
-
-
-def required(stages: Iterable[str]) -> set[str]:
-    """Return the stages and all that they need."""
-    result: set[str] = set()
-    for stage in stages:
-        result |= {stage} | required(NEEDS[stage])
-    return result
-
-
-def cost_column(criterion: str) -> tuple[str, str]:
-    """Return stage and column that hold the cost by a criterion."""
-    if criterion == "overshoot":
-        return "overshoot", "overshoot"
-    if criterion in SETTLING_BANDS:
-        return "settling", criterion
-    return "energy", f"energy_w{ENERGY_CRITERIA.index(criterion)}"

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import ast
 import dataclasses
 import shutil
 from pathlib import Path
@@ -12,13 +11,14 @@ import simulated
 from stored import batch_of
 
 from pipeline.base.errors import StoreError
-from pipeline.base.provenance import PACKAGE_FOLDER
 from pipeline.loop.loop import Normalised
 from pipeline.measured.cost import costs
 from pipeline.measured.device import damping, delay, mass
-from pipeline.measured.experiment import boundary, stages
-from pipeline.measured.experiment.stages import NEEDS, STAGES, ExperimentStages, required
+from pipeline.measured.experiment import boundary
 from pipeline.measured.signal import response, verdict
+from pipeline.measured.stages import stage_energy, stage_tables
+from pipeline.measured.stages.stage_tables import StageTables
+from pipeline.measured.stages.stages import STAGES, ExperimentStages, required
 from pipeline.records.table_files import read_table, write_table
 from pipeline.store.storage import stage_file
 from pipeline.theory.cost.energy import energy_costs
@@ -179,50 +179,11 @@ def test_needs_are_those_of_the_definitions():
     assert required(["overshoot"]) == {"overshoot", "response"}
     assert required(["settling"]) == {"settling", "response", "delay"}
     assert required(["energy"]) == {"energy", "response", "delay", "model", "damping", "mass"}
-    assert set(NEEDS) == set(STAGES)
     order = {stage: i for i, stage in enumerate(STAGES)}
-    assert all(order[need] < order[stage] for stage, needs in NEEDS.items() for need in needs)
+    assert all(order[need] < order[stage] for stage, made in STAGES.items() for need in made.needs)
 
 
-CONTRACTS = {"", "batch", "errors", "models", "provenance", "tables", "storage", "units"}
-"""Modules that hand numbers on without changing them."""
-
-
-def closure(module: str) -> set[str]:
-    """Modules that a module rests on, itself included."""
-    (path,) = PACKAGE_FOLDER.glob(f"*/{module}.py")
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    names = set()
-    for node in ast.walk(tree):
-        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("pipeline"):
-            whole = (node.module or "").count(".") == 1
-            names |= {alias.name for alias in node.names} if whole else {str(node.module).rpartition(".")[2]}
-    return {module}.union(*(closure(name) for name in names - CONTRACTS))
-
-
-COMPUTES = {
-    "response": {"response", "verdict"},
-    "boundary": {"boundary_band"},
-    "outcome": {"outcome"},
-    "delay": {"response", "delay", "onset"},
-    "model": {"fit"},
-    "damping": {"response", "damping"},
-    "mass": {"response", "mass", "friction"},
-    "overshoot": {"response", "costs", "cost_intervals"},
-    "settling": {"response", "costs", "cost_intervals", "step_metrics"},
-    "energy": {"energy_intervals"},
-    "windows": {"mass"},
-}
-
-
-@pytest.mark.parametrize("stage", STAGES)
-def test_key_of_a_stage_sees_all_code_that_computes_it(stage):
-    used = set().union(*(closure(module) for module in COMPUTES[stage]))
-    hashed = set().union(*(stages._CODE[s] for s in required([stage]))) | set(stages._SHARED_CODE)
-    assert used <= hashed
-
-
-def test_key_changes_with_the_logs_and_the_code_but_not_with_time(falcon, monkeypatch):
+def test_key_changes_with_the_logs_and_the_code_but_not_with_time(falcon, edit):
     def keys(trials=None):
         of = falcon.stages("1")
         if trials is not None:
@@ -235,8 +196,7 @@ def test_key_changes_with_the_logs_and_the_code_but_not_with_time(falcon, monkey
     trials = falcon.stages("1").trials
     assert all(new != before[s] for s, new in keys(trials.slice(1)).items())
     assert keys(trials.take(pa.array(range(trials.num_rows - 1, -1, -1)))) == before
-    original = stages.code_digest
-    monkeypatch.setattr(stages, "code_digest", lambda *m: original(*m) + ("!" if "delay" in m else ""))
+    edit(delay)
     changed = {stage for stage, new in keys().items() if new != before[stage]}
     assert changed == {"delay", "model", "damping", "mass", "settling", "energy", "windows"}
 
@@ -254,13 +214,12 @@ def forbid(monkeypatch):
     def refuse(*_, **__):
         raise AssertionError("was computed again")
 
-    for stage in STAGES:
-        monkeypatch.setitem(stages.WHOLE if stage in stages.WHOLE else stages.GIVEN, stage, refuse)
+    monkeypatch.setattr(StageTables, "_computed", refuse)
     for module in (boundary, costs, damping, delay, mass, response, verdict):
         for name in ("measured_boundary", "settling", "overshoot", "energy", "from_trials", "first_change"):
             if hasattr(module, name):
                 monkeypatch.setattr(module, name, refuse)
-    monkeypatch.setattr(stages, "load_groups", refuse)
+    monkeypatch.setattr(stage_tables, "load_groups", refuse)
 
 
 def test_stored_stages_are_read_and_not_computed(falcon, copy, monkeypatch):
@@ -342,9 +301,9 @@ def test_energy_without_a_mass_says_why(falcon, monkeypatch):
         falcon.stages("1").table(stage)
     of = falcon.stages("1")
     nothing = of.mass_estimate.model_copy(update={"value": None, "reason": "no trial moved"})
-    of.__dict__["mass_estimate"] = nothing
+    monkeypatch.setattr(stage_energy, "mass_estimate", lambda _: nothing)
     monkeypatch.setattr(of, "is_stored", lambda stage: stage != "energy")
-    monkeypatch.setattr(stages, "write_table", lambda *_: None)
+    monkeypatch.setattr(stage_tables, "write_table", lambda *_: None)
     cost, why = of.cost("energy_step_w0")
     assert np.isnan(cost).all()
     assert why == "energy needs the mass: no trial moved"

@@ -1,0 +1,1 @@
+"""What an experiment stores: one module a stage, and what stores and reuses them."""

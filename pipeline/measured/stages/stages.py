@@ -1,0 +1,136 @@
+"""Stages of the measured branch: each takes the samples of one experiment and writes one table."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from functools import cached_property
+
+import numpy as np
+
+from pipeline.base.wording import commonest
+from pipeline.measured.experiment import aggregate, estimates, known_delay
+from pipeline.measured.stages import (
+    stage_boundary,
+    stage_damping,
+    stage_delay,
+    stage_energy,
+    stage_mass,
+    stage_model,
+    stage_outcome,
+    stage_overshoot,
+    stage_response,
+    stage_settling,
+    stage_windows,
+)
+from pipeline.measured.stages.stage_tables import SAMPLED, Stage, StageTables
+from pipeline.records.batch import Floats
+from pipeline.records.findings import ENERGY_CRITERIA, SETTLING_BANDS, BoundaryPoint, Estimate, ModelCheck, Optimum
+
+STAGES: dict[str, Stage] = {
+    "response": Stage(rows=stage_response.columns),
+    "outcome": Stage(("response",), stage_outcome.columns, stage_outcome.given_of),
+    "boundary": Stage(("response",), whole=stage_boundary.columns),
+    "delay": Stage(("response",), stage_delay.columns),
+    "model": Stage(("response",), stage_model.columns),
+    "damping": Stage(("response", "delay", "model"), stage_damping.columns, stage_damping.given_of),
+    "mass": Stage(
+        ("response", "delay", "model", "damping"),
+        stage_mass.columns,
+        stage_mass.given_of,
+        derived=stage_mass.corrected,
+    ),
+    "overshoot": Stage(("response",), stage_overshoot.columns, stage_overshoot.given_of),
+    "settling": Stage(("response", "delay"), stage_settling.columns, stage_settling.given_of),
+    "energy": Stage(("response", "delay", "model", "damping", "mass"), stage_energy.columns, stage_energy.given_of),
+    "windows": Stage(("response", "delay"), whole=stage_windows.columns),
+}
+"""Stages in the order in which they can be computed; the plan is made backwards along what they need."""
+
+
+class ExperimentStages(StageTables):
+    """The stages of one experiment, and what follows from them."""
+
+    stages = STAGES
+
+    @property
+    def samples_digest(self) -> str:
+        """Hash of the samples that the results rest on, as they were when the first stage was computed."""
+        return str(self.table(SAMPLED).schema.metadata[b"pipeline.samples"].decode())
+
+    @cached_property
+    def delay_estimate(self) -> Estimate:
+        """Integer delay factor of the experiment."""
+        return self.once(known_delay.delay_estimate)
+
+    @cached_property
+    def damping_estimate(self) -> Estimate:
+        """Viscous damping of the experiment."""
+        return self.once(estimates.damping_estimate)
+
+    @cached_property
+    def mass_estimate(self) -> Estimate:
+        """Mass of the experiment."""
+        return self.once(estimates.mass_estimate)
+
+    @cached_property
+    def jitter_estimate(self) -> Estimate:
+        """Standard deviation of the delay within a trial."""
+        return estimates.jitter_estimate(self)
+
+    @cached_property
+    def model_check(self) -> ModelCheck:
+        """How well the fitted model explains the logs."""
+        return estimates.model_check(self)
+
+    @cached_property
+    def boundary_points(self) -> tuple[BoundaryPoint, ...]:
+        """Measured stability boundary, as stored."""
+        rows = self.table("boundary").to_pylist()
+        return tuple(BoundaryPoint(**row) for row in rows)
+
+    def cost(self, criterion: str) -> tuple[Floats, str]:
+        """Return the cost of each trial by a criterion (NaN where there is none) and, if none has one, why."""
+        stage, column = cost_column(criterion)
+        return self.column(stage, column), commonest(self.texts(stage, "reason"))
+
+    def cost_interval(self, criterion: str) -> tuple[Floats, Floats]:
+        """Return lower and upper end of the 95 % interval of each trial's cost, NaN where there is none."""
+        stage, column = cost_column(criterion)
+        return self.column(stage, f"{column}_low"), self.column(stage, f"{column}_high")
+
+    def optimum(self, criterion: str) -> Optimum | None:
+        """Return the best trial by a criterion, or None where no trial has that cost."""
+        cost, _ = self.cost(criterion)
+        table = self.table("response")
+        best = aggregate.choose_optimum(
+            cost,
+            self.column("response", "stiffness"),
+            self.column("response", "damping"),
+            tuple(table.column("trial_id").to_pylist()),
+            unstable=self.verdicts.verdict == "unstable",
+            floor=self.column("overshoot", "overshoot_floor") if criterion == "overshoot" else None,
+        )
+        if best is None:
+            return None
+        trial = list(self.texts("response", "trial_id")).index(str(best.trial_id))
+        low, high = (float(ends[trial]) for ends in self.cost_interval(criterion))
+        return best.model_copy(
+            update={"cost_low": None if np.isnan(low) else low, "cost_high": None if np.isnan(high) else high}
+        )
+
+
+def required(stages: Iterable[str]) -> set[str]:
+    """Return the stages and all that they need."""
+    result: set[str] = set()
+    for stage in stages:
+        result |= {stage} | required(STAGES[stage].needs)
+    return result
+
+
+def cost_column(criterion: str) -> tuple[str, str]:
+    """Return stage and column that hold the cost by a criterion."""
+    if criterion == "overshoot":
+        return "overshoot", "overshoot"
+    if criterion in SETTLING_BANDS:
+        return "settling", criterion
+    return "energy", f"energy_w{ENERGY_CRITERIA.index(criterion)}"

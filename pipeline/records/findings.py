@@ -1,0 +1,121 @@
+"""Records of what is found in logs, with the criteria that logs are judged by: frozen, validated, SI.
+
+All that the measured stages need of the records, so that a change of any other one makes no result stale. Units follow
+the motion of the device as in `models`.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+NonNegative = Annotated[float, Field(ge=0)]
+
+RESPONSE_CRITERIA = ("settle_1pct", "settle_2pct", "settle_5pct", "overshoot")
+ENERGY_CRITERIA = ("energy_step_w0", "energy_step_w1", "energy_step_w2")
+CRITERIA = RESPONSE_CRITERIA + ENERGY_CRITERIA
+"""Criteria that a step-response log can be judged by; costs as in `pipeline.measured.cost.costs`."""
+
+SETTLING_BANDS = {"settle_1pct": 0.01, "settle_2pct": 0.02, "settle_5pct": 0.05}
+"""Half width of the settling band relative to the final displacement, by criterion."""
+
+
+class Record(BaseModel):
+    """Base of all records: immutable, no unknown fields, no NaN or infinity."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, defer_build=True)
+
+
+DRIFTS = "drifts by"
+"""Beginning of a warning about a `Trend`, by which such warnings are told from others."""
+
+
+class Trend(Record):
+    """Slope of an estimate over the stiffness or damping of the trials with its 95 % interval.
+
+    ``span`` is the range of stiffness [N/m, Nm/rad] or damping [Ns/m, Nms/rad] over which it was found.
+    """
+
+    over: Literal["stiffness", "damping"]
+    slope: float
+    low: float
+    high: float
+    unit: str
+    significant: bool
+    span: float | None = None
+
+
+class Estimate(Record):
+    """A quantity with its 95 % interval and method, or no value and the reason for that.
+
+    ``spread`` is the standard deviation between trials beyond their own errors, ``within`` the median standard error of
+    one trial. ``trials`` were used; ``outliers`` are the ids of those that were not because they lie apart, ``refused``
+    is the number of those without an interval. ``warning`` says in words what is wrong with the value.
+    """
+
+    value: float | None
+    low: float | None = None
+    high: float | None = None
+    unit: str
+    method: str
+    reason: str | None = None
+    trials: int = 0
+    by_method: dict[str, Estimate] = Field(default_factory=dict)
+    spread: NonNegative | None = None
+    within: NonNegative | None = None
+    outliers: tuple[str, ...] = ()
+    refused: Annotated[int, Field(ge=0)] = 0
+    trend: tuple[Trend, ...] = ()
+    warning: str | None = None
+
+    @model_validator(mode="after")
+    def _a_missing_value_has_a_reason(self) -> Self:
+        if self.value is None and not self.reason:
+            raise ValueError("an estimate without a value needs a reason")
+        return self
+
+
+class ModelCheck(Record):
+    """How well the fitted model explains the logs of an experiment.
+
+    ``explained`` of ``trials`` fits are right within what sensor and chance allow. Medians over trials: ``misfit`` of
+    the whitened errors (1 where the sensor explains them), ``whiteness`` (p-value), ``ghost`` (root mean square of
+    log minus simulated loop, relative to the final displacement). ``left`` trials leave the model's noise band.
+    """
+
+    trials: int
+    explained: int
+    left: int
+    misfit: float | None
+    whiteness: float | None
+    ghost: float | None
+
+
+class BoundaryPoint(Record):
+    """Stability limit at one damping: largest stable stiffness below the smallest unstable one.
+
+    ``estimate`` is the limit by the growth rates with its 95 % interval; a censored point has ``low`` alone.
+    """
+
+    damping: float
+    stable: float | None
+    unstable: float | None
+    censored: bool
+    estimate: float | None = None
+    low: float | None = None
+    high: float | None = None
+    trials: int = 0
+
+
+class Optimum(Record):
+    """Trial (or theoretical point) with the smallest cost; censored where it lies at the edge of the tested range."""
+
+    stiffness: float
+    damping: float
+    cost: float
+    cost_low: float | None = None
+    cost_high: float | None = None
+    trial_id: str | None = None
+    ties: int = 1
+    censored: bool = False
