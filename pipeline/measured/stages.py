@@ -26,7 +26,7 @@ from pipeline.measured import aggregate, estimates, verdict
 from pipeline.measured.stage_columns import stage_rows
 from pipeline.measured.stage_given import DERIVED, GIVEN, WHOLE
 from pipeline.measured.stage_groups import Given, TrialGroup
-from pipeline.records.batch import Floats
+from pipeline.records.batch import Booleans, Floats
 from pipeline.records.groups import TrialGroups
 from pipeline.records.models import ENERGY_CRITERIA, SETTLING_BANDS, BoundaryPoint, Estimate, ModelCheck, Optimum
 from pipeline.records.table_files import read_metadata, read_table, write_table
@@ -157,7 +157,7 @@ class ExperimentStages:
         return self._groups
 
     def of_each(self, function: Callable[..., Result], **given: Any) -> list[Result]:
-        """Return the results of a function of each group, `TrialGroup` and what is given, in order of the groups."""
+        """Return the results of a function of each group or part of one, `TrialGroup` and what is given, in order."""
         return list(self._mapped(partial(function, given=given), self._judged))
 
     def key(self, stage: str) -> str:
@@ -192,7 +192,7 @@ class ExperimentStages:
         return self._tables[stage]
 
     def compute(self, stages: Sequence[str], mapped: Callable[..., Iterable[Any]]) -> None:
-        """Compute and store some stages, in this order, by a ``map`` that may send groups to other processes."""
+        """Compute and store some stages, in this order, by a ``map`` that may cut groups and send them elsewhere."""
         self._mapped = mapped
         try:
             for stage in stages:
@@ -224,9 +224,10 @@ class ExperimentStages:
         former = self._former(stage, common)
         kept = set(former.column(ROW_KEY).to_pylist())
         groups = self._groups if stage == SAMPLED else self._judged
-        new = [group.select(np.array([key not in kept for key in group.batch.digests])) for group in groups]
-        compute = partial(stage_rows, stage=stage, given=given, rotation=self.rotation)
-        rows = pa.concat_tables([former, *self._mapped(compute, [group for group in new if len(group.batch)])])
+        masks = [np.array([key not in kept for key in group.batch.digests]) for group in groups]
+        new = [number for number, mask in enumerate(masks) if mask.any()]
+        compute = partial(_new_rows, stage=stage, given=given, rotation=self.rotation)
+        rows = pa.concat_tables([former, *self._mapped(compute, [groups[i] for i in new], [masks[i] for i in new])])
         if stage in DERIVED:
             for name, values in DERIVED[stage](self, rows).items():
                 index = rows.schema.get_field_index(name)
@@ -349,6 +350,10 @@ class ExperimentStages:
         return best.model_copy(
             update={"cost_low": None if np.isnan(low) else low, "cost_high": None if np.isnan(high) else high}
         )
+
+
+def _new_rows(of: TrialGroup, new: Booleans, **what: Any) -> pa.Table:
+    return stage_rows(of.select(new), **what)
 
 
 def required(stages: Iterable[str]) -> set[str]:
