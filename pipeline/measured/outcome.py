@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.measured.disturbance import Device, find_disturbance
+from pipeline.measured.disturbance import Device, LargestForce, find_disturbance
 from pipeline.measured.events import UNMOVED_SAMPLES, first_clipped, first_stop, free_samples, left_travel, usual_length
 from pipeline.measured.modes import FEWEST_SAMPLES
 from pipeline.measured.response import NO_ROW, Response
@@ -123,6 +123,7 @@ def classify(
     *,
     usual_rows: int | None = None,
     device: Device | None = None,
+    largest: LargestForce | None = None,
 ) -> Outcomes:
     """Say of each trial what happened in it.
 
@@ -134,6 +135,8 @@ def classify(
         Of the same trials.
     usual_rows, device : int, Device, optional
         `usual_length` of the logs of the experiment, and its device (`find_disturbance`); by default by these trials.
+    largest : LargestForce, optional
+        `largest_force` of the trials beside that device, where it is known already.
 
     Returns
     -------
@@ -155,7 +158,7 @@ def classify(
     band = np.where(batch.stiffness > 0, np.maximum(BAND * travel, response.floor), np.nan)
     end = _end(batch, response, verdicts, band)
     clipped, limit = first_clipped(batch)
-    push = find_disturbance(batch, response, device)
+    push = find_disturbance(batch, response, device, largest)
     stop, left = (
         first_stop(batch, response, push),
         left_travel(batch, response, usual_length(batch.rows) if usual_rows is None else usual_rows),

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 
 import numpy as np
 import pyarrow as pa
 
 from pipeline.measured import costs, damping, delay, fit, friction, mass, onset, outcome, verdict
 from pipeline.measured.cost_intervals import overshoot_interval, settling_interval
-from pipeline.measured.disturbance import Device
+from pipeline.measured.disturbance import Device, largest_force
 from pipeline.measured.energy_intervals import HORIZON_PARTS, energy_interval
 from pipeline.measured.ghost import simulate_ghost
 from pipeline.measured.reading_error import ReadingError, reading_error
@@ -67,7 +68,10 @@ def _response(of: TrialGroup, given: Given) -> Columns:
 
 def _outcome(of: TrialGroup, given: Given) -> Columns:
     device = Device(**given["device"])
-    found = outcome.classify(of.batch, of.found, of.verdicts, usual_rows=given["usual_rows"], device=device)
+    largest = of.once(largest_force, replace(device, typical=0.0))
+    found = outcome.classify(
+        *(of.batch, of.found, of.verdicts), usual_rows=given["usual_rows"], device=device, largest=largest
+    )
     return _conditions(of) | {
         "outcome": list(found.outcome),
         "evidence": list(found.evidence),

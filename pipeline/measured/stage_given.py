@@ -97,7 +97,7 @@ def _outcome(of: Experiment) -> Given:
 
 
 def _largest_force(of: TrialGroup, given: Given) -> Floats:
-    return largest_force(of.batch, of.found, Device(**given["device"]))
+    return of.once(largest_force, Device(**given["device"])).ratio
 
 
 def _with_delay(of: Experiment) -> Given:
@@ -124,7 +124,7 @@ def _sensor(of: Experiment, delay: int) -> Given:
 
 
 def _motion_at_rest(of: TrialGroup, given: Given) -> Floats:
-    return motion_at_rest(of.batch, of.found, given["delay"], given["sensor"])
+    return of.once(motion_at_rest, given["delay"], given["sensor"])
 
 
 def _overshoot(of: Experiment) -> Given:
