@@ -43,6 +43,13 @@ class _Inherited:
 
     def __init__(self, descriptor: int) -> None:
         self.descriptor = descriptor
+        self.content = memoryview(b"")
+
+    def until(self, end: int) -> memoryview:
+        """Return the content, which is mapped anew where it has grown since: each mapping keeps the file open."""
+        if len(self.content) < end:
+            self.content = memoryview(mmap.mmap(self.descriptor, 0, access=mmap.ACCESS_READ))
+        return self.content
 
     def __reduce__(self) -> tuple[Callable[..., _Inherited], tuple[Any]]:
         return _detached, (reduction.DupFd(self.descriptor),)
@@ -140,8 +147,8 @@ def _take(file: _Inherited) -> None:
 @cache
 def _read(spans: Spans) -> TrialGroup:
     """Return the trials of a batch whose arrays are those of the file; once in each process."""
-    whole = memoryview(mmap.mmap(_taken[0].descriptor, 0, access=mmap.ACCESS_READ))
-    *buffers, rest = (whole[begin:end] for begin, end in spans)
+    content = _taken[0].until(spans[-1][1])
+    *buffers, rest = (content[begin:end] for begin, end in spans)
     return TrialGroup(pickle.loads(rest, buffers=buffers))
 
 
