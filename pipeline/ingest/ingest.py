@@ -1,8 +1,7 @@
 """Logs to Parquet: find, recognise what is known, read in batches, validate, store, and refuse with a reason.
 
-A log is known by its content; a source whose size and modification time are unchanged is not even opened.
-Every source ends as ingested, skipped or quarantined, and is never written, moved or locked. One ingest writes at a
-time (`lock`); what it stores becomes visible batch by batch, and an interrupted one is finished by the next.
+A log is known by its content; a source whose size and modification time are unchanged is not even opened. One ingest
+writes at a time (`lock`); what it stores becomes visible batch by batch; the next one finishes an interrupted one.
 """
 
 from __future__ import annotations

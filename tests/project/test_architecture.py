@@ -172,7 +172,7 @@ def test_imports_are_found_wherever_they_stand() -> None:
         "loop",
         "loop.loop",
         "loop.plant",
-        "measured.experiment.stages",
+        "measured.stages.stages",
     }
     source = (
         "import os, pipeline.measured.stages.stages\n"

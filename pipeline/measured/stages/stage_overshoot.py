@@ -29,7 +29,7 @@ def sensor_of(of: Experiment, delay: int) -> Given:
 
 
 def _motion_at_rest(of: TrialGroup, given: Given) -> Floats:
-    return motion_at_rest(of.batch, of.found, given["delay"], given["sensor"])
+    return of.once(motion_at_rest, given["delay"], given["sensor"])
 
 
 def error_of(of: TrialGroup, given: Given) -> ReadingError:
