@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from pipeline.comparison.compare import Outcome, compare
-from pipeline.devices.devices import load_device
-from pipeline.ingest.ingest import ingest
+from pipeline.device_data.devices import load_device
+from pipeline.intake.ingest import ingest
 from pipeline.measured.experiment.stages import ExperimentStages
 from pipeline.records.models import Device
 from pipeline.simulation.course import Course, run_course, write_course

@@ -13,18 +13,18 @@ LONGEST_MODULE = 400
 DIRECTLY: dict[str, tuple[str, ...]] = {
     "base": (),
     "records": ("base",),
-    "devices": ("records",),
+    "device_data": ("records",),
     "profiles": ("records",),
     "readers": ("profiles",),
     "store": ("records",),
-    "ingest": ("readers", "store", "devices"),
-    "repair": ("ingest",),
+    "intake": ("readers", "store", "device_data"),
+    "repair": ("intake",),
     "loop": ("records",),
     "measured": ("records", "store"),
     "theory": ("loop",),
-    "simulation": ("devices", "store", "loop"),
+    "simulation": ("device_data", "store", "loop"),
     "rendering": ("records",),
-    "comparison": ("store", "devices", "profiles", "measured", "theory", "rendering"),
+    "comparison": ("store", "device_data", "profiles", "measured", "theory", "rendering"),
     # they hold estimators against simulated truth, whose exact costs and limits are those of theory
     "studies": ("measured", "theory", "simulation", "rendering"),
 }
@@ -143,7 +143,7 @@ def test_measured_and_theory_never_meet() -> None:
 
 
 def test_measured_quantities_are_functions_of_arrays() -> None:
-    store = modules_in("store") | modules_in("readers") | modules_in("ingest")
+    store = modules_in("store") | modules_in("readers") | modules_in("intake")
     experiment = "measured.experiment"
     quantities = modules_in("measured") - {
         f"{experiment}.stages",

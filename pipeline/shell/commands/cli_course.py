@@ -121,7 +121,7 @@ def simulate(
 
 
 def _device(text: str) -> Device:
-    from pipeline.devices.devices import load_device, read_device
+    from pipeline.device_data.devices import load_device, read_device
 
     return read_device(Path(text)) if text.endswith(".toml") else load_device(text)
 

@@ -21,7 +21,7 @@ from pipeline import __version__
 from pipeline.base.disk import replacing
 from pipeline.base.provenance import code_digest, digest, schema_folder
 from pipeline.base.seal import sealed_json, unsealed_json
-from pipeline.ingest.listing import Folder, list_folders
+from pipeline.intake.listing import Folder, list_folders
 
 NOTE_FILE = ".last_ingest.json"
 

@@ -21,7 +21,7 @@ from pipeline.base.disk import remove, sync_folder
 from pipeline.base.errors import StoreError
 from pipeline.base.lock import WAIT_S, writing
 from pipeline.base.seal import DamageError, verify
-from pipeline.ingest.versions import repair
+from pipeline.intake.versions import repair
 from pipeline.records.models import Motion, Record
 from pipeline.records.table_files import GROUP_ROWS, damaged_file, read_table
 from pipeline.records.tables import TABLES
