@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from pipeline.base.errors import UsageError
+from pipeline.base.outputs import check_output
 from pipeline.shell import console
-from pipeline.shell.outputs import check_output
 
 if TYPE_CHECKING:
     from pipeline.records.models import Device

@@ -9,8 +9,8 @@ from typing import Annotated
 import typer
 
 from pipeline.base.errors import EXIT_QUARANTINED, UsageError
+from pipeline.base.outputs import check_output
 from pipeline.shell import console
-from pipeline.shell.outputs import check_output
 
 profile_app = typer.Typer(
     no_args_is_help=True,

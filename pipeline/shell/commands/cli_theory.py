@@ -8,8 +8,8 @@ from typing import Annotated
 
 import typer
 
+from pipeline.base.outputs import check_output
 from pipeline.shell import console
-from pipeline.shell.outputs import check_output
 
 app = typer.Typer(
     no_args_is_help=True,
