@@ -43,7 +43,7 @@ def frame_of(
 def frame_of_stored(table: pa.Table) -> pd.DataFrame:
     """Return rows of the trials table, with the units of the motions that occur."""
     frame = table.to_pandas()
-    frame.attrs = {"units": units_of(table.column_names, set(table.column("motion").to_pylist()) or _MOTIONS)}
+    frame.attrs = {"units": units_of(table.column_names, table.column("motion").unique().to_pylist() or _MOTIONS)}
     return frame
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import pandas as pd
 
@@ -18,7 +17,7 @@ from pipeline.intake.sources import find_sources
 from pipeline.profiles.profile_files import load_profile, shipped_profiles
 from pipeline.readers import Log, reader_of
 from pipeline.simulation.course import Course, run_course, write_course
-from pipeline.surface.frames import frame_of_response
+from pipeline.surface.frames import SAMPLES, frame_of_response
 
 Place = str | os.PathLike[str]
 
@@ -59,9 +58,8 @@ def ingest(
     ...     ingest([], folder).found
     0
     """
-    alone = isinstance(paths, (str, os.PathLike))
-    places = [paths] if alone else paths
-    return ingest_logs([Path(path) for path in places], Path(processed), _profile(profile))  # type: ignore[arg-type]
+    places = [paths] if isinstance(paths, (str, os.PathLike)) else paths
+    return ingest_logs([Path(path) for path in places], Path(processed), _profile(profile))
 
 
 def read_log(path: Place, profile: Place | None = None, label: str | None = None) -> pd.DataFrame:
@@ -110,16 +108,13 @@ def read_log(path: Place, profile: Place | None = None, label: str | None = None
         raise LogError(
             f"{path}{row}: {error.reason}", error.row, code=error.code, profile_line=error.profile_line
         ) from error
-    header = log.header
-    samples = {
-        "time_s": log.time,
-        "command": log.command,
-        "position": log.position,
-        "force": log.force,
-        "velocity": log.velocity,
-    }
-    about = {name: value for name, value in vars(header).items() if name not in ("motion", "extra")}
-    return frame_of_response(samples, motion, {**about, "label": log.label, "warnings": log.warnings})
+    names = {"time_s": "time", **{name: name for name in SAMPLES[1:]}}
+    conditions = {name: value for name, value in vars(log.header).items() if name not in ("motion", "extra")}
+    return frame_of_response(
+        {column: getattr(log, name) for column, name in names.items()},
+        motion,
+        {**conditions, "label": log.label, "warnings": log.warnings},
+    )
 
 
 def simulate(
@@ -212,5 +207,5 @@ def _chosen(logs: Sequence[Log], label: str | None, path: Place) -> Log:
     return named[0]
 
 
-def _profile(profile: Any) -> str | Path | None:
+def _profile(profile: Place | None) -> str | Path | None:
     return profile if profile is None or isinstance(profile, str) else Path(profile)

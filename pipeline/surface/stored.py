@@ -23,7 +23,10 @@ from pipeline.store.storage import list_devices, list_experiments, read_trials
 from pipeline.surface.frames import SAMPLES, frame_of, frame_of_response, frame_of_stored, units_of
 from pipeline.surface.logs import Place
 
-_CONDITIONS = ("stiffness", "damping", "step", "sampling_period_s")
+_CONDITIONS = (
+    *("device", "experiment", "stiffness", "damping", "step", "sampling_period_s", "added_delay_samples", "grip"),
+    "simulated",
+)
 _COSTS = ("experiment", "trial_id", "stiffness", "damping", "verdict", "criterion", "cost", "low", "high", "reason")
 _ESTIMATES = (
     *("experiment", "quantity", "value", "low", "high", "unit", "method", "recommended", "reason", "trials"),
@@ -131,16 +134,14 @@ def samples(processed: Place, trial_id: str) -> pd.DataFrame:
     table = table.take(np.flatnonzero([name == trial_id for name in table.column("trial_id").to_pylist()]))
     if not table.num_rows:
         raise UsageError(f"{folder}: no trial {trial_id!r}. `trials` lists them in its column trial_id.")
-    (row,) = (
-        table.select([*_CONDITIONS, "device", "experiment", "motion", "added_delay_samples", "grip", "simulated"])
-        .slice(0, 1)
-        .to_pylist()
-    )
-    motion: Motion = row.pop("motion")
+    (row,) = table.slice(0, 1).to_pylist()
     batch = load_batch(folder, table.slice(0, 1))
     fields = {"time_s": batch.time, **{name: getattr(batch, name) for name in SAMPLES[1:]}}
-    columns = {name: None if values is None else values[0] for name, values in fields.items()}
-    return frame_of_response(columns, motion, {"trial_id": trial_id, **row})
+    return frame_of_response(
+        {name: None if values is None else values[0] for name, values in fields.items()},
+        row["motion"],
+        {"trial_id": trial_id, **{name: row[name] for name in _CONDITIONS}},
+    )
 
 
 def estimates(
@@ -275,17 +276,18 @@ def _plain(estimate: Estimate) -> dict[str, Any]:
 
 
 def _cost_rows(stages: ExperimentStages) -> Iterator[dict[str, Any]]:
-    names = stages.texts("response", "trial_id")
-    stiffness, damping = (stages.column("response", name).tolist() for name in ("stiffness", "damping"))
-    verdicts = stages.verdicts.verdict.tolist()
+    trial = {
+        "trial_id": stages.texts("response", "trial_id"),
+        "stiffness": stages.column("response", "stiffness"),
+        "damping": stages.column("response", "damping"),
+        "verdict": stages.verdicts.verdict.tolist(),
+    }
     for criterion in CRITERIA:
-        cost, (low, high) = stages.cost(criterion)[0], stages.cost_interval(criterion)
-        reasons = stages.texts(cost_column(criterion)[0], "reason")
-        for row in zip(
-            names, stiffness, damping, verdicts, cost.tolist(), low.tolist(), high.tolist(), reasons, strict=True
-        ):
-            values = dict(zip((*_COSTS[1:5], *_COSTS[6:]), row, strict=True))
-            yield {"experiment": stages.experiment, "criterion": criterion, **values, "reason": row[-1] or None}
+        low, high = stages.cost_interval(criterion)
+        reason = [text or None for text in stages.texts(cost_column(criterion)[0], "reason")]
+        columns = {**trial, "cost": stages.cost(criterion)[0], "low": low, "high": high, "reason": reason}
+        for row in zip(*columns.values(), strict=True):
+            yield {"experiment": stages.experiment, "criterion": criterion, **dict(zip(columns, row, strict=True))}
 
 
 def _open(processed: Place, device: str, experiment: str | None, criteria: Sequence[str] | None = None) -> SceneData:

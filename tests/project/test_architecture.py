@@ -25,6 +25,7 @@ DIRECTLY: dict[str, tuple[str, ...]] = {
     "simulation": ("device_data", "store", "loop"),
     "rendering": ("records",),
     "comparison": ("store", "device_data", "profiles", "measured", "theory", "rendering"),
+    "surface": ("intake", "simulation", "comparison"),
     # they hold estimators against simulated truth, whose exact costs and limits are those of theory
     "studies": ("measured", "theory", "simulation", "rendering"),
 }
@@ -47,10 +48,19 @@ MOST_MODULES = 18
 """Of one folder, without its ``__init__``."""
 
 
-def imports_of(source: str, modules: set[str], package: str = "") -> set[str]:
+def executed(tree: ast.Module) -> ast.Module:
+    """The module without what type checkers alone read; ``pipeline`` offers by name what others import it for."""
+    tree.body = [
+        node for node in tree.body if not (isinstance(node, ast.If) and getattr(node.test, "id", "") == "TYPE_CHECKING")
+    ]
+    return tree
+
+
+def imports_of(source: str, modules: set[str], package: str = "", own: str = "") -> set[str]:
     """Modules of the package that a source text imports; ``package`` is where relative imports start."""
     found = set()
-    for node in ast.walk(ast.parse(source)):
+    tree = ast.parse(source)
+    for node in ast.walk(executed(tree) if own == "__init__" else tree):
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
@@ -81,7 +91,7 @@ def module_files() -> dict[str, Path]:
 
 FILES = module_files()
 IMPORTS = {
-    name: imports_of(path.read_text(encoding="utf-8"), set(FILES), name.rpartition(".")[0]) - {name}
+    name: imports_of(path.read_text(encoding="utf-8"), set(FILES), name.rpartition(".")[0], name) - {name}
     for name, path in FILES.items()
 }
 TOP = {"__init__": "base", "__main__": "shell"}
@@ -164,6 +174,11 @@ def test_nothing_imports_the_command_line() -> None:
         if name == "__main__" or name == "shell.cli" or name.startswith("shell.commands.")
     }
     assert {name for name in FILES if name not in shell and IMPORTS[name] & shell} == set()
+
+
+def test_the_package_itself_imports_nothing() -> None:
+    """What it offers by name (`test_public`) is above all that imports it."""
+    assert IMPORTS["__init__"] == set()
 
 
 def test_no_module_is_long() -> None:
