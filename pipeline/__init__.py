@@ -38,9 +38,22 @@ _PUBLIC = {
 """Public names by the module that defines them."""
 
 __all__ = [
-    *("ingest", "read_log", "simulate"),
-    *("devices", "experiments", "trials", "samples", "estimates", "boundary", "optima", "costs"),
-    *("Comparison", "compare", "load", "Loop", "PipelineError"),
+    "Comparison",
+    "Loop",
+    "PipelineError",
+    "boundary",
+    "compare",
+    "costs",
+    "devices",
+    "estimates",
+    "experiments",
+    "ingest",
+    "load",
+    "optima",
+    "read_log",
+    "samples",
+    "simulate",
+    "trials",
 ]
 
 
