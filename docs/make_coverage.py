@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.devices.devices import find_experiment, load_device
+from pipeline.device_data.devices import find_experiment, load_device
 from pipeline.measured.fit.fit import Fit, fit_trials
 from pipeline.measured.signal.response import find_response
 from pipeline.records.batch import Booleans, Floats, TrialBatch

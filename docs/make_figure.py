@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.comparison.figures.boundary_curves import theory_curve
-from pipeline.devices.devices import load_device
+from pipeline.device_data.devices import load_device
 from pipeline.measured.cost.costs import WEIGHTS, energy
 from pipeline.measured.device.delay import first_change
 from pipeline.measured.device.onset import motion_onset, rounded

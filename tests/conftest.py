@@ -11,8 +11,8 @@ import pytest
 
 from pipeline.base import provenance
 from pipeline.comparison.compare import Outcome, compare
-from pipeline.devices.devices import load_device
-from pipeline.ingest.ingest import ingest
+from pipeline.device_data.devices import load_device
+from pipeline.intake.ingest import ingest
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.models import Device
 from pipeline.simulation.course import Course, run_course, write_course

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from pipeline.comparison.scene.scene import SceneData
-from pipeline.devices.published import find
+from pipeline.device_data.published import find
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.models import CRITERIA, SETTLING_BANDS, ComparisonRow, Optimum, Shown, TableLayout
 from pipeline.records.results import ExperimentResult

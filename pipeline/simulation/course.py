@@ -20,7 +20,7 @@ import numpy as np
 from pipeline import __version__
 from pipeline.base.disk import TEMPORARY_ENDING, write_text
 from pipeline.base.errors import ParameterError, PipelineError, UsageError
-from pipeline.devices.devices import find_experiment
+from pipeline.device_data.devices import find_experiment
 from pipeline.measured.signal.verdict import judge as judge_log
 from pipeline.records.batch import Floats, Integers, TrialBatch
 from pipeline.records.models import Device, Experiment

@@ -142,12 +142,13 @@ def point_costs(cases: Cases) -> list[dict[str, Any]]:
         except ParameterError as error:
             raise ParameterError(f"{cases.path}, row {cases.row[members[0]]}: {error}") from error
         alpha, beta = cases.values[members, 0], cases.values[members, 1]
-        for index, document in zip(members, _points_of_loop(loop, alpha, beta), strict=True):
+        for index, document in zip(members, points_of_loop(loop, alpha, beta), strict=True):
             documents[index] = document
     return documents
 
 
-def _points_of_loop(loop: Loop, alpha: Floats, beta: Floats) -> list[dict[str, Any]]:
+def points_of_loop(loop: Loop, alpha: Floats, beta: Floats) -> list[dict[str, Any]]:
+    """Return the documents of `point_costs` for points of one loop; alpha and beta are finite, shape (n,)."""
     radius = spectral_radius(loop, alpha, beta)
     stable = stable_by_radius(loop, alpha, radius)
     usable = np.flatnonzero(stable & (radius < 1 - MARGINAL))

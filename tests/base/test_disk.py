@@ -11,8 +11,8 @@ from native_logs import FAULTS, log_text
 
 from pipeline.base import disk, lock
 from pipeline.base.disk import NewFile, publish_all, remove_temporary, replacing
-from pipeline.ingest.ingest import ingest
-from pipeline.ingest.quarantine import RECORD_FILE
+from pipeline.intake.ingest import ingest
+from pipeline.intake.quarantine import RECORD_FILE
 
 
 def test_threads_may_write_one_file(tmp_path):

@@ -20,7 +20,7 @@ from pipeline.base import provenance
 from pipeline.base.provenance import PACKAGE_FOLDER, code_digest, reachable, schema_folder
 from pipeline.comparison import compare
 from pipeline.comparison.compare import report_code
-from pipeline.ingest import ingest
+from pipeline.intake import ingest
 from pipeline.measured.cost import cost_intervals, tail
 from pipeline.measured.device import friction, onset
 from pipeline.measured.experiment import boundary_band, known_delay

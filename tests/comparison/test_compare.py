@@ -15,7 +15,7 @@ from pipeline.comparison import compare as comparison
 from pipeline.comparison.compare import compare
 from pipeline.comparison.figures.figure_data import FigureBuilder
 from pipeline.comparison.scene.scene import LEAVE_OUT, REUSE, RUN
-from pipeline.ingest.ingest import ingest
+from pipeline.intake.ingest import ingest
 from pipeline.measured.stages import stage_tables
 from pipeline.records.results import ComparisonResult
 from pipeline.rendering.report import report

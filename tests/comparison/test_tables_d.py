@@ -89,7 +89,7 @@ def test_theory_of_d4_to_d6_is_the_published_one(lwr_outcome):
 def test_theory_of_d3_and_of_all_delays_is_the_published_one(sweep, tmp_path_factory, one_process):
     import conftest
 
-    from pipeline.devices.devices import load_device
+    from pipeline.device_data.devices import load_device
 
     firm = conftest.make_lab(tmp_path_factory.mktemp("firm"), load_device("falcon"), ("6",), ideal=True, coarsen=6)
     rows = theory_rows(firm.compare())
@@ -148,7 +148,7 @@ def test_conditions_are_named_as_published():
 
 
 def layouts_of_device(name):
-    from pipeline.devices.devices import load_device
+    from pipeline.device_data.devices import load_device
 
     return load_device(name).tables
 

@@ -141,6 +141,19 @@ def test_ingest_loads_what_it_needs(tmp_path):
         assert loaded(*command) == ()
 
 
+def test_ingest_does_without_pandas(tmp_path):
+    (tmp_path / "a.csv").write_text(log_text(300.0))
+    script = (
+        "import sys\nfrom pipeline.shell.cli import run\ntry:\n    run()\nfinally:\n    print('pandas' in sys.modules)"
+    )
+    words = ["ingest", "a.csv", "--json"]
+    done = subprocess.run(
+        [sys.executable, "-c", script, *words], capture_output=True, text=True, cwd=tmp_path, check=True
+    )
+    assert json.loads(done.stdout[: done.stdout.rindex("}") + 1])["ingested"] == 1
+    assert done.stdout.splitlines()[-1] == "False"
+
+
 def test_a_command_alone_is_that_of_the_whole_command_line():
     whole = typer.main.get_command(app)
     for name in cli.COMMANDS:

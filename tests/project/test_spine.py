@@ -16,8 +16,8 @@ from report_data import HOSTILE
 
 from pipeline.base.errors import DeviceError
 from pipeline.comparison.compare import compare
-from pipeline.devices.devices import load_device
-from pipeline.ingest.ingest import ingest
+from pipeline.device_data.devices import load_device
+from pipeline.intake.ingest import ingest
 from pipeline.measured.stages.stages import STAGES, ExperimentStages
 from pipeline.records.models import CRITERIA
 from pipeline.records.native import NativeHeader, format_header

@@ -23,8 +23,8 @@ from places import ROOT
 from pipeline.base import disk
 from pipeline.base.disk import write_text
 from pipeline.comparison.compare import compare
-from pipeline.devices.devices import load_device
-from pipeline.ingest.ingest import ingest
+from pipeline.device_data.devices import load_device
+from pipeline.intake.ingest import ingest
 from pipeline.measured.cost import costs, energy_intervals
 from pipeline.measured.experiment import known_delay
 from pipeline.measured.signal.verdict import judge

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from pipeline.base.errors import DeviceError, ParameterError, PipelineError, UsageError
-from pipeline.devices.devices import find_experiment, load_device
+from pipeline.device_data.devices import find_experiment, load_device
 from pipeline.records.batch import TrialBatch
 from pipeline.records.models import Device
 from pipeline.records.native import parse_header

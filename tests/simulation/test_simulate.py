@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 
 from pipeline.base.errors import ParameterError
-from pipeline.devices.devices import load_device
+from pipeline.device_data.devices import load_device
 from pipeline.records.batch import Floats, Integers, TrialBatch
 from pipeline.simulation.simulate import (
     MassSpringDamper,

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from pipeline.base.errors import StoreError
 from pipeline.base.seal import MARK
-from pipeline.ingest.ingest import ingest
+from pipeline.intake.ingest import ingest
 from pipeline.records.native import NativeHeader, format_header
 from pipeline.records.table_files import read_table, write_table
 from pipeline.records.tables import COLUMNS, TABLES, to_arrow

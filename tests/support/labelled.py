@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.devices.devices import find_experiment, load_device
+from pipeline.device_data.devices import find_experiment, load_device
 from pipeline.records.batch import TrialBatch
 from pipeline.simulation.simulate import Setup, idealise, setup_of, simulate, spectral_radius
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pipeline.base.errors import DeviceError, StoreError, UsageError
-from pipeline.devices.devices import known_devices
+from pipeline.device_data.devices import known_devices
 from pipeline.measured.stages.stages import STAGES, ExperimentStages, required
 from pipeline.records.models import CRITERIA, ENERGY_CRITERIA, SETTLING_BANDS, Device, Scene, Shown
 from pipeline.store.storage import list_devices, list_experiments, read_trials

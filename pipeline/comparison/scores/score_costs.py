@@ -10,7 +10,7 @@ from pipeline.comparison.figures.figure_data import DAMPED, shows_damped
 from pipeline.comparison.scene.scene import SceneData
 from pipeline.comparison.scores.agreement import rank_agreement
 from pipeline.comparison.tables_d import layouts
-from pipeline.devices.published_theory import published_points
+from pipeline.device_data.published_theory import published_points
 from pipeline.loop.loop import Loop
 from pipeline.measured.experiment.aggregate import NO_OVERSHOOT, without_overshoot
 from pipeline.measured.stages.stages import ExperimentStages, cost_column

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from pipeline.base.errors import EXIT_ERROR, UsageError
+from pipeline.base.outputs import check_output
 from pipeline.shell import console
 from pipeline.shell.commands import cli_theory
-from pipeline.shell.outputs import check_output
 
 if TYPE_CHECKING:
     from pipeline.rendering.report.report_against import AgainstPage

@@ -8,8 +8,8 @@ from typing import Annotated
 
 import typer
 
+from pipeline.base.outputs import check_output
 from pipeline.shell import console
-from pipeline.shell.outputs import check_output
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -159,7 +159,7 @@ def tables(
 
     Example: pipeline theory tables --table C.1 --table C.2
     """
-    from pipeline.devices.published_theory import THEORY_TABLES
+    from pipeline.device_data.published_theory import THEORY_TABLES
     from pipeline.studies.thesis import table_text
     from pipeline.studies.thesis import tables as theory
 

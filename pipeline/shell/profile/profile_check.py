@@ -13,9 +13,9 @@ import numpy as np
 
 from pipeline.base.errors import LogError
 from pipeline.base.units import UNITS
-from pipeline.devices.devices import known_devices
-from pipeline.ingest.reading import load_source, motion_of
-from pipeline.ingest.sources import find_sources
+from pipeline.device_data.devices import known_devices
+from pipeline.intake.reading import load_source, motion_of
+from pipeline.intake.sources import find_sources
 from pipeline.measured.signal.response import NO_ROW, find_response
 from pipeline.profiles.profile_columns import QUANTITIES, ColumnSource, TimeSource
 from pipeline.profiles.profile_model import CONDITION_QUANTITIES, CONDITIONS, Profile

@@ -16,7 +16,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from pipeline.comparison.scene.origin import joint_sha256
-from pipeline.ingest.ingest import ingest
+from pipeline.intake.ingest import ingest
 from pipeline.profiles.profile_files import load_profile, shipped_profiles
 from pipeline.records.batch import Floats, TrialBatch
 from pipeline.records.models import Record

@@ -25,9 +25,9 @@ from pipeline.base.provenance import digest
 from pipeline.comparison.compare import compare
 from pipeline.comparison.scene.scene import RUN
 from pipeline.comparison.scene.scene_file import read_scene
-from pipeline.ingest.ingest import ingest
-from pipeline.ingest.ingest_report import IngestReport, Refusal
-from pipeline.ingest.quarantine import list_quarantine
+from pipeline.intake.ingest import ingest
+from pipeline.intake.ingest_report import IngestReport, Refusal
+from pipeline.intake.quarantine import list_quarantine
 from pipeline.records.models import SceneFile
 from pipeline.shell.report_index import write_index
 from pipeline.store.names import report_of

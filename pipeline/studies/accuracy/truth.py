@@ -11,7 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
-from pipeline.devices.devices import find_experiment, load_device
+from pipeline.device_data.devices import find_experiment, load_device
 from pipeline.loop.loop import Loop, Normalised
 from pipeline.measured.signal.response import Response, find_response
 from pipeline.measured.signal.verdict import Verdicts, judge

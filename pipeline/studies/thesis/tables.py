@@ -21,7 +21,7 @@ from typing import Literal
 import numpy as np
 
 from pipeline.base.process_pool import process_pool
-from pipeline.devices.published_theory import THEORY_TABLES, PrintedNumber, PublishedPoint, published_points
+from pipeline.device_data.published_theory import THEORY_TABLES, PrintedNumber, PublishedPoint, published_points
 from pipeline.loop.loop import Loop
 from pipeline.studies.thesis.curves import point_cost
 from pipeline.theory.cost.energy import energy_costs

@@ -212,7 +212,7 @@ def test_logs_that_contradict_the_device_file_are_named(tmp_path):
     from native_logs import ROWS, log_text
 
     from pipeline.comparison.compare import compare
-    from pipeline.ingest.ingest import ingest
+    from pipeline.intake.ingest import ingest
 
     logs = tmp_path / "logs"
     logs.mkdir()

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from pipeline.base.errors import ParameterError
-from pipeline.devices.devices import load_device
+from pipeline.device_data.devices import load_device
 from pipeline.measured.experiment.boundary_band import boundary_area, boundary_band
 from pipeline.measured.intervals import NORMAL_95
 from pipeline.measured.signal.verdict import judge

@@ -16,7 +16,7 @@ from scipy.signal import cont2discrete, dlsim
 from simulated import FALCON, LWR, simulate
 
 from pipeline.base.errors import ParameterError
-from pipeline.devices.devices import find_experiment, load_device
+from pipeline.device_data.devices import find_experiment, load_device
 from pipeline.measured.fit.fit import fit_trials, model_position
 from pipeline.measured.signal.response import find_response
 from pipeline.records.batch import TrialBatch

@@ -24,9 +24,9 @@ from pipeline.base import lock
 from pipeline.base.provenance import USER_FOLDER_VARIABLE
 from pipeline.comparison.compare import compare
 from pipeline.comparison.scene.scene_file import read_scene
-from pipeline.devices.devices import load_device
-from pipeline.ingest.ingest import ingest
-from pipeline.ingest.quarantine import list_quarantine
+from pipeline.device_data.devices import load_device
+from pipeline.intake.ingest import ingest
+from pipeline.intake.quarantine import list_quarantine
 from pipeline.rendering.report.report import cells
 from pipeline.shell.cli import run
 from pipeline.shell.commands.cli_watch import line_of
@@ -608,7 +608,7 @@ def test_the_process_that_looks_is_small():
         "jinja2",
         "pydantic",
         "pipeline.comparison.compare",
-        "pipeline.ingest.ingest",
+        "pipeline.intake.ingest",
     ]
     script = "import sys, pipeline.shell.cli, pipeline.shell.watch.watch\n"
     script += f"print([name for name in {heavy} if name in sys.modules])"

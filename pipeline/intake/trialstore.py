@@ -18,8 +18,8 @@ from pipeline import __version__
 from pipeline.base.disk import make_folders
 from pipeline.base.file_names import path_text
 from pipeline.base.provenance import sha256 as hash_of
-from pipeline.ingest.reading import motion_of
-from pipeline.ingest.sources import Source
+from pipeline.intake.reading import motion_of
+from pipeline.intake.sources import Source
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers import Log
 from pipeline.readers.time_axis import step_flags

@@ -13,7 +13,7 @@ from native_logs import short_log
 
 from pipeline.base import disk
 from pipeline.base.errors import LogError
-from pipeline.ingest.ingest import ingest
+from pipeline.intake.ingest import ingest
 from pipeline.store.storage import read_trials
 
 PROFILE = """
@@ -138,7 +138,7 @@ def test_a_rename_that_is_interrupted_is_finished(named, monkeypatch):
     named.ingest()
     log.rename(named.logs / "K900_a.csv")
     with monkeypatch.context() as patch:
-        patch.setattr("pipeline.ingest.ingest.drop_superseded", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+        patch.setattr("pipeline.intake.ingest.drop_superseded", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
         with pytest.raises(KeyboardInterrupt):
             named.ingest()
     assert len(named.rows()) == 2, "both stand there for a moment"
@@ -157,7 +157,7 @@ def test_a_renamed_log_that_is_refused_keeps_its_former_trials(named, monkeypatc
         raise LogError("its device is another one", code="condition-wrong")
 
     with monkeypatch.context() as patch:
-        patch.setattr("pipeline.ingest.trialstore.motion_of", refuse)
+        patch.setattr("pipeline.intake.trialstore.motion_of", refuse)
         report = named.ingest()
     assert (len(report.quarantined), report.removed, report.changed) == (1, (str(log),), ())
     assert named.rows() == [("K100_a.csv", 100.0)]

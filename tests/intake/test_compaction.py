@@ -12,9 +12,9 @@ from native_logs import short_log
 from stored import check_whole, stored_rows
 
 from pipeline.base.errors import StoreError
-from pipeline.ingest import compaction
-from pipeline.ingest.compaction import compact, find_orphans
-from pipeline.ingest.ingest import ingest
+from pipeline.intake import compaction
+from pipeline.intake.compaction import compact, find_orphans
+from pipeline.intake.ingest import ingest
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records import table_files
 from pipeline.store import storage

@@ -12,8 +12,8 @@ from pathlib import Path
 from pipeline.base.errors import Code, UsageError
 from pipeline.base.file_names import path_of_text, path_text
 from pipeline.base.regular_files import OutsideError, is_gone, real_file
-from pipeline.ingest.bags import bag_of, may_belong
-from pipeline.ingest.listing import Notice, list_folders
+from pipeline.intake.bags import bag_of, may_belong
+from pipeline.intake.listing import Notice, list_folders
 from pipeline.profiles.profile_files import claim
 from pipeline.profiles.profile_model import Profile
 

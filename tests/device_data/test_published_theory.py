@@ -9,9 +9,15 @@ import pytest
 from places import SHARED
 from pydantic import ValidationError
 
-import pipeline.devices.published_theory as module
+import pipeline.device_data.published_theory as module
 from pipeline.base.errors import ParameterError, StoreError
-from pipeline.devices.published_theory import QUANTITIES, THEORY_TABLES, PrintedNumber, PublishedPoint, published_points
+from pipeline.device_data.published_theory import (
+    QUANTITIES,
+    THEORY_TABLES,
+    PrintedNumber,
+    PublishedPoint,
+    published_points,
+)
 from pipeline.theory.optimum.optimum import criterion_names
 from pipeline.theory.optimum.rules import POINT_CRITERIA
 
@@ -139,7 +145,7 @@ def test_an_unknown_table_is_refused_with_the_list() -> None:
 
 
 def test_a_damaged_or_missing_file_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("pipeline.devices.published.schema_folder", lambda: tmp_path)
+    monkeypatch.setattr("pipeline.device_data.published.schema_folder", lambda: tmp_path)
     module._all_points.cache_clear()
     try:
         with pytest.raises(StoreError, match=r"hulin-2017-theory\.csv"):

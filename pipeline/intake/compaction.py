@@ -22,7 +22,7 @@ from pipeline.base.errors import StoreError
 from pipeline.base.json_seal import DamageError
 from pipeline.base.lock import WAIT_S, writing
 from pipeline.base.seal import verify
-from pipeline.ingest.versions import repair
+from pipeline.intake.versions import repair
 from pipeline.records.models import Motion, Record
 from pipeline.records.table_files import GROUP_ROWS, damaged_file, read_table
 from pipeline.records.tables import TABLES

@@ -8,11 +8,11 @@ import pytest
 from native_logs import FAULTS, log_text, short_log
 
 from pipeline.base import regular_files
-from pipeline.ingest import ingest as ingest_module
-from pipeline.ingest import reading, rerun, sources
-from pipeline.ingest.ingest import ingest
-from pipeline.ingest.quarantine import list_quarantine
-from pipeline.ingest.rerun import NOTE_FILE, Search, recall
+from pipeline.intake import ingest as ingest_module
+from pipeline.intake import reading, rerun, sources
+from pipeline.intake.ingest import ingest
+from pipeline.intake.quarantine import list_quarantine
+from pipeline.intake.rerun import NOTE_FILE, Search, recall
 
 LONG_AGO = time.time_ns() - 60 * 10**9
 

@@ -21,7 +21,7 @@ from pipeline import __version__
 from pipeline.base.disk import replacing
 from pipeline.base.json_seal import sealed_json, unsealed_json
 from pipeline.base.provenance import code_digest, digest, schema_folder
-from pipeline.ingest.listing import Folder, Listing, Notice, listing_of
+from pipeline.intake.listing import Folder, Listing, Notice, listing_of
 
 NOTE_FILE = ".last_ingest.json"
 

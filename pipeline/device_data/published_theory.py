@@ -17,11 +17,11 @@ from typing import Annotated, Self
 from pydantic import Field, field_validator, model_validator
 
 from pipeline.base.errors import ParameterError
-from pipeline.devices.published import shipped_rows
+from pipeline.device_data.published import shipped_rows
 from pipeline.records.models import Name, NonNegative, Record
 
 THEORY_TABLES = ("B.1", "B.2", "B.3", "B.4", "C.1", "C.2", "C.3", "5.1(a)", "5.1(b)")
-"""Tables of theory alone; those of appendix D are in `pipeline.devices.published`."""
+"""Tables of theory alone; those of appendix D are in `pipeline.device_data.published`."""
 
 QUANTITIES = ("alpha", "beta", "cost", "percent", "scaling")
 """Numbers that a row may have."""

@@ -11,7 +11,7 @@ import pyarrow as pa
 
 from pipeline.base.disk import TEMPORARY_ENDING, remove, remove_temporary
 from pipeline.base.seal import read_annex
-from pipeline.ingest.rerun import NOTE_FILE
+from pipeline.intake.rerun import NOTE_FILE
 from pipeline.records.table_files import read_table, write_table
 from pipeline.store.batch_files import remove_batches
 from pipeline.store.storage import FILE, VERSION_COLUMNS, newest_versions, read_versions

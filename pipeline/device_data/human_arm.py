@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from functools import cache
 
-from pipeline.devices.published import shipped_rows
+from pipeline.device_data.published import shipped_rows
 from pipeline.records.models import Positive, Record
 
 _FILE = "hulin-2017-human-arm.csv"

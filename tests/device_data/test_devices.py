@@ -10,7 +10,7 @@ from places import SHARED
 
 from pipeline.base.errors import DeviceError
 from pipeline.base.provenance import USER_FOLDER_VARIABLE, schema_folder
-from pipeline.devices.devices import find_experiment, known_devices, load_device, read_device
+from pipeline.device_data.devices import find_experiment, known_devices, load_device, read_device
 
 TABLES = SHARED / "reference" / "tables"
 FALCON = schema_folder() / "devices" / "falcon.toml"

@@ -13,7 +13,7 @@ from itertools import islice
 from pipeline.base.errors import LogError
 from pipeline.base.file_names import storable
 from pipeline.base.regular_files import open_regular
-from pipeline.ingest.sources import Source
+from pipeline.intake.sources import Source
 from pipeline.readers import Log, RawLog, reader_of
 from pipeline.records.models import Motion
 from pipeline.store.names import folder_name

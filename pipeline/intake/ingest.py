@@ -18,9 +18,9 @@ from pipeline.base.file_names import path_of_text, path_text, storable
 from pipeline.base.lock import WAIT_S, writing
 from pipeline.base.process import Ended
 from pipeline.base.regular_files import is_gone
-from pipeline.devices.devices import known_devices
-from pipeline.ingest.compaction import merge_small
-from pipeline.ingest.ingest_report import (
+from pipeline.device_data.devices import known_devices
+from pipeline.intake.compaction import merge_small
+from pipeline.intake.ingest_report import (
     Action,
     ChangedSource,
     IngestReport,
@@ -31,12 +31,12 @@ from pipeline.ingest.ingest_report import (
     repeated,
     when_stopped,
 )
-from pipeline.ingest.quarantine import Keeper, QuarantineRecord, list_quarantine, record_of, release
-from pipeline.ingest.reading import Read, batches_of, in_order, read_and_check
-from pipeline.ingest.rerun import Look, Search
-from pipeline.ingest.sources import Source, by_rest, find_sources, is_settled, removed_below
-from pipeline.ingest.trialstore import TrialWriter, accepted_logs
-from pipeline.ingest.versions import StoredSource, StoredSources, drop_superseded, repair, why_ingested
+from pipeline.intake.quarantine import Keeper, QuarantineRecord, list_quarantine, record_of, release
+from pipeline.intake.reading import Read, batches_of, in_order, read_and_check
+from pipeline.intake.rerun import Look, Search
+from pipeline.intake.sources import Source, by_rest, find_sources, is_settled, removed_below
+from pipeline.intake.trialstore import TrialWriter, accepted_logs
+from pipeline.intake.versions import StoredSource, StoredSources, drop_superseded, repair, why_ingested
 from pipeline.profiles.profile_files import load_profile, shipped_profiles
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers import Log

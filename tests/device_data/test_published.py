@@ -9,10 +9,10 @@ from pathlib import Path
 import pytest
 from places import SHARED
 
-import pipeline.devices.published
+import pipeline.device_data.published
 from pipeline.base.errors import StoreError
-from pipeline.devices.devices import load_device
-from pipeline.devices.published import find, published_rows
+from pipeline.device_data.devices import load_device
+from pipeline.device_data.published import find, published_rows
 
 TABLES = SHARED / "reference" / "tables"
 needs_tables = pytest.mark.skipif(not TABLES.is_dir(), reason="published tables (../shared) are not here")
@@ -91,8 +91,8 @@ def test_what_is_not_printed_is_not_found() -> None:
 
 
 def test_a_damaged_or_missing_file_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pipeline.devices.published, "schema_folder", lambda: tmp_path)
-    pipeline.devices.published._all_rows.cache_clear()
+    monkeypatch.setattr(pipeline.device_data.published, "schema_folder", lambda: tmp_path)
+    pipeline.device_data.published._all_rows.cache_clear()
     try:
         with pytest.raises(StoreError, match=r"hulin-2017\.csv"):
             published_rows("falcon")
@@ -102,7 +102,7 @@ def test_a_damaged_or_missing_file_is_named(tmp_path: Path, monkeypatch: pytest.
         with pytest.raises(StoreError, match=r"(?s)data row 1.*cost"):
             published_rows("falcon")
     finally:
-        pipeline.devices.published._all_rows.cache_clear()
+        pipeline.device_data.published._all_rows.cache_clear()
 
 
 def test_costs_are_numbers() -> None:

@@ -16,10 +16,10 @@ from places import SHARED
 
 from pipeline.base import disk
 from pipeline.base.errors import ProfileError, StoreError, UsageError
-from pipeline.ingest import compaction, reading
-from pipeline.ingest import ingest as ingest_module
-from pipeline.ingest.ingest import ingest
-from pipeline.ingest.quarantine import list_quarantine
+from pipeline.intake import compaction, reading
+from pipeline.intake import ingest as ingest_module
+from pipeline.intake.ingest import ingest
+from pipeline.intake.quarantine import list_quarantine
 from pipeline.records.native import NativeHeader, format_header
 from pipeline.store.samples import load_batch
 from pipeline.store.storage import list_devices, list_experiments, read_trials

@@ -1,4 +1,4 @@
-"""Files that a command is asked to write: refused before the work begins, not after minutes of it."""
+"""Files that are asked for: refused before the work begins, not after minutes of it."""
 
 from __future__ import annotations
 

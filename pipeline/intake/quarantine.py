@@ -20,8 +20,8 @@ from pipeline.base.file_names import path_of_text, path_text, storable
 from pipeline.base.json_seal import sealed_json, unsealed_json
 from pipeline.base.provenance import digest
 from pipeline.base.regular_files import open_regular
-from pipeline.ingest.excerpt import NOTHING, Excerpt, excerpt_of
-from pipeline.ingest.sources import Source
+from pipeline.intake.excerpt import NOTHING, Excerpt, excerpt_of
+from pipeline.intake.sources import Source
 from pipeline.records.models import Record
 
 LARGEST_COPY = 64 << 20

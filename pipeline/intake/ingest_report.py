@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Literal
 
 from pipeline.base.errors import Code
-from pipeline.ingest.quarantine import QuarantineRecord
-from pipeline.ingest.sources import Source
+from pipeline.intake.quarantine import QuarantineRecord
+from pipeline.intake.sources import Source
 from pipeline.records.models import Record
 
 Action = Literal["ingest", "skip", "refuse", "wait"]
