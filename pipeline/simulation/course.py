@@ -25,8 +25,11 @@ from pipeline.measured.signal.verdict import judge as judge_log
 from pipeline.records.batch import Floats, Integers, TrialBatch
 from pipeline.records.models import Device, Experiment
 from pipeline.records.native import NativeHeader, format_header
+from pipeline.simulation.plants import plant_of
 from pipeline.simulation.procedure import AT_ZERO_STIFFNESS, Climb, Strings
-from pipeline.simulation.simulate import MassSpringDamper, Setup, idealise, setup_of, simulate, spectral_radius
+from pipeline.simulation.radius import spectral_radius
+from pipeline.simulation.setup import Setup, idealise, setup_of
+from pipeline.simulation.simulate import simulate
 from pipeline.store.names import place_of
 
 COLUMNS_AHEAD = 6
@@ -286,20 +289,22 @@ def _earlier_logs(target: Path, overwrite: bool) -> set[str]:
 
 def _truth(course: Course) -> dict[str, Any]:
     setup, experiment, batch = course.setup, course.experiment, course.batch
-    plant = MassSpringDamper(experiment.mass, experiment.damping, experiment.stiffness)
-    radius = spectral_radius(plant, setup, batch.stiffness, batch.damping)
+    parts = course.device.loop_of(experiment)
+    radius = spectral_radius(plant_of(experiment, parts), setup, batch.stiffness, batch.damping)
     rows = zip(batch.trial_id, batch.stiffness, batch.damping, course.verdict, radius, batch.rows, strict=True)
     return {
         "device": course.device.name,
         "experiment": experiment.name,
         "package_version": __version__,
         "seed": course.seed,
-        "plant": {"mass": plant.mass, "damping": plant.damping, "stiffness": plant.stiffness},
+        "plant": {"mass": experiment.mass, "damping": experiment.damping, "stiffness": experiment.stiffness},
         "delay_samples": setup.delay_samples,
         "jitter_samples": list(setup.jitter_samples),
         "quantum": setup.quantum,
         "noise": setup.noise,
-        "velocity_filter_s": setup.velocity_filter_s,
+        "force_limit": setup.force_limit,
+        "loop": parts.model_dump(mode="json"),
+        "simulation": setup.hidden.model_dump(mode="json"),
         "step": setup.step,
         "edge_row": setup.edge_row,
         "sampling_period_s": setup.sampling_period_s,

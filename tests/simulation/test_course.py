@@ -18,7 +18,10 @@ from pipeline.records.native import parse_header
 from pipeline.simulation import course as course_module
 from pipeline.simulation import procedure
 from pipeline.simulation.course import TRUTH_FILE, Course, run_course, write_course
-from pipeline.simulation.simulate import MassSpringDamper, idealise, setup_of, simulate, spectral_radius
+from pipeline.simulation.plants import MassSpringDamper
+from pipeline.simulation.radius import spectral_radius
+from pipeline.simulation.setup import idealise, setup_of
+from pipeline.simulation.simulate import simulate
 
 FALCON, LWR = load_device("falcon"), load_device("lwr")
 

@@ -13,15 +13,10 @@ from scipy.linalg import expm
 from pipeline.base.errors import ParameterError
 from pipeline.devices.devices import load_device
 from pipeline.records.batch import Floats, Integers, TrialBatch
-from pipeline.simulation.simulate import (
-    MassSpringDamper,
-    Setup,
-    idealise,
-    in_force,
-    setup_of,
-    simulate,
-    spectral_radius,
-)
+from pipeline.simulation.plants import MassSpringDamper
+from pipeline.simulation.radius import spectral_radius
+from pipeline.simulation.setup import Setup, idealise, setup_of
+from pipeline.simulation.simulate import in_force, simulate
 
 T = 0.001
 FALCON = setup_of(load_device("falcon"), load_device("falcon").experiments[0])

@@ -12,7 +12,9 @@ import numpy as np
 
 from pipeline.devices.devices import find_experiment, load_device
 from pipeline.records.batch import TrialBatch
-from pipeline.simulation.simulate import Setup, idealise, setup_of, simulate, spectral_radius
+from pipeline.simulation.radius import spectral_radius
+from pipeline.simulation.setup import Setup, idealise, setup_of
+from pipeline.simulation.simulate import simulate
 
 NEAR = 1e-3
 """Spectral radii within this of 1 are near the boundary: in 400 samples such a motion changes by less than a half."""

@@ -16,7 +16,8 @@ from pipeline.measured.signal.outcome import BAND, OUTCOMES, Outcomes, classify
 from pipeline.measured.signal.response import find_response
 from pipeline.measured.signal.verdict import judge
 from pipeline.records.batch import TrialBatch
-from pipeline.simulation.simulate import Setup, simulate
+from pipeline.simulation.setup import Setup
+from pipeline.simulation.simulate import simulate
 
 RIGHT = 0.99
 """Share of the labels that the outcomes must meet where the truth is not a matter of a hair (issue 4)."""
