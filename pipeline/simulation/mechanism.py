@@ -57,8 +57,7 @@ class Mechanism:
     Notes
     -----
     The state has a row a quantity, a column a trial: displacement and velocity of the motor, then of the load, then the
-    force behind the lag. Rates and motions are of z, a trial a row: the state, command, force beside it, direction of
-    friction.
+    force behind the lag. Rates and motions are of z: the state, command, force beside it, direction of friction.
     """
 
     mass: float
@@ -83,7 +82,7 @@ class Mechanism:
 
     def rest(self, command: Floats) -> Floats:
         """Return the state at rest, shape (states, n), where the actuator has long had a command [N, Nm]."""
-        state = np.zeros((len(command), self.states)).T
+        state = np.zeros((self.states, len(command)))
         if self.lag_s > 0:
             state[-1] = command
         return state
@@ -91,11 +90,11 @@ class Mechanism:
     def advance(self, state: Floats, command: Floats, push: Floats | float, time_s: float) -> Floats:
         """Return the state after a time [s] under a constant command, and a force beside it without lag [N, Nm]."""
         motion, n = _motion(self, time_s), self.states
-        z = np.empty((state.shape[1], n + 3))
-        z[:, :n], z[:, n], z[:, n + 1] = state.T, command, push
+        z = np.empty((n + 3, state.shape[1]))
+        z[:n], z[n], z[n + 1] = state, command, push
         for _ in range(motion.pieces):
-            z[:, :n] = motion.advance(z)
-        return z[:, :n].T
+            z[:n] = motion.advance(z)
+        return z[:n]
 
     def transition(self, time_s: float) -> tuple[Floats, Floats]:
         """Return the matrix of the state, and what a unit of command adds to it, over a time [s]; without friction."""
@@ -146,8 +145,8 @@ class Mechanism:
     def regions(self, z: Floats) -> Integers:
         """Return the region of friction of each trial, and bring the direction in z up to date."""
         assert self.friction is not None
-        velocity = z[:, 1]
-        z[:, -1] = np.where(velocity < 0, -1.0, 1.0)
+        velocity = z[1]
+        z[-1] = np.where(velocity < 0, -1.0, 1.0)
         region: Integers = (velocity != 0).astype(np.int64)
         if self.levels[2]:
             region += np.abs(velocity) >= self.friction.stribeck_velocity
@@ -172,79 +171,100 @@ class Mechanism:
 class _Motion:
     """Exact motion of a mechanism over a piece of time, and what is needed to stop it inside.
 
-    ``steps`` (regions, levels, rows, states) moves the state by the piece halved 0, 1, ... times, and gives the edges
-    before and after with their slopes; ``terms`` (regions, terms, rows, states) is the power series over the last.
+    ``steps`` (regions, levels, rows, states + 3) moves the state by the piece halved 0, 1, ... times, and gives edges
+    and their slopes before and after; ``terms`` (regions, rows * terms, states + 3) is the power series over the last.
+    ``force`` gives that on the motor's side from z; ``hold`` is the largest that friction holds, ``joint`` the velocity
+    at which it is down to Coulomb friction.
     """
 
     mechanism: Mechanism
     pieces: int
     steps: Floats
     terms: Floats
+    force: Floats
+    hold: float
+    joint: float
 
     def advance(self, z: Floats) -> Floats:
-        """Return the state after a piece of time, shape (n, states)."""
+        """Return the state after a piece of time, shape (states, n)."""
         if self.mechanism.friction is None:
-            return self._moved(self.steps[0, 0], z)
+            return _product(self.steps[0, 0], z)
         region = self.mechanism.regions(z)
         ahead, out = self._step(z, region, 0)
         hard = np.flatnonzero(out)
         if len(hard):
-            ahead[hard] = self._with_events(z[hard], region[hard])
+            ahead[:, hard] = self._with_events(z[:, hard], region[hard])
         return ahead
 
     def _step(self, z: Floats, region: Integers, level: int) -> tuple[Floats, Booleans]:
         """Return the state after a halved piece, and whether an edge may have been passed on the way."""
         n = self.mechanism.states
-        found = self._moved(self.steps[region, level], z)
-        edge = found[:, n:] * z[:, -1:]
-        before, after, slope, slope_after = (edge[:, i : i + 2] for i in (0, 2, 4, 6))
-        out: Booleans = ((before < 0) | (after < 0) | ((slope < 0) & (slope_after > 0))).any(axis=1)
-        return found[:, :n], out
-
-    @staticmethod
-    def _moved(matrix: Floats, z: Floats) -> Floats:
-        """Return a product a trial, which no other trial can change in its last bit as one product of all would."""
-        moved: Floats = (matrix @ z[:, :, None])[..., 0]
-        return moved
+        found = _by_region(self.steps[:, level], z, region)
+        before, after, slope, slope_after = (found[n:] * z[-1]).reshape(4, 2, -1)
+        out: Booleans = ((before < 0) | (after < 0) | ((slope < 0) & (slope_after > 0))).any(axis=0)
+        return found[:n], out
 
     def _with_events(self, z: Floats, region: Integers) -> Floats:
         """Return the state after a piece in which trials may change their region."""
         n, levels = self.mechanism.states, self.steps.shape[1] - 1
-        left = np.ones(len(z))
+        whole = 2.0**levels
+        left, busy = np.full(len(region), whole), np.arange(len(region))
         for events in range(MOST_EVENTS + levels):
+            here, kind = z[:, busy], region[busy]
             for level in range(1, levels + 1):
-                part = 0.5**level
-                ahead, out = self._step(z, region, level)
-                fits = (left >= part) & ~out
-                z[fits, :n], left[fits] = ahead[fits], left[fits] - part
-            found = (self.terms[region] @ z[:, None, :, None])[..., 0]
-            span = np.minimum(left * 2.0**levels, 1.0)
-            edges = found[:, :, n:] * z[:, -1, None, None]
-            exits = np.stack([first_exit(edges[:, :, i], span) for i in range(2)])
-            if events >= MOST_EVENTS:
-                exits[:] = np.inf
-            time = np.minimum(exits.min(axis=0), span)
-            z[:, :n] = (found[:, :, :n] * powers(time, found.shape[1])[:, :, None]).sum(axis=1)
-            left = np.where(time == left * 2.0**levels, 0.0, left - time * 0.5**levels)
-            gone = np.flatnonzero(exits.min(axis=0) <= span)
-            z[gone], region[gone] = self._beyond(z[gone], region[gone], exits.argmin(axis=0)[gone])
-            if not (left > 0).any():
+                part = whole * 0.5**level
+                ahead, out = self._step(here, kind, level)
+                fits = (left[busy] >= part) & ~out
+                here[:n] = np.where(fits, ahead, here[:n])
+                left[busy[fits]] -= part
+            span = np.minimum(left[busy], 1.0)
+            # a product a trial: one of all of them would round by how many there are
+            found = (self.terms[kind] @ here.T[:, :, None]).reshape(len(busy), n + 2, -1)
+            edges = (found[:, n:] * here[-1, :, None, None]).reshape(-1, found.shape[2])
+            first, second = first_exit(edges, np.repeat(span, 2)).reshape(-1, 2).T
+            exit = np.minimum(first, second) if events < MOST_EVENTS else np.full(len(busy), np.inf)
+            time = np.minimum(exit, span)
+            here[:n] = np.vecdot(found[:, :n], powers(time, found.shape[2])[:, None]).T
+            left[busy] -= time
+            gone = np.flatnonzero(exit < np.inf)
+            here[:, gone], kind[gone] = self._beyond(here[:, gone], kind[gone], second[gone] < first[gone])
+            z[:, busy], region[busy] = here, kind
+            busy = np.flatnonzero(left > 0)
+            if not len(busy):
                 break
-        return z[:, :n]
+        return z[:n]
 
-    def _beyond(self, z: Floats, region: Integers, edge: Integers) -> tuple[Floats, Integers]:
-        """Return state and region of trials that have reached an edge of their region: 0 the first, 1 the second."""
-        assert self.mechanism.friction is not None
-        joint = self.mechanism.friction.stribeck_velocity
-        stops = (region == CREEP) & (edge == 0)
-        z[stops, 1] = 0.0
-        starts = stops | (region == STICK)
-        force = (z * self.mechanism.motor_force()).sum(axis=1)
-        held = stops & (np.abs(force) <= self.mechanism.levels[1] * (1 + BREAKAWAY))
-        z[starts, -1] = np.where(force[starts] < 0, -1.0, 1.0)
-        at_joint = ~starts
-        z[at_joint, 1] = joint * z[at_joint, -1]
-        return z, np.where(held, STICK, np.where((region == CREEP) & (edge == 1), SLIDE, CREEP))
+    def _beyond(self, z: Floats, region: Integers, second: Booleans) -> tuple[Floats, Integers]:
+        """Return state and region of trials that have reached the first edge of their region, or its second."""
+        creeps = region == CREEP
+        stops, speeds_up = creeps & ~second, creeps & second
+        slow = stops | (region == STICK)
+        z[1] = np.where(slow, np.where(stops, 0.0, z[1]), self.joint * z[-1])
+        force = np.vecdot(z.T, self.force)
+        z[-1] = np.where(slow, np.where(force < 0, -1.0, 1.0), z[-1])
+        held = stops & (np.abs(force) <= self.hold)
+        return z, np.where(held, STICK, np.where(speeds_up, SLIDE, CREEP))
+
+
+def _product(matrix: Floats, z: Floats) -> Floats:
+    """Return matrix @ z, added column by column: a product of all trials would round by how many there are."""
+    total: Floats = matrix[:, :1] * z[0]
+    part = np.empty_like(total)
+    for column, row in zip(matrix.T[1:, :, None], z[1:], strict=True):
+        total += np.multiply(column, row, out=part)
+    return total
+
+
+def _by_region(matrices: Floats, z: Floats, region: Integers) -> Floats:
+    """Return the product of each trial's z with the matrix of its region, shape (rows, n)."""
+    result = np.empty((matrices.shape[1], z.shape[1]))
+    for number, matrix in enumerate(matrices):
+        here = np.flatnonzero(region == number)
+        if len(here) == z.shape[1]:
+            return _product(matrix, z)
+        if len(here):
+            result[:, here] = _product(matrix, z[:, here])
+    return result
 
 
 @lru_cache(maxsize=64)
@@ -262,7 +282,8 @@ def _motion(mechanism: Mechanism, time_s: float) -> _Motion:
     pieces = max(1, ceil(fastest * time_s / QUARTER))
     piece = time_s / pieces
     if mechanism.friction is None:
-        return _Motion(mechanism, 1, (exponential(scaled[0], time_s) * back)[None, None, :n], np.empty(0))
+        whole = (exponential(scaled[0], time_s) * back)[None, None, :n]
+        return _Motion(mechanism, 1, whole, np.empty(0), np.empty(0), 0.0, 0.0)
     levels = 0
     while (count := _most_terms(scaled, piece * 0.5**levels)) is None:
         levels += 1
@@ -272,8 +293,10 @@ def _motion(mechanism: Mechanism, time_s: float) -> _Motion:
         moves = [exponential(one, piece * 0.5**level) * back for level in range(levels + 1)]
         steps.append([np.vstack((m[:n], edges, edges @ m, slopes, slopes @ m)) for m in moves])
         powers_of = series(one, piece * 0.5**levels, count) * back
-        terms.append(np.concatenate((powers_of[:, :n], edges @ powers_of), axis=1))
-    return _Motion(mechanism, pieces, np.array(steps), np.array(terms))
+        rows = np.concatenate((powers_of[:, :n], edges @ powers_of), axis=1)
+        terms.append(rows.swapaxes(0, 1).reshape(-1, n + 3))
+    hold, joint = mechanism.levels[1] * (1 + BREAKAWAY), mechanism.friction.stribeck_velocity
+    return _Motion(mechanism, pieces, np.array(steps), np.array(terms), mechanism.motor_force(), hold, joint)
 
 
 def _most_terms(rates: list[Floats], time_s: float) -> int | None:
