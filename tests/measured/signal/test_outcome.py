@@ -16,6 +16,8 @@ from pipeline.measured.signal.outcome import BAND, OUTCOMES, Outcomes, classify
 from pipeline.measured.signal.response import find_response
 from pipeline.measured.signal.verdict import judge
 from pipeline.records.batch import TrialBatch
+from pipeline.records.loop_parts import Butterworth
+from pipeline.records.simulation_parts import SimulationParts
 from pipeline.simulation.setup import Setup
 from pipeline.simulation.simulate import simulate
 
@@ -127,7 +129,7 @@ def test_device_that_rests_elsewhere_is_held_by_another_force() -> None:
 
 
 def test_clipping_is_dated_by_the_unclipped_command() -> None:
-    setup = replace(IDEAL, force_limit=11.0)
+    setup = replace(IDEAL, force_limit=11.0, hidden=SimulationParts(clipped_command_logged=True))
     batch = among(run(setup, [9000.0, 3000.0], [40.0, 60.0]), IDEAL)
     free = run(IDEAL, [9000.0], [40.0])
     found = outcomes(batch)
@@ -137,7 +139,7 @@ def test_clipping_is_dated_by_the_unclipped_command() -> None:
 
 
 def test_velocity_filter_is_no_clipping() -> None:
-    setup = replace(FALCON, velocity_filter_s=0.002)
+    setup = replace(FALCON, velocity=Butterworth(kind="butterworth", order=1, cutoff_hz=80.0))
     found = outcomes(run(setup, list(np.linspace(1000, 4000, 20)), [40.0] * 20))
     assert "saturated" not in found.outcome
 
