@@ -32,6 +32,9 @@ from pipeline.simulation.setup import Setup, idealise, setup_of
 from pipeline.simulation.simulate import simulate
 from pipeline.store.names import place_of
 
+LOWEST_DAMPING = 2.0
+"""Largest -B tested at K = 0 in times the physical damping, where the tested B end before: the limit is at once."""
+
 COLUMNS_AHEAD = 6
 """Dampings beyond the tested range that are simulated ahead where the range is extended."""
 
@@ -155,7 +158,8 @@ def run_course(
         batch = simulate(setup, stiffness, damping, seed=seed, stream=stream)
         return batch, np.asarray(judge(batch).verdict, dtype=np.str_)
 
-    climb = Climb(run, coarsen * conditions.stiffness_step, conditions.damping_step, progress)
+    lowest = max(conditions.damping_last, LOWEST_DAMPING * conditions.damping)
+    climb = Climb(run, coarsen * conditions.stiffness_step, conditions.damping_step, lowest, progress)
     stride = coarsen * conditions.damping_step
     tolerance = 1e-9  # of a step: 184/4 must not lose its last damping to rounding
     count = floor((conditions.damping_last - conditions.damping_first) / stride + tolerance) + 1

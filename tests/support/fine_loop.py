@@ -67,14 +67,19 @@ class Body:
             if not frictional:
                 side, events = 2, []
             elif s[1] == 0 and abs(force) <= self.stiction * (1 + 1e-12):
-                side, events = 0, [self._event(lambda s: self.stiction * (1 + 1e-12) - abs(self.free_force(s, command, push)))]
+                side, events = (
+                    0,
+                    [self._event(lambda s: self.stiction * (1 + 1e-12) - abs(self.free_force(s, command, push)))],
+                )
             else:
                 side = int(np.sign(s[1] if s[1] != 0 else force))
                 slow = abs(s[1]) < self.stribeck
                 events = [self._event(lambda s, side=side: side * s[1] if s[1] != 0 else 1e-300)]
                 events.append(self._event(lambda s, side=side: side * s[1] - self.stribeck, -1.0 if not slow else 1.0))
-            motion = (lambda t, s: self._unhindered(s, command, push)) if side == 2 else (
-                lambda t, s, side=side: self.rates(s, command, push, side)
+            motion = (
+                (lambda t, s: self._unhindered(s, command, push))
+                if side == 2
+                else (lambda t, s, side=side: self.rates(s, command, push, side))
             )
             found = solve_ivp(motion, (begun, time), s, "DOP853", rtol=1e-12, atol=1e-15, events=events)
             self.state = found.y[:, -1].copy()
