@@ -1,7 +1,7 @@
 """A second simulator of the loop with all its parts: plain loops over fine steps, equations of motion in physical form.
 
 Nothing of `pipeline.simulation` is used. Between two fine steps the motion without friction is integrated by scipy's
-DOP853; friction is that of a rigid-plastic law with stick decided from the balance of forces, its events found by scipy.
+DOP853; friction holds or slides by the balance of forces, and scipy finds when it changes.
 """
 
 from __future__ import annotations

@@ -195,9 +195,11 @@ def _case(base: Device, name: str, seed: int) -> Case:
     kind = _KINDS[name]
     # the place of a kind in the table is no part of its seed: another kind must not change its devices
     random = np.random.default_rng([seed, *name.encode()])
-    stated = base.model_dump(mode="json", by_alias=True)
+    # what a device does not name stays unnamed: an experiment's own parts go before those of the device
+    stated = base.model_dump(mode="json", by_alias=True, exclude_unset=True)
     for key in ("mass", "damping"):
-        stated["experiment"][0][key] *= float(random.uniform(1 - SPREAD, 1 + SPREAD))
+        factor = float(random.uniform(1 - SPREAD, 1 + SPREAD))
+        stated["experiment"][0][key] = factor * getattr(base.experiments[0], key)
     plain = Device.model_validate(stated)
     drawn = {key: draw(random, plain) for key, draw in kind.keys.items()}
     true = plain.model_dump(mode="json", by_alias=True, exclude_unset=True)
