@@ -242,9 +242,12 @@ def write_course(course: Course, folder: Path, *, overwrite: bool = False) -> in
 
 def _write_logs(course: Course, target: Path, names: Sequence[str]) -> None:
     device, experiment, batch = course.device, course.experiment, course.batch
-    both = np.stack((batch.command, batch.position), axis=2)
-    # time stamps are the same in every log, so they stand in the template as text
-    stamps = ["%.17g" % (k * course.setup.sampling_period_s) for k in range(both.shape[1])]
+    hidden, columns = course.setup.hidden, (batch.command, batch.position)
+    # time stamps are the same in every log without gaps, so they stand in the template as text
+    stamps = ["%.17g" % (k * course.setup.sampling_period_s) for k in range(batch.time.shape[1])]
+    if hidden.lost_rows and not hidden.lost_rows_hidden:
+        columns, stamps = (batch.time, *columns), ["%.17g"] * len(stamps)
+    cells = np.stack(columns, axis=2)
     lines = [f"{stamp},%.17g,%.17g\n" for stamp in stamps]
     templates = {int(rows): "".join(lines[:rows]) for rows in np.unique(batch.rows)}
     temporary = target / f".{os.getpid()}{TEMPORARY_ENDING}"
@@ -263,7 +266,7 @@ def _write_logs(course: Course, target: Path, names: Sequence[str]) -> None:
                 motion=device.motion,
                 simulated=True,
             )
-            text = format_header(header, device.motion) + templates[rows] % tuple(both[i, :rows].ravel().tolist())
+            text = format_header(header, device.motion) + templates[rows] % tuple(cells[i, :rows].ravel().tolist())
             temporary.write_bytes(text.encode())
             temporary.replace(target / name)
     finally:

@@ -90,7 +90,7 @@ class Mechanism:
     def advance(self, state: Floats, command: Floats, push: Floats | float, time_s: float) -> Floats:
         """Return the state after a time [s] under a constant command, and a force beside it without lag [N, Nm]."""
         motion, n = _motion(self, time_s), self.states
-        z = np.empty((n + 3, state.shape[1]))
+        z = np.zeros((n + 3, state.shape[1]))
         z[:n], z[n], z[n + 1] = state, command, push
         for _ in range(motion.pieces):
             z[:n] = motion.advance(z)
