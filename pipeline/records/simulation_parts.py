@@ -12,7 +12,7 @@ from pydantic import Field
 from pipeline.records.loop_parts import Part, named
 
 Share = Annotated[float, Field(ge=0, le=0.5)]
-Deviation = Annotated[float, Field(gt=-0.5, lt=0.5)]
+Deviation = Annotated[float, Field(ge=-0.5, le=0.5)]
 
 
 class LaterStep(Part):

@@ -242,7 +242,8 @@ def write_course(course: Course, folder: Path, *, overwrite: bool = False) -> in
 
 def _write_logs(course: Course, target: Path, names: Sequence[str]) -> None:
     device, experiment, batch = course.device, course.experiment, course.batch
-    hidden, columns = course.setup.hidden, (batch.command, batch.position)
+    hidden = course.setup.hidden
+    columns: tuple[Floats, ...] = (batch.command, batch.position)
     # time stamps are the same in every log without gaps, so they stand in the template as text
     stamps = ["%.17g" % (k * course.setup.sampling_period_s) for k in range(batch.time.shape[1])]
     if hidden.lost_rows and not hidden.lost_rows_hidden:

@@ -99,6 +99,8 @@ class Mechanism:
     def transition(self, time_s: float) -> tuple[Floats, Floats]:
         """Return the matrix of the state, and what a unit of command adds to it, over a time [s]; without friction."""
         free, n = replace(self, friction=None), self.states
+        if time_s == 0:
+            return np.eye(n), np.zeros(n)
         matrix = _motion(free, time_s).steps[0, 0]
         return matrix[:, :n], matrix[:, n]
 
