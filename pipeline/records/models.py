@@ -24,6 +24,7 @@ from pipeline.records.findings import Optimum as Optimum
 from pipeline.records.findings import Record as Record
 from pipeline.records.findings import Trend as Trend
 from pipeline.records.loop_parts import LoopParts
+from pipeline.records.simulation_parts import SimulationParts
 
 Motion = Literal["translation", "rotation"]
 Grip = Literal["none", "comfortable", "firm"]
@@ -63,6 +64,7 @@ class Experiment(Record):
     damping_step: Positive
     stiffness_step: Positive
     loop: LoopParts = LoopParts()
+    simulation: SimulationParts = SimulationParts()
 
     @model_validator(mode="after")
     def _grid_is_ordered(self) -> Self:
@@ -103,6 +105,7 @@ class Device(Record):
     sensor: Sensor = Sensor()
     limits: Limits
     loop: LoopParts = LoopParts()
+    simulation: SimulationParts = SimulationParts()
     experiments: tuple[Experiment, ...] = Field(alias="experiment", min_length=1)
     tables: tuple[TableLayout, ...] = Field(default=(), alias="table")
 
@@ -112,12 +115,19 @@ class Device(Record):
         """Return the parts of an experiment's loop: its own, and the device's where it names none."""
         return experiment.loop.over(self.loop)
 
+    def simulation_of(self, experiment: Experiment) -> SimulationParts:
+        """Return what only the simulator knows of an experiment: its own, and the device's where it names none."""
+        return experiment.simulation.over(self.simulation)
+
     @model_validator(mode="after")
     def _loops_are_possible(self) -> Self:
         found = [
             f"experiment {experiment.name!r}: {mistake}"
             for experiment in self.experiments
-            for mistake in self.loop_of(experiment).mistakes(experiment.mass, self.sampling_period_s)
+            for mistake in (
+                *self.loop_of(experiment).mistakes(experiment.mass, self.sampling_period_s),
+                *self.simulation_of(experiment).mistakes(self.duration_s, self.limits.force),
+            )
         ]
         if found:
             raise ValueError("; ".join(found))

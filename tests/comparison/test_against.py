@@ -21,7 +21,7 @@ from pipeline.comparison.against import (
 from pipeline.comparison.against_run import against_document, against_experiments, names_of
 from pipeline.records.models import BoundaryPoint, Estimate, Optimum
 from pipeline.rendering.report.report_against import pair_tables, render
-from pipeline.shell.commands.cli_theory import app
+from pipeline.shell.cli import app
 
 pytestmark = pytest.mark.usefixtures("one_process")
 

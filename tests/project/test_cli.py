@@ -15,8 +15,7 @@ from pipeline import __version__
 from pipeline.base.errors import StoreError
 from pipeline.comparison import compare
 from pipeline.shell import cli, console
-from pipeline.shell.cli import run
-from pipeline.shell.commands.cli_theory import app
+from pipeline.shell.cli import app, run
 
 COMMANDS = {
     "demo": ["--full"],

@@ -16,7 +16,7 @@ from pipeline.records.accuracy import Rung
 from pipeline.records.batch import Booleans, Floats, Integers
 from pipeline.records.models import BoundaryPoint
 from pipeline.simulation.course import run_course
-from pipeline.simulation.simulate import setup_of
+from pipeline.simulation.setup import setup_of
 from pipeline.studies.accuracy.cost_ladders import complete_energy, settling
 from pipeline.studies.accuracy.jitter import jitter_limit
 from pipeline.studies.accuracy.names import AREA, LIMITS, nth

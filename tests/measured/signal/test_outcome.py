@@ -16,7 +16,10 @@ from pipeline.measured.signal.outcome import BAND, OUTCOMES, Outcomes, classify
 from pipeline.measured.signal.response import find_response
 from pipeline.measured.signal.verdict import judge
 from pipeline.records.batch import TrialBatch
-from pipeline.simulation.simulate import Setup, simulate
+from pipeline.records.loop_parts import Butterworth
+from pipeline.records.simulation_parts import SimulationParts
+from pipeline.simulation.setup import Setup
+from pipeline.simulation.simulate import simulate
 
 RIGHT = 0.99
 """Share of the labels that the outcomes must meet where the truth is not a matter of a hair (issue 4)."""
@@ -137,7 +140,7 @@ def test_device_that_rests_elsewhere_is_held_by_another_force() -> None:
 
 
 def test_clipping_is_dated_by_the_unclipped_command() -> None:
-    setup = replace(IDEAL, force_limit=11.0)
+    setup = replace(IDEAL, force_limit=11.0, hidden=SimulationParts(clipped_command_logged=True))
     batch = among(run(setup, [9000.0, 3000.0], [40.0, 60.0]), IDEAL)
     free = run(IDEAL, [9000.0], [40.0])
     found = outcomes(batch)
@@ -147,7 +150,7 @@ def test_clipping_is_dated_by_the_unclipped_command() -> None:
 
 
 def test_velocity_filter_is_no_clipping() -> None:
-    setup = replace(FALCON, velocity_filter_s=0.002)
+    setup = replace(FALCON, velocity=Butterworth(kind="butterworth", order=1, cutoff_hz=80.0))
     found = outcomes(run(setup, list(np.linspace(1000, 4000, 20)), [40.0] * 20))
     assert "saturated" not in found.outcome
 

@@ -23,7 +23,7 @@ from pipeline.records import trial_codec
 from pipeline.records.table_files import read_table, write_table
 from pipeline.rendering.report import report_parts
 from pipeline.rendering.report.report_parts import take_apart
-from pipeline.shell.commands.cli_theory import app
+from pipeline.shell.cli import app
 from pipeline.shell.verify import verify
 
 pytestmark = pytest.mark.usefixtures("one_process")
