@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -43,6 +44,15 @@ def make_lab(folder: Path, device: Device, experiments: tuple[str, ...], **optio
     report = ingest([folder / "raw"], folder / "processed")
     assert report.ingested == written == report.found
     return Lab(device, courses, folder / "raw", folder / "processed")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _heeded_signals():
+    """A shell starts what it runs in its background with signals ignored; the commands under test heed them."""
+    for number in (getattr(signal, name) for name in ("SIGINT", "SIGHUP") if hasattr(signal, name)):
+        if signal.getsignal(number) is signal.SIG_IGN:
+            # a handler that does nothing ignores it here, and is not inherited
+            signal.signal(number, lambda *_: None)
 
 
 @pytest.fixture(scope="session")
