@@ -122,10 +122,10 @@ def naming(path: Path) -> Iterator[None]:
 class _Descriptor(io.RawIOBase):
     """A file descriptor as a stream, so that each write passes through ``os.write``."""
 
-    def __init__(self, path: Path, mode: int) -> None:
+    def __init__(self, path: Path, number: int) -> None:
         super().__init__()
         self.path = path
-        self.number = os.open(path, _NEW, mode)
+        self.number = number
 
     def writable(self) -> bool:
         return True
@@ -162,7 +162,9 @@ class NewFile:
         make_folder(folder)
         self._folder = folder
         self._temporary = folder / f".{_short(label)}.{secrets.token_hex(8)}{TEMPORARY_ENDING}"
-        self._raw = _Descriptor(self._temporary, 0o600 if like else _READABLE)
+        # opened here: Python closes every stream that was begun, and tells from 3.13 on where that fails
+        number = os.open(self._temporary, _NEW, 0o600 if like else _READABLE)
+        self._raw = _Descriptor(self._temporary, number)
         if like and hasattr(os, "fchmod"):
             os.fchmod(self._raw.number, _shared_mode(like, os.fstat(self._raw.number)))
         self.stream: BinaryIO = cast(BinaryIO, io.BufferedWriter(self._raw, _BUFFER))
