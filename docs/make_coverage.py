@@ -20,9 +20,9 @@ from pipeline.measured.fit.fit import Fit, fit_trials
 from pipeline.measured.signal.response import find_response
 from pipeline.records.batch import Booleans, Floats, TrialBatch
 from pipeline.simulation.plants import MassSpringDamper
-from pipeline.simulation.setup import Setup, setup_of
 from pipeline.simulation.radius import spectral_radius
-from pipeline.simulation.simulate import in_force, simulate, 
+from pipeline.simulation.setup import Setup, setup_of
+from pipeline.simulation.simulate import in_force, simulate
 
 TRIALS = 1000
 SEED = 5

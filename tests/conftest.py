@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -62,6 +63,15 @@ def edit(monkeypatch):
     monkeypatch.setattr(provenance, "_source", source)
     yield edit_modules
     provenance.code_digest.cache_clear()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _heeded_signals():
+    """A shell starts what it runs in its background with signals ignored; the commands under test heed them."""
+    for number in (getattr(signal, name) for name in ("SIGINT", "SIGHUP") if hasattr(signal, name)):
+        if signal.getsignal(number) is signal.SIG_IGN:
+            # a handler that does nothing ignores it here, and is not inherited
+            signal.signal(number, lambda *_: None)
 
 
 @pytest.fixture(scope="session")

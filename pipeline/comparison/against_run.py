@@ -82,17 +82,8 @@ def against_experiments(
     return AgainstPage(AgainstResult(title=title, pairs=(pair,)), (figure,), motions[0])
 
 
-def against_document(new: ComparisonResult, old_path: Path) -> AgainstPage:
-    """Compare a result with the document of an earlier one, such as by another version of the code.
-
-    Raises
-    ------
-    UsageError
-        If the file is no document by `compare`, or of another device.
-    """
-    old = _read_document(old_path)
-    if old.device != new.device:
-        raise UsageError(f"{old_path}: is of device {old.device!r}; expected one of {new.device!r}.")
+def against_document(new: ComparisonResult, old: Document) -> AgainstPage:
+    """Compare a result with the document of an earlier one of its device, such as by another version of the code."""
     before = old.experiments
     after = {e.experiment: e for e in new.experiments}
     pairs: list[PairDifference] = []
@@ -114,7 +105,7 @@ def against_document(new: ComparisonResult, old_path: Path) -> AgainstPage:
 
 
 @dataclass(frozen=True)
-class _Document:
+class Document:
     """What an earlier document has that is compared; its other fields may be those of another version."""
 
     device: str
@@ -122,11 +113,18 @@ class _Document:
     provenance: Mapping[str, str]
 
 
-def _read_document(path: Path) -> _Document:
+def read_document(path: Path, device: str) -> Document:
+    """Read the document of an earlier result of a device.
+
+    Raises
+    ------
+    UsageError
+        If the file is no document by `compare`, or of another device.
+    """
     try:
         values = json.loads(path.read_bytes())
         found = [_experiment(e) for e in values["experiments"]]
-        return _Document(str(values["device"]), {e.experiment: e for e in found}, values.get("provenance", {}))
+        old = Document(str(values["device"]), {e.experiment: e for e in found}, values.get("provenance", {}))
     except OSError as error:
         raise UsageError(f"{path}: cannot be read ({error}). Give the JSON document beside a report.") from error
     except (ValueError, KeyError, TypeError, AttributeError) as error:
@@ -134,6 +132,9 @@ def _read_document(path: Path) -> _Document:
             f"{path}: is no result of `pipeline compare` ({type(error).__name__}: {str(error)[:200]}). Give the JSON "
             "document beside a report."
         ) from error
+    if old.device != device:
+        raise UsageError(f"{path}: is of device {old.device!r}; expected one of {device!r}.")
+    return old
 
 
 def _experiment(values: Mapping[str, Any]) -> ExperimentResult:

@@ -249,8 +249,10 @@ def _report(request: PassRequest, what: str, device: str, scene: SceneFile | Non
 
 def _inputs(processed: Path, device: str, scene: SceneFile | None) -> str:
     """Return a hash of what the report of a device rests on besides the code."""
-    trials = read_trials(processed, device, columns=["trial_id", "profile_sha256"])
-    rows = sorted(zip(*(column.to_pylist() for column in trials.columns), strict=True))
+    # a damaged experiment that a scene leaves out does not concern its report
+    experiments = scene.experiments if scene and scene.experiments else (None,)
+    tables = [read_trials(processed, device, name, columns=["trial_id", "profile_sha256"]) for name in experiments]
+    rows = sorted(tuple(row.values()) for table in tables for row in table.to_pylist())
     return digest([rows, scene.model_dump_json() if scene else None])
 
 
