@@ -86,6 +86,7 @@ REPORT_CODE = (
         "labels",
         "style",
         "models",
+        "criteria",
         "accuracy",
     ),
     *(

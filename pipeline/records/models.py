@@ -7,10 +7,11 @@ are generated from these classes.
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from pipeline.records.criteria import MEASURED, REPORTED, SETTLING_BANDS
 from pipeline.records.loop_parts import LoopParts
 
 Motion = Literal["translation", "rotation"]
@@ -19,14 +20,6 @@ Stability = Literal["stable", "unstable", "undecided"]
 Name = Annotated[str, Field(min_length=1, max_length=200)]
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
-
-RESPONSE_CRITERIA = ("settle_1pct", "settle_2pct", "settle_5pct", "overshoot")
-ENERGY_CRITERIA = ("energy_step_w0", "energy_step_w1", "energy_step_w2")
-CRITERIA = RESPONSE_CRITERIA + ENERGY_CRITERIA
-"""Criteria that a step-response log can be judged by; costs as in `pipeline.measured.cost.costs`."""
-
-SETTLING_BANDS = {"settle_1pct": 0.01, "settle_2pct": 0.02, "settle_5pct": 0.05}
-"""Half width of the settling band relative to the final displacement, by criterion."""
 
 
 class Record(BaseModel):
@@ -85,9 +78,9 @@ class TableLayout(Record):
 
     @model_validator(mode="after")
     def _criteria_are_known(self) -> Self:
-        unknown = [c for c in self.criteria if c not in CRITERIA]
+        unknown = [c for c in self.criteria if c not in MEASURED]
         if unknown:
-            raise ValueError(f"unknown criteria {unknown}; known are {list(CRITERIA)}")
+            raise ValueError(f"unknown criteria {unknown}; known are {list(MEASURED)}")
         return self
 
 
@@ -328,26 +321,23 @@ class Scene(Record):
 
     device: Name
     experiments: tuple[Name, ...]
-    criteria: tuple[str, ...] = CRITERIA
+    criteria: tuple[str, ...] = REPORTED
     delay_sweep: bool = False
     operator: bool = False
     shown: Shown = Shown()
 
 
-Band = Literal[1, 2, 5]
-"""Settling band [%] that a cost exists for."""
+_BANDS = {round(100 * band): name for name, band in SETTLING_BANDS.items()}
 
-CriterionWord = Literal[
-    "settle",
-    "settle_1pct",
-    "settle_2pct",
-    "settle_5pct",
-    "overshoot",
-    "energy_step_w0",
-    "energy_step_w1",
-    "energy_step_w2",
-]
-"""A criterion in a scene file; ``settle`` stands for the settling times of its ``bands``."""
+if TYPE_CHECKING:
+    Band = int
+    CriterionWord = str
+else:
+    Band = Literal[tuple(_BANDS)]
+    """Settling band [%] that a cost exists for."""
+
+    CriterionWord = Literal[("settle", *MEASURED)]
+    """A criterion in a scene file; ``settle`` stands for the settling times of its ``bands``."""
 
 
 class SceneFile(Record):
@@ -369,7 +359,7 @@ class SceneFile(Record):
     device: Name
     experiments: tuple[Name, ...] | None = Field(default=None, min_length=1)
     criteria: tuple[CriterionWord, ...] | None = Field(default=None, min_length=1)
-    bands: tuple[Band, ...] = Field(default=(1, 2, 5), min_length=1)
+    bands: tuple[Band, ...] = Field(default=tuple(_BANDS), min_length=1)
     delays: tuple[NonNegative, ...] | None = Field(default=None, min_length=1)
     overlays: tuple[Overlay, ...] | None = None
     figures: tuple[FigureKind, ...] | None = None
@@ -379,8 +369,8 @@ class SceneFile(Record):
     @property
     def chosen_criteria(self) -> tuple[str, ...]:
         """The criteria with ``settle`` spelt out, each once."""
-        settling = tuple(f"settle_{band}pct" for band in self.bands)
-        words = self.criteria or ("settle", "overshoot", *ENERGY_CRITERIA)
+        settling = tuple(_BANDS[band] for band in self.bands)
+        words = self.criteria or ("settle", *(name for name in REPORTED if name not in SETTLING_BANDS))
         return tuple(dict.fromkeys(c for word in words for c in (settling if word == "settle" else (word,))))
 
     @property

@@ -20,6 +20,7 @@ from pipeline.base.process_pool import process_pool
 from pipeline.base.provenance import code_digest, digest
 from pipeline.base.seal import sealed_json, unsealed_json
 from pipeline.loop.loop import Loop, Normalised
+from pipeline.records.criteria import criterion_of
 from pipeline.records.results import TheoryParameters
 from pipeline.theory.optimum.optimum import optimal_point
 from pipeline.theory.optimum.search import OptimalPoint
@@ -28,8 +29,12 @@ from pipeline.theory.stability.stability import Boundary, boundary
 THEORY_CODE = (
     *("plant", "loop", "stability", "branches", "region", "energy", "lagsums", "chain", "transient", "poles"),
     *("search", "lines", "overshoot", "optimum"),
+    *("criteria", "pointcosts", "march", "march_buffer", "envelope", "slowmodes"),
 )
 """Modules on which an optimum or a map depends: what they found is valid while their source is the same."""
+
+_TURN = {"overshoot": 0, "energy": 2}
+"""Families whose optima take the most time, and the least; all others are 1."""
 
 BOUNDARY_POINTS = 160
 """Points of a boundary that is drawn."""
@@ -123,9 +128,7 @@ class Predictions:
             return
         pool = self._pool.enter_context(process_pool(workers))
         # slow ones first, so that no processor ends up waiting for the last
-        order = sorted(
-            missing, key=lambda r: (not r[1].startswith("overshoot"), r[1].startswith("energy"), -r[0].delay)
-        )
+        order = sorted(missing, key=lambda r: (_TURN.get(criterion_of(r[1]).family.name, 1), -r[0].delay))
         self._pending = {request: pool.submit(optimal_point, *request) for request in order}
 
     def finish(self) -> None:

@@ -13,7 +13,7 @@ from pipeline.measured.cost.costs import SETTLED_SAMPLES, Overshoot, Settling
 from pipeline.measured.cost.reading_error import ReadingError
 from pipeline.measured.signal.response import Response
 from pipeline.records.batch import Floats, TrialBatch
-from pipeline.records.models import SETTLING_BANDS
+from pipeline.records.criteria import SETTLING_BANDS
 
 CONFIDENCE = 0.95
 """Coverage that the intervals are made for."""

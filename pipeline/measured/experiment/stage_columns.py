@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 import pyarrow as pa
 
-from pipeline.measured.cost import costs
-from pipeline.measured.cost.cost_intervals import overshoot_interval, settling_interval
-from pipeline.measured.cost.energy_intervals import HORIZON_PARTS, energy_interval
-from pipeline.measured.cost.reading_error import ReadingError, reading_error
-from pipeline.measured.cost.step_metrics import TOOLS, reconcile
+from pipeline.measured.cost.families import FAMILIES, joined
+from pipeline.measured.cost.reading_error import reading_error
 from pipeline.measured.device import damping, delay, friction, mass, onset
 from pipeline.measured.experiment.stage_groups import Columns, Given, TrialGroup
 from pipeline.measured.fit import fit
@@ -19,8 +17,6 @@ from pipeline.measured.fit.ghost import simulate_ghost
 from pipeline.measured.signal import outcome, verdict
 from pipeline.measured.signal.disturbance import Device
 from pipeline.measured.signal.response import NO_ROW
-from pipeline.records.batch import Floats
-from pipeline.records.models import SETTLING_BANDS
 from pipeline.records.tables import TABLES, to_arrow
 
 BALANCE_TERMS = ("damping", "friction")
@@ -40,16 +36,6 @@ def _conditions(of: TrialGroup) -> Columns:
     }
 
 
-def _texts(*reasons: Iterable[str]) -> list[str | None]:
-    """Reasons of each trial, joined; None where there is none."""
-    return ["; ".join(dict.fromkeys(text for text in texts if text)) or None for texts in zip(*reasons, strict=True)]
-
-
-def _integer(values: Floats) -> pa.Array:
-    missing = ~np.isfinite(values)
-    return pa.array(np.where(missing, 0, values).astype(np.int64), mask=missing)
-
-
 def _row(values: np.ndarray) -> pa.Array:
     """Rows or counts of which a negative one stands for none."""
     return pa.array(values, mask=values < 0)
@@ -60,7 +46,7 @@ def _response(of: TrialGroup, given: Given) -> Columns:
     judged = verdict.judge(of.batch, found)
     return _conditions(of) | {
         "verdict": list(judged.verdict),
-        "reason": _texts(judged.reason, found.reason),
+        "reason": joined(judged.reason, found.reason),
         "growth_per_s": judged.growth_per_s,
         "edge_row": _row(found.edge_row),
         **{name: getattr(found, name) for name in ("position_start", "position_final_expected")},
@@ -88,7 +74,7 @@ def _delay(of: TrialGroup, given: Given) -> Columns:
         "first_change_samples": _row(first.delay_samples),
         "onset_samples": began.delay_samples,
         "onset_error": began.standard_error,
-        "reason": _texts(first.reason),
+        "reason": joined(first.reason),
     }
 
 
@@ -107,14 +93,14 @@ def _model(of: TrialGroup, given: Given) -> Columns:
         "ghost_deviation": beside.deviation,
         "ghost_relative": beside.relative,
         "ghost_row": _row(beside.leaves_row),
-        "reason": _texts(found.reason),
+        "reason": joined(found.reason),
     }
 
 
 def _damping(of: TrialGroup, given: Given) -> Columns:
     begin, _ = of.beginning()
     found = damping.from_trials(begin.batch, begin.found, given["delay"])
-    return _conditions(of) | {"viscous_damping": found.viscous_damping, "reason": _texts(found.reason)}
+    return _conditions(of) | {"viscous_damping": found.viscous_damping, "reason": joined(found.reason)}
 
 
 def _mass(of: TrialGroup, given: Given) -> Columns:
@@ -135,7 +121,7 @@ def _mass(of: TrialGroup, given: Given) -> Columns:
         "balance_mass_error": balance.mass_error,
         "force_mass": nothing,
         "force_mass_error": nothing,
-        "reason": _texts(found.reason),
+        "reason": joined(found.reason),
     }
     if begin.batch.force is not None:
         # a force measured at the device has passed the delay already
@@ -144,61 +130,10 @@ def _mass(of: TrialGroup, given: Given) -> Columns:
     return columns
 
 
-def _reading_error(of: TrialGroup, given: Given) -> ReadingError:
+def _costs(of: TrialGroup, given: Given, family: str) -> Columns:
     sensor = float("nan") if given["sensor"] is None else given["sensor"]
-    return reading_error(of.batch, of.found, given["delay"], sensor=sensor, rest=given["rest"])
-
-
-def _overshoot(of: TrialGroup, given: Given) -> Columns:
-    found = costs.overshoot(of.batch, of.found, of.verdicts)
-    interval = overshoot_interval(of.batch, of.found, _reading_error(of, given), found)
-    return _conditions(of) | {
-        "overshoot": found.overshoot,
-        "overshoot_floor": found.floor,
-        "overshoot_low": interval.low,
-        "overshoot_high": interval.high,
-        "overshoot_last_sample": reconcile(of.batch, of.found, of.verdicts, 0).overshoot["matlab_final_value"].value,
-        "reason": _texts(found.reason, interval.reason),
-    }
-
-
-def _settling(of: TrialGroup, given: Given) -> Columns:
-    samples = given["delay"]
-    found = costs.settling(of.batch, of.found, of.verdicts, samples)
-    interval = settling_interval(
-        *(of.batch, of.found, _reading_error(of, given), found, samples), delay_range=tuple(given["delay_range"])
-    )
-    columns = _conditions(of) | {"reason": _texts(found.reason, interval.reason)}
-    others = reconcile(of.batch, of.found, of.verdicts, samples).settling
-    columns |= {f"settle_{tool}": others[tool].value for tool in TOOLS}
-    for name in SETTLING_BANDS:
-        columns[name] = _integer(found.samples[name])
-        columns[f"{name}_low"], columns[f"{name}_high"] = (
-            _integer(interval.low[name]),
-            _integer(interval.high[name]),
-        )
-    return columns
-
-
-def _energy(of: TrialGroup, given: Given) -> Columns:
-    found = energy_interval(
-        *(of.batch, of.found, of.verdicts, _reading_error(of, given), given["delay"], given["mass"]),
-        mass_error=given["mass_error"],
-        delay_range=tuple(given["delay_range"]),
-    )
-    half, full = HORIZON_PARTS.index(0.5), HORIZON_PARTS.index(1.0)
-    columns = _conditions(of) | {
-        "horizon_samples": _row(np.where(found.horizon_samples > 0, found.horizon_samples, NO_ROW)),
-        "reason": _texts(found.reason),
-    }
-    for w in costs.WEIGHTS:
-        parts = {"": found.value, "_low": found.low, "_high": found.high, "_bias": found.bias, "_tail": found.tail}
-        columns |= {f"energy_w{w}{end}": values[:, w] for end, values in parts.items()}
-        columns |= {
-            f"energy_w{w}_half": found.by_horizon[:, w, half],
-            f"energy_w{w}_full": found.by_horizon[:, w, full],
-        }
-    return columns
+    error = reading_error(of.batch, of.found, given["delay"], sensor=sensor, rest=given["rest"])
+    return _conditions(of) | FAMILIES[family](of.batch, of.found, of.verdicts, error, given)
 
 
 COMPUTE: dict[str, Callable[[TrialGroup, Given], Columns]] = {
@@ -208,9 +143,7 @@ COMPUTE: dict[str, Callable[[TrialGroup, Given], Columns]] = {
     "model": _model,
     "damping": _damping,
     "mass": _mass,
-    "overshoot": _overshoot,
-    "settling": _settling,
-    "energy": _energy,
+    **{name: partial(_costs, family=name) for name in FAMILIES},
 }
 """What computes the columns of a stage with one row a trial."""
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict
+from functools import partial
 from math import ceil, floor
 from typing import Any, Protocol, TypeVar
 
@@ -20,6 +21,7 @@ from pipeline.measured.signal.events import usual_length
 from pipeline.measured.signal.response import NO_ROW, sensor_floor
 from pipeline.measured.signal.verdict import Verdicts
 from pipeline.records.batch import Floats
+from pipeline.records.criteria import FAMILIES, Family
 from pipeline.records.groups import TrialGroups
 from pipeline.records.models import Estimate
 from pipeline.records.tables import TABLES
@@ -127,22 +129,16 @@ def _motion_at_rest(of: TrialGroup, given: Given) -> Floats:
     return motion_at_rest(of.batch, of.found, given["delay"], given["sensor"])
 
 
-def _overshoot(of: Experiment) -> Given:
-    return _sensor(of, 0)
-
-
-def _settling(of: Experiment) -> Given:
-    given = _with_delay(of)
-    return (
-        given if "missing" in given else {**_sensor(of, given["delay"]), "delay_range": delay_range(of.delay_estimate)}
-    )
-
-
-def _energy(of: Experiment) -> Given:
-    weight = of.mass_estimate
-    if weight.value is None:
-        return {"missing": f"energy needs the mass: {weight.reason}"}
-    return {**_settling(of), "mass": weight.value, "mass_error": standard_error(weight)}
+def _cost(of: Experiment, family: Family) -> Given:
+    weight = of.mass_estimate if "mass" in family.needs else None
+    if weight and weight.value is None:
+        return {"missing": f"{family.name} needs the mass: {weight.reason}"}
+    given = _with_delay(of) if "delay" in family.needs else {"delay": 0}
+    if "missing" in given:
+        return given
+    reach = {"delay_range": delay_range(of.delay_estimate)} if "delay" in family.needs else {}
+    heavy = {"mass": weight.value, "mass_error": standard_error(weight)} if weight else {}
+    return {**_sensor(of, given["delay"]), **reach, **heavy}
 
 
 GIVEN: dict[str, Callable[[Experiment], Given]] = {
@@ -152,9 +148,7 @@ GIVEN: dict[str, Callable[[Experiment], Given]] = {
     "model": _nothing,
     "damping": _with_delay,
     "mass": _mass,
-    "overshoot": _overshoot,
-    "settling": _settling,
-    "energy": _energy,
+    **{name: partial(_cost, family=family) for name, family in FAMILIES.items()},
 }
 """What each stage with one row a trial takes from the whole experiment."""
 

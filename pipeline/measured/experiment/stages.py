@@ -28,8 +28,9 @@ from pipeline.measured.experiment.stage_given import DERIVED, GIVEN, WHOLE
 from pipeline.measured.experiment.stage_groups import Given, TrialGroup
 from pipeline.measured.signal import verdict
 from pipeline.records.batch import Floats
+from pipeline.records.criteria import FAMILIES, criterion_of
 from pipeline.records.groups import TrialGroups
-from pipeline.records.models import ENERGY_CRITERIA, SETTLING_BANDS, BoundaryPoint, Estimate, ModelCheck, Optimum
+from pipeline.records.models import BoundaryPoint, Estimate, ModelCheck, Optimum
 from pipeline.records.table_files import read_metadata, read_table, write_table
 from pipeline.records.tables import arrow_schema, to_arrow
 from pipeline.store.samples import load_groups
@@ -37,7 +38,8 @@ from pipeline.store.storage import stage_file
 
 STAGES = (
     *("response", "outcome", "boundary", "delay", "model", "damping", "mass"),
-    *("overshoot", "settling", "energy", "windows"),
+    *FAMILIES,
+    "windows",
 )
 """Stages in the order in which they can be computed."""
 
@@ -49,9 +51,7 @@ NEEDS: dict[str, tuple[str, ...]] = {
     "model": ("response",),
     "damping": ("response", "delay", "model"),
     "mass": ("response", "delay", "model", "damping"),
-    "overshoot": ("response",),
-    "settling": ("response", "delay"),
-    "energy": ("response", "delay", "model", "damping", "mass"),
+    **{name: family.needs for name, family in FAMILIES.items()},
     "windows": ("response", "delay"),
 }
 """Stages whose results a stage takes; the plan is made backwards along these."""
@@ -76,7 +76,10 @@ _SHARED_CODE = (
 _MOTION = ("response", "verdict", "modes")
 _BALANCE = ("response", "momentum", "averaging", "correlated")
 _FIT = ("fit", "fit_filter", "fit_jitter", "fit_motion", "fit_noise", "fit_search", "fit_window", "ghost")
-_COSTS = ("response", "horizon", "costs", "reading_error", "cost_intervals", "step_metrics")
+_COSTS = (
+    *("criteria", "families", "response", "horizon", "costs", "reading_error", "cost_intervals", "step_metrics"),
+    *("energy_intervals", "tail"),
+)
 _CODE: dict[str, tuple[str, ...]] = {
     "response": _MOTION,
     "outcome": (*_MOTION, "outcome", "events", "disturbance"),
@@ -85,9 +88,7 @@ _CODE: dict[str, tuple[str, ...]] = {
     "model": ("response", "delay", *_FIT),
     "damping": (*_BALANCE, "damping"),
     "mass": (*_BALANCE, "mass", "friction"),
-    "overshoot": _COSTS,
-    "settling": _COSTS,
-    "energy": (*_COSTS, "energy_intervals", "tail"),
+    **dict.fromkeys(FAMILIES, _COSTS),
     "windows": (*_BALANCE, "mass"),
 }
 
@@ -326,6 +327,16 @@ class ExperimentStages:
         stage, column = cost_column(criterion)
         return self.column(stage, column), commonest(self.texts(stage, "reason"))
 
+    def floor(self, criterion: str) -> Floats | None:
+        """Return the cost of each trial that sensor and chatter alone can cause; None where they cause none."""
+        family = criterion_of(criterion).family
+        return self.column(family.name, family.floor) if family.floor else None
+
+    def sure_cost(self, criterion: str) -> Floats:
+        """Return the cost of each trial as `cost`, zero where it counts as none."""
+        cost, floor = self.column(*cost_column(criterion)), self.floor(criterion)
+        return cost if floor is None else np.where(aggregate.without_overshoot(cost, floor), 0.0, cost)
+
     def cost_interval(self, criterion: str) -> tuple[Floats, Floats]:
         """Return lower and upper end of the 95 % interval of each trial's cost, NaN where there is none."""
         stage, column = cost_column(criterion)
@@ -341,7 +352,7 @@ class ExperimentStages:
             self.column("response", "damping"),
             tuple(table.column("trial_id").to_pylist()),
             unstable=self.verdicts.verdict == "unstable",
-            floor=self.column("overshoot", "overshoot_floor") if criterion == "overshoot" else None,
+            floor=self.floor(criterion),
         )
         if best is None:
             return None
@@ -362,8 +373,5 @@ def required(stages: Iterable[str]) -> set[str]:
 
 def cost_column(criterion: str) -> tuple[str, str]:
     """Return stage and column that hold the cost by a criterion."""
-    if criterion == "overshoot":
-        return "overshoot", "overshoot"
-    if criterion in SETTLING_BANDS:
-        return "settling", criterion
-    return "energy", f"energy_w{ENERGY_CRITERIA.index(criterion)}"
+    known = criterion_of(criterion)
+    return known.family.name, known.column

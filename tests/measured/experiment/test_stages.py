@@ -19,6 +19,7 @@ from pipeline.measured.device import damping, delay, mass
 from pipeline.measured.experiment import boundary, stages
 from pipeline.measured.experiment.stages import NEEDS, STAGES, ExperimentStages, required
 from pipeline.measured.signal import response, verdict
+from pipeline.records.criteria import FAMILIES
 from pipeline.records.table_files import read_table, write_table
 from pipeline.store.storage import stage_file
 from pipeline.theory.cost.energy import energy_costs
@@ -208,9 +209,7 @@ COMPUTES = {
     "model": {"fit"},
     "damping": {"response", "damping"},
     "mass": {"response", "mass", "friction"},
-    "overshoot": {"response", "costs", "cost_intervals"},
-    "settling": {"response", "costs", "cost_intervals", "step_metrics"},
-    "energy": {"energy_intervals"},
+    **{family: {"families"} for family in FAMILIES},
     "windows": {"mass"},
 }
 
