@@ -30,7 +30,7 @@ def layouts(data: SceneData) -> tuple[TableLayout, ...]:
             result.append(table.model_copy(update={"experiments": experiments, "criteria": criteria}))
     covered = {e for table in result if table.kind == "optima" for e in table.experiments}
     covered |= {e for table in result if table.kind == "delay" for e in table.experiments}
-    usual = tuple(c for c in TABLED if c in asked and c in REPORTED) or tuple(c for c in REPORTED if c in asked)
+    usual = tuple(c for c in TABLED if c in asked) or tuple(c for c in REPORTED if c in asked)
     extra = tuple(c for c in asked if c not in REPORTED)  # in no published table
     least = min((added_delay(e) for e in data.experiments), default=0)
     for stages in data.experiments:
