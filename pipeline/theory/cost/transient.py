@@ -36,6 +36,10 @@ QUIET = 0.1 * NO_OVERSHOOT
 """Motion below which a response is no longer followed for overshoot, by the same margin."""
 
 
+Move = tuple[float, float, Floats, Floats, Floats]
+"""A segment of the motion: start and duration [samples], the force in it, and position and velocity at its end."""
+
+
 @dataclass
 class Crossing:
     """Last entry into a band: start, length, state and input of the segment in which it happened."""
@@ -94,11 +98,10 @@ class Active:
             setattr(self, name, getattr(self, name)[mask])
         self.forces = [f[mask] for f in self.forces]
 
-    def moves(self, loop: Loop, k: int) -> Iterator[tuple[float, float, Floats, Floats, Floats]]:
+    def moves(self, loop: Loop, k: int) -> Iterator[Move]:
         """Move all points from sample k to the next.
 
-        Yields each segment before its end is reached: its start and duration, the force in it, and position and
-        velocity at its end.
+        Yields each segment before the points are at its end.
         """
         force = self.beta * self.before - (self.alpha + self.beta) * self.position
         self.forces = [force, *self.forces[:-1]]
@@ -268,7 +271,7 @@ def lever(loop: Loop, alpha: Floats) -> Floats:
 def _note(
     loop: Loop,
     run: Active,
-    move: tuple[float, float, Floats, Floats, Floats],
+    move: Move,
     peak: Floats,
     crossings: dict[float, Crossing],
 ) -> None:
