@@ -109,7 +109,7 @@ def _least(loop: Loop, criterion: str) -> OptimalPoint:
 
     lowest, ends = float(region(loop)[0][0]), boundary(loop).theta
     edge = search_lines(along, ends[:1], ends[-1:])
-    inside = search(loop, cost)
+    inside = search(loop, cost, SMOOTH)
     if edge.cost[0] > inside.cost:
         return inside
     alpha, beta = boundary_points(loop, edge.place)
