@@ -141,7 +141,18 @@ ENERGY = Family(
     "<i>k</i>)), (5.8). It\nextends the ISE (<i>w</i> = 0), ITSE (<i>w</i> = 1) and ISTSE (<i>w</i> = 2) by the "
     "kinetic energy.",
 )
+RISE = Family(
+    "rise",
+    "rise time",
+    unit="samples",
+    term="Rise time <i>C</i><sub>rise</sub> [samples]",
+    definition="Time from the first 10 % to the first 90 % of the way to the final value, divided by <i>T</i>.\n"
+    "<i>C</i>* takes the motion between two samples as a straight line.",
+)
 POLES = Family("poles", "poles")
+
+RISE_LEVELS = (0.1, 0.9)
+"""Shares of the final displacement between which a response rises."""
 
 
 def _settling(percent: int) -> Criterion:
@@ -182,6 +193,13 @@ _ALL = (
         tabled=True,
     ),
     *(_energy(weight) for weight in (0, 1, 2)),
+    Criterion(
+        "rise_time",
+        "rise time, 10 % to 90 %",
+        RISE,
+        column="rise_time",
+        meaning="time from 10 % to 90 % of x_inf - x_0, both reached first; straight lines between samples",
+    ),
     # 5.2.2: none whatever its size
     Criterion("overshoot_at_all", "overshoot at all", OVERSHOOT, optimum_only=True),
     *(

@@ -12,10 +12,12 @@ from pipeline.measured.cost.cost_intervals import overshoot_interval, settling_i
 from pipeline.measured.cost.energy_intervals import HORIZON_PARTS, energy_interval
 from pipeline.measured.cost.reading_error import ReadingError
 from pipeline.measured.cost.step_metrics import TOOLS, reconcile
+from pipeline.measured.intervals import NORMAL_95
+from pipeline.measured.signal.horizon import cost_start
 from pipeline.measured.signal.response import Response
 from pipeline.measured.signal.verdict import Verdicts
-from pipeline.records.batch import TrialBatch
-from pipeline.records.criteria import ENERGY, members
+from pipeline.records.batch import Booleans, Floats, TrialBatch
+from pipeline.records.criteria import ENERGY, RISE_LEVELS, members
 
 Columns = dict[str, Any]
 
@@ -71,10 +73,50 @@ def _energy(batch: TrialBatch, response: Response, verdicts: Verdicts, error: Re
     }
 
 
+def _rise(batch: TrialBatch, response: Response, verdicts: Verdicts, error: ReadingError, given: Given) -> Columns:
+    first, usable, why = cost_start(batch, response, verdicts, 0)
+    travel = np.where(usable, response.position_final_expected - response.position_start, 1.0)[:, None]
+    share = (batch.position - response.position_start[:, None]) / travel
+    margin = NORMAL_95 * np.nan_to_num(error.deviation) / np.abs(travel)
+    counted = batch.valid & (np.arange(share.shape[1])[None, :] >= first[:, None])
+    # rows of the readings, and of the earliest and the latest that their errors leave open
+    (begin, soonest_begin, latest_begin), (end, soonest_end, latest_end) = (
+        [_first_reached(share + shift, counted, level) for shift in (0.0, margin, -margin)] for level in RISE_LEVELS
+    )
+    resolved = RISE_LEVELS[0] * np.abs(travel[:, 0]) >= response.floor
+    cost = np.where(usable & resolved, end - begin, np.nan)
+    known = np.isfinite(cost) & np.array([not text for text in error.reason], dtype=np.bool_)
+    low = np.fmax(cost - np.hypot(end - soonest_end, latest_begin - begin), 0.0)
+    high = cost + np.hypot(latest_end - end, begin - soonest_begin)
+    short = usable & ~resolved, usable & resolved & np.isnan(cost), known & np.isnan(high)
+    texts = (
+        f"rise_time: {RISE_LEVELS[0]:.0%} of the final displacement lies below the sensor floor",
+        f"rise_time: {RISE_LEVELS[1]:.0%} of the final displacement is not reached by the end of the log",
+        f"rise_time: with the error of the sensor it may not reach {RISE_LEVELS[1]:.0%} by the end of the log",
+    )
+    return {
+        "rise_time": cost,
+        "rise_time_low": np.where(known, low, np.nan),
+        "rise_time_high": np.where(known, high, np.nan),
+        "reason": joined(why, error.reason, *(np.where(*pair, "").tolist() for pair in zip(short, texts, strict=True))),
+    }
+
+
+def _first_reached(share: Floats, counted: Booleans, level: float) -> Floats:
+    """Row at which a share is first reached, between two readings on a straight line, shape (n,); NaN for never."""
+    reached = counted & (share >= level)
+    row = np.argmax(reached, axis=1)
+    trial = np.arange(len(row))
+    before, after = share[trial, np.maximum(row - 1, 0)], share[trial, row]
+    part = np.divide(level - before, after - before, out=np.ones(len(row)), where=after > before)
+    return np.where(reached[trial, row], row - 1 + np.clip(part, 0.0, 1.0), np.nan)
+
+
 FAMILIES: dict[str, Callable[[TrialBatch, Response, Verdicts, ReadingError, Given], Columns]] = {
     "settling": _settling,
     "overshoot": _overshoot,
     "energy": _energy,
+    "rise": _rise,
 }
 """What computes the costs of a family: columns of `pipeline.records.tables` by name, of shape (n,), from trials, their
 responses, verdicts and reading errors, and what is given of the whole experiment."""

@@ -5,13 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from pipeline.loop.loop import Loop
 from pipeline.records.batch import Floats
-from pipeline.records.criteria import DISCRETE, criterion_of
+from pipeline.records.criteria import DISCRETE, RISE_LEVELS, criterion_of
 from pipeline.theory.cost.energy import energy_costs
 from pipeline.theory.cost.march import step_transients
 from pipeline.theory.cost.poles import damping_ratio
-from pipeline.theory.cost.transient import QUIET, transient_costs
+from pipeline.theory.cost.transient import QUIET, Active, Crossing, Move, entry_times, transient_costs, turning_time
 from pipeline.theory.stability.stability import spectral_radius
 
 _MANY = 256
@@ -61,10 +63,50 @@ def _poles(loop: Loop, alpha: Floats, beta: Floats, names: Sequence[str], _: Fol
     return {name: functions[name](loop, alpha, beta) for name in names}
 
 
+def _rises(loop: Loop, alpha: Floats, beta: Floats, names: Sequence[str], follow: Following) -> dict[str, Floats]:
+    """Rise times; stability is not needed, so that they are also told along the edge of the stable region."""
+    run = Active.start(loop, alpha, beta)
+    levels = [share - 1.0 for share in RISE_LEVELS]
+    exact = [Crossing.empty(len(alpha)) for _ in levels]
+    sampled = np.full((len(levels), len(alpha)), np.nan)
+    for k in range(follow.longest):
+        if not len(run.index):
+            break
+        for move in run.moves(loop, k):
+            for level, crossing in zip(levels, exact if "rise_time" in names else (), strict=False):
+                _note_first(loop, run, move, level, crossing)
+        for level, row in zip(levels, sampled, strict=True):
+            at = np.flatnonzero(np.isnan(row[run.index]) & (run.position >= level))
+            row[run.index[at]] = k + (level - run.before[at]) / (run.position[at] - run.before[at])
+        run.keep(np.isnan(sampled[-1][run.index]))
+    rises = {f"rise_time{DISCRETE}": sampled[-1] - sampled[0]}
+    if "rise_time" in names:
+        begin, end = (entry_times(loop, crossing) for crossing in exact)
+        rises["rise_time"] = end - begin
+    return rises
+
+
+def _note_first(loop: Loop, run: Active, move: Move, level: float, crossing: Crossing) -> None:
+    """Note where the motion of a segment reaches a level for the first time: at its end, or at an extremum within."""
+    start, duration, force, position, velocity = move
+    still = np.isnan(crossing.start[run.index])
+    over = still & (position >= level)
+    turn = np.flatnonzero(still & ~over & (run.velocity > 0) & (velocity < 0))
+    e, v, u = run.position[turn], run.velocity[turn], force[turn]
+    when = turning_time(loop.gamma, loop.delta, e, v, u, duration)
+    high = np.full(len(position), duration)
+    high[turn] = when
+    over[turn] = loop.position_after(when, e, v, u) >= level
+    at = np.flatnonzero(over)
+    place = run.position[at], run.velocity[at], force[at], np.full(len(at), level)
+    crossing.set(run.index[at], start, 0.0, high[at], *place)
+
+
 FAMILIES: dict[str, PointCosts] = {
     "settling": _transients,
     "overshoot": _transients,
     "energy": _energies,
+    "rise": _rises,
     "poles": _poles,
 }
 """What computes the costs of a family, by name, of shape (n,)."""
