@@ -155,50 +155,35 @@ RISE_LEVELS = (0.1, 0.9)
 """Shares of the final displacement between which a response rises."""
 
 
-def _settling(percent: int) -> Criterion:
-    return Criterion(
-        name := f"settle_{percent}pct",
-        f"settling time, {percent} % band",
-        SETTLING,
-        column=name,
-        meaning=f"discrete settling time, band {percent} %",
-        band=percent / 100,
-        reported=True,
-        tabled=percent == 2,
-    )
-
-
-def _energy(weight: int) -> Criterion:
-    return Criterion(
-        f"energy_step_w{weight}",
-        f"energy cost, w = {weight} ({('ISE', 'ITSE', 'ISTSE')[weight]}-like)",
-        ENERGY,
-        column=f"energy_w{weight}",
-        meaning=f"discrete energy cost, w = {weight}: sum less its noise, plus the tail",
-        weight=weight,
-        reported=True,
-        tabled=True,
-    )
-
-
 _ALL = (
-    *(_settling(percent) for percent in (1, 2, 5)),
+    *(
+        Criterion(
+            *(f"settle_{percent}pct", f"settling time, {percent} % band", SETTLING),
+            *(f"settle_{percent}pct", f"discrete settling time, band {percent} %", percent / 100),
+            reported=True,
+            tabled=percent == 2,
+        )
+        for percent in (1, 2, 5)
+    ),
     Criterion(
-        "overshoot",
-        "overshoot",
-        OVERSHOOT,
-        column="overshoot",
-        meaning="(max x - x_inf)/(x_inf - x_0), 0 where the position stays below",
+        *("overshoot", "overshoot", OVERSHOOT, "overshoot"),
+        "(max x - x_inf)/(x_inf - x_0), 0 where the position stays below",
         reported=True,
         tabled=True,
     ),
-    *(_energy(weight) for weight in (0, 1, 2)),
+    *(
+        Criterion(
+            *(f"energy_step_w{w}", f"energy cost, w = {w} ({name}-like)", ENERGY, f"energy_w{w}"),
+            f"discrete energy cost, w = {w}: sum less its noise, plus the tail",
+            weight=w,
+            reported=True,
+            tabled=True,
+        )
+        for w, name in enumerate(("ISE", "ITSE", "ISTSE"))
+    ),
     Criterion(
-        "rise_time",
-        "rise time, 10 % to 90 %",
-        RISE,
-        column="rise_time",
-        meaning="time from 10 % to 90 % of x_inf - x_0, both reached first; straight lines between samples",
+        *("rise_time", "rise time, 10 % to 90 %", RISE, "rise_time"),
+        "time from 10 % to 90 % of x_inf - x_0, both reached first; straight lines between samples",
     ),
     # 5.2.2: none whatever its size
     Criterion("overshoot_at_all", "overshoot at all", OVERSHOOT, optimum_only=True),
@@ -219,8 +204,8 @@ MEASURED = tuple(c.name for c in _ALL if c.column)
 REPORTED = tuple(c.name for c in _ALL if c.reported)
 """Criteria of a report that names none."""
 
-FAMILIES = {CRITERIA[name].family.name: CRITERIA[name].family for name in MEASURED}
-"""Families of `MEASURED` by name, which is that of their stage."""
+FAMILIES = {family.name: family for family in (OVERSHOOT, SETTLING, ENERGY, RISE)}
+"""Families of `MEASURED` by name, which is that of their stage, in the order in which they are computed."""
 
 SETTLING_BANDS = {c.name: c.band for c in _ALL if c.band is not None}
 """Half width of the settling band relative to the final displacement, by criterion."""

@@ -135,7 +135,7 @@ def cell_medians(
 
 
 def _figure(criterion: str, maps: tuple[ResidualMap, ...]) -> Figure[ResidualMap]:
-    difference = "difference in percentage points" if criterion == "overshoot" else "ratio"
+    difference = "difference in percentage points" if criterion_of(criterion).family.levels else "ratio"
     return Figure(
         "residuals",
         "residual-" + re.sub(r"[^A-Za-z0-9_-]", "-", criterion),

@@ -9,7 +9,7 @@ from pathlib import Path
 from pipeline.base.errors import DeviceError, StoreError, UsageError
 from pipeline.devices.devices import known_devices
 from pipeline.measured.experiment.stages import STAGES, ExperimentStages, required
-from pipeline.records.criteria import FAMILIES, MEASURED, REPORTED, criterion_of
+from pipeline.records.criteria import FAMILIES, MEASURED, REPORTED, criterion_of, members
 from pipeline.records.models import Device, Scene, Shown
 from pipeline.store.storage import list_devices, list_experiments, read_trials
 
@@ -119,13 +119,13 @@ def needed_stages(data: SceneData) -> set[str]:
     return needed | required(("delay", "mass", "damping")) if data.overlay else needed
 
 
-_LEFT_OUT = {
+_LEFT_OUT = {  # but for what a report holds only by name
     "outcome": "neither the table of outcomes nor the trials are shown",
     "delay": "neither the measured boundary nor a cost that is asked for needs the delay",
     "model": "neither mass nor damping is asked for",
     "damping": "damping enters no measured cost, and no theory is drawn from estimates",
     "mass": "only energy costs need the mass",
-    **{name: f"{family.title} is not asked for" for name, family in FAMILIES.items()},
+    **{name: f"{family.title} is not asked for" for name, family in FAMILIES.items() if members(family, REPORTED)},
     "windows": "only energy costs need the mass",
 }
 
@@ -138,7 +138,7 @@ def plan_measured(data: SceneData) -> list[PlannedStage]:
         for stage in STAGES:
             name = f"{experiment.experiment}: {stage}"
             if stage not in needed:
-                plan.append(PlannedStage(name, LEAVE_OUT, _LEFT_OUT[stage]))
+                plan += [PlannedStage(name, LEAVE_OUT, _LEFT_OUT[stage])] if stage in _LEFT_OUT else []
             elif experiment.is_stored(stage):
                 plan.append(PlannedStage(name, REUSE, "logs, code and earlier stages are unchanged"))
             else:
