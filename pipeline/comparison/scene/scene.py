@@ -125,7 +125,7 @@ _LEFT_OUT = {  # but for what a report holds only by name
     "model": "neither mass nor damping is asked for",
     "damping": "damping enters no measured cost, and no theory is drawn from estimates",
     "mass": "only energy costs need the mass",
-    **{name: f"{family.title} is not asked for" for name, family in FAMILIES.items() if members(family, REPORTED)},
+    **{name: f"no {family.title} is asked for" for name, family in FAMILIES.items() if members(family, REPORTED)},
     "windows": "only energy costs need the mass",
 }
 

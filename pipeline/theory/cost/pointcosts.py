@@ -37,7 +37,7 @@ PointCosts = Callable[[Loop, Floats, Floats, Sequence[str], Following], dict[str
 
 def _transients(loop: Loop, alpha: Floats, beta: Floats, names: Sequence[str], follow: Following) -> dict[str, Floats]:
     bands = sorted({band for name in names if (band := criterion_of(name).band) is not None})
-    blocks = follow.part or len(alpha) >= _MANY
+    blocks = len(alpha) >= (1 if follow.part else _MANY)
     if blocks and len(bands) == 1 and loop.oldest_force == loop.delay <= _LARGEST_DELAY:
         found = step_transients(loop, alpha, beta, bands[0], longest=follow.longest, quiet=follow.quiet)
         # a single band is not named in the march
