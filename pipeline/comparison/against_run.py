@@ -18,7 +18,7 @@ from pipeline.comparison.figures.figure_boundaries import plane_figure
 from pipeline.comparison.scene.scene import SceneData, open_scene
 from pipeline.records.against_records import AgainstResult, PairDifference, Side
 from pipeline.records.figure_records import Figure, Limits
-from pipeline.records.models import BoundaryPoint, Estimate, Optimum, Record
+from pipeline.records.findings import BoundaryPoint, Estimate, Optimum, Record
 from pipeline.records.results import ComparisonResult, ExperimentResult
 from pipeline.rendering.report.report_against import AgainstPage
 from pipeline.theory.predictions import Theory

@@ -8,7 +8,8 @@ from __future__ import annotations
 from functools import cache
 
 from pipeline.device_data.published import shipped_rows
-from pipeline.records.models import Positive, Record
+from pipeline.records.findings import Record
+from pipeline.records.models import Positive
 
 _FILE = "hulin-2017-human-arm.csv"
 

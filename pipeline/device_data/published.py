@@ -16,7 +16,8 @@ from pydantic import ValidationError
 
 from pipeline.base.errors import StoreError
 from pipeline.base.provenance import schema_folder
-from pipeline.records.models import Name, Positive, Record
+from pipeline.records.findings import Record
+from pipeline.records.models import Name, Positive
 
 _FILE = "hulin-2017.csv"
 

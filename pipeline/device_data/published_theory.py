@@ -18,7 +18,8 @@ from pydantic import Field, field_validator, model_validator
 
 from pipeline.base.errors import ParameterError
 from pipeline.device_data.published import shipped_rows
-from pipeline.records.models import Name, NonNegative, Record
+from pipeline.records.findings import NonNegative, Record
+from pipeline.records.models import Name
 
 THEORY_TABLES = ("B.1", "B.2", "B.3", "B.4", "C.1", "C.2", "C.3", "5.1(a)", "5.1(b)")
 """Tables of theory alone; those of appendix D are in `pipeline.device_data.published`."""

@@ -23,7 +23,8 @@ from pipeline.base.json_seal import DamageError
 from pipeline.base.lock import WAIT_S, writing
 from pipeline.base.seal import verify
 from pipeline.intake.versions import repair
-from pipeline.records.models import Motion, Record
+from pipeline.records.findings import Record
+from pipeline.records.models import Motion
 from pipeline.records.table_files import GROUP_ROWS, damaged_file, read_table
 from pipeline.records.tables import TABLES
 from pipeline.store.batch_files import NewBatch, next_number, remove_batches, trials_copy

@@ -9,7 +9,7 @@ from typing import Literal
 from pipeline.base.errors import Code
 from pipeline.intake.quarantine import QuarantineRecord
 from pipeline.intake.sources import Source
-from pipeline.records.models import Record
+from pipeline.records.findings import Record
 
 Action = Literal["ingest", "skip", "refuse", "wait"]
 

@@ -22,7 +22,7 @@ from pipeline.base.provenance import digest
 from pipeline.base.regular_files import open_regular
 from pipeline.intake.excerpt import NOTHING, Excerpt, excerpt_of
 from pipeline.intake.sources import Source
-from pipeline.records.models import Record
+from pipeline.records.findings import Record
 
 LARGEST_COPY = 64 << 20
 """Bytes up to which a refused file is copied; a log is well below 1 MB, what is larger was hardly one."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pipeline.records.models import Record
+from pipeline.records.findings import Record
 
 Plane = Literal["physical", "normalised"]
 

@@ -23,7 +23,7 @@ from pipeline.intake.compaction import unseen_trials
 from pipeline.intake.quarantine import RECORD_FILE, QuarantineRecord
 from pipeline.intake.rerun import NOTE_FILE
 from pipeline.profiles.profile_model import Profile
-from pipeline.records.models import Record
+from pipeline.records.findings import Record
 from pipeline.records.table_files import parquet_bytes
 from pipeline.repair.reread import same_logs
 from pipeline.repair.salvage import NEEDED, groups_of, unreadable

@@ -22,7 +22,8 @@ from pipeline.base.disk import remove, replacing, write_text
 from pipeline.base.file_names import storable
 from pipeline.base.regular_files import open_regular
 from pipeline.base.wording import unbroken
-from pipeline.records.models import BoundaryPoint, Motion
+from pipeline.records.findings import BoundaryPoint
+from pipeline.records.models import Motion
 from pipeline.rendering.labels import UNITS, decimal, percent_text, stiffness_text
 from pipeline.rendering.report.page_template import fill_template
 

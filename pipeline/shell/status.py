@@ -23,7 +23,7 @@ from pipeline.intake.compaction import find_orphans
 from pipeline.intake.quarantine import list_quarantine
 from pipeline.measured.stages.stages import STAGES, ExperimentStages
 from pipeline.profiles.profile_files import shipped_profiles
-from pipeline.records.models import Record
+from pipeline.records.findings import Record
 from pipeline.store.names import report_of
 from pipeline.store.storage import natural_key, partner_of, read_trials, samples_metadata, stage_file, steadily
 

@@ -14,7 +14,8 @@ from pydantic import ValidationError
 from pipeline.base.errors import UsageError
 from pipeline.base.outputs import check_output
 from pipeline.comparison.compare import compare as compare_stored
-from pipeline.records.models import ComparisonRow, Record
+from pipeline.records.findings import Record
+from pipeline.records.models import ComparisonRow
 from pipeline.records.results import ComparisonResult
 from pipeline.records.score_records import Scores
 from pipeline.surface.frames import frame_of, units_of

@@ -15,7 +15,9 @@ from pipeline.comparison.scene.scene import SceneData, needed_stages, open_scene
 from pipeline.comparison.stage_pool import compute_stages
 from pipeline.device_data.devices import known_devices
 from pipeline.measured.stages.stages import ExperimentStages, cost_column
-from pipeline.records.models import CRITERIA, Estimate, Motion, Optimum
+from pipeline.records.criteria import CRITERIA
+from pipeline.records.findings import Estimate, Optimum
+from pipeline.records.models import Motion
 from pipeline.records.results import ExperimentResult
 from pipeline.records.tables import TABLES
 from pipeline.store.samples import load_batch

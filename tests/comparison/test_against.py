@@ -20,7 +20,7 @@ from pipeline.comparison.against import (
     difference_interval,
 )
 from pipeline.comparison.against_run import against_document, against_experiments, names_of, read_document
-from pipeline.records.models import BoundaryPoint, Estimate, Optimum
+from pipeline.records.findings import BoundaryPoint, Estimate, Optimum
 from pipeline.rendering.report.report_against import pair_tables, render
 from pipeline.shell.cli import app
 

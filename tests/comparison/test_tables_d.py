@@ -9,7 +9,8 @@ from pipeline.base.provenance import schema_folder
 from pipeline.comparison.compare_experiment import nominal_theories
 from pipeline.comparison.scene.scene import open_scene
 from pipeline.comparison.tables_d import TableBuilder, condition_of, layouts
-from pipeline.records.models import ComparisonRow, Optimum
+from pipeline.records.findings import Optimum
+from pipeline.records.models import ComparisonRow
 from pipeline.theory.predictions import Predictions
 
 CENTRES = 0.002

@@ -18,7 +18,7 @@ from pipeline.device_data.published_theory import (
     PublishedPoint,
     published_points,
 )
-from pipeline.theory.optimum.optimum import criterion_names
+from pipeline.records.criteria import CRITERIA, with_discrete
 from pipeline.theory.optimum.rules import POINT_CRITERIA
 
 TABLES = SHARED / "reference" / "tables"
@@ -91,7 +91,7 @@ def test_the_tables_have_their_sizes() -> None:
 
 
 def test_every_criterion_can_be_computed() -> None:
-    known = {*POINT_CRITERIA, *criterion_names()}
+    known = {*POINT_CRITERIA, *with_discrete(CRITERIA)}
     assert {point.criterion for point in published_points()} - known == set()
 
 

@@ -16,7 +16,7 @@ from pipeline.base.provenance import digest, sha256
 from pipeline.comparison.scene.scene import SceneData, needed_stages
 from pipeline.measured.stages.stage_windows import WINDOWS_S
 from pipeline.measured.stages.stages import ExperimentStages
-from pipeline.records.models import CRITERIA
+from pipeline.records.criteria import REPORTED
 from pipeline.records.results import LogList
 
 LIBRARIES = ("numpy", "pyarrow", "matplotlib")
@@ -103,7 +103,7 @@ def _command(data: SceneData, processed: Path, output: Sequence[str]) -> str:
     scene = data.scene
     words = ["pipeline", "compare", "--device", scene.device]
     words += [word for experiment in scene.experiments for word in ("--experiment", experiment)]
-    words += [] if scene.criteria == CRITERIA else ["--criteria", ",".join(scene.criteria)]
+    words += [] if scene.criteria == REPORTED else ["--criteria", ",".join(scene.criteria)]
     # names come from logs and may hold anything
     return shlex.join([*words, "--processed", str(processed), *output])
 

@@ -68,8 +68,16 @@ class Stage:
     @property
     def code(self) -> str:
         """Hash of the code that computes the stage: of its functions, and of all by which they are called."""
-        functions = filter(None, (self.rows, self.given, self.whole, self.derived))
-        return code_digest(__name__, *sorted({function.__module__ for function in functions}))
+        return code_digest(__name__, *self.modules)
+
+    @property
+    def modules(self) -> list[str]:
+        """Names of the modules of its functions, and of those that are handed to them."""
+        functions = list(filter(None, (self.rows, self.given, self.whole, self.derived)))
+        for function in functions:
+            if isinstance(function, partial):
+                functions += [function.func, *filter(callable, function.keywords.values())]
+        return sorted({function.__module__ for function in functions if not isinstance(function, partial)})
 
 
 @dataclass

@@ -33,7 +33,7 @@ def compare(
     experiment: Experiments = None,
     criteria: Annotated[
         str | None,
-        typer.Option("--criteria", help="Criteria, separated by commas; all where not given."),
+        typer.Option("--criteria", help="Separated by commas; a wrong one lists all. The usual ones where not given."),
     ] = None,
     processed: Processed = Path("processed"),
     report: Annotated[

@@ -25,7 +25,8 @@ from pipeline.readers.frame import ColumnInfo
 from pipeline.readers.mapping import format_module
 from pipeline.readers.time_axis import step_flags
 from pipeline.records.batch import TrialBatch
-from pipeline.records.models import Motion, Record
+from pipeline.records.findings import Record
+from pipeline.records.models import Motion
 from pipeline.shell.profile.profile_warnings import other_step, other_units
 
 

@@ -6,7 +6,7 @@ import pytest
 from pipeline.base.errors import ParameterError
 from pipeline.comparison.scores.implied_delay import implied_by_damping, implied_delay
 from pipeline.comparison.scores.implied_slope import DeviceParameters, implied_by_slope
-from pipeline.records.models import BoundaryPoint
+from pipeline.records.findings import BoundaryPoint
 from pipeline.simulation.plants import MassSpringDamper
 from pipeline.simulation.radius import spectral_radius
 from pipeline.simulation.setup import Setup

@@ -8,7 +8,7 @@ import pytest
 from pipeline.comparison.scene.scene import open_scene
 from pipeline.comparison.summary.summary import summarise
 from pipeline.comparison.summary.summary_warnings import warnings_of
-from pipeline.records.models import Estimate, Optimum, Trend
+from pipeline.records.findings import Estimate, Optimum, Trend
 from pipeline.rendering.labels import share_text
 
 

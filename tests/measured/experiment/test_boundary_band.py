@@ -11,7 +11,7 @@ from pipeline.device_data.devices import load_device
 from pipeline.measured.experiment.boundary_band import boundary_area, boundary_band
 from pipeline.measured.intervals import NORMAL_95
 from pipeline.measured.signal.verdict import judge
-from pipeline.records.models import BoundaryPoint
+from pipeline.records.findings import BoundaryPoint
 from pipeline.simulation.course import run_course
 from pipeline.simulation.radius import spectral_radius
 
