@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import platform
 import shlex
@@ -91,12 +90,6 @@ def request(data: SceneData, lists: Sequence[LogList], processed: Path, code: st
     """Return what the comparison was asked for and rests on, as `verify` asks for it again."""
     logs = {e.experiment: {"files": len(e.files), "sha256": e.sha256, "samples": e.samples} for e in lists}
     return {"processed": str(processed), "scene": data.scene.model_dump(mode="json"), "logs": logs, "code": code}
-
-
-def hash_file(path: Path) -> str:
-    """Return the SHA-256 of a file."""
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def _command(data: SceneData, processed: Path, output: Sequence[str]) -> str:
