@@ -21,6 +21,7 @@ import numpy as np
 from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop, Normalised
 from pipeline.loop.many_digits import Digits, as_exact, as_floats, bilinear, exponential, many_digits, total
+from pipeline.loop.plant import Flow
 from pipeline.records.batch import Floats
 from pipeline.records.loop_parts import Butterworth, Coefficients, Difference, LoopParts, VelocityFilter
 
@@ -230,6 +231,16 @@ class DeviceLoop(Loop):
     def states(self) -> int:
         """Number of states of the loop."""
         return len(self.open_loop[0])
+
+    @cached_property
+    def flows(self) -> tuple[Flow, ...]:
+        """Not for this loop: whoever asks takes it for an ideal one."""
+        raise ParameterError(f"{self}: this quantity is known for ideal loops only, without filter, lag and mode.")
+
+    @cached_property
+    def period(self) -> Flow:
+        """Not for this loop, as `flows`."""
+        return self.flows[0]
 
     def matrix(self, alpha: Floats, beta: Floats) -> Floats:
         """Return the loop matrices A with z_{k+1} = A z_k, shape (n, states, states)."""

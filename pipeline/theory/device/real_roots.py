@@ -22,6 +22,9 @@ _NOISE = 20
 _STEPS = 200
 """More than the steps of any root."""
 
+_BESIDE = Decimal("1e-40")
+"""Share of a bracket by which its sign is looked at beside its ends."""
+
 _FINE = Decimal("1e-15")
 """Relative width of a bracket at which a root is known: below the rounding of a double."""
 
@@ -91,11 +94,11 @@ def _changes(polynomial: list[int]) -> int:
 
 def _refined(polynomial: Digits, low: Decimal, high: Decimal) -> Decimal:
     """Return the root between two places of different sign: false position, halved in turn."""
-    at_low, at_high = value(polynomial, low), value(polynomial, high)
-    if low == high or at_low == 0:
+    if low == high:
         return low
-    if at_high == 0:
-        return high
+    # an end may be a root itself, which is another one
+    beside = (high - low) * _BESIDE
+    at_low, at_high = (value(polynomial, end) for end in (low + beside, high - beside))
     for step in range(_STEPS):
         middle = (low * at_high - high * at_low) / (at_high - at_low) if step % 3 else _between(low, high)
         there = value(polynomial, middle)
