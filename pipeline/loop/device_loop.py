@@ -23,7 +23,7 @@ from pipeline.loop.loop import Loop, Normalised
 from pipeline.loop.many_digits import Digits, as_exact, as_floats, bilinear, exponential, many_digits, total
 from pipeline.loop.plant import Flow
 from pipeline.records.batch import Floats
-from pipeline.records.loop_parts import Butterworth, Coefficients, Difference, LoopParts, VelocityFilter
+from pipeline.records.loop_parts import Butterworth, Difference, LoopParts, VelocityFilter
 
 LARGEST_ORDER = 96
 """Delay [samples] plus length of the filter; its square is the time that the boundary takes: seconds beyond this."""
@@ -107,8 +107,8 @@ class DeviceLoop(Loop):
         rate = float(np.abs(self.device[0]).max())
         if rate > LARGEST_RATE:
             raise ParameterError(
-                f"the device changes within {1 / rate:.2g} sampling periods: expected no faster than {1 / LARGEST_RATE:g}. "
-                "Leave out the lag or mode that is so fast."
+                f"the device changes within {1 / rate:.2g} sampling periods: expected no faster than "
+                f"{1 / LARGEST_RATE:g}. Leave out the lag or mode that is so fast."
             )
 
     @cached_property
@@ -299,7 +299,8 @@ def loop_of(
     Parameters
     ----------
     mass, damping, stiffness : float
-        Of the device, both sides of a mode together, without operator: m [kg, kg m^2], b [Ns/m, Nms/rad], k [N/m, Nm/rad].
+        Of the device, both sides of a mode together, without operator: m [kg, kg m^2], b [Ns/m, Nms/rad] and
+        k [N/m, Nm/rad].
     delay_samples : float
         t_d/T, integer or fractional.
     sampling_period_s : float
@@ -318,7 +319,11 @@ def loop_of(
     operator, mode = parts.operator, parts.mode
     everything = mass
     if operator is not None:
-        everything, damping, stiffness = mass + operator.mass, damping + operator.damping, stiffness + operator.stiffness
+        everything, damping, stiffness = (
+            mass + operator.mass,
+            damping + operator.damping,
+            stiffness + operator.stiffness,
+        )
     ideal = Normalised(everything, sampling_period_s).loop(stiffness, damping, delay_samples)
     if _is_ideal(parts):
         return ideal

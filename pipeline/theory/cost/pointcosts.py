@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from pipeline.loop.device_loop import DeviceLoop
 from pipeline.loop.loop import Loop
 from pipeline.records.batch import Floats
 from pipeline.theory.cost.energy import WEIGHTS, energy_costs
@@ -58,7 +59,7 @@ def point_costs_by_name(
     bands = [float(name.removeprefix("settle_").removesuffix("pct")) / 100 for name in SETTLING if name in bases]
     if not bands and "overshoot" not in bases:
         pass
-    elif len(alpha) >= (1 if part else _MANY) and len(bands) == 1 and loop.oldest_force == loop.delay <= _LARGEST_DELAY:
+    elif len(alpha) >= (1 if part else _MANY) and len(bands) == 1 and _can_march(loop):
         found = step_transients(loop, alpha, beta, bands[0], longest=longest, quiet=quiet)
         settle = f"settle_{100 * bands[0]:g}pct"
         result |= {settle: found["settle"], f"{settle}_discrete": found["settle_discrete"]}
@@ -75,3 +76,7 @@ def point_costs_by_name(
             quiet=quiet,
         )
     return {name: result[name] for name in names}
+
+
+def _can_march(loop: Loop) -> bool:
+    return not isinstance(loop, DeviceLoop) and loop.oldest_force == loop.delay <= _LARGEST_DELAY

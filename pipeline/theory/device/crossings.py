@@ -247,9 +247,7 @@ def _ratio(top: Floats, bottom: Floats, w: np.ndarray) -> np.ndarray:
     """Return a ratio of two polynomials of one degree; above |w| = 1 in powers of 1/w."""
     far = np.abs(w) > 1
     near, inverse = np.where(far, 0, w), 1 / np.where(far, w, 1)
-    up, down = (
-        np.where(far, np.polyval(part, inverse), np.polyval(part[::-1], near)) for part in (top, bottom)
-    )
+    up, down = (np.where(far, np.polyval(part, inverse), np.polyval(part[::-1], near)) for part in (top, bottom))
     return np.asarray(up / down)
 
 
@@ -303,7 +301,7 @@ def right_half(polynomial: Digits) -> int:
         rest = np.append(lower[1:], as_exact([0] * (len(upper) - len(lower))))
         upper, lower = lower, upper[1:] - upper[0] / lower[0] * rest
     signs = [entry > 0 for entry in first]
-    return sum(a != b for a, b in zip(signs, signs[1:], strict=False))
+    return sum(a != b for a, b in pairwise(signs))
 
 
 def _mirrored(polynomial: Digits) -> Digits:

@@ -104,7 +104,7 @@ def outline(loop: DeviceLoop, points: int = 400) -> Outline:
         return Outline(np.zeros(0), np.zeros(0), known.islands, np.nan, np.nan)
     widths = ends[:, 1] - ends[:, 0]
     parts = []
-    for (low, high), width in zip(ends, widths, strict=True):
+    for (low, _high), width in zip(ends, widths, strict=True):
         count = max(8, int(points * width / widths.sum()))
         parts.append(low + width * 0.5 * (1 - np.cos(np.pi * np.linspace(0, 1, count))))
     beta = np.concatenate(parts)
@@ -132,7 +132,10 @@ def _ends(loop: DeviceLoop, beta: Floats, has: Booleans) -> Floats:
     """Return the first and last damping of each part that has limits, shape (parts, 2)."""
     padded = np.concatenate([[False], has, [False]])
     changes = np.flatnonzero(padded[1:] != padded[:-1])
-    inner, outer = np.where(padded[1:][changes], changes, changes - 1), np.where(padded[1:][changes], changes - 1, changes)
+    inner, outer = (
+        np.where(padded[1:][changes], changes, changes - 1),
+        np.where(padded[1:][changes], changes - 1, changes),
+    )
     good, bad = beta[inner], beta[np.clip(outer, 0, len(beta) - 1)]
     share = np.linspace(0, 1, _SECTIONS + 1)
     for _ in range(_EDGE_ROUNDS):

@@ -9,7 +9,7 @@ Source: Collins and Akritas 1976, Polynomial real root isolation using Descartes
 from __future__ import annotations
 
 from decimal import Decimal
-from itertools import accumulate
+from itertools import accumulate, pairwise
 
 from pipeline.loop.many_digits import Digits, as_exact, value
 
@@ -89,7 +89,7 @@ def _shifted(polynomial: list[int]) -> list[int]:
 
 def _changes(polynomial: list[int]) -> int:
     signs = [c > 0 for c in polynomial if c]
-    return sum(a != b for a, b in zip(signs, signs[1:], strict=False))
+    return sum(a != b for a, b in pairwise(signs))
 
 
 def _refined(polynomial: Digits, low: Decimal, high: Decimal) -> Decimal:

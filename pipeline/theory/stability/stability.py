@@ -13,8 +13,10 @@ from itertools import pairwise
 import numpy as np
 
 from pipeline.base.errors import ParameterError
+from pipeline.loop.device_loop import DeviceLoop
 from pipeline.loop.loop import Loop, as_points
 from pipeline.records.batch import Booleans, Floats
+from pipeline.theory.device.outline import outline
 
 _CHUNK = 8192
 """Points whose eigenvalues are computed at a time; bounds memory to about 40 MB at d = 16."""
@@ -202,6 +204,8 @@ def boundary(loop: Loop, points: int = 400) -> Boundary:
     """
     if points < 8:
         raise ParameterError(f"points = {points}: expected at least 8.")
+    if isinstance(loop, DeviceLoop):
+        return _of_device(loop, points)
     end = _branch_end(loop)
     if not _encloses(loop, end):
         return _from_all_branches(loop, points)
@@ -222,6 +226,22 @@ def boundary(loop: Loop, points: int = 400) -> Boundary:
         beta_at_alpha_max=float(peak[1][0]),
         beta_max=float(top[1][0]),
         alpha_at_beta_max=0.0 - loop.gamma if theta_top == end else float(top[0][0]),
+    )
+
+
+def _of_device(loop: DeviceLoop, points: int) -> Boundary:
+    """Boundary of a general loop over beta; its angles are not given."""
+    found = outline(loop, points)
+    if not len(found.beta):
+        raise ParameterError(f"{loop}: no damping stabilises a soft wall.")
+    return Boundary(
+        alpha=found.alpha,
+        beta=found.beta,
+        theta=np.full(len(found.beta), np.nan),
+        alpha_max=found.alpha_max,
+        beta_at_alpha_max=found.beta_at_alpha_max,
+        beta_max=float(found.beta[-1]),
+        alpha_at_beta_max=float(found.alpha[-1]),
     )
 
 
