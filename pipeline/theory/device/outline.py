@@ -84,7 +84,7 @@ def limits(loop: DeviceLoop, beta: Floats, *, exact: bool = True) -> Limits:
     low, high = ends
     soft = low <= 0
     alpha = np.full(len(beta), np.nan)
-    alpha[index[soft]] = high[soft]
+    alpha[index[soft]] = np.maximum(high[soft], 0.0)
     return Limits(alpha, np.stack([beta[index], low, high], axis=1)[~soft])
 
 
