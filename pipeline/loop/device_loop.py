@@ -163,7 +163,8 @@ class DeviceLoop(Loop):
     def pushes(self) -> tuple[Digits, tuple[Digits, ...]]:
         """Transition of a whole sampling interval, and what the force of each segment adds at its end."""
         with many_digits(self.digits):
-            whole, gains = as_exact(np.eye(len(self.device[1]))), []
+            whole = as_exact(np.eye(len(self.device[1])))
+            gains: list[Digits] = []
             for transition, gain in self.over_segments:
                 whole = transition @ whole
                 gains = [transition @ earlier for earlier in gains] + [gain]
@@ -271,6 +272,11 @@ class DeviceLoop(Loop):
         return z
 
 
+def general(loop: Loop) -> DeviceLoop:
+    """Return a loop as a general one, also where it is ideal."""
+    return loop if isinstance(loop, DeviceLoop) else DeviceLoop(loop.gamma, loop.delta, loop.delay)
+
+
 def filter_order(velocity: VelocityFilter | None) -> int:
     """Return the number of samples that a filter remembers."""
     if isinstance(velocity, Difference):
@@ -306,7 +312,7 @@ def loop_of(
     sampling_period_s : float
         T [s].
     parts : LoopParts
-        Friction is no part of a linear loop (`left_out`).
+        Friction is no part of a linear loop (`LoopParts.left_out`).
 
     Raises
     ------
@@ -343,11 +349,6 @@ def loop_of(
         vibration,
         _per_sample(parts.velocity, sampling_period_s),
     )
-
-
-def left_out(parts: LoopParts) -> list[str]:
-    """Return the parts of a device file that linear theory cannot hold."""
-    return ["friction"] if parts.friction is not None else []
 
 
 def _is_ideal(parts: LoopParts) -> bool:
@@ -387,15 +388,20 @@ def _filter_in_w(velocity: VelocityFilter | None) -> tuple[Digits, Digits]:
     if isinstance(velocity, Butterworth):
         root = Decimal(2).sqrt()
         side = (4 + 2 * root).sqrt()
-        by_order = {1: [1, 1], 2: [1, root, 1], 3: [1, 2, 2, 1], 4: [1, side, 2 + root, side, 1]}
+        by_order: dict[int, list[int | Decimal]] = {
+            1: [1, 1],
+            2: [1, root, 1],
+            3: [1, 2, 2, 1],
+            4: [1, side, 2 + root, side, 1],
+        }
         edge = Decimal(math.tan(math.pi * velocity.cutoff_hz))
-        bottom = np.array([Decimal(c) / edge**k for k, c in enumerate(by_order[velocity.order])], dtype=object)
+        bottom = as_exact([Decimal(c) / edge**k for k, c in enumerate(by_order[velocity.order])])
         return as_exact([1] + [0] * velocity.order), bottom
     n = filter_order(velocity)
     if isinstance(velocity, Difference):
-        b, a = [Decimal(1) / velocity.samples] * velocity.samples, [Decimal(1)]
+        b, a = as_exact([Decimal(1) / velocity.samples] * velocity.samples), as_exact([1])
     else:
-        b, a = list(as_exact(velocity.b)), list(as_exact(velocity.a))
+        b, a = as_exact(velocity.b), as_exact(velocity.a)
     # in powers of 1/z = (1 - w)/(1 + w): reversed, they are powers of z over z^n
-    top, bottom = (bilinear(np.array((c + [Decimal(0)] * (n + 1 - len(c)))[::-1], dtype=object), n) for c in (b, a))
+    top, bottom = (bilinear(np.append(c, as_exact([0] * (n + 1 - len(c))))[::-1], n) for c in (b, a))
     return top, bottom

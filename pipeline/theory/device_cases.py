@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 
 from pipeline.base.errors import ParameterError
-from pipeline.loop.device_loop import DeviceLoop, left_out, loop_of, wall_units
+from pipeline.loop.device_loop import general, loop_of, wall_units
 from pipeline.loop.loop import Loop, Normalised
 from pipeline.records.loop_parts import LoopParts
 from pipeline.records.models import Device, Experiment
 from pipeline.theory.cases import Cases, optimum_document, points_of_loop
 from pipeline.theory.device.outline import outline
-from pipeline.theory.device.poles import slowest_poles
+from pipeline.theory.device.slowest_pole import slowest_poles
 
 WALL_COLUMNS = ("stiffness", "damping")
 """Columns of a CSV file of walls."""
@@ -45,12 +45,6 @@ class DeviceCase:
         return loop_of(e.mass, e.damping, e.stiffness, e.delay_samples, self.device.sampling_period_s, self.parts)
 
     @property
-    def general(self) -> DeviceLoop:
-        """The loop as a general one, also where it is ideal."""
-        loop = self.loop
-        return loop if isinstance(loop, DeviceLoop) else DeviceLoop(loop.gamma, loop.delta, loop.delay)
-
-    @property
     def names(self) -> dict[str, Any]:
         """What every document says of the device."""
         return {
@@ -58,7 +52,7 @@ class DeviceCase:
             "experiment": self.experiment.name,
             "delay_samples": self.experiment.delay_samples,
             "parts": self.parts.model_dump(mode="json", exclude_defaults=True, exclude={"friction"}),
-            "left_out": left_out(self.parts),
+            "left_out": self.parts.left_out,
         }
 
 
@@ -70,7 +64,7 @@ def boundary_document(case: DeviceCase, points: int = 400) -> dict[str, Any]:
     ParameterError
         If no wall is stable at any damping.
     """
-    found, k, b = outline(case.general, points), case.units.stiffness, case.units.damping
+    found, k, b = outline(general(case.loop), points), case.units.stiffness, case.units.damping
     if not len(found.beta) and not len(found.islands):
         raise ParameterError(
             f"device {case.device.name!r}, experiment {case.experiment.name!r}: no stiffness and damping stabilise "
@@ -100,7 +94,7 @@ def wall_documents(case: DeviceCase, walls: Cases) -> list[dict[str, Any]]:
         in place of the normalised parameters.
     """
     alpha, beta = walls.values[:, 0] / case.units.stiffness, walls.values[:, 1] / case.units.damping
-    slowest = slowest_poles(case.general, alpha, beta)
+    slowest = slowest_poles(general(case.loop), alpha, beta)
     radius = np.array([pole.radius for pole in slowest])
     found = points_of_loop(case.loop, alpha, beta, radius)
     return [
@@ -112,7 +106,7 @@ def wall_documents(case: DeviceCase, walls: Cases) -> list[dict[str, Any]]:
             "separation": pole.separation,
             **{name: document[name] for name in document if name.startswith(("settle", "overshoot", "energy"))},
             "reason": document["reason"],
-            "left_out": left_out(case.parts),
+            "left_out": case.parts.left_out,
         }
         for (stiffness, damping), pole, document in zip(walls.values, slowest, found, strict=True)
     ]

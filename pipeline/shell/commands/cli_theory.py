@@ -188,8 +188,8 @@ def cost_map(
     check_output(out, "--out")
     names = MAP_DEFAULT if criteria is None else split(criteria)
     case = None if device is None else _case(device, experiment)
-    loop = _loop(delay, gamma, delta) if case is None else case.loop
-    cost_map = CostMap(loop, size, names, MAP_LONGEST if longest is None else longest, case and case.units)
+    loop, units = (_loop(delay, gamma, delta), None) if case is None else (case.loop, case.units)
+    cost_map = CostMap(loop, size, names, MAP_LONGEST if longest is None else longest, units)
     with console.progress("map", "points", silent=as_json) as advance:
         stable = write_map(out, cost_map, advance)
     if as_json:

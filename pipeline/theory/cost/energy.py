@@ -21,7 +21,7 @@ from pipeline.records.batch import Floats
 from pipeline.theory.cost.doubling import doubled, size, weighted_sums
 from pipeline.theory.cost.lagsums import LagSums, lag_sums, one_step
 from pipeline.theory.cost.refinement import Sums, refined
-from pipeline.theory.device.energy import device_energy
+from pipeline.theory.device.state_sums import device_energy
 
 _SLOW = 25.0
 """Mean age of the energy [samples], times d + 1, from which on its sums are refined. Radii are then above 0.98 (d = 0)

@@ -15,7 +15,7 @@ from pipeline.base.errors import ParameterError
 from pipeline.loop.device_loop import DeviceLoop
 from pipeline.loop.loop import Loop, as_points
 from pipeline.records.batch import Floats, Integers
-from pipeline.theory.device.transient import Asked, late_sample, step_costs
+from pipeline.theory.device.motion import Asked, late_sample, step_costs
 
 LONGEST = 1 << 18
 """Samples after which a response that still moves is given up (no settling time): spectral radius about 1 - 1e-5."""

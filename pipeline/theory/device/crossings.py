@@ -252,12 +252,12 @@ def _ratio(top: Floats, bottom: Floats, w: np.ndarray) -> np.ndarray:
 
 
 def _beta(c: OnCircle, s: Decimal) -> Decimal:
-    return -value(c.twist, s) / ((1 + s) ** c.delay * value(c.turn, s))
+    return Decimal(-value(c.twist, s) / ((1 + s) ** c.delay * value(c.turn, s)))
 
 
 def _exact_alpha(c: OnCircle, s: Decimal, beta: Decimal) -> Decimal:
     stretch = value(c.stretch, s) / ((1 + s) ** c.delay * value(c.size, s))
-    return -stretch - beta * value(c.level, s) / value(c.filter, s)
+    return Decimal(-stretch - beta * value(c.level, s) / value(c.filter, s))
 
 
 def _at_minus_one(loop: DeviceLoop) -> tuple[float, float, tuple[float, float]]:
@@ -281,7 +281,7 @@ def _slope(top: Digits, bottom: Digits) -> Decimal:
     """Return the derivative at 0 of a ratio."""
     if len(top) == 1:
         return Decimal(0)
-    return (top[1] * bottom[0] - top[0] * bottom[1]) / bottom[0] ** 2
+    return Decimal((top[1] * bottom[0] - top[0] * bottom[1]) / bottom[0] ** 2)
 
 
 def _unstable_when_stiff(loop: DeviceLoop) -> int:
@@ -306,7 +306,7 @@ def right_half(polynomial: Digits) -> int:
 
 def _mirrored(polynomial: Digits) -> Digits:
     """Return p(-w): the conjugate on the imaginary axis."""
-    return polynomial * as_exact([(-1) ** k for k in range(len(polynomial))])
+    return np.asarray(polynomial * as_exact([(-1) ** k for k in range(len(polynomial))]), dtype=object)
 
 
 def _even(polynomial: Digits) -> Digits:

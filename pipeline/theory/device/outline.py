@@ -35,11 +35,14 @@ class Limits:
     ----------
     alpha : float64, shape (n,)
         Stiffest wall of the interval that begins at alpha -> 0; nan where there is none.
+    angle : float64, shape (n,)
+        Angle of the pole that leaves the unit circle there [rad/sample], pi of a real one.
     islands : float64, shape (i, 3)
         Further stable intervals: beta, lowest and highest alpha > 0.
     """
 
     alpha: Floats
+    angle: Floats
     islands: Floats
 
 
@@ -85,7 +88,9 @@ def limits(loop: DeviceLoop, beta: Floats, *, exact: bool = True) -> Limits:
     soft = low <= 0
     alpha = np.full(len(beta), np.nan)
     alpha[index[soft]] = np.maximum(high[soft], 0.0)
-    return Limits(alpha, np.stack([beta[index], low, high], axis=1)[~soft])
+    angle = np.full(len(beta), np.nan)
+    angle[index[soft]] = np.nan_to_num(2 * np.arctan(np.exp(0.5 * found.high_at[above][soft])), nan=np.pi)
+    return Limits(alpha, angle, np.stack([beta[index], low, high], axis=1)[~soft])
 
 
 def outline(loop: DeviceLoop, points: int = 400) -> Outline:

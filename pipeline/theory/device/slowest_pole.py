@@ -69,7 +69,7 @@ def _newton(polynomial: Digits, slope: Digits, start: complex) -> Complex:
     w = (Decimal(guess.real), Decimal(guess.imag))
     for _ in range(_STEPS):
         value, change = _value(polynomial, w), _value(slope, w)
-        if value == (0, 0):
+        if not any(value):
             break
         step = _quotient(value, change)
         w = (w[0] - step[0], w[1] - step[1])

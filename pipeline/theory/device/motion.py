@@ -59,7 +59,8 @@ class _Entry:
 
     @classmethod
     def empty(cls, n: int) -> _Entry:
-        return cls(*(np.full(n, np.nan) for _ in range(2)), np.zeros((DEGREE + 1, n)), *(np.zeros(n) for _ in range(3)))
+        unknown, zero = np.full(n, np.nan), np.zeros(n)
+        return cls(unknown, unknown.copy(), np.zeros((DEGREE + 1, n)), zero, zero.copy(), zero.copy())
 
     def note(self, index: Integers, start: float, piece: Piece, motion: Floats, *bracket: Floats | float) -> None:
         self.start[index], self.duration[index], self.motion[:, index] = start, piece.duration, motion
@@ -260,7 +261,7 @@ def _advance(run: Motion, piece: Piece, k: int, found: _Found) -> None:
 
 def _at(motion: Floats, share: Floats) -> Floats:
     """Return polynomials, shape (13, n), at shares of their piece."""
-    result = motion[-1].copy()
+    result: Floats = motion[-1].copy()
     for coefficient in motion[-2::-1]:
         result = result * share + coefficient
     return result

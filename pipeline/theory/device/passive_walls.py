@@ -60,7 +60,7 @@ def required_damping(loop: DeviceLoop, alpha: Floats, beta: Floats) -> Floats:
         best = np.take_along_axis(around, values.argmax(axis=1)[:, None], axis=1)[:, 0]
         largest = np.maximum(largest, values.max(axis=1))
         step /= 4
-    return np.maximum(np.maximum(largest, (4 * near - twice) / 3), 0.0)
+    return np.asarray(np.maximum(np.maximum(largest, (4 * near - twice) / 3), 0.0))
 
 
 def is_passive(loop: DeviceLoop, delta: float, alpha: Floats, beta: Floats) -> Booleans:
