@@ -22,8 +22,9 @@ from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop, Normalised
 from pipeline.loop.many_digits import Digits, as_exact, as_floats, bilinear, exponential, many_digits, total
 from pipeline.loop.plant import Flow
+from pipeline.loop.velocity_filter import filter_in_w, filter_in_z, filter_order, per_sample
 from pipeline.records.batch import Floats
-from pipeline.records.loop_parts import Butterworth, Difference, LoopParts, VelocityFilter
+from pipeline.records.loop_parts import Difference, LoopParts, VelocityFilter
 
 LARGEST_ORDER = 96
 """Delay [samples] plus length of the filter; its square is the time that the boundary takes: seconds beyond this."""
@@ -179,16 +180,14 @@ class DeviceLoop(Loop):
             # the newer force comes first by one sample: z times its polynomial
             top = total(tops[0], np.append(as_exact([0]), tops[1])) if len(tops) > 1 else tops[0]
             n = len(bottom) - 1
-            return Sampled(self.oldest_force, bilinear(top, n), bilinear(bottom, n), *_filter_in_w(self.velocity))
+            return Sampled(self.oldest_force, bilinear(top, n), bilinear(bottom, n), *filter_in_w(self.velocity))
 
     @cached_property
     def filter_in_z(self) -> tuple[Floats, Floats]:
         """Coefficients b and a of the velocity filter in powers of 1/z, a[0] = 1."""
         with many_digits(self.digits):
-            # w = (1 - 1/z)/(1 + 1/z): the same change of variable leads back, to powers of -1/z
-            parts = _filter_in_w(self.velocity)
-            b, a = (bilinear(part, len(part) - 1) * _signs(part) for part in parts)
-            return as_floats(b / a[0]), as_floats(a / a[0])
+            b, a = filter_in_z(self.velocity)
+            return as_floats(b), as_floats(a)
 
     @cached_property
     def open_loop(self) -> tuple[Floats, Floats, Floats, Floats]:
@@ -277,15 +276,6 @@ def general(loop: Loop) -> DeviceLoop:
     return loop if isinstance(loop, DeviceLoop) else DeviceLoop(loop.gamma, loop.delta, loop.delay)
 
 
-def filter_order(velocity: VelocityFilter | None) -> int:
-    """Return the number of samples that a filter remembers."""
-    if isinstance(velocity, Difference):
-        return velocity.samples - 1
-    if isinstance(velocity, Butterworth):
-        return velocity.order
-    return max(len(velocity.b), len(velocity.a)) - 1 if velocity is not None else 0
-
-
 def wall_units(mass: float, sampling_period_s: float, parts: LoopParts) -> Normalised:
     """Return the units of a device's wall: its mass with the operator's, per unit of command."""
     held = parts.operator.mass if parts.operator is not None else 0.0
@@ -347,19 +337,13 @@ def loop_of(
         delay_samples,
         parts.actuator_lag_s / sampling_period_s,
         vibration,
-        _per_sample(parts.velocity, sampling_period_s),
+        per_sample(parts.velocity, sampling_period_s),
     )
 
 
 def _is_ideal(parts: LoopParts) -> bool:
     plain = parts.velocity is None or parts.velocity == Difference(kind="difference", samples=1)
     return plain and parts.mode is None and parts.actuator_lag_s == 0
-
-
-def _per_sample(velocity: VelocityFilter | None, sampling_period_s: float) -> VelocityFilter | None:
-    if isinstance(velocity, Butterworth):
-        return velocity.model_copy(update={"cutoff_hz": velocity.cutoff_hz * sampling_period_s})
-    return velocity
 
 
 def _transfer(whole: Digits, gains: tuple[Digits, ...], sensor: Digits) -> tuple[Digits, list[Digits]]:
@@ -375,33 +359,3 @@ def _transfer(whole: Digits, gains: tuple[Digits, ...], sensor: Digits) -> tuple
         bottom.append(-sum(np.diagonal(turned), Decimal(0)) / k)
         adjugate = turned + bottom[-1] * one
     return np.array(bottom[::-1], dtype=object), [np.array(top[::-1], dtype=object) for top in tops]
-
-
-def _signs(polynomial: Digits) -> Digits:
-    return as_exact([(-1) ** k for k in range(len(polynomial))])
-
-
-def _filter_in_w(velocity: VelocityFilter | None) -> tuple[Digits, Digits]:
-    """Return numerator and denominator of a velocity filter as polynomials in w, of one degree."""
-    if velocity is None:
-        return as_exact([1]), as_exact([1])
-    if isinstance(velocity, Butterworth):
-        root = Decimal(2).sqrt()
-        side = (4 + 2 * root).sqrt()
-        by_order: dict[int, list[int | Decimal]] = {
-            1: [1, 1],
-            2: [1, root, 1],
-            3: [1, 2, 2, 1],
-            4: [1, side, 2 + root, side, 1],
-        }
-        edge = Decimal(math.tan(math.pi * velocity.cutoff_hz))
-        bottom = as_exact([Decimal(c) / edge**k for k, c in enumerate(by_order[velocity.order])])
-        return as_exact([1] + [0] * velocity.order), bottom
-    n = filter_order(velocity)
-    if isinstance(velocity, Difference):
-        b, a = as_exact([Decimal(1) / velocity.samples] * velocity.samples), as_exact([1])
-    else:
-        b, a = as_exact(velocity.b), as_exact(velocity.a)
-    # in powers of 1/z = (1 - w)/(1 + w): reversed, they are powers of z over z^n
-    top, bottom = (bilinear(np.append(c, as_exact([0] * (n + 1 - len(c))))[::-1], n) for c in (b, a))
-    return top, bottom

@@ -130,7 +130,10 @@ def _dampings(loop: DeviceLoop) -> Floats:
     place = (b.low[:, None] + (b.high - b.low)[:, None] * share).ravel()
     alpha, beta = points_at(loop, place)
     turning = b.beta_low[np.isfinite(b.beta_low)]
-    return np.unique(np.concatenate([beta[np.isfinite(beta) & (alpha > -loop.gamma)], turning, [0.0]]))
+    # the line of a pole at z = -1 bounds what the branches leave open
+    far = (b.last + loop.gamma) / b.last_slope if b.last_slope and np.isfinite(b.last) else 0.0
+    line = far * np.linspace(0, 1, _PER_CELL + 1)
+    return np.unique(np.concatenate([beta[np.isfinite(beta) & (alpha > -loop.gamma)], turning, line]))
 
 
 def _ends(loop: DeviceLoop, beta: Floats, has: Booleans) -> Floats:

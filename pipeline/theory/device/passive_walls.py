@@ -23,8 +23,9 @@ from pipeline.records.batch import Booleans, Floats
 _ANGLES = 40
 """Angles of a turn of the delayed force; maxima are looked for between them."""
 
-_NEAR_ZERO = 4e-3
-"""Smallest angle: below it 1/angle^2 loses digits, and an even function of the angle is continued to 0 to 1e-10."""
+_NEAR_ZERO = 8e-3
+"""Smallest angle, times delay and lag: below it 1/angle^2 loses digits, and what is needed, an even function of the
+angle, is continued to 0 to 1e-9."""
 
 _ZOOMS = 12
 """Zooms onto the worst angle, each to a quarter: a flat maximum to 1e-13."""
@@ -49,13 +50,14 @@ def required_damping(loop: DeviceLoop, alpha: Floats, beta: Floats) -> Floats:
     if loop.mode is not None and loop.mode.sensor_far:
         raise ParameterError("the position is sensed beyond the vibration mode: no wall is passive for every hand.")
     count = int(_ANGLES * (loop.oldest_force + 2)) + 1
-    angle = np.linspace(_NEAR_ZERO, np.pi, count)
+    lowest = _NEAR_ZERO / (loop.delay + loop.lag + 1)
+    angle = np.linspace(lowest, np.pi, count)
     step = angle[1] - angle[0]
     values = _needed(loop, alpha[:, None], beta[:, None], angle)
-    near, twice = (_needed(loop, alpha, beta, np.array([a])) for a in (_NEAR_ZERO, 2 * _NEAR_ZERO))
+    near, twice = (_needed(loop, alpha, beta, np.array([a])) for a in (lowest, 2 * lowest))
     best, largest = angle[values.argmax(axis=1)], values.max(axis=1)
     for _ in range(_ZOOMS):
-        around = np.clip(best[:, None] + step * np.linspace(-1, 1, 9), _NEAR_ZERO, np.pi)
+        around = np.clip(best[:, None] + step * np.linspace(-1, 1, 9), lowest, np.pi)
         values = _needed(loop, alpha[:, None], beta[:, None], around)
         best = np.take_along_axis(around, values.argmax(axis=1)[:, None], axis=1)[:, 0]
         largest = np.maximum(largest, values.max(axis=1))

@@ -253,13 +253,7 @@ class Intervals:
 
 
 def stable_intervals(loop: Loop, beta: object) -> Intervals:
-    """Return the intervals of alpha that are stable at each beta.
-
-    Parameters
-    ----------
-    loop : Loop
-    beta : array_like, shape (n,)
-    """
+    """Return the intervals of alpha that are stable at each beta, array_like of shape (n,)."""
     _, b = as_points(0.0, beta)
     if isinstance(loop, DeviceLoop):
         found = stretches(loop, b)

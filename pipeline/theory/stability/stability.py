@@ -74,11 +74,6 @@ def is_stable(loop: Loop, alpha: object, beta: object) -> Booleans:
     -------
     bool, shape (n,)
 
-    Raises
-    ------
-    ParameterError
-        If lengths differ or a value is not finite.
-
     Source: Hulin 2017, sec. 3.4 (poles of 3.9).
     """
     a, b = as_points(alpha, beta)
@@ -234,15 +229,8 @@ def _of_device(loop: DeviceLoop, points: int) -> Boundary:
     found = outline(loop, points)
     if not len(found.beta):
         raise ParameterError(f"{loop}: no damping stabilises a soft wall.")
-    return Boundary(
-        alpha=found.alpha,
-        beta=found.beta,
-        theta=np.full(len(found.beta), np.nan),
-        alpha_max=found.alpha_max,
-        beta_at_alpha_max=found.beta_at_alpha_max,
-        beta_max=float(found.beta[-1]),
-        alpha_at_beta_max=float(found.alpha[-1]),
-    )
+    unknown, top = np.full(len(found.beta), np.nan), (float(found.beta[-1]), float(found.alpha[-1]))
+    return Boundary(found.alpha, found.beta, unknown, found.alpha_max, found.beta_at_alpha_max, *top)
 
 
 def _distinct(values: Floats) -> Floats:
