@@ -235,12 +235,10 @@ def _advance(run: Motion, piece: Piece, k: int, found: _Found) -> None:
     size_before, size_after = np.abs(before), np.abs(run.sensed)
     reach = np.maximum(size_before, size_after) + piece.duration * np.minimum(np.abs(start_speed), np.abs(end_speed))
     turned = start_speed * end_speed < 0
-    lowest = found.peak[run.index]
+    events = turned & (reach > found.peak[run.index]) & (found.asked.overshoot or not found.asked.bands)
     for band in found.asked.bands:
-        lowest = np.minimum(lowest, band)
-    events = turned & (reach > lowest)
-    for band in found.asked.bands:
-        events |= (size_before > band) & (size_after <= band)
+        # it enters the band, or leaves it for a moment
+        events |= (size_after <= band) & ((size_before > band) | (turned & (reach > band)))
     at = np.flatnonzero(events)
     if not len(at):
         return
