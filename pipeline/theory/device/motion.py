@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -75,6 +76,38 @@ class _Entry:
         return self.start + 0.5 * (low + high) * self.duration
 
 
+@dataclass(frozen=True, eq=False)
+class _Course:
+    """A piece of the sampling interval: its device state and input from the loop's state, and from the wall's force."""
+
+    piece: Piece
+    given: Floats
+    given_by_force: Floats
+
+
+@lru_cache(maxsize=64)
+def _interval(loop: DeviceLoop) -> tuple[Floats, Floats, tuple[_Course, ...]]:
+    """Return what a sampling interval makes of the loop's state: rows (r, states), and the force's part (r,).
+
+    Rows: sensed position, filtered velocity, the next state, and for each piece the position at its end and the
+    velocities at both ends.
+    """
+    free, push, position, velocity = loop.open_loop
+    p, n, sensor = len(loop.device[1]), loop.states, loop.device[2]
+    rows, by_force, courses = [position, velocity, *free], [0.0, 0.0, *push], []
+    start, start_by_force = np.eye(p, n), np.zeros(p)
+    for piece in pieces(loop):
+        force = np.zeros(n) if piece.age == 0 else np.eye(n)[n - loop.oldest_force + piece.age - 1]
+        given, by = np.vstack([start, force]), np.append(start_by_force, float(piece.age == 0))
+        courses.append(_Course(piece, given, by))
+        motion = np.column_stack([piece.transition, piece.gain])
+        start, start_by_force = motion @ given, motion @ by
+        for row in (sensor @ motion, piece.speed[0], piece.speed.sum(axis=0)):
+            rows.append(row @ given)
+            by_force.append(float(row @ by))
+    return np.array(rows), np.array(by_force), tuple(courses)
+
+
 class Motion:
     """Points of a general loop in motion after a step.
 
@@ -82,52 +115,57 @@ class Motion:
     ----------
     loop : DeviceLoop
     alpha, beta : float64, shape (n,)
+    between : bool
+        Whether the motion between samples is asked for.
     """
 
-    def __init__(self, loop: DeviceLoop, alpha: Floats, beta: Floats) -> None:
-        p = len(loop.device[1])
-        start = loop.starts(alpha, "step").T
+    def __init__(self, loop: DeviceLoop, alpha: Floats, beta: Floats, *, between: bool) -> None:
         self.loop, self.index, self.alpha, self.beta = loop, np.arange(len(alpha)), alpha, beta
-        self.b, self.a = loop.filter_in_z
-        self.state, self.before = start[:p].copy(), start[p].copy()
-        self.filter = np.zeros((len(self.b) - 1, len(alpha)))
-        self.forces = [alpha] * (loop.oldest_force + 1)
+        self.rows, self.by_force, courses = _interval(loop)
+        self.courses = courses if between else ()
+        if not between:
+            self.rows, self.by_force = self.rows[: 2 + loop.states], self.by_force[: 2 + loop.states]
+        self.driven = np.flatnonzero(self.by_force)
+        self.state = np.ascontiguousarray(loop.starts(alpha, "step").T)
         self.scale = _levers(loop, alpha)
-        self.sensed = self.before
 
-    def push(self) -> None:
-        """Sample: the wall's new force."""
-        rate = self.sensed - self.before
-        velocity = self.b[0] * rate
-        if len(self.filter):
-            velocity = velocity + self.filter[0]
-            later = np.zeros_like(self.filter)
-            later[:-1] = self.filter[1:]
-            self.filter = later + self.b[1:, None] * rate - self.a[1:, None] * velocity
-        self.before = self.sensed
-        self.forces = [-self.alpha * self.sensed - self.beta * velocity, *self.forces[:-1]]
+    def step(self) -> None:
+        """Move by a sampling interval."""
+        self.before = self.state
+        self.made = self.rows @ self.state
+        self.force = -self.alpha * self.made[0] - self.beta * self.made[1]
+        for row in self.driven:
+            self.made[row] += self.by_force[row] * self.force
+        self.state = self.made[2 : 2 + self.loop.states]
 
-    def move(self, piece: Piece) -> None:
-        """Move by a piece of the sampling interval."""
-        self.state = piece.transition @ self.state + piece.gain[:, None] * self.forces[piece.age]
-        self.sensed = self.loop.device[2] @ self.state
+    @property
+    def sensed(self) -> Floats:
+        """Position at the end of the interval."""
+        return np.asarray(self.loop.open_loop[2] @ self.state)
+
+    def ends(self, number: int) -> tuple[Floats, Floats, Floats, Floats]:
+        """Return positions at the start and end of a piece, and velocities there."""
+        first = 2 + self.loop.states + 3 * number
+        return self.made[first - 3 if number else 0], *self.made[first : first + 3]
+
+    def given(self, course: _Course, at: Integers) -> Floats:
+        """Return the device's state at the start of a piece, and its input, of some points."""
+        return np.asarray(course.given @ self.before[:, at] + course.given_by_force[:, None] * self.force[at])
 
     def size(self) -> Floats:
         """Return all motion as a deviation."""
-        return np.asarray((np.abs(self.state) * self.scale).sum(axis=0))
+        return np.asarray((np.abs(self.state[: len(self.scale)]) * self.scale).sum(axis=0))
 
     def keep(self, mask: Booleans) -> None:
         """Leave out points."""
-        for name in ("index", "alpha", "beta", "before", "sensed"):
+        for name in ("index", "alpha", "beta"):
             setattr(self, name, getattr(self, name)[mask])
-        for name in ("state", "filter", "scale"):
-            setattr(self, name, getattr(self, name)[:, mask])
-        self.forces = [force[mask] for force in self.forces]
+        self.state, self.scale = np.ascontiguousarray(self.state[:, mask]), self.scale[:, mask]
 
     @property
     def memory(self) -> int:
         """Samples that filter and delay remember."""
-        return self.loop.oldest_force + len(self.filter) + 2
+        return self.loop.oldest_force + len(self.loop.filter_in_z[0]) + 1
 
 
 def step_costs(loop: DeviceLoop, alpha: Floats, beta: Floats, asked: Asked) -> dict[str, Floats]:
@@ -137,7 +175,7 @@ def step_costs(loop: DeviceLoop, alpha: Floats, beta: Floats, asked: Asked) -> d
     result = {name + suffix: np.empty(len(alpha)) for name in names for suffix in suffixes}
     for first in range(0, len(alpha), _TOGETHER):
         part = slice(first, first + _TOGETHER)
-        found = _followed(Motion(loop, alpha[part], beta[part]), asked)
+        found = _followed(Motion(loop, alpha[part], beta[part], between=asked.continuous), asked)
         for name, values in result.items():
             values[part] = found[name]
     return result
@@ -145,11 +183,9 @@ def step_costs(loop: DeviceLoop, alpha: Floats, beta: Floats, asked: Asked) -> d
 
 def late_sample(loop: DeviceLoop, alpha: Floats, beta: Floats, first: int, longest: int, faded: float) -> Floats:
     """Return the largest deviation of samples from ``first`` on, until all motion is below a share ``faded`` of it."""
-    run, largest, calm = Motion(loop, alpha, beta), np.zeros(len(alpha)), np.zeros(len(alpha))
+    run, largest, calm = Motion(loop, alpha, beta, between=False), np.zeros(len(alpha)), np.zeros(len(alpha))
     for k in range(1, longest + 1):
-        run.push()
-        for piece in pieces(loop):
-            run.move(piece)
+        run.step()
         if k < first:
             continue
         largest = np.maximum(largest, np.abs(run.sensed))
@@ -169,13 +205,14 @@ def _followed(run: Motion, asked: Asked) -> dict[str, Floats]:
     for k in range(asked.longest):
         if not len(run.index):
             break
-        run.push()
-        for piece in pieces(run.loop):
-            _advance(run, piece, k, found)
-        size = np.abs(run.sensed)
+        run.step()
+        for number, course in enumerate(run.courses):
+            _note(run, number, course, k, found)
+        sensed = run.sensed
+        size = np.abs(sensed)
         for band in asked.bands:
             found.settled[band][run.index[size > band]] = k + 1
-        found.sampled_peak[run.index] = np.maximum(found.sampled_peak[run.index], run.sensed)
+        found.sampled_peak[run.index] = np.maximum(found.sampled_peak[run.index], sensed)
         done = np.zeros(len(run.index), dtype=bool)
         if k > asked.cutoff and not asked.overshoot:
             done |= size > max(asked.bands)
@@ -223,28 +260,28 @@ class _Found:
         return result
 
 
-def _advance(run: Motion, piece: Piece, k: int, found: _Found) -> None:
-    """Move all points by a piece; note extrema inside it and entries into the bands."""
-    if not found.asked.continuous:
-        run.move(piece)
-        return
-    state, force, before = run.state, run.forces[piece.age], run.sensed
-    run.move(piece)
-    given = np.concatenate([state, force[None]])
-    start_speed, end_speed = piece.speed[0] @ given, piece.speed.sum(axis=0) @ given
-    size_before, size_after = np.abs(before), np.abs(run.sensed)
-    reach = np.maximum(size_before, size_after) + piece.duration * np.minimum(np.abs(start_speed), np.abs(end_speed))
+def _note(run: Motion, number: int, course: _Course, k: int, found: _Found) -> None:
+    """Note extrema inside a piece, and entries into the bands."""
+    before, after, start_speed, end_speed = run.ends(number)
+    piece, size_before, size_after = course.piece, np.abs(before), np.abs(after)
     turned = start_speed * end_speed < 0
-    events = turned & (reach > found.peak[run.index]) & (found.asked.overshoot or not found.asked.bands)
+    further = piece.duration * np.minimum(np.abs(start_speed), np.abs(end_speed))
+    events = turned & (start_speed > 0) & (np.maximum(before, after) + further > found.peak[run.index])
+    if not found.asked.overshoot and found.asked.bands:
+        events[:] = False
     for band in found.asked.bands:
         # it enters the band, or leaves it for a moment
-        events |= (size_after <= band) & ((size_before > band) | (turned & (reach > band)))
+        out = (size_before > band) | (turned & (np.maximum(size_before, size_after) + further > band))
+        events |= (size_after <= band) & out
     at = np.flatnonzero(events)
     if not len(at):
         return
-    motion = piece.place @ given[:, at]
-    turn = np.where(turned[at], _turning(motion, start_speed[at], end_speed[at]), 1.0)
-    extreme = np.where(turned[at], _at(motion, turn), 0.0)
+    motion = piece.place @ run.given(course, at)
+    turn, extreme = np.ones(len(at)), np.zeros(len(at))
+    some = np.flatnonzero(turned[at])
+    if len(some):
+        turn[some] = _turning(motion[:, some], start_speed[at[some]], end_speed[at[some]])
+        extreme[some] = _at(motion[:, some], turn[some])
     which = run.index[at]
     found.peak[which] = np.maximum(found.peak[which], extreme)
     time = k + piece.start
@@ -269,11 +306,10 @@ def _turning(motion: Floats, start: Floats, end: Floats) -> Floats:
     """Return the shares at which motions that turn have no velocity."""
     speed = motion[1:] * np.arange(1, len(motion))[:, None]
     change = speed[1:] * np.arange(1, len(speed))[:, None]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        share = np.nan_to_num(start / (start - end), nan=0.5)
-        for _ in range(_NEWTON):
-            step = np.nan_to_num(_at(speed, share) / _at(change, share), posinf=0.0, neginf=0.0)
-            share = np.clip(share - step, 0.0, 1.0)
+    share: Floats = start / (start - end)  # of different sign
+    for _ in range(_NEWTON):
+        bend = _at(change, share)
+        share = np.minimum(np.maximum(share - _at(speed, share) / np.where(bend == 0, np.inf, bend), 0.0), 1.0)
     return share
 
 
