@@ -14,6 +14,7 @@ from pipeline.measured.experiment.boundary_band import boundary_area
 from pipeline.measured.experiment.estimates import standard_error, with_model_delay
 from pipeline.measured.stages.stages import STAGES, ExperimentStages
 from pipeline.records.findings import Estimate, Optimum
+from pipeline.records.loop_parts import LoopParts
 from pipeline.records.models import Experiment, Motion
 from pipeline.records.results import ExperimentResult, MassWindow, OtherDefinitions, TheoryParameters
 from pipeline.rendering.labels import UNITS, Units
@@ -41,12 +42,18 @@ def nominal_theories(data: SceneData) -> dict[str, Theory]:
                 stiffness=e.stiffness,
                 sampling_period_s=device.sampling_period_s,
                 delay_samples=e.delay_samples,
-                source=f"device file {device.name}",
+                loop=device.loop_of(e),
+                source=f"device file {device.name}{_with(device.loop_of(e))}",
             )
         )
         for e in device.experiments
         if e.delay_samples <= LARGEST_DELAY
     }
+
+
+def _with(parts: LoopParts) -> str:
+    text = f", with {parts.words()}" if parts.words() else ""
+    return f"{text}; without {', '.join(parts.left_out)}" if parts.left_out else text
 
 
 def estimated_theories(results: Sequence[ExperimentResult], data: SceneData) -> dict[str, Theory]:

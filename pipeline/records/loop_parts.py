@@ -106,6 +106,37 @@ class LoopParts(Part):
         """Return these parts, with those of another where this one does not name them."""
         return LoopParts(**{**named(lower), **named(self)})
 
+    def felt(self) -> LoopParts:
+        """Return what is left of the parts where mass, damping and stiffness are those that the wall feels.
+
+        Operator and gain are in such numbers already.
+        """
+        return self.model_copy(update={"operator": None, "force_gain": 1.0})
+
+    def words(self) -> str:
+        """Return the linear parts in words, for captions; empty for an ideal loop."""
+        found = []
+        if isinstance(self.velocity, Butterworth):
+            found.append(f"velocity filter (Butterworth, order {self.velocity.order}, {self.velocity.cutoff_hz:g} Hz)")
+        elif isinstance(self.velocity, Difference):
+            found.append(f"velocity over {self.velocity.samples} samples")
+        elif self.velocity is not None:
+            found.append("velocity filter (coefficients)")
+        if self.actuator_lag_s > 0:
+            found.append(f"actuator lag {1000 * self.actuator_lag_s:g} ms")
+        if self.mode is not None:
+            found.append(f"vibration mode at {self.mode.frequency_hz:g} Hz, sensed at the {self.mode.sensor}")
+        if self.operator is not None:
+            found.append("operator")
+        if self.force_gain != 1:
+            found.append(f"force gain {self.force_gain:g}")
+        return ", ".join(found)
+
+    @property
+    def left_out(self) -> list[str]:
+        """Names of the parts that linear theory cannot hold."""
+        return ["friction"] if self.friction is not None else []
+
     def mistakes(self, mass: float, sampling_period_s: float) -> list[str]:
         """Return what a device of a mass [kg, kg m^2] and a sampling period [s] cannot have, as sentences."""
         found = []

@@ -7,10 +7,14 @@ from typing import Literal
 from pydantic import Field
 
 from pipeline.records.findings import Record
+from pipeline.records.loop_parts import LoopParts
 
 
 class TheoryParameters(Record):
-    """Parameters of a theoretical curve or map: m [kg, kg m^2], b, k, T [s], d and where they come from."""
+    """Parameters of a theoretical curve or map: m [kg, kg m^2], b, k, T [s], d and where they come from.
+
+    ``loop`` are the parts that leave the loop not ideal; mass, damping and stiffness are then the device's alone.
+    """
 
     mass: float
     damping: float
@@ -18,6 +22,7 @@ class TheoryParameters(Record):
     sampling_period_s: float
     delay_samples: float
     source: str
+    loop: LoopParts = LoopParts()
 
 
 class RegionScore(Record):

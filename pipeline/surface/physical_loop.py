@@ -17,7 +17,7 @@ from pipeline.records.models import Motion
 from pipeline.surface.frames import units_of
 from pipeline.theory.cases import POINT_COSTS, optimum_document, points_of_loop
 from pipeline.theory.cost.theory_map import MAP_DEFAULT, CostMap
-from pipeline.theory.stability.stability import boundary
+from pipeline.theory.stability.stability import boundary, spectral_radius
 
 
 @dataclass(frozen=True)
@@ -152,7 +152,8 @@ class Loop:
             If lengths differ or a value is not finite.
         """
         K, B = _as_walls(stiffness, damping)
-        found = points_of_loop(self._normalised, K / self._scale.stiffness, B / self._scale.damping)
+        alpha, beta = K / self._scale.stiffness, B / self._scale.damping
+        found = points_of_loop(self._normalised, alpha, beta, spectral_radius(self._normalised, alpha, beta))
         numbers = ("spectral_radius", *POINT_COSTS)
         columns = {name: np.array([point[name] for point in found], dtype=np.float64) for name in numbers}
         stable = np.array([point["stable"] for point in found], dtype=np.bool_)

@@ -42,20 +42,21 @@ and energy costs grow with the inverse distance to the power of w + 1, so hardly
 
 @dataclass(frozen=True, eq=False)
 class Cases:
-    """Points of a CSV file: values, shape (n, 5), in the order of `CASE_COLUMNS`, and the row of each."""
+    """Points of a CSV file: values, shape (n, columns), in the order of the columns, and the row of each."""
 
     path: Path
     values: Floats
     row: tuple[int, ...]
 
 
-def read_cases(path: Path) -> Cases:
+def read_cases(path: Path, columns: tuple[str, ...] = CASE_COLUMNS) -> Cases:
     """Read points from a CSV file with a header; columns in any order, further ones are ignored.
 
     Parameters
     ----------
     path : Path
-        Columns alpha, beta, gamma, delta, delay, all normalised.
+    columns : tuple of str
+        Names of its columns; by default the normalised parameters of a wall and its loop.
 
     Raises
     ------
@@ -69,16 +70,16 @@ def read_cases(path: Path) -> Cases:
         with path.open(encoding="utf-8-sig", newline="") as stream:
             reader = csv.reader(stream, strict=True)
             header = [name.strip() for name in next(reader, [])]
-            missing = [name for name in CASE_COLUMNS if name not in header]
+            missing = [name for name in columns if name not in header]
             if missing:
                 raise ParameterError(
                     f"{path}, row 1: no column {', '.join(missing)}; expected a header with "
-                    f"{', '.join(CASE_COLUMNS)}, found {', '.join(header) or 'nothing'}."
+                    f"{', '.join(columns)}, found {', '.join(header) or 'nothing'}."
                 )
-            double = [name for name in CASE_COLUMNS if header.count(name) > 1]
+            double = [name for name in columns if header.count(name) > 1]
             if double:
                 raise ParameterError(f"{path}, row 1: column {double[0]} occurs twice; remove one.")
-            places = [header.index(name) for name in CASE_COLUMNS]
+            places = {name: header.index(name) for name in columns}
             for cells in reader:
                 if any(cell.strip() for cell in cells):
                     values.append(_numbers(path, reader.line_num, cells, len(header), places))
@@ -89,14 +90,14 @@ def read_cases(path: Path) -> Cases:
         ) from error
     except (UnicodeDecodeError, csv.Error) as error:
         raise ParameterError(f"{path}: is no CSV file in UTF-8 ({error}).") from error
-    return Cases(path, np.array(values, dtype=np.float64).reshape(-1, len(CASE_COLUMNS)), tuple(rows))
+    return Cases(path, np.array(values, dtype=np.float64).reshape(-1, len(columns)), tuple(rows))
 
 
-def _numbers(path: Path, row: int, cells: list[str], width: int, places: list[int]) -> list[float]:
+def _numbers(path: Path, row: int, cells: list[str], width: int, places: dict[str, int]) -> list[float]:
     if len(cells) != width:
         raise ParameterError(f"{path}, row {row}: expected {width} cells as in the header, found {len(cells)}.")
     numbers = []
-    for name, place in zip(CASE_COLUMNS, places, strict=True):
+    for name, place in places.items():
         try:
             number = float(cells[place])
         except ValueError:
@@ -142,16 +143,16 @@ def point_costs(cases: Cases, criteria: Sequence[str] = POINT_COSTS) -> list[dic
         except ParameterError as error:
             raise ParameterError(f"{cases.path}, row {cases.row[members[0]]}: {error}") from error
         alpha, beta = cases.values[members, 0], cases.values[members, 1]
-        for index, document in zip(members, points_of_loop(loop, alpha, beta, criteria), strict=True):
+        radius = spectral_radius(loop, alpha, beta)
+        for index, document in zip(members, points_of_loop(loop, alpha, beta, radius, criteria), strict=True):
             documents[index] = document
     return documents
 
 
 def points_of_loop(
-    loop: Loop, alpha: Floats, beta: Floats, criteria: Sequence[str] = POINT_COSTS
+    loop: Loop, alpha: Floats, beta: Floats, radius: Floats, criteria: Sequence[str] = POINT_COSTS
 ) -> list[dict[str, Any]]:
-    """Return the documents of `point_costs` for points of one loop; alpha and beta are finite, shape (n,)."""
-    radius = spectral_radius(loop, alpha, beta)
+    """Return the documents of `point_costs` for points of one loop whose spectral radius is known, shape (n,) each."""
     stable = stable_by_radius(loop, alpha, radius)
     usable = np.flatnonzero(stable & (radius < 1 - MARGINAL))
     costs = {name: np.full(len(alpha), np.nan) for name in criteria}

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Self
@@ -19,9 +19,12 @@ from pipeline.base.disk import if_writable, write_text
 from pipeline.base.json_seal import sealed_json, unsealed_json
 from pipeline.base.process_pool import process_pool
 from pipeline.base.provenance import code_digest, digest
+from pipeline.loop.device_loop import general, loop_of, wall_units
 from pipeline.loop.loop import Loop, Normalised
+from pipeline.records.batch import Floats
 from pipeline.records.criteria import criterion_of
 from pipeline.records.results import TheoryParameters
+from pipeline.theory.device.passive_walls import passive_outline, stiffest_passive
 from pipeline.theory.optimum import optimum
 from pipeline.theory.optimum.optimum import optimal_point
 from pipeline.theory.optimum.search import OptimalPoint
@@ -53,13 +56,40 @@ class Theory:
     @cached_property
     def units(self) -> Normalised:
         """Factors between physical and normalised parameters."""
-        return Normalised(self.parameters.mass, self.parameters.sampling_period_s)
+        p = self.parameters
+        return wall_units(p.mass, p.sampling_period_s, p.loop)
 
     @cached_property
     def loop(self) -> Loop:
-        """Normalised loop."""
+        """Normalised loop; a general one where the parts ask for it."""
         p = self.parameters
-        return self.units.loop(p.stiffness, p.damping, p.delay_samples)
+        return loop_of(p.mass, p.damping, p.stiffness, p.delay_samples, p.sampling_period_s, p.loop)
+
+    @property
+    def wall_damping(self) -> float:
+        """Viscous damping that the wall feels of device and operator, per unit of command [Ns/m, Nms/rad]."""
+        p, operator = self.parameters, self.parameters.loop.operator
+        return (p.damping + (operator.damping if operator else 0.0)) / p.loop.force_gain
+
+    @cached_property
+    def passive_outline(self) -> tuple[Floats, Floats] | None:
+        """Outline of the passive region, alpha and beta, that the device's own damping leaves; None without one."""
+        loop = general(self.loop)
+        if self.parameters.damping <= 0 or (loop.mode is not None and loop.mode.sensor_far):
+            return None
+        return passive_outline(loop, self._own_delta)
+
+    @cached_property
+    def stiffest_passive(self) -> tuple[float, float] | None:
+        """Stiffness [N/m, Nm/rad] and damping [Ns/m, Nms/rad] of the stiffest passive wall; None without one."""
+        if self.passive_outline is None:
+            return None
+        alpha, beta = stiffest_passive(general(self.loop), self._own_delta)
+        return alpha * self.units.stiffness, beta * self.units.damping
+
+    @property
+    def _own_delta(self) -> float:
+        return self.parameters.damping / self.parameters.loop.force_gain / self.units.damping
 
     @cached_property
     def boundary(self) -> Boundary:
@@ -148,12 +178,12 @@ class Predictions:
         self._known |= found
         for loop in {loop for loop, _ in found}:
             points = self._read(loop) | {c: p for (other, c), p in found.items() if other == loop}
-            document = {"loop": asdict(loop), "optima": {c: asdict(p) for c, p in sorted(points.items())}}
+            document = {"loop": repr(loop), "optima": {c: asdict(p) for c, p in sorted(points.items())}}
             with if_writable():
                 write_text(self._file(loop), sealed_json(json.dumps(document, indent=1) + "\n"))
 
     def _file(self, loop: Loop) -> Path:
-        key = digest([loop.gamma, loop.delta, loop.delay, code_digest(optimum.__name__)])
+        key = digest([*(repr(getattr(loop, part.name)) for part in fields(loop)), code_digest(optimum.__name__)])
         return self.folder / f"{key}.json"
 
     def _read(self, loop: Loop) -> dict[str, OptimalPoint]:

@@ -31,13 +31,13 @@ COMMANDS = {
     "compact": ["--processed", "--dry-run", "--wait", "--json"],
     "check": ["--repair", "--processed", "--profile", "--wait", "--json"],
     "compare": ["--device", "--experiment", "--criteria", "--processed", "--report", "--dry-run", "--json"],
-    "theory points": ["--json"],
-    "theory boundary": ["--delay", "--gamma", "--delta", "--json"],
-    "theory optimum": ["--criterion", "--delay", "--gamma", "--delta", "--signal", "--json"],
+    "theory points": ["--device", "--experiment", "--json"],
+    "theory boundary": ["--delay", "--gamma", "--delta", "--device", "--experiment", "--json"],
+    "theory optimum": ["--criterion", "--delay", "--gamma", "--delta", "--device", "--signal", "--json"],
     "theory tables": ["--table", "--json"],
     "theory figures": ["--figure", "--out", "--json"],
     "accuracy": ["--only", "--quick", "--out", "--processed", "--json"],
-    "theory map": ["--delay", "--gamma", "--delta", "--size", "--criteria", "--out", "--json"],
+    "theory map": ["--delay", "--gamma", "--delta", "--device", "--size", "--criteria", "--out", "--json"],
 }
 
 

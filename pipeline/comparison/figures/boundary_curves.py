@@ -7,6 +7,7 @@ import numpy as np
 from pipeline.loop.loop import LARGEST_DELAY
 from pipeline.records.figure_records import Curve
 from pipeline.records.findings import Estimate
+from pipeline.records.loop_parts import LoopParts
 from pipeline.records.results import ExperimentResult, TheoryParameters
 from pipeline.theory.predictions import Theory
 from pipeline.theory.stability.passivity import boundary_angle, passive_boundary
@@ -57,9 +58,9 @@ def measured_curve(result: ExperimentResult, label: str = "", *, open_ends: bool
 def linear_curve(theory: Theory) -> Curve:
     """Return the linear condition K = (b + B)/t_r up to the largest stable stiffness (3.25)."""
     p = theory.parameters
-    effective_delay = (p.delay_samples + 0.5) * p.sampling_period_s
+    effective_delay = (p.delay_samples + 0.5) * p.sampling_period_s + p.loop.actuator_lag_s
     stiffness = np.array([0.0, 0.6 * theory.boundary.alpha_max * theory.units.stiffness])
-    return Curve("linear condition (3.25)", "linear", stiffness, stiffness * effective_delay - p.damping)
+    return Curve("linear condition (3.25)", "linear", stiffness, stiffness * effective_delay - theory.wall_damping)
 
 
 def passive_curve(theory: Theory) -> Curve | None:
@@ -72,6 +73,8 @@ def passive_curve(theory: Theory) -> Curve | None:
     p = theory.parameters
     if p.damping <= 0:
         return None
+    if p.loop.words():
+        return _passive_of_device(theory)
     angle = np.linspace(0.0, boundary_angle(p.delay_samples), PASSIVE_POINTS)
     kappa, eta = passive_boundary(p.delay_samples, angle)
     if kappa.max() * p.damping / p.sampling_period_s < SEEN * theory.boundary.alpha_max * theory.units.stiffness:
@@ -80,6 +83,18 @@ def passive_curve(theory: Theory) -> Curve | None:
     stiffness = np.concatenate([[0.0], kappa, [0.0]]) * p.damping / p.sampling_period_s
     damping = np.concatenate([[-1.0], eta, [-1.0]]) * p.damping
     return Curve("passive region (4.12)", "passive", stiffness, damping)
+
+
+def _passive_of_device(theory: Theory) -> Curve | None:
+    """Passive region with lag and filter; none where the position is sensed beyond a mode, or where it is a dot."""
+    found = theory.passive_outline
+    if found is None or found[0].max() < SEEN * theory.boundary.alpha_max:
+        return None
+    alpha, beta = found
+    stiffness, damping = (
+        np.append(v, v[0]) * s for v, s in ((alpha, theory.units.stiffness), (beta, theory.units.damping))
+    )
+    return Curve("passive region (of this loop)", "passive", stiffness, damping)
 
 
 def bound_curve(result: ExperimentResult) -> Curve | None:
@@ -124,6 +139,7 @@ def estimated_theory(result: ExperimentResult, nominal: Theory | None, sampling_
             stiffness=nominal.parameters.stiffness if nominal else 0.0,
             sampling_period_s=sampling_period_s,
             delay_samples=max(delay, 0.0),
+            loop=nominal.parameters.loop.felt() if nominal else LoopParts(),
             source="estimates of this experiment",
         )
     )

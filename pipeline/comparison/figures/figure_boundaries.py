@@ -98,9 +98,12 @@ class _Builder:
         m, b, k = values[0]
         units = UNITS["rotation" if self.data.experiments[0].rotation else "translation"]
         others = ", ".join(f"{other[1]:g}" for other in values[1:])
+        words = first.parameters.loop.words()
+        parts = f", {words}" if words else ""
         beside = (
-            f" Theory for m = {m:g} {units.mass}, b = {b:g} {units.damping}, k = {k:g} {units.stiffness} and the delay "
-            f"factors at the curves{f'; thin dots: the same with b = {others} {units.damping}' if others else ''}."
+            f" Theory for m = {m:g} {units.mass}, b = {b:g} {units.damping}, k = {k:g} {units.stiffness}{parts} "
+            "and the delay factors at the curves"
+            f"{f'; thin dots: the same with b = {others} {units.damping}' if others else ''}."
         )
         return Figure(
             "boundaries",

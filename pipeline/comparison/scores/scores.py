@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -59,8 +60,9 @@ def add_scores(
             basis = _scores(data, result, stages, nominal, first=True, known=data.device is not None)
             found.append(basis.model_copy(update={"optima": tuple(optima.get(name, ()))}))
         if data.device is not None and own is not None:
-            if nominal is not None and nominal.parameters.stiffness:
-                changed = {"stiffness": nominal.parameters.stiffness}  # it is not estimated
+            if nominal is not None and (nominal.parameters.stiffness or nominal.parameters.loop.words()):
+                # they are not estimated
+                changed = {"stiffness": nominal.parameters.stiffness, "loop": nominal.parameters.loop.felt()}
                 own = Theory(own.parameters.model_copy(update=changed))
             found.append(_scores(data, result, stages, own, first=nominal is None, known=False))
         scored.append(result.model_copy(update={"scores": tuple(found)}))
@@ -107,6 +109,7 @@ def _scores(
         mass, damping, samples = (result.estimates[n] for n in ("mass", "damping", "delay_samples"))
         p, model_holds = theory.parameters, _model_holds(result)
         box = parameter_box(mass, damping, samples, p.sampling_period_s, stiffness=p.stiffness, model_holds=model_holds)
+        box = box and replace(box, loop=p.loop)
         band = band_score(limits, box) if box and len(limits.damping) else None
         if band is None:
             missing["band"] = "no measured limit, or no estimate of mass, damping and delay"

@@ -9,15 +9,19 @@ import numpy as np
 
 from pipeline.base.errors import ParameterError
 from pipeline.comparison.scores.overlap import MeasuredLimits
-from pipeline.loop.loop import Normalised
+from pipeline.loop.device_loop import loop_of, wall_units
 from pipeline.records.batch import Booleans, Floats
 from pipeline.records.findings import Estimate
+from pipeline.records.loop_parts import LoopParts
 from pipeline.records.score_records import BandScore, Departure
 from pipeline.theory.stability.region import stiffness_limit
 
 MASSES = 5
 """Masses that are tried: over m alone the limit may have an extremum inside the interval. It is flat there: for +-10 %
 of m the band misses less than 1e-3 of the limit."""
+
+
+IDEAL = LoopParts()
 
 
 @dataclass(frozen=True)
@@ -29,6 +33,7 @@ class ParameterBox:
     delay_samples: tuple[float, float]
     sampling_period_s: float
     stiffness: float = 0.0
+    loop: LoopParts = IDEAL
 
 
 def parameter_box(
@@ -112,8 +117,9 @@ def theory_band(box: ParameterBox, damping: Floats) -> tuple[Floats, Floats]:
     def limits(b: float, d: float) -> Floats:
         found = []
         for m in np.linspace(*box.mass, MASSES):
-            scale = Normalised(float(m), box.sampling_period_s)
-            alpha = stiffness_limit(scale.loop(box.stiffness, b, d), damping / scale.damping)
+            scale = wall_units(float(m), box.sampling_period_s, box.loop)
+            loop = loop_of(float(m), b, box.stiffness, d, box.sampling_period_s, box.loop)
+            alpha = stiffness_limit(loop, damping / scale.damping)
             found.append(np.maximum(alpha, 0.0) * scale.stiffness)
         return np.stack(found)
 

@@ -19,6 +19,7 @@ from pipeline.rendering.labels import (
     significant,
     stiffness_text,
 )
+from pipeline.theory.predictions import Theory
 from pipeline.theory.stability.passivity import maximum_passive_stiffness
 
 PREFERRED = ("settle_2pct", "settle_5pct", "settle_1pct", "energy_step_w1", "energy_step_w0", "energy_step_w2")
@@ -115,6 +116,16 @@ def passive_choice(parameters: TheoryParameters, units: Units) -> str:
     p = parameters
     if p.damping <= 0:
         return "Without damping of the device no wall is passive: stability with every hand cannot be promised (4.6)."
+    if p.loop.words():
+        stiffest = Theory(p).stiffest_passive
+        if stiffest is None:
+            return "The position is sensed beyond the vibration mode: no wall is passive for every hand."
+        stiffness, damping = stiffest
+        return (
+            "A wall that is passive, and so stable with every passive hand, has at most "
+            f"K = {stiffness_text(stiffness)} {units.stiffness} at B = {damping_text(round(damping, 2))} "
+            f"{units.damping} (this loop, with {p.loop.words()})."
+        )
     kappa, ratio = (float(v[0]) for v in maximum_passive_stiffness(p.delay_samples))
     return (
         f"A wall that is passive, and so stable with every passive hand, has at most "

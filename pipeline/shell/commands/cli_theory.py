@@ -4,21 +4,37 @@ from __future__ import annotations
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from pipeline.base.errors import ParameterError
 from pipeline.base.outputs import check_output
 from pipeline.shell import console
+
+if TYPE_CHECKING:
+    from pipeline.loop.loop import Loop
+    from pipeline.theory.device_cases import DeviceCase
 
 app = typer.Typer(
     no_args_is_help=True,
     help="Stability boundary, costs and optimal points of the sampled, delayed loop. Parameters are normalised "
-    "by sampling period T and mass m: alpha = K T^2/m, beta = B T/m, gamma = k T^2/m, delta = b T/m.",
+    "by sampling period T and mass m: alpha = K T^2/m, beta = B T/m, gamma = k T^2/m, delta = b T/m. "
+    "With --device all is in SI, for the loop of a device file with its filter, lag, mode and operator.",
 )
 
 Delay = Annotated[
-    float, typer.Option("--delay", help="Delay d in samples, integer or fractional, at most 256.", show_default=False)
+    float | None,
+    typer.Option("--delay", help="Delay d in samples, integer or fractional, at most 256.", show_default=False),
+]
+OfDevice = Annotated[
+    str | None,
+    typer.Option(
+        "--device", help="Name of a device or its TOML file, in place of --delay, --gamma, --delta: all is then in SI."
+    ),
+]
+OfExperiment = Annotated[
+    str | None, typer.Option("--experiment", help="Experiment of the device; its first where not given.")
 ]
 Gamma = Annotated[float, typer.Option("--gamma", help="Normalised stiffness of the device itself.")]
 Delta = Annotated[float, typer.Option("--delta", help="Normalised viscous damping of the device itself.")]
@@ -36,12 +52,17 @@ class Signal(StrEnum):
 def points(
     cases: Annotated[
         Path,
-        typer.Argument(help="CSV file with the columns alpha, beta, gamma, delta, delay.", metavar="CSV"),
+        typer.Argument(
+            help="CSV file with the columns alpha, beta, gamma, delta, delay; with --device stiffness, damping.",
+            metavar="CSV",
+        ),
     ],
     criteria: Annotated[
         str | None,
         typer.Option("--criteria", help="Separated by commas; a wrong one lists all. The usual ones where not given."),
     ] = None,
+    device: OfDevice = None,
+    experiment: OfExperiment = None,
     as_json: Json = False,
 ) -> None:
     """Stability, spectral radius and costs of the points listed in a CSV file.
@@ -50,27 +71,43 @@ def points(
     """
     from pipeline.theory import cases as theory
 
+    columns: tuple[str, ...]
     names = theory.POINT_COSTS if criteria is None else split(criteria)
-    documents = theory.point_costs(theory.read_cases(cases), names)
+    if device is not None:
+        from pipeline.theory import device_cases
+
+        columns = device_cases.WALL_COLUMNS
+        documents = device_cases.wall_documents(_case(device, experiment), theory.read_cases(cases, columns), names)
+    else:
+        columns = theory.CASE_COLUMNS
+        documents = theory.point_costs(theory.read_cases(cases), names)
     if as_json:
         console.print_json(documents)
         return
-    columns = ("alpha", "beta", "gamma", "delta", "delay", "stable", "spectral_radius")
     shown = ("settle_2pct", "overshoot", "energy_step_w0") if criteria is None else names
-    for line in console.table(documents, (*columns, *shown, "reason")):
+    for line in console.table(documents, (*columns, "stable", "spectral_radius", *shown, "reason")):
         console.say(line)
 
 
 @app.command("boundary")
-def boundary(delay: Delay, gamma: Gamma = 0.0, delta: Delta = 0.0, as_json: Json = False) -> None:
+def boundary(
+    delay: Delay = None,
+    gamma: Gamma = 0.0,
+    delta: Delta = 0.0,
+    device: OfDevice = None,
+    experiment: OfExperiment = None,
+    as_json: Json = False,
+) -> None:
     """Boundary of the stable region and its extreme points.
 
     Example: pipeline theory boundary --delay 2 --gamma 0.001 --delta 0.02 --json
     """
-    from pipeline.loop.loop import Loop
+    if device is not None:
+        _device_boundary(device, experiment, as_json)
+        return
     from pipeline.theory import cases as theory
 
-    document = theory.boundary_document(Loop(gamma, delta, delay))
+    document = theory.boundary_document(_loop(delay, gamma, delta))
     if as_json:
         console.print_json(document)
         return
@@ -89,9 +126,11 @@ def optimum(
             show_default=False,
         ),
     ],
-    delay: Delay,
+    delay: Delay = None,
     gamma: Gamma = 0.0,
     delta: Delta = 0.0,
+    device: OfDevice = None,
+    experiment: OfExperiment = None,
     signal: Annotated[
         Signal | None,
         typer.Option("--signal", help="Response that is judged; as the criterion's name says where not given."),
@@ -102,23 +141,34 @@ def optimum(
 
     Example: pipeline theory optimum --criterion settle_2pct --delay 1 --signal discrete --json
     """
-    from pipeline.loop.loop import Loop
-    from pipeline.theory import cases as theory
+    response = signal.value if signal else None
+    names: tuple[str, ...] = ("alpha", "beta")
+    if device is not None:
+        from pipeline.theory.device_cases import WALL_COLUMNS, device_optimum
 
-    document = theory.optimum_document(Loop(gamma, delta, delay), criterion, signal.value if signal else None)
+        names = WALL_COLUMNS
+        document = device_optimum(_case(device, experiment), criterion, response)
+    else:
+        from pipeline.theory import cases as theory
+
+        document = theory.optimum_document(_loop(delay, gamma, delta), criterion, response)
     if as_json:
         console.print_json(document)
         return
     cost = "" if document["cost"] is None else f", cost {document['cost']:.6g}"
-    console.say(f"{document['criterion']}: alpha {document['alpha']:.6g}, beta {document['beta']:.6g}{cost}")
+    console.say(
+        f"{document['criterion']}: {names[0]} {document[names[0]]:.6g}, {names[1]} {document[names[1]]:.6g}{cost}"
+    )
 
 
 @app.command("map")
 def cost_map(
-    delay: Delay,
     out: Annotated[Path, typer.Option("--out", help="Parquet file to write.", show_default=False)],
+    delay: Delay = None,
     gamma: Gamma = 0.0,
     delta: Delta = 0.0,
+    device: OfDevice = None,
+    experiment: OfExperiment = None,
     size: Annotated[int, typer.Option("--size", help="Grid points along each axis.")] = 251,
     criteria: Annotated[
         str | None,
@@ -137,19 +187,20 @@ def cost_map(
 
     Example: pipeline theory map --delay 1 --criteria settle_2pct,energy_step_w0 --out map.parquet
     """
-    from pipeline.loop.loop import Loop
     from pipeline.theory.cost.map_file import write_map
     from pipeline.theory.cost.theory_map import MAP_DEFAULT, MAP_LONGEST, CostMap
 
     check_output(out, "--out")
     names = MAP_DEFAULT if criteria is None else split(criteria)
-    cost_map = CostMap(Loop(gamma, delta, delay), size, names, MAP_LONGEST if longest is None else longest)
+    case = None if device is None else _case(device, experiment)
+    loop, units = (_loop(delay, gamma, delta), None) if case is None else (case.loop, case.units)
+    cost_map = CostMap(loop, size, names, MAP_LONGEST if longest is None else longest, units)
     with console.progress("map", "points", silent=as_json) as advance:
         stable = write_map(out, cost_map, advance)
     if as_json:
         console.print_json({"file": str(out), "rows": size**2, "stable": stable})
         return
-    columns = ["alpha", "beta", "stable", *cost_map.names]
+    columns = [*cost_map.axes, "stable", *cost_map.names]
     console.say(f"{out}: {size**2} points, {stable} of them stable, columns {columns}")
 
 
@@ -216,6 +267,42 @@ def figures(
         console.print_json({"file": str(out), "figures": [done.number for done in drawn]})
         return
     console.say(f"{out}: {len(drawn)} figures")
+
+
+def _loop(delay: float | None, gamma: float, delta: float) -> Loop:
+    from pipeline.loop.loop import Loop
+
+    if delay is None:
+        raise ParameterError("expected --delay, or --device for the loop of a device file.")
+    return Loop(gamma, delta, delay)
+
+
+def _case(device: str, experiment: str | None) -> DeviceCase:
+    """Return the loop of a device by name or file."""
+    from pipeline.device_data.devices import find_experiment, load_device, read_device
+    from pipeline.theory.device_cases import DeviceCase
+
+    known = read_device(Path(device)) if device.endswith(".toml") else load_device(device)
+    return DeviceCase(known, find_experiment(known, experiment) if experiment else known.experiments[0])
+
+
+def _device_boundary(device: str, experiment: str | None, as_json: bool) -> None:
+    from pipeline.theory.device_cases import boundary_document
+
+    document = boundary_document(_case(device, experiment))
+    if as_json:
+        console.print_json(document)
+        return
+    console.say(f"device {document['device']}, experiment {document['experiment']}")
+    if document["stiffness_max"] is None:
+        console.say("no soft wall is stable at any damping")
+    else:
+        stiffest = f"{document['stiffness_max']:.6g} at damping {document['damping_at_stiffness_max']:.6g}"
+        console.say(f"largest stiffness {stiffest}")
+    for word, what in (("islands", "stable stretches beyond the limit"), ("left_out", "left out of linear theory")):
+        if document[word]:
+            console.say(f"{what}: {len(document[word]) if word == 'islands' else ', '.join(document[word])}")
+    console.say(f"({len(document['stiffness'])} points along the boundary: --json)")
 
 
 def split(text: str) -> tuple[str, ...]:

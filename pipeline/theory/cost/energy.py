@@ -14,17 +14,14 @@ import numpy as np
 from numpy.polynomial.legendre import leggauss
 
 from pipeline.base.errors import ParameterError
+from pipeline.loop.device_loop import DeviceLoop
 from pipeline.loop.loop import Loop, as_points
 from pipeline.loop.plant import flow
 from pipeline.records.batch import Floats
+from pipeline.theory.cost.doubling import doubled, size, weighted_sums
 from pipeline.theory.cost.lagsums import LagSums, lag_sums, one_step
 from pipeline.theory.cost.refinement import Sums, refined
-
-_DOUBLINGS = 60
-"""2^60 samples: the sum of any response with a spectral radius below 1 - 1e-16 has ended long before."""
-
-_CONVERGED = 1e-18
-"""Relative size of a last addend that no longer changes a double."""
+from pipeline.theory.device.state_sums import device_energy
 
 _SLOW = 25.0
 """Mean age of the energy [samples], times d + 1, from which on its sums are refined. Radii are then above 0.98 (d = 0)
@@ -76,6 +73,8 @@ def energy_costs(loop: Loop, alpha: object, beta: object, signal: str = "step") 
     a, b = as_points(alpha, beta)
     if np.any(a + loop.gamma <= 0):
         raise ParameterError("energy costs need alpha + gamma > 0: without stiffness there is no final position.")
+    if isinstance(loop, DeviceLoop):
+        return device_energy(loop, a, b, signal)
     result = {f"energy_{signal}_w{w}{suffix}": np.empty(len(a)) for w in WEIGHTS for suffix in ("", "_discrete")}
     rest = np.arange(len(a))
     if len(a) > _FEW or loop.delay > _SHORT:
@@ -144,58 +143,13 @@ def _energy_by_doubling(loop: Loop, alpha: Floats, beta: Floats, signal: str) ->
 def _sums_of_points(loop: Loop, alpha: Floats, beta: Floats, signal: str) -> Sums:
     matrix = loop.matrix(alpha, beta)
     sums = weighted_sums(matrix, loop.initial(signal))
-    slow = np.flatnonzero(_size(sums[1]) > _SLOW * (loop.delay + 1) * _size(sums[0]))
+    slow = np.flatnonzero(size(sums[1]) > _SLOW * (loop.delay + 1) * size(sums[0]))
     if len(slow):
         rough = sums[0][slow], sums[1][slow], sums[2][slow]
-        exact = refined(loop, alpha[slow], beta[slow], signal, rough, partial(_doubled, matrix[slow]))
+        exact = refined(loop, alpha[slow], beta[slow], signal, rough, partial(doubled, matrix[slow]))
         for part, better in zip(sums, exact, strict=True):
             part[slow] = better
     return sums
-
-
-def weighted_sums(matrix: Floats, initial: Floats) -> Sums:
-    """Return X_w = sum_k k^w z_k z_k' for w = 0, 1, 2 of z_{k+1} = A z_k, each of shape (n, states, states).
-
-    Parameters
-    ----------
-    matrix : float64, shape (n, states, states)
-        Stable matrices A.
-    initial : float64, shape (states,)
-        z_0.
-
-    Notes
-    -----
-    From the sums over N samples, those over 2 N follow as X_w + A^N [sum_i binomial(w, i) N^(w-i) X_i] A^N', so m
-    doublings sum 2^m samples. All addends are positive semidefinite: nothing cancels.
-    """
-    first = np.broadcast_to(np.outer(initial, initial), matrix.shape)
-    return _doubled(matrix, (first, np.zeros_like(matrix), np.zeros_like(matrix)))
-
-
-def _doubled(matrix: Floats, addends: Sums) -> Sums:
-    """Solutions of X_0 = R_0 + A X_0 A', X_1 = R_1 + A (X_1 + X_0) A', X_2 = R_2 + A (X_2 + 2 X_1 + X_0) A'."""
-    x0, x1, x2 = addends
-    power, count = matrix, 1.0
-    for _ in range(_DOUBLINGS):
-        turned = np.swapaxes(power, 1, 2)
-        with np.errstate(over="ignore", invalid="ignore"):  # the sums of an unstable point overflow: refused below
-            add2 = power @ (x2 + 2 * count * x1 + count * count * x0) @ turned
-            add1 = power @ (x1 + count * x0) @ turned
-            add0 = power @ x0 @ turned
-            x0, x1, x2 = x0 + add0, x1 + add1, x2 + add2
-            total = _size(x2)
-        if not np.isfinite(total).all():
-            break
-        if np.all(_size(add2) <= _CONVERGED * total) and np.all(_size(add0) <= _CONVERGED * _size(x0)):
-            return x0, x1, x2
-        power = power @ power
-        count *= 2
-    raise ParameterError("an energy sum does not converge: a point is not stable; check `stability.is_stable` first.")
-
-
-def _size(matrices: Floats) -> Floats:
-    """Sum of the sizes along the diagonal, where sums of squares have their largest entries."""
-    return np.asarray(np.abs(np.diagonal(matrices, axis1=1, axis2=2)).sum(axis=1))
 
 
 @lru_cache(maxsize=64)

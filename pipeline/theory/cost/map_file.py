@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import pyarrow.parquet as pq
 from pipeline.base.disk import replacing
 from pipeline.base.errors import PipelineError
 from pipeline.base.provenance import stamp
+from pipeline.loop.loop import Normalised
 from pipeline.records.batch import Booleans, Floats
 from pipeline.records.table_files import WRITING
 from pipeline.theory.cost.theory_map import BLOCK, MARGIN, CostMap, MapBlock
@@ -41,7 +43,7 @@ def write_map(
     try:
         with replacing(path) as stream, pq.ParquetWriter(stream, schema, **WRITING) as writer:
             for block in cost_map.blocks(points):
-                writer.write_table(block_table(block, schema))
+                writer.write_table(block_table(block, schema, cost_map.units))
                 stable += int(block.stable.sum())
                 done += len(block.alpha)
                 if progress is not None:
@@ -54,21 +56,22 @@ def write_map(
 
 
 def map_schema(cost_map: CostMap) -> pa.Schema:
-    """Return the columns alpha, beta, stable and one for each criterion, with units and parameters as metadata."""
+    """Return columns of the point, stable and one for each criterion, with units and parameters as metadata."""
     loop = cost_map.loop
     meaning = (
         f"null where not stable, within {MARGIN:g} of the boundary, or still moving after {cost_map.longest} samples"
     )
-    fields = [pa.field("alpha", pa.float64(), False), pa.field("beta", pa.float64(), False)]
+    fields = [pa.field(name, pa.float64(), False) for name in cost_map.axes]
     fields += [pa.field("stable", pa.bool_(), False)]
     fields += [pa.field(name, pa.float64(), metadata={"unit": "1", "meaning": meaning}) for name in cost_map.names]
-    plant = {"gamma": repr(loop.gamma), "delta": repr(loop.delta), "delay": repr(loop.delay)}
+    plant = {field.name: repr(getattr(loop, field.name)) for field in dataclasses.fields(loop)}
     return pa.schema(fields, metadata=dict(stamp(**plant, size=str(cost_map.size))))
 
 
-def block_table(block: MapBlock, schema: pa.Schema) -> pa.Table:
+def block_table(block: MapBlock, schema: pa.Schema, units: Normalised | None = None) -> pa.Table:
     """Return a block as an Arrow table; NaN becomes null."""
-    columns = [_column(block.alpha), _column(block.beta), _bits(block.stable)]
+    stiffness, damping = (units.stiffness, units.damping) if units is not None else (1.0, 1.0)
+    columns = [_column(block.alpha * stiffness), _column(block.beta * damping), _bits(block.stable)]
     return pa.table([*columns, *(_column(values) for values in block.costs.values())], schema=schema)
 
 

@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pipeline.base.errors import ParameterError
+from pipeline.loop.device_loop import DeviceLoop
 from pipeline.loop.loop import Loop
 from pipeline.records.batch import Floats
 from pipeline.records.criteria import DISCRETE, RISE_LEVELS, criterion_of
@@ -38,7 +40,7 @@ PointCosts = Callable[[Loop, Floats, Floats, Sequence[str], Following], dict[str
 def _transients(loop: Loop, alpha: Floats, beta: Floats, names: Sequence[str], follow: Following) -> dict[str, Floats]:
     bands = sorted({band for name in names if (band := criterion_of(name).band) is not None})
     blocks = len(alpha) >= (1 if follow.part else _MANY)
-    if blocks and len(bands) == 1 and loop.oldest_force == loop.delay <= _LARGEST_DELAY:
+    if blocks and len(bands) == 1 and _can_march(loop):
         found = step_transients(loop, alpha, beta, bands[0], longest=follow.longest, quiet=follow.quiet)
         # a single band is not named in the march
         return found | {n: found[n.replace(criterion_of(n).name, "settle")] for n in names if criterion_of(n).band}
@@ -65,6 +67,8 @@ def _poles(loop: Loop, alpha: Floats, beta: Floats, names: Sequence[str], _: Fol
 
 def _rises(loop: Loop, alpha: Floats, beta: Floats, names: Sequence[str], follow: Following) -> dict[str, Floats]:
     """Rise times; stability is not needed, so that they are also told along the edge of the stable region."""
+    if isinstance(loop, DeviceLoop):
+        raise ParameterError("rise_time is not told of loops with filter, lag or mode; leave it out of the criteria.")
     run = Active.start(loop, alpha, beta)
     levels = [share - 1.0 for share in RISE_LEVELS]
     exact = [Crossing.empty(len(alpha)) for _ in levels]
@@ -147,3 +151,7 @@ def point_costs_by_name(
     for function, group in groups.items():
         result |= function(loop, alpha, beta, group, follow)
     return {name: result[name] for name in names}
+
+
+def _can_march(loop: Loop) -> bool:
+    return not isinstance(loop, DeviceLoop) and loop.oldest_force == loop.delay <= _LARGEST_DELAY

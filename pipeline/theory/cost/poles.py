@@ -9,6 +9,7 @@ import numpy as np
 from numpy.polynomial import Polynomial
 
 from pipeline.base.errors import ParameterError
+from pipeline.loop.device_loop import DeviceLoop
 from pipeline.loop.loop import Loop, as_points
 from pipeline.records.batch import Booleans, Floats
 from pipeline.theory.cost.transient import transient_costs
@@ -90,6 +91,8 @@ def damping_ratio(loop: Loop, alpha: object, beta: object) -> Floats:
 def threefold_pole(loop: Loop, near: float) -> tuple[float, float, float] | None:
     """Return alpha, beta and z of the threefold real pole next to a modulus, or None if there is none within 4 %.
 
+    Known for ideal loops; None for others, whose search then stands alone.
+
     Notes
     -----
     With u = 1/z and s = 1 - u the characteristic equation is alpha + beta s = W(s), W = -1/G: for real z the poles are
@@ -97,6 +100,8 @@ def threefold_pole(loop: Loop, near: float) -> tuple[float, float, float] | None
     beta = W', alpha = W - beta s. An eigenvalue solver splits such poles by eps^(1/3), 1e-5, on each processor
     otherwise; here they are simple roots of a polynomial.
     """
+    if isinstance(loop, DeviceLoop):
+        return None
     top, bottom, power = _delayed_plant(loop)
     u, slope, bend = Polynomial([1.0, -1.0]), top.deriv(), bottom.deriv()
     # W = -P/(u^n q): W'' times -u^(n+2) q^3, with M = u q times the logarithmic derivative of u^n q

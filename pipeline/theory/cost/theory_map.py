@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.base.errors import ParameterError
-from pipeline.loop.loop import Loop
+from pipeline.loop.device_loop import DeviceLoop
+from pipeline.loop.loop import Loop, Normalised
 from pipeline.records.batch import Booleans, Floats
 from pipeline.records.criteria import CRITERIA, REPORTED, with_discrete
 from pipeline.theory.cost.pointcosts import point_costs_by_name
@@ -55,6 +56,8 @@ def bounding_box(loop: Loop) -> tuple[float, float, float, float]:
     The region's lowest beta is often the limit of the boundary for theta -> 0, on the line alpha = -gamma.
     """
     border = boundary(loop)
+    if isinstance(loop, DeviceLoop):
+        return -loop.gamma, border.alpha_max, float(border.beta[0]), border.beta_max
     start = float(boundary_points(loop, np.array([_NEAR_ZERO]))[1][0])
     return -loop.gamma, border.alpha_max, min(start, float(border.beta.min())), border.beta_max
 
@@ -82,6 +85,8 @@ class CostMap:
         Any of `MAP_CRITERIA`; those of a response also with ``_discrete`` appended.
     longest : int
         Samples after which a response that still moves gets no cost.
+    units : Normalised, optional
+        Of stiffness and damping, where the map is to be in SI.
 
     Raises
     ------
@@ -99,6 +104,7 @@ class CostMap:
     size: int = 251
     criteria: Sequence[str] = MAP_DEFAULT
     longest: int = MAP_LONGEST
+    units: Normalised | None = None
 
     def __post_init__(self) -> None:
         check_criteria(self.criteria)
@@ -111,6 +117,11 @@ class CostMap:
     def names(self) -> tuple[str, ...]:
         """Criteria, each once."""
         return tuple(dict.fromkeys(self.criteria))
+
+    @property
+    def axes(self) -> tuple[str, str]:
+        """Names of the columns that tell a point."""
+        return ("alpha", "beta") if self.units is None else ("stiffness", "damping")
 
     def blocks(self, points: int = BLOCK) -> Iterator[MapBlock]:
         """Compute the map from the lowest beta on, in blocks of about so many points (at least a row).

@@ -12,8 +12,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pipeline.base.errors import ParameterError
+from pipeline.loop.device_loop import DeviceLoop
 from pipeline.loop.loop import Loop, as_points
 from pipeline.records.batch import Floats, Integers
+from pipeline.theory.device.motion import Asked, late_sample, step_costs
 
 LONGEST = 1 << 18
 """Samples after which a response that still moves is given up (no settling time): spectral radius about 1 - 1e-5."""
@@ -173,6 +175,9 @@ def transient_costs(
         raise ParameterError("a step response needs alpha + gamma > 0: without stiffness there is no final position.")
     if any(not 0 < band < 1 for band in bands):
         raise ParameterError(f"bands = {list(bands)}: expected fractions between 0 and 1, such as 0.02.")
+    if isinstance(loop, DeviceLoop):
+        asked = Asked(bands, overshoot, continuous, longest, quiet, cutoff, enough, unfinished_overshoot)
+        return step_costs(loop, a, b, asked)
     n = len(a)
     peaks = {"overshoot": np.zeros(n), "overshoot_discrete": np.zeros(n)}
     settled = {band: np.zeros(n) for band in bands}
@@ -247,6 +252,8 @@ def late_deviation(loop: Loop, alpha: object, beta: object, first: int, longest:
         Samples after which the largest deviation so far is returned.
     """
     a, b = as_points(alpha, beta)
+    if isinstance(loop, DeviceLoop):
+        return late_sample(loop, a, b, first, longest, _FADED)
     run = Active.start(loop, a, b)
     largest = np.zeros(len(a))
     for k in range(1, longest + 1):

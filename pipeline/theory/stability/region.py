@@ -16,8 +16,10 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.loop.device_loop import DeviceLoop
 from pipeline.loop.loop import Loop, as_points
 from pipeline.records.batch import Booleans, Floats
+from pipeline.theory.device.crossings import stretches
 from pipeline.theory.stability.branches import FOLD, Curve, beta_above_start, curve, curve_points, folded
 from pipeline.theory.stability.stability import is_stable
 
@@ -251,14 +253,11 @@ class Intervals:
 
 
 def stable_intervals(loop: Loop, beta: object) -> Intervals:
-    """Return the intervals of alpha that are stable at each beta.
-
-    Parameters
-    ----------
-    loop : Loop
-    beta : array_like, shape (n,)
-    """
+    """Return the intervals of alpha that are stable at each beta, array_like of shape (n,)."""
     _, b = as_points(0.0, beta)
+    if isinstance(loop, DeviceLoop):
+        found = stretches(loop, b)
+        return Intervals(found.index, found.low, found.high, found.outline, np.zeros(0, np.intp))
     r = region(loop)
     if r.first is not None:
         limit = _first_limit(r, r.first, b)
@@ -329,9 +328,11 @@ def is_inside(loop: Loop, alpha: object, beta: object) -> Booleans:
     Source: Hulin 2017, sec. 3.4.
     """
     a, b = as_points(alpha, beta)
+    if isinstance(loop, DeviceLoop):
+        return np.asarray(_margins(loop, a, b) > 0)
     r = region(loop)
     if r.first is None:
-        return np.asarray(_margins(r, a, b) > 0)
+        return np.asarray(_margins(loop, a, b) > 0)
     first = r.first
     at = np.searchsorted(first.beta_high, b)
     result = (b > first.beta_low[0]) & (at < len(first.low)) & (a > -loop.gamma)
@@ -361,16 +362,16 @@ def margin(loop: Loop, alpha: object, beta: object) -> Floats:
     -inf for an unstable point at a beta at which no alpha is stable. Shapes as in `is_inside`.
     """
     a, b = as_points(alpha, beta)
-    r = region(loop)
-    if r.first is not None:
+    r = None if isinstance(loop, DeviceLoop) else region(loop)
+    if r is not None and r.first is not None:
         limit = _first_limit(r, r.first, b)
         return np.minimum(np.where(limit > -np.inf, a + loop.gamma, -np.inf), limit - a)
-    return _margins(r, a, b)
+    return _margins(loop, a, b)
 
 
-def _margins(r: Region, alpha: Floats, beta: Floats) -> Floats:
+def _margins(loop: Loop, alpha: Floats, beta: Floats) -> Floats:
     levels, of = np.unique(beta, return_inverse=True)
-    found = stable_intervals(r.loop, levels)
+    found = stable_intervals(loop, levels)
     result = np.full(len(alpha), -np.inf)
     counts = np.bincount(found.index, minlength=len(levels))
     start = np.cumsum(counts) - counts
@@ -381,7 +382,7 @@ def _margins(r: Region, alpha: Floats, beta: Floats) -> Floats:
         result[has] = np.maximum(result[has], inner)
     unknown = np.flatnonzero(np.isin(of, found.doubtful))
     if len(unknown):
-        result[unknown] = np.where(is_stable(r.loop, alpha[unknown], beta[unknown]), np.finfo(float).tiny, -np.inf)
+        result[unknown] = np.where(is_stable(loop, alpha[unknown], beta[unknown]), np.finfo(float).tiny, -np.inf)
     return result
 
 

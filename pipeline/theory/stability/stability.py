@@ -13,8 +13,10 @@ from itertools import pairwise
 import numpy as np
 
 from pipeline.base.errors import ParameterError
+from pipeline.loop.device_loop import DeviceLoop
 from pipeline.loop.loop import Loop, as_points
 from pipeline.records.batch import Booleans, Floats
+from pipeline.theory.device.outline import outline
 
 _CHUNK = 8192
 """Points whose eigenvalues are computed at a time; bounds memory to about 40 MB at d = 16."""
@@ -71,11 +73,6 @@ def is_stable(loop: Loop, alpha: object, beta: object) -> Booleans:
     Returns
     -------
     bool, shape (n,)
-
-    Raises
-    ------
-    ParameterError
-        If lengths differ or a value is not finite.
 
     Source: Hulin 2017, sec. 3.4 (poles of 3.9).
     """
@@ -202,6 +199,8 @@ def boundary(loop: Loop, points: int = 400) -> Boundary:
     """
     if points < 8:
         raise ParameterError(f"points = {points}: expected at least 8.")
+    if isinstance(loop, DeviceLoop):
+        return _of_device(loop, points)
     end = _branch_end(loop)
     if not _encloses(loop, end):
         return _from_all_branches(loop, points)
@@ -223,6 +222,15 @@ def boundary(loop: Loop, points: int = 400) -> Boundary:
         beta_max=float(top[1][0]),
         alpha_at_beta_max=0.0 - loop.gamma if theta_top == end else float(top[0][0]),
     )
+
+
+def _of_device(loop: DeviceLoop, points: int) -> Boundary:
+    """Boundary of a general loop over beta; its angles are not given."""
+    found = outline(loop, points)
+    if not len(found.beta):
+        raise ParameterError(f"{loop}: no damping stabilises a soft wall.")
+    unknown, top = np.full(len(found.beta), np.nan), (float(found.beta[-1]), float(found.alpha[-1]))
+    return Boundary(found.alpha, found.beta, unknown, found.alpha_max, found.beta_at_alpha_max, *top)
 
 
 def _distinct(values: Floats) -> Floats:

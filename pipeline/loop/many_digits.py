@@ -1,0 +1,101 @@
+"""Small matrices and polynomials in many digits: what is computed once for a loop and must not cancel.
+
+Matrices and polynomials are numpy arrays of `decimal.Decimal`, polynomials lowest power first. The digits are those of
+the decimal context, which `many_digits` sets.
+"""
+
+from __future__ import annotations
+
+from contextlib import AbstractContextManager
+from decimal import MAX_EMAX, MIN_EMIN, Context, Decimal, localcontext
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Digits = NDArray[np.object_]
+"""Array of Decimal."""
+
+_SMALL = 0.0625
+"""Norm to which a matrix is halved before its exponential is summed."""
+
+exact = np.frompyfunc(Decimal, 1, 1)
+"""Decimal of each float, without rounding."""
+
+
+def many_digits(digits: int) -> AbstractContextManager[Context]:
+    """Return a context in which Decimal numbers have so many digits, and any size."""
+    return localcontext(Context(prec=digits, Emax=MAX_EMAX, Emin=MIN_EMIN))
+
+
+def as_exact(values: Any) -> Digits:
+    """Return numbers or arrays of them as an array of Decimal."""
+    return np.asarray(exact(np.asarray(values, dtype=object)), dtype=object)
+
+
+def as_floats(values: Digits) -> NDArray[np.float64]:
+    """Return Decimal numbers rounded to doubles."""
+    return values.astype(np.float64)
+
+
+def exponential(matrix: Digits, digits: int) -> Digits:
+    """Return exp of a square matrix: the power series of a part of it, squared again and again."""
+    norm = float(np.abs(matrix).sum(axis=1).max())
+    halvings = max(0, int(np.ceil(np.log2(norm / _SMALL)))) if norm > 0 else 0
+    part = matrix / Decimal(2) ** halvings
+    result = term = as_exact(np.eye(len(matrix)))
+    smallest = Decimal(10) ** -(digits + halvings)
+    for n in range(1, 4 * digits):  # the terms fall by 16 n each
+        term = term @ part / n
+        result = result + term
+        if np.abs(term).max() < smallest:
+            break
+    for _ in range(halvings):
+        result = result @ result
+    return result
+
+
+def product(*factors: Digits) -> Digits:
+    """Return the product of polynomials."""
+    result = factors[0]
+    for factor in factors[1:]:
+        result = np.convolve(result, factor)
+    return result
+
+
+def power(base: Digits, exponent: int) -> Digits:
+    """Return a power of a polynomial."""
+    return product(as_exact([1]), *([base] * exponent))
+
+
+def total(first: Digits, second: Digits) -> Digits:
+    """Return the sum of polynomials."""
+    longer, shorter = (first, second) if len(first) >= len(second) else (second, first)
+    result = longer.copy()
+    result[: len(shorter)] += shorter
+    return result
+
+
+def derivative(polynomial: Digits) -> Digits:
+    """Return the derivative of a polynomial."""
+    return np.asarray(polynomial[1:] * np.arange(1, len(polynomial)), dtype=object)
+
+
+def value(polynomial: Digits, place: Decimal) -> Decimal:
+    """Return the value of a polynomial."""
+    result = Decimal(0)
+    for coefficient in polynomial[::-1]:
+        result = result * place + coefficient
+    return result
+
+
+def bilinear(polynomial: Digits, degree: int) -> Digits:
+    """Return (1 - w)^degree p(z) as a polynomial in w, z = (1 + w)/(1 - w); the unit circle is w = j tan(theta/2)."""
+    up, down = as_exact([1, 1]), as_exact([1, -1])
+    result, rising, falling = as_exact([0]), as_exact([1]), [as_exact([1])]
+    for _ in range(degree):
+        falling.append(np.convolve(falling[-1], down))
+    for k, coefficient in enumerate(polynomial):
+        result = total(result, coefficient * np.convolve(rising, falling[degree - k]))
+        rising = np.convolve(rising, up)
+    return result

@@ -1,0 +1,63 @@
+"""Velocity filters as ratios of polynomials, in w = (z - 1)/(z + 1) and in powers of 1/z; exact."""
+
+from __future__ import annotations
+
+import math
+from decimal import Decimal
+
+import numpy as np
+
+from pipeline.loop.many_digits import Digits, as_exact, bilinear
+from pipeline.records.loop_parts import Butterworth, Difference, VelocityFilter
+
+
+def filter_order(velocity: VelocityFilter | None) -> int:
+    """Return the number of samples that a filter remembers."""
+    if isinstance(velocity, Difference):
+        return velocity.samples - 1
+    if isinstance(velocity, Butterworth):
+        return velocity.order
+    return max(len(velocity.b), len(velocity.a)) - 1 if velocity is not None else 0
+
+
+def per_sample(velocity: VelocityFilter | None, sampling_period_s: float) -> VelocityFilter | None:
+    """Return a filter with its frequencies per sampling rate."""
+    if isinstance(velocity, Butterworth):
+        return velocity.model_copy(update={"cutoff_hz": velocity.cutoff_hz * sampling_period_s})
+    return velocity
+
+
+def filter_in_w(velocity: VelocityFilter | None) -> tuple[Digits, Digits]:
+    """Return numerator and denominator of a velocity filter as polynomials in w, of one degree."""
+    if velocity is None:
+        return as_exact([1]), as_exact([1])
+    if isinstance(velocity, Butterworth):
+        root = Decimal(2).sqrt()
+        side = (4 + 2 * root).sqrt()
+        by_order: dict[int, list[int | Decimal]] = {
+            1: [1, 1],
+            2: [1, root, 1],
+            3: [1, 2, 2, 1],
+            4: [1, side, 2 + root, side, 1],
+        }
+        edge = Decimal(math.tan(math.pi * velocity.cutoff_hz))
+        bottom = as_exact([Decimal(c) / edge**k for k, c in enumerate(by_order[velocity.order])])
+        return as_exact([1] + [0] * velocity.order), bottom
+    n = filter_order(velocity)
+    if isinstance(velocity, Difference):
+        b, a = as_exact([Decimal(1) / velocity.samples] * velocity.samples), as_exact([1])
+    else:
+        b, a = as_exact(velocity.b), as_exact(velocity.a)
+    # in powers of 1/z = (1 - w)/(1 + w): reversed, they are powers of z over z^n
+    top, bottom = (bilinear(np.append(c, as_exact([0] * (n + 1 - len(c))))[::-1], n) for c in (b, a))
+    return top, bottom
+
+
+def filter_in_z(velocity: VelocityFilter | None) -> tuple[Digits, Digits]:
+    """Return numerator and denominator of a velocity filter in powers of 1/z, the first of the denominator 1."""
+    # w = (1 - 1/z)/(1 + 1/z): the same change of variable leads back, to powers of -1/z
+    b, a = (
+        bilinear(part, len(part) - 1) * as_exact([(-1) ** k for k in range(len(part))])
+        for part in filter_in_w(velocity)
+    )
+    return b / a[0], a / a[0]

@@ -1,0 +1,121 @@
+"""Passivity of the wall behind a lag, a fractional delay and a velocity filter.
+
+The wall sees its device through samples, so a motion of the frequency omega answers with all aliases omega + 2 pi n/T:
+the damping that absorbs what they may generate together is (with T = 1, u = 1/z, z = exp(j omega))
+
+    [Re(y S1) + sqrt(Re(y S1)^2 + |y|^2 (S0 S2 - |S1|^2))]/2,    y = (1 - u) (alpha + beta F (1 - u)),
+
+with S0, S1, S2 the sums of 1, L, |L|^2 over omega_n^2 and L = exp(-j omega_n d)/(1 + j omega_n lag). It is homogeneous
+and convex in alpha and beta, so the passive region is a convex one about 0 that scales with the device's damping; mass,
+spring, hand, and a vibration mode whose near side is sensed, change nothing.
+
+Source: Hulin 2017, ch. 4, for integer delays without lag, where this is (4.6); the sums in closed form are ours.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pipeline.base.errors import ParameterError
+from pipeline.loop.device_loop import DeviceLoop
+from pipeline.records.batch import Booleans, Floats
+
+_ANGLES = 40
+"""Angles of a turn of the delayed force; maxima are looked for between them."""
+
+_NEAR_ZERO = 8e-3
+"""Smallest angle, times delay and lag: below it 1/angle^2 loses digits, and what is needed, an even function of the
+angle, is continued to 0 to 1e-9."""
+
+_ZOOMS = 12
+"""Zooms onto the worst angle, each to a quarter: a flat maximum to 1e-13."""
+
+_DIRECTIONS = 181
+
+
+def required_damping(loop: DeviceLoop, alpha: Floats, beta: Floats) -> Floats:
+    """Return the normalised damping that walls need of the device's near side, shape (n,); 0 at least.
+
+    Parameters
+    ----------
+    loop : DeviceLoop
+        Its delay, lag and filter enter.
+    alpha, beta : float64, shape (n,)
+
+    Raises
+    ------
+    ParameterError
+        If the position is sensed at the far mass: no damping of the near one makes such a wall passive.
+    """
+    if loop.mode is not None and loop.mode.sensor_far:
+        raise ParameterError("the position is sensed beyond the vibration mode: no wall is passive for every hand.")
+    count = int(_ANGLES * (loop.oldest_force + 2)) + 1
+    lowest = _NEAR_ZERO / (loop.delay + loop.lag + 1)
+    angle = np.linspace(lowest, np.pi, count)
+    step = angle[1] - angle[0]
+    values = _needed(loop, alpha[:, None], beta[:, None], angle)
+    near, twice = (_needed(loop, alpha, beta, np.array([a])) for a in (lowest, 2 * lowest))
+    best, largest = angle[values.argmax(axis=1)], values.max(axis=1)
+    for _ in range(_ZOOMS):
+        around = np.clip(best[:, None] + step * np.linspace(-1, 1, 9), lowest, np.pi)
+        values = _needed(loop, alpha[:, None], beta[:, None], around)
+        best = np.take_along_axis(around, values.argmax(axis=1)[:, None], axis=1)[:, 0]
+        largest = np.maximum(largest, values.max(axis=1))
+        step /= 4
+    return np.asarray(np.maximum(np.maximum(largest, (4 * near - twice) / 3), 0.0))
+
+
+def is_passive(loop: DeviceLoop, delta: float, alpha: Floats, beta: Floats) -> Booleans:
+    """Return which walls are passive, alpha >= 0, on a device whose own normalised damping is delta."""
+    if delta <= 0:
+        return np.zeros(len(alpha), dtype=np.bool_)
+    return np.asarray((alpha >= 0) & (required_damping(loop, alpha, beta) < delta))
+
+
+def passive_outline(loop: DeviceLoop, delta: float) -> tuple[Floats, Floats]:
+    """Return the outline of the passive region, alpha and beta, from (0, -delta) on; of zeros where delta is 0."""
+    angle = np.linspace(-0.5 * np.pi, 0.5 * np.pi, _DIRECTIONS)
+    return _along(loop, delta, angle)
+
+
+def stiffest_passive(loop: DeviceLoop, delta: float) -> tuple[float, float]:
+    """Return alpha and beta of the stiffest passive wall; 0 where the device has no damping."""
+    angle = np.linspace(-0.5 * np.pi, 0.5 * np.pi, _DIRECTIONS)
+    for _ in range(_ZOOMS):
+        alpha, beta = _along(loop, delta, angle)
+        best = int(np.argmax(alpha))
+        angle = np.linspace(angle[max(best - 1, 0)], angle[min(best + 1, len(angle) - 1)], 9)
+    return float(alpha[best]), float(beta[best])
+
+
+def _along(loop: DeviceLoop, delta: float, angle: Floats) -> tuple[Floats, Floats]:
+    # dampings are wider than stiffnesses by about the delay: directions are even in alpha (delay + lag + 1/2), beta
+    alpha, beta = np.cos(angle) / (loop.delay + loop.lag + 0.5), np.sin(angle)
+    reach = delta / required_damping(loop, alpha, beta)
+    return alpha * reach, beta * reach
+
+
+def _needed(loop: DeviceLoop, alpha: Floats, beta: Floats, angle: Floats) -> Floats:
+    u = np.exp(-1j * angle)
+    b, a = loop.filter_in_z
+    rate = (1 - u) * np.polyval(b[::-1], u) / np.polyval(a[::-1], u)
+    y = (1 - u) * (alpha + beta * rate)
+    s0, s1, s2 = _alias_sums(loop, angle)
+    real = (y * s1).real
+    return np.asarray(0.5 * (real + np.sqrt(real**2 + np.abs(y) ** 2 * np.maximum(s0 * s2 - np.abs(s1) ** 2, 0.0))))
+
+
+def _alias_sums(loop: DeviceLoop, angle: Floats) -> tuple[Floats, np.ndarray, Floats]:
+    """Return S0, S1, S2: sums over aliases as sums over samples of a ramp behind delay and lag (Poisson)."""
+    u = np.exp(-1j * angle)
+    first = int(np.ceil(loop.delay))
+    share = first - loop.delay  # of a sample, between the delay and the next one
+    s0 = 0.25 / np.sin(0.5 * angle) ** 2
+    ramp = u / (1 - u) ** 2 + (share - loop.lag) / (1 - u)
+    s2 = s0
+    if loop.lag > 0:
+        rate = 1 / loop.lag
+        ramp = ramp + loop.lag * np.exp(-share * rate) / (1 - np.exp(-rate) * u)
+        # sinh/(cosh - cos), which does not overflow
+        s2 = s0 - 0.5 * loop.lag * -np.expm1(-2 * rate) / (1 + np.exp(-2 * rate) - 2 * np.exp(-rate) * np.cos(angle))
+    return s0, -(u**first) * ramp, s2

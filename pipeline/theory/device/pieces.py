@@ -1,0 +1,137 @@
+"""Motion between samples of a general loop, as polynomials over pieces of a sampling interval.
+
+A piece is short beside the oscillations of the device, and pieces halve towards the start of a segment, where a fast
+lag settles; so a polynomial of degree 12 through exact places follows the motion to 1e-12 of it.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import numpy as np
+from numpy.polynomial.legendre import leggauss
+
+from pipeline.loop.device_loop import DeviceLoop
+from pipeline.loop.many_digits import Digits, as_exact, as_floats, many_digits
+from pipeline.records.batch import Floats
+
+DEGREE = 12
+"""Of the polynomials: a piece is at most one radian, so the next term is below 1/13!."""
+
+_GAUSS = 14
+"""Points that integrate the square of such a polynomial times tau^2 exactly."""
+
+WEIGHTS = (0, 1, 2)
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """Part of a sampling interval with constant input.
+
+    Parameters
+    ----------
+    age : int
+        Age of the wall's force in samples.
+    start, duration : float
+        Within the sampling interval [T].
+    transition, gain : float64, shapes (p, p), (p,)
+        Exact motion of the device over the piece.
+    place : float64, shape (13, p + 1)
+        From the device's state at the piece's start and its input to the coefficients of the sensed position over the
+        share of the piece, lowest power first.
+    """
+
+    age: int
+    start: float
+    duration: float
+    transition: Floats
+    gain: Floats
+    place: Floats
+
+    @cached_property
+    def speed(self) -> Floats:
+        """As ``place``, of the velocity [1/T], shape (12, p + 1)."""
+        return self.place[1:] * np.arange(1, DEGREE + 1)[:, None] / self.duration
+
+
+@lru_cache(maxsize=64)
+def pieces(loop: DeviceLoop) -> tuple[Piece, ...]:
+    """Return the pieces of a sampling interval in order."""
+    result, offset = [], 0.0
+    for segment in loop.segments:
+        edges = _edges(loop, segment.duration)
+        known: dict[float, tuple[Digits, Digits, Floats]] = {}
+        for start, duration in zip(edges[:-1], np.diff(edges), strict=True):
+            if duration not in known:
+                known[duration] = _motion(loop, float(duration))
+            transition, gain, place = known[duration]
+            result.append(Piece(segment.age, offset + start, duration, as_floats(transition), as_floats(gain), place))
+        offset += segment.duration
+    return tuple(result)
+
+
+@lru_cache(maxsize=64)
+def moments(loop: DeviceLoop) -> tuple[tuple[Floats, ...], tuple[Floats, ...]]:
+    """Return integrals of tau^w e^2 and tau^w v^2 over each piece as forms of state and input, w = 0, 1, 2.
+
+    Shapes (pieces, p + 1, p + 1) for each w, first of position, then of velocity.
+    """
+    nodes, weights = leggauss(_GAUSS)
+    share, weights = 0.5 * (nodes + 1), 0.5 * weights
+    forms = []
+    for part in ("place", "speed"):
+        by_weight = []
+        for w in WEIGHTS:
+            stack = []
+            for piece in pieces(loop):
+                rows = np.vander(share, DEGREE + (part == "place"), increasing=True) @ getattr(piece, part)
+                weight = piece.duration * weights * (piece.start + piece.duration * share) ** w
+                stack.append(np.einsum("t,ti,tj->ij", weight, rows, rows))
+            by_weight.append(np.array(stack))
+        forms.append(tuple(by_weight))
+    return forms[0], forms[1]
+
+
+def _edges(loop: DeviceLoop, duration: float) -> Floats:
+    rates = np.linalg.eigvals(loop.device[0])
+    turning = float(np.abs(rates[np.abs(rates.imag) > np.abs(rates.real)]).max(initial=0.0))
+    settling = float(np.abs(rates[np.abs(rates.imag) <= np.abs(rates.real)]).max(initial=0.0))
+    halvings = max(0, int(np.ceil(np.log2(settling * duration)))) if settling > 0 else 0
+    edges = np.append(0.0, duration * 0.5 ** np.arange(halvings, -1, -1.0))
+    fine = [
+        np.linspace(low, high, max(1, int(np.ceil(turning * (high - low)))) + 1)[:-1]
+        for low, high in itertools.pairwise(edges)
+    ]
+    return np.append(np.concatenate(fine), duration)
+
+
+def _motion(loop: DeviceLoop, duration: float) -> tuple[Digits, Digits, Floats]:
+    """Return transition, gain, and the coefficients of the polynomial through exact places."""
+    with many_digits(loop.digits):
+        transition, gain = loop.moved(duration / DEGREE)
+        sensor = as_exact(loop.device[2])
+        n = len(gain)
+        whole, push, rows = as_exact(np.eye(n)), as_exact(np.zeros(n)), [np.append(sensor, as_exact([0]))]
+        for _ in range(DEGREE):
+            whole, push = transition @ whole, transition @ push + gain
+            rows.append(np.append(sensor @ whole, sensor @ push))
+        return whole, push, as_floats(_through(np.array(rows, dtype=object)))
+
+
+def _through(values: Digits) -> Digits:
+    """Return the coefficients of the polynomials through values at even steps of [0, 1] (Newton's differences)."""
+    differences = [values[0]]
+    for order in range(1, len(values)):
+        values = (values[1:] - values[:-1]) / order
+        differences.append(values[0])
+    result = differences[-1][None]
+    for step in range(len(differences) - 2, -1, -1):
+        # times (t - step), plus the next difference
+        longer = np.concatenate([0 * result[:1], result])
+        longer[:-1] -= step * result
+        longer[0] += differences[step]
+        result = longer
+    # t counts steps: a share is t/DEGREE
+    return np.asarray(result * as_exact([DEGREE**k for k in range(len(result))])[:, None], dtype=object)

@@ -1,0 +1,129 @@
+"""Numbers behind the theory commands for a device file: what `theory.cases` says of normalised loops, in SI."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from pipeline.base.errors import ParameterError
+from pipeline.loop.device_loop import general, loop_of, wall_units
+from pipeline.loop.loop import Loop, Normalised
+from pipeline.records.loop_parts import LoopParts
+from pipeline.records.models import Device, Experiment
+from pipeline.theory.cases import POINT_COSTS, Cases, optimum_document, points_of_loop
+from pipeline.theory.cost.theory_map import check_criteria
+from pipeline.theory.device.outline import outline
+from pipeline.theory.device.slowest_pole import slowest_poles
+
+WALL_COLUMNS = ("stiffness", "damping")
+"""Columns of a CSV file of walls."""
+
+
+@dataclass(frozen=True)
+class DeviceCase:
+    """An experiment of a device: its loop in units of its wall."""
+
+    device: Device
+    experiment: Experiment
+
+    @cached_property
+    def parts(self) -> LoopParts:
+        """What the loop has beside mass, damper and delay."""
+        return self.device.loop_of(self.experiment)
+
+    @cached_property
+    def units(self) -> Normalised:
+        """Factors between SI and the normalised wall."""
+        return wall_units(self.experiment.mass, self.device.sampling_period_s, self.parts)
+
+    @cached_property
+    def loop(self) -> Loop:
+        """Normalised loop; an ideal one where its parts leave it ideal."""
+        e = self.experiment
+        return loop_of(e.mass, e.damping, e.stiffness, e.delay_samples, self.device.sampling_period_s, self.parts)
+
+    @property
+    def names(self) -> dict[str, Any]:
+        """What every document says of the device."""
+        return {
+            "device": self.device.name,
+            "experiment": self.experiment.name,
+            "delay_samples": self.experiment.delay_samples,
+            "parts": self.parts.model_dump(mode="json", exclude_defaults=True, exclude={"friction"}),
+            "left_out": self.parts.left_out,
+        }
+
+
+def boundary_document(case: DeviceCase, points: int = 400) -> dict[str, Any]:
+    """Return the limit of a device's walls over damping, as the document that `theory boundary --device` prints.
+
+    Raises
+    ------
+    ParameterError
+        If no wall is stable at any damping.
+    """
+    found, k, b = outline(general(case.loop), points), case.units.stiffness, case.units.damping
+    if not len(found.beta) and not len(found.islands):
+        raise ParameterError(
+            f"device {case.device.name!r}, experiment {case.experiment.name!r}: no stiffness and damping stabilise "
+            "this loop. Check delay, lag and filter in the device file."
+        )
+    islands = [
+        {"damping": float(beta * b), "stiffness_low": float(low * k), "stiffness_high": float(high * k)}
+        for beta, low, high in found.islands
+    ]
+    return {
+        **case.names,
+        "stiffness_max": float(found.alpha_max * k) if len(found.beta) else None,
+        "damping_at_stiffness_max": float(found.beta_at_alpha_max * b) if len(found.beta) else None,
+        "stiffness": (found.alpha * k).tolist(),
+        "damping": (found.beta * b).tolist(),
+        "islands": islands,
+    }
+
+
+def wall_documents(case: DeviceCase, walls: Cases, criteria: Sequence[str] = POINT_COSTS) -> list[dict[str, Any]]:
+    """Return stability and costs of each wall of a file with `WALL_COLUMNS`, in order.
+
+    Returns
+    -------
+    list of dict
+        As of `theory.cases.point_costs`, with ``stiffness`` and ``damping`` in SI and ``separation`` (`SlowestPole`)
+        in place of the normalised parameters.
+    """
+    check_criteria(criteria)
+    alpha, beta = walls.values[:, 0] / case.units.stiffness, walls.values[:, 1] / case.units.damping
+    slowest = slowest_poles(general(case.loop), alpha, beta)
+    radius = np.array([pole.radius for pole in slowest])
+    found = points_of_loop(case.loop, alpha, beta, radius, criteria)
+    return [
+        {
+            "stiffness": float(stiffness),
+            "damping": float(damping),
+            "stable": document["stable"],
+            "spectral_radius": pole.radius,
+            "separation": pole.separation,
+            **{name: document[name] for name in criteria},
+            "reason": document["reason"],
+            "left_out": case.parts.left_out,
+        }
+        for (stiffness, damping), pole, document in zip(walls.values, slowest, found, strict=True)
+    ]
+
+
+def device_optimum(case: DeviceCase, criterion: str, signal: str | None = None) -> dict[str, Any]:
+    """Return the optimal wall of a criterion, as the document that `theory optimum --device` prints."""
+    document, k, b = optimum_document(case.loop, criterion, signal), case.units.stiffness, case.units.damping
+    result = {"criterion": document["criterion"], **case.names}
+    result |= {"stiffness": document["alpha"] * k, "damping": document["beta"] * b, "cost": document["cost"]}
+    if "box" in document:
+        box = document["box"]
+        result["box"] = {
+            name.replace("alpha", "stiffness").replace("beta", "damping"): value * (k if "alpha" in name else b)
+            for name, value in box.items()
+        }
+    return result | {name: document[name] for name in ("reason",) if name in document}

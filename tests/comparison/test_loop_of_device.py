@@ -1,0 +1,66 @@
+"""Theory of a report rests on the loop of its device file: filter, lag and mode move boundary, optima and passivity."""
+
+import pytest
+
+from pipeline.comparison.figures.boundary_curves import linear_curve, passive_curve, theory_curve
+from pipeline.comparison.summary.advice import passive_choice
+from pipeline.loop.device_loop import DeviceLoop
+from pipeline.loop.loop import Loop
+from pipeline.records.loop_parts import LoopParts
+from pipeline.records.results import TheoryParameters
+from pipeline.rendering.labels import UNITS
+from pipeline.theory.optimum.optimum import optimal_point
+from pipeline.theory.predictions import Theory
+
+PARTS = LoopParts.model_validate(
+    {
+        "velocity": {"kind": "butterworth", "order": 1, "cutoff_hz": 40.0},
+        "actuator_lag_s": 0.001,
+        "mode": {"frequency_hz": 120.0, "damping_ratio": 0.1, "mass": 0.05},
+        "friction": {"coulomb": 0.2},
+    }
+)
+
+
+def theory(parts: LoopParts = LoopParts()) -> Theory:  # noqa: B008
+    return Theory(
+        TheoryParameters(
+            mass=0.58, damping=4.0, stiffness=0.0, sampling_period_s=0.001, delay_samples=4.0, source="test", loop=parts
+        )
+    )
+
+
+def test_boundary_and_optimum_are_those_of_the_loop_with_its_parts():
+    ideal, real = theory(), theory(PARTS)
+    assert (type(ideal.loop), type(real.loop)) == (Loop, DeviceLoop)
+    assert max(theory_curve(real, "").stiffness) < 0.6 * max(theory_curve(ideal, "").stiffness)
+    best = [one.physical(optimal_point(one.loop, "energy_step_w0")) for one in (ideal, real)]
+    assert best[1].stiffness < 0.8 * best[0].stiffness
+    assert best[1].cost > best[0].cost
+
+
+def test_passive_region_and_linear_condition_know_the_lag():
+    ideal, real = theory(), theory(PARTS)
+    curves = [passive_curve(one) for one in (ideal, real)]
+    assert all(curve is not None for curve in curves)
+    first, second = (max(curve.stiffness) for curve in curves if curve)
+    assert second < first
+    stiffness, _ = real.stiffest_passive
+    assert stiffness == pytest.approx(second, rel=1e-3)
+    assert stiffness < first
+    slope = [curve.damping[1] + 4.0 for curve in (linear_curve(ideal), linear_curve(real))]
+    reach = [linear_curve(one).stiffness[1] for one in (ideal, real)]
+    assert slope[1] / reach[1] - slope[0] / reach[0] == pytest.approx(0.001)
+
+
+def test_words_name_the_parts_and_what_is_left_out():
+    assert PARTS.words() == (
+        "velocity filter (Butterworth, order 1, 40 Hz), actuator lag 1 ms, "
+        "vibration mode at 120 Hz, sensed at the motor"
+    )
+    assert PARTS.left_out == ["friction"]
+    assert LoopParts().words() == ""
+    text = passive_choice(theory(PARTS).parameters, UNITS["translation"])
+    assert "Butterworth" in text
+    far = PARTS.model_copy(update={"mode": PARTS.mode.model_copy(update={"sensor": "load"})})
+    assert "no wall is passive" in passive_choice(theory(far).parameters, UNITS["translation"])
