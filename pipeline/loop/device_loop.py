@@ -15,6 +15,7 @@ import math
 from dataclasses import dataclass
 from decimal import Decimal
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -24,7 +25,9 @@ from pipeline.loop.many_digits import Digits, as_exact, as_floats, bilinear, exp
 from pipeline.loop.plant import Flow
 from pipeline.loop.velocity_filter import filter_in_w, filter_in_z, filter_order, per_sample
 from pipeline.records.batch import Floats
-from pipeline.records.loop_parts import Difference, LoopParts, VelocityFilter
+
+if TYPE_CHECKING:  # its classes take longer to load than a short command to run
+    from pipeline.records.loop_parts import LoopParts, VelocityFilter
 
 LARGEST_ORDER = 96
 """Delay [samples] plus length of the filter; its square is the time that the boundary takes: seconds beyond this."""
@@ -342,7 +345,8 @@ def loop_of(
 
 
 def _is_ideal(parts: LoopParts) -> bool:
-    plain = parts.velocity is None or parts.velocity == Difference(kind="difference", samples=1)
+    velocity = parts.velocity
+    plain = velocity is None or (velocity.kind == "difference" and velocity.samples == 1)
     return plain and parts.mode is None and parts.actuator_lag_s == 0
 
 

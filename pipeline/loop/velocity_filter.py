@@ -4,25 +4,28 @@ from __future__ import annotations
 
 import math
 from decimal import Decimal
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pipeline.loop.many_digits import Digits, as_exact, bilinear
-from pipeline.records.loop_parts import Butterworth, Difference, VelocityFilter
+
+if TYPE_CHECKING:  # its classes take longer to load than a short command to run
+    from pipeline.records.loop_parts import VelocityFilter
 
 
 def filter_order(velocity: VelocityFilter | None) -> int:
     """Return the number of samples that a filter remembers."""
-    if isinstance(velocity, Difference):
+    if velocity is not None and velocity.kind == "difference":
         return velocity.samples - 1
-    if isinstance(velocity, Butterworth):
+    if velocity is not None and velocity.kind == "butterworth":
         return velocity.order
     return max(len(velocity.b), len(velocity.a)) - 1 if velocity is not None else 0
 
 
 def per_sample(velocity: VelocityFilter | None, sampling_period_s: float) -> VelocityFilter | None:
     """Return a filter with its frequencies per sampling rate."""
-    if isinstance(velocity, Butterworth):
+    if velocity is not None and velocity.kind == "butterworth":
         return velocity.model_copy(update={"cutoff_hz": velocity.cutoff_hz * sampling_period_s})
     return velocity
 
@@ -31,7 +34,7 @@ def filter_in_w(velocity: VelocityFilter | None) -> tuple[Digits, Digits]:
     """Return numerator and denominator of a velocity filter as polynomials in w, of one degree."""
     if velocity is None:
         return as_exact([1]), as_exact([1])
-    if isinstance(velocity, Butterworth):
+    if velocity is not None and velocity.kind == "butterworth":
         root = Decimal(2).sqrt()
         side = (4 + 2 * root).sqrt()
         by_order: dict[int, list[int | Decimal]] = {
@@ -44,7 +47,7 @@ def filter_in_w(velocity: VelocityFilter | None) -> tuple[Digits, Digits]:
         bottom = as_exact([Decimal(c) / edge**k for k, c in enumerate(by_order[velocity.order])])
         return as_exact([1] + [0] * velocity.order), bottom
     n = filter_order(velocity)
-    if isinstance(velocity, Difference):
+    if velocity is not None and velocity.kind == "difference":
         b, a = as_exact([Decimal(1) / velocity.samples] * velocity.samples), as_exact([1])
     else:
         b, a = as_exact(velocity.b), as_exact(velocity.a)
