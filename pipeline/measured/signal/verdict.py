@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pipeline.measured.signal.course import Course, course_of
 from pipeline.measured.signal.modes import FEWEST_SAMPLES, NARROW, Growth, fastest_growth
 from pipeline.measured.signal.response import NOISE_FACTOR, Response, find_response
 from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
@@ -20,6 +21,9 @@ CHUNK = 128
 
 FLOOR_FACTOR = 2.0
 """Motion below this many sensor floors at the end is a rest or a limit cycle that only the sensor causes."""
+
+NOT_TOLD = "growth rate not told: the motion has died away"
+"""Reason of a stable trial without a growth rate."""
 
 IDEAL_RANGE = 1e-9
 """Motion below this fraction of its peak counts as rest in a log without noise and quantum."""
@@ -32,6 +36,18 @@ AT_REST_FROM = 0.8
 
 TREND_FACTOR = 3.0
 """Change from first to last quarter that decides a motion that no mode explains; noise alone changes less."""
+
+REST_FLOORS = 8.0
+"""Amplitude at the end, in sensor floors, up to which quanta may keep an oscillation up in a stable loop: the describing
+function of a quantizer departs from 1 by 0.16 (q/A)^1.5 at most, so that a larger one needs a wall within 0.7 % of the
+limit."""
+
+LEAST_FALL = 3.0
+"""Motion relative to what is left of it, or to the sensor floor where that is less, from which on its end there is a
+decay: a mode of a third of the motion at the start has not grown."""
+
+LEFT = 0.5
+"""Part of the motion that may be left of it at its end for a limit cycle that only the sensor causes."""
 
 LIMIT_SIGMAS = 3.0
 """Rates within this many standard errors of zero are not decided where K = 0."""
@@ -149,21 +165,49 @@ def _judge_wall(batch: TrialBatch, edge: Integers, floor: Floats) -> Verdicts:
         again = fastest_growth(signal[doubtful], length[doubtful], grown.noise[doubtful], NARROW)
         rate[doubtful] = np.fmin(rate[doubtful], again.per_sample)
         grows[doubtful] &= _adds(again, floor[doubtful])
+    course = course_of(batch, start, count)
+    told = _told(rate, grown, course, floor)
     # motion that no mode explains to its end: it has died away in the noise, or it has risen out of it
-    trend = _trend(signal, count)
-    unexplained = np.isnan(rate) & ~at_rest & (count >= FEWEST_SAMPLES) & (peak > 0)
-    grows |= unexplained & (trend > TREND_FACTOR)
-    known = np.isfinite(rate) | at_rest | (unexplained & ((trend > TREND_FACTOR) | (trend < 1 / TREND_FACTOR)))
-    verdict = np.where(~known, "undecided", np.where(grows, "unstable", "stable"))
-    rate = np.where(at_rest & (rate > 0), np.nan, rate)
-    reason = tuple(
-        f"no visible motion to judge: {c} samples after the step, of which {FEWEST_SAMPLES} must stand above "
-        "the sensor floor"
-        if not k
-        else ("growth rate not told: the motion ended in the sensor floor" if np.isnan(r) else "")
-        for k, c, r in zip(known, count, rate, strict=True)
-    )
-    return Verdicts(verdict, rate / batch.sampling_period_s, reason)
+    unexplained = np.isnan(rate)
+    grows = np.where(grown.clean, grows, (grows | (told & (rate > 0))) & ~course.falls)
+    grows |= unexplained & (course.trend > TREND_FACTOR)
+    grows |= ~grown.clean & (course.bent & course.lasts | course.risen) & (course.end > REST_FLOORS * floor)
+    falls = np.where(grown.clean, ~grows, told & (rate < 0) & ~(course.bent & ~course.falls) & ~course.contradicts(rate))
+    falls |= unexplained & (course.trend < 1 / TREND_FACTOR)
+    # what is left may be a limit cycle of the sensor only if it came down from far above
+    falls |= ~grows & (course.end <= np.minimum(REST_FLOORS * floor, LEFT * course.begin))
+    falls |= ~grown.clean & course.brakes
+    high = course.begin >= LEAST_FALL * np.minimum(course.end, floor)
+    enough = (count >= FEWEST_SAMPLES) & (peak > 0)
+    grows &= enough & ~at_rest
+    falls = enough & (at_rest | falls) & ~grows & high
+    verdict = np.where(grows, "unstable", np.where(falls, "stable", "undecided"))
+    rate = np.where(falls & (rate > 0), np.nan, rate)
+    reason = [
+        _undecided(*each) if text == "undecided" else NOT_TOLD if np.isnan(r) else ""
+        for text, r, *each in zip(verdict, rate, enough, high, count, course.end, strict=True)
+    ]
+    return Verdicts(verdict, rate / batch.sampling_period_s, tuple(reason))
+
+
+def _undecided(visible: bool, high: bool, samples: int, left: float) -> str:
+    if not visible:
+        return (
+            f"no visible motion to judge: {samples} samples after the step, of which {FEWEST_SAMPLES} must stand above "
+            "the sensor floor"
+        )
+    if not high:
+        return "the motion hardly exceeds what the sensor can cause: growth would not show"
+    return f"at the limit: an amplitude of {left:.3g} is left that grows or decays by no more than the sensor can cause"
+
+
+def _told(rate: Floats, grown: Growth, course: Course, floor: Floats) -> Booleans:
+    """Whether a rate changes the amplitude of the position over the log by more than the sensor can."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        change = course.end * np.abs(np.expm1(-rate * grown.span))
+        unexplained = NOISE_FACTOR * grown.noise / np.sqrt(np.maximum(grown.span, 1))
+    result: Booleans = (change > np.maximum(floor, unexplained)) & (course.end > REST_FLOORS * floor)
+    return result
 
 
 def _adds(grown: Growth, floor: Floats) -> Booleans:
@@ -173,18 +217,6 @@ def _adds(grown: Growth, floor: Floats) -> Booleans:
     noise = np.where(grown.clean, 0.0, NOISE_FACTOR * grown.noise)
     result: Booleans = np.nan_to_num(added) > np.maximum(floor, noise)
     return result
-
-
-def _trend(signal: Floats, count: Integers) -> Floats:
-    """Root mean square of the last quarter of the motion relative to the first quarter."""
-    column = np.arange(signal.shape[1])[None, :]
-    first = column < (0.25 * count)[:, None]
-    last = (column >= (0.75 * count)[:, None]) & (column < count[:, None])
-    before, after = (
-        np.sqrt(np.where(part, signal**2, 0.0).sum(axis=1) / np.maximum(part.sum(axis=1), 1)) for part in (first, last)
-    )
-    trend: Floats = after / np.where(before > 0, before, 1.0)
-    return trend
 
 
 def _end_spread(batch: TrialBatch, start: Integers, count: Integers) -> Floats:
