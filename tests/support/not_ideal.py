@@ -67,6 +67,11 @@ def decays(K, B, rows=400, longer=8, part=0.02, **features):
     """Whether each loop comes to rest with an ideal sensor: at rest, or falling, at the end of a much longer log."""
     features = {**features, "noise": 0.0, "quantum": 0.0}
     batch, true = simulate(K, B, rows=longer * rows, truth=True, **features)
-    end, middle = (np.ptp(true[:, to - 2 * rows : to], axis=1) for to in (longer * rows, longer // 2 * rows))
-    whole = batch.rows == longer * rows
-    return whole & ((end <= part * np.abs(batch.step) / batch.stiffness) | (end < 0.75 * middle))
+    quarter = longer * rows // 4
+    sizes = [np.ptp(true[:, to - 2 * rows : to], axis=1) for to in (2 * quarter, 3 * quarter, 4 * quarter)]
+    middle, late, end = (np.maximum(size, 1e-300) for size in sizes)
+    # one mode falls by the same factor again and again, what tends to a limit cycle does not
+    before, after = np.log(late / middle), np.log(end / late)
+    evenly = (after < -0.005) & (np.abs(after - before) < 0.3 * np.abs(after))
+    rests = (end <= part * np.abs(batch.step) / batch.stiffness) | (end < 0.75 * middle) | evenly
+    return (batch.rows == longer * rows) & rests

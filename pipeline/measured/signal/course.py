@@ -9,11 +9,9 @@ import numpy as np
 from pipeline.measured.signal.response import external_force
 from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
 
-QUARTERS = 4
-"""Parts of the motion that are compared; each holds half a period or more of what a wall does within its log."""
-
 FALLING = 0.9
-"""Ratio of the size of neighbouring quarters up to which a motion falls; parts of a period make 5 % of difference."""
+"""Ratio of the size of neighbouring quarters up to which a motion falls. A quarter holds half a period or more of what
+a wall does within its log; parts of a period make 5 % of difference."""
 
 LASTING = 0.95
 """As `FALLING`, from which on a motion lasts."""
@@ -25,7 +23,7 @@ SLOWER = 1.15
 """By what the second half may exceed the size that its slowest mode allows after the first."""
 
 BRAKED = 0.5
-"""Size of the last quarter relative to the first up to which a motion that falls ever faster decays; a beat does not."""
+"""Size of the last quarter relative to the first up to which a motion that falls ever faster decays."""
 
 DEPARTURE = 1e-3
 """Smallest departure of the command from the wall law, relative to the step, that is no rounding of a log."""
@@ -80,7 +78,9 @@ class Course:
     @property
     def brakes(self) -> Booleans:
         """Where the motion falls ever faster, as under friction: the size of a sum of modes falls ever slower."""
-        result: Booleans = self.falls & (self._ratio(3, 2) <= self._ratio(2, 1)) & (self._ratio(2, 1) <= self._ratio(1, 0))
+        result: Booleans = (
+            self.falls & (self._ratio(3, 2) <= self._ratio(2, 1)) & (self._ratio(2, 1) <= self._ratio(1, 0))
+        )
         return result & (self.trend <= BRAKED)
 
     @property
@@ -105,24 +105,30 @@ class Course:
 
 def course_of(batch: TrialBatch, start: Integers, count: Integers) -> Course:
     """Return the course of free motions that begin in a row and hold so many samples, shape (n,) each."""
-    column = np.arange(batch.position.shape[1])[None, :]
-    number = np.where(count > 0, QUARTERS / np.maximum(count, 1), 0.0)[:, None] * (column - start[:, None])
-    change = np.nan_to_num(np.diff(batch.position, axis=1, append=np.nan))
-    quarters = [(number >= q) & (number < q + 1) & batch.valid for q in range(QUARTERS)]
-    size = np.stack(
-        [np.sqrt(np.where(part, change**2, 0.0).sum(axis=1) / np.maximum(part.sum(axis=1), 1)) for part in quarters],
-        axis=1,
-    )
-    last = quarters[-1]
+    column = np.arange(batch.position.shape[1])[None, :] - start[:, None]
+    after = batch.valid & (column >= 0)
+    take = np.minimum(start[:, None] + np.arange(batch.position.shape[1]), batch.position.shape[1] - 1)
+    change = np.diff(np.take_along_axis(batch.position, take, axis=1), axis=1)
+    last = after & (column >= (0.75 * count)[:, None])
     step = batch.step[:, None]
     departs = np.abs(np.nan_to_num(external_force(batch) - step)) > DEPARTURE * np.abs(step)
-    after = batch.valid & (number >= 0)
-    extremes = (np.where(after, batch.command, sign * np.inf).min(axis=1) if sign > 0 else np.where(after, batch.command, -np.inf).max(axis=1) for sign in (1, -1))
+    lowest = np.where(after, batch.command, np.inf).min(axis=1, initial=np.inf)
+    highest = np.where(after, batch.command, -np.inf).max(axis=1, initial=-np.inf)
     bent = np.zeros(len(batch), dtype=np.bool_)
-    for limit in (*extremes, batch.step):
+    for limit in (lowest, highest, batch.step):
         there = np.abs(batch.command - limit[:, None]) <= EQUAL * np.abs(limit)[:, None]
         bent |= (last & departs & there).sum(axis=1) >= BENT_ROWS
-    return Course(size, _half_range(batch.position, after), _half_range(batch.position, after & (number >= QUARTERS / 2)), count, bent)
+    begin, end = (_half_range(batch.position, part) for part in (after, after & (column >= (0.5 * count)[:, None])))
+    return Course(sizes(change, count), begin, end, count, bent)
+
+
+def sizes(signal: Floats, count: Integers) -> Floats:
+    """Return the root mean square of the first samples of each signal, ``count`` of them, by quarters, shape (n, 4)."""
+    quarter = np.arange(signal.shape[1])[None, :] / np.maximum(0.25 * count, 1.0)[:, None]
+    parts = [(quarter >= q) & (quarter < q + 1) for q in range(4)]
+    squares = [np.where(part, signal**2, 0.0).sum(axis=1) / np.maximum(part.sum(axis=1), 1) for part in parts]
+    result: Floats = np.sqrt(np.stack(squares, axis=1))
+    return result
 
 
 def _half_range(position: Floats, part: Booleans) -> Floats:

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.measured.signal.course import Course, course_of
-from pipeline.measured.signal.modes import FEWEST_SAMPLES, NARROW, Growth, fastest_growth
+from pipeline.measured.signal.course import LASTING, Course, course_of, sizes
+from pipeline.measured.signal.modes import FEWEST_SAMPLES, NARROW, WIDE, Growth, fastest_growth
 from pipeline.measured.signal.response import NOISE_FACTOR, Response, find_response
 from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
 
@@ -38,9 +38,9 @@ TREND_FACTOR = 3.0
 """Change from first to last quarter that decides a motion that no mode explains; noise alone changes less."""
 
 REST_FLOORS = 8.0
-"""Amplitude at the end, in sensor floors, up to which quanta may keep an oscillation up in a stable loop: the describing
-function of a quantizer departs from 1 by 0.16 (q/A)^1.5 at most, so that a larger one needs a wall within 0.7 % of the
-limit."""
+"""Amplitude at the end, in sensor floors, up to which quanta may keep an oscillation up in a stable loop: the
+describing function of a quantizer departs from 1 by 0.16 (q/A)^1.5 at most, so that a larger one needs a wall within
+0.7 % of the limit."""
 
 LEAST_FALL = 3.0
 """Motion relative to what is left of it, or to the sensor floor where that is less, from which on its end there is a
@@ -51,6 +51,9 @@ LEFT = 0.5
 
 LIMIT_SIGMAS = 3.0
 """Rates within this many standard errors of zero are not decided where K = 0."""
+
+FEWEST_TURNS = 8
+"""Changes of sign, of what no rigid device explains with K = 0, that show a vibration: a smooth error has three."""
 
 RATE_ROUNDING = 1e-9
 """Smallest change of the acceleration over a whole log that double precision positions can tell."""
@@ -172,7 +175,9 @@ def _judge_wall(batch: TrialBatch, edge: Integers, floor: Floats) -> Verdicts:
     grows = np.where(grown.clean, grows, (grows | (told & (rate > 0))) & ~course.falls)
     grows |= unexplained & (course.trend > TREND_FACTOR)
     grows |= ~grown.clean & (course.bent & course.lasts | course.risen) & (course.end > REST_FLOORS * floor)
-    falls = np.where(grown.clean, ~grows, told & (rate < 0) & ~(course.bent & ~course.falls) & ~course.contradicts(rate))
+    falls = np.where(
+        grown.clean, ~grows, told & (rate < 0) & ~(course.bent & ~course.falls) & ~course.contradicts(rate)
+    )
     falls |= unexplained & (course.trend < 1 / TREND_FACTOR)
     # what is left may be a limit cycle of the sensor only if it came down from far above
     falls |= ~grows & (course.end <= np.minimum(REST_FLOORS * floor, LEFT * course.begin))
@@ -254,18 +259,27 @@ def _judge_free(batch: TrialBatch, edge: Integers, floor: Floats) -> Verdicts:
     power = (left * left).sum(axis=1)
     enough = (count >= FEWEST_SAMPLES) & (power > 0) & (scale > 4 * floor)
     factor = np.where(enough, (left * right).sum(axis=1) / np.where(power > 0, power, 1.0), 0.0)
-    residual = np.sqrt(((right - factor[:, None] * left) ** 2).sum(axis=1) / np.maximum(count - 4, 1))
+    unfitted = right - factor[:, None] * left
+    residual = np.sqrt((unfitted**2).sum(axis=1) / np.maximum(count - 4, 1))
     error = residual / np.sqrt(np.where(power > 0, power, 1.0))
     error = np.maximum(error, RATE_ROUNDING / np.maximum(count, 1))
     rate = np.log1p(np.maximum(factor, -0.999))
     resolved = enough & (np.abs(rate) > LIMIT_SIGMAS * error)
+    turns = (inside[:, 1:] & (unfitted[:, 1:] * unfitted[:, :-1] < 0)).sum(axis=1)
+    vibrates = enough & (residual > np.maximum(0.5 * floor, IDEAL_RANGE * scale)) & (turns >= FEWEST_TURNS)
+    grown = _vibration(x, count, floor, vibrates)
+    size = sizes(unfitted, count)
+    lasts = vibrates & np.isnan(grown) & (size[:, 3] >= LASTING * size[:, 2])
+    rate, resolved = np.fmax(rate, grown), (resolved & ~lasts) | np.isfinite(grown)
     verdict = np.where(~resolved, "undecided", np.where(rate > 0, "unstable", "stable"))
-    growth = np.where(enough, rate / batch.sampling_period_s, np.nan)
+    growth = np.where(enough & ~lasts, rate / batch.sampling_period_s, np.nan)
     spread = LIMIT_SIGMAS * error / batch.sampling_period_s
     reasons = []
-    for done, usable, g, s in zip(resolved, enough, growth, spread, strict=True):
+    for done, usable, shakes, g, s in zip(resolved, enough, lasts, growth, spread, strict=True):
         if done:
             reasons.append("")
+        elif shakes:
+            reasons.append("a vibration lasts that neither grows nor decays by more than the sensor can cause")
         elif usable:
             reasons.append(f"at the limit: growth of the acceleration {g:.3g} +- {s:.2g} 1/s does not differ from 0")
         else:
@@ -273,6 +287,21 @@ def _judge_free(batch: TrialBatch, edge: Integers, floor: Floats) -> Verdicts:
                 f"too little motion at K = 0: at least {FEWEST_SAMPLES} samples above the sensor floor needed"
             )
     return Verdicts(verdict, growth, tuple(reasons))
+
+
+def _vibration(x: Floats, count: Integers, floor: Floats, vibrates: Booleans) -> Floats:
+    """Growth per sample of vibrations beside the motion of a rigid device, NaN where none is seen to grow.
+
+    Second differences leave nothing of the uniform motion, and hardly anything of its slow growth or decay.
+    """
+    growth, some = np.full(len(x), np.nan), np.flatnonzero(vibrates)
+    if len(some):
+        bend, length = np.diff(x[some], n=2, axis=1), count[some] - 2
+        noise = np.maximum(2 * floor[some] / NOISE_FACTOR, np.finfo(np.float64).eps * np.abs(x[some]).max(axis=1))
+        wide, narrow = (fastest_growth(bend, length, noise, part) for part in (WIDE, NARROW))
+        grows = _adds(wide, 2 * floor[some]) & _adds(narrow, 2 * floor[some])
+        growth[some] = np.where(grows, np.fmin(wide.per_sample, narrow.per_sample), np.nan)
+    return growth
 
 
 def _project_out(basis: Floats, values: Floats) -> Floats:
