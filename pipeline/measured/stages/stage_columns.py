@@ -27,6 +27,19 @@ def joined_texts(*reasons: Iterable[str]) -> list[str | None]:
     return ["; ".join(dict.fromkeys(text for text in texts if text)) or None for texts in zip(*reasons, strict=True)]
 
 
+def hull(made: Columns, other: Columns, names: Iterable[str]) -> Columns:
+    """Return columns whose intervals ``<name>_low`` and ``<name>_high`` hold those of other ones, too."""
+    ends: Columns = {}
+    for name in names:
+        for end, widest in ((f"{name}_low", np.fmin), (f"{name}_high", np.fmax)):
+            one, two = (
+                np.asarray(pa.array(columns[end]).to_numpy(zero_copy_only=False), float) for columns in (made, other)
+            )
+            both = widest(one, two)
+            ends[end] = integer_column(both) if isinstance(made[end], pa.Array) else both
+    return made | ends
+
+
 def integer_column(values: Floats) -> pa.Array:
     """Return whole numbers as int64, null where they are not finite."""
     missing = ~np.isfinite(values)

@@ -8,7 +8,7 @@ from pipeline.measured.cost import costs
 from pipeline.measured.cost.energy_intervals import HORIZON_PARTS, energy_interval
 from pipeline.measured.experiment.estimates import mass_estimate, standard_error
 from pipeline.measured.signal.response import NO_ROW
-from pipeline.measured.stages.stage_columns import conditions, joined_texts, row_column
+from pipeline.measured.stages.stage_columns import conditions, hull, joined_texts, row_column
 from pipeline.measured.stages.stage_given import Experiment
 from pipeline.measured.stages.stage_groups import Columns, Given, TrialGroup
 from pipeline.measured.stages.stage_overshoot import error_of
@@ -24,7 +24,13 @@ def given_of(of: Experiment) -> Given:
 
 
 def columns(of: TrialGroup, given: Given) -> Columns:
-    """Return the columns of the stage for some trials."""
+    """Return the columns of the stage for some trials; of logs with missing rows by their samples."""
+    made, straight = _columns(of.on_grid, given) | conditions(of), of.on_straight_grid
+    names = [f"energy_w{w}" for w in costs.WEIGHTS]
+    return made if straight is None else hull(made, _columns(straight, given), names)
+
+
+def _columns(of: TrialGroup, given: Given) -> Columns:
     found = energy_interval(
         *(of.batch, of.found, of.verdicts, error_of(of, given), given["delay"], given["mass"]),
         mass_error=given["mass_error"],

@@ -6,7 +6,7 @@ from pipeline.measured.cost import costs
 from pipeline.measured.cost.cost_intervals import settling_interval
 from pipeline.measured.cost.step_metrics import TOOLS, reconcile
 from pipeline.measured.experiment.known_delay import delay_estimate, delay_range, with_delay
-from pipeline.measured.stages.stage_columns import conditions, integer_column, joined_texts
+from pipeline.measured.stages.stage_columns import conditions, hull, integer_column, joined_texts
 from pipeline.measured.stages.stage_given import Experiment
 from pipeline.measured.stages.stage_groups import Columns, Given, TrialGroup
 from pipeline.measured.stages.stage_overshoot import error_of, sensor_of
@@ -22,7 +22,12 @@ def given_of(of: Experiment) -> Given:
 
 
 def columns(of: TrialGroup, given: Given) -> Columns:
-    """Return the columns of the stage for some trials."""
+    """Return the columns of the stage for some trials; of logs with missing rows by their samples."""
+    made, straight = _columns(of.on_grid, given) | conditions(of), of.on_straight_grid
+    return made if straight is None else hull(made, _columns(straight, given), SETTLING_BANDS)
+
+
+def _columns(of: TrialGroup, given: Given) -> Columns:
     samples = given["delay"]
     found = costs.settling(of.batch, of.found, of.verdicts, samples)
     interval = settling_interval(
