@@ -16,10 +16,10 @@ a wall does within its log; parts of a period make 5 % of difference."""
 LASTING = 0.95
 """As `FALLING`, from which on a motion lasts."""
 
-RISEN = 1.2
+RISEN = 1.5
 """Size of the last quarter relative to the first from which on a motion that lasts has grown before."""
 
-SLOWER = 1.15
+SLOWER = 1.5
 """By what the second half may exceed the size that its slowest mode allows after the first."""
 
 BRAKED = 0.5

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.measured.signal.course import LASTING, Course, course_of, sizes
+from pipeline.measured.signal.course import LASTING, course_of, sizes
 from pipeline.measured.signal.modes import FEWEST_SAMPLES, NARROW, WIDE, Growth, fastest_growth
 from pipeline.measured.signal.response import NOISE_FACTOR, Response, find_response
 from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
@@ -41,6 +41,13 @@ REST_FLOORS = 8.0
 """Amplitude at the end, in sensor floors, up to which quanta may keep an oscillation up in a stable loop: the
 describing function of a quantizer departs from 1 by 0.16 (q/A)^1.5 at most, so that a larger one needs a wall within
 0.7 % of the limit."""
+
+SENSOR_SHARE = 0.5
+"""Standard deviation of what the sensor adds to a motion from sample to sample, in floors: the noise of a baseline is
+told badly, and a quantum adds 0.4."""
+
+SURE_DECAY = 0.5
+"""Fall of a logarithm of the amplitude over the log from which on a decay is no chance of a noisy motion."""
 
 LEAST_FALL = 3.0
 """Motion relative to what is left of it, or to the sensor floor where that is less, from which on its end there is a
@@ -162,14 +169,16 @@ def _judge_wall(batch: TrialBatch, edge: Integers, floor: Floats) -> Verdicts:
     grown = fastest_growth(signal, length, np.maximum(floor / NOISE_FACTOR, rounding))
     rate = grown.per_sample
     grows = _adds(grown, floor) & ~at_rest
+    course = course_of(batch, start, count)
+    told = _told(rate, grown, course.end, floor)
     # in a noisy motion a mode may grow by chance: a true one also grows in windows of another width
-    doubtful = np.flatnonzero(grows & ~grown.clean)
+    doubtful = np.flatnonzero((grows | (told & (rate * grown.span > -SURE_DECAY))) & ~grown.clean)
     if len(doubtful):
         again = fastest_growth(signal[doubtful], length[doubtful], grown.noise[doubtful], NARROW)
-        rate[doubtful] = np.fmin(rate[doubtful], again.per_sample)
+        agree = _told(again.per_sample, again, course.end[doubtful], floor[doubtful])
+        told[doubtful] &= agree & (np.sign(again.per_sample) == np.sign(rate[doubtful]))
+        rate[doubtful] = np.where(rate[doubtful] > 0, np.fmin(rate[doubtful], again.per_sample), rate[doubtful])
         grows[doubtful] &= _adds(again, floor[doubtful])
-    course = course_of(batch, start, count)
-    told = _told(rate, grown, course, floor)
     # motion that no mode explains to its end: it has died away in the noise, or it has risen out of it
     unexplained = np.isnan(rate)
     grows = np.where(grown.clean, grows, (grows | (told & (rate > 0))) & ~course.falls)
@@ -181,7 +190,7 @@ def _judge_wall(batch: TrialBatch, edge: Integers, floor: Floats) -> Verdicts:
     falls |= unexplained & (course.trend < 1 / TREND_FACTOR)
     # what is left may be a limit cycle of the sensor only if it came down from far above
     falls |= ~grows & (course.end <= np.minimum(REST_FLOORS * floor, LEFT * course.begin))
-    falls |= ~grown.clean & course.brakes
+    falls |= ~grown.clean & (course.brakes | (course.falls & (rate < 0)))
     high = course.begin >= LEAST_FALL * np.minimum(course.end, floor)
     enough = (count >= FEWEST_SAMPLES) & (peak > 0)
     grows &= enough & ~at_rest
@@ -206,13 +215,14 @@ def _undecided(visible: bool, high: bool, samples: int, left: float) -> str:
     return f"at the limit: an amplitude of {left:.3g} is left that grows or decays by no more than the sensor can cause"
 
 
-def _told(rate: Floats, grown: Growth, course: Course, floor: Floats) -> Booleans:
+def _told(rate: Floats, grown: Growth, end: Floats, floor: Floats) -> Booleans:
     """Whether a rate changes the amplitude of the position over the log by more than the sensor can."""
     with np.errstate(over="ignore", invalid="ignore"):
-        change = course.end * np.abs(np.expm1(-rate * grown.span))
-        unexplained = NOISE_FACTOR * grown.noise / np.sqrt(np.maximum(grown.span, 1))
-    result: Booleans = (change > np.maximum(floor, unexplained)) & (course.end > REST_FLOORS * floor)
-    return result
+        change = np.abs(np.expm1(-rate * grown.span))
+        # what neither modes nor the sensor explain (jitter) is no independent noise, and does not average out
+        unexplained = np.sqrt(np.maximum(grown.noise**2 - (SENSOR_SHARE * floor) ** 2, 0.0))
+    result: Booleans = (end * change > floor) & (end > REST_FLOORS * floor)
+    return result & (np.nan_to_num(grown.amplitude) * change > NOISE_FACTOR * unexplained)
 
 
 def _adds(grown: Growth, floor: Floats) -> Booleans:
