@@ -20,6 +20,9 @@ LONGEST_GAP = 8
 MOST_MISSING = 0.1
 """Largest share of samples that are interpolated."""
 
+LARGEST_UNTOLD = 0.005
+"""Part of the way of a device, there and back, that changes may be wrong by without a row that explains it."""
+
 DEPARTURE = 1e-3
 """Departure from the wall law, relative to the step, from which on a log is looked at row by row."""
 
@@ -74,7 +77,7 @@ def sample_grid(batch: TrialBatch, response: Response) -> SampleGrid:
         if response.edge_row[i] > 0:
             log = LogRows.of(batch, response, i, external)
             seen[repeated_rows(log)] = False
-            hidden = len(hidden_rows(log)) if seen.all() and not gap[i].any() else 0
+            hidden = 0 if gap[i].any() else _untold(log, seen)
         else:
             hidden = 0
         filled[i] = index[-1] + 1 - seen.sum()
@@ -102,10 +105,26 @@ def _doubtful(batch: TrialBatch, response: Response) -> Booleans:
     return result
 
 
+def _untold(log: LogRows, seen: Booleans) -> int:
+    """Number of rows off the wall law before which rows are missing, or that no repeated row explains.
+
+    The residual of such a row is the damping force of the way that its change is wrong by: a small part of all of the
+    way counts as none.
+    """
+    if seen.all():
+        return len(hidden_rows(log))
+    off = np.abs(log.residual) > log.rounding
+    repeated = ~seen
+    repeated[1:] |= ~seen[:-1]
+    off &= ~repeated & log.after
+    wrong = np.abs(log.residual[off]).sum() * log.period
+    return int(off.sum()) if wrong > LARGEST_UNTOLD * log.damping * np.abs(log.change).sum() else 0
+
+
 def _refused(index: Integers, edge: int, filled: int, hidden: int) -> str:
     """Why the samples of a trial cannot be counted; empty where they can."""
     if hidden:
-        return f"{hidden} rows are missing that the stamps do not show, so that samples cannot be counted"
+        return f"{hidden} rows are missing or repeated where the stamps do not show it: samples cannot be counted"
     longest = int(np.diff(index).max(initial=1)) - 1
     if longest > LONGEST_GAP or filled > MOST_MISSING * (index[-1] + 1):
         return f"{filled} of {index[-1] + 1} rows are missing, {longest} of them in a row, too many to interpolate"

@@ -216,7 +216,9 @@ def repeated_rows(log: LogRows) -> Integers:
     same = log.after & (log.change == 0) & (np.diff(log.command, prepend=np.nan) == 0)
     for limit in (log.command.min(), log.command.max(), log.step):
         same &= ~_equal(log.command, float(limit))
-    still |= same & (np.minimum(np.abs(np.diff(log.residual, prepend=0.0)), np.abs(log.residual)) > log.rounding)
+    off = np.abs(log.residual) > log.rounding
+    # the row behind is off the law, too, as the reading before it is not there; behind a missing row it is not
+    still |= same & off & np.append(off[1:], False) & (np.abs(np.diff(log.residual, prepend=0.0)) > log.rounding)
     still[1:] |= same[1:] & still[:-1]  # twice in a row
     rows = np.flatnonzero(still)
     return rows if len(rows) >= PLATEAU else rows[:0]

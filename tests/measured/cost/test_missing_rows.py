@@ -100,7 +100,7 @@ def test_rows_that_the_stamps_do_not_show_leave_no_cost():
     found, reason = costs(without(batch, 0.02, 4, stamps=False))
     assert np.isnan(found["settle_2pct"]).all()
     assert np.isnan(found["energy_w1"]).all()
-    assert all("that the stamps do not show" in text for text in reason)
+    assert all("where the stamps do not show it" in text for text in reason)
 
 
 def test_whole_logs_are_not_touched():
