@@ -40,7 +40,7 @@ of limits are covered instead of 95 %, with it 97.7 % (93 to 100 % by device, se
 
 ROUNDS = 3
 """Fits of the growth rate, each around the zero of the one before; the verdicts' bracket, where the first one starts,
-can lie too high by more than its width, since growth that the sensor hides is called stable."""
+can lie beside the limit by more than its width."""
 
 LARGEST_CONDITION = 1e10
 """Condition of the normal equations beyond which doubles keep fewer than six digits: trials at one stiffness."""
@@ -108,7 +108,7 @@ def boundary_band(
     Verdicts within `CONCLUSIVE` standard errors of zero growth, and those that the sign of the growth contradicts, are
     not counted. Where the scatter of the rates cannot be told, the allowed range is the interval and the interpolation
     of two rates, or its middle, the value. The limit can therefore lie outside ``stable`` and ``unstable``, which
-    are plain counts of verdicts: growth that the sensor hides is called stable.
+    are plain counts of verdicts.
 
     The limit is that of walls with K >= 0. With jitter of the delay it is the limit of the jittering loop, which is
     not that of its mean delay.

@@ -106,10 +106,13 @@ def judge(batch: TrialBatch, response: Response | None = None) -> Verdicts:
 
     Notes
     -----
-    In a log without noise and quantum a mode that grows at all makes the trial unstable. With a sensor floor
-    the growth must add more than the floor over the log, so that a bounded limit cycle of quantum size is
-    stable. A mode that is too small to be seen, a motion shorter than `FEWEST_SAMPLES`, and a trial without a step
-    (F_0 = 0) cannot be judged.
+    In a log without noise and quantum a mode that grows at all makes the trial unstable. With a sensor floor growth or
+    decay over the log must exceed the floor to decide. An oscillation that lasts above `REST_FLOORS` floors is
+    unstable where the command stands at a limit in it, or where it has grown before; a motion that falls ever faster
+    (friction) is stable; what has come down to the floor from far above it is stable, a limit cycle of quantum size
+    included. What neither grows nor decays beyond the floor, a motion that hardly exceeds it, one shorter than
+    `FEWEST_SAMPLES`, and a trial without a step (F_0 = 0) cannot be judged. With K = 0 a vibration beside the motion of
+    a rigid device makes a trial unstable where it grows, and leaves it open where it lasts.
 
     Source: Hulin 2017, sec. 3.3 (stability), eq. 3.25 (K = 0) and sec. 6.1.1 (procedure).
     """

@@ -150,7 +150,7 @@ def test_censored_and_unstable_from_the_start():
     K, B = np.array([200.0, 400.0, 200.0]), np.array([0.0, 0.0, 4.0])
     open_ended, lowest = boundary_band(K, B, ["stable", "stable", "unstable"], np.full(3, np.nan))
     assert (open_ended.estimate, open_ended.low, open_ended.high, open_ended.censored) == (None, 400.0, None, True)
-    assert (lowest.estimate, lowest.low, lowest.high, lowest.censored) == (100.0, 0.0, 200.0, False)
+    assert (lowest.estimate, lowest.low, lowest.high, lowest.censored) == (None, 0.0, 200.0, False)
 
 
 def test_two_rates_are_interpolated_within_the_bracket():
