@@ -87,7 +87,8 @@ class ModelCheck(Record):
 class BoundaryPoint(Record):
     """Stability limit at one damping: largest stable stiffness below the smallest unstable one.
 
-    ``estimate`` is the limit by the growth rates with its 95 % interval; a censored point has ``low`` alone.
+    ``estimate`` is the limit by the growth rates with its 95 % interval; a censored point has ``low`` alone,
+    one without a stable trial an upper end ``high`` above a ``low`` of 0, and no estimate.
     """
 
     damping: float

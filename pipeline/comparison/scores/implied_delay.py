@@ -17,6 +17,7 @@ from pipeline.comparison.scores.implied_slope import (
     FEWEST_POINTS,
     DeviceParameters,
     Limits,
+    bounded_below,
     implied_by_slope,
     limits_of,
     propagated,
@@ -168,7 +169,7 @@ def implied_by_damping(points: Sequence[BoundaryPoint], device: DeviceParameters
         return DelayByDamping(*[np.empty(0)] * 4)
     delays = _delays(limits, device)
     theory = _table(limits, device, delays)
-    used = [p for p in points if p.low is not None]
+    used = bounded_below(points)
     bounds = [np.array([getattr(p, n) for p in used], dtype=np.float64) for n in ("low", "high")]
     low, high = (_single(np.where(np.isnan(b), np.inf, b), delays, theory) for b in bounds)
     value = np.where(limits.censored, np.nan, _single(limits.stiffness, delays, theory))

@@ -125,9 +125,14 @@ def _interval(value: float, reach: float, method: str, count: int) -> Estimate:
     return Estimate(value=value, low=value - reach, high=value + reach, unit="samples", method=method, trials=count)
 
 
+def bounded_below(points: Sequence[BoundaryPoint]) -> list[BoundaryPoint]:
+    """Return the points that have a limit, or a lower bound above 0."""
+    return [p for p in points if p.low is not None and (p.estimate is not None or p.low > 0)]
+
+
 def limits_of(points: Sequence[BoundaryPoint]) -> Limits:
     """Return the limits of those points of a boundary that have one, or a lower bound."""
-    used = [p for p in points if p.low is not None]
+    used = bounded_below(points)
     low, high, value = (np.array([getattr(p, n) for p in used], dtype=np.float64) for n in ("low", "high", "estimate"))
     censored = np.isnan(high) | np.isnan(value)
     error = (high - low) / np.sqrt(12)  # exact for a bracket, a little more than that of a fitted limit

@@ -36,7 +36,8 @@ class MeasuredLimits:
     """Limits of a measured boundary [N/m, Nm/rad] over damping [Ns/m, Nms/rad], shape (n,) each.
 
     ``low`` and ``high`` are the interval of a limit. Where it is censored, all three are the stiffest stable trial: a
-    lower bound. ``known`` is False where not even that exists.
+    lower bound. ``known`` is False where not even that exists, and where no trial is stable: there ``high`` is an upper
+    bound, and the others are 0.
     """
 
     damping: Floats
@@ -72,7 +73,7 @@ def measured_limits(points: Sequence[BoundaryPoint]) -> MeasuredLimits:
     Notes
     -----
     The limit by the growth rates with its 95 % interval where there is one, else the middle between the stiffest
-    stable trial (0 without one) and the softest unstable one, and these as the interval.
+    stable trial and the softest unstable one, and these as the interval.
     """
 
     def column(values: Sequence[float | None]) -> Floats:
@@ -83,13 +84,14 @@ def measured_limits(points: Sequence[BoundaryPoint]) -> MeasuredLimits:
     censored = np.array([p.censored for p in points], dtype=np.bool_)
     floor = np.nan_to_num(stable)
     fitted = np.isfinite(value) & np.isfinite(low) & np.isfinite(high)
+    known = fitted | np.isfinite(stable)
     return MeasuredLimits(
         column([p.damping for p in points]),
-        np.where(censored, floor, np.where(fitted, value, 0.5 * (floor + unstable))),
+        np.where(censored, floor, np.where(fitted, value, np.where(known, 0.5 * (floor + unstable), 0.0))),
         np.where(censored | ~fitted, floor, low),
         np.where(censored, floor, np.where(fitted, high, unstable)),
         censored,
-        ~censored | np.isfinite(stable),
+        known,
     )
 
 

@@ -85,7 +85,9 @@ def _scores(
     few = f"{counted(len(limits.damping), 'tested damping')}; a region needs two"
     region = _region(limits, predicted, theory) if len(limits.damping) > 1 else None
     if region is None:
-        missing["region"] = few if len(limits.damping) < 2 else "theory has no stable wall at the tested dampings"
+        unknown = "no trial is stable, so that no limit is known"
+        none = "theory has no stable wall at the tested dampings" if limits.known.any() else unknown
+        missing["region"] = few if len(limits.damping) < 2 else none
     use = limits.known
     distance = boundary_distance(limits.damping[use], limits.limit[use], predicted[use], limits.censored[use])
     if distance is None:
@@ -150,7 +152,7 @@ def _region(limits: MeasuredLimits, predicted: Floats, theory: Theory) -> Region
     if not (predicted > 0).any():
         return None
     stretches = _theory_stretches(theory, limits.damping)
-    top = np.where(limits.censored, limits.limit, np.inf)
+    top = np.where(limits.censored | ~limits.known, limits.limit, np.inf)
 
     def shared(limit: Floats) -> Overlap:
         return overlap(limits.damping, Stretches.up_to(limit), stretches, top)

@@ -139,7 +139,8 @@ def band_score(limits: MeasuredLimits, box: ParameterBox) -> BandScore | None:
     low, high = theory_band(box, limits.damping)
     above = limits.known & (limits.low > high)
     below = ~limits.censored & (limits.high < low)
-    counted = ~limits.censored | above
+    # where no trial is stable, the limit is only known to lie below the softest one
+    counted = (limits.known & ~limits.censored) | above | below
     if not counted.any():
         return None
     return BandScore(

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.base.errors import ParameterError
-from pipeline.measured.signal.horizon import REST_FLOORS
 from pipeline.measured.signal.response import Response
+from pipeline.measured.signal.verdict import REST_FLOORS
 from pipeline.records.batch import Booleans, Floats, TrialBatch
 
 UNIFORM_VARIANCE = 1.0 / 12.0

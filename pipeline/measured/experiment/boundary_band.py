@@ -40,7 +40,7 @@ of limits are covered instead of 95 %, with it 97.7 % (93 to 100 % by device, se
 
 ROUNDS = 3
 """Fits of the growth rate, each around the zero of the one before; the verdicts' bracket, where the first one starts,
-can lie too high by more than its width, since growth that the sensor hides is called stable."""
+can lie beside the limit by more than its width."""
 
 LARGEST_CONDITION = 1e10
 """Condition of the normal equations beyond which doubles keep fewer than six digits: trials at one stiffness."""
@@ -89,7 +89,7 @@ def boundary_band(
     tuple of BoundaryPoint
         As `boundary.measured_boundary`, with ``estimate``, ``low``, ``high`` and ``trials`` (K > 0 at that damping).
         A point that is censored, or without a conclusive unstable trial, has ``low`` alone: the stiffest trial that
-        is surely stable, or 0.
+        is surely stable, or 0. One without a surely stable trial has ``low`` 0 and ``high``, and no ``estimate``.
 
     Raises
     ------
@@ -108,7 +108,7 @@ def boundary_band(
     Verdicts within `CONCLUSIVE` standard errors of zero growth, and those that the sign of the growth contradicts, are
     not counted. Where the scatter of the rates cannot be told, the allowed range is the interval and the interpolation
     of two rates, or its middle, the value. The limit can therefore lie outside ``stable`` and ``unstable``, which
-    are plain counts of verdicts: growth that the sensor hides is called stable.
+    are plain counts of verdicts.
 
     The limit is that of walls with K >= 0. With jitter of the delay it is the limit of the jittering loop, which is
     not that of its mean delay.
@@ -143,17 +143,19 @@ def boundary_band(
         np.where(told, np.fmin(found.zero + reach, high), high),
     )
     limited = np.isfinite(high)
+    # without a surely stable trial the middle of 0 and the first unstable one is no limit
+    located = limited & (told | interpolated | (low > 0))
     counts = np.isfinite(columns.stiffness).sum(axis=1)
     return tuple(
         p.model_copy(
             update={
-                "estimate": float(v) if known else None,
+                "estimate": float(v) if found else None,
                 "low": float(a),
                 "high": float(h) if known else None,
                 "trials": int(n),
             }
         )
-        for p, v, a, h, n, known in zip(points, value, low, high, counts, limited, strict=True)
+        for p, v, a, h, n, known, found in zip(points, value, low, high, counts, limited, located, strict=True)
     )
 
 
@@ -171,7 +173,7 @@ def boundary_area(points: Sequence[BoundaryPoint], unit: str = "N^2 s/m^2") -> E
     -------
     Estimate
         Its standard error is (high - low)/(2 `NORMAL_95`). No value, but a lower bound in ``low``, where a point has
-        no upper end. ``trials`` is the number of dampings.
+        no upper end, or an upper bound in ``high`` where one has no estimate. ``trials`` is the number of dampings.
 
     Notes
     -----
@@ -198,6 +200,16 @@ def boundary_area(points: Sequence[BoundaryPoint], unit: str = "N^2 s/m^2") -> E
             trials=len(used),
         )
     limit, high = (np.array([getattr(p, name) for p in used], dtype=np.float64) for name in ("estimate", "high"))
+    unlocated = int(np.isnan(limit).sum())
+    if unlocated:
+        return Estimate(
+            value=None,
+            high=float(share @ high),
+            unit=unit,
+            method=method,
+            reason=f"at {unlocated} of {len(used)} dampings no trial is surely stable: an upper bound only",
+            trials=len(used),
+        )
     area = float(share @ limit)
     error = float(np.sqrt((share**2) @ ((high - low) ** 2 / 12)))
     reach = NORMAL_95 * error

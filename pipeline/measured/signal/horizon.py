@@ -12,14 +12,11 @@ import numpy as np
 
 from pipeline.base.errors import ParameterError
 from pipeline.measured.signal.response import Response
-from pipeline.measured.signal.verdict import Verdicts
+from pipeline.measured.signal.verdict import REST_FLOORS, Verdicts
 from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
 
 HORIZON_FACTOR = 2.0
 """Distance, in amplitudes of the rest, above which the response stands: it leaves room for a beat."""
-
-REST_FLOORS = 8.0
-"""Amplitude at the end, in sensor floors, up to which it may be a limit cycle that only the sensor causes."""
 
 LASTING = 0.7
 """Amplitude of the last fifth relative to the fifth before from which on an oscillation lasts."""

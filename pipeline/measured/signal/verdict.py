@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.measured.signal.modes import FEWEST_SAMPLES, NARROW, Growth, fastest_growth
+from pipeline.measured.signal.course import LASTING, course_of, sizes
+from pipeline.measured.signal.modes import FEWEST_SAMPLES, NARROW, WIDE, Growth, fastest_growth
 from pipeline.measured.signal.response import NOISE_FACTOR, Response, find_response
 from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
 
@@ -20,6 +21,9 @@ CHUNK = 128
 
 FLOOR_FACTOR = 2.0
 """Motion below this many sensor floors at the end is a rest or a limit cycle that only the sensor causes."""
+
+NOT_TOLD = "growth rate not told: the motion has died away"
+"""Reason of a stable trial without a growth rate."""
 
 IDEAL_RANGE = 1e-9
 """Motion below this fraction of its peak counts as rest in a log without noise and quantum."""
@@ -33,8 +37,30 @@ AT_REST_FROM = 0.8
 TREND_FACTOR = 3.0
 """Change from first to last quarter that decides a motion that no mode explains; noise alone changes less."""
 
+REST_FLOORS = 8.0
+"""Amplitude at the end, in sensor floors, up to which quanta may keep an oscillation up in a stable loop: the
+describing function of a quantizer departs from 1 by 0.16 (q/A)^1.5 at most, so that a larger one needs a wall within
+0.7 % of the limit."""
+
+SENSOR_SHARE = 0.5
+"""Standard deviation of what the sensor adds to a motion from sample to sample, in floors: the noise of a baseline is
+told badly, and a quantum adds 0.4."""
+
+SURE_DECAY = 0.5
+"""Fall of a logarithm of the amplitude over the log from which on a decay is no chance of a noisy motion."""
+
+LEAST_FALL = 3.0
+"""Motion relative to what is left of it, or to the sensor floor where that is less, from which on its end there is a
+decay: a mode of a third of the motion at the start has not grown."""
+
+LEFT = 0.5
+"""Part of the motion that may be left of it at its end for a limit cycle that only the sensor causes."""
+
 LIMIT_SIGMAS = 3.0
 """Rates within this many standard errors of zero are not decided where K = 0."""
+
+FEWEST_TURNS = 8
+"""Changes of sign, of what no rigid device explains with K = 0, that show a vibration: a smooth error has three."""
 
 RATE_ROUNDING = 1e-9
 """Smallest change of the acceleration over a whole log that double precision positions can tell."""
@@ -80,10 +106,13 @@ def judge(batch: TrialBatch, response: Response | None = None) -> Verdicts:
 
     Notes
     -----
-    In a log without noise and quantum a mode that grows at all makes the trial unstable. With a sensor floor
-    the growth must add more than the floor over the log, so that a bounded limit cycle of quantum size is
-    stable. A mode that is too small to be seen, a motion shorter than `FEWEST_SAMPLES`, and a trial without a step
-    (F_0 = 0) cannot be judged.
+    In a log without noise and quantum a mode that grows at all makes the trial unstable. With a sensor floor growth or
+    decay over the log must exceed the floor to decide. An oscillation that lasts above `REST_FLOORS` floors is
+    unstable where the command stands at a limit in it, or where it has grown before; a motion that falls ever faster
+    (friction) is stable; what has come down to the floor from far above it is stable, a limit cycle of quantum size
+    included. What neither grows nor decays beyond the floor, a motion that hardly exceeds it, one shorter than
+    `FEWEST_SAMPLES`, and a trial without a step (F_0 = 0) cannot be judged. With K = 0 a vibration beside the motion of
+    a rigid device makes a trial unstable where it grows, and leaves it open where it lasts.
 
     Source: Hulin 2017, sec. 3.3 (stability), eq. 3.25 (K = 0) and sec. 6.1.1 (procedure).
     """
@@ -143,27 +172,60 @@ def _judge_wall(batch: TrialBatch, edge: Integers, floor: Floats) -> Verdicts:
     grown = fastest_growth(signal, length, np.maximum(floor / NOISE_FACTOR, rounding))
     rate = grown.per_sample
     grows = _adds(grown, floor) & ~at_rest
+    course = course_of(batch, start, count)
+    told = _told(rate, grown, course.end, floor)
     # in a noisy motion a mode may grow by chance: a true one also grows in windows of another width
-    doubtful = np.flatnonzero(grows & ~grown.clean)
+    doubtful = np.flatnonzero((grows | (told & (rate * grown.span > -SURE_DECAY))) & ~grown.clean)
     if len(doubtful):
         again = fastest_growth(signal[doubtful], length[doubtful], grown.noise[doubtful], NARROW)
-        rate[doubtful] = np.fmin(rate[doubtful], again.per_sample)
+        agree = _told(again.per_sample, again, course.end[doubtful], floor[doubtful])
+        told[doubtful] &= agree & (np.sign(again.per_sample) == np.sign(rate[doubtful]))
+        rate[doubtful] = np.where(rate[doubtful] > 0, np.fmin(rate[doubtful], again.per_sample), rate[doubtful])
         grows[doubtful] &= _adds(again, floor[doubtful])
     # motion that no mode explains to its end: it has died away in the noise, or it has risen out of it
-    trend = _trend(signal, count)
-    unexplained = np.isnan(rate) & ~at_rest & (count >= FEWEST_SAMPLES) & (peak > 0)
-    grows |= unexplained & (trend > TREND_FACTOR)
-    known = np.isfinite(rate) | at_rest | (unexplained & ((trend > TREND_FACTOR) | (trend < 1 / TREND_FACTOR)))
-    verdict = np.where(~known, "undecided", np.where(grows, "unstable", "stable"))
-    rate = np.where(at_rest & (rate > 0), np.nan, rate)
-    reason = tuple(
-        f"no visible motion to judge: {c} samples after the step, of which {FEWEST_SAMPLES} must stand above "
-        "the sensor floor"
-        if not k
-        else ("growth rate not told: the motion ended in the sensor floor" if np.isnan(r) else "")
-        for k, c, r in zip(known, count, rate, strict=True)
+    unexplained = np.isnan(rate)
+    grows = np.where(grown.clean, grows, (grows | (told & (rate > 0))) & ~course.falls)
+    grows |= unexplained & (course.trend > TREND_FACTOR)
+    grows |= ~grown.clean & (course.bent & course.lasts | course.risen) & (course.end > REST_FLOORS * floor)
+    falls = np.where(
+        grown.clean, ~grows, told & (rate < 0) & ~(course.bent & ~course.falls) & ~course.contradicts(rate)
     )
-    return Verdicts(verdict, rate / batch.sampling_period_s, reason)
+    falls |= unexplained & (course.trend < 1 / TREND_FACTOR)
+    # what is left may be a limit cycle of the sensor only if it came down from far above
+    falls |= ~grows & (course.end <= np.minimum(REST_FLOORS * floor, LEFT * course.begin))
+    falls |= ~grown.clean & (course.brakes | (course.falls & (rate < 0)))
+    high = course.begin >= LEAST_FALL * np.minimum(course.end, floor)
+    enough = (count >= FEWEST_SAMPLES) & (peak > 0)
+    grows &= enough & ~at_rest
+    falls = enough & (at_rest | falls) & ~grows & high
+    verdict = np.where(grows, "unstable", np.where(falls, "stable", "undecided"))
+    rate = np.where(falls & (rate > 0), np.nan, rate)
+    reason = [
+        _undecided(*each) if text == "undecided" else NOT_TOLD if np.isnan(r) else ""
+        for text, r, *each in zip(verdict, rate, enough, high, count, course.end, strict=True)
+    ]
+    return Verdicts(verdict, rate / batch.sampling_period_s, tuple(reason))
+
+
+def _undecided(visible: bool, high: bool, samples: int, left: float) -> str:
+    if not visible:
+        return (
+            f"no visible motion to judge: {samples} samples after the step, of which {FEWEST_SAMPLES} must stand above "
+            "the sensor floor"
+        )
+    if not high:
+        return "the motion hardly exceeds what the sensor can cause: growth would not show"
+    return f"at the limit: an amplitude of {left:.3g} is left that grows or decays by no more than the sensor can cause"
+
+
+def _told(rate: Floats, grown: Growth, end: Floats, floor: Floats) -> Booleans:
+    """Whether a rate changes the amplitude of the position over the log by more than the sensor can."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        change = np.abs(np.expm1(-rate * grown.span))
+        # what neither modes nor the sensor explain (jitter) is no independent noise, and does not average out
+        unexplained = np.sqrt(np.maximum(grown.noise**2 - (SENSOR_SHARE * floor) ** 2, 0.0))
+    result: Booleans = (end * change > floor) & (end > REST_FLOORS * floor)
+    return result & (np.nan_to_num(grown.amplitude) * change > NOISE_FACTOR * unexplained)
 
 
 def _adds(grown: Growth, floor: Floats) -> Booleans:
@@ -173,18 +235,6 @@ def _adds(grown: Growth, floor: Floats) -> Booleans:
     noise = np.where(grown.clean, 0.0, NOISE_FACTOR * grown.noise)
     result: Booleans = np.nan_to_num(added) > np.maximum(floor, noise)
     return result
-
-
-def _trend(signal: Floats, count: Integers) -> Floats:
-    """Root mean square of the last quarter of the motion relative to the first quarter."""
-    column = np.arange(signal.shape[1])[None, :]
-    first = column < (0.25 * count)[:, None]
-    last = (column >= (0.75 * count)[:, None]) & (column < count[:, None])
-    before, after = (
-        np.sqrt(np.where(part, signal**2, 0.0).sum(axis=1) / np.maximum(part.sum(axis=1), 1)) for part in (first, last)
-    )
-    trend: Floats = after / np.where(before > 0, before, 1.0)
-    return trend
 
 
 def _end_spread(batch: TrialBatch, start: Integers, count: Integers) -> Floats:
@@ -222,18 +272,27 @@ def _judge_free(batch: TrialBatch, edge: Integers, floor: Floats) -> Verdicts:
     power = (left * left).sum(axis=1)
     enough = (count >= FEWEST_SAMPLES) & (power > 0) & (scale > 4 * floor)
     factor = np.where(enough, (left * right).sum(axis=1) / np.where(power > 0, power, 1.0), 0.0)
-    residual = np.sqrt(((right - factor[:, None] * left) ** 2).sum(axis=1) / np.maximum(count - 4, 1))
+    unfitted = right - factor[:, None] * left
+    residual = np.sqrt((unfitted**2).sum(axis=1) / np.maximum(count - 4, 1))
     error = residual / np.sqrt(np.where(power > 0, power, 1.0))
     error = np.maximum(error, RATE_ROUNDING / np.maximum(count, 1))
     rate = np.log1p(np.maximum(factor, -0.999))
     resolved = enough & (np.abs(rate) > LIMIT_SIGMAS * error)
+    turns = (inside[:, 1:] & (unfitted[:, 1:] * unfitted[:, :-1] < 0)).sum(axis=1)
+    vibrates = enough & (residual > np.maximum(0.5 * floor, IDEAL_RANGE * scale)) & (turns >= FEWEST_TURNS)
+    grown = _vibration(x, count, floor, vibrates)
+    size = sizes(unfitted, count)
+    lasts = vibrates & np.isnan(grown) & (size[:, 3] >= LASTING * size[:, 2])
+    rate, resolved = np.fmax(rate, grown), (resolved & ~lasts) | np.isfinite(grown)
     verdict = np.where(~resolved, "undecided", np.where(rate > 0, "unstable", "stable"))
-    growth = np.where(enough, rate / batch.sampling_period_s, np.nan)
+    growth = np.where(enough & ~lasts, rate / batch.sampling_period_s, np.nan)
     spread = LIMIT_SIGMAS * error / batch.sampling_period_s
     reasons = []
-    for done, usable, g, s in zip(resolved, enough, growth, spread, strict=True):
+    for done, usable, shakes, g, s in zip(resolved, enough, lasts, growth, spread, strict=True):
         if done:
             reasons.append("")
+        elif shakes:
+            reasons.append("a vibration lasts that neither grows nor decays by more than the sensor can cause")
         elif usable:
             reasons.append(f"at the limit: growth of the acceleration {g:.3g} +- {s:.2g} 1/s does not differ from 0")
         else:
@@ -241,6 +300,21 @@ def _judge_free(batch: TrialBatch, edge: Integers, floor: Floats) -> Verdicts:
                 f"too little motion at K = 0: at least {FEWEST_SAMPLES} samples above the sensor floor needed"
             )
     return Verdicts(verdict, growth, tuple(reasons))
+
+
+def _vibration(x: Floats, count: Integers, floor: Floats, vibrates: Booleans) -> Floats:
+    """Growth per sample of vibrations beside the motion of a rigid device, NaN where none is seen to grow.
+
+    Second differences leave nothing of the uniform motion, and hardly anything of its slow growth or decay.
+    """
+    growth, some = np.full(len(x), np.nan), np.flatnonzero(vibrates)
+    if len(some):
+        bend, length = np.diff(x[some], n=2, axis=1), count[some] - 2
+        noise = np.maximum(2 * floor[some] / NOISE_FACTOR, np.finfo(np.float64).eps * np.abs(x[some]).max(axis=1))
+        wide, narrow = (fastest_growth(bend, length, noise, part) for part in (WIDE, NARROW))
+        grows = _adds(wide, 2 * floor[some]) & _adds(narrow, 2 * floor[some])
+        growth[some] = np.where(grows, np.fmin(wide.per_sample, narrow.per_sample), np.nan)
+    return growth
 
 
 def _project_out(basis: Floats, values: Floats) -> Floats:

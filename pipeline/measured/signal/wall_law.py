@@ -16,7 +16,7 @@ import numpy as np
 from pipeline.measured.signal.log_rows import LogRows
 from pipeline.measured.signal.response import Response, external_force
 from pipeline.measured.signal.velocity_filter import VelocityFilterFound, find_filter
-from pipeline.records.batch import Booleans, Floats, TrialBatch
+from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
 
 PLATEAU = 2
 """Rows of equal extreme command that show a limit: two equal numbers are no chance."""
@@ -156,39 +156,38 @@ def _missing(log: LogRows) -> Departure | None:
     if len(gaps):
         lost = int((np.rint(np.diff(log.time) / log.period)[gaps] - 1).sum())
         return Departure("missing_rows", f"the stamps skip {lost} rows, first after row {gaps[0]}", len(gaps), lost)
+    rows = hidden_rows(log)
+    if not len(rows):
+        return None
+    return Departure(
+        "missing_rows",
+        f"{len(rows)} single rows, first row {rows[0]}, fit the wall law only with a row missing before them",
+        len(rows),
+        float(len(rows)),
+    )
+
+
+def hidden_rows(log: LogRows) -> Integers:
+    """Return the rows before which rows are missing by the wall law, while the stamps may not show it."""
+    none = np.empty(0, dtype=np.int64)
     off = (np.abs(log.residual) > log.rounding) & log.after
     if not off.any() or log.damping == 0 or off.mean() > MOST_SPIKES:
-        return None
+        return none
     # over a row that is missing the position changed by more than since the row before: the residual is a part of
     # the damping force that the logged rows would give
     moving = off & (log.change != 0)
     if not moving.any():
-        return None
+        return none
     part = log.residual[moving] * log.period / (log.damping * log.change[moving])
     single = off & ~np.roll(off, 1)
     if np.median(part) > 0 and np.mean((part > -1) & (part < 2)) > 0.9 and single.sum() > 0.7 * off.sum():
-        rows = np.flatnonzero(off)
-        return Departure(
-            "missing_rows",
-            f"{len(rows)} single rows, first row {rows[0]}, fit the wall law only with a row missing before them",
-            len(rows),
-            float(len(rows)),
-        )
-    return None
+        return np.flatnonzero(off)
+    return none
 
 
 def _repeated(log: LogRows) -> Departure | None:
-    """Rows that stand still while the device moves before and after them."""
-    change = np.abs(log.change)
-    least = STILL_FLOORS * log.floor + EQUAL * np.ptp(log.position)
-    still = (change == 0) & log.after
-    # the row behind makes up for the way of the one that stood still; a device that turns comes back instead
-    behind = np.append(log.change[1:], 0.0)
-    before = np.where(np.roll(change, 1) > 0, np.roll(log.change, 1), np.roll(log.change, 2))
-    still &= (np.abs(behind) > least) & (np.abs(before) > least) & (behind * before > 0)
-    still &= np.abs(behind) > CAUGHT_UP * np.abs(before)
-    rows = np.flatnonzero(still)
-    if len(rows) < PLATEAU:
+    rows = repeated_rows(log)
+    if not len(rows):
         return None
     both = int((log.command[rows] == log.command[rows - 1]).sum())
     what = "rows repeat the one before" if both > len(rows) / 2 else "readings of the position are held"
@@ -200,6 +199,29 @@ def _repeated(log: LogRows) -> Departure | None:
         off if off <= 2 * len(rows) else len(rows),
         float(len(rows)),
     )
+
+
+def repeated_rows(log: LogRows) -> Integers:
+    """Return the rows that stand still while the device moves before and after them; one alone may be chance."""
+    change = np.abs(log.change)
+    least = STILL_FLOORS * log.floor + EQUAL * np.ptp(log.position)
+    still = (change == 0) & log.after
+    # the row behind makes up for the way of the one that stood still; a device that turns comes back instead
+    behind = np.append(log.change[1:], 0.0)
+    before = np.where(np.roll(change, 1) > 0, np.roll(log.change, 1), np.roll(log.change, 2))
+    still &= (np.abs(behind) > least) & (np.abs(before) > least) & (behind * before > 0)
+    still &= np.abs(behind) > CAUGHT_UP * np.abs(before)
+    # a device may be too slow for that, but a wall that sees it rest does not command what it did while it moved,
+    # unless that is a limit of its
+    same = log.after & (log.change == 0) & (np.diff(log.command, prepend=np.nan) == 0)
+    for limit in (log.command.min(), log.command.max(), log.step):
+        same &= ~_equal(log.command, float(limit))
+    off = np.abs(log.residual) > log.rounding
+    # the row behind is off the law, too, as the reading before it is not there; behind a missing row it is not
+    still |= same & off & np.append(off[1:], False) & (np.abs(np.diff(log.residual, prepend=0.0)) > log.rounding)
+    still[1:] |= same[1:] & still[:-1]  # twice in a row
+    rows = np.flatnonzero(still)
+    return rows if len(rows) >= PLATEAU else rows[:0]
 
 
 def _clipped(log: LogRows) -> tuple[Departure, ...] | None:

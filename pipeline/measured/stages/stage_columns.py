@@ -26,6 +26,12 @@ def joined_texts(*reasons: Iterable[str]) -> list[str | None]:
     return ["; ".join(dict.fromkeys(text for text in texts if text)) or None for texts in zip(*reasons, strict=True)]
 
 
+def hull(made: Columns, other: Columns, names: Iterable[str]) -> Columns:
+    """Return columns whose intervals ``<name>_low`` and ``<name>_high`` hold those of other ones, too."""
+    ends = {f"{name}_low": np.fmin for name in names} | {f"{name}_high": np.fmax for name in names}
+    return made | {end: widest(made[end], other[end]) for end, widest in ends.items()}
+
+
 def row_column(values: np.ndarray) -> pa.Array:
     """Return rows or counts of which a negative one stands for none."""
     return pa.array(values, mask=values < 0)

@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from pipeline.measured.signal.response import Response, declare_edge, find_response
+from pipeline.measured.signal.sample_grid import SampleGrid, sample_grid
 from pipeline.measured.signal.verdict import Verdicts
 from pipeline.records.batch import Booleans, Integers, TrialBatch
 
@@ -78,6 +79,26 @@ class TrialGroup:
             self.found, edge_row=np.where(self.found.has_edge, self.found.edge_row - first, self.found.edge_row)
         )
         return some, first
+
+    @cached_property
+    def grid(self) -> SampleGrid:
+        """The trials with a row for every sample."""
+        return sample_grid(self.batch, self.found)
+
+    @cached_property
+    def on_grid(self) -> TrialGroup:
+        """Trials with a row for every sample; the group itself where all logs have one."""
+        return self if self.grid.batch is self.batch else self._of(self.grid.batch)
+
+    @cached_property
+    def on_straight_grid(self) -> TrialGroup | None:
+        """As `on_grid`, interpolated by straight lines; None where nothing is interpolated."""
+        return self._of(self.grid.straight) if self.grid.filled.any() else None
+
+    def _of(self, batch: TrialBatch) -> TrialGroup:
+        group = TrialGroup(batch, self.verdicts)
+        group.found = self.grid.response
+        return group
 
     @cached_property
     def found(self) -> Response:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from pipeline.measured.cost.families import Measure
 from pipeline.measured.cost.reading_error import ReadingError, motion_at_rest, reading_error, sensor_error, usual_rest
-from pipeline.measured.stages.stage_columns import conditions
+from pipeline.measured.stages.stage_columns import conditions, hull
 from pipeline.measured.stages.stage_given import Experiment
 from pipeline.measured.stages.stage_groups import Columns, Given, TrialGroup
 from pipeline.records.batch import Floats
@@ -35,6 +37,17 @@ def _error_of(of: TrialGroup, given: Given) -> ReadingError:
     return reading_error(of.batch, of.found, given["delay"], sensor=sensor, rest=given["rest"])
 
 
-def columns(of: TrialGroup, given: Given, measure: Measure) -> Columns:
-    """Return the columns of a family of costs for some trials."""
-    return conditions(of) | measure(of.batch, of.found, of.verdicts, _error_of(of, given), given)
+def columns(of: TrialGroup, given: Given, measure: Measure, names: Sequence[str]) -> Columns:
+    """Return the columns of a family of costs for some trials; ``names`` are those of costs that count time.
+
+    Of logs with missing or repeated rows they are counted on the grid of samples, with intervals that hold those of
+    rows which lie on straight lines, too.
+    """
+    if not names:
+        return _columns(of, given, measure) | conditions(of)
+    made, straight = _columns(of.on_grid, given, measure) | conditions(of), of.on_straight_grid
+    return made if straight is None else hull(made, _columns(straight, given, measure), names)
+
+
+def _columns(of: TrialGroup, given: Given, measure: Measure) -> Columns:
+    return measure(of.batch, of.found, of.verdicts, _error_of(of, given), given)

@@ -25,8 +25,8 @@ from pipeline.measured.stages import (
 )
 from pipeline.measured.stages.stage_tables import SAMPLED, Stage, StageTables
 from pipeline.records.batch import Floats
+from pipeline.records.criteria import ENERGY, Family, criterion_of, members
 from pipeline.records.criteria import FAMILIES as CRITERION_FAMILIES
-from pipeline.records.criteria import Family, criterion_of
 from pipeline.records.findings import BoundaryPoint, Estimate, ModelCheck, Optimum
 
 MEASURES: dict[str, Measure] = {**FAMILIES, "energy": stage_energy.energy}
@@ -35,7 +35,9 @@ MEASURES: dict[str, Measure] = {**FAMILIES, "energy": stage_energy.energy}
 
 def _cost_stage(family: Family) -> Stage:
     needs = stage_energy if "mass" in family.needs else stage_settling if "delay" in family.needs else stage_overshoot
-    return Stage(family.needs, partial(stage_overshoot.columns, measure=MEASURES[family.name]), needs.given_of)
+    timed = tuple(c.column for c in members(family)) if family.unit == "samples" or family is ENERGY else ()
+    rows = partial(stage_overshoot.columns, measure=MEASURES[family.name], names=timed)
+    return Stage(family.needs, rows, needs.given_of)
 
 
 STAGES: dict[str, Stage] = {

@@ -244,4 +244,6 @@ def _limit_cell(point: BoundaryPoint) -> Cell:
         return number(point.estimate, stiffness_text, ends=(point.low, point.high))
     if point.low:
         return Cell(point.low, f"≥ {stiffness_text(point.low)}")
+    if point.high:
+        return Cell(point.high, f"≤ {stiffness_text(point.high)}")
     return missing("no trial is surely stable or surely unstable")

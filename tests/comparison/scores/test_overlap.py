@@ -101,11 +101,12 @@ def test_limits_of_verdicts_alone_are_the_middle_of_their_bracket():
         BoundaryPoint(damping=12, stable=None, unstable=None, censored=True),
     )
     found = measured_limits(points)
-    assert found.limit.tolist() == [100, 1100, 2000, 0]
+    # without a stable trial there is an upper bound, and no limit
+    assert found.limit.tolist() == [0, 1100, 2000, 0]
     assert found.low.tolist() == [0, 1000, 2000, 0]
     assert found.high.tolist() == [200, 1200, 2000, 0]
     assert found.censored.tolist() == [False, False, True, True]
-    assert found.known.tolist() == [True, True, True, False]
+    assert found.known.tolist() == [False, True, True, False]
 
 
 def test_limits_by_growth_rates_come_first():

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from pipeline.base.errors import ParameterError
+from pipeline.comparison.scores.overlap import measured_limits
 from pipeline.device_data.devices import load_device
 from pipeline.measured.experiment.boundary_band import boundary_area, boundary_band
 from pipeline.measured.intervals import NORMAL_95
@@ -149,7 +150,7 @@ def test_censored_and_unstable_from_the_start():
     K, B = np.array([200.0, 400.0, 200.0]), np.array([0.0, 0.0, 4.0])
     open_ended, lowest = boundary_band(K, B, ["stable", "stable", "unstable"], np.full(3, np.nan))
     assert (open_ended.estimate, open_ended.low, open_ended.high, open_ended.censored) == (None, 400.0, None, True)
-    assert (lowest.estimate, lowest.low, lowest.high, lowest.censored) == (100.0, 0.0, 200.0, False)
+    assert (lowest.estimate, lowest.low, lowest.high, lowest.censored) == (None, 0.0, 200.0, False)
 
 
 def test_two_rates_are_interpolated_within_the_bracket():
@@ -215,3 +216,24 @@ def test_jitter_moves_the_limit():
     shortest, longest = (limit(replace(of.setup, delay_samples=d), B) for d in (3.0, 5.0))
     assert ((limits > longest) & (limits < shortest)).all()  # 6.1.3: between those of the extreme delays
     assert np.median(limits / limit(of.setup, B)) > 1.03  # and not at that of their mean, 4
+
+
+def test_trials_that_are_all_unstable_give_an_upper_bound_and_no_limit():
+    k = np.array([1500.0, 2000.0, 2500.0, 3000.0] * 2)
+    b, growth = np.repeat([0.0, 10.0], 4), np.array([2.0, 3.0, 4.0, 5.0] * 2)
+    points = boundary_band(k, b, ["unstable"] * 8, growth)
+    for p in points:
+        assert (p.stable, p.unstable, p.censored) == (None, 1500.0, False)
+        assert (p.estimate, p.low, p.high) == (None, 0.0, 1500.0)
+    area = boundary_area(points)
+    assert (area.value, area.low, area.high) == (None, None, 15000.0)
+    assert "upper bound" in area.reason
+    limits = measured_limits(points)
+    assert not limits.known.any()
+    assert limits.high.tolist() == [1500.0] * 2
+
+
+def test_trials_that_are_all_stable_give_a_lower_bound_and_no_limit():
+    (p,) = boundary_band(np.array([1e3, 2e3, 3e3]), np.zeros(3), ["stable"] * 3, np.array([-9.0, -6.0, -3.0]))
+    assert (p.stable, p.unstable, p.censored) == (3000.0, None, True)
+    assert (p.estimate, p.low, p.high) == (None, 3000.0, None)
