@@ -30,6 +30,7 @@ from pipeline.ingest.ingest_report import IngestReport, Refusal
 from pipeline.ingest.quarantine import list_quarantine
 from pipeline.records.models import SceneFile
 from pipeline.shell.report_index import write_index
+from pipeline.store.exclusions import read_exclusions, split_trials
 from pipeline.store.names import report_of
 from pipeline.store.storage import list_devices, read_trials
 
@@ -249,9 +250,10 @@ def _report(request: PassRequest, what: str, device: str, scene: SceneFile | Non
 
 def _inputs(processed: Path, device: str, scene: SceneFile | None) -> str:
     """Return a hash of what the report of a device rests on besides the code."""
-    trials = read_trials(processed, device, columns=["trial_id", "profile_sha256"])
-    rows = sorted(zip(*(column.to_pylist() for column in trials.columns), strict=True))
-    return digest([rows, scene.model_dump_json() if scene else None])
+    trials = read_trials(processed, device)
+    excluded = split_trials(trials, read_exclusions(processed))[1]
+    rows = sorted(zip(*(trials.column(name).to_pylist() for name in ("trial_id", "profile_sha256")), strict=True))
+    return digest([rows, [one.model_dump() for one in excluded], scene.model_dump_json() if scene else None])
 
 
 def _fail(emit: Emit, outcome: PassOutcome, what: str, reason: str, retry: bool) -> None:
