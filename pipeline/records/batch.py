@@ -94,6 +94,11 @@ class TrialBatch:
         index = np.arange(len(self))[which]
         return self._taken(tuple(self.trial_id[i] for i in index), index)
 
+    def relative_to(self, level: Floats) -> TrialBatch:
+        """Return the trials with commands, and measured forces, that count from a level, shape (n,) [N, Nm]."""
+        force = None if self.force is None else self.force - level[:, None]
+        return replace(self, command=self.command - level[:, None], force=force)
+
     def portions(self, trials: int) -> Iterator[tuple[slice, TrialBatch]]:
         """Cut the batch into portions of at most so many trials, which share its arrays; each with its place.
 

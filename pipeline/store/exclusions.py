@@ -14,7 +14,7 @@ import pyarrow.compute as pc
 
 from pipeline.base.disk import remove, sync_folder
 from pipeline.base.provenance import stamp
-from pipeline.records.models import Name, Record
+from pipeline.records.findings import Record
 from pipeline.records.table_files import read_table, write_table
 from pipeline.records.tables import TABLES, to_arrow
 
@@ -27,14 +27,14 @@ Key = tuple[str, str | None]
 class Exclusion(Record):
     """A trial that is excluded by hand: where it belongs, its log, why, and since when (UTC, ISO 8601)."""
 
-    trial_id: Name
+    trial_id: str
     label: str | None
-    device: Name
-    experiment: Name
-    source_path: Name
-    source_sha256: Name
-    exclusion_reason: Name
-    excluded_since: Name
+    device: str
+    experiment: str
+    source_path: str
+    source_sha256: str
+    exclusion_reason: str
+    excluded_since: str
 
     @property
     def key(self) -> Key:

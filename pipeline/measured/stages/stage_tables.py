@@ -233,9 +233,9 @@ class StageTables:
         former = self._former(stage, common)
         kept = set(former.column(ROW_KEY).to_pylist())
         groups = self._groups if stage == SAMPLED else self._judged
-        new = [group.select(np.array([key not in kept for key in group.batch.digests])) for group in groups]
+        new = [group.select(np.array([key not in kept for key in group.logged.digests])) for group in groups]
         compute = partial(stage_rows, stage=stage, columns=made.rows, given=given, rotation=self.rotation)
-        rows = pa.concat_tables([former, *self._mapped(compute, [group for group in new if len(group.batch)])])
+        rows = pa.concat_tables([former, *self._mapped(compute, [group for group in new if len(group.logged)])])
         if made.derived is not None:
             for name, values in made.derived(self, rows).items():
                 index = rows.schema.get_field_index(name)
