@@ -67,7 +67,7 @@ class Response:
     position_final_measured : float64
         Mean over the last tenth of the log [m, rad].
     sensor_quantum : float64
-        Step of the grid on which all positions lie [m, rad]; 0 where there is none.
+        Step of the grid on which all positions lie [m, rad]; 0 where there is none, and for integrals of a velocity.
     sensor_noise : float64
         Standard deviation of the white noise of the positions before the edge [m, rad]; NaN without a
         baseline.
@@ -140,6 +140,8 @@ def find_response(batch: TrialBatch, *, edge_samples: int = EDGE_SAMPLES) -> Res
     """
     edges = find_edges(batch, edge_samples)
     quantum = _quantum(batch)
+    if batch.integrated is not None:
+        quantum = np.where(batch.integrated, 0.0, quantum)
     with np.errstate(divide="ignore", invalid="ignore"):
         travel = np.where(batch.stiffness > 0, batch.step / batch.stiffness, np.nan)
     start = batch.position[:, :1].reshape(-1)
