@@ -277,7 +277,7 @@ def test_a_decimal_mark_that_could_part_thousands_is_asked(cells, asked):
     assert layout.keys.get("decimal") == (None if asked else "," if "," in cells else ".")
 
 
-@pytest.mark.parametrize("text", ["", "hello\n", "a;b\nc;d\ne;f\n", "1\n2\n3\n"])
+@pytest.mark.parametrize("text", ["", "hello\n", "a;b\nc;d\ne;f\n"])
 def test_a_text_without_a_table_is_refused(text):
     with pytest.raises(LogError, match=r"no table of numbers|is empty"):
         text_layout("x", text.encode())
