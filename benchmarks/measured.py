@@ -40,8 +40,9 @@ Result = TypeVar("Result")
 
 def simulate_trials(file: Path, trials: int, rows: int, jitter: bool) -> None:
     """Write trials of Falcon experiment 1 at (K, B) drawn from the range that the thesis tested."""
-    from pipeline.devices.devices import load_device
-    from pipeline.simulation.simulate import setup_of, simulate
+    from pipeline.device_data.devices import load_device
+    from pipeline.simulation.setup import setup_of
+    from pipeline.simulation.simulate import simulate
 
     device = load_device("falcon")
     setup = replace(setup_of(device, device.experiments[0]), rows=rows)

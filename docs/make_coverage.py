@@ -15,11 +15,14 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.devices.devices import find_experiment, load_device
+from pipeline.device_data.devices import find_experiment, load_device
 from pipeline.measured.fit.fit import Fit, fit_trials
 from pipeline.measured.signal.response import find_response
 from pipeline.records.batch import Booleans, Floats, TrialBatch
-from pipeline.simulation.simulate import MassSpringDamper, Setup, in_force, setup_of, simulate, spectral_radius
+from pipeline.simulation.plants import MassSpringDamper
+from pipeline.simulation.radius import spectral_radius
+from pipeline.simulation.setup import Setup, setup_of
+from pipeline.simulation.simulate import in_force, simulate
 
 TRIALS = 1000
 SEED = 5

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.comparison.figures.boundary_curves import theory_curve
-from pipeline.devices.devices import load_device
+from pipeline.device_data.devices import load_device
 from pipeline.measured.cost.costs import WEIGHTS, energy
 from pipeline.measured.device.delay import first_change
 from pipeline.measured.device.onset import motion_onset, rounded
@@ -18,7 +18,7 @@ from pipeline.measured.experiment.known_delay import estimate_delay
 from pipeline.measured.signal.response import find_response
 from pipeline.measured.signal.verdict import judge
 from pipeline.records.figure_records import CostMap, Curve, Figure
-from pipeline.records.models import Optimum
+from pipeline.records.findings import Optimum
 from pipeline.records.results import TheoryParameters
 from pipeline.rendering.figures import figures
 from pipeline.rendering.figures.svg import UNIT

@@ -1,8 +1,70 @@
 """Virtual walls under delay: step-response logs in, stability, costs and their comparison with theory out.
 
-Nothing is imported here, so that ``import pipeline`` costs nothing; import the module of the quantity you
-need (``pipeline.theory.stability.stability``, ``pipeline.measured.cost.costs``, ...). ``docs/architecture.md`` lists
-them.
+What `__all__` names is the public Python surface (``docs/python.md``): functions and records of SI data frames. Each is
+imported when it is first asked for, so that ``import pipeline`` costs nothing. Everything else is private; the modules
+are listed in ``docs/architecture.md``.
 """
 
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from pipeline.base.errors import PipelineError as PipelineError
+    from pipeline.surface.comparisons import Comparison as Comparison
+    from pipeline.surface.comparisons import compare as compare
+    from pipeline.surface.comparisons import load as load
+    from pipeline.surface.logs import ingest as ingest
+    from pipeline.surface.logs import read_log as read_log
+    from pipeline.surface.logs import simulate as simulate
+    from pipeline.surface.physical_loop import Loop as Loop
+    from pipeline.surface.stored import boundary as boundary
+    from pipeline.surface.stored import costs as costs
+    from pipeline.surface.stored import devices as devices
+    from pipeline.surface.stored import estimates as estimates
+    from pipeline.surface.stored import experiments as experiments
+    from pipeline.surface.stored import optima as optima
+    from pipeline.surface.stored import samples as samples
+    from pipeline.surface.stored import trials as trials
+
 __version__ = "0.1.0"
+
+_PUBLIC = {
+    "base.errors": ("PipelineError",),
+    "surface.logs": ("ingest", "read_log", "simulate"),
+    "surface.stored": ("devices", "experiments", "trials", "samples", "estimates", "boundary", "optima", "costs"),
+    "surface.comparisons": ("Comparison", "compare", "load"),
+    "surface.physical_loop": ("Loop",),
+}
+"""Public names by the module that defines them."""
+
+__all__ = [
+    "Comparison",
+    "Loop",
+    "PipelineError",
+    "boundary",
+    "compare",
+    "costs",
+    "devices",
+    "estimates",
+    "experiments",
+    "ingest",
+    "load",
+    "optima",
+    "read_log",
+    "samples",
+    "simulate",
+    "trials",
+]
+
+
+def __getattr__(name: str) -> Any:
+    for module, names in _PUBLIC.items():
+        if name in names:
+            value = getattr(import_module(f"{__name__}.{module}"), name)
+            globals()[name] = value  # the next one does not come here
+            return value
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,8 +12,8 @@ import pytest
 
 from pipeline.base import provenance
 from pipeline.comparison.compare import Outcome, compare
-from pipeline.devices.devices import load_device
-from pipeline.ingest.ingest import ingest
+from pipeline.device_data.devices import load_device
+from pipeline.intake.ingest import ingest
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.models import Device
 from pipeline.simulation.course import Course, run_course, write_course
@@ -62,6 +63,15 @@ def edit(monkeypatch):
     monkeypatch.setattr(provenance, "_source", source)
     yield edit_modules
     provenance.code_digest.cache_clear()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _heeded_signals():
+    """A shell starts what it runs in its background with signals ignored; the commands under test heed them."""
+    for number in (getattr(signal, name) for name in ("SIGINT", "SIGHUP") if hasattr(signal, name)):
+        if signal.getsignal(number) is signal.SIG_IGN:
+            # a handler that does nothing ignores it here, and is not inherited
+            signal.signal(number, lambda *_: None)
 
 
 @pytest.fixture(scope="session")

@@ -11,7 +11,9 @@ from __future__ import annotations
 import errno
 import io
 import os
+import re
 import secrets
+import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
@@ -20,6 +22,12 @@ from typing import BinaryIO, TypeVar, cast
 
 TEMPORARY_ENDING = ".tmp"
 """Ending of a file that is not complete; readers look for other endings."""
+
+_TEMPORARY = re.compile(rf"\..*\.[0-9a-f]{{16}}{re.escape(TEMPORARY_ENDING)}", re.DOTALL)
+"""Name of a file that is not complete."""
+
+_ABANDONED_S = 7 * 86400.0
+"""Age of a temporary file that nobody completes any more [s]: most are written at once, a map within hours."""
 
 _LONGEST_NAME = 200
 """Bytes of the final name that are kept in the temporary one: file systems allow 255."""
@@ -114,10 +122,10 @@ def naming(path: Path) -> Iterator[None]:
 class _Descriptor(io.RawIOBase):
     """A file descriptor as a stream, so that each write passes through ``os.write``."""
 
-    def __init__(self, path: Path, mode: int) -> None:
+    def __init__(self, path: Path, number: int) -> None:
         super().__init__()
         self.path = path
-        self.number = os.open(path, _NEW, mode)
+        self.number = number
 
     def writable(self) -> bool:
         return True
@@ -154,7 +162,9 @@ class NewFile:
         make_folder(folder)
         self._folder = folder
         self._temporary = folder / f".{_short(label)}.{secrets.token_hex(8)}{TEMPORARY_ENDING}"
-        self._raw = _Descriptor(self._temporary, 0o600 if like else _READABLE)
+        # opened here: Python closes every stream that was begun, and tells from 3.13 on where that fails
+        number = os.open(self._temporary, _NEW, 0o600 if like else _READABLE)
+        self._raw = _Descriptor(self._temporary, number)
         if like and hasattr(os, "fchmod"):
             os.fchmod(self._raw.number, _shared_mode(like, os.fstat(self._raw.number)))
         self.stream: BinaryIO = cast(BinaryIO, io.BufferedWriter(self._raw, _BUFFER))
@@ -227,13 +237,28 @@ def if_writable() -> Iterator[None]:
 
 @contextmanager
 def replacing(path: Path) -> Iterator[BinaryIO]:
-    """Open a new file that becomes ``path`` when the block ends well, and is removed when it does not."""
+    """Open a new file that becomes ``path`` when the block ends well, and is removed when it does not.
+
+    What writers that were killed left in its folder is removed, too.
+    """
+    _remove_abandoned(path.parent)
     new = NewFile(path.parent, path.name)
     try:
         yield new.stream
         new.publish(path.name)
     finally:
         new.discard()
+
+
+def _remove_abandoned(folder: Path) -> None:
+    """Remove temporary files that no writer can have open; leave what cannot be removed."""
+    with suppress(OSError), os.scandir(folder) as entries:
+        for entry in entries:
+            if _TEMPORARY.fullmatch(entry.name):
+                with suppress(OSError):
+                    age_s = time.time() - entry.stat(follow_symlinks=False).st_mtime
+                    if age_s > _ABANDONED_S and entry.is_file(follow_symlinks=False):
+                        os.unlink(entry.path)
 
 
 def write_text(path: Path, text: str) -> None:

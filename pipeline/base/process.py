@@ -16,7 +16,9 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from importlib import import_module
-from types import FrameType
+from importlib.machinery import ModuleSpec, PathFinder
+from types import FrameType, ModuleType
+from typing import Any
 
 from pipeline.base.errors import EXIT_ERROR
 
@@ -26,21 +28,52 @@ STOP_SIGNALS = tuple(
 """Signals that ask for an end: Ctrl-C, a service manager, a terminal that is closed; as far as the system has them."""
 
 
+class _AfterPyarrow:
+    """Lets pyarrow look for pandas as soon as it is loaded, while there is none."""
+
+    def find_spec(self, fullname: str, path: object = None, target: object = None) -> ModuleSpec | None:
+        spec = PathFinder.find_spec(fullname) if fullname == "pyarrow" else None
+        if spec is None or spec.loader is None:
+            return None
+        sys.meta_path.remove(self)
+        load = spec.loader.exec_module
+
+        def execute(module: ModuleType) -> None:
+            load(module)
+            _look_for_pandas(module)
+
+        spec.loader.exec_module = execute  # type: ignore[method-assign]
+        return spec
+
+
 class _NoPandas:
     """Finds pandas nowhere, and leaves other modules to others."""
 
     def find_spec(self, fullname: str, path: object = None, target: object = None) -> None:
         if fullname == "pandas":
-            raise ModuleNotFoundError("pandas is left out here: see pipeline.base.process")
+            raise ModuleNotFoundError("pandas is left out while pyarrow looks for it: see pipeline.base.process")
+
+
+def _look_for_pandas(pyarrow: Any) -> None:
+    nowhere = _NoPandas()
+    sys.meta_path.insert(0, nowhere)
+    try:
+        pyarrow.array([])
+    finally:
+        sys.meta_path.remove(nowhere)
 
 
 def leave_out_pandas() -> None:
-    """Keep this process from importing pandas, which pyarrow does where it is installed, for 0.2 s and 40 MB.
+    """Keep pyarrow from importing pandas in this process, for 0.2 s and 40 MB, with the first ``pyarrow.array``.
 
-    Tables are never data frames here. Only for processes that run nothing but this package: in others pandas would be
-    missing for everybody.
+    That looks once whether there is pandas; here it looks when there is none. Whoever imports pandas himself gets it,
+    and so does ``pyarrow.Table.to_pandas``. Only for processes that run nothing but this package: ``pyarrow.array``
+    takes data frames and series of pandas for mere sequences there.
     """
-    sys.meta_path.insert(0, _NoPandas())
+    if "pyarrow" in sys.modules:
+        _look_for_pandas(sys.modules["pyarrow"])
+    else:
+        sys.meta_path.insert(0, _AfterPyarrow())
 
 
 class Ended(BaseException):

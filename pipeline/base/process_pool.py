@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager, suppress
 from multiprocessing import get_context
@@ -13,12 +13,14 @@ from pipeline.base.process import end_when, leave_out_pandas
 
 
 @contextmanager
-def process_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
+def process_pool(workers: int, begin: Callable[[], object] | None = None) -> Iterator[ProcessPoolExecutor]:
     """Yield processes that compute, and that end at once when the block is left by an exception or this process ends.
 
     Parameters
     ----------
     workers : int
+    begin : callable, optional
+        Called in each process before all else that it is asked for.
 
     Notes
     -----
@@ -28,7 +30,7 @@ def process_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
     # spawn: a fork would copy the locks of Arrow's threads in an unknown state, and hold the pipe open
     context = get_context("spawn")
     watched, held = context.Pipe(duplex=False)
-    with watched, held, ProcessPoolExecutor(workers, context, _begin, (watched,)) as pool:
+    with watched, held, ProcessPoolExecutor(workers, context, _begin, (watched, begin)) as pool:
         try:
             yield pool
         except BaseException:
@@ -37,11 +39,13 @@ def process_pool(workers: int) -> Iterator[ProcessPoolExecutor]:
             raise
 
 
-def _begin(parent: Connection) -> None:
+def _begin(parent: Connection, begin: Callable[[], object] | None) -> None:
     """Begin a process of a pool; signals are for its parent, which ends it."""
     end_when(lambda: _closed(parent))
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     leave_out_pandas()
+    if begin is not None:
+        begin()
 
 
 def _closed(parent: Connection) -> None:

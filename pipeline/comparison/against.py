@@ -18,9 +18,11 @@ from pipeline.records.against_records import (
     ValueDifference,
 )
 from pipeline.records.batch import Floats
-from pipeline.records.models import BoundaryPoint, Estimate, Motion, Optimum
+from pipeline.records.criteria import criterion_of
+from pipeline.records.findings import BoundaryPoint, Estimate, Optimum
+from pipeline.records.models import Motion
 from pipeline.records.results import ExperimentResult
-from pipeline.rendering.labels import CRITERION_NAMES, UNITS, percent_text, significant
+from pipeline.rendering.labels import UNITS, criterion_name, percent_text, significant
 
 NORMAL = 1.959964
 """97.5 % quantile of the normal distribution: half the width of a 95 % interval in standard errors."""
@@ -243,7 +245,7 @@ def compare_costs(first: Trials, second: Trials) -> tuple[CostDifference, ...]:
 def _cost_difference(
     criterion: str, first: tuple[Floats, Floats, Floats], second: tuple[Floats, Floats, Floats]
 ) -> CostDifference:
-    kind = "difference" if criterion == "overshoot" else "ratio"
+    kind = "difference" if criterion_of(criterion).family.levels else "ratio"
     (a_points, a), (b_points, b) = (_by_point(*trials) for trials in (first, second))
     places = {point: n for n, point in enumerate(b_points)}
     shared = [(n, places[point]) for n, point in enumerate(a_points) if point in places]
@@ -307,7 +309,7 @@ def sentences_of(pair: PairDifference) -> tuple[str, ...]:
     for cost in pair.costs:
         if cost.median is None:
             continue
-        name = CRITERION_NAMES.get(cost.criterion, cost.criterion)
+        name = criterion_name(cost.criterion)
         size = (
             f"{significant(cost.median, 3)} times as large"
             if cost.kind == "ratio"

@@ -19,8 +19,7 @@ from pipeline.comparison.scene.origin import excluded_trials
 from pipeline.comparison.scene.scene import SceneData, open_scene
 from pipeline.records.against_records import AgainstResult, PairDifference, Side
 from pipeline.records.figure_records import Figure, Limits
-from pipeline.records.findings import ExcludedTrial
-from pipeline.records.models import BoundaryPoint, Estimate, Optimum, Record
+from pipeline.records.findings import BoundaryPoint, Estimate, ExcludedTrial, Optimum, Record
 from pipeline.records.results import ComparisonResult, ExperimentResult
 from pipeline.rendering.report.report_against import AgainstPage
 from pipeline.theory.predictions import Theory
@@ -87,17 +86,8 @@ def against_experiments(
     return AgainstPage(AgainstResult(title=title, pairs=(pair,)), (figure,), motions[0])
 
 
-def against_document(new: ComparisonResult, old_path: Path) -> AgainstPage:
-    """Compare a result with the document of an earlier one, such as by another version of the code.
-
-    Raises
-    ------
-    UsageError
-        If the file is no document by `compare`, or of another device.
-    """
-    old = _read_document(old_path)
-    if old.device != new.device:
-        raise UsageError(f"{old_path}: is of device {old.device!r}; expected one of {new.device!r}.")
+def against_document(new: ComparisonResult, old: Document) -> AgainstPage:
+    """Compare a result with the document of an earlier one of its device, such as by another version of the code."""
     before = old.experiments
     after = {e.experiment: e for e in new.experiments}
     pairs: list[PairDifference] = []
@@ -119,7 +109,7 @@ def against_document(new: ComparisonResult, old_path: Path) -> AgainstPage:
 
 
 @dataclass(frozen=True)
-class _Document:
+class Document:
     """What an earlier document has that is compared; its other fields may be those of another version."""
 
     device: str
@@ -128,13 +118,20 @@ class _Document:
     excluded: tuple[ExcludedTrial, ...]
 
 
-def _read_document(path: Path) -> _Document:
+def read_document(path: Path, device: str) -> Document:
+    """Read the document of an earlier result of a device.
+
+    Raises
+    ------
+    UsageError
+        If the file is no document by `compare`, or of another device.
+    """
     try:
         values = json.loads(path.read_bytes())
         found = [_experiment(e) for e in values["experiments"]]
         excluded = tuple(ExcludedTrial(**_known(ExcludedTrial, one)) for one in values.get("excluded", ()))
         experiments = {e.experiment: e for e in found}
-        return _Document(str(values["device"]), experiments, values.get("provenance", {}), excluded)
+        old = Document(str(values["device"]), experiments, values.get("provenance", {}), excluded)
     except OSError as error:
         raise UsageError(f"{path}: cannot be read ({error}). Give the JSON document beside a report.") from error
     except (ValueError, KeyError, TypeError, AttributeError) as error:
@@ -142,6 +139,9 @@ def _read_document(path: Path) -> _Document:
             f"{path}: is no result of `pipeline compare` ({type(error).__name__}: {str(error)[:200]}). Give the JSON "
             "document beside a report."
         ) from error
+    if old.device != device:
+        raise UsageError(f"{path}: is of device {old.device!r}; expected one of {device!r}.")
+    return old
 
 
 def _experiment(values: Mapping[str, Any]) -> ExperimentResult:
@@ -171,7 +171,7 @@ def _known(record: type[Record], values: Mapping[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in values.items() if name in record.model_fields}
 
 
-def _side(of: _Document | ComparisonResult, experiment: str) -> Side:
+def _side(of: Document | ComparisonResult, experiment: str) -> Side:
     code = of.provenance.get("code", of.provenance.get("key", "?"))
     excluded = tuple(one for one in of.excluded if one.experiment == experiment)
     version = of.provenance.get("version", "?")

@@ -30,7 +30,7 @@ from pipeline.comparison.stage_pool import compute_stages
 from pipeline.comparison.summary.summary import summarise
 from pipeline.comparison.summary.summary_warnings import warnings_of
 from pipeline.comparison.tables_d import TableBuilder
-from pipeline.devices.published import published_files
+from pipeline.device_data.published import published_files
 from pipeline.records import accuracy as measured_accuracy
 from pipeline.records.models import Shown
 from pipeline.records.results import (

@@ -13,7 +13,8 @@ from pipeline.loop.loop import LARGEST_DELAY
 from pipeline.measured.experiment.boundary_band import boundary_area
 from pipeline.measured.experiment.estimates import standard_error, with_model_delay
 from pipeline.measured.stages.stages import STAGES, ExperimentStages
-from pipeline.records.models import Estimate, Experiment, Motion, Optimum
+from pipeline.records.findings import Estimate, Optimum
+from pipeline.records.models import Experiment, Motion
 from pipeline.records.results import ExperimentResult, MassWindow, OtherDefinitions, TheoryParameters
 from pipeline.rendering.labels import UNITS, Units
 from pipeline.theory.predictions import Theory

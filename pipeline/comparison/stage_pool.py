@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pyarrow as pa
 
-from pipeline.base.process_pool import process_pool
+from pipeline.comparison.shared_groups import shared_groups
 from pipeline.measured.stages.stages import STAGES, ExperimentStages
 
 LARGE = 1000
@@ -32,18 +32,20 @@ def compute_stages(experiments: Collection[ExperimentStages], needed: Collection
     waiting = [e for e in experiments if not all(e.is_stored(stage) for stage in needed)]
     if processors < 2:
         return
-    large = [e for e in waiting if e.trials.num_rows >= LARGE and e.count_new_trials() >= LARGE]
-    small = [e for e in waiting if e not in large]
+    # what is less than the share of a processor need not be cut, and waits for no other process after each stage
+    share = sum(e.trials.num_rows for e in waiting) / processors
+    large = [e for e in waiting if e.trials.num_rows > share and e.count_new_trials() >= LARGE]
+    small = [e for e in waiting if all(e is not other for other in large)]
     if not large and len(small) < 2:
         return
     # the longest first, so that no processor ends up waiting for the last
     small.sort(key=lambda e: -e.trials.num_rows)
     wanted = tuple(sorted(needed, key=list(STAGES).index))
-    with process_pool(processors if large else min(len(small), processors)) as pool:
-        jobs = [pool.submit(_compute, e.processed, e.device, e.experiment, wanted) for e in small]
+    with shared_groups(processors if large else min(len(small), processors)) as shared:
+        jobs = [shared.pool.submit(_compute, e.processed, e.device, e.experiment, wanted) for e in small]
         try:
             for experiment in large:
-                experiment.compute(wanted, pool.map)
+                experiment.compute(wanted, shared.map)
             for experiment, job in zip(small, jobs, strict=True):
                 experiment.take_over(job.result())
         except BrokenProcessPool:

@@ -6,17 +6,16 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from pipeline.comparison.scene.scene import SceneData
-from pipeline.devices.published import find
+from pipeline.device_data.published import find
 from pipeline.measured.stages.stages import ExperimentStages
-from pipeline.records.models import CRITERIA, SETTLING_BANDS, ComparisonRow, Optimum, Shown, TableLayout
+from pipeline.records.criteria import CRITERIA, REPORTED, criterion_of
+from pipeline.records.findings import Optimum
+from pipeline.records.models import ComparisonRow, Shown, TableLayout
 from pipeline.records.results import ExperimentResult
 from pipeline.theory.predictions import Prediction, Predictions, Request, Theory
 
-DEFAULT_CRITERIA = ("settle_2pct", "overshoot", "energy_step_w0", "energy_step_w1", "energy_step_w2")
+TABLED = tuple(c.name for c in CRITERIA.values() if c.tabled)
 """Criteria of a table for an experiment that no published table holds."""
-
-DELAY_CRITERIA = ("settle_2pct", "energy_step_w0", "energy_step_w1", "energy_step_w2")
-"""Criteria of a table over delay (Table D.6)."""
 
 
 def layouts(data: SceneData) -> tuple[TableLayout, ...]:
@@ -32,18 +31,21 @@ def layouts(data: SceneData) -> tuple[TableLayout, ...]:
             result.append(table.model_copy(update={"experiments": experiments, "criteria": criteria}))
     covered = {e for table in result if table.kind == "optima" for e in table.experiments}
     covered |= {e for table in result if table.kind == "delay" for e in table.experiments}
-    criteria = tuple(c for c in DEFAULT_CRITERIA if c in asked) or tuple(c for c in CRITERIA if c in asked)
+    usual = tuple(c for c in TABLED if c in asked) or tuple(c for c in REPORTED if c in asked)
+    extra = tuple(c for c in asked if c not in REPORTED)  # in no published table
     least = min((added_delay(e) for e in data.experiments), default=0)
     for stages in data.experiments:
         experiment = stages.experiment
         # in a sweep of a device without layouts, one table over delay says more than one table for each delay
         swept = data.device is None and data.scene.delay_sweep and added_delay(stages) > least
-        if experiment not in covered and not swept:
+        criteria = (() if experiment in covered else usual) + extra
+        if criteria and not swept:
             layout = TableLayout(
                 name=f"experiment {experiment}", criteria=criteria, experiments=(experiment,), theory_from=experiment
             )
             result.append(layout)
-    sweep = tuple(c for c in DELAY_CRITERIA if c in asked)
+    # an overshoot of zero at every delay says nothing (Table D.6)
+    sweep = tuple(c for c in (*TABLED, *extra) if c in asked and not criterion_of(c).family.levels)
     if data.device is None and data.scene.delay_sweep and sweep:
         result.append(
             TableLayout(name="delay", criteria=sweep, experiments=stored, theory_from=stored[0], kind="delay")
@@ -226,6 +228,6 @@ def _deviation(cost: float | None, reference: float | None) -> float | None:
 def _optimum_note(criterion: str, optimum: Optimum | None) -> str | None:
     if optimum is None:
         return None
-    if optimum.ties > 1 and criterion in SETTLING_BANDS:
+    if optimum.ties > 1 and criterion_of(criterion).family.whole:
         return f"{optimum.ties} trials share this cost; the one nearest to the middle of them is given."
     return None

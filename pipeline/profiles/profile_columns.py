@@ -9,7 +9,8 @@ from pydantic import BeforeValidator, Field
 from pipeline.base.errors import ParameterError
 from pipeline.base.units import factor_to_si
 from pipeline.profiles.profile_text import Number, Problem
-from pipeline.records.models import Motion, Name, Record
+from pipeline.records.findings import Record
+from pipeline.records.models import Motion, Name
 
 QUANTITIES: dict[str, dict[Motion, str]] = {
     "time": {"translation": "time", "rotation": "time"},

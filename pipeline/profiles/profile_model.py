@@ -22,7 +22,8 @@ from pipeline.base.units import factor_to_si
 from pipeline.profiles.patterns import group_names, pattern_problem
 from pipeline.profiles.profile_columns import Columns, Source, column_problems, factor
 from pipeline.profiles.profile_text import Count, Number, Problem, TextLayout
-from pipeline.records.models import Grip, Motion, Name, Record
+from pipeline.records.findings import Record
+from pipeline.records.models import Grip, Motion, Name
 
 Format = Literal[
     "native", "delimited", "json", "parquet", "feather", "matlab", "hdf5", "rosbag", "mcap", "tdms"

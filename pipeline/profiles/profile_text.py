@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from pipeline.profiles.patterns import pattern_problem
-from pipeline.records.models import Record
+from pipeline.records.findings import Record
 
 BLANKS = "blanks"
 """Delimiter of tables whose columns are parted by runs of blanks and tabs."""

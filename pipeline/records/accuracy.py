@@ -11,7 +11,7 @@ from pipeline import __version__
 from pipeline.base.disk import write_text
 from pipeline.base.json_seal import sealed_json, unsealed_json
 from pipeline.base.provenance import PACKAGE_FOLDER, digest, digest_all, schema_folder, sha256
-from pipeline.records.models import Record
+from pipeline.records.findings import Record
 
 OURS = "this package"
 """Name of our own method among the others."""

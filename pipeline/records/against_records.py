@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pipeline.records.findings import ExcludedTrial
-from pipeline.records.models import Record
+from pipeline.records.findings import ExcludedTrial, Record
 
 Plane = Literal["physical", "normalised"]
 

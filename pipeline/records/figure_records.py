@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 from pipeline.records.batch import Floats
-from pipeline.records.models import FigureKind, Optimum
+from pipeline.records.findings import Optimum
+from pipeline.records.models import FigureKind
 
 P = TypeVar("P")
 

@@ -12,14 +12,6 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 NonNegative = Annotated[float, Field(ge=0)]
 
-RESPONSE_CRITERIA = ("settle_1pct", "settle_2pct", "settle_5pct", "overshoot")
-ENERGY_CRITERIA = ("energy_step_w0", "energy_step_w1", "energy_step_w2")
-CRITERIA = RESPONSE_CRITERIA + ENERGY_CRITERIA
-"""Criteria that a step-response log can be judged by; costs as in `pipeline.measured.cost.costs`."""
-
-SETTLING_BANDS = {"settle_1pct": 0.01, "settle_2pct": 0.02, "settle_5pct": 0.05}
-"""Half width of the settling band relative to the final displacement, by criterion."""
-
 
 class Record(BaseModel):
     """Base of all records: immutable, no unknown fields, no NaN or infinity."""

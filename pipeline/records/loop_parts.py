@@ -104,7 +104,7 @@ class LoopParts(Part):
 
     def over(self, lower: LoopParts) -> LoopParts:
         """Return these parts, with those of another where this one does not name them."""
-        return LoopParts(**{**_named(lower), **_named(self)})
+        return LoopParts(**{**named(lower), **named(self)})
 
     def mistakes(self, mass: float, sampling_period_s: float) -> list[str]:
         """Return what a device of a mass [kg, kg m^2] and a sampling period [s] cannot have, as sentences."""
@@ -120,5 +120,6 @@ class LoopParts(Part):
         return found
 
 
-def _named(parts: LoopParts) -> dict[str, object]:
+def named(parts: Part) -> dict[str, object]:
+    """Return the fields that a table names, as given."""
     return {name: getattr(parts, name) for name in parts.model_fields_set}

@@ -7,23 +7,14 @@ are generated from these classes.
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Literal, Self
 
 from pydantic import ConfigDict, Field, model_validator
 
-from pipeline.records.findings import CRITERIA as CRITERIA
-from pipeline.records.findings import DRIFTS as DRIFTS
-from pipeline.records.findings import ENERGY_CRITERIA as ENERGY_CRITERIA
-from pipeline.records.findings import RESPONSE_CRITERIA as RESPONSE_CRITERIA
-from pipeline.records.findings import SETTLING_BANDS as SETTLING_BANDS
-from pipeline.records.findings import BoundaryPoint as BoundaryPoint
-from pipeline.records.findings import Estimate as Estimate
-from pipeline.records.findings import ModelCheck as ModelCheck
-from pipeline.records.findings import NonNegative as NonNegative
-from pipeline.records.findings import Optimum as Optimum
-from pipeline.records.findings import Record as Record
-from pipeline.records.findings import Trend as Trend
+from pipeline.records.criteria import MEASURED, REPORTED, SETTLING_BANDS
+from pipeline.records.findings import BoundaryPoint, Estimate, NonNegative, Record
 from pipeline.records.loop_parts import LoopParts
+from pipeline.records.simulation_parts import SimulationParts
 
 Motion = Literal["translation", "rotation"]
 Grip = Literal["none", "comfortable", "firm"]
@@ -63,6 +54,7 @@ class Experiment(Record):
     damping_step: Positive
     stiffness_step: Positive
     loop: LoopParts = LoopParts()
+    simulation: SimulationParts = SimulationParts()
 
     @model_validator(mode="after")
     def _grid_is_ordered(self) -> Self:
@@ -82,9 +74,9 @@ class TableLayout(Record):
 
     @model_validator(mode="after")
     def _criteria_are_known(self) -> Self:
-        unknown = [c for c in self.criteria if c not in CRITERIA]
+        unknown = [c for c in self.criteria if c not in MEASURED]
         if unknown:
-            raise ValueError(f"unknown criteria {unknown}; known are {list(CRITERIA)}")
+            raise ValueError(f"unknown criteria {unknown}; known are {list(MEASURED)}")
         return self
 
 
@@ -103,6 +95,7 @@ class Device(Record):
     sensor: Sensor = Sensor()
     limits: Limits
     loop: LoopParts = LoopParts()
+    simulation: SimulationParts = SimulationParts()
     experiments: tuple[Experiment, ...] = Field(alias="experiment", min_length=1)
     tables: tuple[TableLayout, ...] = Field(default=(), alias="table")
 
@@ -112,12 +105,19 @@ class Device(Record):
         """Return the parts of an experiment's loop: its own, and the device's where it names none."""
         return experiment.loop.over(self.loop)
 
+    def simulation_of(self, experiment: Experiment) -> SimulationParts:
+        """Return what only the simulator knows of an experiment: its own, and the device's where it names none."""
+        return experiment.simulation.over(self.simulation)
+
     @model_validator(mode="after")
     def _loops_are_possible(self) -> Self:
         found = [
             f"experiment {experiment.name!r}: {mistake}"
             for experiment in self.experiments
-            for mistake in self.loop_of(experiment).mistakes(experiment.mass, self.sampling_period_s)
+            for mistake in (
+                *self.loop_of(experiment).mistakes(experiment.mass, self.sampling_period_s),
+                *self.simulation_of(experiment).mistakes(self.duration_s, self.limits.force),
+            )
         ]
         if found:
             raise ValueError("; ".join(found))
@@ -231,26 +231,23 @@ class Scene(Record):
 
     device: Name
     experiments: tuple[Name, ...]
-    criteria: tuple[str, ...] = CRITERIA
+    criteria: tuple[str, ...] = REPORTED
     delay_sweep: bool = False
     operator: bool = False
     shown: Shown = Shown()
 
 
-Band = Literal[1, 2, 5]
-"""Settling band [%] that a cost exists for."""
+_BANDS = {round(100 * band): name for name, band in SETTLING_BANDS.items()}
 
-CriterionWord = Literal[
-    "settle",
-    "settle_1pct",
-    "settle_2pct",
-    "settle_5pct",
-    "overshoot",
-    "energy_step_w0",
-    "energy_step_w1",
-    "energy_step_w2",
-]
-"""A criterion in a scene file; ``settle`` stands for the settling times of its ``bands``."""
+if TYPE_CHECKING:
+    Band = int
+    CriterionWord = str
+else:
+    Band = Literal[tuple(_BANDS)]
+    """Settling band [%] that a cost exists for."""
+
+    CriterionWord = Literal[("settle", *MEASURED)]
+    """A criterion in a scene file; ``settle`` stands for the settling times of its ``bands``."""
 
 
 class SceneFile(Record):
@@ -272,7 +269,7 @@ class SceneFile(Record):
     device: Name
     experiments: tuple[Name, ...] | None = Field(default=None, min_length=1)
     criteria: tuple[CriterionWord, ...] | None = Field(default=None, min_length=1)
-    bands: tuple[Band, ...] = Field(default=(1, 2, 5), min_length=1)
+    bands: tuple[Band, ...] = Field(default=tuple(_BANDS), min_length=1)
     delays: tuple[NonNegative, ...] | None = Field(default=None, min_length=1)
     overlays: tuple[Overlay, ...] | None = None
     figures: tuple[FigureKind, ...] | None = None
@@ -282,8 +279,8 @@ class SceneFile(Record):
     @property
     def chosen_criteria(self) -> tuple[str, ...]:
         """The criteria with ``settle`` spelt out, each once."""
-        settling = tuple(f"settle_{band}pct" for band in self.bands)
-        words = self.criteria or ("settle", "overshoot", *ENERGY_CRITERIA)
+        settling = tuple(_BANDS[band] for band in self.bands)
+        words = self.criteria or ("settle", *(name for name in REPORTED if name not in SETTLING_BANDS))
         return tuple(dict.fromkeys(c for word in words for c in (settling if word == "settle" else (word,))))
 
     @property

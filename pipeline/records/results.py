@@ -12,8 +12,8 @@ from pydantic import Field
 
 from pipeline.records.accuracy import AccuracyReport
 from pipeline.records.figure_records import Figure
-from pipeline.records.findings import ExcludedTrial
-from pipeline.records.models import BoundaryPoint, ComparisonRow, Estimate, ModelCheck, Motion, Optimum, Record
+from pipeline.records.findings import BoundaryPoint, Estimate, ExcludedTrial, ModelCheck, Optimum, Record
+from pipeline.records.models import ComparisonRow, Motion
 from pipeline.records.score_records import Scores
 from pipeline.records.score_records import TheoryParameters as TheoryParameters
 from pipeline.records.trial_records import TrialPage

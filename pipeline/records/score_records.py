@@ -6,7 +6,7 @@ from typing import Literal
 
 from pydantic import Field
 
-from pipeline.records.models import Record
+from pipeline.records.findings import Record
 
 
 class TheoryParameters(Record):

@@ -11,6 +11,8 @@ from typing import Any
 
 import pyarrow as pa
 
+from pipeline.records.criteria import FAMILIES, MEASURED, Criterion, criterion_of, members
+
 Metadata = Mapping[str, str]
 
 
@@ -30,6 +32,18 @@ def _same(dtype: pa.DataType, unit: str, meaning: str, nullable: bool = False) -
 
 
 _F, _I, _S, _B = pa.float64(), pa.int64(), pa.string(), pa.bool_()
+
+
+def _cost(criterion: Criterion) -> dict[str, Column]:
+    """Columns of the measured cost by a criterion and of its interval."""
+    family, name = criterion.family, criterion.column
+    dtype = _I if family.whole else _F
+    return {
+        name: _same(dtype, family.unit, criterion.meaning, True),
+        f"{name}_low": _same(dtype, family.unit, f"lower end of the 95 % interval of {name}", True),
+        f"{name}_high": _same(dtype, family.unit, f"upper end of the 95 % interval of {name}", True),
+    }
+
 
 COLUMNS: dict[str, Column] = {
     # identity and conditions of a trial
@@ -126,25 +140,12 @@ COLUMNS: dict[str, Column] = {
     "force_mass_error": Column(_F, "kg", "kg m^2", "its standard error", True),
     "viscous_damping": Column(_F, "Ns/m", "Nms/rad", "viscous damping b from the trial", True),
     # cost stages
-    "overshoot": _same(_F, "1", "(max x - x_inf)/(x_inf - x_0), 0 where the position stays below", True),
+    **{name: column for criterion in MEASURED for name, column in _cost(criterion_of(criterion)).items()},
     "overshoot_floor": _same(_F, "1", "overshoot that sensor and chatter alone can cause"),
-    "overshoot_low": _same(_F, "1", "lower end of its 95 % interval", True),
-    "overshoot_high": _same(_F, "1", "upper end of its 95 % interval", True),
-    "settle_1pct": _same(_I, "samples", "discrete settling time, band 1 %", True),
-    "settle_2pct": _same(_I, "samples", "discrete settling time, band 2 %", True),
-    "settle_5pct": _same(_I, "samples", "discrete settling time, band 5 %", True),
-    **{
-        f"settle_{band}pct_{end}": _same(_I, "samples", f"{side} end of the 95 % interval, band {band} %", True)
-        for band in (1, 2, 5)
-        for end, side in (("low", "lower"), ("high", "upper"))
-    },
     **{
         name: column
         for w in (0, 1, 2)
         for name, column in {
-            f"energy_w{w}": _same(_F, "1", f"discrete energy cost, w = {w}: sum less its noise, plus the tail", True),
-            f"energy_w{w}_low": _same(_F, "1", "lower end of its 95 % interval", True),
-            f"energy_w{w}_high": _same(_F, "1", "upper end of its 95 % interval", True),
             f"energy_w{w}_bias": _same(_F, "1", "what noise and quantum add to the sum, taken off", True),
             f"energy_w{w}_tail": _same(_F, "1", "part of the cost that lies beyond the horizon, extrapolated", True),
             f"energy_w{w}_half": _same(_F, "1", "plain sum up to half of the horizon", True),
@@ -175,10 +176,16 @@ COLUMNS: dict[str, Column] = {
     "trials": _same(_I, "", "trials with K > 0 at that damping"),
 }
 
-_ENERGY = tuple(
-    f"energy_w{w}{part}" for w in (0, 1, 2) for part in ("", "_low", "_high", "_bias", "_tail", "_half", "_full")
-)
-_SETTLE = tuple(f"settle_{band}pct{end}" for band in (1, 2, 5) for end in ("", "_low", "_high"))
+_BESIDE = {
+    "settling": ("settle_matlab_final_value", "settle_matlab_peak_error", "settle_python_control"),
+    "overshoot": ("overshoot_floor", "overshoot_last_sample"),
+    "energy": (
+        *(f"energy_w{w}_{part}" for w in (0, 1, 2) for part in ("bias", "tail", "half", "full")),
+        "horizon_samples",
+    ),
+}
+"""Columns of a cost stage beside those of the costs."""
+
 _MODEL = (
     *("model_mass", "model_mass_error", "model_damping", "model_damping_error", "model_delay", "model_delay_error"),
     *("model_jitter", "model_jitter_error", "model_start", "misfit", "whiteness", "leaves_row"),
@@ -248,22 +255,11 @@ TABLES: dict[str, tuple[str, ...]] = {
         *("force_mass", "force_mass_error", "reason"),
     ),
     "damping": (*_TRIAL, "viscous_damping", "reason"),
-    "overshoot": (
-        *(
-            *_TRIAL,
-            "overshoot",
-            "overshoot_floor",
-            "overshoot_low",
-            "overshoot_high",
-        ),
-        *("overshoot_last_sample", "reason"),
-    ),
-    "settling": (
-        *(*_TRIAL, *_SETTLE),
-        *("settle_matlab_final_value", "settle_matlab_peak_error", "settle_python_control", "reason"),
-    ),
+    **{
+        name: (*_TRIAL, *(c for m in members(family) for c in _cost(m)), *_BESIDE.get(name, ()), "reason")
+        for name, family in FAMILIES.items()
+    },
     "windows": ("window_s", "mass_median", "mass_scatter", "trials", "reason"),
-    "energy": (*_TRIAL, *_ENERGY, "horizon_samples", "reason"),
     "boundary": ("damping", "stable", "unstable", "censored", "estimate", "low", "high", "trials"),
 }
 

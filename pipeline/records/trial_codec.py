@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import base64
 import json
+import math
 import zlib
 from collections.abc import Iterable
 from itertools import islice
@@ -29,6 +30,9 @@ WHOLE = 30
 
 LAGS = (1, 2, 3, 4)
 """Samples before that predict one: two oscillations, or one with drift and offset; more save nothing."""
+
+UNWRITTEN = 1000
+"""Bytes that zlib may hold back, or add to what it cannot make shorter, with a margin."""
 
 EFFORT = 7
 """Level of the compression: 9 takes eight times as long for 6 % fewer bytes."""
@@ -145,19 +149,32 @@ def pack_within(entries: Iterable[Any], budget: int | None, most: int | None = N
     most : int, optional
         Largest number of entries; by default the budget alone says how many.
     """
-    deflate, packed, count = zlib.compressobj(EFFORT), b"", 0
-    done = deflate.compress(b"[")
+    most_characters = math.inf if budget is None else budget
+    deflate, count = zlib.compressobj(EFFORT), 0
+    done, waiting = bytearray(deflate.compress(b"[")), 1
     for entry in islice(entries, most):
-        trial, ahead = deflate.copy(), done
-        ahead += trial.compress((b"," if count else b"") + _json(entry))
-        closed = trial.copy()
-        whole = ahead + closed.compress(b"]") + closed.flush()
-        if budget is not None and 4 * -(-len(whole) // 3) > budget:
-            break
-        deflate, done, packed, count = trial, ahead, whole, count + 1
+        content = (b"," if count else b"") + _json(entry)
+        waiting += len(content)
+        before, size = None, len(done) + waiting + waiting // 100 + UNWRITTEN
+        if _characters(size) > most_characters:  # it may not fit: only the closed stream tells
+            before = deflate.copy()
+        more = deflate.compress(content)
+        if before is not None:
+            closed = deflate.copy()
+            if _characters(len(done) + len(more) + len(closed.compress(b"]") + closed.flush())) > most_characters:
+                deflate = before
+                break
+        done += more
+        waiting = len(content) if more else waiting
+        count += 1
     if not count:
         return pack([]), 0
-    return base64.b64encode(packed).decode(), count
+    return base64.b64encode(done + deflate.compress(b"]") + deflate.flush()).decode(), count
+
+
+def _characters(size: int) -> int:
+    """Length of so many bytes in base64."""
+    return 4 * -(-size // 3)
 
 
 def _json(content: Any) -> bytes:

@@ -7,7 +7,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from pipeline.base.wording import true_minus
-from pipeline.records.models import Estimate, Motion
+from pipeline.records.criteria import CRITERIA, criterion_of
+from pipeline.records.findings import Estimate
+from pipeline.records.models import Motion
 
 MISSING = "–"
 KILO_ABOVE = 2000.0
@@ -38,32 +40,20 @@ UNITS: dict[Motion, Units] = {
     "rotation": Units("Nm/rad", "Nms/rad", "kg m²"),
 }
 
-CRITERION_NAMES = {
-    "settle_1pct": "settling time, 1 % band",
-    "settle_2pct": "settling time, 2 % band",
-    "settle_5pct": "settling time, 5 % band",
-    "overshoot": "overshoot",
-    "energy_step_w0": "energy cost, w = 0 (ISE-like)",
-    "energy_step_w1": "energy cost, w = 1 (ITSE-like)",
-    "energy_step_w2": "energy cost, w = 2 (ISTSE-like)",
-    "energy_impulse_w0": "energy cost of the impulse, w = 0",
-    "energy_impulse_w1": "energy cost of the impulse, w = 1",
-    "energy_impulse_w2": "energy cost of the impulse, w = 2",
-}
+
+def criterion_name(name: str) -> str:
+    """Return what a criterion, or another result, is called in print."""
+    return CRITERIA[name].label if name in CRITERIA else name.replace("_", " ")
 
 
-def criterion_unit(criterion: str) -> str:
-    """Return the unit a cost is printed in: samples, % or nothing for the dimensionless energy costs."""
-    if criterion.startswith("settle"):
-        return "samples"
-    return "%" if criterion.startswith("overshoot") else ""
+def with_unit(name: str, unit: str) -> str:
+    """Return a name with its unit, as in ``overshoot [%]``; without, where there is none."""
+    return f"{name} [{unit}]" if unit else name
 
 
 def criterion_label(criterion: str) -> str:
-    """Return the name of a criterion with the unit of its cost, as in ``overshoot [%]``."""
-    name = CRITERION_NAMES.get(criterion, criterion.replace("_", " "))
-    unit = criterion_unit(criterion)
-    return f"{name} [{unit}]" if unit else name
+    """Return the name of a criterion with the unit of its printed cost."""
+    return with_unit(criterion_name(criterion), criterion_of(criterion).family.printed_unit)
 
 
 def condition_label(condition: str) -> str:
@@ -79,7 +69,7 @@ def table_label(name: str) -> str:
 
 def printed_scale(criterion: str) -> float:
     """Return the factor from the stored cost to the printed one: overshoot is printed in %."""
-    return 100.0 if criterion_unit(criterion) == "%" else 1.0
+    return criterion_of(criterion).family.scale
 
 
 def shortened(text: str, longest: int) -> str:

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
-from pipeline.records.models import Record
+from pipeline.records.criteria import criterion_of
+from pipeline.records.findings import Record
 from pipeline.records.results import ComparisonResult
-from pipeline.rendering.labels import UNITS, Units, criterion_unit
+from pipeline.rendering.labels import UNITS, Units
 from pipeline.rendering.table import Column, Table, Value
 
 Row = dict[str, Value]
@@ -76,7 +77,7 @@ def _fields(record: Record) -> Row:
 
 def _cost_unit(criterion: str) -> Row:
     """The unit of a cost, which differs from row to row; an overshoot is a fraction, whatever it is printed in."""
-    return {"cost_unit": "samples" if criterion_unit(criterion) == "samples" else "1"}
+    return {"cost_unit": criterion_of(criterion).family.unit}
 
 
 def _optimal_points(result: ComparisonResult, name: str) -> Iterator[Row]:

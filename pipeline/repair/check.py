@@ -19,11 +19,11 @@ import pyarrow.parquet as pq
 from pipeline.base.json_seal import DamageError, unsealed_json
 from pipeline.base.provenance import sha256 as hash_of
 from pipeline.base.seal import footer_of, mended, sealed, verify
-from pipeline.ingest.compaction import unseen_trials
-from pipeline.ingest.quarantine import RECORD_FILE, QuarantineRecord
-from pipeline.ingest.rerun import NOTE_FILE
+from pipeline.intake.compaction import unseen_trials
+from pipeline.intake.quarantine import RECORD_FILE, QuarantineRecord
+from pipeline.intake.rerun import NOTE_FILE
 from pipeline.profiles.profile_model import Profile
-from pipeline.records.models import Record
+from pipeline.records.findings import Record
 from pipeline.records.table_files import parquet_bytes
 from pipeline.records.tables import TABLES
 from pipeline.repair.reread import same_logs

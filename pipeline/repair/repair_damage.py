@@ -16,8 +16,8 @@ import pyarrow as pa
 from pipeline.base.disk import move, remove, replacing, sync_folder, write_text
 from pipeline.base.errors import StoreError
 from pipeline.base.lock import WAIT_S, holder, writing
-from pipeline.ingest.quarantine import RECORD_FILE
-from pipeline.ingest.versions import repair as finish_writers
+from pipeline.intake.quarantine import RECORD_FILE
+from pipeline.intake.versions import repair as finish_writers
 from pipeline.profiles.profile_files import load_profile, shipped_profiles
 from pipeline.profiles.profile_model import Profile
 from pipeline.records.tables import TABLES

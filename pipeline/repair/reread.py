@@ -10,10 +10,10 @@ import pyarrow as pa
 from pipeline.base.errors import LogError, ProfileError, UsageError
 from pipeline.base.file_names import path_of_text
 from pipeline.base.regular_files import is_gone
-from pipeline.devices.devices import known_devices
-from pipeline.ingest.reading import batches_of, load_source, read_and_check
-from pipeline.ingest.sources import Source, find_sources
-from pipeline.ingest.trialstore import TrialWriter, accepted_logs
+from pipeline.device_data.devices import known_devices
+from pipeline.intake.reading import batches_of, load_source, read_and_check
+from pipeline.intake.sources import Source, find_sources
+from pipeline.intake.trialstore import TrialWriter, accepted_logs
 from pipeline.profiles.profile_model import Profile
 
 _PENDING_BYTES = 64 << 20

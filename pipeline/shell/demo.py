@@ -10,8 +10,8 @@ from pathlib import Path
 
 from pipeline.base.errors import PipelineError
 from pipeline.comparison.compare import compare
-from pipeline.devices.devices import load_device
-from pipeline.ingest.ingest import ingest
+from pipeline.device_data.devices import load_device
+from pipeline.intake.ingest import ingest
 from pipeline.loop.loop import Normalised
 from pipeline.records.results import ComparisonResult
 from pipeline.rendering.labels import UNITS

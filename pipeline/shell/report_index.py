@@ -11,17 +11,19 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import unescape
+from itertools import count
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
 from pydantic import BaseModel, ValidationError
 
-from pipeline.base.disk import write_text
+from pipeline.base.disk import remove, replacing, write_text
 from pipeline.base.file_names import storable
 from pipeline.base.regular_files import open_regular
 from pipeline.base.wording import unbroken
-from pipeline.records.models import BoundaryPoint, Motion
+from pipeline.records.findings import BoundaryPoint
+from pipeline.records.models import Motion
 from pipeline.rendering.labels import UNITS, decimal, percent_text, stiffness_text
 from pipeline.rendering.report.page_template import fill_template
 
@@ -172,7 +174,8 @@ def write_index(folder: Path, only_renew: bool = False) -> Path | None:
     Returns
     -------
     Path or None
-        The page; None where it is as it was, or a page of somebody else has its name.
+        The page; None where it is as it was, or a page of somebody else has its name. A report that an earlier version
+        wrote there, of a device of that name, is kept beside it.
 
     Raises
     ------
@@ -183,13 +186,16 @@ def write_index(folder: Path, only_renew: bool = False) -> Path | None:
     changed = False
     for _ in range(_ATTEMPTS):
         present = _former(path)
-        if (present is None and only_renew) or (present is not None and INDEX_MARK not in present):
+        taken = present is not None and INDEX_MARK not in present
+        if (only_renew and (taken or present is None)) or (taken and not _keep_report(folder)):
             return None
         state = _state(folder)
         page = render_index(*read_reports(folder))
         if page != present:
             write_text(path, page)
             changed = True
+            if taken:
+                remove(_document(path))
         # another process may have written a report, and an index without ours
         if _state(folder) == state:
             break
@@ -205,6 +211,30 @@ def _former(path: Path) -> str | None:
         return None
     except OSError:
         return ""
+
+
+def _keep_report(folder: Path) -> bool:
+    """Copy the report of a device ``index`` from the index's place to a free name; return whether one is there.
+
+    Earlier versions wrote it there. That of any other device was put there by somebody.
+    """
+    report = folder / INDEX_FILE
+    entry = _entry(folder, INDEX_FILE)
+    if entry is None or entry.document is None or f"{entry.document.device.casefold()}.html" != INDEX_FILE:
+        return False
+    page = report.read_bytes()
+    # as `names.report_of` writes it now, which a newer report may have; no other device has such a name
+    names = (folder / f"%69ndex{f'-{number}' if number else ''}.html" for number in count())
+    kept = next(name for name in names if not name.exists() or name.read_bytes() == page)
+    # the page last: with it, all is kept
+    for file, data in ((_document(kept), _document(report).read_bytes()), (kept, page)):
+        with replacing(file) as stream:
+            stream.write(data)
+    return True
+
+
+def _document(page: Path) -> Path:
+    return page.with_suffix(".json")
 
 
 def _state(folder: Path) -> list[tuple[str, int, int]]:

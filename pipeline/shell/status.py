@@ -19,11 +19,11 @@ from pipeline.base.lock import holder
 from pipeline.base.regular_files import is_gone
 from pipeline.comparison.compare import compare
 from pipeline.comparison.scene.scene import RUN
-from pipeline.ingest.compaction import find_orphans
-from pipeline.ingest.quarantine import list_quarantine
+from pipeline.intake.compaction import find_orphans
+from pipeline.intake.quarantine import list_quarantine
 from pipeline.measured.stages.stages import STAGES, ExperimentStages
 from pipeline.profiles.profile_files import shipped_profiles
-from pipeline.records.models import Record
+from pipeline.records.findings import Record
 from pipeline.store.exclusions import EXCLUSIONS_FILE, Exclusion, Key, read_exclusions, split_trials
 from pipeline.store.names import report_of
 from pipeline.store.storage import natural_key, partner_of, read_trials, samples_metadata, stage_file, steadily

@@ -20,14 +20,20 @@ import numpy as np
 from pipeline import __version__
 from pipeline.base.disk import TEMPORARY_ENDING, write_text
 from pipeline.base.errors import ParameterError, PipelineError, UsageError
-from pipeline.devices.devices import find_experiment
+from pipeline.device_data.devices import find_experiment
 from pipeline.measured.signal.verdict import judge as judge_log
 from pipeline.records.batch import Floats, Integers, TrialBatch
 from pipeline.records.models import Device, Experiment
 from pipeline.records.native import NativeHeader, format_header
+from pipeline.simulation.plants import plant_of
 from pipeline.simulation.procedure import AT_ZERO_STIFFNESS, Climb, Strings
-from pipeline.simulation.simulate import MassSpringDamper, Setup, idealise, setup_of, simulate, spectral_radius
+from pipeline.simulation.radius import spectral_radius
+from pipeline.simulation.setup import Setup, idealise, setup_of
+from pipeline.simulation.simulate import simulate
 from pipeline.store.names import place_of
+
+LOWEST_DAMPING = 2.0
+"""Largest -B tested at K = 0 in times the physical damping, where the tested B end before: the limit is at once."""
 
 COLUMNS_AHEAD = 6
 """Dampings beyond the tested range that are simulated ahead where the range is extended."""
@@ -152,7 +158,8 @@ def run_course(
         batch = simulate(setup, stiffness, damping, seed=seed, stream=stream)
         return batch, np.asarray(judge(batch).verdict, dtype=np.str_)
 
-    climb = Climb(run, coarsen * conditions.stiffness_step, conditions.damping_step, progress)
+    lowest = max(conditions.damping_last, LOWEST_DAMPING * conditions.damping)
+    climb = Climb(run, coarsen * conditions.stiffness_step, conditions.damping_step, lowest, progress)
     stride = coarsen * conditions.damping_step
     tolerance = 1e-9  # of a step: 184/4 must not lose its last damping to rounding
     count = floor((conditions.damping_last - conditions.damping_first) / stride + tolerance) + 1
@@ -235,9 +242,13 @@ def write_course(course: Course, folder: Path, *, overwrite: bool = False) -> in
 
 def _write_logs(course: Course, target: Path, names: Sequence[str]) -> None:
     device, experiment, batch = course.device, course.experiment, course.batch
-    both = np.stack((batch.command, batch.position), axis=2)
-    # time stamps are the same in every log, so they stand in the template as text
-    stamps = ["%.17g" % (k * course.setup.sampling_period_s) for k in range(both.shape[1])]
+    hidden = course.setup.hidden
+    columns: tuple[Floats, ...] = (batch.command, batch.position)
+    # time stamps are the same in every log without gaps, so they stand in the template as text
+    stamps = ["%.17g" % (k * course.setup.sampling_period_s) for k in range(batch.time.shape[1])]
+    if hidden.lost_rows and not hidden.lost_rows_hidden:
+        columns, stamps = (batch.time, *columns), ["%.17g"] * len(stamps)
+    cells = np.stack(columns, axis=2)
     lines = [f"{stamp},%.17g,%.17g\n" for stamp in stamps]
     templates = {int(rows): "".join(lines[:rows]) for rows in np.unique(batch.rows)}
     temporary = target / f".{os.getpid()}{TEMPORARY_ENDING}"
@@ -256,7 +267,7 @@ def _write_logs(course: Course, target: Path, names: Sequence[str]) -> None:
                 motion=device.motion,
                 simulated=True,
             )
-            text = format_header(header, device.motion) + templates[rows] % tuple(both[i, :rows].ravel().tolist())
+            text = format_header(header, device.motion) + templates[rows] % tuple(cells[i, :rows].ravel().tolist())
             temporary.write_bytes(text.encode())
             temporary.replace(target / name)
     finally:
@@ -286,20 +297,22 @@ def _earlier_logs(target: Path, overwrite: bool) -> set[str]:
 
 def _truth(course: Course) -> dict[str, Any]:
     setup, experiment, batch = course.setup, course.experiment, course.batch
-    plant = MassSpringDamper(experiment.mass, experiment.damping, experiment.stiffness)
-    radius = spectral_radius(plant, setup, batch.stiffness, batch.damping)
+    parts = course.device.loop_of(experiment)
+    radius = spectral_radius(plant_of(experiment, parts), setup, batch.stiffness, batch.damping)
     rows = zip(batch.trial_id, batch.stiffness, batch.damping, course.verdict, radius, batch.rows, strict=True)
     return {
         "device": course.device.name,
         "experiment": experiment.name,
         "package_version": __version__,
         "seed": course.seed,
-        "plant": {"mass": plant.mass, "damping": plant.damping, "stiffness": plant.stiffness},
+        "plant": {"mass": experiment.mass, "damping": experiment.damping, "stiffness": experiment.stiffness},
         "delay_samples": setup.delay_samples,
         "jitter_samples": list(setup.jitter_samples),
         "quantum": setup.quantum,
         "noise": setup.noise,
-        "velocity_filter_s": setup.velocity_filter_s,
+        "force_limit": setup.force_limit,
+        "loop": parts.model_dump(mode="json"),
+        "simulation": setup.hidden.model_dump(mode="json"),
         "step": setup.step,
         "edge_row": setup.edge_row,
         "sampling_period_s": setup.sampling_period_s,

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from math import ceil
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,6 +59,8 @@ class Climb:
         Trials and verdicts of stiffness [N/m, Nm/rad] and damping [Ns/m, Nms/rad], both of shape (n,).
     stiffness_step, damping_step : float
         Coarse step of K at a fixed damping, and of -B at K = 0.
+    lowest_damping : float
+        Largest -B that is tested at K = 0: friction or a force limit may hold a device there whatever B is.
     progress : callable or None
         Called with the number of trials kept so far.
     kept, verdicts, order : list
@@ -67,6 +70,7 @@ class Climb:
     run: Callable[[Floats, Floats], tuple[TrialBatch, Strings]]
     stiffness_step: float
     damping_step: float
+    lowest_damping: float
     progress: Callable[[int], None] | None
     kept: list[TrialBatch] = field(default_factory=list)
     verdicts: list[Strings] = field(default_factory=list)
@@ -85,9 +89,12 @@ class Climb:
         ParameterError
             If no unstable trial is found within `LONGEST_CLIMB` steps.
         """
+        last = ceil(self.lowest_damping / self.damping_step) + 1
         coarse = [
             # at K = 0 the first rung is B = 0, at a fixed damping it is K = one step
-            _Ladder(column, damping, -FINE_STEPS if damping is None else 0, FINE_STEPS, None)
+            _Ladder(column, None, -FINE_STEPS, FINE_STEPS, last)
+            if damping is None
+            else _Ladder(column, damping, 0, FINE_STEPS, None)
             for column, damping in columns
         ]
         reached = self._climb(coarse)

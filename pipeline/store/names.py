@@ -12,13 +12,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from urllib.parse import quote, unquote
 
+from pipeline.base.provenance import digest
+
 _RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d) *(\.|$)", re.IGNORECASE)
 """Names that Windows keeps for its devices, with any ending."""
 
 _OWN_PAGES = ("index", "accuracy", "theory")
 """Pages beside the reports of devices: `pipeline watch`, `pipeline accuracy`, `pipeline theory figures`."""
 
-AGAINST = "-against-"
+_AGAINST = "-against"
 """Part of the names of pages that set two experiments, or two versions of a report, against each other."""
 
 
@@ -56,11 +58,33 @@ def place_of(parent: Path, name: str) -> Path:
 
 def report_of(reports: Path, device: str) -> Path:
     """Return the file of the report of a device, which is that of no other page and no other device."""
-    plain = folder_name(device)
+    plain = _without_against(device)
     if plain.casefold() in _OWN_PAGES:
         plain = _escaped(plain[0]) + plain[1:]
-    plain = plain.replace(AGAINST, _escaped(AGAINST[0]) + AGAINST[1:])
     return _place(reports, (f"{plain}.html", f"{_in_digits(device)}.html"))
+
+
+def page_against(reports: Path, first: tuple[str, str], second: tuple[str, str]) -> Path:
+    """Return the file of the page on two experiments (device, experiment), which is that of no other page."""
+    # no name of a folder holds the sign between device and experiment
+    one, other = ("=".join(map(_without_against, pair)) for pair in (first, second))
+    if first[0] == second[0]:
+        other = _without_against(second[1])
+    plain = f"{one}{_AGAINST}-{other}"
+    return _place(reports, (f"{plain}.html", f"{_in_digits(plain)}.html"))
+
+
+def page_against_document(report: Path, document: Path) -> Path:
+    """Return the file, beside a report, of the page on it and the document of an earlier one, another for each place.
+
+    Documents of several versions lie in folders of several names, and bear one name.
+    """
+    place = digest(os.path.realpath(document))
+    return report.with_name(f"{report.stem}{_AGAINST}-earlier-{place[:8]}.html")
+
+
+def _without_against(name: str) -> str:
+    return folder_name(name).replace(_AGAINST, _escaped(_AGAINST[0]) + _AGAINST[1:])
 
 
 def _place(parent: Path, choices: Sequence[str]) -> Path:

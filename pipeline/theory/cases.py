@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import csv
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,26 +18,22 @@ import numpy as np
 from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop
 from pipeline.records.batch import Floats
+from pipeline.records.criteria import CRITERIA, DISCRETE, ENERGY, with_discrete
 from pipeline.theory.cost.pointcosts import point_costs_by_name
+from pipeline.theory.cost.theory_map import check_criteria
 from pipeline.theory.cost.transient import LONGEST
-from pipeline.theory.optimum.optimum import COST_CRITERIA, POLE_CRITERIA, optimal_point
+from pipeline.theory.optimum.optimum import optimal_point
 from pipeline.theory.optimum.rules import POINT_CRITERIA, marked_point
 from pipeline.theory.stability.stability import boundary, spectral_radius, stable_by_radius
 
 CASE_COLUMNS = ("alpha", "beta", "gamma", "delta", "delay")
-ENERGIES = {signal: tuple(f"energy_{signal}_w{w}" for w in (0, 1, 2)) for signal in ("step", "impulse")}
 
 POINT_COSTS = tuple(
     name + suffix
-    for name in ("settle_2pct", "overshoot", *ENERGIES["step"], *ENERGIES["impulse"])
-    for suffix in ("", "_discrete")
+    for name in ("settle_2pct", "overshoot", *(c.name for c in CRITERIA.values() if c.family is ENERGY))
+    for suffix in ("", DISCRETE)
 )
-"""Costs of a listed point."""
-
-UNSIGNALLED = (*POINT_CRITERIA, *POLE_CRITERIA)
-"""Criteria that do not depend on which response is looked at: points without a cost, and poles."""
-
-OPTIMUM_CRITERIA = (*POINT_CRITERIA, *COST_CRITERIA)
+"""Costs of a listed point, where no others are asked for."""
 
 MARGINAL = 1e-12
 """Distance of the spectral radius from 1 below which no cost is given: the poles are rounded to about 1e-15
@@ -110,28 +107,31 @@ def _numbers(path: Path, row: int, cells: list[str], width: int, places: list[in
     return numbers
 
 
-def point_costs(cases: Cases) -> list[dict[str, Any]]:
+def point_costs(cases: Cases, criteria: Sequence[str] = POINT_COSTS) -> list[dict[str, Any]]:
     """Return stability and costs of each point, in the order of the file.
 
     Parameters
     ----------
     cases : Cases
+    criteria : sequence of str
+        As of `theory_map.CostMap`.
 
     Returns
     -------
     list of dict
-        The five parameters, ``stable``, ``spectral_radius``, each of `POINT_COSTS` (None where it cannot be
+        The five parameters, ``stable``, ``spectral_radius``, the cost by each criterion (None where it cannot be
         had) and ``reason`` (why costs are None, else None).
 
     Raises
     ------
     ParameterError
-        If gamma, delta or delay of a row is outside its range.
+        For an unknown criterion, or if gamma, delta or delay of a row is outside its range.
 
     Notes
     -----
     Points with alpha + gamma <= 0 have no final position, a real pole z >= 1, and are not stable.
     """
+    check_criteria(criteria)
     documents: list[dict[str, Any]] = [{} for _ in cases.row]
     plants, group = np.unique(cases.values[:, 2:], axis=0, return_inverse=True)
     group = group.ravel()
@@ -142,18 +142,21 @@ def point_costs(cases: Cases) -> list[dict[str, Any]]:
         except ParameterError as error:
             raise ParameterError(f"{cases.path}, row {cases.row[members[0]]}: {error}") from error
         alpha, beta = cases.values[members, 0], cases.values[members, 1]
-        for index, document in zip(members, _points_of_loop(loop, alpha, beta), strict=True):
+        for index, document in zip(members, points_of_loop(loop, alpha, beta, criteria), strict=True):
             documents[index] = document
     return documents
 
 
-def _points_of_loop(loop: Loop, alpha: Floats, beta: Floats) -> list[dict[str, Any]]:
+def points_of_loop(
+    loop: Loop, alpha: Floats, beta: Floats, criteria: Sequence[str] = POINT_COSTS
+) -> list[dict[str, Any]]:
+    """Return the documents of `point_costs` for points of one loop; alpha and beta are finite, shape (n,)."""
     radius = spectral_radius(loop, alpha, beta)
     stable = stable_by_radius(loop, alpha, radius)
     usable = np.flatnonzero(stable & (radius < 1 - MARGINAL))
-    costs = {name: np.full(len(alpha), np.nan) for name in POINT_COSTS}
+    costs = {name: np.full(len(alpha), np.nan) for name in criteria}
     if len(usable):
-        found = point_costs_by_name(loop, alpha[usable], beta[usable], POINT_COSTS, LONGEST)
+        found = point_costs_by_name(loop, alpha[usable], beta[usable], criteria, LONGEST)
         for name, values in found.items():
             costs[name][usable] = values
     columns = {name: [None if math.isnan(v) else float(v) for v in values] for name, values in costs.items()}
@@ -214,7 +217,7 @@ def optimum_document(loop: Loop, criterion: str, signal: str | None = None) -> d
     ----------
     loop : Loop
     criterion : str
-        One of `OPTIMUM_CRITERIA`; for the sampled response with ``_discrete`` appended, or by `signal`.
+        One of `CRITERIA` or `POINT_CRITERIA`; for the sampled response with ``_discrete`` appended, or by `signal`.
     signal : {"continuous", "discrete"}, optional
         Which response the cost is taken from; by default as the criterion's name says.
 
@@ -223,26 +226,27 @@ def optimum_document(loop: Loop, criterion: str, signal: str | None = None) -> d
     ParameterError
         For a criterion or signal that is not supported, or where both contradict each other.
     """
-    base = criterion.removesuffix("_discrete")
-    if base not in OPTIMUM_CRITERIA or (base in UNSIGNALLED and criterion != base):
+    known = with_discrete(CRITERIA)
+    if criterion not in (*POINT_CRITERIA, *known):
         raise ParameterError(
-            f"no optimum for criterion {criterion!r}; supported are {', '.join(OPTIMUM_CRITERIA)}, "
-            f"all but {', '.join(UNSIGNALLED)} also with _discrete appended."
+            f"no optimum for criterion {criterion!r}; supported are {', '.join((*POINT_CRITERIA, *CRITERIA))}, "
+            "those of a response also with _discrete appended."
         )
     if signal not in (None, "continuous", "discrete"):
         raise ParameterError(f"signal {signal!r}: expected continuous or discrete.")
-    if signal == "continuous" and criterion != base:
+    if signal == "continuous" and criterion.endswith(DISCRETE):
         raise ParameterError(f"criterion {criterion!r} is a discrete one, but the signal is continuous.")
     document: dict[str, Any] = {"criterion": criterion, **_plant(loop)}
-    if base in POINT_CRITERIA:
-        mark = marked_point(loop, base)
+    if criterion in POINT_CRITERIA:
+        mark = marked_point(loop, criterion)
         reason = (
             "a tuning rule has no cost"
-            if base == "ziegler_nichols"
+            if criterion == "ziegler_nichols"
             else "a point of the stability boundary has no cost"
         )
         return {**document, "alpha": mark.alpha, "beta": mark.beta, "cost": None, "reason": reason}
-    name = f"{base}_discrete" if signal == "discrete" and base not in UNSIGNALLED else criterion
+    # criteria of the poles have no sampled response
+    name = sampled if signal == "discrete" and (sampled := f"{criterion}{DISCRETE}") in known else criterion
     point = optimal_point(loop, name)
     document["criterion"] = name
     document |= {"alpha": point.alpha, "beta": point.beta, "cost": point.cost}

@@ -20,11 +20,15 @@ from pipeline.base.json_seal import sealed_json, unsealed_json
 from pipeline.base.process_pool import process_pool
 from pipeline.base.provenance import code_digest, digest
 from pipeline.loop.loop import Loop, Normalised
+from pipeline.records.criteria import criterion_of
 from pipeline.records.results import TheoryParameters
 from pipeline.theory.optimum import optimum
 from pipeline.theory.optimum.optimum import optimal_point
 from pipeline.theory.optimum.search import OptimalPoint
 from pipeline.theory.stability.stability import Boundary, boundary
+
+_TURN = {"overshoot": 0, "energy": 2}
+"""Families whose optima take the most time, and the least; all others are 1."""
 
 BOUNDARY_POINTS = 160
 """Points of a boundary that is drawn."""
@@ -118,9 +122,7 @@ class Predictions:
             return
         pool = self._pool.enter_context(process_pool(workers))
         # slow ones first, so that no processor ends up waiting for the last
-        order = sorted(
-            missing, key=lambda r: (not r[1].startswith("overshoot"), r[1].startswith("energy"), -r[0].delay)
-        )
+        order = sorted(missing, key=lambda r: (_TURN.get(criterion_of(r[1]).family.name, 1), -r[0].delay))
         self._pending = {request: pool.submit(optimal_point, *request) for request in order}
 
     def finish(self) -> None:

@@ -11,8 +11,8 @@ from native_logs import FAULTS, log_text
 
 from pipeline.base import disk, lock
 from pipeline.base.disk import NewFile, publish_all, remove_temporary, replacing
-from pipeline.ingest.ingest import ingest
-from pipeline.ingest.quarantine import RECORD_FILE
+from pipeline.intake.ingest import ingest
+from pipeline.intake.quarantine import RECORD_FILE
 
 
 def test_threads_may_write_one_file(tmp_path):
@@ -51,6 +51,34 @@ def test_what_is_left_over_is_removed_whoever_wrote_it(tmp_path):
     assert len(os.listdir(tmp_path / "below")) == 3
     remove_temporary(tmp_path)
     assert os.listdir(tmp_path / "below") == []
+
+
+@pytest.mark.parametrize("fails", ["nothing", "scandir", "unlink"])
+def test_what_killed_writers_left_is_removed_by_a_later_one(tmp_path, monkeypatch, fails):
+    killed = [NewFile(tmp_path, name)._temporary.name for name in ("a", "line\nbreak", "b" * 300)]
+    young = NewFile(tmp_path, "a")._temporary.name
+    others = [".a.tmp", ".a.0123.tmp", "a.0123456789abcdef.tmp", ".a.0123456789abcdef.tmp~", "a.html"]
+    for name in others:
+        (tmp_path / name).touch()
+    (tmp_path / ".folder.0123456789abcdef.tmp").mkdir()
+    for name in os.listdir(tmp_path):
+        if name != young:
+            os.utime(tmp_path / name, (0, 0))
+
+    plain = os.unlink
+
+    def failing(path):
+        if fails == "scandir" or os.path.basename(path) in killed:
+            raise PermissionError
+        plain(path)
+
+    with monkeypatch.context() as patch:
+        if fails != "nothing":
+            patch.setattr(disk.os, fails, failing)
+        with replacing(tmp_path / "new"):
+            pass
+    left = {"new", young, *others, ".folder.0123456789abcdef.tmp", *(killed if fails != "nothing" else ())}
+    assert set(os.listdir(tmp_path)) == left
 
 
 def test_no_file_is_written_through_a_link(tmp_path, monkeypatch):

@@ -21,6 +21,9 @@ def test_what_still_computes_ends_with_a_block_that_fails():
     assert set(multiprocessing.active_children()) <= before
 
 
-def test_workers_do_without_pandas():
-    with process_pool(1) as pool, pytest.raises(ModuleNotFoundError, match="left out here"):
-        pool.submit(__import__, "pandas").result()
+def test_workers_load_pandas_only_for_who_asks():
+    with process_pool(1) as pool:
+        assert not pool.submit(eval, "__import__('pyarrow').array([1]) is None").result()
+        assert "pandas" not in pool.submit(eval, "list(__import__('sys').modules)").result()
+        assert pool.submit(eval, "__import__('pyarrow').table({'a': [1]}).to_pandas()['a'].sum()").result() == 1
+        assert pool.submit(eval, "__import__('pandas').DataFrame({'a': [1]})['a'].sum()").result() == 1

@@ -20,7 +20,7 @@ from pipeline.base import provenance
 from pipeline.base.provenance import PACKAGE_FOLDER, code_digest, reachable, schema_folder
 from pipeline.comparison import compare
 from pipeline.comparison.compare import report_code
-from pipeline.ingest import ingest
+from pipeline.intake import ingest
 from pipeline.measured.cost import cost_intervals, tail
 from pipeline.measured.device import friction, onset
 from pipeline.measured.experiment import boundary_band, known_delay
@@ -79,8 +79,7 @@ def closure(*modules: str) -> set[str]:
 def stage_modules(stage: str) -> set[str]:
     """Modules that the result of a stage can depend on: those of its functions, of its needs, and what calls them."""
     made = STAGES[stage]
-    functions = {f.__module__ for f in (made.rows, made.given, made.whole, made.derived) if f}
-    own = closure(type(made).__module__, *functions)
+    own = closure(type(made).__module__, *made.modules)
     return own.union(*(stage_modules(need) for need in made.needs))
 
 
@@ -123,7 +122,7 @@ def test_an_edit_of_what_nothing_depends_on_makes_nothing_stale(module, before, 
 
 
 EDITS: list[tuple[ModuleType, set[str]]] = [
-    (slowmodes, {"report"}),
+    (slowmodes, {"theory", "report"}),
     (labels, {"report"}),
     (models, {"report", "ingest"}),
     (refinement, {"theory", "report"}),
@@ -135,7 +134,7 @@ EDITS: list[tuple[ModuleType, set[str]]] = [
     (fit_jitter, {"model", "damping", "mass", "energy", "report"}),
     (onset, {"delay", "damping", "mass", "settling", "energy", "windows", "report"}),
     (known_delay, {"damping", "mass", "settling", "energy", "windows", "report"}),
-    (cost_intervals, {"overshoot", "settling", "energy", "report"}),
+    (cost_intervals, {"overshoot", "settling", "energy", "rise", "report"}),
     (samples, {*STAGES, "report"}),
 ]
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -18,10 +19,10 @@ from pipeline.comparison.against import (
     compare_optima,
     difference_interval,
 )
-from pipeline.comparison.against_run import against_document, against_experiments, names_of
-from pipeline.records.models import BoundaryPoint, Estimate, Optimum
+from pipeline.comparison.against_run import against_document, against_experiments, names_of, read_document
+from pipeline.records.findings import BoundaryPoint, Estimate, Optimum
 from pipeline.rendering.report.report_against import pair_tables, render
-from pipeline.shell.commands.cli_theory import app
+from pipeline.shell.cli import app
 
 pytestmark = pytest.mark.usefixtures("one_process")
 
@@ -259,7 +260,7 @@ def test_against_an_earlier_document_of_another_version(falcon_outcome, tmp_path
     document = json.loads(falcon_outcome.report.with_suffix(".json").read_text(encoding="utf-8"))
     path = tmp_path / "old.json"
     path.write_text(json.dumps(document), encoding="utf-8")
-    (pair,) = against_document(falcon_outcome.result, path).result.pairs
+    (pair,) = against_document(falcon_outcome.result, read_document(path, "falcon")).result.pairs
     assert pair.boundary.largest_percent == 0
     assert all(v.difference in (0, None) for v in (*pair.estimates, *pair.optima))
     document["provenance"]["version"] = "0.0.9"
@@ -270,7 +271,7 @@ def test_against_an_earlier_document_of_another_version(falcon_outcome, tmp_path
     del experiment["configuration"]
     document["experiments"].append(experiment | {"experiment": "9"})
     path.write_text(json.dumps(document), encoding="utf-8")
-    page = against_document(falcon_outcome.result, path)
+    page = against_document(falcon_outcome.result, read_document(path, "falcon"))
     assert page.result.only_first == ("9",)
     assert page.result.pairs[0].first.version == "0.0.9"
     mass = next(v for v in page.result.pairs[0].estimates if v.name == "mass")
@@ -283,12 +284,12 @@ def test_wrong_documents_and_pairs_are_refused(falcon, falcon_outcome, tmp_path)
     for text in ("", "[]", "{}", '{"device": "falcon", "experiments": [1]}'):
         (tmp_path / "x.json").write_text(text)
         with pytest.raises(UsageError, match="is no result"):
-            against_document(falcon_outcome.result, tmp_path / "x.json")
+            read_document(tmp_path / "x.json", "falcon")
     with pytest.raises(UsageError, match="cannot be read"):
-        against_document(falcon_outcome.result, tmp_path / "none.json")
+        read_document(tmp_path / "none.json", "falcon")
     (tmp_path / "x.json").write_text('{"device": "lwr", "experiments": []}')
     with pytest.raises(UsageError, match="of device 'lwr'; expected one of 'falcon'"):
-        against_document(falcon_outcome.result, tmp_path / "x.json")
+        read_document(tmp_path / "x.json", "falcon")
     with pytest.raises(UsageError, match="against itself"):
         against_experiments(falcon.processed, ("falcon", "1"), ("falcon", "1"))
     with pytest.raises(DeviceError):
@@ -317,3 +318,26 @@ def test_command_prints_and_writes_what_differs(lwr, tmp_path):
         app, ["compare", "--device", "lwr", "--against", "delay-4", "--processed", str(lwr.processed)]
     )
     assert failed.exit_code != 0
+
+
+def test_the_document_of_the_report_itself_is_read_before_it_is_replaced(lwr, tmp_path):
+    report = tmp_path / "lwr.html"
+    arguments = ["compare", "--device", "lwr", "-e", "delay-2", "--criteria", "overshoot", "--report", str(report)]
+    arguments += ["--processed", str(lwr.processed), "--json"]
+    first = CliRunner().invoke(app, arguments)
+    assert first.exit_code == 0, first.output
+    document = json.loads(first.stdout)
+    document["provenance"] |= {"version": "0.0.9", "key": "of another version"}
+    pages = []
+    (tmp_path / "old").mkdir()
+    for path in (tmp_path / "old" / "lwr.json", report.with_suffix(".json")):
+        path.write_text(json.dumps(document), encoding="utf-8")
+        result = CliRunner().invoke(app, [*arguments, "--against-report", str(path)])
+        assert result.exit_code == 0, result.output
+        page = json.loads(result.stdout)
+        assert page["pairs"][0]["first"]["version"] == "0.0.9"
+        pages.append(page["report"])
+    assert json.loads(report.with_suffix(".json").read_text(encoding="utf-8")) == json.loads(first.stdout)
+    assert len(set(pages)) == 2, "two documents of one name have pages of their own"
+    for page in pages:
+        assert re.fullmatch(r"lwr-against-earlier-[0-9a-f]{8}\.html", Path(page).relative_to(tmp_path).name)

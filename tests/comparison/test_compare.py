@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from pipeline.base.disk import write_text
 from pipeline.base.errors import StoreError
@@ -15,10 +16,11 @@ from pipeline.comparison import compare as comparison
 from pipeline.comparison.compare import compare
 from pipeline.comparison.figures.figure_data import FigureBuilder
 from pipeline.comparison.scene.scene import LEAVE_OUT, REUSE, RUN
-from pipeline.ingest.ingest import ingest
+from pipeline.intake.ingest import ingest
 from pipeline.measured.stages import stage_tables
 from pipeline.records.results import ComparisonResult
 from pipeline.rendering.report import report
+from pipeline.shell.cli import app
 from pipeline.theory import predictions
 
 QUICK = ("energy_step_w0", "overshoot")
@@ -292,6 +294,30 @@ def test_a_damaged_stage_file_is_named_or_made_anew(own):
     with pytest.raises(StoreError, match=r"energy\.parquet.*`pipeline check --repair` saves it"):
         run(own)
     assert not (own / "own.html").exists()
+
+
+@pytest.mark.parametrize("tree", ["trials", "samples", "stages"])
+def test_a_damaged_experiment_keeps_no_other_from_being_compared(own, tree):
+    expected = run(own, experiments=["delay-4"]).result
+    for path in (own / "processed" / tree / "lwr" / "delay-2").iterdir():
+        path.write_bytes(path.read_bytes()[:-8] + b"no table")
+        if tree == "stages":
+            path.write_bytes(b"no table")
+    shutil.rmtree(own / "processed" / "stages" / "lwr" / "delay-4")
+    (own / "own.html").unlink()
+    again = run(own, experiments=["delay-4"])
+    assert actions(again)["delay-4: response"] == RUN
+    assert again.result == expected
+    arguments = ["compare", "--device", "lwr", "--processed", str(own / "processed"), "--json"]
+    arguments += ["--criteria", "overshoot", "--report", str(own / "named.html")]
+    named = CliRunner().invoke(app, [*arguments, "--experiment", "delay-4"])
+    assert named.exit_code == 0, named.output
+    assert [e["experiment"] for e in json.loads(named.stdout)["experiments"]] == ["delay-4"]
+    if tree == "stages":
+        return
+    # a device with a damaged experiment is refused
+    with pytest.raises(StoreError, match=rf"{tree}/lwr/delay-2/.*`pipeline check --repair` saves it"):
+        run(own)
 
 
 # --- the rest ---------------------------------------------------------------------------------------------------------

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
+import tempfile
 
-from pipeline.comparison import stage_pool
+import pytest
+
+from pipeline.comparison import shared_groups, stage_pool
 from pipeline.comparison.stage_pool import compute_stages
+from pipeline.measured.stages import stages
 from pipeline.records import groups
+from pipeline.records.batch import TrialBatch
 from pipeline.records.table_files import read_table
 
 NEEDED = {"response", "boundary", "delay"}
@@ -42,10 +48,33 @@ def test_one_experiment_or_one_processor_is_left_for_later(lwr, tmp_path, monkey
     assert not (copy / "stages").exists()
 
 
-def test_the_groups_of_a_large_experiment_are_shared(lwr, tmp_path, monkeypatch):
+def no_file(*_, **__):
+    raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+
+@pytest.mark.parametrize("room", ["a file", "no room", "no file"])
+def test_the_groups_of_a_large_experiment_are_shared(lwr, tmp_path, monkeypatch, room):
     monkeypatch.setattr(os, "cpu_count", lambda: 2)
     monkeypatch.setattr(stage_pool, "LARGE", 50)
     monkeypatch.setattr(groups, "READINGS", 10_000)
+    monkeypatch.setattr(shared_groups, "FEWEST", 10)
+    monkeypatch.setattr(tempfile, "tempdir", str(scratch := tmp_path / "scratch"))
+    scratch.mkdir()
+    ways, listed = [], []
+
+    original = shared_groups.SharedGroups._share
+
+    def share(self, batch):
+        shared = original(self, batch)
+        ways.append(type(shared))
+        listed.extend(scratch.iterdir())
+        return shared
+
+    monkeypatch.setattr(shared_groups.SharedGroups, "_share", share)
+    if room == "no file":
+        monkeypatch.setattr(shared_groups, "TemporaryFile", no_file)
+    if room == "no room":
+        monkeypatch.setattr(shared_groups, "_write", no_file)
     shutil.copytree(lwr.processed / "trials", tmp_path / "trials")
     shutil.copytree(lwr.processed / "samples", tmp_path / "samples")
     own = lwr.stages("delay-2", tmp_path)
@@ -53,8 +82,47 @@ def test_the_groups_of_a_large_experiment_are_shared(lwr, tmp_path, monkeypatch)
     assert own.count_new_trials() == own.trials.num_rows
     needed = {*NEEDED, "model", "damping", "mass", "outcome", "overshoot", "settling", "energy", "windows"}
     compute_stages([own], needed)
+    assert set(ways) == ({tuple} if room == "a file" else {TrialBatch})
+    assert len(ways) > len(own.samples.parts), "groups are cut"
+    assert listed == [], "the file has no name"
     monkeypatch.undo()
     alone = lwr.stages("delay-2")
     for stage in needed:
         assert own.table(stage).equals(alone.table(stage)), stage
     assert own.count_new_trials() == 0
+
+
+def test_what_is_not_new_is_not_computed_by_several_processes_either(lwr, tmp_path, monkeypatch):
+    shutil.copytree(lwr.processed / "trials", tmp_path / "trials")
+    shutil.copytree(lwr.processed / "samples", tmp_path / "samples")
+    whole = lwr.stages("delay-2", tmp_path)
+    some = stages.ExperimentStages(tmp_path, "lwr", "delay-2", whole.trials.slice(30))
+    some.table("delay")
+    monkeypatch.setattr(os, "cpu_count", lambda: 2)
+    monkeypatch.setattr(stage_pool, "LARGE", 20)
+    computed = []
+    original = shared_groups.SharedGroups.map
+
+    def counted(self, function, groups, *masks):
+        results = list(original(self, function, groups, *masks))
+        computed.append(sum(result.num_rows for result in results))
+        return results
+
+    monkeypatch.setattr(shared_groups.SharedGroups, "map", counted)
+    compute_stages([whole], NEEDED)
+    monkeypatch.undo()
+    assert computed == [30, 30], "response and delay"
+    for stage in NEEDED:
+        assert whole.table(stage).equals(lwr.stages("delay-2").table(stage)), stage
+
+
+def test_large_experiments_that_fill_all_processors_are_not_cut(lwr, tmp_path, monkeypatch):
+    """Each in a process of its own they need not wait for each other after every stage."""
+    monkeypatch.setattr(os, "cpu_count", lambda: 2)
+    monkeypatch.setattr(stage_pool, "LARGE", 20)
+    monkeypatch.setattr(stages.ExperimentStages, "compute", no_file)
+    shutil.copytree(lwr.processed / "trials", tmp_path / "trials")
+    shutil.copytree(lwr.processed / "samples", tmp_path / "samples")
+    experiments = [lwr.stages(name, tmp_path) for name in lwr.courses]
+    compute_stages(2 * experiments, NEEDED)
+    assert all(own.is_stored("delay") for own in experiments)

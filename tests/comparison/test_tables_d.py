@@ -9,7 +9,8 @@ from pipeline.base.provenance import schema_folder
 from pipeline.comparison.compare_experiment import nominal_theories
 from pipeline.comparison.scene.scene import open_scene
 from pipeline.comparison.tables_d import TableBuilder, condition_of, layouts
-from pipeline.records.models import ComparisonRow, Optimum
+from pipeline.records.findings import Optimum
+from pipeline.records.models import ComparisonRow
 from pipeline.theory.predictions import Predictions
 
 CENTRES = 0.002
@@ -89,7 +90,7 @@ def test_theory_of_d4_to_d6_is_the_published_one(lwr_outcome):
 def test_theory_of_d3_and_of_all_delays_is_the_published_one(sweep, tmp_path_factory, one_process):
     import conftest
 
-    from pipeline.devices.devices import load_device
+    from pipeline.device_data.devices import load_device
 
     firm = conftest.make_lab(tmp_path_factory.mktemp("firm"), load_device("falcon"), ("6",), ideal=True, coarsen=6)
     rows = theory_rows(firm.compare())
@@ -148,7 +149,7 @@ def test_conditions_are_named_as_published():
 
 
 def layouts_of_device(name):
-    from pipeline.devices.devices import load_device
+    from pipeline.device_data.devices import load_device
 
     return load_device(name).tables
 

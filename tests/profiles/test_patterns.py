@@ -6,7 +6,7 @@ import time
 import pytest
 
 from pipeline.base.errors import ProfileError
-from pipeline.ingest.ingest import ingest
+from pipeline.intake.ingest import ingest
 from pipeline.profiles.patterns import find_groups, group_names, pattern_problem
 from pipeline.profiles.profile_files import read_profile, shipped_profiles
 

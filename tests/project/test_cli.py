@@ -15,8 +15,7 @@ from pipeline import __version__
 from pipeline.base.errors import StoreError
 from pipeline.comparison import compare
 from pipeline.shell import cli, console
-from pipeline.shell.cli import run
-from pipeline.shell.commands.cli_theory import app
+from pipeline.shell.cli import app, run
 
 COMMANDS = {
     "demo": ["--full"],
@@ -139,6 +138,19 @@ def test_ingest_loads_what_it_needs(tmp_path):
         (tmp_path / "logs" / f"{number}.csv").write_text(log_text(float(number)))
         assert loaded(*command) == ("pydantic", "numpy.ma", "numpy", "pyarrow", "pyarrow.parquet")
         assert loaded(*command) == ()
+
+
+def test_ingest_does_without_pandas(tmp_path):
+    (tmp_path / "a.csv").write_text(log_text(300.0))
+    script = (
+        "import sys\nfrom pipeline.shell.cli import run\ntry:\n    run()\nfinally:\n    print('pandas' in sys.modules)"
+    )
+    words = ["ingest", "a.csv", "--json"]
+    done = subprocess.run(
+        [sys.executable, "-c", script, *words], capture_output=True, text=True, cwd=tmp_path, check=True
+    )
+    assert json.loads(done.stdout[: done.stdout.rindex("}") + 1])["ingested"] == 1
+    assert done.stdout.splitlines()[-1] == "False"
 
 
 def test_a_command_alone_is_that_of_the_whole_command_line():

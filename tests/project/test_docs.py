@@ -47,7 +47,7 @@ def test_readme_shows_the_commands_that_a_user_needs() -> None:
 
 
 def test_log_of_the_readme_is_accepted(tmp_path: Path) -> None:
-    from pipeline.ingest.ingest import ingest
+    from pipeline.intake.ingest import ingest
     from pipeline.store.storage import read_trials
 
     block = re.search(r"^ {4}# device: .*\n(?: {4}.*\n)+", read(ROOT / "README.md"), flags=re.MULTILINE)

@@ -11,9 +11,9 @@ from stored import check_whole, stored_rows
 
 from pipeline.base import disk, lock
 from pipeline.base.errors import StoreError
-from pipeline.ingest import compaction
-from pipeline.ingest.compaction import compact, find_orphans
-from pipeline.ingest.ingest import ingest
+from pipeline.intake import compaction
+from pipeline.intake.compaction import compact, find_orphans
+from pipeline.intake.ingest import ingest
 
 
 class Lab:

@@ -24,10 +24,10 @@ from places import ROOT
 from pipeline.base.errors import Code, LogError, ProfileError, UsageError
 from pipeline.base.file_names import path_of_text, path_text, storable
 from pipeline.base.regular_files import open_regular
-from pipeline.ingest.excerpt import LONGEST_SHOWN, excerpt_of
-from pipeline.ingest.ingest import ingest
-from pipeline.ingest.quarantine import RECORD_FILE, list_quarantine
-from pipeline.ingest.sources import find_sources
+from pipeline.intake.excerpt import LONGEST_SHOWN, excerpt_of
+from pipeline.intake.ingest import ingest
+from pipeline.intake.quarantine import RECORD_FILE, list_quarantine
+from pipeline.intake.sources import find_sources
 from pipeline.profiles.profile_files import load_profile
 from pipeline.readers import conditions
 from pipeline.readers.file_kind import refuse_other_kind

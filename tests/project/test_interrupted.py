@@ -9,8 +9,8 @@ import time
 from native_logs import FAULTS, log_text
 from stored import stored_rows
 
-from pipeline.ingest import ingest as ingest_module
-from pipeline.ingest.ingest import ingest
+from pipeline.intake import ingest as ingest_module
+from pipeline.intake.ingest import ingest
 
 COMMAND = [sys.executable, "-c", "from pipeline.shell.cli import run; run()", "ingest", "logs", "--jobs", "1"]
 

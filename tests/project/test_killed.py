@@ -21,7 +21,7 @@ import pytest
 from report_data import document_without_places
 
 from pipeline.base import lock
-from pipeline.devices.devices import load_device
+from pipeline.device_data.devices import load_device
 from pipeline.simulation.course import run_course, write_course
 from pipeline.store.storage import read_trials
 

@@ -80,7 +80,7 @@ def test_from_a_foreign_csv_to_a_report(capsys):
 
 
 def test_the_foreign_course_gives_the_same_trials_as_the_simulated_logs(capsys):
-    from pipeline.ingest.ingest import ingest
+    from pipeline.intake.ingest import ingest
     from pipeline.store.samples import load_batch
     from pipeline.store.storage import read_trials
 

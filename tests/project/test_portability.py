@@ -12,7 +12,7 @@ import pytest
 from places import ROOT
 from report_data import document_without_places
 
-from pipeline.devices.devices import load_device
+from pipeline.device_data.devices import load_device
 from pipeline.simulation.course import run_course, write_course
 
 MODULES = ("fcntl", "resource", "pwd", "grp", "termios", "tty", "pty", "syslog")

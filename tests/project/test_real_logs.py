@@ -12,7 +12,7 @@ from places import SHARED
 from scipy.io import loadmat
 
 from pipeline.comparison.compare import compare
-from pipeline.ingest.ingest import ingest
+from pipeline.intake.ingest import ingest
 from pipeline.measured.device.delay import first_change
 from pipeline.measured.device.friction import fit_balance
 from pipeline.measured.device.mass import by_momentum, window_scan

@@ -9,19 +9,8 @@ from typing import Any
 import pytest
 from places import ROOT
 
-from pipeline.records.models import (
-    SCHEMA_MODELS,
-    BoundaryPoint,
-    ComparisonRow,
-    Cost,
-    Device,
-    Estimate,
-    Experiment,
-    Record,
-    Scene,
-    SceneFile,
-    Trial,
-)
+from pipeline.records.findings import BoundaryPoint, Estimate, Record
+from pipeline.records.models import SCHEMA_MODELS, ComparisonRow, Cost, Device, Experiment, Scene, SceneFile, Trial
 
 FOLDER = ROOT / "schemas"
 DEVICE_FILES = sorted((FOLDER / "devices").glob("*.toml"))

@@ -18,7 +18,7 @@ from stored import check_whole, stored_rows
 
 from pipeline.base import lock
 from pipeline.base.errors import StoreError, UsageError
-from pipeline.ingest.ingest import ingest
+from pipeline.intake.ingest import ingest
 from pipeline.store.samples import load_batch
 from pipeline.store.storage import read_trials
 
@@ -26,7 +26,7 @@ READY = "ready"
 INGEST = f"""
 import sys
 from pathlib import Path
-from pipeline.ingest import compaction, ingest as module
+from pipeline.intake import compaction, ingest as module
 module.PENDING_BYTES, compaction.MOST_SMALL = int(sys.argv[3]), 3
 print({READY!r}, flush=True)
 report = module.ingest([Path(sys.argv[1])], Path(sys.argv[2]), jobs=2)

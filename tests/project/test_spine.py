@@ -16,10 +16,10 @@ from report_data import HOSTILE
 
 from pipeline.base.errors import DeviceError
 from pipeline.comparison.compare import compare
-from pipeline.devices.devices import load_device
-from pipeline.ingest.ingest import ingest
+from pipeline.device_data.devices import load_device
+from pipeline.intake.ingest import ingest
 from pipeline.measured.stages.stages import STAGES, ExperimentStages
-from pipeline.records.models import CRITERIA
+from pipeline.records.criteria import REPORTED
 from pipeline.records.native import NativeHeader, format_header
 from pipeline.records.results import ComparisonResult
 from pipeline.records.table_files import read_table
@@ -160,7 +160,7 @@ def test_costs_do_not_depend_on_when_the_command_came(tmp_path):
         results.append(ExperimentStages(folder, "bench", "1", read_trials(folder, "bench", "1")))
     one, other = results
     assert one.delay_estimate.value == other.delay_estimate.value == 4
-    for criterion in CRITERIA:
+    for criterion in REPORTED:
         # positions near -3 m carry rounding errors of 4e-16 m, velocities of 4e-13 m/s
         np.testing.assert_allclose(other.cost(criterion)[0], one.cost(criterion)[0], rtol=1e-6, atol=1e-9)
         assert np.isfinite(one.cost(criterion)[0]).all()

@@ -7,7 +7,7 @@ import pytest
 from native_logs import log_text
 from places import ROOT
 
-from pipeline.ingest.ingest import ingest
+from pipeline.intake.ingest import ingest
 from pipeline.store.samples import load_batch
 from pipeline.store.storage import read_trials
 

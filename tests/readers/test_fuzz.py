@@ -16,8 +16,8 @@ from mutations import mutated
 from native_logs import GOOD, log_text
 
 from pipeline.base.errors import LogError
-from pipeline.ingest.ingest import ingest
-from pipeline.ingest.quarantine import list_quarantine
+from pipeline.intake.ingest import ingest
+from pipeline.intake.quarantine import list_quarantine
 from pipeline.profiles.profile_files import shipped_profiles
 from pipeline.readers import Log, RawLog
 from pipeline.readers.formats.native import read

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pipeline.base.errors import ProfileError
-from pipeline.ingest.ingest import ingest
+from pipeline.intake.ingest import ingest
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.profiles.profile_files import load_profile
 from pipeline.shell.profile.profile_check import check_lines, check_samples

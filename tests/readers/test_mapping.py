@@ -10,8 +10,8 @@ import pytest
 from native_logs import log_text
 
 from pipeline.base import disk
-from pipeline.ingest import ingest as ingest_module
-from pipeline.ingest.ingest import ingest
+from pipeline.intake import ingest as ingest_module
+from pipeline.intake.ingest import ingest
 from pipeline.records.table_files import read_table
 from pipeline.store.samples import load_batch
 from pipeline.store.storage import read_trials

@@ -7,7 +7,7 @@ import pytest
 import scipy.io
 from foreign_files import hdf5_file, matlab_class
 
-from pipeline.ingest.ingest import ingest
+from pipeline.intake.ingest import ingest
 from pipeline.store.samples import load_batch
 from pipeline.store.storage import read_trials
 

@@ -110,6 +110,20 @@ def test_as_many_entries_as_the_budget_allows_and_no_more():
     assert pack_within([{"x": "much" * 99}], 8) == (pack([]), 0)
 
 
+@pytest.mark.parametrize("spread", [0, 3, 10**9])
+def test_the_first_entry_that_does_not_fit_is_the_last_asked_for(spread):
+    """Also where zlib holds back much of what it was given: zeros, and what it cannot make shorter."""
+    rng = np.random.default_rng(2)
+    entries = [{"x": rng.integers(0, spread + 1, int(rows)).tolist()} for rows in rng.integers(0, 3000, 40)]
+    sizes = [len(pack_within(entries[:count], None)[0]) for count in range(1, len(entries) + 1)]
+    for budget in (
+        *range(sizes[0], sizes[-1], max(sizes[-1] // 25, 1)),
+        *(size + more for size in sizes[::7] for more in (-1, 0)),
+    ):
+        fitting = next((count for count, size in enumerate(sizes) if size > budget), len(sizes))
+        assert pack_within(entries, budget)[1] == fitting, budget
+
+
 def test_no_number_that_json_does_not_know():
     with pytest.raises(ValueError, match="JSON"):
         pack([float("nan")])

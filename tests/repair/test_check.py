@@ -18,9 +18,9 @@ from pipeline.base import disk
 from pipeline.base.errors import StoreError
 from pipeline.base.json_seal import DamageError
 from pipeline.base.seal import MARK, find_seal, mended, sealed, verify
-from pipeline.ingest import trialstore
-from pipeline.ingest.compaction import compact, find_orphans
-from pipeline.ingest.ingest import ingest
+from pipeline.intake import trialstore
+from pipeline.intake.compaction import compact, find_orphans
+from pipeline.intake.ingest import ingest
 from pipeline.loop.loop import Loop
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records import table_files, tables

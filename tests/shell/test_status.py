@@ -7,7 +7,7 @@ from native_logs import FAULTS, log_text
 
 from pipeline.base import lock
 from pipeline.comparison.compare import compare
-from pipeline.ingest.ingest import ingest
+from pipeline.intake.ingest import ingest
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.shell.status import status
 from pipeline.store.storage import read_trials

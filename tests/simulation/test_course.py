@@ -9,16 +9,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from places import ROOT
 
 from pipeline.base.errors import DeviceError, ParameterError, PipelineError, UsageError
-from pipeline.devices.devices import find_experiment, load_device
+from pipeline.device_data.devices import find_experiment, load_device, read_device
 from pipeline.records.batch import TrialBatch
 from pipeline.records.models import Device
 from pipeline.records.native import parse_header
 from pipeline.simulation import course as course_module
 from pipeline.simulation import procedure
 from pipeline.simulation.course import TRUTH_FILE, Course, run_course, write_course
-from pipeline.simulation.simulate import MassSpringDamper, idealise, setup_of, simulate, spectral_radius
+from pipeline.simulation.plants import MassSpringDamper
+from pipeline.simulation.radius import spectral_radius
+from pipeline.simulation.setup import idealise, setup_of
+from pipeline.simulation.simulate import simulate
 
 FALCON, LWR = load_device("falcon"), load_device("lwr")
 
@@ -320,3 +324,50 @@ def test_a_broken_run_leaves_complete_logs_that_the_next_run_replaces(
     assert found == sorted(f"{name}.csv" for name in small.batch.trial_id[:7])  # whole logs, no temporary file
     assert write_course(small, tmp_path, overwrite=True) == len(small.batch)
     assert json.loads((folder / TRUTH_FILE).read_text())["complete"] is True
+
+
+def test_a_device_file_with_all_parts_is_simulated_and_its_truth_holds_them(tmp_path: Path) -> None:
+    text = (ROOT / "schemas" / "devices" / "falcon.toml").read_text(encoding="utf-8")
+    parts = """
+[loop]
+velocity = { kind = "butterworth", order = 2, cutoff_hz = 60.0 }
+actuator_lag_s = 0.002
+mode = { frequency_hz = 40.0, damping_ratio = 0.03, mass = 0.1 }
+friction = { coulomb = 0.2 }
+
+[simulation]
+lost_rows = 0.02
+"""
+    file = tmp_path / "own.toml"
+    file.write_text(text.replace("\n[[experiment]]", f"{parts}\n[[experiment]]", 1), encoding="utf-8")
+    course = run_course(read_device(file), "1", coarsen=30, duration_s=0.2)
+    write_course(course, tmp_path)
+    truth = json.loads((tmp_path / "falcon" / "1" / TRUTH_FILE).read_text())
+    assert truth["loop"]["mode"]["frequency_hz"] == 40.0
+    assert truth["loop"]["friction"]["coulomb"] == 0.2
+    assert truth["simulation"]["lost_rows"] == 0.02
+    name, batch = course.batch.trial_id[0], course.batch
+    lines = (tmp_path / "falcon" / "1" / f"{name}.csv").read_text().splitlines()
+    stamps = [float(line.split(",")[0]) for line in lines[lines.index("time_s,command,position") + 1 :]]
+    assert np.array_equal(stamps, batch.time[0, : batch.rows[0]])
+    assert max(np.diff(stamps)) > 0.0015
+
+
+def test_mistakes_in_what_only_the_simulator_knows_are_named_together(tmp_path: Path) -> None:
+    text = (ROOT / "schemas" / "devices" / "falcon.toml").read_text(encoding="utf-8")
+    file = tmp_path / "wrong.toml"
+
+    def message(table: str) -> str:
+        file.write_text(text.replace("\n[[experiment]]", f"\n[simulation]\n{table}\n[[experiment]]", 1))
+        with pytest.raises(DeviceError) as found:
+            read_device(file)
+        return str(found.value)
+
+    several = message("lost_rows = 0.9\nramp_samples = 0\nclock_eror = 0.1\n")
+    for key in ("simulation.lost_rows", "simulation.ramp_samples", "simulation.clock_eror"):
+        assert key in several
+    together = message(
+        "lost_rows_hidden = true\nclipped_command_logged = true\nlater_steps = [{time_s=9.0, size=1.0}]\n"
+    )
+    for key in ("lost_rows_hidden", "clipped_command_logged", "later_steps[1].time_s"):
+        assert f"simulation.{key}" in together

@@ -14,11 +14,11 @@ from hypothesis import strategies as st
 
 from pipeline.base.errors import StoreError
 from pipeline.base.seal import MARK
-from pipeline.ingest.ingest import ingest
+from pipeline.intake.ingest import ingest
 from pipeline.records.native import NativeHeader, format_header
 from pipeline.records.table_files import read_table, write_table
 from pipeline.records.tables import COLUMNS, TABLES, to_arrow
-from pipeline.store.names import folder_name, name_of_folder, place_of, report_of
+from pipeline.store.names import folder_name, name_of_folder, page_against, page_against_document, place_of, report_of
 from pipeline.store.samples import load_batch
 from pipeline.store.storage import (
     list_devices,
@@ -50,7 +50,10 @@ def refused_by_windows(name: str) -> bool:
 ODD = ["CON", "nul", "aux", "prn.txt", "com1", "LPT9.tar.gz", "con ", "x.", "x ", "a<b>c", 'q"|?*', "index", "a:b", "."]
 
 
-@pytest.mark.parametrize("name", [*ODD, "Index", "accuracy", "THEORY", "lwr-1-against-2", "lwr-against-earlier", "%41"])
+@pytest.mark.parametrize(
+    "name",
+    [*ODD, "Index", "accuracy", "THEORY", "lwr=1-against-2", "lwr-against-earlier", "x-against-against-y", "%41"],
+)
 def test_names_that_some_system_refuses_are_written_otherwise(name, tmp_path):
     folder = place_of(tmp_path, name).name
     assert name_of_folder(folder) == name
@@ -58,8 +61,37 @@ def test_names_that_some_system_refuses_are_written_otherwise(name, tmp_path):
     report = report_of(tmp_path, name)
     assert name_of_folder(report.stem) == name
     assert not refused_by_windows(report.name)
-    pages = ("index", "accuracy", "theory", *(folder_name(f"lwr{x}") for x in ("-1-against-2", "-against-earlier")))
-    assert report.stem.casefold() not in pages
+    assert report.stem.casefold() not in ("index", "accuracy", "theory")
+    assert "-against" not in report.name
+
+
+PART = st.lists(st.sampled_from(["a", "A", "-", "=", "against", "-against-"]), min_size=1, max_size=4).map("".join)
+
+
+@settings(deadline=None)  # it makes folders
+@given(st.lists(st.tuples(PART, PART, PART, PART), min_size=2, max_size=6, unique=True), st.lists(PART, unique=True))
+def test_each_two_experiments_have_a_page_of_their_own(pairs, devices):
+    with tempfile.TemporaryDirectory() as text:
+        parent = Path(text)
+        makers = [lambda pair=pair: page_against(parent, pair[:2], pair[2:]) for pair in pairs]
+        makers += [lambda device=device: report_of(parent, device) for device in devices]
+        for make in makers:
+            make().touch()
+        files = os.listdir(parent)
+        assert len({file.casefold() for file in files}) == len(files) == len(makers)
+        assert [make().name for make in makers if not make().exists()] == []
+        documents = {
+            page_against_document(report_of(parent, device), parent / folder / "x.json")
+            for device in devices
+            for folder in "ab"
+        }
+        assert len(documents) == 2 * len(devices)
+        assert not documents & {parent / file for file in files}
+
+
+def test_pages_of_two_experiments_have_names_that_read_well(tmp_path):
+    assert page_against(tmp_path, ("lwr", "1"), ("lwr", "2")).name == "lwr=1-against-2.html"
+    assert page_against(tmp_path, ("lwr", "1"), ("falcon", "2")).name == "lwr=1-against-falcon=2.html"
 
 
 @settings(deadline=None)  # it makes folders

@@ -13,7 +13,8 @@ from pipeline.measured.cost.costs import settling
 from pipeline.records import accuracy
 from pipeline.records.accuracy import AccuracyReport, MeasuredAccuracy, Rung
 from pipeline.shell import cli
-from pipeline.simulation.simulate import simulate, spectral_radius
+from pipeline.simulation.radius import spectral_radius
+from pipeline.simulation.simulate import simulate
 from pipeline.studies.accuracy import page as page_of
 from pipeline.studies.accuracy import run
 from pipeline.studies.accuracy.cost_ladders import NAMES, cost_ladders, whole_sum

@@ -15,9 +15,9 @@ from places import SHARED
 from typer.testing import CliRunner
 
 from pipeline.base.errors import ParameterError, UsageError
-from pipeline.devices.human_arm import human_arms
+from pipeline.device_data.human_arm import human_arms
 from pipeline.loop.loop import Loop
-from pipeline.shell.commands.cli_theory import app
+from pipeline.shell.cli import app
 from pipeline.studies import drawing
 from pipeline.studies.figure import Note, Panel, TheoryFigure, Trace
 from pipeline.studies.thesis import figures, jumps

@@ -18,7 +18,7 @@ def commands(text: str) -> list[str]:
 
 def fault(command: str) -> str | None:
     """What is wrong with a command line, or None."""
-    from pipeline.shell.commands.cli_theory import app
+    from pipeline.shell.cli import app
 
     words = shlex.split(command.split("#")[0])[1:]
     here: Any = typer.main.get_command(app)

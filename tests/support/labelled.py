@@ -10,9 +10,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.devices.devices import find_experiment, load_device
+from pipeline.device_data.devices import find_experiment, load_device
 from pipeline.records.batch import TrialBatch
-from pipeline.simulation.simulate import Setup, idealise, setup_of, simulate, spectral_radius
+from pipeline.records.simulation_parts import SimulationParts
+from pipeline.simulation.radius import spectral_radius
+from pipeline.simulation.setup import Setup, idealise, setup_of
+from pipeline.simulation.simulate import simulate
 
 NEAR = 1e-3
 """Spectral radii within this of 1 are near the boundary: in 400 samples such a motion changes by less than a half."""
@@ -308,7 +311,9 @@ class _Maker:
         free = idealise(self.setup)
         peak = np.nanmax(np.abs(self._run(K, B, free).command[:, : self.setup.edge_row + 150]), axis=1)
         limit = self.setup.step * self.random.uniform(0.5, 1.2)
-        batch = self._run(K, B, replace(self.setup, force_limit=limit))
+        batch = self._run(
+            K, B, replace(self.setup, force_limit=limit, hidden=SimulationParts(clipped_command_logged=True))
+        )
         clipped = (np.abs(batch.command) >= limit * (1 - 1e-12)).sum(axis=1)
         # an ideal response that stays 5 % below the limit is not touched by it, one 5 % above is for some rows
         label = np.where((peak > 1.05 * limit) & (clipped >= 3), "saturated", "")

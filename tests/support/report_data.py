@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from pipeline.records.figure_records import CostMap, Curve, DelayPanel, Figure, Limits
-from pipeline.records.models import BoundaryPoint, ComparisonRow, Estimate, Motion, Optimum
+from pipeline.records.findings import BoundaryPoint, Estimate, Optimum
+from pipeline.records.models import ComparisonRow, Motion
 from pipeline.records.results import ComparisonResult, ExperimentResult, ReportData, TheoryParameters
 from pipeline.records.score_records import BoundScore
 from pipeline.rendering.labels import criterion_label

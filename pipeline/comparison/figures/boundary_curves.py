@@ -6,7 +6,7 @@ import numpy as np
 
 from pipeline.loop.loop import LARGEST_DELAY
 from pipeline.records.figure_records import Curve
-from pipeline.records.models import Estimate
+from pipeline.records.findings import Estimate
 from pipeline.records.results import ExperimentResult, TheoryParameters
 from pipeline.theory.predictions import Theory
 from pipeline.theory.stability.passivity import boundary_angle, passive_boundary

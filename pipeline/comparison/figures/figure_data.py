@@ -20,12 +20,13 @@ from pipeline.comparison.scene.scene import SceneData
 from pipeline.comparison.scene.scene_parts import with_overlays
 from pipeline.comparison.tables_d import layouts
 from pipeline.loop.loop import LARGEST_DELAY, Loop
-from pipeline.measured.experiment.aggregate import without_overshoot
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.batch import Floats
+from pipeline.records.criteria import criterion_of
 from pipeline.records.delay_rows import delay_points
 from pipeline.records.figure_records import CostMap, Curve, DelayPanel, Figure, Limits
-from pipeline.records.models import ComparisonRow, FigureKind, Optimum, TableLayout
+from pipeline.records.findings import Optimum
+from pipeline.records.models import ComparisonRow, FigureKind, TableLayout
 from pipeline.records.results import ExperimentResult, TheoryParameters
 from pipeline.rendering.labels import criterion_label, table_label
 from pipeline.theory.cost.maps import cost_maps
@@ -170,7 +171,7 @@ def _optimal_curves(
     stiffness: Floats, damping: Floats, cost: Floats, criterion: str, *, exact: bool
 ) -> tuple[Curve, Curve]:
     """Best damping for each stiffness and best stiffness for each damping, where the map has costs on both sides."""
-    smooth = exact and criterion.startswith("energy")
+    smooth = exact and criterion_of(criterion).family.smooth
     b, b_inside = optimal_curve(damping, cost, smooth=smooth)
     k, k_inside = optimal_curve(stiffness, cost.T, smooth=smooth)
     return (
@@ -180,9 +181,7 @@ def _optimal_curves(
 
 
 def _measured_map(result: ExperimentResult, stages: ExperimentStages, criterion: str) -> CostMap:
-    cost, _ = stages.cost(criterion)
-    if criterion == "overshoot":
-        cost = np.where(without_overshoot(cost, stages.column("overshoot", "overshoot_floor")), 0.0, cost)
+    cost = stages.sure_cost(criterion)
     k, b = stages.column("response", "stiffness"), stages.column("response", "damping")
     shown = (k > 0) & (stages.verdicts.verdict != "unstable")
     k, b, cost = k[shown], b[shown], cost[shown]
@@ -218,7 +217,7 @@ def _cost_figure(
     name = criterion_label(criterion)
     label = table_label(table.name)
     optima = f" Optima as in {label if label != table.name else f'the table of {label}'}." if listed else ""
-    thesis = FIGURES.get(table.name, "6.6" if criterion.startswith("energy") else "6.5")
+    thesis = FIGURES.get(table.name, criterion_of(criterion).family.figure)
     return Figure(
         "maps",
         re.sub(r"[^A-Za-z0-9_-]", "-", f"{table.name}-{criterion}"),

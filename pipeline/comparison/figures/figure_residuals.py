@@ -10,9 +10,9 @@ import numpy as np
 from pipeline.comparison.figures.boundary_curves import theory_curve
 from pipeline.comparison.scene.scene import SceneData
 from pipeline.comparison.tables_d import layouts
-from pipeline.measured.experiment.aggregate import NO_OVERSHOOT, without_overshoot
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.batch import Booleans, Floats
+from pipeline.records.criteria import criterion_of
 from pipeline.records.figure_records import Curve, Figure, ResidualMap
 from pipeline.rendering.labels import criterion_label
 from pipeline.theory.cost.maps import costs_at
@@ -73,10 +73,8 @@ def _map(
     criterion: str,
     cell: tuple[float, float],
 ) -> ResidualMap:
-    measured, _ = stages.cost(criterion)
-    if criterion == "overshoot":
-        measured = np.where(without_overshoot(measured, stages.column("overshoot", "overshoot_floor")), 0.0, measured)
-        expected = np.where(expected <= NO_OVERSHOOT, 0.0, expected)
+    measured = stages.sure_cost(criterion)
+    expected = np.where(expected <= criterion_of(criterion).family.none, 0.0, expected)
     common = (stages.verdicts.verdict == "stable") & np.isfinite(measured) & np.isfinite(expected)
     residual = np.full(len(measured), np.nan)
     residual[common] = residuals(measured[common], expected[common], criterion)
@@ -94,14 +92,14 @@ def _map(
 
 
 def residuals(measured: Floats, expected: Floats, criterion: str) -> Floats:
-    """Return measured against theoretical costs: difference of overshoots, else log2 of the ratio.
+    """Return measured against theoretical costs: difference of costs that may be zero, else log2 of the ratio.
 
     Parameters
     ----------
     measured, expected : float64, shape (n,)
         Finite costs. A ratio with a cost of zero is NaN.
     """
-    if criterion == "overshoot":
+    if criterion_of(criterion).family.levels:
         return measured - expected
     positive = (measured > 0) & (expected > 0)
     return np.where(positive, np.log2(np.where(positive, measured, 1.0) / np.where(positive, expected, 1.0)), np.nan)
@@ -137,7 +135,7 @@ def cell_medians(
 
 
 def _figure(criterion: str, maps: tuple[ResidualMap, ...]) -> Figure[ResidualMap]:
-    difference = "difference in percentage points" if criterion == "overshoot" else "ratio"
+    difference = "difference in percentage points" if criterion_of(criterion).family.levels else "ratio"
     return Figure(
         "residuals",
         "residual-" + re.sub(r"[^A-Za-z0-9_-]", "-", criterion),

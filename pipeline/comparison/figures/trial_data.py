@@ -20,8 +20,9 @@ from pipeline.measured.signal.outcome import OUTCOMES
 from pipeline.measured.stages.stage_groups import TrialGroup
 from pipeline.measured.stages.stages import ExperimentStages, cost_column
 from pipeline.records.batch import Floats, Integers, TrialBatch
+from pipeline.records.criteria import criterion_of
 from pipeline.records.figure_records import Curve
-from pipeline.records.models import SETTLING_BANDS, Motion
+from pipeline.records.models import Motion
 from pipeline.records.results import ExperimentResult
 from pipeline.records.trial_codec import code, pack, pack_within, step_size, visible_rows
 from pipeline.records.trial_records import TrialPage, reference
@@ -29,7 +30,6 @@ from pipeline.rendering.labels import (
     UNITS,
     cost_text,
     criterion_label,
-    criterion_unit,
     printed_scale,
     significant,
 )
@@ -96,7 +96,8 @@ def trial_page(
         "verdicts": VERDICTS,
         "outcomes": [name.replace("_", " ") for name in OUTCOMES],
         "criteria": [
-            {"label": criterion_label(c), "unit": criterion_unit(c), "band": SETTLING_BANDS.get(c)} for c in criteria
+            {"label": criterion_label(c), "unit": criterion_of(c).family.printed_unit, "band": criterion_of(c).band}
+            for c in criteria
         ],
         "experiments": [e.content() for e in gathered],
     }

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import platform
 import shlex
@@ -17,8 +16,8 @@ from pipeline.base.provenance import digest, sha256
 from pipeline.comparison.scene.scene import SceneData, needed_stages
 from pipeline.measured.stages.stage_windows import WINDOWS_S
 from pipeline.measured.stages.stages import ExperimentStages
+from pipeline.records.criteria import REPORTED
 from pipeline.records.findings import ExcludedTrial
-from pipeline.records.models import CRITERIA
 from pipeline.records.results import LogList
 
 LIBRARIES = ("numpy", "pyarrow", "matplotlib")
@@ -111,17 +110,11 @@ def request(data: SceneData, lists: Sequence[LogList], processed: Path, code: st
     return asked | {"logs": logs, "code": code, "excluded": excluded}
 
 
-def hash_file(path: Path) -> str:
-    """Return the SHA-256 of a file."""
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
-
-
 def _command(data: SceneData, processed: Path, output: Sequence[str]) -> str:
     scene = data.scene
     words = ["pipeline", "compare", "--device", scene.device]
     words += [word for experiment in scene.experiments for word in ("--experiment", experiment)]
-    words += [] if scene.criteria == CRITERIA else ["--criteria", ",".join(scene.criteria)]
+    words += [] if scene.criteria == REPORTED else ["--criteria", ",".join(scene.criteria)]
     # names come from logs and may hold anything
     return shlex.join([*words, "--processed", str(processed), *output])
 

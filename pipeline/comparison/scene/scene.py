@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pipeline.base.errors import DeviceError, StoreError, UsageError
-from pipeline.devices.devices import known_devices
+from pipeline.device_data.devices import known_devices
 from pipeline.measured.stages.stages import STAGES, ExperimentStages, required
-from pipeline.records.models import CRITERIA, ENERGY_CRITERIA, SETTLING_BANDS, Device, Scene, Shown
+from pipeline.records.criteria import FAMILIES, MEASURED, REPORTED, criterion_of, members
+from pipeline.records.models import Device, Scene, Shown
 from pipeline.store.exclusions import Exclusion
 from pipeline.store.storage import list_devices, list_experiments
 
@@ -62,10 +63,10 @@ def open_scene(
     StoreError
         If translation and rotation are mixed: one report has one set of units.
     """
-    chosen = tuple(dict.fromkeys(criteria or CRITERIA))
-    unknown = [c for c in chosen if c not in CRITERIA]
+    chosen = tuple(dict.fromkeys(criteria or REPORTED))
+    unknown = [c for c in chosen if c not in MEASURED]
     if unknown:
-        raise UsageError(f"unknown criterion {unknown[0]!r}; expected some of {', '.join(CRITERIA)}.")
+        raise UsageError(f"unknown criterion {unknown[0]!r}; expected some of {', '.join(MEASURED)}.")
     stored = list_experiments(processed, device)
     if not stored:
         devices = list_devices(processed)
@@ -119,14 +120,8 @@ def open_scene(
 
 def _wanted(criteria: Sequence[str]) -> set[str]:
     """Stages that produce what is asked for."""
-    wanted = {"boundary"}
-    if "overshoot" in criteria:
-        wanted.add("overshoot")
-    if any(c in SETTLING_BANDS for c in criteria):
-        wanted.add("settling")
-    if any(c in ENERGY_CRITERIA for c in criteria):
-        wanted |= {"energy", "mass", "windows"}
-    return wanted
+    families = [criterion_of(c).family for c in criteria]
+    return {"boundary", *(stage for family in families for stage in (family.name, *family.beside))}
 
 
 def needed_stages(data: SceneData) -> set[str]:
@@ -137,15 +132,13 @@ def needed_stages(data: SceneData) -> set[str]:
     return needed | required(("delay", "mass", "damping")) if data.overlay else needed
 
 
-_LEFT_OUT = {
+_LEFT_OUT = {  # but for what a report holds only by name
     "outcome": "neither the table of outcomes nor the trials are shown",
-    "delay": "overshoot and the measured boundary need no delay",
+    "delay": "neither the measured boundary nor a cost that is asked for needs the delay",
     "model": "neither mass nor damping is asked for",
     "damping": "damping enters no measured cost, and no theory is drawn from estimates",
     "mass": "only energy costs need the mass",
-    "overshoot": "overshoot is not asked for",
-    "settling": "no settling time is asked for",
-    "energy": "no energy cost is asked for",
+    **{name: f"no {family.title} is asked for" for name, family in FAMILIES.items() if members(family, REPORTED)},
     "windows": "only energy costs need the mass",
 }
 
@@ -158,7 +151,7 @@ def plan_measured(data: SceneData) -> list[PlannedStage]:
         for stage in STAGES:
             name = f"{experiment.experiment}: {stage}"
             if stage not in needed:
-                plan.append(PlannedStage(name, LEAVE_OUT, _LEFT_OUT[stage]))
+                plan += [PlannedStage(name, LEAVE_OUT, _LEFT_OUT[stage])] if stage in _LEFT_OUT else []
             elif experiment.is_stored(stage):
                 plan.append(PlannedStage(name, REUSE, "logs, exclusions, code and earlier stages are unchanged"))
             else:

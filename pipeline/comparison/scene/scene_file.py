@@ -15,7 +15,8 @@ from pipeline.comparison.scene.scene import open_scene
 from pipeline.comparison.scene.scene_parts import FIGURE_NAMES
 from pipeline.comparison.tables_d import layouts
 from pipeline.profiles.profile_lines import Mistake, Place, key_lines
-from pipeline.records.models import CRITERIA, SceneFile
+from pipeline.records.criteria import REPORTED, SETTLING_BANDS
+from pipeline.records.models import SceneFile
 from pipeline.store.names import report_of
 
 REPORT_TABLES = {
@@ -123,7 +124,7 @@ def draft_scene(device: str, processed: Path) -> str:
         f"experiments = {_list(trials)}  # {', '.join(f'{_comment(e)}: {n} trials' for e, n in trials.items())}",
         "",
         "# settle stands for the settling times of the bands [%] below",
-        f"criteria = {_list(['settle', *(c for c in CRITERIA if not c.startswith('settle'))])}",
+        f"criteria = {_list(['settle', *(c for c in REPORTED if c not in SETTLING_BANDS)])}",
         "bands = [1, 2, 5]",
         "",
         "# figures: " + "; ".join(f"{kind}: {name}" for kind, name in FIGURE_NAMES.items()),

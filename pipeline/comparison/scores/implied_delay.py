@@ -24,7 +24,7 @@ from pipeline.comparison.scores.implied_slope import (
 from pipeline.loop.loop import Normalised
 from pipeline.measured.intervals import NORMAL_95, student_95
 from pipeline.records.batch import Floats
-from pipeline.records.models import BoundaryPoint, Estimate
+from pipeline.records.findings import BoundaryPoint, Estimate
 from pipeline.theory.stability.region import stiffness_limit
 
 LONGEST = 64.0

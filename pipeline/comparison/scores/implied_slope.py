@@ -10,7 +10,7 @@ import numpy as np
 from pipeline.base.wording import counted, percent
 from pipeline.measured.intervals import NORMAL_95, student_95
 from pipeline.records.batch import Booleans, Floats
-from pipeline.records.models import BoundaryPoint, Estimate
+from pipeline.records.findings import BoundaryPoint, Estimate
 
 LOW_DAMPING = 0.5
 """Part of the damping of the stiffest limit up to which a boundary is near the origin: over it (b + B)/K is a parabola

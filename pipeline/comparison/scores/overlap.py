@@ -11,7 +11,7 @@ import numpy as np
 from pipeline.base.errors import ParameterError
 from pipeline.base.wording import counted
 from pipeline.records.batch import Booleans, Floats
-from pipeline.records.models import BoundaryPoint
+from pipeline.records.findings import BoundaryPoint
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,12 +10,12 @@ from pipeline.comparison.figures.figure_data import DAMPED, shows_damped
 from pipeline.comparison.scene.scene import SceneData
 from pipeline.comparison.scores.agreement import rank_agreement
 from pipeline.comparison.tables_d import layouts
-from pipeline.devices.published_theory import published_points
+from pipeline.device_data.published_theory import published_points
 from pipeline.loop.loop import Loop
-from pipeline.measured.experiment.aggregate import NO_OVERSHOOT, without_overshoot
-from pipeline.measured.stages.stages import ExperimentStages, cost_column
+from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.batch import Floats
-from pipeline.records.models import Optimum
+from pipeline.records.criteria import criterion_of
+from pipeline.records.findings import Optimum
 from pipeline.records.results import ExperimentResult
 from pipeline.records.score_records import MapScore, OptimumScore
 from pipeline.theory.cost.pointcosts import point_costs_by_name
@@ -56,14 +56,9 @@ def map_scores(
     )
     found = []
     for criterion, name in zip(data.scene.criteria, names, strict=True):
-        measured = stages.column(*cost_column(criterion))
+        measured = stages.sure_cost(criterion)[common]
         expected = predicted.get(name, np.empty(0))
-        if criterion == "overshoot":
-            measured = np.where(
-                without_overshoot(measured, stages.column("overshoot", "overshoot_floor")), 0.0, measured
-            )
-            expected = np.where(expected <= NO_OVERSHOOT, 0.0, expected)
-        measured = measured[common]
+        expected = np.where(expected <= criterion_of(criterion).family.none, 0.0, expected)
         both = np.isfinite(measured) & np.isfinite(expected)
         agreement = rank_agreement(measured[both], expected[both])
         found.append(

@@ -11,7 +11,7 @@ from pipeline.base.errors import ParameterError
 from pipeline.comparison.scores.overlap import MeasuredLimits
 from pipeline.loop.loop import Normalised
 from pipeline.records.batch import Booleans, Floats
-from pipeline.records.models import Estimate
+from pipeline.records.findings import Estimate
 from pipeline.records.score_records import BandScore, Departure
 from pipeline.theory.stability.region import stiffness_limit
 

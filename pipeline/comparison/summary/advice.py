@@ -7,14 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.comparison.scores.overlap import MeasuredLimits, measured_limits
-from pipeline.records.models import Optimum
+from pipeline.records.criteria import criterion_of
+from pipeline.records.findings import Optimum
 from pipeline.records.results import ExperimentResult
 from pipeline.records.score_records import TheoryParameters
 from pipeline.rendering.labels import (
-    CRITERION_NAMES,
     Units,
     cost_text,
-    criterion_unit,
+    criterion_name,
     damping_text,
     significant,
     stiffness_text,
@@ -81,11 +81,11 @@ def choice(result: ExperimentResult, units: Units) -> str:
     if found is None:
         return ""
     criterion, best = found
-    unit = criterion_unit(criterion)
+    unit = criterion_of(criterion).family.printed_unit
     cost = cost_text(criterion, best.cost) + (f" {unit}" if unit else "")
     text = (
         f"Best trial of experiment {result.experiment}: K = {stiffness_text(best.stiffness)} {units.stiffness}, "
-        f"B = {damping_text(best.damping)} {units.damping} ({CRITERION_NAMES[criterion]}: {cost}"
+        f"B = {damping_text(best.damping)} {units.damping} ({criterion_name(criterion)}: {cost}"
         + (", at the edge of the tested range)" if best.censored else ")")
     )
     room = margin(measured_limits(result.boundary), best.stiffness, best.damping)

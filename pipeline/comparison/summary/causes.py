@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pipeline.base.wording import counted
-from pipeline.records.models import Estimate, Trend
+from pipeline.records.findings import Estimate, Trend
 from pipeline.records.results import ExperimentResult
 from pipeline.records.score_records import BandScore, BoundScore
 from pipeline.rendering.labels import Units, damping_text, decimal, significant

@@ -14,9 +14,9 @@ from pipeline.records.models import ComparisonRow
 from pipeline.records.results import ExperimentResult
 from pipeline.records.score_records import RegionScore
 from pipeline.rendering.labels import (
-    CRITERION_NAMES,
     UNITS,
     Units,
+    criterion_name,
     damping_text,
     estimate_texts,
     percent_text,
@@ -218,4 +218,4 @@ def _size(row: ComparisonRow) -> float:
 
 def _named(row: ComparisonRow) -> str:
     # several experiments may have the same delay
-    return f"{CRITERION_NAMES.get(row.criterion, row.criterion)}, experiment {row.experiment}"
+    return f"{criterion_name(row.criterion)}, experiment {row.experiment}"

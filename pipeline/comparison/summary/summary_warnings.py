@@ -11,7 +11,9 @@ from pipeline.base.wording import counted, listed, percent, true_minus
 from pipeline.comparison.figures.boundary_curves import too_late
 from pipeline.comparison.scene.scene import SceneData
 from pipeline.loop.loop import LARGEST_DELAY
-from pipeline.records.models import DRIFTS, ENERGY_CRITERIA, Device, Estimate, Trend
+from pipeline.records.criteria import ENERGY, members
+from pipeline.records.findings import DRIFTS, Estimate, Trend
+from pipeline.records.models import Device
 from pipeline.records.results import ExperimentResult
 from pipeline.rendering.labels import percent_text
 from pipeline.store.storage import natural_key
@@ -173,13 +175,16 @@ def _extrapolated(data: SceneData, results: Sequence[ExperimentResult]) -> list[
     """Optimal energy costs of which much lies beyond the end of what was recorded."""
     found = []
     for result, stages in zip(results, data.experiments, strict=False):
-        for w, criterion in enumerate(ENERGY_CRITERIA):
-            best = result.optimum.get(criterion)
+        for criterion in members(ENERGY):
+            best = result.optimum.get(criterion.name)
             if best is None or best.trial_id is None:
                 continue
-            tail = stages.column("energy", f"energy_w{w}_tail")[stages.texts("energy", "trial_id").index(best.trial_id)]
+            row = stages.texts(ENERGY.name, "trial_id").index(best.trial_id)
+            tail = stages.column(ENERGY.name, f"{criterion.column}_tail")[row]
             if np.isfinite(tail) and abs(tail) > EXTRAPOLATED * best.cost:
-                found.append(f"experiment {result.experiment}, w = {w} ({percent(abs(tail) / best.cost)})")
+                found.append(
+                    f"experiment {result.experiment}, w = {criterion.weight} ({percent(abs(tail) / best.cost)})"
+                )
     if not found:
         return []
     return [f"Optimal energy costs that are partly extrapolated beyond the logs: {'; '.join(found)}."]

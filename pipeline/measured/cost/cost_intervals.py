@@ -14,7 +14,7 @@ from pipeline.measured.cost.reading_error import ReadingError
 from pipeline.measured.intervals import CONFIDENCE
 from pipeline.measured.signal.response import Response
 from pipeline.records.batch import Floats, TrialBatch
-from pipeline.records.findings import SETTLING_BANDS
+from pipeline.records.criteria import SETTLING_BANDS
 
 NO_OVERSHOOT = 1e-12
 """Overshoot that counts as none (footnote 4 of 5.2.2), and so the smallest upper end."""

@@ -16,7 +16,7 @@ from pipeline.measured.signal.horizon import EndOfLog, cost_start, energy_terms
 from pipeline.measured.signal.response import Response
 from pipeline.measured.signal.verdict import Verdicts
 from pipeline.records.batch import Floats, Integers, TrialBatch
-from pipeline.records.findings import SETTLING_BANDS
+from pipeline.records.criteria import SETTLING_BANDS
 
 SETTLED_SAMPLES = 5
 """Samples inside the band at the end: fewer may be a mere passage of the band."""

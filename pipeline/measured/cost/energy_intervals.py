@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from statistics import NormalDist
+from typing import TypeVar
 
 import numpy as np
 
@@ -18,6 +19,8 @@ from pipeline.measured.signal.horizon import EnergyTerms, energy_terms
 from pipeline.measured.signal.response import Response
 from pipeline.measured.signal.verdict import Verdicts
 from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
+
+Sampled = TypeVar("Sampled", EnergyTerms, ReadingError)
 
 HORIZON_PARTS = (0.5, 0.75, 0.9, 1.0)
 """Parts of the horizon up to which the sum is reported, so that its dependence on the horizon is seen."""
@@ -39,9 +42,8 @@ LARGEST_HALF_WIDTH = 0.5
 CHUNK = 64
 """Trials whose cost is computed at once: an array of theirs, 0.5 MB at 1,000 rows, stays in a processor's cache."""
 
-
 LONGEST_ANSWER = 1 << 16
-"""Rows up to which all of a log is transformed at once; of longer ones each alone, up to its horizon."""
+"""Rows up to which trials are computed together, in their whole length; a longer one alone, up to its horizon."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,7 +157,7 @@ def energy_interval(
             largest_tail,
             NormalDist().inv_cdf(0.5 * (1 + confidence)),
         )
-        for some, part in batch.portions(CHUNK)
+        for some, part in batch.portions(CHUNK if batch.position.shape[1] <= LONGEST_ANSWER else 1)
     ]
     names = [name for name in EnergyInterval.__dataclass_fields__ if name != "reason"]
     joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
@@ -178,9 +180,13 @@ def _interval(
     last = np.maximum(batch.rows - 1, 0)[:, None]
     level = LEVEL_SIGMAS * np.nan_to_num(np.take_along_axis(error.deviation, last, axis=1)[:, 0])
     terms = energy_terms(batch, response, verdicts, delay_samples, level)
+    if batch.position.shape[1] > LONGEST_ANSWER:
+        summed = int(terms.stop.max(initial=1))
+        terms, error = _until(terms, summed), _until(error, summed)
     known = terms.usable & np.array([not text for text in error.reason], dtype=np.bool_)
-    inside = np.arange(batch.position.shape[1])[None, :] < terms.stop[:, None]
-    inside &= (terms.index > 0) | (np.arange(batch.position.shape[1])[None, :] == terms.first[:, None])
+    column = np.arange(terms.index.shape[1])[None, :]
+    inside = column < terms.stop[:, None]
+    inside &= (terms.index > 0) | (column == terms.first[:, None])
     inside &= known[:, None]
     period, stiffness = batch.sampling_period_s, np.where(known, batch.stiffness, 1.0)
     step = np.where(known, batch.step, 1.0)
@@ -257,6 +263,12 @@ def _interval(
     )
 
 
+def _until(of: Sampled, columns: int) -> Sampled:
+    """Return the same of the first samples alone, as arrays of their own, so that those of all take no more memory."""
+    arrays = {name: value[:, :columns].copy() for name, value in vars(of).items() if np.ndim(value) == 2}
+    return replace(of, **arrays)
+
+
 def _sensor_error(
     terms: EnergyTerms, error: ReadingError, weight: list[Floats], spring: Floats, inertia: Floats
 ) -> Floats:
@@ -264,25 +276,21 @@ def _sensor_error(
 
     The slope of the sum to each reading, correlated with the wall's answer to an error, is the slope to each error.
     """
-    result = np.zeros((len(spring), len(WEIGHTS)))
-    whole = error.weight.shape[1]
-    # a length that does not depend on other trials; of a long log only what is summed
-    counted = np.full(len(spring), whole) if whole <= LONGEST_ANSWER else np.maximum(terms.stop, 1)
-    for columns in np.unique(counted).tolist():
-        some = counted == columns
-        length = 1 << (2 * columns - 1).bit_length()
-        answer = np.conj(np.fft.rfft(error.weight[some, :columns], length))
-        position = spring[some, None] * terms.error[some, :columns]
-        speed = inertia[some, None] * terms.change[some, :columns]
-        for w, k in enumerate(weight):
-            moving = k[some, :columns] * speed
-            slope = 2 * (k[some, :columns] * position + moving)
-            slope[:, :-1] -= 2 * moving[:, 1:]
-            each = np.fft.irfft(np.fft.rfft(slope, length) * answer, length)[:, 1:columns]
-            # the first reading is the reference of all others
-            square = (each**2).sum(axis=1) + each.sum(axis=1) ** 2
-            result[some, w] = np.nan_to_num(error.sensor[some]) * np.sqrt(square)
-    return result
+    columns = error.weight.shape[1]
+    # a length that does not depend on other trials
+    length = 1 << (2 * columns - 1).bit_length()
+    answer = np.conj(np.fft.rfft(error.weight, length))
+    position, speed = spring[:, None] * terms.error, inertia[:, None] * terms.change
+    result = []
+    for k in weight:
+        moving = k * speed
+        slope = 2 * (k * position + moving)
+        slope[:, :-1] -= 2 * moving[:, 1:]
+        each = np.fft.irfft(np.fft.rfft(slope, length) * answer, length)[:, 1:columns]
+        # the first reading is the reference of all others
+        square = (each**2).sum(axis=1) + each.sum(axis=1) ** 2
+        result.append(np.nan_to_num(error.sensor) * np.sqrt(square))
+    return np.stack(result, axis=1)
 
 
 def _shifted(value: Floats, shift: int) -> Floats:

@@ -100,6 +100,25 @@ class Disturbance:
         return Disturbance(*arrays, self.span, self.force[some], self.reason[some])
 
 
+@dataclass(frozen=True, eq=False)
+class LargestForce:
+    """Largest force beside the command of each trial, shape (n,).
+
+    Parameters
+    ----------
+    ratio : float64
+        In units of the smallest force that would be reported there [1]; NaN where the balance cannot be told.
+    row : int64
+        Row about which it acts; -1 where the balance cannot be told.
+    force : float64
+        With its sign [N, Nm]; 0 where the balance cannot be told.
+    """
+
+    ratio: Floats
+    row: Integers
+    force: Floats
+
+
 @dataclass(frozen=True)
 class Device:
     """Device that fits an experiment: m, b, k, delay and the deviation of single commands from it [samples].
@@ -117,7 +136,9 @@ class Device:
     typical: float = 0.0
 
 
-def find_disturbance(batch: TrialBatch, response: Response, device: Device | None = None) -> Disturbance:
+def find_disturbance(
+    batch: TrialBatch, response: Response, device: Device | None = None, largest: LargestForce | None = None
+) -> Disturbance:
     """Find the force that acts beside the command.
 
     Parameters
@@ -128,6 +149,8 @@ def find_disturbance(batch: TrialBatch, response: Response, device: Device | Non
         Of the same trials.
     device : Device, optional
         What was learnt from all trials of the experiment (`learn_device`, `with_typical`); by default from these.
+    largest : LargestForce, optional
+        `largest_force` of the same trials and device, where it is known already.
 
     Returns
     -------
@@ -141,42 +164,50 @@ def find_disturbance(batch: TrialBatch, response: Response, device: Device | Non
     last w samples of a log, are not seen. Valid for a device that is one mass in the range of the loop.
     """
     n = len(batch)
-    first, largest, force = np.full(n, NO_ROW), np.full(n, NO_ROW), np.zeros(n)
+    first = np.full(n, NO_ROW)
     if device is None:
         device = learn_device(
             *(TrialGroups((np.arange(n),), (batch,)), response.edge_row, response.floor, batch.rows, batch.step),
             batch.sampling_period_s,
         )
-        device = with_typical(device, largest_force(batch, response, device))
+        largest = largest_force(batch, response, device)
+        device = with_typical(device, largest.ratio)
     if not device.mass > 0:
         unknown = "no motion in the experiment's trials from which to know the device"
-        return Disturbance(first, largest, 0, force, (unknown,) * n)
-    usable = _usable(response.edge_row, batch.rows)
-    for index, ratio, left in _ratios(batch, response, device):
-        broken = ratio > max(1.0, TYPICAL_FACTOR * device.typical)
-        found = broken.any(axis=1)
-        first[index[found]] = np.argmax(broken[found], axis=1) + device.span
-        peak = np.argmax(ratio[found], axis=1)
-        largest[index[found]] = peak + device.span
-        force[index[found]] = left[found, peak]
-    reason = tuple("" if good else "too few samples after the step for a balance of forces" for good in usable)
-    return Disturbance(first, largest, device.span, force, reason)
+        return Disturbance(first, first, 0, np.zeros(n), (unknown,) * n)
+    largest = largest or largest_force(batch, response, device)
+    reported = max(1.0, TYPICAL_FACTOR * device.typical)
+    broken = largest.ratio > reported
+    for index, ratio, _ in _ratios(batch, response, device, np.flatnonzero(broken)):
+        first[index] = np.argmax(ratio > reported, axis=1) + device.span
+    return Disturbance(
+        first,
+        np.where(broken, largest.row, NO_ROW),
+        device.span,
+        np.where(broken, largest.force, 0.0),
+        tuple(
+            "too few samples after the step for a balance of forces" if untold else ""
+            for untold in np.isnan(largest.ratio)
+        ),
+    )
 
 
-def largest_force(batch: TrialBatch, response: Response, device: Device) -> Floats:
-    """Return the largest force beside the command of each trial in units of the smallest that would be reported there.
-
-    NaN where the balance cannot be told, shape (n,).
-    """
-    size = np.full(len(batch), np.nan)
+def largest_force(batch: TrialBatch, response: Response, device: Device) -> LargestForce:
+    """Return the largest force beside the command of each trial, whatever is typical of the device."""
+    n = len(batch)
+    found = LargestForce(np.full(n, np.nan), np.full(n, NO_ROW), np.zeros(n))
     if device.mass > 0:
-        for index, ratio, _ in _ratios(batch, response, device):
-            size[index] = ratio.max(axis=1, initial=0.0)
-    return size
+        usable = np.flatnonzero(_usable(response.edge_row, batch.rows))
+        found.ratio[usable] = 0.0
+        for index, ratio, left in _ratios(batch, response, device, usable):
+            at, trial = np.argmax(ratio, axis=1), np.arange(len(index))
+            found.ratio[index], found.force[index] = ratio[trial, at], left[trial, at]
+            found.row[index] = at + device.span
+    return found
 
 
 def with_typical(device: Device, size: Floats) -> Device:
-    """Return the device with the force of the middle trial, from `largest_force` of all trials."""
+    """Return the device with the force of the middle trial, from the ratios of `largest_force` of all trials."""
     told = size[np.isfinite(size)]
     return replace(device, typical=float(np.median(told)) if len(told) >= FEWEST_TRIALS else 0.0)
 
@@ -215,11 +246,17 @@ def _usable(edge_row: Integers, rows: Integers) -> Booleans:
     return usable
 
 
-def _ratios(batch: TrialBatch, response: Response, device: Device) -> Iterator[tuple[Integers, Floats, Floats]]:
-    """Yield indices of trials, their forces in units of the smallest reported one, and the forces, from row span on."""
-    usable = np.flatnonzero(_usable(response.edge_row, batch.rows))
-    for start in range(0, len(usable), CHUNK):
-        index = usable[start : start + CHUNK]
+def _ratios(
+    batch: TrialBatch, response: Response, device: Device, which: Integers
+) -> Iterator[tuple[Integers, Floats, Floats]]:
+    """Yield indices of trials, their forces in units of the smallest reported one, and the forces, from row span on.
+
+    Nothing where all logs are shorter than two spans.
+    """
+    if batch.position.shape[1] <= 2 * device.span:
+        return
+    for start in range(0, len(which), CHUNK):
+        index = which[start : start + CHUNK]
         trials = batch.select(index)
         left, limit = _left_over(trials, device, device.span, response.floor[index])
         column = np.arange(left.shape[1])[None, :] + device.span

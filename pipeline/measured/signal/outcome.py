@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.measured.signal.disturbance import Device, find_disturbance
+from pipeline.measured.signal.disturbance import Device, LargestForce, find_disturbance
 from pipeline.measured.signal.events import (
     UNMOVED_SAMPLES,
     first_clipped,
@@ -130,6 +130,7 @@ def classify(
     *,
     usual_rows: int | None = None,
     device: Device | None = None,
+    largest: LargestForce | None = None,
 ) -> Outcomes:
     """Say of each trial what happened in it.
 
@@ -141,6 +142,8 @@ def classify(
         Of the same trials.
     usual_rows, device : int, Device, optional
         `usual_length` of the logs of the experiment, and its device (`find_disturbance`); by default by these trials.
+    largest : LargestForce, optional
+        `largest_force` of the trials beside that device, where it is known already.
 
     Returns
     -------
@@ -162,7 +165,7 @@ def classify(
     band = np.where(batch.stiffness > 0, np.maximum(BAND * travel, response.floor), np.nan)
     end = _end(batch, response, verdicts, band)
     clipped, limit = first_clipped(batch)
-    push = find_disturbance(batch, response, device)
+    push = find_disturbance(batch, response, device, largest)
     stop, left = (
         first_stop(batch, response, push),
         left_travel(batch, response, usual_length(batch.rows) if usual_rows is None else usual_rows),

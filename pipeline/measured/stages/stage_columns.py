@@ -8,7 +8,6 @@ import numpy as np
 import pyarrow as pa
 
 from pipeline.measured.stages.stage_groups import Columns, Given, TrialGroup
-from pipeline.records.batch import Floats
 from pipeline.records.tables import TABLES, to_arrow
 
 
@@ -25,12 +24,6 @@ def conditions(of: TrialGroup) -> Columns:
 def joined_texts(*reasons: Iterable[str]) -> list[str | None]:
     """Return the reasons of each trial, joined; None where there is none."""
     return ["; ".join(dict.fromkeys(text for text in texts if text)) or None for texts in zip(*reasons, strict=True)]
-
-
-def integer_column(values: Floats) -> pa.Array:
-    """Return whole numbers as int64, null where they are not finite."""
-    missing = ~np.isfinite(values)
-    return pa.array(np.where(missing, 0, values).astype(np.int64), mask=missing)
 
 
 def row_column(values: np.ndarray) -> pa.Array:

@@ -1,18 +1,20 @@
-"""Stage `energy`: the energy costs of each trial with their intervals."""
+"""Stage `energy`: the energy costs of each trial with their intervals, which need the mass."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from pipeline.measured.cost import costs
 from pipeline.measured.cost.energy_intervals import HORIZON_PARTS, energy_interval
+from pipeline.measured.cost.families import joined
+from pipeline.measured.cost.reading_error import ReadingError
 from pipeline.measured.experiment.estimates import mass_estimate, standard_error
-from pipeline.measured.signal.response import NO_ROW
-from pipeline.measured.stages.stage_columns import conditions, joined_texts, row_column
+from pipeline.measured.signal.response import Response
+from pipeline.measured.signal.verdict import Verdicts
 from pipeline.measured.stages.stage_given import Experiment
-from pipeline.measured.stages.stage_groups import Columns, Given, TrialGroup
-from pipeline.measured.stages.stage_overshoot import error_of
+from pipeline.measured.stages.stage_groups import Columns, Given
 from pipeline.measured.stages.stage_settling import given_of as given_to_settling
+from pipeline.records.batch import TrialBatch
+from pipeline.records.criteria import ENERGY, members
 
 
 def given_of(of: Experiment) -> Given:
@@ -23,23 +25,18 @@ def given_of(of: Experiment) -> Given:
     return {**given_to_settling(of), "mass": mass.value, "mass_error": standard_error(mass)}
 
 
-def columns(of: TrialGroup, given: Given) -> Columns:
-    """Return the columns of the stage for some trials."""
+def energy(batch: TrialBatch, response: Response, verdicts: Verdicts, error: ReadingError, given: Given) -> Columns:
+    """Return the energies of some trials with their intervals, as a family of costs."""
     found = energy_interval(
-        *(of.batch, of.found, of.verdicts, error_of(of, given), given["delay"], given["mass"]),
+        *(batch, response, verdicts, error, given["delay"], given["mass"]),
         mass_error=given["mass_error"],
         delay_range=tuple(given["delay_range"]),
     )
-    half, full = HORIZON_PARTS.index(0.5), HORIZON_PARTS.index(1.0)
-    made = conditions(of) | {
-        "horizon_samples": row_column(np.where(found.horizon_samples > 0, found.horizon_samples, NO_ROW)),
-        "reason": joined_texts(found.reason),
+    half, full = (found.by_horizon[:, :, HORIZON_PARTS.index(part)] for part in (0.5, 1.0))
+    ends = {"": found.value, "_low": found.low, "_high": found.high}
+    parts = {**ends, "_bias": found.bias, "_tail": found.tail, "_half": half, "_full": full}
+    return {
+        **{f"{c.column}{part}": values[:, c.weight] for c in members(ENERGY) for part, values in parts.items()},
+        "horizon_samples": np.where(found.horizon_samples > 0, found.horizon_samples, np.nan),
+        "reason": joined(found.reason),
     }
-    for w in costs.WEIGHTS:
-        parts = {"": found.value, "_low": found.low, "_high": found.high, "_bias": found.bias, "_tail": found.tail}
-        made |= {f"energy_w{w}{end}": values[:, w] for end, values in parts.items()}
-        made |= {
-            f"energy_w{w}_half": found.by_horizon[:, w, half],
-            f"energy_w{w}_full": found.by_horizon[:, w, full],
-        }
-    return made

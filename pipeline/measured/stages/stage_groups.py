@@ -5,10 +5,10 @@ A stage sees nothing else, so that its rows are known by the samples of a group,
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -20,6 +20,8 @@ Given = Mapping[str, Any]
 """Values of the whole experiment by name, as JSON holds them."""
 
 Columns = dict[str, Any]
+
+Result = TypeVar("Result")
 
 LONGEST_MOTION = 1 << 16
 """Rows of a longer log that mass and damping are estimated from: a minute at 1 kHz."""
@@ -45,6 +47,15 @@ class TrialGroup:
 
     logged: TrialBatch
     verdicts: Verdicts = field(default_factory=_unjudged)
+    _told: dict[tuple[Any, ...], Any] = field(default_factory=dict)
+
+    def once(self, function: Callable[..., Result], *arguments: Hashable) -> Result:
+        """Return what a function tells of batch and response by some values, computed once for all stages."""
+        key = (function, *arguments)
+        if key not in self._told:
+            self._told[key] = function(self.batch, self.found, *arguments)
+        result: Result = self._told[key]
+        return result
 
     @cached_property
     def batch(self) -> TrialBatch:

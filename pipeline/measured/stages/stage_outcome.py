@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import numpy as np
 
@@ -27,13 +27,16 @@ def given_of(of: Experiment) -> Given:
 
 
 def _largest_force(of: TrialGroup, given: Given) -> Floats:
-    return largest_force(of.batch, of.found, Device(**given["device"]))
+    return of.once(largest_force, Device(**given["device"])).ratio
 
 
 def columns(of: TrialGroup, given: Given) -> Columns:
     """Return the columns of the stage for some trials."""
     device = Device(**given["device"])
-    found = outcome.classify(of.batch, of.found, of.verdicts, usual_rows=given["usual_rows"], device=device)
+    largest = of.once(largest_force, replace(device, typical=0.0))
+    found = outcome.classify(
+        *(of.batch, of.found, of.verdicts), usual_rows=given["usual_rows"], device=device, largest=largest
+    )
     return conditions(of) | {
         "outcome": list(found.outcome),
         "evidence": list(found.evidence),

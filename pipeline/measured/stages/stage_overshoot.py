@@ -1,14 +1,12 @@
-"""Stage `overshoot`: the overshoot of each trial with its interval."""
+"""Stages of costs, whose families are in `pipeline.measured.cost.families`: those that need nothing of the device."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from pipeline.measured.cost import costs
-from pipeline.measured.cost.cost_intervals import overshoot_interval
+from pipeline.measured.cost.families import Measure
 from pipeline.measured.cost.reading_error import ReadingError, motion_at_rest, reading_error, sensor_error, usual_rest
-from pipeline.measured.cost.step_metrics import reconcile
-from pipeline.measured.stages.stage_columns import conditions, joined_texts
+from pipeline.measured.stages.stage_columns import conditions
 from pipeline.measured.stages.stage_given import Experiment
 from pipeline.measured.stages.stage_groups import Columns, Given, TrialGroup
 from pipeline.records.batch import Floats
@@ -29,24 +27,14 @@ def sensor_of(of: Experiment, delay: int) -> Given:
 
 
 def _motion_at_rest(of: TrialGroup, given: Given) -> Floats:
-    return motion_at_rest(of.batch, of.found, given["delay"], given["sensor"])
+    return of.once(motion_at_rest, given["delay"], given["sensor"])
 
 
-def error_of(of: TrialGroup, given: Given) -> ReadingError:
-    """Return the error of the readings of some trials."""
+def _error_of(of: TrialGroup, given: Given) -> ReadingError:
     sensor = float("nan") if given["sensor"] is None else given["sensor"]
     return reading_error(of.batch, of.found, given["delay"], sensor=sensor, rest=given["rest"])
 
 
-def columns(of: TrialGroup, given: Given) -> Columns:
-    """Return the columns of the stage for some trials."""
-    found = costs.overshoot(of.batch, of.found, of.verdicts)
-    interval = overshoot_interval(of.batch, of.found, error_of(of, given), found)
-    return conditions(of) | {
-        "overshoot": found.overshoot,
-        "overshoot_floor": found.floor,
-        "overshoot_low": interval.low,
-        "overshoot_high": interval.high,
-        "overshoot_last_sample": reconcile(of.batch, of.found, of.verdicts, 0).overshoot["matlab_final_value"].value,
-        "reason": joined_texts(found.reason, interval.reason),
-    }
+def columns(of: TrialGroup, given: Given, measure: Measure) -> Columns:
+    """Return the columns of a family of costs for some trials."""
+    return conditions(of) | measure(of.batch, of.found, of.verdicts, _error_of(of, given), given)

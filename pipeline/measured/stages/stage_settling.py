@@ -1,16 +1,11 @@
-"""Stage `settling`: the settling times of each trial with their intervals."""
+"""Stages of costs that are counted from the delay on."""
 
 from __future__ import annotations
 
-from pipeline.measured.cost import costs
-from pipeline.measured.cost.cost_intervals import settling_interval
-from pipeline.measured.cost.step_metrics import TOOLS, reconcile
 from pipeline.measured.experiment.known_delay import delay_estimate, delay_range, with_delay
-from pipeline.measured.stages.stage_columns import conditions, integer_column, joined_texts
 from pipeline.measured.stages.stage_given import Experiment
-from pipeline.measured.stages.stage_groups import Columns, Given, TrialGroup
-from pipeline.measured.stages.stage_overshoot import error_of, sensor_of
-from pipeline.records.findings import SETTLING_BANDS
+from pipeline.measured.stages.stage_groups import Given
+from pipeline.measured.stages.stage_overshoot import sensor_of
 
 
 def given_of(of: Experiment) -> Given:
@@ -19,22 +14,3 @@ def given_of(of: Experiment) -> Given:
     if "missing" in found:
         return found
     return {**sensor_of(of, found["delay"]), "delay_range": delay_range(of.once(delay_estimate))}
-
-
-def columns(of: TrialGroup, given: Given) -> Columns:
-    """Return the columns of the stage for some trials."""
-    samples = given["delay"]
-    found = costs.settling(of.batch, of.found, of.verdicts, samples)
-    interval = settling_interval(
-        *(of.batch, of.found, error_of(of, given), found, samples), delay_range=tuple(given["delay_range"])
-    )
-    made = conditions(of) | {"reason": joined_texts(found.reason, interval.reason)}
-    others = reconcile(of.batch, of.found, of.verdicts, samples).settling
-    made |= {f"settle_{tool}": others[tool].value for tool in TOOLS}
-    for name in SETTLING_BANDS:
-        made[name] = integer_column(found.samples[name])
-        made[f"{name}_low"], made[f"{name}_high"] = (
-            integer_column(interval.low[name]),
-            integer_column(interval.high[name]),
-        )
-    return made

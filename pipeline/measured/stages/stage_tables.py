@@ -25,7 +25,7 @@ from pipeline.measured.signal.verdict import Verdicts
 from pipeline.measured.stages.stage_columns import stage_rows
 from pipeline.measured.stages.stage_given import Experiment, nothing
 from pipeline.measured.stages.stage_groups import Columns, Given, TrialGroup
-from pipeline.records.batch import Floats
+from pipeline.records.batch import Booleans, Floats
 from pipeline.records.groups import TrialGroups
 from pipeline.records.table_files import read_metadata, read_table, write_table
 from pipeline.records.tables import arrow_schema, to_arrow
@@ -69,8 +69,16 @@ class Stage:
     @property
     def code(self) -> str:
         """Hash of the code that computes the stage: of its functions, and of all by which they are called."""
-        functions = filter(None, (self.rows, self.given, self.whole, self.derived))
-        return code_digest(__name__, *sorted({function.__module__ for function in functions}))
+        return code_digest(__name__, *self.modules)
+
+    @property
+    def modules(self) -> list[str]:
+        """Names of the modules of its functions, and of those that are handed to them."""
+        functions = list(filter(None, (self.rows, self.given, self.whole, self.derived)))
+        for function in functions:
+            if isinstance(function, partial):
+                functions += [function.func, *filter(callable, function.keywords.values())]
+        return sorted({function.__module__ for function in functions if not isinstance(function, partial)})
 
 
 @dataclass
@@ -155,7 +163,7 @@ class StageTables:
         return found
 
     def of_each(self, function: Callable[..., Result], **given: Any) -> list[Result]:
-        """Return the results of a function of each group, `TrialGroup` and what is given, in order of the groups."""
+        """Return the results of a function of each group or part of one, `TrialGroup` and what is given, in order."""
         return list(self._mapped(partial(function, given=given), self._judged))
 
     def key(self, stage: str) -> str:
@@ -194,7 +202,7 @@ class StageTables:
         return self._tables[stage]
 
     def compute(self, stages: Sequence[str], mapped: Callable[..., Iterable[Any]]) -> None:
-        """Compute and store some stages, in this order, by a ``map`` that may send groups to other processes."""
+        """Compute and store some stages, in this order, by a ``map`` that may cut groups and send them elsewhere."""
         self._mapped = mapped
         try:
             for stage in stages:
@@ -233,9 +241,10 @@ class StageTables:
         former = self._former(stage, common)
         kept = set(former.column(ROW_KEY).to_pylist())
         groups = self._groups if stage == SAMPLED else self._judged
-        new = [group.select(np.array([key not in kept for key in group.logged.digests])) for group in groups]
-        compute = partial(stage_rows, stage=stage, columns=made.rows, given=given, rotation=self.rotation)
-        rows = pa.concat_tables([former, *self._mapped(compute, [group for group in new if len(group.logged)])])
+        masks = [np.array([key not in kept for key in group.logged.digests]) for group in groups]
+        new = [number for number, mask in enumerate(masks) if mask.any()]
+        compute = partial(_new_rows, stage=stage, columns=made.rows, given=given, rotation=self.rotation)
+        rows = pa.concat_tables([former, *self._mapped(compute, [groups[i] for i in new], [masks[i] for i in new])])
         if made.derived is not None:
             for name, values in made.derived(self, rows).items():
                 index = rows.schema.get_field_index(name)
@@ -292,3 +301,7 @@ class StageTables:
                 "expected one. Name the experiments apart in the logs' headers and ingest them into a new folder."
             )
         return float(periods[0])
+
+
+def _new_rows(of: TrialGroup, new: Booleans, **what: Any) -> pa.Table:
+    return stage_rows(of.select(new), **what)

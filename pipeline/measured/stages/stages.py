@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
 from pipeline.base.wording import commonest
+from pipeline.measured.cost.families import FAMILIES, Measure
 from pipeline.measured.experiment import aggregate, estimates, known_delay
 from pipeline.measured.stages import (
     stage_boundary,
@@ -24,7 +25,18 @@ from pipeline.measured.stages import (
 )
 from pipeline.measured.stages.stage_tables import SAMPLED, Stage, StageTables
 from pipeline.records.batch import Floats
-from pipeline.records.findings import ENERGY_CRITERIA, SETTLING_BANDS, BoundaryPoint, Estimate, ModelCheck, Optimum
+from pipeline.records.criteria import FAMILIES as CRITERION_FAMILIES
+from pipeline.records.criteria import Family, criterion_of
+from pipeline.records.findings import BoundaryPoint, Estimate, ModelCheck, Optimum
+
+MEASURES: dict[str, Measure] = {**FAMILIES, "energy": stage_energy.energy}
+"""What computes the costs of each family of criteria."""
+
+
+def _cost_stage(family: Family) -> Stage:
+    needs = stage_energy if "mass" in family.needs else stage_settling if "delay" in family.needs else stage_overshoot
+    return Stage(family.needs, partial(stage_overshoot.columns, measure=MEASURES[family.name]), needs.given_of)
+
 
 STAGES: dict[str, Stage] = {
     "response": Stage(rows=stage_response.columns),
@@ -39,9 +51,7 @@ STAGES: dict[str, Stage] = {
         stage_mass.given_of,
         derived=stage_mass.corrected,
     ),
-    "overshoot": Stage(("response",), stage_overshoot.columns, stage_overshoot.given_of),
-    "settling": Stage(("response", "delay"), stage_settling.columns, stage_settling.given_of),
-    "energy": Stage(("response", "delay", "model", "damping", "mass"), stage_energy.columns, stage_energy.given_of),
+    **{name: _cost_stage(family) for name, family in CRITERION_FAMILIES.items()},
     "windows": Stage(("response", "delay"), whole=stage_windows.columns),
 }
 """Stages in the order in which they can be computed; the plan is made backwards along what they need."""
@@ -93,6 +103,16 @@ class ExperimentStages(StageTables):
         stage, column = cost_column(criterion)
         return self.column(stage, column), commonest(self.texts(stage, "reason"))
 
+    def floor(self, criterion: str) -> Floats | None:
+        """Return the cost of each trial that sensor and chatter alone can cause; None where they cause none."""
+        family = criterion_of(criterion).family
+        return self.column(family.name, family.floor) if family.floor else None
+
+    def sure_cost(self, criterion: str) -> Floats:
+        """Return the cost of each trial as `cost`, zero where it counts as none."""
+        cost, floor = self.column(*cost_column(criterion)), self.floor(criterion)
+        return cost if floor is None else np.where(aggregate.without_overshoot(cost, floor), 0.0, cost)
+
     def cost_interval(self, criterion: str) -> tuple[Floats, Floats]:
         """Return lower and upper end of the 95 % interval of each trial's cost, NaN where there is none."""
         stage, column = cost_column(criterion)
@@ -108,7 +128,7 @@ class ExperimentStages(StageTables):
             self.column("response", "damping"),
             tuple(table.column("trial_id").to_pylist()),
             unstable=self.verdicts.verdict == "unstable",
-            floor=self.column("overshoot", "overshoot_floor") if criterion == "overshoot" else None,
+            floor=self.floor(criterion),
         )
         if best is None:
             return None
@@ -129,8 +149,5 @@ def required(stages: Iterable[str]) -> set[str]:
 
 def cost_column(criterion: str) -> tuple[str, str]:
     """Return stage and column that hold the cost by a criterion."""
-    if criterion == "overshoot":
-        return "overshoot", "overshoot"
-    if criterion in SETTLING_BANDS:
-        return "settling", criterion
-    return "energy", f"energy_w{ENERGY_CRITERIA.index(criterion)}"
+    known = criterion_of(criterion)
+    return known.family.name, known.column

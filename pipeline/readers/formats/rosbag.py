@@ -2,7 +2,7 @@
 `pipeline.readers.formats.topics`.
 
 A ROS 2 bag is a folder; its samples are in the ``.db3`` or ``.mcap`` files in it, which are read one behind the other
-(`pipeline.ingest.bags` says which). Records are walked in order, so that a
+(`pipeline.intake.bags` says which). Records are walked in order, so that a
 bag that was never closed or indexed is read up to its end.
 """
 

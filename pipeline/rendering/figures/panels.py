@@ -19,27 +19,17 @@ from matplotlib.tri import Triangulation
 from matplotlib.typing import CapStyleType
 
 from pipeline.records.batch import Booleans, Floats
+from pipeline.records.criteria import criterion_of
 from pipeline.records.figure_records import CostMap, Curve, Figure
 from pipeline.rendering.figures import style
-from pipeline.rendering.labels import cost_text, printed_scale, significant
+from pipeline.rendering.labels import cost_text, printed_scale, significant, with_unit
 
 LINES_PER_DOUBLING = 2
-"""Contour lines of settling and energy costs, as in Figs. 6.5 to 6.7."""
+"""Contour lines of costs without levels of their own, as in Figs. 6.5 to 6.7."""
 DOUBLINGS = 5
 """Contours end at 32 times the optimum; beyond, they merge with the stability boundary."""
-OVERSHOOT_STEP = 0.1
-"""Distance of the overshoot contours: 10 percentage points."""
-OVERSHOOT_LAST = 1.0
-"""Highest overshoot contour; steeper parts merge with the stability boundary."""
-NO_OVERSHOOT_LINE = 1e-3
-"""Overshoot at which the edge of the no-overshoot region is drawn: less is invisible, and interpolation from
-exact zeros at a lower level follows the grid cells instead of the edge."""
-NO_OVERSHOOT = 1e-12
-"""Overshoot that counts as none (footnote 4 of sec. 5.2.2)."""
 FRONT_RANGE = 4.0
 """The front view reaches to this multiple of the highest optimum: all that matters for a choice."""
-OVERSHOOT_RANGE = 1.0
-"""Front view of the overshoot: 0 to 100 %."""
 LONGEST_EDGE = 2.3
 """Longest side, in grid steps, of a triangle that contours cross: spans one missing trial at most."""
 LABEL_SIZE = (0.12, 0.042)
@@ -148,8 +138,9 @@ def draw_map(axes: Axes, cost_map: CostMap, criterion: str, scale: float) -> Non
     if not np.isfinite(cost_map.cost).any():
         axes.text(0.5, 0.5, "no trial with this cost", transform=axes.transAxes, ha="center")
         return
-    if criterion == "overshoot":
-        calm = cost_map.trial_cost <= NO_OVERSHOOT
+    family = criterion_of(criterion).family
+    if family.none:
+        calm = cost_map.trial_cost <= family.none
         dots(axes, cost_map.trial_stiffness[calm] * scale, cost_map.trial_damping[calm], style.INK, 2.4)
     _draw_contours(axes, cost_map, criterion, scale)
     for curve, line in ((cost_map.best_damping, "-"), (cost_map.best_stiffness, style.LINES["theory"])):
@@ -166,8 +157,9 @@ def _draw_contours(axes: Axes, cost_map: CostMap, criterion: str, scale: float) 
     levels = _levels(criterion, cost_map.cost[known])
     if not levels.size:
         return
-    if criterion == "overshoot":
-        wide, labelled = np.where(levels <= NO_OVERSHOOT_LINE, 1.8, 1.0), levels[levels > NO_OVERSHOOT_LINE][::2]
+    edge = criterion_of(criterion).family.levels[:1]
+    if edge:
+        wide, labelled = np.where(levels <= edge, 1.8, 1.0), levels[levels > edge][::2]
     else:
         whole = np.arange(levels.size) % LINES_PER_DOUBLING == LINES_PER_DOUBLING - 1
         wide, labelled = np.where(whole, 1.3, 0.8), levels[1::LINES_PER_DOUBLING]
@@ -186,12 +178,10 @@ def _draw_contours(axes: Axes, cost_map: CostMap, criterion: str, scale: float) 
 
 
 def _levels(criterion: str, cost: Floats) -> Floats:
-    """Return the contour levels inside the range of the costs: two a doubling, or every 10 % of overshoot."""
+    """Return the contour levels inside the range of the costs: those of its family, else two a doubling."""
     low, high = float(cost.min()), float(cost.max())
-    if criterion == "overshoot":
-        steps = np.arange(1, round(OVERSHOOT_LAST / OVERSHOOT_STEP) + 1) * OVERSHOOT_STEP
-        levels = np.concatenate([[NO_OVERSHOOT_LINE], steps])
-    else:
+    levels = np.array(criterion_of(criterion).family.levels)
+    if not levels.size:
         # A level that equals many costs exactly (settling times are whole numbers) would fray into plateaus.
         exponents = np.arange(1, DOUBLINGS * LINES_PER_DOUBLING + 1) / LINES_PER_DOUBLING
         levels = low * 2.0**exponents * (1 + 1e-6)
@@ -212,7 +202,7 @@ def draw_front(axes: Axes, cost_map: CostMap, criterion: str, scale: float, top:
         return
     place = (best.stiffness * scale, best.cost * factor)
     axes.plot(*place, "+", color=style.BLUE, ms=11, mew=2.2, zorder=5)
-    text = cost_text(criterion, best.cost) + (" %" if criterion == "overshoot" else "")
+    text = cost_text(criterion, best.cost) + (" %" if factor != 1 else "")
     offset = (0, -15 if best.cost > 0.2 * top else 14)  # else the value would collide with the axis
     look: dict[str, Any] = {"va": "center", "color": style.BLUE, "fontweight": "bold", "bbox": style.BEHIND_TEXT}
     look["ha"] = "left" if place[0] < 0.1 * axes.get_xlim()[1] else "center"
@@ -221,19 +211,17 @@ def draw_front(axes: Axes, cost_map: CostMap, criterion: str, scale: float, top:
 
 def front_top(figure: Figure[CostMap]) -> float:
     """Return the upper end of the cost axis of the front views, the same for all maps of a figure."""
-    if figure.criterion == "overshoot":
-        return OVERSHOOT_RANGE
+    levels = criterion_of(figure.criterion).family.levels
+    if levels:
+        return levels[-1]
     lowest = [float(np.nanmin(m.cost)) for m in figure.panels if np.isfinite(m.cost).any()]
     return FRONT_RANGE * max(lowest, default=1.0)
 
 
 def cost_axis_label(criterion: str) -> str:
     """Return quantity and unit of the cost axis of a front view."""
-    if criterion == "overshoot":
-        return "overshoot [%]"
-    if criterion.startswith("settle"):
-        return "settling time [samples]"
-    return "energy cost" if criterion.startswith("energy") else criterion
+    family = criterion_of(criterion).family
+    return with_unit(family.title, family.printed_unit)
 
 
 def _triangles(cost_map: CostMap, known: Booleans) -> Triangulation | None:

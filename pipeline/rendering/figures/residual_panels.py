@@ -13,6 +13,7 @@ from matplotlib.axes import Axes
 
 from pipeline.base.wording import counted
 from pipeline.records.batch import Floats
+from pipeline.records.criteria import criterion_of
 from pipeline.records.figure_records import Figure, ResidualMap
 from pipeline.records.models import Motion
 from pipeline.rendering.figures import canvas, panels, style
@@ -53,14 +54,18 @@ def departure(residual: float, criterion: str, places: int = 1) -> str:
     """Return a residual as a reader says it: percent of theory, or percentage points of overshoot."""
     if not np.isfinite(residual):
         return "not known"
-    overshoot = criterion == "overshoot"
-    value = 100 * (residual if overshoot else 2.0**residual - 1)
+    value = 100 * (residual if _differs(criterion) else 2.0**residual - 1)
     text = percent_text(value, places)
-    return f"{text} {'points' if overshoot else '%'}"
+    return f"{text} {'points' if _differs(criterion) else '%'}"
+
+
+def _differs(criterion: str) -> bool:
+    """Tell whether costs are compared by their difference."""
+    return bool(criterion_of(criterion).family.levels)
 
 
 def _steps(criterion: str) -> Floats:
-    return np.array(OVERSHOOT_STEPS) if criterion == "overshoot" else np.log2(RATIO_STEPS)
+    return np.array(OVERSHOOT_STEPS) if _differs(criterion) else np.log2(RATIO_STEPS)
 
 
 def _classes(residual: Floats, criterion: str) -> Floats:
@@ -91,7 +96,7 @@ def _key(axes: Axes, criterion: str) -> None:
     look: dict[str, Any] = {"transform": None, "fontsize": 9, "ha": "center", "va": "top"}
     for place, value in zip(places, range(-4, 5), strict=True):
         text = "less" if value == 0 else names[1 if value > 0 else -1][abs(value) - 1]
-        last = value == 4 and criterion != "overshoot"  # the unit once: there is no room for nine
+        last = value == 4 and not _differs(criterion)  # the unit once: there is no room for nine
         axes.text(place, box.y0 - 59.0, text if last else text.split(" ")[0], **look)
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from html import escape
-from itertools import groupby
+from itertools import groupby, pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -193,13 +193,12 @@ def _steps(steps: list[list[int]]) -> str:
 
 def _lines(path: Path) -> list[tuple[Floats, bool]]:
     """Return the points of each line of a cleaned path, and whether it is closed."""
-    codes = np.asarray(path.codes)
-    lines = []
-    for part in np.split(np.arange(len(codes)), np.flatnonzero(codes == Path.MOVETO)):
-        drawn = part[np.isin(codes[part], (Path.MOVETO, Path.LINETO))]
-        if len(drawn):
-            lines.append((np.asarray(path.vertices)[drawn], Path.CLOSEPOLY in codes[part]))
-    return lines
+    codes, points = np.asarray(path.codes), np.asarray(path.vertices)
+    drawn, closing = (codes == Path.MOVETO) | (codes == Path.LINETO), codes == Path.CLOSEPOLY
+    bounds = [*np.flatnonzero(codes == Path.MOVETO).tolist(), len(codes)]
+    return [
+        (points[first:stop][drawn[first:stop]], bool(closing[first:stop].any())) for first, stop in pairwise(bounds)
+    ]
 
 
 def _element(look: Look, marks: list[Mark]) -> str:

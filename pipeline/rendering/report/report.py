@@ -16,6 +16,7 @@ from pipeline.base.disk import write_text
 from pipeline.base.errors import PipelineError
 from pipeline.base.wording import duration, error_text, unbroken
 from pipeline.records.accuracy import AccuracyReport, own_rungs
+from pipeline.records.criteria import criterion_of
 from pipeline.records.results import ComparisonResult, ReportData
 from pipeline.records.trial_records import NO_TRIALS, TrialPage
 from pipeline.rendering.report import (
@@ -93,8 +94,7 @@ def render(data: ReportData) -> str:
         trials_json=report_scripts.json_text(trials.content) if trials else "",
         plot_style=report_scripts.plot_style() if trials else "",
         footnote=footnote,
-        energy=any(c.startswith("energy") for c in result.criteria),
-        settling=any(c.startswith("settle") for c in result.criteria),
+        families=list(dict.fromkeys(criterion_of(name).family for name in result.criteria)),
         figures=report_figures.drawings(data),
         **_tables(data),
     )

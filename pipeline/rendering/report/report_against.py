@@ -18,7 +18,7 @@ from pipeline.records.against_records import (
 )
 from pipeline.records.figure_records import Figure, Limits
 from pipeline.records.models import Motion
-from pipeline.rendering.labels import CRITERION_NAMES, UNITS, percent_text, significant, span
+from pipeline.rendering.labels import UNITS, criterion_name, percent_text, significant, span
 from pipeline.rendering.report.page_template import fill_template
 from pipeline.rendering.report.report_figures import Drawing
 from pipeline.rendering.table import Cell, Column, Table, footnote, missing, number, words
@@ -103,7 +103,7 @@ def _judgement(v: ValueDifference | CostDifference) -> dict[str, Any]:
 
 def _words(name: str) -> str:
     criterion, _, what = name.partition("/")
-    named = CRITERION_NAMES.get(criterion, criterion.removesuffix("_samples").replace("_", " "))
+    named = criterion_name(criterion.removesuffix("_samples"))
     return f"{named}: {what}" if what else named
 
 

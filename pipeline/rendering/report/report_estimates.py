@@ -6,7 +6,8 @@ from functools import partial
 from typing import Any
 
 from pipeline.base.wording import counted
-from pipeline.records.models import DRIFTS, Estimate, Motion
+from pipeline.records.findings import DRIFTS, Estimate
+from pipeline.records.models import Motion
 from pipeline.records.results import ComparisonResult, TheoryParameters
 from pipeline.records.trial_records import NO_TRIALS, TrialPage
 from pipeline.rendering.labels import DIGITS, UNITS, criterion_label, estimate_texts, significant

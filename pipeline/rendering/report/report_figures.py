@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, get_args
 
+from pipeline.records.criteria import OVERSHOOT, criterion_of
 from pipeline.records.figure_records import CostMap, Figure, Limits
 from pipeline.records.models import FigureKind, Motion
 from pipeline.records.results import ReportData
@@ -65,7 +66,7 @@ def _line_key(figure: Figure[Limits]) -> str:
 
 def _map_key(figure: Figure[CostMap]) -> str:
     """What lines and marks of a cost figure mean."""
-    overshoot = figure.criterion == "overshoot"
+    overshoot = criterion_of(figure.criterion).family is OVERSHOOT
     lines = (
         "every 10 percentage points, the heavy one at 0.1 % around the region without"
         if overshoot

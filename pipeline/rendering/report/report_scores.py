@@ -27,9 +27,9 @@ from pipeline.records.score_records import (
 )
 from pipeline.records.trial_records import NO_TRIALS, TrialPage
 from pipeline.rendering.labels import (
-    CRITERION_NAMES,
     MISSING,
     UNITS,
+    criterion_name,
     damping_text,
     decimal,
     fixed,
@@ -224,7 +224,7 @@ def _bound(b: BoundScore) -> Cell:
 
 
 def _optimum_row(criterion: str) -> Row:
-    head = f"{CRITERION_NAMES.get(criterion, criterion)}: cost [%]"
+    head = f"{criterion_name(criterion)}: cost [%]"
     return Row(f"optimum/{criterion}", head, lambda s: _of(criterion, s.optima), _optimum, _NO_OPTIMUM)
 
 
@@ -240,12 +240,12 @@ def _rule_row(rule: str, criterion: str) -> Row:
     def deviation(o: OptimumScore) -> Cell:
         return number(getattr(o, f"{rule}_percent"), percent_text, _NO_OPTIMUM)
 
-    name = CRITERION_NAMES.get(criterion, criterion)
+    name = criterion_name(criterion)
     return Row(f"{rule}/{criterion}", name, lambda s: _of(criterion, s.optima), deviation, _NO_OPTIMUM)
 
 
 def _map_row(criterion: str) -> Row:
-    name = CRITERION_NAMES.get(criterion, criterion)
+    name = criterion_name(criterion)
     return Row(f"map/{criterion}", name, lambda s: _of(criterion, s.maps), _map)
 
 

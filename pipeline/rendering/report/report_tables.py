@@ -8,16 +8,17 @@ from functools import partial
 from typing import Any
 
 from pipeline.records.delay_rows import DelayPoint, delay_points, is_delay_table
-from pipeline.records.models import BoundaryPoint, ComparisonRow, Motion
+from pipeline.records.findings import BoundaryPoint
+from pipeline.records.models import ComparisonRow, Motion
 from pipeline.records.results import ComparisonResult, ExperimentResult
 from pipeline.records.trial_records import NO_TRIALS, TrialPage
 from pipeline.rendering.labels import (
-    CRITERION_NAMES,
     MISSING,
     UNITS,
     condition_label,
     cost_text,
     criterion_label,
+    criterion_name,
     damping_text,
     percent_text,
     printed_scale,
@@ -99,7 +100,7 @@ def missing_table(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> Ta
     table = Table("missing", "Results that the logs do not allow", columns)
     for e in result.experiments:
         for what, why in e.missing.items():
-            name = CRITERION_NAMES.get(what, what.replace("_", " "))
+            name = criterion_name(what)
             table.add(f"{e.experiment}/{what}", {"experiment": e.experiment, "result": name, "reason": why})
     return table.filled
 
@@ -140,7 +141,7 @@ def _optimum_table(name: str, rows: Sequence[ComparisonRow], motion: Motion, tri
         ]
     label = table_label(name)
     title = f"{label[:1].upper()}{label[1:]}. " if name else ""
-    criteria = dict.fromkeys(CRITERION_NAMES.get(row.criterion, row.criterion) for row in rows)
+    criteria = dict.fromkeys(criterion_name(row.criterion) for row in rows)
     table = Table(name or "optima-theory", f"{title}Optimal points: {'; '.join(criteria)}", columns)
     for row in rows:
         place = f"{row.criterion}/{row.condition}"

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from pipeline.base.errors import UsageError
+from pipeline.base.outputs import check_output
 from pipeline.shell import console
-from pipeline.shell.outputs import check_output
 
 if TYPE_CHECKING:
     from pipeline.records.models import Device
@@ -121,7 +121,7 @@ def simulate(
 
 
 def _device(text: str) -> Device:
-    from pipeline.devices.devices import load_device, read_device
+    from pipeline.device_data.devices import load_device, read_device
 
     return read_device(Path(text)) if text.endswith(".toml") else load_device(text)
 

@@ -9,8 +9,8 @@ from typing import Annotated
 import typer
 
 from pipeline.base.errors import EXIT_QUARANTINED, UsageError
+from pipeline.base.outputs import check_output
 from pipeline.shell import console
-from pipeline.shell.outputs import check_output
 
 profile_app = typer.Typer(
     no_args_is_help=True,
@@ -106,7 +106,7 @@ def list_(processed: Processed = Path("processed"), as_json: Json = False) -> No
 
     Example: pipeline quarantine list
     """
-    from pipeline.ingest.quarantine import list_quarantine, record_id
+    from pipeline.intake.quarantine import list_quarantine, record_id
 
     _see_folder(processed)
     records = list_quarantine(processed)
@@ -132,7 +132,7 @@ def show(
 
     Example: pipeline quarantine show logs/run_01.csv
     """
-    from pipeline.ingest.quarantine import find_record, record_id
+    from pipeline.intake.quarantine import find_record, record_id
 
     _see_folder(processed)
     record = find_record(processed, wanted)
@@ -170,8 +170,8 @@ def retry(
     Example: pipeline quarantine retry --profile lab.toml
     """
     from pipeline.base.file_names import path_of_text
-    from pipeline.ingest.ingest import ingest
-    from pipeline.ingest.quarantine import find_record, list_quarantine, quarantine_folder, record_id
+    from pipeline.intake.ingest import ingest
+    from pipeline.intake.quarantine import find_record, list_quarantine, quarantine_folder, record_id
 
     _see_folder(processed)
     records = [find_record(processed, path) for path in paths] if paths else list_quarantine(processed)

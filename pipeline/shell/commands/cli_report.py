@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from pipeline.base.errors import EXIT_ERROR, UsageError
+from pipeline.base.outputs import check_output
 from pipeline.shell import console
 from pipeline.shell.commands import cli_theory
-from pipeline.shell.outputs import check_output
 
 if TYPE_CHECKING:
     from pipeline.rendering.report.report_against import AgainstPage
@@ -33,7 +33,7 @@ def compare(
     experiment: Experiments = None,
     criteria: Annotated[
         str | None,
-        typer.Option("--criteria", help="Criteria, separated by commas; all where not given."),
+        typer.Option("--criteria", help="Separated by commas; a wrong one lists all. The usual ones where not given."),
     ] = None,
     processed: Processed = Path("processed"),
     report: Annotated[
@@ -78,7 +78,7 @@ def compare(
     from pipeline.comparison.scene.scene_file import read_scene
     from pipeline.rendering.table_export import export_tables, parse_formats, tables_folder
     from pipeline.shell.report_index import write_index
-    from pipeline.store.names import AGAINST, report_of
+    from pipeline.store.names import page_against_document, report_of
 
     two = against is not None or against_device is not None
     if two:
@@ -99,6 +99,11 @@ def compare(
     target = report or drawn
     if not dry_run:
         check_output(target, "--report", document_beside=True)
+    if against_report is not None:
+        from pipeline.comparison.against_run import against_document, read_document
+
+        # read before the comparison, which may replace it
+        earlier = read_document(against_report, name)
     outcome = compare_device(
         name,
         processed,
@@ -122,11 +127,8 @@ def compare(
     # other folders may be anybody's: there an index is kept current, but not begun
     write_index(target.parent, only_renew=target.parent != Path("reports"))
     if against_report is not None:
-        from pipeline.comparison.against_run import against_document
-
-        _print_against(
-            against_document(outcome.result, against_report), target, f"{target.stem}{AGAINST}earlier", as_json
-        )
+        page = against_document(outcome.result, earlier)
+        _print_against(page, page_against_document(target, against_report), as_json)
         return
     written = export_tables(outcome.result, tables_folder(target), formats) if formats else ()
     if as_json:
@@ -152,7 +154,7 @@ def _compare_against(
 ) -> None:
     """Compare two experiments and print what differs."""
     from pipeline.comparison.against_run import against_experiments, names_of
-    from pipeline.store.names import AGAINST, folder_name
+    from pipeline.store.names import page_against
     from pipeline.store.storage import list_experiments
 
     if experiments is None or len(experiments) != 1:
@@ -166,12 +168,11 @@ def _compare_against(
             )
         against = stored[0]
     second = names_of(against, device, against_device, list_experiments(processed, device))
-    other = second[1] if second[0] == device else f"{second[0]}-{second[1]}"
-    target = report or Path("reports") / f"{folder_name(f'{device}-{first}{AGAINST}{other}')}.html"
+    target = report or page_against(Path("reports"), (device, first), second)
     check_output(target, "--report", document_beside=True)
     progress = None if as_json else console.note
     page = against_experiments(processed, (device, first), second, criteria, progress)
-    _print_against(page, target, None, as_json)
+    _print_against(page, target, as_json)
 
 
 def _refuse(option: str, **others: bool) -> None:
@@ -184,11 +185,11 @@ def _refuse(option: str, **others: bool) -> None:
             )
 
 
-def _print_against(page: AgainstPage, report: Path, name: str | None, as_json: bool) -> None:
-    """Write a page of differences (beside the report where it has a name of its own), and print what it comes to."""
+def _print_against(page: AgainstPage, report: Path, as_json: bool) -> None:
+    """Write a page of differences, and print what it comes to."""
     from pipeline.rendering.report.report_against import write
 
-    result = write(page, report if name is None else report.with_name(f"{name}.html"))
+    result = write(page, report)
     if as_json:
         console.print_json(result.model_dump(mode="json"))
         return

@@ -54,14 +54,14 @@ def ingest(
 
     Example: pipeline ingest raw --profile lab.toml --wait 600
     """
-    from pipeline.ingest.rerun import Search, recall
+    from pipeline.intake.rerun import Search, recall
 
     if jobs is not None and jobs < 1:
         raise UsageError(f"jobs must be at least 1, found {jobs}. Leave it out for one per processor.")
     search = Search(tuple(map(str, paths)), str(processed), profile)
     document = None if dry_run or rehash else recall(search)
     if document is None:
-        from pipeline.ingest.ingest import ingest as ingest_logs
+        from pipeline.intake.ingest import ingest as ingest_logs
 
         with console.progress("ingest", "logs", as_json) as advance:
             document = ingest_logs(
@@ -140,7 +140,7 @@ def compact(
 
     Example: pipeline compact --processed processed
     """
-    from pipeline.ingest.compaction import compact as compact_store
+    from pipeline.intake.compaction import compact as compact_store
 
     _must_exist(processed)
     report = compact_store(processed, dry_run, wait, None if as_json else console.note)
@@ -285,7 +285,7 @@ def exclude(
 
     Example: pipeline exclude 3f9a --undo
     """
-    from pipeline.ingest import exclude as exclusions
+    from pipeline.intake import exclude as exclusions
 
     _must_exist(processed)
     if undo == (reason is not None):

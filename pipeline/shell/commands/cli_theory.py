@@ -8,8 +8,8 @@ from typing import Annotated
 
 import typer
 
+from pipeline.base.outputs import check_output
 from pipeline.shell import console
-from pipeline.shell.outputs import check_output
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -38,6 +38,10 @@ def points(
         Path,
         typer.Argument(help="CSV file with the columns alpha, beta, gamma, delta, delay.", metavar="CSV"),
     ],
+    criteria: Annotated[
+        str | None,
+        typer.Option("--criteria", help="Separated by commas; a wrong one lists all. The usual ones where not given."),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Stability, spectral radius and costs of the points listed in a CSV file.
@@ -46,12 +50,14 @@ def points(
     """
     from pipeline.theory import cases as theory
 
-    documents = theory.point_costs(theory.read_cases(cases))
+    names = theory.POINT_COSTS if criteria is None else split(criteria)
+    documents = theory.point_costs(theory.read_cases(cases), names)
     if as_json:
         console.print_json(documents)
         return
     columns = ("alpha", "beta", "gamma", "delta", "delay", "stable", "spectral_radius")
-    for line in console.table(documents, (*columns, "settle_2pct", "overshoot", "energy_step_w0", "reason")):
+    shown = ("settle_2pct", "overshoot", "energy_step_w0") if criteria is None else names
+    for line in console.table(documents, (*columns, *shown, "reason")):
         console.say(line)
 
 
@@ -159,7 +165,7 @@ def tables(
 
     Example: pipeline theory tables --table C.1 --table C.2
     """
-    from pipeline.devices.published_theory import THEORY_TABLES
+    from pipeline.device_data.published_theory import THEORY_TABLES
     from pipeline.studies.thesis import table_text
     from pipeline.studies.thesis import tables as theory
 

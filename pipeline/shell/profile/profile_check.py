@@ -13,9 +13,9 @@ import numpy as np
 
 from pipeline.base.errors import LogError
 from pipeline.base.units import UNITS
-from pipeline.devices.devices import known_devices
-from pipeline.ingest.reading import load_source, motion_of
-from pipeline.ingest.sources import find_sources
+from pipeline.device_data.devices import known_devices
+from pipeline.intake.reading import load_source, motion_of
+from pipeline.intake.sources import find_sources
 from pipeline.measured.signal.response import NO_ROW, find_response
 from pipeline.profiles.profile_columns import QUANTITIES, ColumnSource, PositionSource, TimeSource
 from pipeline.profiles.profile_model import CONDITION_QUANTITIES, CONDITIONS, Profile
@@ -25,7 +25,8 @@ from pipeline.readers.frame import ColumnInfo
 from pipeline.readers.mapping import format_module
 from pipeline.readers.time_axis import step_flags
 from pipeline.records.batch import TrialBatch
-from pipeline.records.models import Motion, Record
+from pipeline.records.findings import Record
+from pipeline.records.models import Motion
 from pipeline.shell.profile.profile_warnings import other_step, other_units
 
 

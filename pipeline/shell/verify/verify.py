@@ -13,7 +13,8 @@ from pipeline.base.errors import PipelineError, StoreError, UsageError
 from pipeline.base.provenance import digest
 from pipeline.base.wording import counted
 from pipeline.comparison.compare import compare, report_code
-from pipeline.records.models import Record, Scene
+from pipeline.records.findings import Record
+from pipeline.records.models import Scene
 from pipeline.records.results import ComparisonResult
 from pipeline.rendering.report import report_parts
 from pipeline.rendering.report.report_parts import Parts, take_apart

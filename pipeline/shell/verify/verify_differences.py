@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, Literal
 
-from pipeline.records.models import Record
+from pipeline.records.findings import Record
 from pipeline.records.results import ComparisonResult
 from pipeline.records.trial_codec import unpack
 from pipeline.rendering.report import report_parts

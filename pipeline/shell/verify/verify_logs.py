@@ -16,10 +16,10 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from pipeline.comparison.scene.origin import joint_sha256
-from pipeline.ingest.ingest import ingest
+from pipeline.intake.ingest import ingest
 from pipeline.profiles.profile_files import load_profile, shipped_profiles
 from pipeline.records.batch import Floats, TrialBatch
-from pipeline.records.models import Record
+from pipeline.records.findings import Record
 from pipeline.records.results import LogList
 from pipeline.records.table_files import write_table
 from pipeline.store.exclusions import Exclusion, read_exclusions, split_trials, write_exclusions

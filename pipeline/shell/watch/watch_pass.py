@@ -25,9 +25,9 @@ from pipeline.base.provenance import digest
 from pipeline.comparison.compare import compare
 from pipeline.comparison.scene.scene import RUN
 from pipeline.comparison.scene.scene_file import read_scene
-from pipeline.ingest.ingest import ingest
-from pipeline.ingest.ingest_report import IngestReport, Refusal
-from pipeline.ingest.quarantine import list_quarantine
+from pipeline.intake.ingest import ingest
+from pipeline.intake.ingest_report import IngestReport, Refusal
+from pipeline.intake.quarantine import list_quarantine
 from pipeline.records.models import SceneFile
 from pipeline.shell.report_index import write_index
 from pipeline.store.exclusions import read_exclusions, split_trials
@@ -250,10 +250,13 @@ def _report(request: PassRequest, what: str, device: str, scene: SceneFile | Non
 
 def _inputs(processed: Path, device: str, scene: SceneFile | None) -> str:
     """Return a hash of what the report of a device rests on besides the code."""
-    trials = read_trials(processed, device)
-    excluded = split_trials(trials, read_exclusions(processed))[1]
-    rows = sorted(zip(*(trials.column(name).to_pylist() for name in ("trial_id", "profile_sha256")), strict=True))
-    return digest([rows, [one.model_dump() for one in excluded], scene.model_dump_json() if scene else None])
+    # a damaged experiment that a scene leaves out does not concern its report
+    experiments = scene.experiments if scene and scene.experiments else (None,)
+    tables = [read_trials(processed, device, name) for name in experiments]
+    excluded = [one.model_dump() for table in tables for one in split_trials(table, read_exclusions(processed))[1]]
+    names = ("trial_id", "profile_sha256")
+    rows = sorted(row for table in tables for row in zip(*(table.column(n).to_pylist() for n in names), strict=True))
+    return digest([rows, excluded, scene.model_dump_json() if scene else None])
 
 
 def _fail(emit: Emit, outcome: PassOutcome, what: str, reason: str, retry: bool) -> None:

@@ -14,9 +14,9 @@ from pipeline.measured.experiment.boundary import measured_boundary
 from pipeline.measured.experiment.boundary_band import boundary_area, boundary_band
 from pipeline.records.accuracy import Rung
 from pipeline.records.batch import Booleans, Floats, Integers
-from pipeline.records.models import BoundaryPoint
+from pipeline.records.findings import BoundaryPoint
 from pipeline.simulation.course import run_course
-from pipeline.simulation.simulate import setup_of
+from pipeline.simulation.setup import setup_of
 from pipeline.studies.accuracy.cost_ladders import complete_energy, settling
 from pipeline.studies.accuracy.jitter import jitter_limit
 from pipeline.studies.accuracy.names import AREA, LIMITS, nth

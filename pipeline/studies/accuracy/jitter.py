@@ -12,7 +12,8 @@ from math import inf
 import numpy as np
 
 from pipeline.records.batch import Floats
-from pipeline.simulation.simulate import Setup, simulate
+from pipeline.simulation.setup import Setup
+from pipeline.simulation.simulate import simulate
 
 SEARCH_ROWS, SEARCH_POINTS = 1000, 40
 """Rows of the responses and stiffness values at each damping of the first search."""

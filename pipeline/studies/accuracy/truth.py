@@ -11,13 +11,14 @@ from functools import cached_property
 
 import numpy as np
 
-from pipeline.devices.devices import find_experiment, load_device
+from pipeline.device_data.devices import find_experiment, load_device
 from pipeline.loop.loop import Loop, Normalised
 from pipeline.measured.signal.response import Response, find_response
 from pipeline.measured.signal.verdict import Verdicts, judge
 from pipeline.records.batch import Floats, TrialBatch
 from pipeline.records.models import Device, Experiment
-from pipeline.simulation.simulate import Setup, setup_of, simulate
+from pipeline.simulation.setup import Setup, setup_of
+from pipeline.simulation.simulate import simulate
 from pipeline.theory.cost.pointcosts import point_costs_by_name
 from pipeline.theory.optimum.optimum import optimal_point
 from pipeline.theory.optimum.search import OptimalPoint

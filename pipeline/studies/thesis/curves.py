@@ -9,16 +9,14 @@ import numpy as np
 
 from pipeline.loop.loop import Loop
 from pipeline.records.batch import Floats
-from pipeline.records.models import SETTLING_BANDS
+from pipeline.records.criteria import DISCRETE, OVERSHOOT, SETTLING, criterion_of
 from pipeline.studies.figure import Area, Panel, Trace
 from pipeline.studies.thesis.outline import outline
-from pipeline.theory.cost.energy import energy_costs
-from pipeline.theory.cost.poles import damping_ratio
+from pipeline.theory.cost.pointcosts import point_costs_by_name
 from pipeline.theory.cost.transient import transient_costs
 from pipeline.theory.optimum.curves import Curve, best_damping, best_stiffness
 from pipeline.theory.stability.extent import damping_range, stiffest_point
 from pipeline.theory.stability.region import is_inside
-from pipeline.theory.stability.stability import spectral_radius
 
 ALPHA, BETA, DELAY = "stiffness α", "damping β", "delay factor d"
 """Labels of axes."""
@@ -104,21 +102,17 @@ def cost_grid(loop: Loop, criterion: str) -> tuple[Floats, Floats, Floats]:
 
 def point_cost(loop: Loop, alpha: Floats, beta: Floats, criterion: str) -> Floats:
     """Return the cost of stable points, shape (n,)."""
-    base = criterion.removesuffix("_discrete")
-    if base == "pole_radius":
-        return spectral_radius(loop, alpha, beta)
-    if base == "damping":
-        return damping_ratio(loop, alpha, beta)
-    if base.startswith("energy"):
-        return energy_costs(loop, alpha, beta, base.split("_")[1])[criterion]
-    bands = () if base == "overshoot" else (SETTLING_BANDS[base],)
+    base = criterion_of(criterion)
+    if base.family not in (SETTLING, OVERSHOOT):
+        return point_costs_by_name(loop, alpha, beta, (criterion,), _LONGEST)[criterion]
+    bands = () if base.band is None else (base.band,)
     return transient_costs(
         loop,
         alpha,
         beta,
         bands,
         overshoot=not bands,
-        continuous=base == criterion,
+        continuous=not criterion.endswith(DISCRETE),
         longest=_LONGEST,
         quiet=_QUIET,
         unfinished_overshoot=not bands,

@@ -9,6 +9,7 @@ import numpy as np
 
 from pipeline.loop.loop import Loop
 from pipeline.records.batch import Floats
+from pipeline.records.criteria import DISCRETE, ENERGY, OVERSHOOT, POLES, SETTLING, criterion_of
 from pipeline.studies.figure import Contours, Note, Panel, Trace, mark
 from pipeline.studies.thesis import curves
 from pipeline.studies.thesis.jumps import Jump, first_settling_jump, largest_overshoot_jump
@@ -40,19 +41,19 @@ _JUMPS = {"settle_2pct": first_settling_jump, "overshoot": largest_overshoot_jum
 
 def cost_map(criterion: str, delay: float) -> Panel:
     """Return the map of a criterion with contour lines, both optimal curves, the optimum, and the cost below."""
-    loop, base = curves.plain_loop(delay), criterion.removesuffix("_discrete")
+    loop, base = curves.plain_loop(delay), criterion_of(criterion)
     best = optimal_point(loop, criterion)
     lines = [curves.outline_trace(loop), *_optimal_curves(loop, criterion), _optimum(best, criterion)]
     if criterion in _JUMPS and delay == 0:
         lines += _jump_marks(_JUMPS[criterion](loop))
     levels, labelled, scale, digits = _levels(criterion, best.cost)
     contours = Contours(*curves.cost_grid(loop, criterion), levels, labelled, scale, digits)
-    flat = base == "overshoot" or (criterion == "damping" and delay == 0)
+    flat = base.family is OVERSHOOT or (criterion == "damping" and delay == 0)
     return replace(
         curves.plane(loop, _title(criterion, delay), lines),
         contours=(contours,),
         areas=(curves.flat_region(loop, criterion),) if flat else (),
-        below=_front(loop, criterion, best) if base in _FRONTS else None,
+        below=_front(loop, criterion, best) if base.name in _FRONTS else None,
     )
 
 
@@ -64,29 +65,29 @@ def energy_map(criterion: str) -> Panel:
 
 
 def _title(criterion: str, delay: float) -> str:
-    if criterion.startswith("energy"):
-        _, signal, weight = criterion.split("_")
-        return f"{signal} response, w = {weight[1:]}"
-    if criterion in ("pole_radius", "damping"):
+    base = criterion_of(criterion)
+    if base.family is ENERGY:
+        return f"{base.signal} response, w = {base.weight}"
+    if base.family is POLES:
         return f"d = {delay:g}"
-    return f"{'sampled' if criterion.endswith('_discrete') else 'continuous'} response, d = {delay:g}"
+    return f"{'sampled' if criterion.endswith(DISCRETE) else 'continuous'} response, d = {delay:g}"
 
 
 def _levels(criterion: str, best: float) -> tuple[Floats, tuple[float, ...], float, int]:
     """Levels of a criterion's contour lines, those that are labelled, their scale and decimals."""
-    base = criterion.removesuffix("_discrete")
+    family = criterion_of(criterion).family
     tenths = 0.1 * np.arange(1, 10, dtype=np.float64)
-    if base == "pole_radius":
+    if criterion == "pole_radius":
         levels = 0.05 * np.arange(np.ceil(best / 0.05 + 1e-9), 20, dtype=np.float64)
         return levels, tuple(levels[-3::2]), 1.0, 2
-    if base == "damping":
+    if family is POLES:
         return tenths, tuple(tenths[1::2]), 1.0, 1
-    if base == "overshoot":
+    if family is OVERSHOOT:
         return np.append(_NO_OVERSHOOT_LINE, tenths), tuple(tenths[0:7:2]), 100.0, 0
-    if base.startswith("settle"):
+    if family is SETTLING:
         # half a sample aside: costs of a sampled response are whole numbers, on which a line would fray
         levels = (np.floor(best / _SETTLING_STEP) + 1 + np.arange(_SETTLING_LINES)) * _SETTLING_STEP
-        levels += 0.5 if criterion != base else 0.0
+        levels += 0.5 if criterion.endswith(DISCRETE) else 0.0
         return levels, tuple(levels[[0, 2, 4]]), 1.0, 0
     levels = best * 2.0 ** (np.arange(1, _ENERGY_LINES + 1) / 2)
     return levels, tuple(levels[1:6:2]), 1.0, 1 if best < 100 else 0
@@ -121,9 +122,9 @@ def _jump_marks(found: Jump) -> list[Trace]:
 
 def _front(loop: Loop, criterion: str, best: OptimalPoint) -> Panel:
     """Cost along the best damping for given stiffness."""
-    base = criterion.removesuffix("_discrete")
-    label, (low, high), factor = _FRONTS[base]
-    top = high * best.cost if base.startswith("settle") else high
+    base = criterion_of(criterion)
+    label, (low, high), factor = _FRONTS[base.name]
+    top = high * best.cost if base.family is SETTLING else high
     alpha, _, cost = curves.found_points(curves.damping_curve(loop, criterion))
     line = Trace(alpha, cost * factor, "ink", "solid", "", width=1.5)
     traces = (line, mark(best.alpha, best.cost * factor, "green", "+"))

@@ -9,6 +9,7 @@ import numpy as np
 
 from pipeline.loop.loop import Loop
 from pipeline.records.batch import Floats
+from pipeline.records.criteria import ENERGY, criterion_of
 from pipeline.studies.figure import Note, Panel, Trace, mark
 from pipeline.studies.thesis import curves
 from pipeline.theory.optimum.optimum import optimal_point
@@ -150,7 +151,7 @@ def _over_delay(title: str, values: Callable[[str], Floats]) -> list[Trace]:
 def _cost(criterion: str) -> Floats:
     """Cost in the optimum over delay, of an energy by that at the largest delay."""
     cost = np.array([optimal_cost(curves.plain_loop(d), criterion) for d in DELAYS.tolist()])
-    return cost / cost[-1] if criterion.startswith("energy") else cost
+    return cost / cost[-1] if criterion_of(criterion).family is ENERGY else cost
 
 
 def optimal_costs(title: str) -> Panel:

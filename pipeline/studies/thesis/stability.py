@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.devices.human_arm import human_arms
+from pipeline.device_data.human_arm import human_arms
 from pipeline.loop.loop import Loop
 from pipeline.records.batch import Floats
 from pipeline.studies.figure import Note, Panel, Trace

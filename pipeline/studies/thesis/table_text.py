@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
-from pipeline.devices.published_theory import QUANTITIES, PrintedNumber
+from pipeline.device_data.published_theory import QUANTITIES, PrintedNumber
 from pipeline.studies.thesis.tables import FLAT, LIMIT, MARKS, ROUNDING, Entry, Mark, TheoryRow, count_marks
 
 SIGNS: dict[Mark, str] = {"equal": "", "within": " ~", "erratum": " !", "unexplained": " ?"}

@@ -21,8 +21,9 @@ from typing import Literal
 import numpy as np
 
 from pipeline.base.process_pool import process_pool
-from pipeline.devices.published_theory import THEORY_TABLES, PrintedNumber, PublishedPoint, published_points
+from pipeline.device_data.published_theory import THEORY_TABLES, PrintedNumber, PublishedPoint, published_points
 from pipeline.loop.loop import Loop
+from pipeline.records.criteria import ENERGY, criterion_of
 from pipeline.studies.thesis.curves import point_cost
 from pipeline.theory.cost.energy import energy_costs
 from pipeline.theory.optimum.optimum import impulse_energy_limit, optimal_point
@@ -150,7 +151,7 @@ def _entry(point: PublishedPoint, name: str, printed: PrintedNumber, values: dic
 def _flatness(point: PublishedPoint, optimal: float) -> str | None:
     """What is found among the points that round to the printed one, if it is the optimal cost to its printed digits."""
     loop, printed = Loop(point.gamma, point.delta, point.delay), point.printed()
-    continuous = point.criterion == "pole_radius" or point.criterion.startswith("energy")
+    continuous = point.criterion == "pole_radius" or criterion_of(point.criterion).family is ENERGY
     if not continuous or not {"alpha", "beta", "cost"} <= set(printed):
         return None
     alpha, beta = (

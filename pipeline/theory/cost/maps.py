@@ -8,7 +8,8 @@ import numpy as np
 
 from pipeline.loop.loop import Loop
 from pipeline.records.batch import Floats
-from pipeline.theory.cost.energy import energy_costs
+from pipeline.records.criteria import DISCRETE, OVERSHOOT, SETTLING, criterion_of, members
+from pipeline.theory.cost.pointcosts import point_costs_by_name
 from pipeline.theory.cost.transient import transient_costs
 from pipeline.theory.stability.region import is_well_inside
 
@@ -28,7 +29,7 @@ def cost_maps(loop: Loop, alpha: Floats, beta: Floats, criteria: Sequence[str]) 
     alpha, beta : float64, shapes (p,), (q,)
         Axes of normalised stiffness and damping.
     criteria : sequence of str
-        ``settle_<..>pct``, ``overshoot``, ``energy_step_w0`` to ``w2``; the costs of the sampled response, as of logs.
+        Those that a log can be judged by; the costs of the sampled response, as of logs.
 
     Returns
     -------
@@ -62,13 +63,12 @@ def costs_at(loop: Loop, alpha: Floats, beta: Floats, criteria: Sequence[str]) -
     usable = np.flatnonzero(alpha + loop.gamma > 0)
     usable = usable[is_well_inside(loop, alpha[usable], beta[usable])]
     a, b = alpha[usable], beta[usable]
-    costs: dict[str, Floats] = {}
-    if any(c.startswith("energy") for c in criteria):
-        costs |= energy_costs(loop, a, b)
-    bands = [float(c.removeprefix("settle_").removesuffix("pct")) / 100 for c in criteria if c.startswith("settle")]
+    others = [f"{c}{DISCRETE}" for c in criteria if criterion_of(c).family not in (SETTLING, OVERSHOOT)]
+    costs = point_costs_by_name(loop, a, b, others, MAP_SAMPLES, MAP_QUIET)
+    bands = [c.band for c in members(SETTLING, criteria) if c.band]
     if bands:
         costs |= transient_costs(loop, a, b, bands, overshoot=False, continuous=False, longest=MAP_SAMPLES)
-    if "overshoot" in criteria:
+    if OVERSHOOT.name in criteria:
         # on its own: a response that has long settled may still move by more than `MAP_QUIET` at the end
         costs |= transient_costs(
             *(loop, a, b, ()), continuous=False, longest=MAP_SAMPLES, quiet=MAP_QUIET, unfinished_overshoot=True
@@ -76,5 +76,5 @@ def costs_at(loop: Loop, alpha: Floats, beta: Floats, criteria: Sequence[str]) -
     result = {}
     for criterion in criteria:
         result[criterion] = np.full(alpha.shape, np.nan)
-        result[criterion][usable] = costs[f"{criterion}_discrete"]
+        result[criterion][usable] = costs[f"{criterion}{DISCRETE}"]
     return result

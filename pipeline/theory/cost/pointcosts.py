@@ -1,17 +1,20 @@
-"""Which costs of single points are computed together, by name."""
+"""Costs of single points by the name of the criterion; those of a family are computed together."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
 
 from pipeline.loop.loop import Loop
 from pipeline.records.batch import Floats
-from pipeline.theory.cost.energy import WEIGHTS, energy_costs
+from pipeline.records.criteria import DISCRETE, RISE_LEVELS, criterion_of
+from pipeline.theory.cost.energy import energy_costs
 from pipeline.theory.cost.march import step_transients
-from pipeline.theory.cost.transient import QUIET, transient_costs
-
-SETTLING = ("settle_1pct", "settle_2pct", "settle_5pct")
-"""Settling times; a test holds them equal to those of `records.models`, whose import takes as long as a whole map."""
+from pipeline.theory.cost.poles import damping_ratio
+from pipeline.theory.cost.transient import QUIET, Active, Crossing, Move, entry_times, transient_costs, turning_time
+from pipeline.theory.stability.stability import spectral_radius
 
 _MANY = 256
 """Points from which on the march in blocks is faster."""
@@ -19,8 +22,94 @@ _MANY = 256
 _LARGEST_DELAY = 32
 """Delay up to which its buffers fit a cache."""
 
-STEP_ENERGIES = tuple(f"energy_step_w{w}" for w in WEIGHTS)
-IMPULSE_ENERGIES = tuple(f"energy_impulse_w{w}" for w in WEIGHTS)
+
+@dataclass(frozen=True)
+class Following:
+    """How long responses are followed: `point_costs_by_name` says what its values mean."""
+
+    longest: int
+    quiet: float = QUIET
+    part: bool = False
+
+
+PointCosts = Callable[[Loop, Floats, Floats, Sequence[str], Following], dict[str, Floats]]
+
+
+def _transients(loop: Loop, alpha: Floats, beta: Floats, names: Sequence[str], follow: Following) -> dict[str, Floats]:
+    bands = sorted({band for name in names if (band := criterion_of(name).band) is not None})
+    blocks = len(alpha) >= (1 if follow.part else _MANY)
+    if blocks and len(bands) == 1 and loop.oldest_force == loop.delay <= _LARGEST_DELAY:
+        found = step_transients(loop, alpha, beta, bands[0], longest=follow.longest, quiet=follow.quiet)
+        # a single band is not named in the march
+        return found | {n: found[n.replace(criterion_of(n).name, "settle")] for n in names if criterion_of(n).band}
+    continuous = any(not name.endswith(DISCRETE) for name in names)
+    overshoot = any(criterion_of(name).band is None for name in names)
+    return transient_costs(
+        *(loop, alpha, beta, bands),
+        overshoot=overshoot,
+        continuous=continuous,
+        longest=follow.longest,
+        quiet=follow.quiet,
+    )
+
+
+def _energies(loop: Loop, alpha: Floats, beta: Floats, names: Sequence[str], _: Following) -> dict[str, Floats]:
+    signals = dict.fromkeys(criterion_of(name).signal for name in names)
+    return {name: cost for signal in signals for name, cost in energy_costs(loop, alpha, beta, signal).items()}
+
+
+def _poles(loop: Loop, alpha: Floats, beta: Floats, names: Sequence[str], _: Following) -> dict[str, Floats]:
+    functions = {"pole_radius": spectral_radius, "damping": damping_ratio}
+    return {name: functions[name](loop, alpha, beta) for name in names}
+
+
+def _rises(loop: Loop, alpha: Floats, beta: Floats, names: Sequence[str], follow: Following) -> dict[str, Floats]:
+    """Rise times; stability is not needed, so that they are also told along the edge of the stable region."""
+    run = Active.start(loop, alpha, beta)
+    levels = [share - 1.0 for share in RISE_LEVELS]
+    exact = [Crossing.empty(len(alpha)) for _ in levels]
+    sampled = np.full((len(levels), len(alpha)), np.nan)
+    for k in range(follow.longest):
+        if not len(run.index):
+            break
+        for move in run.moves(loop, k):
+            for level, crossing in zip(levels, exact if "rise_time" in names else (), strict=False):
+                _note_first(loop, run, move, level, crossing)
+        for level, row in zip(levels, sampled, strict=True):
+            at = np.flatnonzero(np.isnan(row[run.index]) & (run.position >= level))
+            row[run.index[at]] = k + (level - run.before[at]) / (run.position[at] - run.before[at])
+        run.keep(np.isnan(sampled[-1][run.index]))
+    rises = {f"rise_time{DISCRETE}": sampled[-1] - sampled[0]}
+    if "rise_time" in names:
+        begin, end = (entry_times(loop, crossing) for crossing in exact)
+        rises["rise_time"] = end - begin
+    return rises
+
+
+def _note_first(loop: Loop, run: Active, move: Move, level: float, crossing: Crossing) -> None:
+    """Note where the motion of a segment reaches a level for the first time: at its end, or at an extremum within."""
+    start, duration, force, position, velocity = move
+    still = np.isnan(crossing.start[run.index])
+    over = still & (position >= level)
+    turn = np.flatnonzero(still & ~over & (run.velocity > 0) & (velocity < 0))
+    e, v, u = run.position[turn], run.velocity[turn], force[turn]
+    when = turning_time(loop.gamma, loop.delta, e, v, u, duration)
+    high = np.full(len(position), duration)
+    high[turn] = when
+    over[turn] = loop.position_after(when, e, v, u) >= level
+    at = np.flatnonzero(over)
+    place = run.position[at], run.velocity[at], force[at], np.full(len(at), level)
+    crossing.set(run.index[at], start, 0.0, high[at], *place)
+
+
+FAMILIES: dict[str, PointCosts] = {
+    "settling": _transients,
+    "overshoot": _transients,
+    "energy": _energies,
+    "rise": _rises,
+    "poles": _poles,
+}
+"""What computes the costs of a family, by name, of shape (n,)."""
 
 
 def point_costs_by_name(
@@ -41,7 +130,7 @@ def point_costs_by_name(
     alpha, beta : float64, shape (n,)
         Stable points with alpha + gamma > 0.
     names : sequence of str
-        Settling times, overshoot and energy costs, each also with ``_discrete`` appended.
+        Of criteria with costs; those of a response also with ``_discrete`` appended.
     longest : int
         Samples after which a response that still moves gets NaN for settling time and overshoot.
     quiet : float
@@ -50,28 +139,11 @@ def point_costs_by_name(
         Whether the points are part of very many: then their number does not choose the method, since the march in
         blocks tells costs of slow points that the plain one gives up.
     """
-    bases = {name.removesuffix("_discrete") for name in names}
+    follow = Following(longest, quiet, part)
+    groups: dict[PointCosts, list[str]] = {}
+    for name in names:
+        groups.setdefault(FAMILIES[criterion_of(name).family.name], []).append(name)
     result: dict[str, Floats] = {}
-    for signal, energies in (("step", STEP_ENERGIES), ("impulse", IMPULSE_ENERGIES)):
-        if bases & set(energies):
-            result |= energy_costs(loop, alpha, beta, signal)
-    bands = [float(name.removeprefix("settle_").removesuffix("pct")) / 100 for name in SETTLING if name in bases]
-    if not bands and "overshoot" not in bases:
-        pass
-    elif len(alpha) >= (1 if part else _MANY) and len(bands) == 1 and loop.oldest_force == loop.delay <= _LARGEST_DELAY:
-        found = step_transients(loop, alpha, beta, bands[0], longest=longest, quiet=quiet)
-        settle = f"settle_{100 * bands[0]:g}pct"
-        result |= {settle: found["settle"], f"{settle}_discrete": found["settle_discrete"]}
-        result |= {name: found[name] for name in ("overshoot", "overshoot_discrete")}
-    else:
-        result |= transient_costs(
-            loop,
-            alpha,
-            beta,
-            bands,
-            overshoot="overshoot" in bases,
-            continuous=any(name in (*SETTLING, "overshoot") for name in names),
-            longest=longest,
-            quiet=quiet,
-        )
+    for function, group in groups.items():
+        result |= function(loop, alpha, beta, group, follow)
     return {name: result[name] for name in names}

@@ -10,14 +10,15 @@ import numpy as np
 from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop
 from pipeline.records.batch import Booleans, Floats
-from pipeline.theory.cost.pointcosts import IMPULSE_ENERGIES, SETTLING, STEP_ENERGIES, point_costs_by_name
+from pipeline.records.criteria import CRITERIA, REPORTED, with_discrete
+from pipeline.theory.cost.pointcosts import point_costs_by_name
 from pipeline.theory.stability.region import is_inside, is_well_inside
-from pipeline.theory.stability.stability import boundary, boundary_points, spectral_radius
+from pipeline.theory.stability.stability import boundary, boundary_points
 
-MAP_CRITERIA = (*SETTLING, "overshoot", *STEP_ENERGIES, *IMPULSE_ENERGIES, "pole_radius")
-"""Criteria of a map; all but ``pole_radius`` also as ``_discrete``."""
+MAP_CRITERIA = tuple(c.name for c in CRITERIA.values() if not c.optimum_only)
+"""Criteria of a map; those of a response also as ``_discrete``."""
 
-MAP_DEFAULT = ("settle_2pct", "overshoot", *STEP_ENERGIES)
+MAP_DEFAULT = tuple(name for name in REPORTED if CRITERIA[name].tabled)
 
 MAP_LONGEST = 1 << 14
 """Samples after which a response on a map is given up; only cells along the boundary need more."""
@@ -36,6 +37,16 @@ MARGIN = 1e-9
 
 _NEAR_ZERO = 1e-5
 """Angle that stands for theta -> 0: the boundary is off its limit by O(theta^2), rounding by 1e-16/theta."""
+
+
+def check_criteria(names: Sequence[str]) -> None:
+    """Raise ParameterError if a name is none of `MAP_CRITERIA`, nor of those of a response with ``_discrete``."""
+    unknown = [name for name in names if name not in with_discrete(MAP_CRITERIA)]
+    if unknown:
+        raise ParameterError(
+            f"criterion {unknown[0]!r} is unknown; expected some of {', '.join(MAP_CRITERIA)}, "
+            "those of a response also with _discrete appended."
+        )
 
 
 def bounding_box(loop: Loop) -> tuple[float, float, float, float]:
@@ -68,7 +79,7 @@ class CostMap:
     size : int
         Grid points along each axis, 2 to 4001.
     criteria : sequence of str
-        Any of `MAP_CRITERIA`, also with ``_discrete`` appended (not ``pole_radius``).
+        Any of `MAP_CRITERIA`; those of a response also with ``_discrete`` appended.
     longest : int
         Samples after which a response that still moves gets no cost.
 
@@ -90,13 +101,7 @@ class CostMap:
     longest: int = MAP_LONGEST
 
     def __post_init__(self) -> None:
-        known = {*MAP_CRITERIA, *(f"{name}_discrete" for name in MAP_CRITERIA if name != "pole_radius")}
-        unknown = [name for name in self.criteria if name not in known]
-        if unknown:
-            raise ParameterError(
-                f"criterion {unknown[0]!r} is unknown; expected some of {', '.join(MAP_CRITERIA)}, "
-                "all but pole_radius also with _discrete appended."
-            )
+        check_criteria(self.criteria)
         if not 2 <= self.size <= LARGEST_MAP:
             raise ParameterError(f"size = {self.size}: expected 2 to {LARGEST_MAP} grid points along an axis.")
         if self.longest < 1:
@@ -123,11 +128,8 @@ class CostMap:
         stable = is_inside(self.loop, alpha, beta)
         inside = np.flatnonzero(is_well_inside(self.loop, alpha, beta, MARGIN))
         costs = {name: np.full(len(alpha), np.nan) for name in self.names}
-        if "pole_radius" in costs:
-            costs["pole_radius"][inside] = spectral_radius(self.loop, alpha[inside], beta[inside])
-        asked = [name for name in costs if name != "pole_radius"]
         points = self.loop, alpha[inside], beta[inside]
-        found = point_costs_by_name(*points, asked, self.longest, MAP_QUIET, part=True)
+        found = point_costs_by_name(*points, self.names, self.longest, MAP_QUIET, part=True)
         for name, values in found.items():
             costs[name][inside] = values
         return MapBlock(alpha, beta, stable, costs)

@@ -6,7 +6,7 @@ computation as soon as nothing that is asked for can change any more.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -36,6 +36,10 @@ QUIET = 0.1 * NO_OVERSHOOT
 """Motion below which a response is no longer followed for overshoot, by the same margin."""
 
 
+Move = tuple[float, float, Floats, Floats, Floats]
+"""A segment of the motion: start and duration [samples], the force in it, and position and velocity at its end."""
+
+
 @dataclass
 class Crossing:
     """Last entry into a band: start, length, state and input of the segment in which it happened."""
@@ -63,8 +67,8 @@ class Crossing:
 
 
 @dataclass
-class _Active:
-    """State of the points that still move."""
+class Active:
+    """State of the points of a step response that still move."""
 
     index: Integers
     alpha: Floats
@@ -77,14 +81,40 @@ class _Active:
     quiet: Floats = field(init=False)
     calm: Floats = field(init=False)
 
+    @classmethod
+    def start(cls, loop: Loop, alpha: Floats, beta: Floats) -> Active:
+        """Return all points at rest, a final displacement away from their final position."""
+        n = len(alpha)
+        start, forces = np.full(n, -1.0), [alpha] * (loop.oldest_force + 1)
+        return cls(np.arange(n), alpha, beta, start, start, np.zeros(n), lever(loop, alpha), forces)
+
     def __post_init__(self) -> None:
         self.quiet = np.zeros_like(self.alpha)
         self.calm = np.zeros_like(self.alpha)
 
     def keep(self, mask: np.ndarray) -> None:
+        """Go on with some of the points only."""
         for name in ("index", "alpha", "beta", "position", "before", "velocity", "lever", "quiet", "calm"):
             setattr(self, name, getattr(self, name)[mask])
         self.forces = [f[mask] for f in self.forces]
+
+    def moves(self, loop: Loop, k: int) -> Iterator[Move]:
+        """Move all points from sample k to the next.
+
+        Yields each segment before the points are at its end.
+        """
+        force = self.beta * self.before - (self.alpha + self.beta) * self.position
+        self.forces = [force, *self.forces[:-1]]
+        self.before = self.position
+        time = float(k)
+        for segment, motion in zip(loop.segments, loop.flows, strict=True):
+            u = self.forces[segment.age]
+            (xx, xv), (vx, vv) = motion.transition
+            position = xx * self.position + xv * self.velocity + motion.gain[0] * u
+            velocity = vx * self.position + vv * self.velocity + motion.gain[1] * u
+            yield time, segment.duration, u, position, velocity
+            self.position, self.velocity = position, velocity
+            time += segment.duration
 
 
 def transient_costs(
@@ -147,22 +177,15 @@ def transient_costs(
     peaks = {"overshoot": np.zeros(n), "overshoot_discrete": np.zeros(n)}
     settled = {band: np.zeros(n) for band in bands}
     crossings = {band: Crossing.empty(n) for band in bands}
-    run = _Active(
-        np.arange(n),
-        a,
-        b,
-        np.full(n, -1.0),
-        np.full(n, -1.0),
-        np.zeros(n),
-        lever(loop, a),
-        [a] * (loop.oldest_force + 1),
-    )
+    run = Active.start(loop, a, b)
     given_up: list[Integers] = []
     calm = _SETTLED * min(bands) if bands else 1.0
     for k in range(longest):
         if not len(run.index):
             break
-        _advance(loop, run, k, peaks["overshoot"], crossings, continuous)
+        for move in run.moves(loop, k):
+            if continuous:
+                _note(loop, run, move, peaks["overshoot"], crossings)
         size = np.abs(run.position)
         for band in bands:
             settled[band][run.index[size > band]] = k + 1
@@ -224,12 +247,11 @@ def late_deviation(loop: Loop, alpha: object, beta: object, first: int, longest:
         Samples after which the largest deviation so far is returned.
     """
     a, b = as_points(alpha, beta)
-    n = len(a)
-    start = np.full(n, -1.0)
-    run = _Active(np.arange(n), a, b, start, start, np.zeros(n), lever(loop, a), [a] * (loop.oldest_force + 1))
-    largest = np.zeros(n)
+    run = Active.start(loop, a, b)
+    largest = np.zeros(len(a))
     for k in range(1, longest + 1):
-        _advance(loop, run, k - 1, start, {}, continuous=False)
+        for _ in run.moves(loop, k - 1):
+            pass
         if k < first:
             continue
         largest = np.maximum(largest, np.abs(run.position))
@@ -246,36 +268,15 @@ def lever(loop: Loop, alpha: Floats) -> Floats:
     return np.maximum(8 * (loop.delay + 1), 2 / np.sqrt(alpha + loop.gamma))
 
 
-def _advance(
-    loop: Loop, run: _Active, k: int, peak: Floats, crossings: dict[float, Crossing], continuous: bool
-) -> None:
-    """Move all points by one sample; note extrema between samples and entries into the bands."""
-    force = run.beta * run.before - (run.alpha + run.beta) * run.position
-    run.forces = [force, *run.forces[:-1]]
-    run.before = run.position
-    time = float(k)
-    for segment, motion in zip(loop.segments, loop.flows, strict=True):
-        u = run.forces[segment.age]
-        (xx, xv), (vx, vv) = motion.transition
-        position = xx * run.position + xv * run.velocity + motion.gain[0] * u
-        velocity = vx * run.position + vv * run.velocity + motion.gain[1] * u
-        if continuous:
-            _note(loop, run, u, position, velocity, (time, segment.duration), peak, crossings)
-        run.position, run.velocity = position, velocity
-        time += segment.duration
-
-
 def _note(
     loop: Loop,
-    run: _Active,
-    force: Floats,
-    position: Floats,
-    velocity: Floats,
-    segment: tuple[float, float],
+    run: Active,
+    move: Move,
     peak: Floats,
     crossings: dict[float, Crossing],
 ) -> None:
-    start, duration = segment
+    """Note extrema in a segment and entries into the bands."""
+    start, duration, force, position, velocity = move
     turn = np.flatnonzero(run.velocity * velocity < 0)
     e, v, u = run.position[turn], run.velocity[turn], force[turn]
     when = turning_time(loop.gamma, loop.delta, e, v, u, duration)

@@ -13,23 +13,18 @@ import numpy as np
 from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop
 from pipeline.records.batch import Booleans, Floats, Integers
-from pipeline.records.findings import SETTLING_BANDS
+from pipeline.records.criteria import CRITERIA, DISCRETE, SETTLING_BANDS, criterion_of, with_discrete
 from pipeline.theory.cost.energy import energy_costs
 from pipeline.theory.cost.poles import damping_ratio
 from pipeline.theory.cost.transient import NO_OVERSHOOT, transient_costs
 from pipeline.theory.optimum.lines import LEVELS, LineCost, LineOptima, extents, search_lines
 from pipeline.theory.optimum.optimum import (
-    POLE_CRITERIA,
-    RESPONSE_CRITERIA,
     UNDAMPED_LOSS,
     impulse_energy_limit,
     nearest_to_line,
 )
 from pipeline.theory.optimum.search import Cost, where_stable
 from pipeline.theory.stability.stability import boundary, spectral_radius
-
-CURVE_CRITERIA = (*POLE_CRITERIA, *(name for name in RESPONSE_CRITERIA if name != "overshoot_at_all"))
-"""Criteria with optimal curves; those of a response each also as ``_discrete``."""
 
 _LONGEST = 1024
 """Samples after which a response of a curve counts as not settled; the curves of Fig. 5.4 end at about 60."""
@@ -119,8 +114,7 @@ def _curve(loop: Loop, criterion: str, values: object, *, stiffness_given: bool)
     given = np.atleast_1d(np.asarray(values, dtype=np.float64))
     if given.ndim != 1 or not np.isfinite(given).all():
         raise ParameterError("given values of a curve: expected a list of finite numbers.")
-    base = criterion.removesuffix("_discrete")
-    if base not in CURVE_CRITERIA or (base in POLE_CRITERIA and criterion != base):
+    if criterion not in with_discrete(CURVE_CRITERIA):
         raise ParameterError(
             f"criterion {criterion!r} has no optimal curve; expected one of {list(CURVE_CRITERIA)}, those of a "
             "response also with _discrete appended."
@@ -198,46 +192,58 @@ def _ends(loop: Loop, given: Floats, stiffness_given: bool) -> tuple[Floats, Flo
 
 def _optima(lines: _Lines, criterion: str) -> Floats:
     """Best place, cost and ends of the stretch of equally good places, shape (4, lines)."""
-    base, loop = criterion.removesuffix("_discrete"), lines.loop
-    if base == "pole_radius":
+    return OPTIMA[criterion_of(criterion).family.name](lines, criterion)
+
+
+def _poles(lines: _Lines, criterion: str) -> Floats:
+    loop = lines.loop
+    if criterion == "pole_radius":
         return _plain(lines.search(lambda a, b, _: spectral_radius(loop, a, b), _KINK_LEVELS))
-    if base == "damping":
 
-        def oscillation(alpha: Floats, beta: Floats, _: float) -> Floats:
-            ratio = damping_ratio(loop, alpha, beta)
-            return np.where(ratio >= 1 - UNDAMPED_LOSS, -1.0, -ratio)
+    def oscillation(alpha: Floats, beta: Floats, _: float) -> Floats:
+        ratio = damping_ratio(loop, alpha, beta)
+        return np.where(ratio >= 1 - UNDAMPED_LOSS, -1.0, -ratio)
 
-        place, cost, low, high = _flat(lines, oscillation, _KINK_LEVELS)
-        if not lines.stiffness_given:
-            at_line = place + loop.gamma <= _LINE * (lines.high - lines.low)
-            place, low, high = (np.where(at_line, 0.0 - loop.gamma, v) for v in (place, low, high))
-        return np.array([place, -cost, low, high])
-    if base == "overshoot":
+    place, cost, low, high = _flat(lines, oscillation, _KINK_LEVELS)
+    if not lines.stiffness_given:
+        at_line = place + loop.gamma <= _LINE * (lines.high - lines.low)
+        place, low, high = (np.where(at_line, 0.0 - loop.gamma, v) for v in (place, low, high))
+    return np.array([place, -cost, low, high])
 
-        def overshoot(alpha: Floats, beta: Floats, _: float) -> Floats:
-            found = transient_costs(
-                loop,
-                alpha,
-                beta,
-                (),
-                continuous=criterion == base,
-                longest=int(_DECIDED * (loop.delay + 1)),
-                unfinished_overshoot=True,
-            )[criterion]
-            return np.where(found <= NO_OVERSHOOT, 0.0, found)
 
-        return _flat(lines, overshoot)
-    if base == "energy_impulse_w0":
+def _overshoot(lines: _Lines, criterion: str) -> Floats:
+    loop = lines.loop
+
+    def overshoot(alpha: Floats, beta: Floats, _: float) -> Floats:
+        found = transient_costs(
+            loop,
+            alpha,
+            beta,
+            (),
+            continuous=not criterion.endswith(DISCRETE),
+            longest=int(_DECIDED * (loop.delay + 1)),
+            unfinished_overshoot=True,
+        )[criterion]
+        return np.where(found <= NO_OVERSHOOT, 0.0, found)
+
+    return _flat(lines, overshoot)
+
+
+def _energy(lines: _Lines, criterion: str) -> Floats:
+    base = criterion_of(criterion)
+    if base.name == "energy_impulse_w0":
         return _impulse(lines, criterion)
-    if base.startswith("energy"):
-        signal = base.split("_")[1]
-        return _plain(lines.search(lambda a, b, _: energy_costs(loop, a, b, signal)[criterion]))
-    band = SETTLING_BANDS[base]
-    if criterion != base:
+    return _plain(lines.search(lambda a, b, _: energy_costs(lines.loop, a, b, base.signal)[criterion]))
+
+
+def _settling(lines: _Lines, criterion: str) -> Floats:
+    band = SETTLING_BANDS[criterion_of(criterion).name]
+    if criterion.endswith(DISCRETE):
         return _steps(lines, band, criterion)
 
     def settling(alpha: Floats, beta: Floats, best: float) -> Floats:
-        return transient_costs(loop, alpha, beta, (band,), overshoot=False, longest=_LONGEST, cutoff=best)[base]
+        costs = transient_costs(lines.loop, alpha, beta, (band,), overshoot=False, longest=_LONGEST, cutoff=best)
+        return costs[criterion]
 
     return _plain(lines.search(settling))
 
@@ -326,3 +332,10 @@ def _late_deviation(loop: Loop, alpha: Floats, beta: Floats, first: Floats) -> F
             most = np.where(k >= start, np.maximum(most, np.abs(state[:, 0, 0])), most)
         largest[which] = most
     return largest
+
+
+OPTIMA = {"settling": _settling, "overshoot": _overshoot, "energy": _energy, "poles": _poles}
+"""What finds the optima along lines, by family."""
+
+CURVE_CRITERIA = tuple(c.name for c in CRITERIA.values() if c.family.name in OPTIMA and not c.optimum_only)
+"""Criteria with optimal curves; those of a response each also as ``_discrete``."""

@@ -14,8 +14,10 @@ import numpy as np
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop
-from pipeline.records.batch import Floats
+from pipeline.records.batch import Floats, Integers
+from pipeline.records.criteria import CRITERIA, DISCRETE, SETTLING_BANDS, criterion_of, with_discrete
 from pipeline.theory.cost.energy import energy_costs
+from pipeline.theory.cost.pointcosts import point_costs_by_name
 from pipeline.theory.cost.poles import damping_ratio, threefold_pole
 from pipeline.theory.cost.transient import late_deviation, transient_costs
 from pipeline.theory.optimum.lines import search_lines, search_plane
@@ -30,25 +32,7 @@ from pipeline.theory.optimum.search import (
     search,
     where_stable,
 )
-from pipeline.theory.stability.stability import spectral_radius
-
-STEP_CRITERIA = (
-    "settle_1pct",
-    "settle_2pct",
-    "settle_5pct",
-    "overshoot",
-    *(f"energy_step_w{w}" for w in (0, 1, 2)),
-)
-"""Criteria of the step response; each also as ``_discrete``."""
-
-RESPONSE_CRITERIA = (*STEP_CRITERIA, "overshoot_at_all", *(f"energy_impulse_w{w}" for w in (0, 1, 2)))
-"""Criteria of a response; each also as ``_discrete``. ``overshoot_at_all`` allows none whatever its size."""
-
-POLE_CRITERIA = ("pole_radius", "damping")
-"""Criteria of the poles, which continuous and sampled response share."""
-
-COST_CRITERIA = (*POLE_CRITERIA, *RESPONSE_CRITERIA)
-"""Criteria with an optimum here."""
+from pipeline.theory.stability.stability import boundary, boundary_points, spectral_radius
 
 UNDAMPED_LOSS = 1e-9
 """Distance of a damping ratio from 1 that is rounding: a threefold pole is split by 1e-5, which costs 2e-10."""
@@ -74,11 +58,6 @@ _KINK_LEVELS = 16
 """0.35^16 = 5e-8 of a first step: beyond that, rounding of multiple poles decides between points."""
 
 
-def criterion_names() -> list[str]:
-    """Return all criteria that `optimal_point` knows."""
-    return [*POLE_CRITERIA, *RESPONSE_CRITERIA, *(f"{name}_discrete" for name in RESPONSE_CRITERIA)]
-
-
 @lru_cache(maxsize=1024)
 def optimal_point(loop: Loop, criterion: str) -> OptimalPoint:
     """Return the optimal point of a criterion.
@@ -87,8 +66,8 @@ def optimal_point(loop: Loop, criterion: str) -> OptimalPoint:
     ----------
     loop : Loop
     criterion : str
-        One of `POLE_CRITERIA`, or of `RESPONSE_CRITERIA`, these also with ``_discrete`` appended for the costs of the
-        sampled response.
+        One of `records.criteria.CRITERIA`; those of a response also with ``_discrete`` appended for the costs of
+        the sampled response.
 
     Returns
     -------
@@ -106,28 +85,59 @@ def optimal_point(loop: Loop, criterion: str) -> OptimalPoint:
 
     Source: Hulin 2017, secs. 5.1 and 5.2; reproduces C.1 to C.3 and the theory rows of D.1 to D.6.
     """
-    base = criterion.removesuffix("_discrete")
-    if base not in COST_CRITERIA or (base in POLE_CRITERIA and criterion != base):
+    if criterion not in with_discrete(CRITERIA):
         raise ParameterError(
-            f"criterion {criterion!r} is unknown; expected one of {[*COST_CRITERIA]}, those of a response also with "
+            f"criterion {criterion!r} is unknown; expected one of {[*CRITERIA]}, those of a response also with "
             "_discrete appended."
         )
-    if base == "pole_radius":
-        return _smallest_radius(loop)
-    if base == "damping":
-        return _most_damped(loop)
-    if base.startswith("overshoot"):
-        return stiffest_without_overshoot(loop, continuous=criterion == base, at_all=base != "overshoot")
-    if base == "energy_impulse_w0":
+    return SEARCHES.get(criterion_of(criterion).family.name, _least)(loop, criterion)
+
+
+def _least(loop: Loop, criterion: str) -> OptimalPoint:
+    """Smallest cost inside the stable region or, as a limit, along its edge, where the cost must be continuous."""
+    longest = int(_ENDLESS * (loop.delay + 1))
+
+    def cost(alpha: Floats, beta: Floats, _: float) -> Floats:
+        return point_costs_by_name(loop, alpha, beta, (criterion,), longest)[criterion]
+
+    def along(_: Integers, theta: Floats, best: float) -> Floats:
+        alpha, beta = boundary_points(loop, theta)
+        found = np.full(len(theta), np.inf)
+        steep = alpha > lowest
+        found[steep] = cost(alpha[steep], beta[steep], best)
+        return np.where(np.isnan(found), np.inf, found)
+
+    lowest, ends = float(region(loop)[0][0]), boundary(loop).theta
+    edge = search_lines(along, ends[:1], ends[-1:])
+    inside = search(loop, cost, SMOOTH)
+    if edge.cost[0] > inside.cost:
+        return inside
+    alpha, beta = boundary_points(loop, edge.place)
+    return OptimalPoint(float(alpha[0]), float(beta[0]), float(edge.cost[0]), attained=False)
+
+
+def _stiffest(loop: Loop, criterion: str) -> OptimalPoint:
+    base = criterion_of(criterion)
+    return stiffest_without_overshoot(loop, continuous=criterion == base.name, at_all=base.optimum_only)
+
+
+def _best_poles(loop: Loop, criterion: str) -> OptimalPoint:
+    return _smallest_radius(loop) if criterion == "pole_radius" else _most_damped(loop)
+
+
+def _least_energy(loop: Loop, criterion: str) -> OptimalPoint:
+    base = criterion_of(criterion)
+    if base.name == "energy_impulse_w0":
         return _least_impulse_energy(loop, criterion)
-    if base.startswith("energy"):
-        signal = base.split("_")[1]
-        bounds = region(loop) if signal == "step" else region(loop, _IMPULSE_INSET)
-        return search(loop, lambda a, b, _: energy_costs(loop, a, b, signal)[criterion], SMOOTH, bounds)
-    band = float(base.removeprefix("settle_").removesuffix("pct")) / 100
-    if criterion == base:
-        return search(loop, lambda a, b, best: _settling(loop, a, b, band, best)[base])
-    return _settling_region(loop, band, criterion)
+    bounds = region(loop) if base.signal == "step" else region(loop, _IMPULSE_INSET)
+    return search(loop, lambda a, b, _: energy_costs(loop, a, b, base.signal)[criterion], SMOOTH, bounds)
+
+
+def _soonest_settled(loop: Loop, criterion: str) -> OptimalPoint:
+    band = SETTLING_BANDS[criterion_of(criterion).name]
+    if criterion.endswith(DISCRETE):
+        return _settling_region(loop, band, criterion)
+    return search(loop, lambda a, b, best: _settling(loop, a, b, band, best)[criterion])
 
 
 def _settling(loop: Loop, alpha: Floats, beta: Floats, band: float, best: float) -> dict[str, Floats]:
@@ -268,3 +278,7 @@ def _settling_region(loop: Loop, band: float, criterion: str) -> OptimalPoint:
 
     box = bounding_box(where_stable(loop, feasible), np.array([point.alpha, point.beta]), region(loop))
     return OptimalPoint(0.5 * (box[0] + box[1]), 0.5 * (box[2] + box[3]), float(samples), box)
+
+
+SEARCHES = {"settling": _soonest_settled, "overshoot": _stiffest, "energy": _least_energy, "poles": _best_poles}
+"""What finds the optimum of a family, where that is not the one search for all others."""

@@ -12,6 +12,7 @@ import numpy as np
 from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop
 from pipeline.records.batch import Floats
+from pipeline.records.criteria import OVERSHOOT, criterion_of
 from pipeline.theory.cost.poles import pole_settling_time
 from pipeline.theory.optimum.optimum import optimal_point
 from pipeline.theory.stability.stability import boundary
@@ -21,9 +22,6 @@ POINT_CRITERIA = ("alpha_max", "beta_max", "ziegler_nichols")
 
 REFERENCE_DELAY = 8.0
 """Delay factor at which the scaling factors of Table 5.1 were taken."""
-
-_WEIGHTED = {f"energy_{signal}_w{w}": w for signal in ("step", "impulse") for w in (1, 2)}
-"""Exponents w of the criteria whose costs do not grow linearly with delay."""
 
 
 @dataclass(frozen=True)
@@ -109,7 +107,7 @@ def marked_point(loop: Loop, name: str) -> MarkedPoint:
 
 def cost_exponent(criterion: str) -> int:
     """Return the exponent w + 1 with which the optimal cost of a criterion grows with d + 1 (5.19)."""
-    return _WEIGHTED.get(criterion.removesuffix("_discrete"), 0) + 1
+    return criterion_of(criterion).weight + 1
 
 
 def optimal_cost(loop: Loop, criterion: str) -> float:
@@ -120,7 +118,7 @@ def optimal_cost(loop: Loop, criterion: str) -> float:
     ParameterError
         For an unknown criterion, and for overshoot and damping ratio, whose optimal costs do not depend on delay.
     """
-    if criterion == "damping" or criterion.startswith("overshoot"):
+    if criterion == "damping" or criterion_of(criterion).family is OVERSHOOT:
         raise ParameterError(f"criterion {criterion!r}: its optimal cost does not depend on delay (5.4.2).")
     cost = optimal_point(loop, criterion).cost
     return float(pole_settling_time(cost)[0]) if criterion == "pole_radius" else cost

@@ -16,7 +16,7 @@ from pipeline.comparison.figures.boundary_curves import (
     passive_curve,
 )
 from pipeline.comparison.figures.figure_boundaries import plane_figure
-from pipeline.records.models import BoundaryPoint
+from pipeline.records.findings import BoundaryPoint
 from pipeline.records.results import TheoryParameters
 from pipeline.records.score_records import BandScore, BoundScore, Scores
 from pipeline.theory.predictions import Theory

@@ -9,7 +9,7 @@ from stored import batch_of
 from pipeline.comparison.compare_experiment import experiment_result, nominal_theories
 from pipeline.comparison.figures.trial_data import BUDGET, trial_page
 from pipeline.comparison.scene.scene import open_scene
-from pipeline.records.models import CRITERIA
+from pipeline.records.criteria import REPORTED
 from pipeline.records.trial_codec import LEVELS, decode, unpack
 from pipeline.rendering.labels import cost_text
 from pipeline.rendering.report.report_scripts import json_text
@@ -41,8 +41,8 @@ def test_every_trial_is_there_with_its_condition_verdict_outcome_and_costs(scene
     assert [page.content["verdicts"][int(v)] for v in columns["v"]] == stages.texts("response", "verdict")
     named = [page.content["outcomes"][int(o)] for o in columns["o"]]
     assert named == [text.replace("_", " ") for text in stages.texts("outcome", "outcome")]
-    assert len(columns["c"]) == len(page.content["criteria"]) == len(CRITERIA)
-    for criterion, costs in zip(CRITERIA, columns["c"], strict=True):
+    assert len(columns["c"]) == len(page.content["criteria"]) == len(REPORTED)
+    for criterion, costs in zip(REPORTED, columns["c"], strict=True):
         expected = stages.cost(criterion)[0] * (100 if criterion == "overshoot" else 1)
         found = np.array([np.nan if c is None else c for c in costs])
         assert np.array_equal(np.isnan(found), np.isnan(expected))
@@ -74,7 +74,7 @@ def test_model_follows_the_log_of_a_calm_trial(scene, page):
     # the delay jitters by a sample about the fitted one, which moves the rise by up to a seventh of its height
     assert np.abs(log - model).max() < 0.15 * trial["f"]
     assert "m = 0.5" in trial["model"]
-    assert trial["costs"][CRITERIA.index("settle_2pct")].startswith(cost_text("settle_2pct", best.cost))
+    assert trial["costs"][REPORTED.index("settle_2pct")].startswith(cost_text("settle_2pct", best.cost))
 
 
 def test_trials_that_tables_name_come_first_and_are_found_by_their_place(scene, page):

@@ -99,7 +99,7 @@ def test_plan_goes_from_run_to_reuse_and_follows_changes(falcon, noisy, tmp_path
 def test_grips_make_an_operator_and_mixed_motion_is_refused(falcon, tmp_path):
     from native_logs import log_text
 
-    from pipeline.ingest.ingest import ingest
+    from pipeline.intake.ingest import ingest
 
     logs = tmp_path / "logs"
     logs.mkdir()

@@ -23,7 +23,7 @@ from pipeline.records.figure_records import Curve, Figure
 from pipeline.records.models import SceneFile, Shown
 from pipeline.rendering.report.report import cells
 from pipeline.rendering.report.report_parts import take_apart
-from pipeline.shell.commands.cli_theory import app
+from pipeline.shell.cli import app
 from pipeline.theory import predictions
 
 pytestmark = pytest.mark.usefixtures("one_process")

@@ -6,8 +6,10 @@ import pytest
 from pipeline.base.errors import ParameterError
 from pipeline.comparison.scores.implied_delay import implied_by_damping, implied_delay
 from pipeline.comparison.scores.implied_slope import DeviceParameters, implied_by_slope
-from pipeline.records.models import BoundaryPoint
-from pipeline.simulation.simulate import MassSpringDamper, Setup, spectral_radius
+from pipeline.records.findings import BoundaryPoint
+from pipeline.simulation.plants import MassSpringDamper
+from pipeline.simulation.radius import spectral_radius
+from pipeline.simulation.setup import Setup
 
 FALCON = DeviceParameters(mass=0.58, viscous_damping=4.0, sampling_period_s=1e-3)
 FIRM = DeviceParameters(mass=1.0, viscous_damping=34.0, sampling_period_s=1e-3)

@@ -8,7 +8,8 @@ import pytest
 from pipeline.comparison.compare_experiment import nominal_theories
 from pipeline.comparison.scene.scene import open_scene
 from pipeline.comparison.scores.scores import _scores
-from pipeline.records.models import CRITERIA, BoundaryPoint
+from pipeline.records.criteria import REPORTED
+from pipeline.records.findings import BoundaryPoint
 from pipeline.theory.stability.region import stiffness_limit
 
 
@@ -55,7 +56,7 @@ def test_ideal_course_agrees_with_the_theory_it_was_simulated_with(device_scores
 
 
 def test_costs_of_an_ideal_course_are_those_of_theory(device_scores):
-    assert [m.criterion for m in device_scores.maps] == list(CRITERIA)
+    assert [m.criterion for m in device_scores.maps] == list(REPORTED)
     for m in device_scores.maps:
         assert m.rank_correlation > 0.98, m  # of trials near the boundary the log ends before the response
         assert m.median_ratio == pytest.approx(1, abs=0.01), m

@@ -9,7 +9,7 @@ from pipeline.base.errors import ParameterError
 from pipeline.comparison.scores.overlap import MeasuredLimits, measured_limits
 from pipeline.comparison.scores.theory_band import ParameterBox, band_score, parameter_box, theory_band
 from pipeline.loop.loop import Normalised
-from pipeline.records.models import Estimate
+from pipeline.records.findings import Estimate
 from pipeline.theory.stability.region import stiffness_limit
 
 BOX = ParameterBox((0.55, 0.61), (2.0, 6.0), (3.0, 5.0), 1e-3)

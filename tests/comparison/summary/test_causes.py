@@ -9,7 +9,7 @@ from report_data import BOUND
 from pipeline.comparison.scores.overlap import MeasuredLimits
 from pipeline.comparison.summary.advice import choice, margin, passive_choice, recommended
 from pipeline.comparison.summary.causes import causes
-from pipeline.records.models import BoundaryPoint, Estimate, Optimum, Trend
+from pipeline.records.findings import BoundaryPoint, Estimate, Optimum, Trend
 from pipeline.records.results import TheoryParameters
 from pipeline.records.score_records import BandScore, DelayScore, Departure
 from pipeline.rendering.labels import UNITS

@@ -8,7 +8,7 @@ import pytest
 from pipeline.comparison.scene.scene import open_scene
 from pipeline.comparison.summary.summary import summarise
 from pipeline.comparison.summary.summary_warnings import warnings_of
-from pipeline.records.models import Estimate, Optimum, Trend
+from pipeline.records.findings import Estimate, Optimum, Trend
 from pipeline.rendering.labels import share_text
 
 
@@ -212,7 +212,7 @@ def test_logs_that_contradict_the_device_file_are_named(tmp_path):
     from native_logs import ROWS, log_text
 
     from pipeline.comparison.compare import compare
-    from pipeline.ingest.ingest import ingest
+    from pipeline.intake.ingest import ingest
 
     logs = tmp_path / "logs"
     logs.mkdir()

@@ -17,8 +17,9 @@ from pipeline.measured.cost.reading_error import reading_error
 from pipeline.measured.signal.response import find_response
 from pipeline.measured.signal.verdict import judge
 from pipeline.records.batch import TrialBatch
-from pipeline.records.models import SETTLING_BANDS
-from pipeline.simulation.simulate import MassSpringDamper, Setup
+from pipeline.records.criteria import SETTLING_BANDS
+from pipeline.simulation.plants import MassSpringDamper
+from pipeline.simulation.setup import Setup
 from pipeline.simulation.simulate import simulate as simulate_device
 
 

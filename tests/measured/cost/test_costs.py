@@ -7,7 +7,7 @@ import pytest
 from simulated import FALCON, LWR, simulate
 
 from pipeline.base.errors import ParameterError
-from pipeline.devices.devices import load_device
+from pipeline.device_data.devices import load_device
 from pipeline.measured.cost import costs
 from pipeline.measured.experiment.aggregate import choose_optimum
 from pipeline.measured.signal.response import find_response

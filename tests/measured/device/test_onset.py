@@ -7,7 +7,7 @@ import pytest
 from scipy.linalg import expm
 from simulated import FALCON, LWR, simulate
 
-from pipeline.devices.devices import load_device
+from pipeline.device_data.devices import load_device
 from pipeline.measured.device.delay import first_change
 from pipeline.measured.device.onset import motion_onset, rounded
 from pipeline.measured.experiment.known_delay import estimate_delay

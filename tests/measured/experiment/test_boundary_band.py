@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from pipeline.base.errors import ParameterError
-from pipeline.devices.devices import load_device
+from pipeline.device_data.devices import load_device
 from pipeline.measured.experiment.boundary_band import boundary_area, boundary_band
 from pipeline.measured.intervals import NORMAL_95
 from pipeline.measured.signal.verdict import judge
-from pipeline.records.models import BoundaryPoint
+from pipeline.records.findings import BoundaryPoint
 from pipeline.simulation.course import run_course
-from pipeline.simulation.simulate import spectral_radius
+from pipeline.simulation.radius import spectral_radius
 
 FINE = {"quantum": 2e-6, "noise": 0.5e-6}
 COARSE = {"quantum": 1e-5, "noise": 1e-6}

@@ -7,7 +7,7 @@ from scipy.stats import t as student
 from pipeline.base.errors import ParameterError
 from pipeline.measured.experiment.combine import combine, with_sign_warning
 from pipeline.measured.intervals import NORMAL_95, student_95
-from pipeline.records.models import Estimate
+from pipeline.records.findings import Estimate
 
 TRUE = 0.58
 ERROR = 0.01

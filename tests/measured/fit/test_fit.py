@@ -16,11 +16,12 @@ from scipy.signal import cont2discrete, dlsim
 from simulated import FALCON, LWR, simulate
 
 from pipeline.base.errors import ParameterError
-from pipeline.devices.devices import find_experiment, load_device
+from pipeline.device_data.devices import find_experiment, load_device
 from pipeline.measured.fit.fit import fit_trials, model_position
 from pipeline.measured.signal.response import find_response
 from pipeline.records.batch import TrialBatch
-from pipeline.simulation.simulate import MassSpringDamper, setup_of
+from pipeline.simulation.plants import MassSpringDamper
+from pipeline.simulation.setup import setup_of
 from pipeline.simulation.simulate import simulate as simulate_device
 
 spec = importlib.util.spec_from_file_location("make_coverage", ROOT / "docs" / "make_coverage.py")

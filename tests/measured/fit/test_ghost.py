@@ -7,7 +7,9 @@ import pytest
 
 from pipeline.measured.fit.ghost import simulate_ghost
 from pipeline.measured.signal.response import find_response
-from pipeline.simulation.simulate import MassSpringDamper, Setup, simulate
+from pipeline.simulation.plants import MassSpringDamper
+from pipeline.simulation.setup import Setup
+from pipeline.simulation.simulate import simulate
 
 K = np.array([1000.0, 3000.0, 6000.0, 9000.0, 0.0])
 B = np.array([20.0, 60.0, 90.0, 110.0, -2.0])

@@ -11,12 +11,15 @@ from labelled import GROUPS, Group, Labelled, cut, join, labelled_set
 
 from pipeline.base.errors import ParameterError
 from pipeline.measured.cost import costs
-from pipeline.measured.signal.disturbance import find_disturbance
+from pipeline.measured.signal.disturbance import LONGEST_SPAN, Device, find_disturbance, largest_force
 from pipeline.measured.signal.outcome import BAND, OUTCOMES, Outcomes, classify
 from pipeline.measured.signal.response import find_response
 from pipeline.measured.signal.verdict import judge
 from pipeline.records.batch import TrialBatch
-from pipeline.simulation.simulate import Setup, simulate
+from pipeline.records.loop_parts import Butterworth
+from pipeline.records.simulation_parts import SimulationParts
+from pipeline.simulation.setup import Setup
+from pipeline.simulation.simulate import simulate
 
 RIGHT = 0.99
 """Share of the labels that the outcomes must meet where the truth is not a matter of a hair (issue 4)."""
@@ -117,6 +120,17 @@ def test_push_is_dated_and_measured(size: float) -> None:
     assert outcomes(batch).outcome[0] == "disturbed"
 
 
+def test_a_log_shorter_than_two_spans_shows_no_force() -> None:
+    """As beside a coarse sensor, whose errors are told from a force over many rows."""
+    whole = run(FALCON, [3000.0, 4000.0], [60.0, 60.0])
+    batch = whole.window(0, FALCON.edge_row + 30)
+    device = Device(0.58, 4.0, 0.0, 4, 1, span=LONGEST_SPAN, typical=0.4)
+    found = find_disturbance(batch, find_response(batch), device)
+    assert found.first_row.tolist() == found.largest_row.tolist() == [-1, -1]
+    assert found.force.tolist() == [0.0, 0.0]
+    assert largest_force(batch, find_response(batch), device).ratio.tolist() == [0.0, 0.0]
+
+
 def test_device_that_rests_elsewhere_is_held_by_another_force() -> None:
     force = np.full((FALCON.rows, 1), 0.06 * FALCON.step)
     force[: FALCON.edge_row + 5] = 0.0
@@ -126,7 +140,7 @@ def test_device_that_rests_elsewhere_is_held_by_another_force() -> None:
 
 
 def test_clipping_is_dated_by_the_unclipped_command() -> None:
-    setup = replace(IDEAL, force_limit=11.0)
+    setup = replace(IDEAL, force_limit=11.0, hidden=SimulationParts(clipped_command_logged=True))
     batch = among(run(setup, [9000.0, 3000.0], [40.0, 60.0]), IDEAL)
     free = run(IDEAL, [9000.0], [40.0])
     found = outcomes(batch)
@@ -136,7 +150,7 @@ def test_clipping_is_dated_by_the_unclipped_command() -> None:
 
 
 def test_velocity_filter_is_no_clipping() -> None:
-    setup = replace(FALCON, velocity_filter_s=0.002)
+    setup = replace(FALCON, velocity=Butterworth(kind="butterworth", order=1, cutoff_hz=80.0))
     found = outcomes(run(setup, list(np.linspace(1000, 4000, 20)), [40.0] * 20))
     assert "saturated" not in found.outcome
 

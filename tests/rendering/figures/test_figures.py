@@ -160,7 +160,7 @@ def test_a_map_with_few_trials_is_drawn_without_contours(points: int) -> None:
     m = cost_map("m", "measured", "settle_2pct")
     sparse = np.full(m.cost.shape, np.nan)
     sparse[10, 5 : 5 + points] = 30.0
-    figure = Figure[CostMap]("f", "t", "c", "settle_2pct", (replace(m, cost=sparse, optimum=None),))
+    figure = Figure[CostMap]("maps", "f", "t", "c", (replace(m, cost=sparse, optimum=None),), "settle_2pct")
     (svg,) = figures.cost_maps(figure)
     assert ("no trial with this cost" in texts(svg)) == (points == 0)
 

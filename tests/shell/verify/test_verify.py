@@ -18,12 +18,12 @@ import pytest
 from pipeline.base.errors import UsageError
 from pipeline.comparison.compare import compare
 from pipeline.comparison.figures.trial_data import trial_page
-from pipeline.ingest.ingest import ingest
+from pipeline.intake.ingest import ingest
 from pipeline.records import trial_codec
 from pipeline.records.table_files import read_table, write_table
 from pipeline.rendering.report import report_parts
 from pipeline.rendering.report.report_parts import take_apart
-from pipeline.shell.commands.cli_theory import app
+from pipeline.shell.cli import app
 from pipeline.shell.verify import verify
 
 pytestmark = pytest.mark.usefixtures("one_process")

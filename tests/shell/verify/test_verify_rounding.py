@@ -12,8 +12,8 @@ import pytest
 from kernels import WITHOUT, environment
 
 from pipeline.comparison.compare import compare
-from pipeline.devices.devices import load_device
-from pipeline.ingest.ingest import ingest
+from pipeline.device_data.devices import load_device
+from pipeline.intake.ingest import ingest
 from pipeline.rendering.figures.svg import line_data
 from pipeline.shell.demo import run_demo
 from pipeline.shell.verify.verify_rounding import SEEN, same_drawing, same_text, same_value

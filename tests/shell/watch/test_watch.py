@@ -24,10 +24,11 @@ from pipeline.base import lock
 from pipeline.base.provenance import USER_FOLDER_VARIABLE
 from pipeline.comparison.compare import compare
 from pipeline.comparison.scene.scene_file import read_scene
-from pipeline.devices.devices import load_device
-from pipeline.ingest.ingest import ingest
-from pipeline.ingest.quarantine import list_quarantine
+from pipeline.device_data.devices import load_device
+from pipeline.intake.ingest import ingest
+from pipeline.intake.quarantine import list_quarantine
 from pipeline.rendering.report.report import cells
+from pipeline.repair.repair_damage import check
 from pipeline.shell.cli import run
 from pipeline.shell.commands.cli_watch import line_of
 from pipeline.shell.watch import watch, watch_pass
@@ -287,6 +288,39 @@ def test_every_device_has_a_report_of_its_own_beside_our_pages(tmp_path, monkeyp
     former = dict(reports)
     run_pass(request(tmp_path), lambda event: None)
     assert reports == former
+
+
+def test_a_damaged_experiment_keeps_no_other_report_from_being_renewed(tmp_path):
+    logs = course(tmp_path / "raw", ("delay-2", "delay-4"), coarsen=12)
+    late = logs[-1].rename(tmp_path / "late.csv")
+    scenes = {"whole": ["delay-2", "delay-4"], "sound": ["delay-4"]}
+    for name, experiments in scenes.items():
+        text = SCENE.replace("reports/lwr", f"{tmp_path}/reports/{name}") + f"experiments = {json.dumps(experiments)}\n"
+        (tmp_path / f"{name}.toml").write_text(text)
+    asked = request(tmp_path, scenes=tuple(str(tmp_path / f"{name}.toml") for name in scenes))
+    assert run_pass(asked, lambda event: None).status == 0
+    pages = {name: (tmp_path / "reports" / f"{name}.html").read_bytes() for name in scenes}
+    (file,) = (tmp_path / "processed" / "trials" / "lwr" / "delay-2").iterdir()
+    file.write_bytes(file.read_bytes()[:-8] + b"no table")
+    for log in (path for path in logs if path.parent.name == "delay-2"):
+        log.rename(tmp_path / log.name)  # what is there would be stored again
+    late.rename(logs[-1])
+    events: list[dict] = []
+    outcome = run_pass(asked, events.append)
+    assert (outcome.status, outcome.retry, outcome.failed) == (1, True, {})
+    failed = {event["what"]: event["reason"] for event in events if event["event"] == "failed"}
+    assert failed.keys() == {"store", asked.scenes[0]}
+    assert all(str(file) in reason and "pipeline check --repair" in reason for reason in failed.values())
+    assert [event["ingested"] for event in events if event["event"] == "ingest"] == [1]
+    reports = [(event["what"], event["trials"]) for event in events if event["event"] == "report"]
+    assert reports == [(asked.scenes[1], read_trials(tmp_path / "processed", "lwr", "delay-4").num_rows)]
+    now = {name: (tmp_path / "reports" / f"{name}.html").read_bytes() for name in scenes}
+    assert (now["whole"], now["sound"] == pages["sound"]) == (pages["whole"], False)
+    assert check(tmp_path / "processed", repair=True).damage[0].remedy == "restore"
+    events.clear()
+    assert run_pass(asked, events.append).status == 0
+    (renewed,) = (event for event in events if event["event"] == "report")
+    assert (renewed["what"], renewed["trials"]) == (asked.scenes[0], len(logs))
 
 
 @pytest.mark.parametrize("error", [OSError(28, "No space left on device"), "store"])
@@ -608,7 +642,7 @@ def test_the_process_that_looks_is_small():
         "jinja2",
         "pydantic",
         "pipeline.comparison.compare",
-        "pipeline.ingest.ingest",
+        "pipeline.intake.ingest",
     ]
     script = "import sys, pipeline.shell.cli, pipeline.shell.watch.watch\n"
     script += f"print([name for name in {heavy} if name in sys.modules])"

@@ -5,8 +5,8 @@ import os
 import pytest
 from native_logs import short_log
 
-from pipeline.ingest.ingest import ingest
-from pipeline.ingest.sources import find_sources
+from pipeline.intake.ingest import ingest
+from pipeline.intake.sources import find_sources
 from pipeline.profiles.profile_files import shipped_profiles
 from pipeline.shell.watch.watch_files import LONGEST_WAIT, LOOK_SHARE, SHORTEST_WAIT_S, Arrivals, look_at, wait_after
 

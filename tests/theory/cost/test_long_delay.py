@@ -5,9 +5,9 @@ import pytest
 from pipeline.base.provenance import USER_FOLDER_VARIABLE, schema_folder
 from pipeline.comparison.compare import compare
 from pipeline.comparison.figures.boundary_curves import too_late
-from pipeline.devices.devices import read_device
-from pipeline.ingest.ingest import ingest
-from pipeline.records.models import Estimate
+from pipeline.device_data.devices import read_device
+from pipeline.intake.ingest import ingest
+from pipeline.records.findings import Estimate
 from pipeline.simulation.course import run_course, write_course
 
 DELAY = 280

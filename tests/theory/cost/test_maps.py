@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from pipeline.loop.loop import Loop, Normalised
-from pipeline.records.models import CRITERIA
+from pipeline.records.criteria import REPORTED
 from pipeline.theory.cost.energy import energy_costs
 from pipeline.theory.cost.maps import cost_maps
 from pipeline.theory.cost.transient import transient_costs
@@ -21,19 +21,19 @@ def grid():
 
 @pytest.fixture(scope="module")
 def maps(grid):
-    return cost_maps(LOOP, *grid, CRITERIA)
+    return cost_maps(LOOP, *grid, REPORTED)
 
 
 def point_wise(grid):
     """Every grid point on its own, with the settings of the functions for single points."""
     alpha, beta = grid
-    costs = {c: np.full((len(beta), len(alpha)), np.nan) for c in CRITERIA}
+    costs = {c: np.full((len(beta), len(alpha)), np.nan) for c in REPORTED}
     for j, b in enumerate(beta):
         for i, a in enumerate(alpha):
             if a <= 0 or not is_stable(LOOP, [a], [b])[0]:
                 continue
             found = energy_costs(LOOP, [a], [b]) | transient_costs(LOOP, [a], [b], continuous=False)
-            for c in CRITERIA:
+            for c in REPORTED:
                 costs[c][j, i] = found[f"{c}_discrete"][0]
     return costs
 
@@ -51,7 +51,7 @@ def fast(grid):
 
 
 def test_maps_equal_the_costs_of_single_points(maps, expected, fast):
-    for criterion in CRITERIA:
+    for criterion in REPORTED:
         found, single = maps[criterion], expected[criterion]
         assert found.shape == (15, 14)
         assert np.isfinite(found).sum() > 60
@@ -77,7 +77,7 @@ def test_maps_are_empty_outside_the_stable_region(grid, maps):
     outside = ~is_stable(LOOP, alpha.ravel(), beta.ravel()).reshape(alpha.shape) | (alpha == 0)
     assert outside.any()
     assert not outside.all()
-    for criterion in CRITERIA:
+    for criterion in REPORTED:
         assert np.isnan(maps[criterion][outside]).all()
         if not criterion.startswith("settle"):
             assert np.isfinite(maps[criterion][~outside]).all()
@@ -97,5 +97,5 @@ def test_a_spring_of_the_device_moves_the_edge_of_the_map():
 
 
 def test_a_grid_without_any_stable_point_is_empty():
-    found = cost_maps(LOOP, np.array([1.0, 2.0]), np.array([0.1]), CRITERIA)
+    found = cost_maps(LOOP, np.array([1.0, 2.0]), np.array([0.1]), REPORTED)
     assert all(np.isnan(values).all() for values in found.values())

@@ -5,8 +5,7 @@ import pytest
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop
-from pipeline.records.models import SETTLING_BANDS
-from pipeline.theory.cost import energy, pointcosts
+from pipeline.theory.cost import energy
 from pipeline.theory.cost.march import step_transients
 from pipeline.theory.cost.slowmodes import slow_modes
 from pipeline.theory.cost.theory_map import bounding_box
@@ -121,10 +120,6 @@ def test_slow_modes_are_the_poles_and_reproduce_the_motion():
     largest = np.abs(modes.amplitude).argmax(axis=0)
     lead = np.take_along_axis(modes.pole, largest[None], 0)[0]
     assert np.max(np.abs(poles - lead[:, None]).min(axis=1)[modes.good]) < 1e-8
-
-
-def test_names_of_settling_times_are_those_of_the_records():
-    assert tuple(SETTLING_BANDS) == pointcosts.SETTLING
 
 
 def test_overshoot_long_after_settling_is_found():

@@ -11,7 +11,7 @@ from independent import continuous_energy, discrete_settling, simulate
 from places import SHARED
 
 from pipeline.base.errors import ParameterError
-from pipeline.devices.published import PublishedRow, published_rows
+from pipeline.device_data.published import PublishedRow, published_rows
 from pipeline.loop.loop import Loop, Normalised
 from pipeline.theory.cost.energy import energy_costs
 from pipeline.theory.cost.transient import transient_costs

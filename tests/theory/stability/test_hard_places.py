@@ -14,9 +14,9 @@ from stored import check_whole
 
 from pipeline.base import lock
 from pipeline.base.errors import StoreError, UsageError
-from pipeline.ingest import compaction, quarantine
-from pipeline.ingest.compaction import compact
-from pipeline.ingest.ingest import ingest
+from pipeline.intake import compaction, quarantine
+from pipeline.intake.compaction import compact
+from pipeline.intake.ingest import ingest
 from pipeline.shell.status import status
 from pipeline.shell.watch.watch_pass import PassRequest, run_pass
 from pipeline.store.storage import list_experiments, read_trials, steadily

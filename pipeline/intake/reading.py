@@ -1,0 +1,226 @@
+"""The part of an ingest that changes nothing: sources to checked logs, in batches that share a profile."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Executor, Future
+from dataclasses import dataclass, replace
+from itertools import islice
+
+from pipeline.base.errors import LogError
+from pipeline.base.file_names import storable
+from pipeline.base.regular_files import open_regular
+from pipeline.intake.sources import Source
+from pipeline.readers import Log, RawLog, reader_of
+from pipeline.records.models import Motion
+from pipeline.store.names import folder_name
+
+BATCH_LOGS = 256
+BATCH_BYTES = 6 << 20
+"""Logs and bytes of text parsed at once: enough to hide the cost per call, little memory."""
+
+LARGEST_LOG = 256 << 20
+"""Bytes above which a file is not read: 10^6 times a usual log, so it is something else."""
+
+LONGEST_FOLDER = 200
+"""Longest folder name made of a device or experiment; file systems allow 255 bytes."""
+
+
+@dataclass(frozen=True, eq=False)
+class Read:
+    """A source after reading: its logs, a refusal, or neither where its content is stored already.
+
+    ``source`` bears the size and time that the files had while they were read.
+    """
+
+    source: Source
+    sha256: str | None
+    result: tuple[Log, ...] | LogError | None
+
+
+@dataclass(frozen=True)
+class Metrics:
+    """What reading a list of sources took: counts, bytes read, samples, and wall time [s].
+
+    ``found = accepted + known + refused``; ``known`` are those whose content is stored already.
+    """
+
+    found: int
+    accepted: int
+    known: int
+    refused: int
+    bytes: int
+    rows: int
+    seconds: float
+
+
+def read_and_check(
+    sources: Sequence[Source], known: Mapping[str, str], profile_sha256: str | None, use_threads: bool = False
+) -> tuple[list[Read], Metrics]:
+    """Read, hash, parse and check sources of one profile.
+
+    A pure task: it writes nothing, keeps nothing, and depends on its arguments and the files alone, so that it may run
+    in a thread. An engine that runs tasks may call it with the files of one task (`sources.find_sources` makes sources
+    of paths) and keep the metrics as its row; what it returns is stored by one writer (`trialstore.TrialWriter`).
+
+    Parameters
+    ----------
+    sources : sequence of Source
+        All claimed by the same profile, or by none; at most some MB together, which are held in memory.
+    known : mapping of str to str
+        Hash of the profile that read a stored content, by the hash of that content; such a source is not parsed.
+    profile_sha256 : str or None
+        Hash of their profile.
+    use_threads : bool
+        Whether parsing may use several processors.
+
+    Returns
+    -------
+    reads : list of Read
+        One for each source, in the order given; a source that is refused has a `LogError` for its result.
+    metrics : Metrics
+    """
+    began = time.perf_counter()
+    reads: list[Read | None] = [None] * len(sources)
+    raws: dict[int, RawLog] = {}
+    loaded: dict[int, tuple[Source, str]] = {}
+    size = 0
+    for index, source in enumerate(sources):
+        try:
+            raw, sha256, seen = load_source(source)
+        except LogError as error:
+            reads[index] = Read(source, None, error)
+            continue
+        size += seen.size
+        if known.get(sha256) == profile_sha256:
+            reads[index] = Read(seen, sha256, None)
+        else:
+            raws[index], loaded[index] = raw, (seen, sha256)
+    profile = sources[0].profile if sources else None
+    if raws and profile:
+        outcomes = reader_of(profile)(profile, list(raws.values()), use_threads)
+        for (index, (seen, sha256)), outcome in zip(loaded.items(), outcomes, strict=True):
+            reads[index] = Read(seen, sha256, outcome)
+    done = [read for read in reads if read is not None]
+    for read in done:
+        if isinstance(read.result, LogError):
+            _forget_frames(read.result)
+    logs = [read.result for read in done if isinstance(read.result, tuple)]
+    refused = sum(isinstance(read.result, LogError) for read in done)
+    rows = sum(len(log.time) for source_logs in logs for log in source_logs)
+    seconds = time.perf_counter() - began
+    return done, Metrics(len(done), len(logs), len(done) - len(logs) - refused, refused, size, rows, seconds)
+
+
+def _forget_frames(error: BaseException) -> None:
+    """Let go of the frames in which an error was raised: they hold the bytes of logs until cycles are collected."""
+    error.__traceback__ = error.__cause__ = error.__context__ = None
+
+
+def load_source(source: Source) -> tuple[RawLog, str, Source]:
+    """Return the bytes and the SHA-256 of a source, and the source with the size and time that it had meanwhile.
+
+    Raises
+    ------
+    LogError
+        If it is too large, cannot be read, changes while it is read, or no profile claims it.
+    """
+    if source.size > LARGEST_LOG:
+        raise LogError(
+            f"file has {source.size} bytes; expected a log of one step response, at most {LARGEST_LOG}. "
+            "Split the recording into single responses.",
+            code="too-large",
+        )
+    if source.problem:
+        raise LogError(source.problem, code=source.code)
+    data = []
+    size, mtime_ns = 0, 0
+    for file in source.files:
+        try:
+            with open_regular(file, source.within) as stream:
+                before = os.fstat(stream.fileno())
+                data.append(stream.read(min(before.st_size, LARGEST_LOG) + 1))
+                after = os.fstat(stream.fileno())
+        except OSError as error:
+            raise LogError(
+                f"file cannot be read ({error.strerror}). Correct its permissions.", code="unreadable"
+            ) from error
+        if (before.st_size, before.st_mtime_ns) != (len(data[-1]), after.st_mtime_ns):
+            raise LogError(
+                "file changed while it was read; expected a finished recording. Run the command again.",
+                code="changed-while-read",
+            )
+        size, mtime_ns = size + after.st_size, max(mtime_ns, after.st_mtime_ns)
+    hashes = [hashlib.sha256(part).hexdigest() for part in data]
+    sha256 = hashes[0] if len(hashes) == 1 else hashlib.sha256("".join(hashes).encode()).hexdigest()
+    raw = RawLog(tuple(storable(file.name) for file in source.files), tuple(data))
+    if (size, mtime_ns) != (source.size, source.mtime_ns):
+        source = replace(source, size=size, mtime_ns=mtime_ns)
+    return raw, sha256, source
+
+
+def motion_of(log: Log, known: Mapping[str, Motion]) -> Motion:
+    """Return the motion of a log whose names can be stored.
+
+    Parameters
+    ----------
+    log : Log
+    known : mapping of str to {"translation", "rotation"}
+        Motion of each device that has a device file.
+
+    Raises
+    ------
+    LogError
+        If a name is too long for a folder, or the log contradicts the device file.
+    """
+    header = log.header
+    for key in ("device", "experiment"):
+        name = getattr(header, key)
+        if len(folder_name(name)) > LONGEST_FOLDER:
+            raise LogError(
+                f"{key} {name!r} is too long for a folder name; shorten it or use ASCII letters.",
+                code="condition-wrong",
+            )
+    device = known.get(header.device)
+    if device and header.motion and device != header.motion:
+        raise LogError(
+            f"motion is {header.motion}, but the device {header.device!r} has {device}. "
+            "Correct the log, or give its device another name.",
+            code="condition-wrong",
+        )
+    return header.motion or device or "translation"
+
+
+def batches_of(sources: Sequence[Source]) -> Iterator[list[Source]]:
+    """Cut sources into runs of one profile, at most `BATCH_LOGS` logs or `BATCH_BYTES` bytes (or one log)."""
+    batch: list[Source] = []
+    size = 0
+    for source in sources:
+        full = len(batch) >= BATCH_LOGS or size + source.size > BATCH_BYTES
+        if batch and (full or batch[0].profile is not source.profile):
+            yield batch
+            batch, size = [], 0
+        batch.append(source)
+        size += source.size
+    if batch:
+        yield batch
+
+
+def in_order(
+    work: Callable[[list[Source]], list[Read]], batches: Iterator[list[Source]], pool: Executor | None, ahead: int
+) -> Iterator[list[Read]]:
+    """Work on batches in the threads of a pool, by default in the caller's, and yield the results in order.
+
+    At most so many batches are ahead, so that memory is bounded.
+    """
+    if pool is None:
+        yield from map(work, batches)
+        return
+    running: list[Future[list[Read]]] = [pool.submit(work, batch) for batch in islice(batches, ahead)]
+    while running:
+        done = running.pop(0).result()
+        running += [pool.submit(work, batch) for batch in islice(batches, 1)]
+        yield done

@@ -1,0 +1,233 @@
+"""Which files are logs: walks folders, lets a profile claim each file, joins the files of a pair or a bag."""
+
+from __future__ import annotations
+
+import os
+import stat
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence, Set
+from dataclasses import dataclass
+from pathlib import Path
+
+from pipeline.base.errors import Code, UsageError
+from pipeline.base.file_names import path_of_text, path_text
+from pipeline.base.regular_files import OutsideError, is_gone, real_file
+from pipeline.intake.bags import bag_of, may_belong
+from pipeline.intake.listing import Notice, list_folders
+from pipeline.profiles.profile_files import claim
+from pipeline.profiles.profile_model import Profile
+
+
+@dataclass(frozen=True)
+class Source:
+    """One log before it is read.
+
+    Parameters
+    ----------
+    path : Path
+        First file, as found; the folder of a ROS 2 bag, which is one log.
+    key : str
+        Its absolute path as `file_names.path_text` has it: what `processed/` knows the log by, whatever folder the
+        command is called from.
+    files : tuple of Path
+        All files of the log.
+    size, mtime_ns : int
+        Size of all files together [byte] and newest modification time [ns].
+    profile : Profile or None
+        What reads it.
+    problem : str or None
+        Why it cannot be read at all.
+    code : str
+        The same as one of `errors.Code`.
+    within : str or None
+        Real path of the folder that no link may lead out of; None for a link that was given itself.
+    """
+
+    path: Path
+    key: str
+    files: tuple[Path, ...]
+    size: int
+    mtime_ns: int
+    profile: Profile | None
+    problem: str | None = None
+    code: Code = "unreadable"
+    within: str | None = None
+
+    @property
+    def shown(self) -> str:
+        """The path as found, as text that can be stored."""
+        return path_text(self.path)
+
+    @property
+    def stands_alone(self) -> bool:
+        """Whether no other file, one that may come later included, decides how it is read."""
+        own = self.profile is not None and self.profile.partner is None and not may_belong(self.path)
+        return own and self.problem is None
+
+
+Files = Callable[[Path, frozenset[str], Notice], Iterable[Path]]
+"""Yields the wanted files below a folder, but for those below excluded ones; gives notice of what is not searched."""
+
+
+def find_sources(
+    paths: Sequence[Path],
+    profiles: tuple[Profile, ...],
+    exclude: Path | None = None,
+    notice: Notice | None = None,
+    files: Files | None = None,
+) -> list[Source]:
+    """Return every log below the given folders and files, each once, in order of path.
+
+    Links to files are followed where they stay inside the searched folder, and where they are given themselves. Links
+    to folders inside a searched folder are not, since they may lead in a circle or out of the data: `notice` is told.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Folders, searched with all folders below, and files.
+    profiles : tuple of Profile
+        Profiles that may claim a file.
+    exclude : Path, optional
+        Folder that is left out (`processed/`, which may lie inside a searched folder).
+    notice : callable, optional
+        Called with each folder that is not searched, and why: it is a link, or may not be read.
+    files : callable, optional
+        Called with a folder, those to leave out, and `notice`; yields the files that are wanted, by default all.
+
+    Raises
+    ------
+    UsageError
+        If a path does not exist, may not be looked at, or lies in the excluded folder.
+    ProfileError
+        If two profiles claim one file.
+    """
+    found: dict[str, Source] = {}
+    # what a link leads to may be reached by its own name, too
+    excluded = frozenset() if exclude is None else frozenset((os.path.realpath(exclude),))
+    for path in paths:
+        try:
+            there = path.exists()
+        except OSError as error:
+            raise UsageError(f"{path}: cannot be looked at ({error.strerror}). Correct its permissions.") from error
+        if not there:
+            raise UsageError(f"{path}: no such file or folder. Give folders with logs, or single logs.")
+        here = Path(os.path.realpath(path))
+        if not excluded.isdisjoint(map(str, (here, *here.parents))):
+            raise UsageError(f"{path}: lies in {exclude}, where results are kept. Give folders with logs.")
+        folder = path if path.is_dir() else path.parent
+        # a link that is given itself is the user's own choice
+        within = None if folder != path and path.is_symlink() else os.path.realpath(folder)
+        for file in (files or _files)(path, excluded, notice or _say_nothing) if folder == path else [path]:
+            source = _source(file, profiles, within)
+            found.setdefault(source.key, source)
+    return [found[key] for key in sorted(found)]
+
+
+def _files(folder: Path, excluded: frozenset[str], notice: Notice) -> Iterator[Path]:
+    for here in list_folders(folder, excluded, notice):
+        for name in (*here.plain, *here.others):
+            yield Path(here.path, name)
+
+
+def removed_below(folders: Sequence[Path], stored: Iterable[str], present: Set[str]) -> Iterator[str]:
+    """Yield the stored sources below some folders that are not there any more; `present` is what was found."""
+    roots = tuple(os.path.join(path_text(os.path.abspath(folder)), "") for folder in folders if folder.is_dir())
+    for key in stored:
+        if key not in present and key.startswith(roots):
+            path = path_of_text(key)
+            # what may not be looked at is told as such; a folder in the place of a log is none
+            if is_gone(path) or path.is_dir():
+                yield key
+
+
+def by_rest(sources: Sequence[Source], settle_s: float, growing: frozenset[str]) -> tuple[list[Source], list[Source]]:
+    """Return the sources that were modified long enough ago, and the others.
+
+    Parameters
+    ----------
+    sources : sequence of Source
+    settle_s : float
+        Time that must have passed [s].
+    growing : frozenset of str
+        Absolute paths of files that are not at rest, whatever their times say.
+    """
+    young = [
+        not is_settled(s.mtime_ns, settle_s) or not growing.isdisjoint(os.path.abspath(f) for f in s.files)
+        for s in sources
+    ]
+    return (
+        [source for source, recent in zip(sources, young, strict=True) if not recent],
+        [source for source, recent in zip(sources, young, strict=True) if recent],
+    )
+
+
+def is_settled(mtime_ns: int, settle_s: float) -> bool:
+    """Return whether a time [ns] is so long ago [s] that a file is not recorded to any more."""
+    # one in the future, by a clock that is wrong, is no reason to wait for ever
+    return abs(time.time_ns() - mtime_ns) >= settle_s * 1e9
+
+
+def _say_nothing(folder: Path, reason: str) -> None:
+    """Take no notice."""
+
+
+_Problem = tuple[str, Code]
+"""Why a source cannot be read: in words, and as one of the codes."""
+
+
+def _source(file: Path, profiles: tuple[Profile, ...], within: str | None) -> Source:
+    bag = bag_of(file, within)
+    profile, path, problem = _claimed(bag.files[0] if bag else file, profiles)
+    partner = profile.partner_of(path) if profile else None
+    files: tuple[Path, ...] = (path, partner) if partner else (path,)
+    if bag:
+        path, files, partner = bag.folder, bag.files, None
+        problem = (bag.problem, "partner-missing") if bag.problem else problem
+    size, mtime_ns, present = 0, 0, []
+    for part in files:
+        status = _status(part, within)
+        if isinstance(status, os.stat_result):
+            present.append(part)
+            size += status.st_size
+            mtime_ns = max(mtime_ns, status.st_mtime_ns)
+            continue
+        if profile and part == partner and status[1] == "unreadable":
+            text = f"{(problem or status)[0]} Profile {profile.name} reads a log from two files; add the second."
+            problem = text, "partner-missing"
+        problem = problem or status
+    key = path_text(os.path.abspath(path))
+    reason, code = problem or (None, "unreadable")
+    return Source(path, key, tuple(present), size, mtime_ns, profile, reason, code, within)
+
+
+def _status(file: Path, within: str | None) -> os.stat_result | _Problem:
+    """Return size and times of a file of a log, or why it is not read."""
+    try:
+        status = os.stat(file if within is None else real_file(file, within))
+    except OutsideError as error:
+        text = f"{file.name} {error.strerror}, which was not given. Copy the log, or give the link itself to ingest it."
+        return text, "link-outside"
+    except OSError as error:
+        return f"{file.name} cannot be read ({error.strerror}); expected it in {file.parent}.", "unreadable"
+    if not stat.S_ISREG(status.st_mode):
+        return f"{file.name} is no regular file; expected a log. Copy the log's content to a file.", "not-regular"
+    return status
+
+
+def _claimed(file: Path, profiles: tuple[Profile, ...]) -> tuple[Profile | None, Path, _Problem | None]:
+    """Return the profile that claims a file, the log that the file belongs to, and the problem with it."""
+    for profile in profiles:
+        log = profile.log_of_partner(file)
+        if log is None:
+            continue
+        # unlike that of a path this takes names that no file system allows
+        if os.path.exists(log):
+            return profile, log, None
+        text = f"the other file of this log, {log.name}, is missing; expected it in {file.parent}."
+        return None, file, (text, "partner-missing")
+    claimant = claim(file.name, profiles)
+    if claimant is None:
+        accepted = "; ".join(f"{p.name}: {', '.join(p.files)}" for p in profiles)
+        text = f"no profile claims a file of this name; accepted are {accepted}. Remove it or give --profile."
+        return None, file, (text, "no-profile")
+    return claimant, file, None

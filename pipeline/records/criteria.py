@@ -1,0 +1,227 @@
+"""What a wall is judged by: one record a criterion, from which everything else knows it.
+
+A new criterion is a record here, with a family if its costs are computed in another way than those there are: then
+that family has a function in `pipeline.measured.cost.families` and one in `pipeline.theory.cost.pointcosts`.
+Light to import: no command waits for it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+DISCRETE = "_discrete"
+"""What the name of a criterion ends in where its cost is that of the sampled response."""
+
+
+@dataclass(frozen=True)
+class Family:
+    """Criteria whose costs are computed together, in one stage of the measured branch that bears its name.
+
+    Parameters
+    ----------
+    name, title : str
+        Name of the stage, and what its costs are called.
+    unit : str
+        Of a cost: ``samples``, or 1 for a number without dimension.
+    scale : float
+        From a cost to the printed number; 100 for a share that is printed in percent.
+    levels : tuple of float
+        Costs at which contours are drawn. Without, contours lie at doublings of the least cost. Such costs may be
+        zero: they are compared by their difference, others by their ratio.
+    none : float
+        Cost up to which there counts as none.
+    floor : str
+        Stored column with the cost that sensor and chatter alone can cause, where they can.
+    whole : bool
+        Whether measured costs are whole numbers.
+    smooth : bool
+        Whether costs are a smooth function of stiffness and damping.
+    needs, beside : tuple of str
+        Stages that its stage takes results from, and others that are worth showing with it.
+    figure : str
+        Figure of the thesis that maps of its costs are drawn like.
+    term, definition : str
+        How a report defines it, as HTML.
+    """
+
+    name: str
+    title: str
+    unit: str = "1"
+    scale: float = 1.0
+    levels: tuple[float, ...] = ()
+    none: float = 0.0
+    floor: str = ""
+    whole: bool = False
+    smooth: bool = False
+    needs: tuple[str, ...] = ("response",)
+    beside: tuple[str, ...] = ()
+    figure: str = "6.5"
+    term: str = ""
+    definition: str = ""
+
+    @property
+    def printed_unit(self) -> str:
+        """Unit of the printed number; empty for a number without dimension."""
+        return "%" if self.scale != 1 else self.unit.removeprefix("1")
+
+
+@dataclass(frozen=True)
+class Criterion:
+    """One criterion.
+
+    Parameters
+    ----------
+    name, label : str
+        Name in commands, files and tables, and in print.
+    family : Family
+    column, meaning : str
+        Stored column of the measured cost, and what it means; empty where no log can be judged by it.
+    band : float, optional
+        Half width of the settling band relative to the final displacement.
+    weight : int
+        Exponent w of the weighting by time.
+    signal : str
+        Response it is about: ``step``, ``impulse``; empty for a criterion of the poles, which have no sampled response.
+    reported : bool
+        Whether it is part of a report that names no criteria.
+    tabled : bool
+        Whether a table has it for an experiment that no published table holds.
+    optimum_only : bool
+        Whether theory knows its optimum and no costs.
+    """
+
+    name: str
+    label: str
+    family: Family
+    column: str = ""
+    meaning: str = ""
+    band: float | None = None
+    weight: int = 0
+    signal: str = "step"
+    reported: bool = False
+    tabled: bool = False
+    optimum_only: bool = False
+
+
+SETTLING = Family(
+    "settling",
+    "settling time",
+    unit="samples",
+    whole=True,
+    needs=("response", "delay"),
+    term="Settling time <i>C</i><sub>settle</sub> [samples], (5.10)",
+    definition="Time after which the position stays inside a band of ±1, 2 or 5 % around its final value, divided by "
+    "<i>T</i>.\n<i>C</i>* is the first sample from which on all samples are inside.",
+)
+OVERSHOOT = Family(
+    "overshoot",
+    "overshoot",
+    scale=100.0,
+    # the edge of the region without: less is invisible, and interpolation from exact zeros at a lower level follows the
+    # grid cells; beyond the last one, contours merge with the stability boundary
+    levels=(1e-3, *(0.1 * n for n in range(1, 11))),
+    none=1e-12,
+    floor="overshoot_floor",
+    term="Overshoot <i>C</i><sub>ov</sub> [%], (5.12)",
+    definition="(max <i>x</i> − <i>x</i><sub>∞</sub>) / (<i>x</i><sub>∞</sub> − <i>x</i><sub>0</sub>) of the step "
+    "response. Its optimum is the largest\nstiffness without overshoot.",
+)
+ENERGY = Family(
+    "energy",
+    "energy cost",
+    smooth=True,
+    needs=("response", "delay", "model", "damping", "mass"),
+    beside=("windows",),
+    figure="6.6",
+    term="Energy cost <i>C</i><sub>E<i>w</i></sub> [1], (5.7) and (5.14)",
+    definition="Integral of <i>E</i>(<i>t</i>) <i>t</i><sup><i>w</i></sup> over the response, divided by "
+    "<i>T</i><sup><i>w</i>+1</sup><i>E</i><sub>0</sub>, with the\nenergy <i>E</i> = ½(<i>K</i> + <i>k</i>)(<i>x</i> − "
+    "<i>x</i><sub>∞</sub>)² + ½<i>m</i>ẋ² and <i>E</i><sub>0</sub> = <i>F</i><sub>0</sub>² / (2(<i>K</i> + "
+    "<i>k</i>)), (5.8). It\nextends the ISE (<i>w</i> = 0), ITSE (<i>w</i> = 1) and ISTSE (<i>w</i> = 2) by the "
+    "kinetic energy.",
+)
+RISE = Family(
+    "rise",
+    "rise time",
+    unit="samples",
+    term="Rise time <i>C</i><sub>rise</sub> [samples]",
+    definition="Time from the first 10 % to the first 90 % of the way to the final value, divided by <i>T</i>.\n"
+    "<i>C</i>* takes the motion between two samples as a straight line.",
+)
+POLES = Family("poles", "poles")
+
+RISE_LEVELS = (0.1, 0.9)
+"""Shares of the final displacement between which a response rises."""
+
+
+_ALL = (
+    *(
+        Criterion(
+            *(f"settle_{percent}pct", f"settling time, {percent} % band", SETTLING),
+            *(f"settle_{percent}pct", f"discrete settling time, band {percent} %", percent / 100),
+            reported=True,
+            tabled=percent == 2,
+        )
+        for percent in (1, 2, 5)
+    ),
+    Criterion(
+        *("overshoot", "overshoot", OVERSHOOT, "overshoot"),
+        "(max x - x_inf)/(x_inf - x_0), 0 where the position stays below",
+        reported=True,
+        tabled=True,
+    ),
+    *(
+        Criterion(
+            *(f"energy_step_w{w}", f"energy cost, w = {w} ({name}-like)", ENERGY, f"energy_w{w}"),
+            f"discrete energy cost, w = {w}: sum less its noise, plus the tail",
+            weight=w,
+            reported=True,
+            tabled=True,
+        )
+        for w, name in enumerate(("ISE", "ITSE", "ISTSE"))
+    ),
+    Criterion(
+        *("rise_time", "rise time, 10 % to 90 %", RISE, "rise_time"),
+        "time from 10 % to 90 % of x_inf - x_0, both reached first; straight lines between samples",
+    ),
+    # 5.2.2: none whatever its size
+    Criterion("overshoot_at_all", "overshoot at all", OVERSHOOT, optimum_only=True),
+    *(
+        Criterion(f"energy_impulse_w{w}", f"energy cost of the impulse, w = {w}", ENERGY, weight=w, signal="impulse")
+        for w in (0, 1, 2)
+    ),
+    Criterion("pole_radius", "pole radius", POLES, signal=""),
+    Criterion("damping", "damping", POLES, signal=""),
+)
+
+CRITERIA = {criterion.name: criterion for criterion in _ALL}
+"""All criteria by name, in the order in which they are listed."""
+
+MEASURED = tuple(c.name for c in _ALL if c.column)
+"""Criteria that the log of a step response can be judged by."""
+
+REPORTED = tuple(c.name for c in _ALL if c.reported)
+"""Criteria of a report that names none."""
+
+FAMILIES = {family.name: family for family in (OVERSHOOT, SETTLING, ENERGY, RISE)}
+"""Families of `MEASURED` by name, which is that of their stage, in the order in which they are computed."""
+
+SETTLING_BANDS = {c.name: c.band for c in _ALL if c.band is not None}
+"""Half width of the settling band relative to the final displacement, by criterion."""
+
+
+def criterion_of(name: str) -> Criterion:
+    """Return the criterion of a name, also with `DISCRETE` appended; KeyError for an unknown one."""
+    return CRITERIA[name.removesuffix(DISCRETE)]
+
+
+def members(family: Family, names: Iterable[str] = MEASURED) -> list[Criterion]:
+    """Return those of some criteria that belong to a family."""
+    return [criterion_of(name) for name in names if criterion_of(name).family is family]
+
+
+def with_discrete(names: Iterable[str]) -> tuple[str, ...]:
+    """Return names of criteria, and behind them those of a response again with `DISCRETE` appended."""
+    names = tuple(names)
+    return (*names, *(f"{name}{DISCRETE}" for name in names if CRITERIA[name].signal))

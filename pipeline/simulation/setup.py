@@ -1,0 +1,119 @@
+"""What the trials of one experiment share: device, delay, sensor, velocity filter, limits, and what nobody stated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import inf
+
+from pipeline.base.errors import ParameterError
+from pipeline.records.loop_parts import VelocityFilter
+from pipeline.records.models import Device, Experiment
+from pipeline.records.simulation_parts import SimulationParts
+from pipeline.simulation.mechanism import Mechanism
+from pipeline.simulation.plants import Plant, plant_of
+
+NOTHING_HIDDEN = SimulationParts()
+"""All as stated and complete."""
+
+
+@dataclass(frozen=True)
+class Setup:
+    """Everything that the trials of one experiment share.
+
+    Parameters
+    ----------
+    plant : Plant
+    sampling_period_s : float
+        T as stated, by which the controller differentiates [s]; ``hidden`` may hold that the true one differs.
+    step : float
+        External step F_0 [N, Nm], commanded from ``edge_row`` on.
+    rows, edge_row : int
+        Number of samples of a trial that stays within its travel, and the row k0 of the step.
+    delay_samples : float
+        Total delay d of the command in samples, may be fractional; not used where there is jitter.
+    jitter_samples : tuple of int
+        Delays that are drawn from, uniformly, for each command; empty for a constant delay.
+    centre, travel : float
+        Steady-state position and largest true distance from it [m, rad].
+    quantum, noise : float
+        Sensor quantum and standard deviation of the noise before rounding [m, rad].
+    force_limit : float or None
+        Largest absolute command that is rendered [N, Nm].
+    velocity : VelocityFilter or None
+        Filter of the velocity, None for the plain difference.
+    force_gain : float
+        Force at the actuator per unit of command.
+    hidden : SimulationParts
+        What theory and estimates do not know.
+    stop : float
+        Distance of rigid stops from ``centre`` [m, rad]: the device stands there, without a rebound, until the
+        force turns inwards. A start at or beyond a stop moves it outwards as it does the travel limit.
+    """
+
+    plant: Plant
+    sampling_period_s: float
+    step: float
+    rows: int
+    edge_row: int
+    delay_samples: float
+    jitter_samples: tuple[int, ...] = ()
+    centre: float = 0.0
+    travel: float = inf
+    quantum: float = 0.0
+    noise: float = 0.0
+    force_limit: float | None = None
+    velocity: VelocityFilter | None = None
+    force_gain: float = 1.0
+    hidden: SimulationParts = NOTHING_HIDDEN
+    stop: float = inf
+
+    def __post_init__(self) -> None:
+        if self.delay_samples < 0 or any(d < 0 for d in self.jitter_samples):
+            raise ParameterError(
+                f"delay of {self.delay_samples} samples, jitter {self.jitter_samples}: none may be negative."
+            )
+        if not 0 <= self.edge_row < self.rows:
+            raise ParameterError(
+                f"the step in row {self.edge_row} lies outside the log of {self.rows} rows; "
+                "a trial must last longer than its baseline."
+            )
+        if not (0 <= self.quantum < inf and 0 <= self.noise < inf):
+            raise ParameterError(f"quantum {self.quantum} and noise {self.noise} must be finite and not negative.")
+
+    @property
+    def true_period_s(self) -> float:
+        """Sampling period by which the device moves between two rows [s]."""
+        return self.sampling_period_s * (1 + self.hidden.clock_error)
+
+    @property
+    def true_gain(self) -> float:
+        """Force at the actuator per unit of command, with the error that nobody knows of."""
+        return self.force_gain * (1 + self.hidden.gain_error)
+
+
+def setup_of(device: Device, experiment: Experiment) -> Setup:
+    """Return the setup of an experiment as its device file describes it."""
+    period, parts = device.sampling_period_s, device.loop_of(experiment)
+    return Setup(
+        plant=plant_of(experiment, parts),
+        sampling_period_s=period,
+        step=device.step,
+        rows=round(device.duration_s / period),
+        edge_row=round(device.baseline_s / period),
+        delay_samples=experiment.delay_samples,
+        jitter_samples=experiment.jitter_samples,
+        centre=device.centre,
+        travel=device.limits.travel,
+        quantum=device.sensor.quantum,
+        noise=device.sensor.noise,
+        force_limit=device.limits.force,
+        velocity=parts.velocity,
+        force_gain=parts.force_gain,
+        hidden=device.simulation_of(experiment),
+    )
+
+
+def idealise(setup: Setup) -> Setup:
+    """Return the loop of linear theory, with its limits: without noise, quantum, jitter, friction, and all hidden."""
+    plant = replace(setup.plant, friction=None) if isinstance(setup.plant, Mechanism) else setup.plant
+    return replace(setup, plant=plant, quantum=0.0, noise=0.0, jitter_samples=(), hidden=NOTHING_HIDDEN)

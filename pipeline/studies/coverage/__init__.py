@@ -1,0 +1,1 @@
+"""How often statements about devices that are not ideal hold the truth: the kinds of such devices."""

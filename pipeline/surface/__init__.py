@@ -1,0 +1,1 @@
+"""The public Python surface behind ``import pipeline``: data frames in SI of what the other folders compute."""

@@ -1,0 +1,227 @@
+"""Comparisons with theory: made of what is stored, or read from a report's document."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+from pydantic import ValidationError
+
+from pipeline.base.errors import UsageError
+from pipeline.base.outputs import check_output
+from pipeline.comparison.compare import compare as compare_stored
+from pipeline.records.findings import Record
+from pipeline.records.models import ComparisonRow
+from pipeline.records.results import ComparisonResult
+from pipeline.records.score_records import Scores
+from pipeline.surface.frames import frame_of, units_of
+from pipeline.surface.logs import Place
+from pipeline.surface.stored import boundary_frame, estimates_frame, folder_of, optima_frame
+
+_SCORES = ("experiment", "basis", "score", "quantity", "criterion", "value", "low", "high", "reason")
+_SHOWN = ("experiment", "quantity", "value", "low", "high", "unit", "reason")
+_TEXTS = {"table", "criterion", "condition", "note", "experiment", "trial_id", "censored", "deviation"}
+
+
+class Comparison:
+    """Finished numbers of a comparison with theory: what its report shows, as data frames.
+
+    Parameters
+    ----------
+    result : ComparisonResult
+        The document that `pipeline compare --json` prints; ``result.model_dump()`` gives it as plain values.
+    compute : callable, optional
+        Makes the comparison again and writes its report to a path; None for one that was loaded.
+    """
+
+    def __init__(
+        self, result: ComparisonResult, compute: Callable[[Path], ComparisonResult | None] | None = None
+    ) -> None:
+        self.result = result
+        self._compute = compute
+
+    def __repr__(self) -> str:
+        names = ", ".join(experiment.experiment for experiment in self.result.experiments)
+        return f"<Comparison of {self.result.device} with theory: experiments {names}>"
+
+    def _repr_html_(self) -> str:
+        """Return a summary for notebooks: sentences, warnings, and the recommended estimates."""
+        lines = [*self.summary, *(f"Warning: {text}" for text in self.warnings)]
+        shown = self.estimates[list(_SHOWN)].to_html(index=False, border=0, na_rep="–")
+        items = "".join(f"<li>{escape(line)}</li>" for line in lines)
+        return f"<div><h4>{escape(self.result.title)}</h4><ul>{items}</ul>{shown}</div>"
+
+    @property
+    def summary(self) -> tuple[str, ...]:
+        """What the comparison comes to, in sentences."""
+        return self.result.summary
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What must be known before the numbers are used."""
+        return self.result.warnings
+
+    @property
+    def tables(self) -> pd.DataFrame:
+        """Tables of optima as Tables D.1 to D.6, measured and theory beside the published values.
+
+        ``table``, ``criterion``, ``condition``, ``delay_samples``, ``stiffness`` [N/m, Nm/rad], ``damping`` [Ns/m,
+        Nms/rad], ``cost``, ``published_stiffness``, ``published_damping``, ``published_cost``, ``deviation_percent``
+        (of an experiment's cost from the discrete theory's), ``censored``, ``note``, ``experiment``, ``trial_id``.
+        """
+        columns = tuple(ComparisonRow.model_fields)
+        units = units_of(("stiffness", "damping"), {self.result.motion})
+        units |= {f"published_{name}": unit for name, unit in units.items()}
+        rows = [row.model_dump() for row in self.result.tables]
+        return frame_of(columns, rows, set(columns) - _TEXTS, {**units, "delay_samples": "samples"})
+
+    @property
+    def estimates(self) -> pd.DataFrame:
+        """Estimates of all experiments, with the columns of `pipeline.estimates`."""
+        return estimates_frame(self.result.experiments)
+
+    @property
+    def boundary(self) -> pd.DataFrame:
+        """Measured stability boundaries, with the columns of `pipeline.boundary`."""
+        points = [(found.experiment, found.boundary) for found in self.result.experiments]
+        return boundary_frame(points, self.result.motion)
+
+    @property
+    def optima(self) -> pd.DataFrame:
+        """Best trials, with the columns of `pipeline.optima`."""
+        return optima_frame(self.result.experiments, self.result.motion)
+
+    @property
+    def scores(self) -> pd.DataFrame:
+        """How well theory predicts the experiments; ``docs/scores.md`` defines each number.
+
+        ``experiment``, ``basis`` (theory by the device file or by the estimates), ``score`` (``region``, ``distance``,
+        ``verdicts``, ``stiffness``, ``optima``, ``maps``, ``delay``, ``band``, ``bound``), ``quantity``, ``criterion``,
+        ``value``, ``low``, ``high`` (95 % interval, where there is one), ``reason`` (why a score is missing). A row a
+        number.
+        """
+        rows = [
+            {"experiment": found.experiment, "basis": scores.basis, **row}
+            for found in self.result.experiments
+            for scores in found.scores
+            for row in _score_rows(scores)
+        ]
+        return frame_of(_SCORES, rows, ("value", "low", "high"), {})
+
+    def write(self, path: Place) -> Path:
+        """Write the HTML report, and the document as JSON beside it; return the path of the report.
+
+        The report is made of what is stored at that moment; where that changed, the numbers here are renewed with it.
+
+        Raises
+        ------
+        UsageError
+            If the comparison was loaded, the path is a folder, or ends in .json.
+        PipelineError
+            If the file cannot be written.
+        """
+        target = Path(path)
+        check_output(target, "", document_beside=True)
+        result = None if self._compute is None else self._compute(target)
+        if result is None:
+            raise UsageError(
+                f"{target}: this comparison was loaded from a document, which does not hold what the report draws. "
+                f"Compare anew: pipeline.compare({self.result.device!r}).write(...)."
+            )
+        self.result = result
+        return target
+
+
+def compare(
+    device: str,
+    processed: Place = "processed",
+    *,
+    experiments: Sequence[str] | None = None,
+    criteria: Sequence[str] | None = None,
+    full: bool = False,
+) -> Comparison:
+    """Compare the stored experiments of a device with theory, as `pipeline compare` does.
+
+    Parameters
+    ----------
+    device : str
+        Name as in the logs; it need not be known.
+    processed : path
+        Folder that `ingest` filled; results of stages are stored there and used again.
+    experiments, criteria : sequence of str, optional
+        What to compare; by default everything that is stored, and all criteria.
+    full : bool
+        Whether a report holds the response of every trial, whatever its size.
+
+    Returns
+    -------
+    Comparison
+
+    Raises
+    ------
+    DeviceError
+        If the device or an experiment has no trials.
+    UsageError
+        For an unknown criterion.
+    StoreError
+        If the folder is missing, a stored file is damaged, or trials do not belong together.
+    """
+    for name, words in (("experiments", experiments), ("criteria", criteria)):
+        if isinstance(words, str):
+            raise UsageError(f"{name} = {words!r}: expected a list of names, such as [{words!r}].")
+    ask = partial(compare_stored, device, folder_of(processed), experiments=experiments, criteria=criteria, full=full)
+    result = ask().result
+    assert result is not None, "only a dry run has none"
+    return Comparison(result, lambda path: ask(report=path).result)
+
+
+def load(report: Place) -> Comparison:
+    """Read a comparison from the JSON document beside a report (or by the name of the report itself).
+
+    Raises
+    ------
+    UsageError
+        If the file is missing or no such document.
+    """
+    path = Path(report)
+    document = path.with_suffix(".json") if path.suffix.lower() in (".html", ".htm") else path
+    try:
+        return Comparison(ComparisonResult.model_validate_json(document.read_bytes()))
+    except OSError as error:
+        raise UsageError(
+            f"{document}: cannot be read ({error.strerror or error}). Give the JSON document that `pipeline compare` "
+            "writes beside its report."
+        ) from error
+    except ValidationError as error:
+        (first, *_) = error.errors(include_url=False)
+        place = ".".join(map(str, first["loc"])) or "document"
+        raise UsageError(
+            f"{document}: is no document of a comparison by this version ({place}: {first['msg']}). Give the JSON that "
+            "`pipeline compare` writes beside its report, or make it anew."
+        ) from error
+
+
+def _score_rows(scores: Scores) -> Iterator[dict[str, Any]]:
+    """Yield the numbers of all scores; those called ``x_low`` and ``x_high`` beside an x are its interval."""
+    for name, found in scores:
+        parts = found if isinstance(found, tuple) else (found,)
+        for part in parts if name != "parameters" else ():
+            if not isinstance(part, Record):
+                continue
+            values = {key: float(value) for key, value in part if isinstance(value, (int, float))}
+            ends = {f"{key}_{end}" for key in values for end in ("low", "high")}
+            for key in (key for key in values if key not in ends):
+                yield {
+                    "score": name,
+                    "quantity": key,
+                    "criterion": getattr(part, "criterion", None),
+                    "value": values[key],
+                    "low": values.get(f"{key}_low"),
+                    "high": values.get(f"{key}_high"),
+                }
+    for name, reason in scores.missing.items():
+        yield {"score": name, "reason": reason}

@@ -1,0 +1,211 @@
+"""Logs: stored, read alone, or simulated."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+import pandas as pd
+
+from pipeline.base.errors import LogError, UsageError
+from pipeline.device_data.devices import known_devices, load_device
+from pipeline.intake.ingest import ingest as ingest_logs
+from pipeline.intake.ingest_report import IngestReport
+from pipeline.intake.reading import load_source, motion_of
+from pipeline.intake.sources import find_sources
+from pipeline.profiles.profile_files import load_profile, shipped_profiles
+from pipeline.readers import Log, reader_of
+from pipeline.simulation.course import Course, run_course, write_course
+from pipeline.surface.frames import SAMPLES, frame_of_response
+
+Place = str | os.PathLike[str]
+
+
+def ingest(
+    paths: Place | Sequence[Place], processed: Place = "processed", profile: Place | None = None
+) -> IngestReport:
+    """Store all new logs of files and folders, as `pipeline ingest` does.
+
+    Parameters
+    ----------
+    paths : path, or sequence of them
+        Files, and folders that are searched with all below.
+    processed : path
+        Folder of the stored tables; made if needed.
+    profile : str or path, optional
+        Shipped profile by name, or a TOML file; by default each file is claimed by a shipped profile.
+
+    Returns
+    -------
+    IngestReport
+        ``found``, ``ingested``, ``skipped`` (numbers), ``quarantined`` (refused logs with ``path``, ``reason``,
+        ``row``), ``warnings``. A refused log is no exception.
+
+    Raises
+    ------
+    UsageError
+        If a path does not exist.
+    ProfileError
+        If the profile is wrong, or two profiles claim one file.
+    StoreError
+        If ``processed`` is damaged, cannot be written, or another command writes there.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     ingest([], folder).found
+    0
+    """
+    places = [paths] if isinstance(paths, (str, os.PathLike)) else paths
+    return ingest_logs([Path(path) for path in places], Path(processed), _profile(profile))
+
+
+def read_log(path: Place, profile: Place | None = None, label: str | None = None) -> pd.DataFrame:
+    """Read one step response in SI; nothing is stored.
+
+    Parameters
+    ----------
+    path : path
+        Log in any format that `ingest` reads; the folder of a ROS 2 bag is one log.
+    profile : str or path, optional
+        As in `ingest`.
+    label : str, optional
+        Which trial, where a file holds several.
+
+    Returns
+    -------
+    pandas.DataFrame
+        ``time_s`` [s], ``command`` [N, Nm] (before any delay), ``position`` [m, rad], ``force`` [N, Nm] and
+        ``velocity`` [m/s, rad/s] (NaN where the log has none), a row a sample. ``attrs``: ``units``, and ``device``,
+        ``experiment``, ``stiffness``, ``damping``, ``step``, ``sampling_period_s``, ``added_delay_samples``, ``grip``,
+        ``motion``, ``simulated``, ``label``, ``warnings``.
+
+    Raises
+    ------
+    LogError
+        If the log is refused, with the row at fault.
+    UsageError
+        If the path does not exist or holds no single log, or ``label`` names no trial of it.
+    """
+    given = _profile(profile)
+    profiles = shipped_profiles() if given is None else (load_profile(given),)
+    sources = find_sources([Path(path)], profiles)
+    if len(sources) != 1:
+        raise UsageError(f"{path}: expected one log, found {len(sources)}. Give a file, or store all with `ingest`.")
+    (source,) = sources
+    try:
+        raw, _, _ = load_source(source)
+        assert source.profile is not None, "a source that no profile claims is refused by load_source"
+        (outcome,) = reader_of(source.profile)(source.profile, [raw], False)
+        if isinstance(outcome, LogError):
+            raise outcome
+        log = _chosen(outcome, label, path)
+        motion = motion_of(log, {name: device.motion for name, device in known_devices().items()})
+    except LogError as error:
+        row = "" if error.row is None else f", row {error.row}"
+        raise LogError(
+            f"{path}{row}: {error.reason}", error.row, code=error.code, profile_line=error.profile_line
+        ) from error
+    names = {"time_s": "time", **{name: name for name in SAMPLES[1:]}}
+    conditions = {name: value for name, value in vars(log.header).items() if name not in ("motion", "extra")}
+    return frame_of_response(
+        {column: getattr(log, name) for column, name in names.items()},
+        motion,
+        {**conditions, "label": log.label, "warnings": log.warnings},
+    )
+
+
+def simulate(
+    device: str,
+    experiment: str,
+    seed: int = 0,
+    *,
+    ideal: bool = False,
+    coarsen: int = 1,
+    duration_s: float | None = None,
+    out: Place | None = None,
+    overwrite: bool = False,
+) -> list[pd.DataFrame]:
+    """Simulate the course of an experiment, as `pipeline simulate` does.
+
+    Parameters
+    ----------
+    device : str
+        Name of a known device.
+    experiment : str
+        Name of one of its experiments.
+    seed : int
+        Seed of noise and jitter; the same seed gives the same logs.
+    ideal : bool
+        Without noise, quantum and jitter.
+    coarsen : int
+        Every n-th damping and n times the stiffness step, for a small course.
+    duration_s : float, optional
+        Length of a trial [s] in place of the device's.
+    out : path, optional
+        Folder in which the logs are written too, with what was true, for `ingest`.
+    overwrite : bool
+        Replace the logs of an earlier simulation there.
+
+    Returns
+    -------
+    list of pandas.DataFrame
+        One a trial, in the order in which a lab would have recorded them; each as by `read_log`, with the ``trial``
+        (name of its log) and its ``verdict`` in ``attrs``.
+
+    Raises
+    ------
+    DeviceError
+        If the device is not known, or has no such experiment.
+    ParameterError
+        If a value is out of range.
+    UsageError
+        If ``out`` holds an earlier simulation.
+
+    Examples
+    --------
+    >>> logs = simulate("lwr", "delay-2", coarsen=16, duration_s=0.1)
+    >>> logs[0].attrs["units"]["position"], logs[0].attrs["stiffness"] > 0
+    ('rad', True)
+    """
+    course = run_course(load_device(device), experiment, seed=seed, ideal=ideal, coarsen=coarsen, duration_s=duration_s)
+    if out is not None:
+        write_course(course, Path(out), overwrite=overwrite)
+    return [_trial(course, trial) for trial in range(len(course.batch))]
+
+
+def _trial(course: Course, trial: int) -> pd.DataFrame:
+    batch, experiment = course.batch, course.experiment
+    rows = int(batch.rows[trial])
+    samples = {"time_s": batch.time, "command": batch.command, "position": batch.position}
+    about = {
+        "trial": batch.trial_id[trial],
+        "device": course.device.name,
+        "experiment": experiment.name,
+        "stiffness": float(batch.stiffness[trial]),
+        "damping": float(batch.damping[trial]),
+        "step": float(batch.step[trial]),
+        "sampling_period_s": float(batch.sampling_period_s[trial]),
+        "added_delay_samples": experiment.added_delay_samples,
+        "grip": experiment.grip,
+        "simulated": True,
+        "verdict": str(course.verdict[trial]),
+    }
+    return frame_of_response({name: all_[trial, :rows] for name, all_ in samples.items()}, course.device.motion, about)
+
+
+def _chosen(logs: Sequence[Log], label: str | None, path: Place) -> Log:
+    """Return the log with a label, or the only one."""
+    if label is None and len(logs) == 1:
+        return logs[0]
+    labels = ", ".join(str(log.label) for log in logs)
+    named = [log for log in logs if label is not None and log.label == label]
+    if len(named) != 1:
+        raise UsageError(f"{path}: holds the trials {labels}; expected one of them as label, found {label!r}.")
+    return named[0]
+
+
+def _profile(profile: Place | None) -> str | Path | None:
+    return profile if profile is None or isinstance(profile, str) else Path(profile)

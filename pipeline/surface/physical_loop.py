@@ -1,0 +1,239 @@
+"""The loop of device and virtual wall in SI: what `pipeline theory` computes in normalised parameters."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+import pandas as pd
+
+from pipeline.base.errors import ParameterError
+from pipeline.loop import loop as normalised
+from pipeline.records.batch import Floats
+from pipeline.records.models import Motion
+from pipeline.surface.frames import units_of
+from pipeline.theory.cases import POINT_COSTS, optimum_document, points_of_loop
+from pipeline.theory.cost.theory_map import MAP_DEFAULT, CostMap
+from pipeline.theory.stability.stability import boundary
+
+
+@dataclass(frozen=True)
+class LoopOptimum:
+    """Best virtual wall of a loop by a criterion.
+
+    ``stiffness`` K [N/m, Nm/rad], ``damping`` B [Ns/m, Nms/rad]. ``cost``: settling times in samples, overshoot as a
+    fraction, energies dimensionless; None where the criterion has none. ``reason`` says why, or that the optimum is a
+    limit that no stable point reaches. ``box``: smallest and largest stiffness, then damping, where a region is equally
+    good.
+    """
+
+    criterion: str
+    stiffness: float
+    damping: float
+    cost: float | None
+    reason: str | None = None
+    box: tuple[float, float, float, float] | None = None
+
+
+@dataclass(frozen=True)
+class Loop:
+    """A device behind a delay, before a virtual wall of stiffness K and damping B.
+
+    Parameters
+    ----------
+    mass : float
+        m of the device [kg, kg m^2], > 0.
+    damping : float
+        Viscous damping b of the device [Ns/m, Nms/rad], >= 0.
+    sampling_period_s : float
+        T [s], > 0.
+    delay_samples : float
+        Delay t_d/T from command to force, 0 to 256, integer or fractional.
+    stiffness : float
+        Stiffness k of the device itself [N/m, Nm/rad], >= 0.
+    motion : {"translation", "rotation"}
+        Decides the units that data frames name.
+
+    Raises
+    ------
+    ParameterError
+        If a parameter is outside its range.
+
+    Notes
+    -----
+    Source: Hulin 2017, Table 3.1 (normalisation), ch. 3 to 5.
+
+    Examples
+    --------
+    >>> loop = Loop(mass=0.58, damping=4.0, sampling_period_s=0.001, delay_samples=4)
+    >>> loop.points([3000.0, 30000.0], [20.0, 20.0])["stable"].tolist()
+    [True, False]
+    >>> best = loop.optimum("settle_2pct")
+    >>> bool(loop.points(best.stiffness, best.damping)["stable"].all())
+    True
+    """
+
+    mass: float
+    damping: float
+    sampling_period_s: float
+    delay_samples: float
+    stiffness: float = 0.0
+    motion: Motion = field(default="translation", kw_only=True)
+
+    def __post_init__(self) -> None:
+        for name in ("damping", "stiffness", "delay_samples"):
+            value = getattr(self, name)
+            if not math.isfinite(value) or value < 0:
+                raise ParameterError(f"{name} = {value}: expected a finite number that is not negative.")
+        self._normalised  # noqa: B018 - a parameter out of range is told now and not with the first result
+
+    @cached_property
+    def _scale(self) -> normalised.Normalised:
+        return normalised.Normalised(self.mass, self.sampling_period_s)
+
+    @cached_property
+    def _normalised(self) -> normalised.Loop:
+        """The one place where the parameters in SI become a loop of the theory."""
+        return self._scale.loop(self.stiffness, self.damping, self.delay_samples)
+
+    def boundary(self, points: int = 400) -> pd.DataFrame:
+        """Return the stability boundary.
+
+        Parameters
+        ----------
+        points : int
+            About how many, at least 8.
+
+        Returns
+        -------
+        pandas.DataFrame
+            ``damping`` B [Ns/m, Nms/rad], ``stiffness`` K [N/m, Nm/rad], in order along the boundary; ``attrs`` has its
+            extremes: ``stiffness_max``, ``damping_at_stiffness_max``, ``damping_max``, ``stiffness_at_damping_max``.
+
+        Raises
+        ------
+        ParameterError
+            If fewer than 8 points are asked for, or no wall is stable.
+
+        Source: Hulin 2017, sec. 3.4.
+        """
+        border = boundary(self._normalised, points)
+        frame = self._frame(
+            {"damping": border.beta * self._scale.damping, "stiffness": border.alpha * self._scale.stiffness}
+        )
+        frame.attrs |= {
+            "stiffness_max": border.alpha_max * self._scale.stiffness,
+            "damping_at_stiffness_max": border.beta_at_alpha_max * self._scale.damping,
+            "damping_max": border.beta_max * self._scale.damping,
+            "stiffness_at_damping_max": border.alpha_at_beta_max * self._scale.stiffness,
+        }
+        return frame
+
+    def points(self, stiffness: object, damping: object) -> pd.DataFrame:
+        """Return stability and costs of walls.
+
+        Parameters
+        ----------
+        stiffness, damping : float or array_like, shape (n,)
+            K [N/m, Nm/rad] and B [Ns/m, Nms/rad]; a single number stands for all.
+
+        Returns
+        -------
+        pandas.DataFrame
+            ``stiffness``, ``damping``, ``stable``, ``spectral_radius``, a column for each criterion (continuous, and
+            ``_discrete``: settling times in samples; NaN where there is none), ``reason`` (why).
+
+        Raises
+        ------
+        ParameterError
+            If lengths differ or a value is not finite.
+        """
+        K, B = _as_walls(stiffness, damping)
+        found = points_of_loop(self._normalised, K / self._scale.stiffness, B / self._scale.damping)
+        numbers = ("spectral_radius", *POINT_COSTS)
+        columns = {name: np.array([point[name] for point in found], dtype=np.float64) for name in numbers}
+        stable = np.array([point["stable"] for point in found], dtype=np.bool_)
+        frame = self._frame({"stiffness": K, "damping": B, "stable": stable, **columns})
+        frame["reason"] = [point["reason"] for point in found]
+        return frame
+
+    def optimum(self, criterion: str) -> LoopOptimum:
+        """Return the best wall by a criterion, such as ``settle_2pct`` or ``energy_step_w1_discrete``.
+
+        Raises
+        ------
+        ParameterError
+            For an unknown criterion; the message lists all.
+
+        Source: Hulin 2017, ch. 5.
+        """
+        found = optimum_document(self._normalised, criterion)
+        K, B = self._scale.stiffness, self._scale.damping
+        box = found.get("box")
+        return LoopOptimum(
+            criterion=found["criterion"],
+            stiffness=found["alpha"] * K,
+            damping=found["beta"] * B,
+            cost=found["cost"],
+            reason=found.get("reason"),
+            box=box and (box["alpha_low"] * K, box["alpha_high"] * K, box["beta_low"] * B, box["beta_high"] * B),
+        )
+
+    def map(self, size: int = 251, criteria: Sequence[str] = MAP_DEFAULT) -> pd.DataFrame:
+        """Return costs on a grid over the bounding box of the stable region, both ends included.
+
+        Parameters
+        ----------
+        size : int
+            Points along each axis, 2 to 4001.
+        criteria : sequence of str
+            Such as ``settle_2pct``, ``overshoot``, ``energy_step_w0``, ``pole_radius``.
+
+        Returns
+        -------
+        pandas.DataFrame
+            ``stiffness``, ``damping``, ``stable``, a column for each criterion (NaN where there is no cost); damping
+            changes slowest, so that ``frame["overshoot"].to_numpy().reshape(size, size)`` has a row a damping.
+
+        Raises
+        ------
+        ParameterError
+            For an unknown criterion or a size out of range.
+
+        Source: Hulin 2017, ch. 5, footnote 1.
+        """
+        if isinstance(criteria, str):
+            raise ParameterError(f"criteria = {criteria!r}: expected a list of names, such as [{criteria!r}].")
+        grid = CostMap(self._normalised, size, criteria)
+        blocks = list(grid.blocks())
+        costs = {name: np.concatenate([block.costs[name] for block in blocks]) for name in grid.names}
+        return self._frame(
+            {
+                "stiffness": np.concatenate([block.alpha for block in blocks]) * self._scale.stiffness,
+                "damping": np.concatenate([block.beta for block in blocks]) * self._scale.damping,
+                "stable": np.concatenate([block.stable for block in blocks]),
+                **costs,
+            }
+        )
+
+    def _frame(self, columns: dict[str, np.ndarray]) -> pd.DataFrame:
+        frame = pd.DataFrame(columns)
+        physical = units_of(("stiffness", "damping"), {self.motion})
+        settling = {name: "samples" for name in columns if name.startswith("settle")}
+        frame.attrs["units"] = physical | settling
+        return frame
+
+
+def _as_walls(stiffness: object, damping: object) -> tuple[Floats, Floats]:
+    try:
+        K, B = np.broadcast_arrays(
+            np.atleast_1d(np.asarray(stiffness, dtype=np.float64)), np.atleast_1d(np.asarray(damping, dtype=np.float64))
+        )
+    except ValueError as error:
+        raise ParameterError(f"stiffness and damping are no lists of numbers of one length: {error}.") from error
+    if K.ndim != 1 or not (np.isfinite(K).all() and np.isfinite(B).all()):
+        raise ParameterError(f"stiffness and damping, shape {K.shape}: expected lists of finite numbers.")
+    return K.copy(), B.copy()

@@ -1,0 +1,339 @@
+"""What is stored of the logs, and what the measured branch finds in them, as data frames."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from pipeline.base.errors import DeviceError, StoreError, UsageError
+from pipeline.comparison.compare_experiment import experiment_result, motion_of
+from pipeline.comparison.scene.scene import SceneData, needed_stages, open_scene
+from pipeline.comparison.stage_pool import compute_stages
+from pipeline.device_data.devices import known_devices
+from pipeline.measured.stages.stages import ExperimentStages, cost_column
+from pipeline.records.criteria import CRITERIA
+from pipeline.records.findings import Estimate, Optimum
+from pipeline.records.models import Motion
+from pipeline.records.results import ExperimentResult
+from pipeline.records.tables import TABLES
+from pipeline.store.exclusions import read_exclusions
+from pipeline.store.samples import load_batch
+from pipeline.store.storage import list_devices, list_experiments, read_trials
+from pipeline.surface.frames import SAMPLES, frame_of, frame_of_response, frame_of_stored, units_of
+from pipeline.surface.logs import Place
+
+_CONDITIONS = (
+    *("device", "experiment", "stiffness", "damping", "step", "sampling_period_s", "added_delay_samples", "grip"),
+    "simulated",
+)
+_COSTS = ("experiment", "trial_id", "stiffness", "damping", "verdict", "criterion", "cost", "low", "high", "reason")
+_ESTIMATES = (
+    *("experiment", "quantity", "value", "low", "high", "unit", "method", "recommended", "reason", "trials"),
+    *("spread", "within", "warning"),
+)
+_OPTIMA = ("experiment", "criterion", *Optimum.model_fields, "reason")
+
+
+def devices(processed: Place = "processed") -> pd.DataFrame:
+    """Return the devices that have stored trials, a row each.
+
+    Returns
+    -------
+    pandas.DataFrame
+        ``device``, ``title``, ``motion``, ``known`` (whether a device file describes it), ``experiments``, ``trials``
+        (numbers).
+
+    Raises
+    ------
+    StoreError
+        If the folder is missing, or a stored file is damaged.
+    """
+    stored, known = experiments(processed), known_devices()
+    rows = [
+        {
+            "device": name,
+            "title": known[name].title if name in known else name,
+            "motion": " and ".join(sorted(set(of_device["motion"]))),
+            "known": name in known,
+            "experiments": len(of_device),
+            "trials": of_device["trials"].sum(),
+        }
+        for name, of_device in stored.groupby("device")
+    ]
+    return frame_of(("device", "title", "motion", "known", "experiments", "trials"), rows, (), {})
+
+
+def experiments(processed: Place = "processed", device: str | None = None) -> pd.DataFrame:
+    """Return the experiments that have stored trials, a row each, sorted as people sort them (2 before 10).
+
+    Returns
+    -------
+    pandas.DataFrame
+        ``device``, ``experiment``, ``motion``, ``sampling_period_s`` [s], ``added_delay_samples``, ``grip`` (the values
+        that occur, in these three the smallest or first), ``simulated`` (any), ``trials`` (number).
+
+    Raises
+    ------
+    StoreError
+        If the folder is missing, or a stored file is damaged.
+    DeviceError
+        If the device has no trials.
+    """
+    folder = folder_of(processed)
+    columns = ("device", "experiment", "motion", "sampling_period_s", "added_delay_samples", "grip", "simulated")
+    trials_ = frame_of_stored(_read(folder, device, None, list(columns)))
+    rows = []
+    for name in [device] if device is not None else list_devices(folder):
+        for experiment in list_experiments(folder, name):
+            own = trials_[(trials_["device"] == name) & (trials_["experiment"] == experiment)]
+            if len(own):
+                row = {column: own[column].min() for column in columns[:-1]}
+                rows.append({**row, "simulated": bool(own["simulated"].any()), "trials": len(own)})
+    return frame_of((*columns, "trials"), rows, ("sampling_period_s",), units_of(columns))
+
+
+def trials(processed: Place = "processed", device: str | None = None, experiment: str | None = None) -> pd.DataFrame:
+    """Return the stored trials: all, of a device, or of one experiment.
+
+    Returns
+    -------
+    pandas.DataFrame
+        A row a trial with the columns of the stored table: ``trial_id``, ``device``, ``experiment``, ``motion``,
+        ``stiffness`` [N/m, Nm/rad], ``damping`` [Ns/m, Nms/rad], ``step`` [N, Nm], ``sampling_period_s`` [s],
+        ``added_delay_samples``, ``grip``, ``simulated``, ``rows``, ``source_path``, ...; ``exclusion_reason`` of those
+        that are excluded by hand, which no estimate, boundary or cost uses, else "". Verdicts are in `costs`.
+
+    Raises
+    ------
+    StoreError
+        If the folder is missing, or a stored file is damaged.
+    DeviceError
+        If the device or experiment has no trials.
+    """
+    folder = folder_of(processed)
+    table, known = _read(folder, device, experiment, None), read_exclusions(folder)
+    keys = zip(*(table.column(name).to_pylist() for name in ("source_sha256", "label")), strict=True)
+    reasons = [known[key].exclusion_reason if key in known else "" for key in keys]
+    return frame_of_stored(table.append_column("exclusion_reason", [reasons]))
+
+
+def samples(processed: Place, trial_id: str) -> pd.DataFrame:
+    """Return the samples of a stored trial.
+
+    Returns
+    -------
+    pandas.DataFrame
+        ``time_s`` [s], ``command`` [N, Nm], ``position`` [m, rad], ``force``, ``velocity`` (NaN where the log has
+        none), a row a sample; the trial's conditions in ``attrs``, as by `read_log`.
+
+    Raises
+    ------
+    UsageError
+        If there is no such trial.
+    StoreError
+        If the folder is missing, or a stored file is damaged.
+    """
+    folder = folder_of(processed)
+    table = read_trials(folder)
+    table = table.take(np.flatnonzero([name == trial_id for name in table.column("trial_id").to_pylist()]))
+    if not table.num_rows:
+        raise UsageError(f"{folder}: no trial {trial_id!r}. `trials` lists them in its column trial_id.")
+    (row,) = table.slice(0, 1).to_pylist()
+    batch = load_batch(folder, table.slice(0, 1))
+    fields = {"time_s": batch.time, **{name: getattr(batch, name) for name in SAMPLES[1:]}}
+    return frame_of_response(
+        {name: None if values is None else values[0] for name, values in fields.items()},
+        row["motion"],
+        {"trial_id": trial_id, **{name: row[name] for name in _CONDITIONS}},
+    )
+
+
+def estimates(
+    processed: Place, device: str, experiment: str | None = None, *, all_methods: bool = False
+) -> pd.DataFrame:
+    """Return delay, mass, damping and what else is estimated, of one experiment or of all of a device.
+
+    Parameters
+    ----------
+    processed : path
+    device : str
+    experiment : str, optional
+    all_methods : bool
+        Whether the values by other methods follow the recommended one.
+
+    Returns
+    -------
+    pandas.DataFrame
+        ``experiment``, ``quantity`` (``delay_samples``, ``mass``, ``damping``, ...), ``value``, ``low``, ``high`` (95 %
+        interval), ``unit``, ``method``, ``recommended``, ``reason`` (why there is no value, which is NaN then),
+        ``trials`` (number used), ``spread``, ``within`` (standard deviation between trials, median error of one),
+        ``warning``.
+
+    Raises
+    ------
+    DeviceError
+        If the device or experiment has no trials.
+    StoreError
+        If a stored file is damaged, or trials of one experiment do not belong together.
+    """
+    found = list(_results(_open(processed, device, experiment)))
+    return estimates_frame(found, all_methods)
+
+
+def boundary(processed: Place, device: str, experiment: str | None = None) -> pd.DataFrame:
+    """Return the measured stability boundary, of one experiment or of all of a device.
+
+    Returns
+    -------
+    pandas.DataFrame
+        ``experiment``, ``damping`` [Ns/m, Nms/rad], ``stable`` and ``unstable`` [N/m, Nm/rad]: the smallest stiffness
+        with an unstable trial and the largest stable one below it (NaN where there is none), ``censored``,
+        ``estimate``, ``low``, ``high`` [N/m, Nm/rad] (limit by the growth rates, 95 % interval), ``trials``. A row a
+        damping.
+
+    Raises
+    ------
+    DeviceError, StoreError
+        As those of `estimates`.
+    """
+    data = _open(processed, device, experiment, ("overshoot",))
+    rows = [(stages.experiment, stages.boundary_points) for stages in data.experiments]
+    return boundary_frame(rows, motion_of(data))
+
+
+def optima(processed: Place, device: str, experiment: str | None = None) -> pd.DataFrame:
+    """Return the best trial by each criterion, of one experiment or of all of a device.
+
+    Returns
+    -------
+    pandas.DataFrame
+        ``experiment``, ``criterion``, ``stiffness`` [N/m, Nm/rad], ``damping`` [Ns/m, Nms/rad], ``cost`` with its 95 %
+        interval ``cost_low`` to ``cost_high``, ``trial_id``, ``ties``, ``censored`` (at the edge of the tested range),
+        ``reason`` (why there is none; numbers are NaN then). Settling times are in samples, overshoot is a fraction.
+
+    Raises
+    ------
+    DeviceError, StoreError
+        As those of `estimates`.
+    """
+    data = _open(processed, device, experiment)
+    return optima_frame(list(_results(data)), motion_of(data))
+
+
+def costs(processed: Place, device: str, experiment: str | None = None) -> pd.DataFrame:
+    """Return verdict and costs of each trial, of one experiment or of all of a device.
+
+    Returns
+    -------
+    pandas.DataFrame
+        ``experiment``, ``trial_id``, ``stiffness`` [N/m, Nm/rad], ``damping`` [Ns/m, Nms/rad], ``verdict`` (stable,
+        unstable or undecided), ``criterion``, ``cost``, ``low``, ``high`` (95 % interval), ``reason`` (where there is
+        no cost, or it is uncertain). A row a trial and criterion.
+
+    Raises
+    ------
+    DeviceError, StoreError
+        As those of `estimates`.
+    """
+    data = _computed(_open(processed, device, experiment))
+    rows = [row for stages in data.experiments for row in _cost_rows(stages)]
+    units = units_of(("stiffness", "damping"), {motion_of(data)})
+    return frame_of(_COSTS, rows, ("stiffness", "damping", "cost", "low", "high"), units)
+
+
+def estimates_frame(results: Sequence[ExperimentResult], all_methods: bool = False) -> pd.DataFrame:
+    """Return the estimates of finished results as `estimates` does."""
+    rows = []
+    for result in results:
+        for quantity, best in result.estimates.items():
+            named = {"experiment": result.experiment, "quantity": quantity}
+            rows.append({**named, **_plain(best), "recommended": True})
+            others = best.by_method if all_methods else {}
+            rows += [
+                {**named, **_plain(other), "method": method, "recommended": False} for method, other in others.items()
+            ]
+    return frame_of(_ESTIMATES, rows, ("value", "low", "high", "spread", "within"), {})
+
+
+def boundary_frame(points: Sequence[tuple[str, Sequence[Any]]], motion: Motion) -> pd.DataFrame:
+    """Return boundary points by experiment as `boundary` does."""
+    names = TABLES["boundary"]
+    rows = [{"experiment": experiment, **dict(point)} for experiment, of in points for point in of]
+    units = units_of(names, {motion})
+    return frame_of(("experiment", *names), rows, units, units)
+
+
+def optima_frame(results: Sequence[ExperimentResult], motion: Motion) -> pd.DataFrame:
+    """Return the optima of finished results as `optima` does."""
+    rows: list[dict[str, Any]] = []
+    for result in results:
+        for criterion, best in result.optimum.items():
+            rows.append({"experiment": result.experiment, "criterion": criterion, **dict(best)})
+        for criterion, reason in result.missing.items():
+            rows.append({"experiment": result.experiment, "criterion": criterion, "reason": reason})
+    units = units_of(("stiffness", "damping"), {motion})
+    return frame_of(_OPTIMA, rows, ("stiffness", "damping", "cost", "cost_low", "cost_high", "ties"), units)
+
+
+def _plain(estimate: Estimate) -> dict[str, Any]:
+    return {name: value for name, value in estimate if name != "by_method"}
+
+
+def _cost_rows(stages: ExperimentStages) -> Iterator[dict[str, Any]]:
+    trial = {
+        "trial_id": stages.texts("response", "trial_id"),
+        "stiffness": stages.column("response", "stiffness"),
+        "damping": stages.column("response", "damping"),
+        "verdict": stages.verdicts.verdict.tolist(),
+    }
+    for criterion in CRITERIA:
+        low, high = stages.cost_interval(criterion)
+        reason = [text or None for text in stages.texts(cost_column(criterion)[0], "reason")]
+        columns = {**trial, "cost": stages.cost(criterion)[0], "low": low, "high": high, "reason": reason}
+        for row in zip(*columns.values(), strict=True):
+            yield {"experiment": stages.experiment, "criterion": criterion, **dict(zip(columns, row, strict=True))}
+
+
+def _open(processed: Place, device: str, experiment: str | None, criteria: Sequence[str] | None = None) -> SceneData:
+    return open_scene(device, folder_of(processed), None if experiment is None else [experiment], criteria)
+
+
+def _computed(data: SceneData) -> SceneData:
+    """Compute what is not stored yet, by several processes where that pays."""
+    compute_stages(data.experiments, needed_stages(data))
+    return data
+
+
+def _results(data: SceneData) -> Iterator[ExperimentResult]:
+    return (experiment_result(data, stages, None) for stages in _computed(data).experiments)
+
+
+def folder_of(processed: Place) -> Path:
+    """Return the folder of stored tables as a path; it must be there."""
+    folder = Path(processed)
+    if not folder.is_dir():
+        raise StoreError(
+            f"{folder}: no such folder of stored tables. Ingest logs first: pipeline.ingest(logs, {str(folder)!r})."
+        )
+    return folder
+
+
+def _read(folder: Path, device: str | None, experiment: str | None, columns: list[str] | None) -> Any:
+    """Return rows of the trials table; a name of which nothing is stored is an error."""
+    if device is None and experiment is not None:
+        raise UsageError(f"experiment {experiment!r} is given without its device. Give both.")
+    for name, stored, what in (
+        (device, list_devices(folder), "trials of device"),
+        (
+            experiment,
+            list_experiments(folder, device) if device is not None else [],
+            f"trials of {device!r}, experiment",
+        ),
+    ):
+        if name is not None and name not in stored:
+            raise DeviceError(f"{folder}: no {what} {name!r}; found {', '.join(stored) or 'none'}.")
+    return read_trials(folder, device, experiment, columns)

@@ -1,0 +1,258 @@
+"""Batches are merged without a change to what is read, and an ingest rewrites little."""
+
+import os
+import threading
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from native_logs import short_log
+from stored import check_whole, stored_rows
+
+from pipeline.base.errors import StoreError
+from pipeline.intake import compaction
+from pipeline.intake.compaction import compact, find_orphans
+from pipeline.intake.ingest import ingest
+from pipeline.measured.stages.stages import ExperimentStages
+from pipeline.records import table_files
+from pipeline.store import storage
+from pipeline.store.samples import load_batch
+from pipeline.store.storage import read_trials, trials_files
+
+
+@pytest.fixture
+def grow(tmp_path, monkeypatch):
+    """Ingest logs one by one; returns the store and what is to be read of it."""
+
+    def grow(count: int, rows: int = 3, most_small: int = 10**6) -> tuple[Path, dict[str, float]]:
+        monkeypatch.setattr(compaction, "MOST_SMALL", most_small)
+        logs: dict[str, float] = {}
+        for number in range(count):
+            path = tmp_path / f"{number:03d}.csv"
+            path.write_text(short_log(float(number), rows=rows))
+            logs[str(path)] = float(number)
+            assert ingest([path], tmp_path / "processed", jobs=1).ingested == 1
+        return tmp_path / "processed", logs
+
+    return grow
+
+
+def test_one_batch_is_left_and_the_same_is_read(grow):
+    processed, logs = grow(5)
+    before = load_batch(processed, read_trials(processed))
+    plan = compact(processed, dry_run=True)
+    assert len(trials_files(processed)) == 5
+    report = compact(processed)
+    (merged,) = report.merged
+    assert (merged.batches, merged.trials, merged.bytes_before) == (5, 5, plan.merged[0].bytes_before)
+    (file,) = trials_files(processed)
+    assert merged.bytes_after == file.stat().st_size + next(processed.glob("samples/*/*/*.parquet")).stat().st_size
+    after = load_batch(processed, read_trials(processed))
+    assert after.trial_id == before.trial_id
+    np.testing.assert_array_equal(after.position, before.position)
+    assert check_whole(processed, logs) == set(logs)
+    assert compact(processed).merged == ()
+
+
+def test_results_that_rest_on_trials_stay_valid(grow):
+    processed, _ = grow(3)
+    keys = []
+    for _ in range(2):
+        stages = ExperimentStages(processed, "bench", "1", read_trials(processed, "bench", "1"))
+        keys.append(stages.key("response"))
+        compact(processed)
+    assert keys[0] == keys[1]
+
+
+def test_samples_of_replaced_trials_are_removed(grow, tmp_path):
+    processed, logs = grow(1)
+    for number in range(20):
+        (tmp_path / f"{number:03d}.csv").write_text(short_log(number + 0.5))
+    ingest(sorted(tmp_path.glob("*.csv")), processed, jobs=1)
+    logs = {str(path): int(path.stem) + 0.5 for path in tmp_path.glob("*.csv")}
+    logs[str(tmp_path / "000.csv")] = 77.0
+    (tmp_path / "000.csv").write_text(short_log(77.0))
+    assert ingest([tmp_path / "000.csv"], processed, jobs=1).changed[0].outcome.startswith("its trials were replaced")
+    stored = sum(pq.read_metadata(file).num_rows for file in processed.glob("samples/**/*.parquet"))
+    assert stored == (20 + 1) * 3
+    compact(processed)
+    assert sum(pq.read_metadata(file).num_rows for file in processed.glob("samples/**/*.parquet")) == 20 * 3
+    assert check_whole(processed, logs) == set(logs)
+
+
+def test_a_lone_batch_with_samples_of_removed_trials_is_written_anew(grow, tmp_path):
+    processed, _ = grow(3, most_small=3)
+    assert len(trials_files(processed)) == 1
+    (tmp_path / "001.csv").write_text((tmp_path / "000.csv").read_text())
+    report = ingest([tmp_path / "001.csv"], processed, jobs=1)
+    assert (report.skipped, report.changed[0].outcome) == (
+        1,
+        f"its content is now that of {tmp_path / '000.csv'}; its former trials were removed",
+    )
+    compact(processed)
+    (file,) = processed.glob("samples/**/*.parquet")
+    assert pq.read_metadata(file).num_rows == 2 * 3
+    assert len(load_batch(processed, read_trials(processed))) == 2
+
+
+def test_orphans_and_incomplete_files_are_removed(grow):
+    processed, logs = grow(1)
+    folder = processed / "samples" / "bench" / "1"
+    (folder / "000007-left.parquet").write_bytes(next(folder.glob("*.parquet")).read_bytes())
+    (folder / ".samples-translation.1.tmp").write_bytes(b"x")
+    assert [path.name for path in find_orphans(processed)] == ["000007-left.parquet"]
+    report = compact(processed, dry_run=True)
+    assert report.orphans == ("samples/bench/1/000007-left.parquet",)
+    assert len(list(folder.iterdir())) == 3
+    assert compact(processed) == report
+    assert len(list(folder.iterdir())) == 1
+    assert check_whole(processed, logs) == set(logs)
+
+
+def test_row_groups_are_copied_one_by_one(grow, monkeypatch):
+    monkeypatch.setattr(compaction, "GROUP_ROWS", 10)
+    processed, logs = grow(9, rows=4)
+    compact(processed)
+    (file,) = processed.glob("samples/**/*.parquet")
+    groups = pq.read_metadata(file)
+    assert [groups.row_group(i).num_rows for i in range(groups.num_row_groups)] == [12, 12, 12]
+    assert check_whole(processed, logs) == set(logs)
+
+
+def test_translation_and_rotation_keep_their_own_files(tmp_path):
+    processed = tmp_path / "processed"
+    for number in range(4):
+        text = short_log(float(number))
+        path = tmp_path / f"{number}.csv"
+        path.write_text(
+            text.replace("motion: translation", "motion: rotation").replace("N/m", "Nm/rad") if number % 2 else text
+        )
+        ingest([path], processed, jobs=1)
+    compact(processed)
+    files = trials_files(processed)
+    assert len(files) == 2
+    assert sorted(table_files.read_table(file).column("motion").unique().to_pylist() for file in files) == [
+        ["rotation"],
+        ["translation"],
+    ]
+    units = {
+        pq.read_schema(processed / table_files.read_table(file).column("sample_file")[0].as_py())
+        .field("position")
+        .metadata[b"unit"]
+        for file in files
+    }
+    assert units == {b"m", b"rad"}
+
+
+def test_bytes_are_rewritten_once_for_each_factor(grow, monkeypatch):
+    """Of 26 logs that come alone, with groups of 3, each is written at most 1 + log3(26) times: 26 = 2*9 + 2*3 + 2."""
+    written: Counter[str] = Counter()
+    original = compaction.NewBatch.finish
+
+    def finish(batch, trials, number, mark=""):
+        column = trials["trial_id"]
+        written.update(column if isinstance(column, list) else column.to_pylist())
+        return original(batch, trials, number, mark)
+
+    monkeypatch.setattr(compaction.NewBatch, "finish", finish)
+    processed, logs = grow(26, rows=3, most_small=3)
+    assert len(written) == 26
+    assert max(written.values()) == 1 + 2
+    assert len(trials_files(processed)) == 6
+    assert check_whole(processed, logs) == set(logs)
+    assert set(stored_rows(processed).values()) == {1}
+
+
+def test_large_batches_are_left_alone(grow, monkeypatch):
+    monkeypatch.setattr(compaction, "LARGE_ROWS", 3)
+    processed, _ = grow(12, most_small=4)
+    assert len(trials_files(processed)) == 12
+
+
+def test_a_damaged_batch_stops_the_merge_and_loses_nothing(grow):
+    processed, _ = grow(3)
+    file = sorted(processed.glob("samples/**/*.parquet"))[1]
+    data = bytearray(file.read_bytes())
+    data[60] ^= 0xFF
+    file.write_bytes(data)
+    with pytest.raises(StoreError, match="is missing or damaged"):
+        compact(processed)
+    assert len(trials_files(processed)) == 3
+    assert read_trials(processed).num_rows == 3
+    assert not list(processed.rglob("*.tmp"))
+
+
+def test_readers_find_samples_that_were_moved_meanwhile(grow, monkeypatch):
+    processed, _ = grow(3)
+    trials = read_trials(processed)
+    before = load_batch(processed, trials)
+    compact(processed)
+    assert not (processed / trials.column("sample_file")[0].as_py()).exists()
+    np.testing.assert_array_equal(load_batch(processed, trials).position, before.position)
+
+
+def test_a_listing_that_a_merge_tears_is_read_again(grow, monkeypatch):
+    """A folder is not listed in one moment: the merged file may be missed, and the former one be gone already."""
+    processed, _ = grow(2)
+    original, listings = storage._listing, []
+
+    def torn(folder):
+        found = original(folder)
+        listings.append(folder)
+        if len(listings) == 1:
+            compact(processed)
+            return dict(list(found.items())[1:])
+        return found
+
+    monkeypatch.setattr(storage, "_listing", torn)
+    assert read_trials(processed).num_rows == 2
+    assert len(listings) > 2
+    monkeypatch.setattr(
+        storage, "_listing", lambda folder: {os.path.join(folder, str(len(listings))): (listings.append(0), 0, 0)}
+    )
+    monkeypatch.setattr(storage, "_PAUSE_S", 0)
+    with pytest.raises(StoreError, match="changed during each of 50 attempts"):
+        read_trials(processed)
+
+
+def test_trials_that_are_replaced_while_they_are_read_are_named(grow, tmp_path):
+    processed, _ = grow(2)
+    trials = read_trials(processed)
+    (tmp_path / "000.csv").write_text(short_log(99.0))
+    ingest([tmp_path / "000.csv"], processed, jobs=1)
+    compact(processed)
+    with pytest.raises(StoreError, match=r"1 trials were removed while they were read, the first of .*000\.csv"):
+        load_batch(processed, trials)
+
+
+def test_readers_see_each_trial_once_while_batches_are_merged(grow, monkeypatch):
+    processed, logs = grow(6)
+    ended = threading.Event()
+    counts: Counter[int] = Counter()
+    faults = []
+
+    def read() -> None:
+        while not ended.is_set():
+            try:
+                trials = read_trials(processed)
+                counts[len(set(trials.column("trial_id").to_pylist()))] += 1
+                assert len(load_batch(processed, trials)) == trials.num_rows == 6
+            except Exception as error:
+                faults.append(repr(error))
+
+    reader = threading.Thread(target=read)
+    reader.start()
+    for _ in range(3):
+        compact(processed)
+        # one batch becomes six again
+        for path in logs:
+            Path(path).write_text(short_log(logs[path]) + "\n")
+            ingest([Path(path)], processed, jobs=1)
+            Path(path).write_text(short_log(logs[path]))
+            ingest([Path(path)], processed, jobs=1)
+    ended.set()
+    reader.join()
+    assert [fault for fault in faults if "were removed while they were read" not in fault] == []
+    assert set(counts) == {6}

@@ -1,0 +1,252 @@
+"""The loop with its parts against a second simulator (`fine_loop`), and friction by what mechanics demands of it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from fine_loop import Body, run, velocity_filter
+from scipy.signal import butter
+
+from pipeline.records.loop_parts import Butterworth, Difference, Friction
+from pipeline.records.simulation_parts import LaterStep, SimulationParts
+from pipeline.simulation.mechanism import Mechanism
+from pipeline.simulation.plants import MassSpringDamper
+from pipeline.simulation.radius import spectral_radius
+from pipeline.simulation.setup import Setup
+from pipeline.simulation.simulate import external_force, simulate
+from pipeline.simulation.velocity import coefficients
+
+T = 0.001
+ROWS = 60
+BASE = Setup(MassSpringDamper(0.5, 4.0), T, step=8.0, rows=ROWS, edge_row=3, delay_samples=2.0)
+MODE = {"load_mass": 0.1, "spring": 3000.0, "spring_damping": 0.8}
+FRICTION = Friction(coulomb=1.0)
+STRIBECK = Friction(coulomb=0.8, stiction=1.2, stribeck_velocity=0.02)
+K, B = 2500.0, 12.0
+
+
+def body_of(plant: Mechanism) -> Body:
+    friction = plant.friction
+    return Body(
+        *(plant.mass, plant.damping, plant.stiffness, plant.load_mass, plant.spring, plant.spring_damping),
+        lag=plant.lag_s,
+        coulomb=friction.coulomb if friction else 0.0,
+        stiction=(friction.stiction or friction.coulomb) if friction else 0.0,
+        stribeck=friction.stribeck_velocity if friction and friction.stiction else np.inf,
+        sensor_at_load=plant.sensor_at_load,
+    )
+
+
+PLANTS = {
+    "lag": Mechanism(0.5, 4.0, lag_s=0.003),
+    "short lag": Mechanism(0.5, 4.0, lag_s=2e-5),
+    "mode, motor": Mechanism(0.4, 4.0, **MODE),
+    "mode, load": Mechanism(0.4, 4.0, **MODE, sensor_at_load=True),
+    "spring and lag": Mechanism(0.5, 4.0, 300.0, lag_s=0.002),
+    "coulomb": Mechanism(0.5, 4.0, friction=FRICTION),
+    "stribeck": Mechanism(0.5, 4.0, friction=STRIBECK),
+    "stribeck and lag": Mechanism(0.5, 4.0, lag_s=0.002, friction=STRIBECK),
+    "all": Mechanism(0.4, 4.0, 300.0, **MODE, lag_s=0.002, friction=STRIBECK, sensor_at_load=True),
+}
+
+
+@pytest.mark.parametrize("name", sorted(PLANTS))
+def test_a_device_moves_as_the_second_simulator_says(name: str) -> None:
+    plant = PLANTS[name]
+    setup = replace(BASE, plant=plant, delay_samples=1.5)
+    found = simulate(setup, np.array([K]), np.array([B]))
+    b, a = velocity_filter(None, T)
+    x, u = run(body_of(plant), K=K, B=B, T=T, external=external_force(setup), delay=(3, 2), b=b, a=a)
+    # 1e-12 of the second simulator, for each of 60 rows with a gain of K T^2/m below 1
+    assert np.abs(found.displacement[0] - x).max() < 1e-9 * np.abs(x).max()
+    assert np.abs(found.command[0] - u).max() < 1e-8 * np.abs(u).max()
+    assert np.abs(x).max() > 1e-4
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_random_combinations_move_as_the_second_simulator_says(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    plant = Mechanism(
+        *(random.uniform(0.2, 1), random.uniform(0, 8), random.choice([0.0, 400.0])),
+        *(random.uniform(0.03, 0.2), random.uniform(500, 9000), random.uniform(0, 2)),
+        lag_s=random.choice([0.0, 0.0015]),
+        friction=Friction(coulomb=random.uniform(0.1, 1), stiction=1.1, stribeck_velocity=random.uniform(0.005, 0.05)),
+        sensor_at_load=bool(random.integers(2)),
+    )
+    order, cutoff = int(random.integers(1, 5)), random.uniform(30, 200)
+    hidden = SimulationParts(clock_error=0.02, gain_error=-0.1, one_sided_wall=bool(random.integers(2)))
+    low_pass = Butterworth(kind="butterworth", order=order, cutoff_hz=cutoff)
+    setup = replace(
+        BASE, plant=plant, hidden=hidden, velocity=low_pass, force_limit=9.0, force_gain=1.2, delay_samples=1.25
+    )
+    stiffness, damping = random.uniform(500, 4000), random.uniform(0, 30)
+    found = simulate(setup, np.array([stiffness]), np.array([damping]))
+    b, a = velocity_filter("butterworth", T, order, cutoff)
+    x, u = run(
+        body_of(plant),
+        K=stiffness,
+        B=damping,
+        T=T,
+        external=external_force(setup),
+        delay=(5, 4),
+        b=b,
+        a=a,
+        gain=1.2 * 0.9,
+        limit=9.0,
+        one_sided=hidden.one_sided_wall,
+        true_period=T * 1.02,
+    )
+    assert np.abs(found.displacement[0] - x).max() < 1e-8 * np.abs(x).max()
+    assert np.abs(found.command[0] - u).max() < 1e-7 * np.abs(u).max()
+
+
+@pytest.mark.parametrize("order", [1, 2, 3, 4])
+@pytest.mark.parametrize("cutoff", [5.0, 30.0, 480.0])
+def test_butterworth_is_that_of_scipy(order: int, cutoff: float) -> None:
+    b, a = coefficients(Butterworth(kind="butterworth", order=order, cutoff_hz=cutoff), T)
+    wanted = butter(order, cutoff, fs=1 / T)
+    assert b == pytest.approx(wanted[0], rel=1e-9)
+    assert a == pytest.approx(wanted[1], rel=1e-9)
+
+
+def test_difference_over_samples_is_the_mean_of_single_ones() -> None:
+    setup = replace(BASE, velocity=Difference(kind="difference", samples=5))
+    found = simulate(setup, np.array([K]), np.array([B]))
+    speed = np.diff(found.position[0], prepend=found.position[0, 0]) / T
+    mean = np.convolve(speed, np.ones(5) / 5)[:ROWS]
+    assert found.command[0] == pytest.approx(external_force(setup) - K * found.displacement[0] - B * mean, abs=1e-11)
+
+
+def test_a_sliding_mass_stops_at_the_known_distance_and_stays() -> None:
+    mass, coulomb, speed = 0.5, 1.0, 0.03
+    plant = Mechanism(mass, friction=FRICTION)
+    state = np.array([[0.0, 0.0], [speed, -speed]])
+    for _ in range(20):
+        state = plant.advance(state, np.zeros(2), 0.0, 0.001)
+    way = mass * speed**2 / (2 * coulomb)
+    assert state[0] == pytest.approx([way, -way], rel=1e-13)
+    assert (state[1] == 0).all()
+
+
+def test_a_resting_device_moves_at_stiction_and_not_before() -> None:
+    plant = Mechanism(0.5, friction=STRIBECK)
+    state = plant.advance(plant.rest(np.zeros(3)), np.array([1.1999999, -1.2000001, 1.2]), 0.0, 0.01)
+    assert state[:, 0].tolist() == state[:, 2].tolist() == [0.0, 0.0]
+    assert state[1, 1] < 0
+
+
+def test_energy_is_never_created() -> None:
+    plant = Mechanism(0.4, 0.0, 300.0, **MODE, friction=STRIBECK)
+    random = np.random.default_rng(1)
+    state = random.standard_normal((4, 200)) * np.array([[0.02], [0.3], [0.02], [0.3]])
+
+    def energy(s: np.ndarray) -> np.ndarray:
+        across = s[0] - s[2]
+        return 0.5 * (0.4 * s[1] ** 2 + 0.1 * s[3] ** 2 + 300 * s[0] ** 2 + 3000 * across**2)
+
+    before = energy(state)
+    for _ in range(3000):
+        state = plant.advance(state, np.zeros(200), 0.0, 0.001)
+        after = energy(state)
+        assert (after <= before * (1 + 1e-12) + 1e-15).all()
+        before = after
+    assert (state[1] == 0).all()
+    assert (np.abs(300 * state[0]) <= 1.2 + 1e-9).all()
+
+
+def test_a_trial_with_friction_does_not_depend_on_its_batch() -> None:
+    setup = replace(
+        BASE, plant=PLANTS["all"], delay_samples=1.5, velocity=Butterworth(kind="butterworth", order=3, cutoff_hz=60)
+    )
+    stiffness, damping = np.linspace(300, 4000, 13), np.linspace(0, 30, 13)
+    together = simulate(setup, stiffness, damping)
+    for some in ([4], [4, 7], [0, 4, 12]):
+        alone = simulate(setup, stiffness[some], damping[some])
+        assert np.array_equal(alone.position[some.index(4)], together.position[4, : alone.position.shape[1]])
+
+
+@pytest.mark.parametrize("name", ["lag", "mode, load", "spring and lag"])
+def test_spectral_radius_is_the_growth_of_the_simulated_response(name: str) -> None:
+    low_pass = Butterworth(kind="butterworth", order=2, cutoff_hz=80)
+    setup = replace(BASE, plant=PLANTS[name], velocity=low_pass, delay_samples=2.5, rows=1500)
+    rho = spectral_radius(PLANTS[name], setup, np.array([20_000.0]), np.array([10.0]))[0]
+    rows = min(1500, int(np.log(1e12) / np.log(rho)))
+    x = simulate(replace(setup, rows=rows), np.array([20_000.0]), np.array([10.0])).displacement[0, -60:]
+    recurrence = np.linalg.lstsq(np.stack((x[1:-1], x[:-2]), axis=1) / x[-1], x[2:] / x[-1])[0]
+    assert np.sqrt(-recurrence[1]) == pytest.approx(rho, rel=1e-6)
+    assert rho > 1.003
+
+
+def friction_cycle(stiffness: float) -> float:
+    """Largest distance from rest in the last fifth of a long trial that starts with a kick."""
+    setup = replace(BASE, plant=Mechanism(0.58, 4.0, friction=FRICTION), delay_samples=4.0, rows=4000)
+    x = simulate(setup, np.array([stiffness]), np.array([20.0])).displacement[0, -800:]
+    return float(np.abs(x - 8 / stiffness).max())
+
+
+def test_friction_holds_a_wall_that_linear_theory_calls_unstable_up_to_the_describing_function() -> None:
+    # equivalent damping 4 c/(pi w A) with A = F_0/K: the limit at B = 20, d = 4 rises from about 4.6 to 7.5 kN/m
+    setup = replace(BASE, plant=MassSpringDamper(0.58, 4.0), delay_samples=4.0)
+    assert spectral_radius(setup.plant, setup, np.array([6000.0]), np.array([20.0]))[0] > 1
+    assert friction_cycle(6000.0) < 1.0 / 6000
+    assert friction_cycle(9500.0) > 8 / 9500
+
+
+def one(hidden: SimulationParts, **change: object) -> object:
+    return simulate(replace(BASE, hidden=hidden, **change), np.array([K]), np.array([B]), seed=3)  # type: ignore[arg-type]
+
+
+def test_lost_rows_are_missing_and_show_in_the_time_stamps_unless_hidden() -> None:
+    whole = one(SimulationParts())
+    lost, hidden = (one(SimulationParts(lost_rows=0.2, lost_rows_hidden=h)) for h in (False, True))
+    kept = np.rint(lost.time[0] / T).astype(int)
+    assert 30 < len(kept) < 58
+    assert kept[0] == 0
+    assert np.array_equal(lost.position[0], whole.position[0, kept])
+    assert np.array_equal(lost.command[0], whole.command[0, kept])
+    assert np.array_equal(hidden.position[0], lost.position[0])
+    assert np.array_equal(hidden.time[0], T * np.arange(len(kept)))
+
+
+def residual(batch: object, setup: Setup = BASE) -> np.ndarray:
+    """What the logged command lacks of the wall law on the logged positions."""
+    speed = np.diff(batch.position[0], prepend=batch.position[0, 0]) / T
+    return batch.command[0] + K * batch.displacement[0] + B * speed - external_force(setup)
+
+
+def test_held_samples_reach_the_controller_and_repeated_rows_the_log_alone() -> None:
+    held, repeated = one(SimulationParts(held_samples=0.2)), one(SimulationParts(repeated_rows=0.2))
+    for batch in (held, repeated):
+        assert 4 < (np.diff(batch.position[0, 10:]) == 0).sum() < 20
+    assert np.abs(residual(held)).max() < 1e-11
+    assert np.abs(residual(repeated)).max() > 0.1
+    assert np.array_equal(repeated.command[0], one(SimulationParts()).command[0])
+
+
+def test_a_constant_force_is_held_by_the_wall_and_shows_as_a_constant() -> None:
+    batch = one(SimulationParts(constant_force=0.7), force_gain=1.25)
+    assert np.abs(batch.displacement[0, :5]).max() < 1e-15
+    assert residual(batch) == pytest.approx(-0.7 / 1.25, abs=1e-11)
+
+
+def test_a_wrong_clock_stretches_the_motion_and_not_the_stamps() -> None:
+    slow, true = one(SimulationParts(clock_error=0.1)), one(SimulationParts())
+    assert np.array_equal(slow.time, true.time)
+    # the first motion after the step: a mass under a constant force, with the square of the true period
+    assert slow.displacement[0, 6] / true.displacement[0, 6] == pytest.approx(1.21, rel=1e-3)
+
+
+def test_ramp_and_later_steps_shape_the_external_force() -> None:
+    hidden = SimulationParts(ramp_samples=4, later_steps=(LaterStep(time_s=0.02, size=-3.0),))
+    force = external_force(replace(BASE, hidden=hidden))
+    assert force[[2, 3, 4, 5, 6, 19, 20, 59]].tolist() == [0.0, 2.0, 4.0, 6.0, 8.0, 8.0, 5.0, 5.0]
+
+
+def test_a_one_sided_wall_never_acts_outside() -> None:
+    setup = replace(BASE, hidden=SimulationParts(one_sided_wall=True), rows=400)
+    batch = simulate(setup, np.array([30_000.0]), np.array([0.0]))
+    outside = batch.displacement[0] < 0
+    assert outside.any()
+    assert (batch.command[0, outside] == 8.0).all()

@@ -1,0 +1,91 @@
+"""`pipeline.Loop`: what theory says in normalised parameters, in SI."""
+
+import numpy as np
+import pytest
+from simulated import spectral_radius
+
+import pipeline
+from pipeline.base.errors import ParameterError
+from pipeline.loop.loop import Loop as Normalised
+from pipeline.theory.optimum.optimum import optimal_point
+
+FALCON = pipeline.Loop(mass=0.58, damping=4.0, sampling_period_s=0.001, delay_samples=4)
+
+
+def test_spectral_radius_is_that_of_the_independent_loop():
+    K, B = np.array([500.0, 3000.0, 30000.0]), np.array([5.0, 20.0, 60.0])
+    points = FALCON.points(K, B)
+    expected = [spectral_radius(k, b, mass=0.58, b=4.0, delay=4) for k, b in zip(K, B, strict=True)]
+    assert points["spectral_radius"].tolist() == pytest.approx(expected, rel=1e-10)
+    assert points["stable"].tolist() == [radius < 1 for radius in expected] == [True, True, False]
+    assert points["reason"].tolist()[2] == "unstable"
+    assert points.loc[2, ["overshoot", "settle_2pct"]].isna().all()
+
+
+@pytest.mark.parametrize("delay", [1, 2.5])
+def test_boundary_is_where_the_radius_is_one(delay):
+    loop = pipeline.Loop(0.19, 0.5, 0.001, delay, motion="rotation")
+    border = loop.boundary(60)
+    inner = border[border["stiffness"] > 0]
+    found = loop.points(inner["stiffness"], inner["damping"])["spectral_radius"]
+    assert found.to_numpy() == pytest.approx(1.0, abs=1e-7)
+    assert border.attrs["units"] == {"damping": "Nms/rad", "stiffness": "Nm/rad"}
+    assert border["stiffness"].max() == pytest.approx(border.attrs["stiffness_max"], rel=1e-3)
+    assert border["damping"].max() <= border.attrs["damping_max"] * (1 + 1e-12)
+
+
+def test_a_device_with_a_spring():
+    loop = pipeline.Loop(0.58, 4.0, 0.001, 4, stiffness=500.0)
+    assert loop.boundary()["stiffness"].min() == pytest.approx(-500.0, abs=1.0)
+
+
+def test_optimum_scales_with_mass_and_period():
+    m, T = 2.0, 0.002
+    loop = pipeline.Loop(m, 3.0, T, 3)
+    best = loop.optimum("energy_step_w0")
+    expected = optimal_point(Normalised(0.0, 3.0 * T / m, 3), "energy_step_w0")
+    assert best.stiffness * T**2 / m == pytest.approx(expected.alpha, rel=1e-12)
+    assert best.damping * T / m == pytest.approx(expected.beta, rel=1e-12)
+    assert best.cost == expected.cost
+    around = loop.points(best.stiffness * np.array([0.97, 1.03, 1, 1]), best.damping * np.array([1, 1, 0.97, 1.03]))
+    assert (around["energy_step_w0"] > best.cost).all()
+    discrete = loop.optimum("settle_2pct_discrete")
+    low, high = discrete.box[:2]
+    assert low <= discrete.stiffness <= high
+
+
+def test_map_is_a_grid_over_the_stable_region():
+    found = FALCON.map(size=7, criteria=["overshoot", "pole_radius"])
+    assert list(found.columns) == ["stiffness", "damping", "stable", "overshoot", "pole_radius"]
+    assert (found["damping"].to_numpy().reshape(7, 7) == found["damping"].to_numpy().reshape(7, 7)[:, :1]).all()
+    inside = found[found["pole_radius"].notna()]
+    again = FALCON.points(inside["stiffness"], inside["damping"])
+    assert inside["pole_radius"].to_numpy() == pytest.approx(again["spectral_radius"].to_numpy(), rel=1e-9)
+    assert found.loc[~found["stable"], ["overshoot", "pole_radius"]].isna().all(axis=None)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"mass": 0.0}, "mass = 0"),
+        ({"sampling_period_s": -1.0}, "sampling_period_s = -1"),
+        ({"damping": -4.0}, "damping = -4"),
+        ({"stiffness": float("nan")}, "stiffness = nan"),
+        ({"delay_samples": -1}, "delay_samples = -1"),
+        ({"delay_samples": 300}, "at most 256"),
+        ({"stiffness": 1e9}, "swings faster than it is sampled"),
+    ],
+)
+def test_parameters_out_of_range(given, message):
+    with pytest.raises(ParameterError, match=message):
+        pipeline.Loop(**({"mass": 0.58, "damping": 4.0, "sampling_period_s": 0.001, "delay_samples": 4} | given))
+
+
+def test_walls_that_are_none():
+    for K, B in (([1.0, 2.0], [1.0, 2.0, 3.0]), ([np.nan], [1.0]), ("a", 1.0), (np.ones((2, 2)), 1.0)):
+        with pytest.raises(ParameterError, match="stiffness and damping"):
+            FALCON.points(K, B)
+    with pytest.raises(ParameterError, match="expected a list"):
+        FALCON.map(criteria="overshoot")
+    with pytest.raises(ParameterError, match="supported are"):
+        FALCON.optimum("speed")
