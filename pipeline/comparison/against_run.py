@@ -15,10 +15,11 @@ from pipeline.comparison.against import Trials, compare_pair
 from pipeline.comparison.compare_experiment import estimated_theories, experiment_result, motion_of, nominal_theories
 from pipeline.comparison.figures.boundary_curves import measured_curve
 from pipeline.comparison.figures.figure_boundaries import plane_figure
+from pipeline.comparison.scene.origin import excluded_trials
 from pipeline.comparison.scene.scene import SceneData, open_scene
 from pipeline.records.against_records import AgainstResult, PairDifference, Side
 from pipeline.records.figure_records import Figure, Limits
-from pipeline.records.findings import BoundaryPoint, Estimate, Optimum, Record
+from pipeline.records.findings import BoundaryPoint, Estimate, ExcludedTrial, Optimum, Record
 from pipeline.records.results import ComparisonResult, ExperimentResult
 from pipeline.rendering.report.report_against import AgainstPage
 from pipeline.theory.predictions import Theory
@@ -60,7 +61,10 @@ def against_experiments(
         found.append(_gather(open_scene(device, processed, [experiment], criteria)))
     (a, a_theory, a_data), (b, b_theory, b_data) = found
     code = code_digest(experiment_result.__module__, compare_pair.__module__)
-    one, other = (Side(device=d, experiment=e, version=__version__, code=code) for d, e in (first, second))
+    one, other = (
+        Side(device=d, experiment=e, version=__version__, code=code, excluded=excluded_trials(data))
+        for (d, e), data in ((first, a_data), (second, b_data))
+    )
     motions = (motion_of(a_data), motion_of(b_data))
     scales = None
     if first[0] != second[0]:
@@ -89,7 +93,7 @@ def against_document(new: ComparisonResult, old: Document) -> AgainstPage:
     pairs: list[PairDifference] = []
     figures: list[Figure[Limits]] = []
     for name in (n for n in before if n in after):
-        sides = (_side(old.device, name, old.provenance), _side(new.device, name, new.provenance))
+        sides = (_side(old, name), _side(new, name))
         pairs.append(compare_pair(*sides, (before[name], after[name]), None, (new.motion, new.motion)))
         figures.append(_overlay([f"{name}, before", f"{name}, now"], (before[name], after[name]), f"-{len(figures)}"))
     return AgainstPage(
@@ -111,6 +115,7 @@ class Document:
     device: str
     experiments: dict[str, ExperimentResult]
     provenance: Mapping[str, str]
+    excluded: tuple[ExcludedTrial, ...]
 
 
 def read_document(path: Path, device: str) -> Document:
@@ -124,7 +129,9 @@ def read_document(path: Path, device: str) -> Document:
     try:
         values = json.loads(path.read_bytes())
         found = [_experiment(e) for e in values["experiments"]]
-        old = Document(str(values["device"]), {e.experiment: e for e in found}, values.get("provenance", {}))
+        excluded = tuple(ExcludedTrial(**_known(ExcludedTrial, one)) for one in values.get("excluded", ()))
+        experiments = {e.experiment: e for e in found}
+        old = Document(str(values["device"]), experiments, values.get("provenance", {}), excluded)
     except OSError as error:
         raise UsageError(f"{path}: cannot be read ({error}). Give the JSON document beside a report.") from error
     except (ValueError, KeyError, TypeError, AttributeError) as error:
@@ -164,9 +171,11 @@ def _known(record: type[Record], values: Mapping[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in values.items() if name in record.model_fields}
 
 
-def _side(device: str, experiment: str, origin: Mapping[str, str]) -> Side:
-    code = origin.get("code", origin.get("key", "?"))
-    return Side(device=device, experiment=experiment, version=origin.get("version", "?"), code=code)
+def _side(of: Document | ComparisonResult, experiment: str) -> Side:
+    code = of.provenance.get("code", of.provenance.get("key", "?"))
+    excluded = tuple(one for one in of.excluded if one.experiment == experiment)
+    version = of.provenance.get("version", "?")
+    return Side(device=of.device, experiment=experiment, version=version, code=code, excluded=excluded)
 
 
 def _version(origin: Mapping[str, str]) -> str:

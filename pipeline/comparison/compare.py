@@ -13,7 +13,7 @@ from pipeline.base.provenance import code_digest, digest
 from pipeline.comparison.compare_experiment import estimated_theories, experiment_result, motion_of, nominal_theories
 from pipeline.comparison.figures.figure_data import FigureBuilder, requests_of_delay_figure
 from pipeline.comparison.figures.trial_data import trial_page
-from pipeline.comparison.scene.origin import log_list, provenance, request
+from pipeline.comparison.scene.origin import excluded_trials, log_list, provenance, request
 from pipeline.comparison.scene.scene import (
     LEAVE_OUT,
     REUSE,
@@ -159,6 +159,7 @@ def compare(
         summary=tuple(sentence.text for sentence in sentences),
         summary_sources=tuple(sentence.source for sentence in sentences),
         warnings=warnings_of(data, results),
+        excluded=excluded_trials(data),
         report=str(report) if report else None,
         provenance=provenance(data, logs, processed, key=key, code=report_code(), output=output),
         logs=logs,
@@ -216,11 +217,12 @@ def report_code() -> str:
 
 
 def _report_key(data: SceneData, path: Path | None, accuracy: str, full: bool) -> str:
-    """Hash of all that a report shows: stages, device file, criteria, code, and where it lies."""
+    """Hash of all that a report shows: stages, exclusions, device file, criteria, code, and where it lies."""
     needed = sorted(needed_stages(data))
     stages = [[e.experiment, *(e.key(s) for s in needed)] for e in data.experiments]
     device = data.device.model_dump_json() if data.device else ""
-    return digest([data.scene.model_dump_json(), stages, device, report_code(), str(path), accuracy, full])
+    excluded = [one.model_dump() for one in data.excluded]
+    return digest([data.scene.model_dump_json(), stages, device, report_code(), str(path), accuracy, full, excluded])
 
 
 def _stored_result(path: Path | None, key: str) -> ComparisonResult | None:

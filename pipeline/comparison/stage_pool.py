@@ -11,7 +11,6 @@ import pyarrow as pa
 
 from pipeline.comparison.shared_groups import shared_groups
 from pipeline.measured.stages.stages import STAGES, ExperimentStages
-from pipeline.store.storage import read_trials
 
 LARGE = 1000
 """New trials from which on an experiment is shared among processes: some 3 s of work, against 1 s to start them."""
@@ -56,5 +55,5 @@ def compute_stages(experiments: Collection[ExperimentStages], needed: Collection
 
 
 def _compute(processed: Path, device: str, experiment: str, wanted: tuple[str, ...]) -> dict[str, pa.Table]:
-    stages = ExperimentStages(processed, device, experiment, read_trials(processed, device, experiment))
+    stages = ExperimentStages.stored(processed, device, experiment)
     return {stage: stages.table(stage) for stage in wanted}

@@ -96,6 +96,21 @@ class ColumnSource(Source):
     stands_for: Name | None = None
 
 
+class PositionSource(ColumnSource):
+    """Source of the position, or of a velocity that it is the integral of.
+
+    Parameters
+    ----------
+    integrate : {"difference", "trapezoid"}, optional
+        The column is a velocity [m/s, rad/s], and the position its integral over the stamps, from 0 in the first row.
+        ``"difference"``: each velocity is the way since the row before over the time since then, as drives compute it
+        from an encoder; the integral is exactly what the encoder read. ``"trapezoid"``: it is the velocity in the
+        moment of its row, as of a tachometer, and changes evenly from row to row.
+    """
+
+    integrate: Literal["difference", "trapezoid"] | None = None
+
+
 class Fraction(Record):
     """Second part of a time stamp, such as nanoseconds beside seconds; both are whole numbers."""
 
@@ -138,7 +153,7 @@ class Columns(Record):
 
     time: TimeSource | None = None
     command: ColumnSource | None = None
-    position: ColumnSource | None = None
+    position: PositionSource | None = None
     force: ColumnSource | None = None
     velocity: ColumnSource | None = None
 
@@ -146,6 +161,12 @@ class Columns(Record):
         """Return the columns that are described, by SI name."""
         found = {key: getattr(self, key) for key in Columns.model_fields}
         return {key: source for key, source in found.items() if source is not None}
+
+
+def quantity_of(key: str, source: Source, motion: Motion) -> str:
+    """Return the physical quantity of a column of the file: of a position that is integrated, a velocity."""
+    integrated = isinstance(source, PositionSource) and source.integrate is not None
+    return QUANTITIES["velocity" if integrated else key][motion]
 
 
 def factor(key: str, source: Source, motion: Motion) -> float:
@@ -163,7 +184,7 @@ def factor(key: str, source: Source, motion: Motion) -> float:
         sign, unit = 1, source.unit
     if unit is None:
         raise ParameterError(f"{key} has no unit")
-    return sign * factor_to_si(unit, (QUANTITIES[key][motion],)) / (source.counts_per_unit or 1.0)
+    return sign * factor_to_si(unit, (quantity_of(key, source, motion),)) / (source.counts_per_unit or 1.0)
 
 
 def column_problems(columns: Columns, motion: Motion, position_allowed: bool) -> list[Problem]:
@@ -180,9 +201,10 @@ def column_problems(columns: Columns, motion: Motion, position_allowed: bool) ->
         other = taken.setdefault((source.file, source.key), key)
         if other != key:
             place = "column" if source.name is None else "name"
-            problems.append(
-                (("columns", key, place), f"{source.key!r} is columns.{other}, too; expected another column")
-            )
+            text = f"{source.key!r} is columns.{other}, too; expected another column"
+            if "velocity" in (key, other) and columns.position is not None and columns.position.integrate:
+                text = f"{source.key!r} is columns.position, which is integrated and kept as velocity. Remove this one"
+            problems.append((("columns", key, place), text))
     if columns.time is not None:
         problems += _time_problems(columns.time)
     return problems
@@ -203,7 +225,7 @@ def _source_problems(key: str, source: Source, motion: Motion, position_allowed:
         problems.append(((*place, "column"), "for delimited text; in other formats columns have names: give name"))
     if sampled and not (isinstance(source, TimeSource) and source.has_stamps):
         return problems
-    quantity = QUANTITIES[key][motion]
+    quantity = quantity_of(key, source, motion)
     example = EXAMPLE_UNITS.get(quantity, "deg/s")
     if source.unit is None:
         text = f'missing; a unit is never guessed. Add unit = "{example}" with the unit of column {source.key!r}'

@@ -161,6 +161,14 @@ def _table(lines: list[str], name: str) -> tuple[str, list[int]]:
         if len(rows) > len(best[1]):
             best = delimiter, rows
     if len(best[1]) < FEWEST_ROWS:
+        alone = sum(_is_number(line.strip().rstrip(";,").strip()) for line in lines)
+        if alone >= FEWEST_ROWS:
+            raise LogError(
+                f"{name}: has one column of numbers ({alone} of the first {len(lines)} lines); a log needs the command "
+                "and the position, or the velocity, in each row. Export them together, or write a profile with "
+                "[partner] for a file each.",
+                code="column-missing",
+            )
         raise LogError(
             f"{name}: no table of numbers was found among the first {len(lines)} lines. Expected rows of the same "
             "number of cells, parted by semicolons, tabs, commas or blanks. Export other formats as CSV.",

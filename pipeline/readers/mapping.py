@@ -17,7 +17,7 @@ import numpy as np
 from pipeline.base.errors import LogError, ProfileError
 from pipeline.base.file_names import storable
 from pipeline.base.units import factor_to_si
-from pipeline.profiles.profile_columns import QUANTITIES, ColumnSource
+from pipeline.profiles.profile_columns import QUANTITIES, ColumnSource, PositionSource
 from pipeline.profiles.profile_model import REQUIRED_CONDITIONS, Profile, StepTime, Window
 from pipeline.readers.conditions import conditions_of, entry_of, header_of
 from pipeline.readers.file_kind import refuse_other_kind
@@ -40,6 +40,9 @@ rounding alone 3 x 0.1 s is above 0.3 s, 501 x 1e-6 s below 0.000501 s."""
 PACE = 10.0
 """Ratio of the median step between rows to the sampling period, or the reverse, from which on a log is warned of: units
 of time differ by 60 at least, a log that drops half of its samples has a ratio of 2."""
+
+LONGEST_STEP = 1.5
+"""Time between rows in sampling periods from which on a row is missing: a velocity says nothing of it."""
 
 KEPT_ATTRIBUTES = 100
 """Attributes of a file that are kept beside each of its trials; a workspace dump may hold thousands."""
@@ -246,7 +249,14 @@ def _log(
         raise LogError(f"{text} {remedy}, or leave this log out.", at, code="too-short")
     factors = profile.factors()
     columns = {key: values[inside] * factors[key] for key, values in rows.columns.items()}
+    position = profile.column_sources()["position"]
+    rule = position.integrate if isinstance(position, PositionSource) else None
+    if rule is not None:
+        columns = {"velocity": columns["position"], **columns}
+        columns["position"] = _integral(where, rule, time, columns["position"], row, period)
     extra = _extra(profile, frame, _step_row(where, step, time, number, row, period))
+    if rule is not None:
+        extra["integrated"] = rule
     if rows.raw_decimals:
         extra["raw_count_decimals"] = str(rows.raw_decimals)
     header = header_of(profile, where, given, extra)
@@ -260,6 +270,22 @@ def _log(
     raw = None if rows.raw_time is None else rows.raw_time[inside]
     warnings = (*frame.warnings, *_other_pace(time, period))
     return replace(log, raw_time=raw, counts=counts, warnings=warnings, label=label)
+
+
+def _integral(where: str, rule: str, time: Floats, velocity: Floats, row: Integers, period: float) -> Floats:
+    """Return the position [m, rad] by the rule of a profile: the integral of a velocity, 0 in the first row."""
+    steps = np.diff(time)
+    if (lost := steps > LONGEST_STEP * period).any():
+        at = int(np.argmax(lost)) + 1
+        raise LogError(
+            f"{where}: rows are missing before {time[at]:.9g} s ({steps[at - 1]:.3g} s after the row before; the "
+            f"sampling period is {period:.3g} s), so that the position, the integral of a velocity, is "
+            "not known from there on. Cut the log by a window, or leave it out.",
+            int(row[at]),
+            code="time-wrong",
+        )
+    mean = velocity[1:] if rule == "difference" else 0.5 * (velocity[1:] + velocity[:-1])
+    return np.concatenate([[0.0], np.cumsum(mean * steps)])
 
 
 def _other_pace(time: Floats, period: float) -> list[str]:

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pipeline.records.findings import Record
+from pipeline.records.findings import ExcludedTrial, Record
 
 Plane = Literal["physical", "normalised"]
 
 
 class Side(Record):
-    """One of the two: device, experiment, and the version and hash of the code that found its numbers."""
+    """One of the two: device, experiment, version and hash of the code that found its numbers, trials left out."""
 
     device: str
     experiment: str
     version: str
     code: str
+    excluded: tuple[ExcludedTrial, ...] = ()
 
     @property
     def label(self) -> str:

@@ -20,6 +20,8 @@ SAMPLED = ("time", "command", "position", "force", "velocity")
 NO_STEP_ROW = -1
 """Stands for the command edge of a trial that declares none."""
 
+_OPTIONAL = (*SAMPLED, "step_row", "integrated")
+
 _CONDITIONS = ("stiffness", "damping", "step", "sampling_period_s")
 
 
@@ -42,6 +44,8 @@ class TrialBatch:
         Nothing is computed from a logged velocity: how it was made is not known (filters, lags).
     step_row : int64, shape (n,), optional
         Declared row of the command edge, -1 for trials whose log shows it; None where no trial declares one.
+    integrated : bool, shape (n,), optional
+        Whether positions are integrals of a sensor's velocity, so that their grid is none of a sensor; None for none.
     """
 
     trial_id: tuple[str, ...]
@@ -56,6 +60,7 @@ class TrialBatch:
     force: Floats | None = None
     velocity: Floats | None = None
     step_row: Integers | None = None
+    integrated: Booleans | None = None
 
     def __len__(self) -> int:
         return len(self.trial_id)
@@ -75,6 +80,8 @@ class TrialBatch:
         declared = NO_STEP_ROW if self.step_row is None else int(self.step_row[trial])
         joined.update(np.array([getattr(self, name)[trial] for name in _CONDITIONS]).data)
         joined.update(np.array([self.rows[trial], declared], dtype=np.int64).data)
+        if self.integrated is not None and self.integrated[trial]:
+            joined.update(b"integrated")
         for name in SAMPLED:
             values = getattr(self, name)
             if values is not None and not np.isnan(own := values[trial, : self.rows[trial]]).all():
@@ -93,6 +100,11 @@ class TrialBatch:
             return self._taken(self.trial_id[which], which)
         index = np.arange(len(self))[which]
         return self._taken(tuple(self.trial_id[i] for i in index), index)
+
+    def relative_to(self, level: Floats) -> TrialBatch:
+        """Return the trials with commands, and measured forces, that count from a level, shape (n,) [N, Nm]."""
+        force = None if self.force is None else self.force - level[:, None]
+        return replace(self, command=self.command - level[:, None], force=force)
 
     def portions(self, trials: int) -> Iterator[tuple[slice, TrialBatch]]:
         """Cut the batch into portions of at most so many trials, which share its arrays; each with its place.
@@ -117,7 +129,9 @@ class TrialBatch:
     def joined(cls, parts: Sequence[TrialBatch]) -> TrialBatch:
         """Return the trials of several batches, one at least, as one, padded to the longest."""
         declared = [np.full(len(p), NO_STEP_ROW) if p.step_row is None else p.step_row for p in parts]
+        integrated = [np.zeros(len(p), dtype=np.bool_) if p.integrated is None else p.integrated for p in parts]
         return cls(
+            integrated=None if all(part.integrated is None for part in parts) else np.concatenate(integrated),
             trial_id=tuple(name for part in parts for name in part.trial_id),
             step_row=None if all(part.step_row is None for part in parts) else np.concatenate(declared),
             **{name: np.concatenate([getattr(p, name) for p in parts]) for name in (*_CONDITIONS, "rows")},
@@ -129,7 +143,7 @@ class TrialBatch:
         return TrialBatch(
             trial_id,
             *(getattr(self, name)[which] for name in (*_CONDITIONS, "rows")),
-            *(None if (values := getattr(self, name)) is None else values[which] for name in (*SAMPLED, "step_row")),
+            *(None if (values := getattr(self, name)) is None else values[which] for name in _OPTIONAL),
         )
 
 

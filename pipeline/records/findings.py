@@ -112,3 +112,13 @@ class Optimum(Record):
     trial_id: str | None = None
     ties: int = 1
     censored: bool = False
+
+
+class ExcludedTrial(Record):
+    """A trial that was excluded by hand and enters no number: its id, log, why, and since when (UTC)."""
+
+    experiment: str
+    trial_id: str
+    log: str
+    reason: str
+    since: str

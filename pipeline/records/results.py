@@ -12,7 +12,7 @@ from pydantic import Field
 
 from pipeline.records.accuracy import AccuracyReport
 from pipeline.records.figure_records import Figure
-from pipeline.records.findings import BoundaryPoint, Estimate, ModelCheck, Optimum, Record
+from pipeline.records.findings import BoundaryPoint, Estimate, ExcludedTrial, ModelCheck, Optimum, Record
 from pipeline.records.models import ComparisonRow, Motion
 from pipeline.records.score_records import Scores
 from pipeline.records.score_records import TheoryParameters as TheoryParameters
@@ -93,6 +93,7 @@ class ComparisonResult(Record):
     summary_sources: tuple[str, ...] = ()
     """Anchor of the figure or table that each sentence of the summary rests on; empty where there is none."""
     warnings: tuple[str, ...]
+    excluded: tuple[ExcludedTrial, ...] = ()
     report: str | None = None
     provenance: dict[str, str]
     logs: tuple[LogList, ...] = ()

@@ -73,6 +73,9 @@ COLUMNS: dict[str, Column] = {
     "package_version": _same(_S, "", "version that stored it"),
     "sample_file": _same(_S, "", "file below processed/ that holds the samples"),
     "first_row": _same(_I, "", "row of that file with the first sample"),
+    # exclusions
+    "exclusion_reason": _same(_S, "", "why the trial is excluded by hand"),
+    "excluded_since": _same(_S, "", "when it was excluded, UTC, ISO 8601"),
     # samples
     "time_s": _same(_F, "s", "time stamp of the sample"),
     "command": Column(_F, "N", "Nm", "total commanded force before any delay: external step minus wall force"),
@@ -205,6 +208,10 @@ TABLES: dict[str, tuple[str, ...]] = {
             "package_version",
         ),
         *("sample_file", "first_row"),
+    ),
+    "exclusions": (
+        *("trial_id", "label", "device", "experiment", "source_path", "source_sha256"),
+        *("exclusion_reason", "excluded_since"),
     ),
     "response": (
         *(

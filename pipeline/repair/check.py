@@ -25,9 +25,11 @@ from pipeline.intake.rerun import NOTE_FILE
 from pipeline.profiles.profile_model import Profile
 from pipeline.records.findings import Record
 from pipeline.records.table_files import parquet_bytes
+from pipeline.records.tables import TABLES
 from pipeline.repair.reread import same_logs
 from pipeline.repair.salvage import NEEDED, groups_of, unreadable
 from pipeline.store.batch_files import pack_annex, samples_footer, trials_bytes
+from pipeline.store.exclusions import EXCLUSIONS_FILE
 from pipeline.store.storage import partner_of, read_versions
 
 DAMAGED_FOLDER = "damaged"
@@ -151,7 +153,8 @@ def look(processed: Path, alone: bool, progress: Callable[[int, int], None] | No
     """
     tables = {name: sorted((processed / name).rglob("*.parquet")) for name in ("trials", "samples", "stages")}
     others = sorted((processed / "theory").glob("*.json")) + sorted((processed / "quarantine").glob(f"*/{RECORD_FILE}"))
-    others += [file for file in (processed / "accuracy.json", processed / NOTE_FILE) if file.is_file()]
+    single = (processed / name for name in (EXCLUSIONS_FILE, "accuracy.json", NOTE_FILE))
+    others += [file for file in single if file.is_file()]
     files = [*tables["trials"], *tables["samples"], *tables["stages"], *others]
     faults: dict[Path, str] = {}
     size = unsealed = 0
@@ -166,8 +169,8 @@ def look(processed: Path, alone: bool, progress: Callable[[int, int], None] | No
         if progress:
             progress(done, len(files))
     batches = _batches(processed, tables, faults, alone)
-    single = tuple(Fault(file, faults[file]) for file in (*tables["stages"], *others) if file in faults)
-    return Findings(batches, single, len(files), size, unsealed)
+    rest = tuple(Fault(file, faults[file]) for file in (*tables["stages"], *others) if file in faults)
+    return Findings(batches, rest, len(files), size, unsealed)
 
 
 def table_is_sealed(file: Path) -> bool:
@@ -269,14 +272,27 @@ def _restored_trials(trials: Path, samples: bytes) -> bytes | None:
     whole = mended(data)
     if whole is not None:
         return whole
-    table = trials_bytes(samples)
-    if table is None:
-        try:
-            with pq.ParquetFile(pa.BufferReader(data), page_checksum_verification=True) as file:
-                table = parquet_bytes(file.read())
-        except (pa.ArrowException, OSError, ValueError):
-            return None
-    return sealed(table, pack_annex(footer_of(samples)))
+    table = trials_bytes(samples) or _by_pages(data)
+    return None if table is None else sealed(table, pack_annex(footer_of(samples)))
+
+
+def restored_exclusions(file: Path) -> bytes | None:
+    """Return what is excluded as it was written, by the parity or by the pages; None where neither tells."""
+    data = file.read_bytes()
+    whole = mended(data)
+    if whole is None and (table := _by_pages(data)) is not None:
+        names = pq.read_schema(pa.BufferReader(table)).names
+        whole = sealed(table) if names == list(TABLES["exclusions"]) else None
+    return whole
+
+
+def _by_pages(data: bytes) -> bytes | None:
+    """Return a Parquet file of all pages of a damaged one, ready to be sealed; None where one of them is damaged."""
+    try:
+        with pq.ParquetFile(pa.BufferReader(data), page_checksum_verification=True) as file:
+            return parquet_bytes(file.read())
+    except (pa.ArrowException, OSError, ValueError):
+        return None
 
 
 def lost_trials(gone: Mapping[str, tuple[str, ...]], trials: pa.Table) -> dict[str, LostTrial]:
@@ -320,8 +336,14 @@ def foreseen(processed: Path, findings: Findings, profiles: Sequence[Profile]) -
         lost = tuple(one for one in lost_trials(gone, plan.table).values() if one.source_path not in logs)
         yield damage_of(processed, faults, "save", plan.table.num_rows, len(gone) - len(lost), lost)
     for fault in findings.others:
-        remedy: Remedy = "set aside" if fault.file.name == RECORD_FILE else "remove"
-        yield damage_of(processed, {fault.file: fault.text}, remedy)
+        yield damage_of(processed, {fault.file: fault.text}, remedy_of(fault.file))
+
+
+def remedy_of(file: Path) -> Remedy:
+    """Return what is done with a damaged file that is none of a batch."""
+    if file.name == EXCLUSIONS_FILE:
+        return "set aside" if restored_exclusions(file) is None else "restore"
+    return "set aside" if file.name == RECORD_FILE else "remove"
 
 
 def damage_of(

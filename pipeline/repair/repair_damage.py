@@ -34,6 +34,8 @@ from pipeline.repair.check import (
     lost_trials,
     nameless,
     plan_batch,
+    remedy_of,
+    restored_exclusions,
     with_ids,
 )
 from pipeline.repair.reread import read_again, same_logs
@@ -119,15 +121,21 @@ def _repaired(processed: Path, findings: Findings, profiles: Sequence[Profile]) 
             again, lost = _save(processed, plan, profiles)
             yield damage_of(processed, faults, "save", plan.table.num_rows, again, lost)
     for fault in findings.others:
-        if fault.file.name == RECORD_FILE:
-            # with the copy of the refused log, of which it may be the only one
-            for file in sorted(fault.file.parent.iterdir()):
+        remedy = remedy_of(fault.file)
+        if remedy == "restore":
+            content = restored_exclusions(fault.file)
+            assert content is not None, "what is restored was read"
+            with replacing(fault.file) as stream:
+                stream.write(content)
+        elif remedy == "set aside":
+            # a refused log goes with its record: it may be the only copy
+            beside = fault.file.parent.iterdir() if fault.file.name == RECORD_FILE else [fault.file]
+            for file in sorted(beside):
                 move(file, _free(processed, file))
-            yield damage_of(processed, {fault.file: fault.text}, "set aside")
         else:
             remove(fault.file)
             sync_folder(fault.file.parent)
-            yield damage_of(processed, {fault.file: fault.text}, "remove")
+        yield damage_of(processed, {fault.file: fault.text}, remedy)
 
 
 def _save(processed: Path, plan: BatchPlan, profiles: Sequence[Profile]) -> tuple[int, tuple[LostTrial, ...]]:

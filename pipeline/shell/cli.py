@@ -24,6 +24,7 @@ COMMANDS = {
     "status": ("cli_storage", "status"),
     "compact": ("cli_storage", "compact"),
     "check": ("cli_storage", "check"),
+    "exclude": ("cli_storage", "exclude"),
     "watch": ("cli_watch", "watch"),
     "compare": ("cli_report", "compare"),
     "verify": ("cli_report", "verify"),

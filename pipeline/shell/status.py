@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
 
@@ -24,6 +24,7 @@ from pipeline.intake.quarantine import list_quarantine
 from pipeline.measured.stages.stages import STAGES, ExperimentStages
 from pipeline.profiles.profile_files import shipped_profiles
 from pipeline.records.findings import Record
+from pipeline.store.exclusions import EXCLUSIONS_FILE, Exclusion, Key, read_exclusions, split_trials
 from pipeline.store.names import report_of
 from pipeline.store.storage import natural_key, partner_of, read_trials, samples_metadata, stage_file, steadily
 
@@ -38,7 +39,7 @@ class ExperimentStatus(Record):
     ----------
     device, experiment : str
     trials, rows : int
-        Trials and their samples.
+        Trials and their samples, those of excluded trials included.
     batches, row_groups, bytes : int
         Samples files, the groups of rows in them, and their size [byte].
     stale : tuple of str
@@ -53,6 +54,12 @@ class ExperimentStatus(Record):
     row_groups: int
     bytes: int
     stale: tuple[str, ...]
+
+
+class ExcludedStatus(Exclusion):
+    """A trial that is excluded by hand; not ``stored`` where its log has had other content since."""
+
+    stored: bool
 
 
 class ReportStatus(Record):
@@ -87,6 +94,8 @@ class Status(Record):
     changed : tuple of str
         Stored sources whose file has another size or time than when it was read. Of a log of several files, only the
         time of the first is compared: `pipeline ingest` knows for certain.
+    excluded : tuple of ExcludedStatus
+        Trials that are kept and not used.
     quarantined : dict of str to int
         Refused logs by the code of the reason.
     refused_gone : tuple of str
@@ -112,6 +121,7 @@ class Status(Record):
     reports: tuple[ReportStatus, ...]
     removed: tuple[str, ...]
     changed: tuple[str, ...]
+    excluded: tuple[ExcludedStatus, ...]
     quarantined: dict[str, int]
     refused_gone: tuple[str, ...]
     orphans: tuple[str, ...]
@@ -143,7 +153,8 @@ def _status(processed: Path, reports: Path | None) -> Status:
     held = holder(processed)
     damaged: dict[Path, str] = {}
     trials = read_trials(processed, damaged=damaged)
-    experiments = _experiments(processed, trials, damaged)
+    exclusions = _exclusions(processed, damaged)
+    experiments = _experiments(processed, trials, exclusions, damaged)
     removed, changed = _sources(trials)
     orphans = find_orphans(processed)
     sizes = _sizes(processed)
@@ -161,6 +172,7 @@ def _status(processed: Path, reports: Path | None) -> Status:
         reports=_reports(processed, reports, sorted({e.device for e in experiments})),
         removed=removed,
         changed=changed,
+        excluded=_excluded(trials, exclusions),
         quarantined=dict(sorted(Counter(r.code or UNCODED for r in refused).items())),
         refused_gone=tuple(r.path for r in refused if is_gone(path_of_text(r.path))),
         orphans=tuple(path.relative_to(processed).as_posix() for path in orphans),
@@ -181,7 +193,9 @@ def _sizes(folder: Path) -> dict[Path, int]:
     return sizes
 
 
-def _experiments(processed: Path, trials: pa.Table, damaged: dict[Path, str]) -> tuple[ExperimentStatus, ...]:
+def _experiments(
+    processed: Path, trials: pa.Table, exclusions: Mapping[Key, Exclusion], damaged: dict[Path, str]
+) -> tuple[ExperimentStatus, ...]:
     pairs = set(zip(trials.column("device").to_pylist(), trials.column("experiment").to_pylist(), strict=True))
     found = []
     # in one piece: else each selection goes through as many pieces as there are batches
@@ -191,7 +205,7 @@ def _experiments(processed: Path, trials: pa.Table, damaged: dict[Path, str]) ->
             pc.and_(pc.equal(trials.column("device"), device), pc.equal(trials.column("experiment"), experiment))
         )
         groups, size = _samples((processed / name for name in own.column("sample_file").unique().to_pylist()), damaged)
-        stages = ExperimentStages(processed, device, experiment, own)
+        stages = ExperimentStages(processed, device, experiment, *split_trials(own, exclusions))
         stale = [
             stage
             for stage in STAGES
@@ -210,6 +224,20 @@ def _experiments(processed: Path, trials: pa.Table, damaged: dict[Path, str]) ->
             )
         )
     return tuple(found)
+
+
+def _exclusions(processed: Path, damaged: dict[Path, str]) -> Mapping[Key, Exclusion]:
+    try:
+        return read_exclusions(processed)
+    except StoreError as error:
+        damaged[processed / EXCLUSIONS_FILE] = str(error)
+        return {}
+
+
+def _excluded(trials: pa.Table, exclusions: Mapping[Key, Exclusion]) -> tuple[ExcludedStatus, ...]:
+    """Return the exclusions, each as its trial is stored now."""
+    now = {one.key: one for one in split_trials(trials, exclusions)[1]}
+    return tuple(ExcludedStatus(**now.get(k, one).model_dump(), stored=k in now) for k, one in exclusions.items())
 
 
 def _samples(files: Iterable[Path], damaged: dict[Path, str]) -> tuple[list[int], int]:

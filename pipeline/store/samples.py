@@ -13,7 +13,7 @@ import numpy as np
 import pyarrow as pa
 
 from pipeline.base.errors import REMEDY, StoreError
-from pipeline.records.batch import Floats, Integers, TrialBatch
+from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
 from pipeline.records.groups import TrialGroups, group_trials, padded_length
 from pipeline.records.table_files import open_table
 from pipeline.store.storage import ATTEMPTS, read_trials
@@ -113,6 +113,7 @@ def _batch(trials: pa.Table, samples: dict[str, Floats]) -> TrialBatch:
         position=samples.get("position", nothing),
         **present,
         step_row=_declared_step_rows(trials.column("extra").to_pylist()),
+        integrated=_integrated(trials.column("extra").to_pylist()),
     )
 
 
@@ -150,3 +151,9 @@ def _declared_step_rows(extra: list[str]) -> Integers | None:
     if not any(declared):
         return None
     return np.array([-1 if row is None else int(row) for row in declared], dtype=np.int64)
+
+
+def _integrated(extra: list[str]) -> Booleans | None:
+    """Whether positions are integrals of a velocity by the trapezoidal rule."""
+    found = np.array(["integrated" in text and json.loads(text).get("integrated") == "trapezoid" for text in extra])
+    return found if found.any() else None

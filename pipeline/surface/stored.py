@@ -20,6 +20,7 @@ from pipeline.records.findings import Estimate, Optimum
 from pipeline.records.models import Motion
 from pipeline.records.results import ExperimentResult
 from pipeline.records.tables import TABLES
+from pipeline.store.exclusions import read_exclusions
 from pipeline.store.samples import load_batch
 from pipeline.store.storage import list_devices, list_experiments, read_trials
 from pipeline.surface.frames import SAMPLES, frame_of, frame_of_response, frame_of_stored, units_of
@@ -103,7 +104,8 @@ def trials(processed: Place = "processed", device: str | None = None, experiment
     pandas.DataFrame
         A row a trial with the columns of the stored table: ``trial_id``, ``device``, ``experiment``, ``motion``,
         ``stiffness`` [N/m, Nm/rad], ``damping`` [Ns/m, Nms/rad], ``step`` [N, Nm], ``sampling_period_s`` [s],
-        ``added_delay_samples``, ``grip``, ``simulated``, ``rows``, ``source_path``, ... Verdicts are in `costs`.
+        ``added_delay_samples``, ``grip``, ``simulated``, ``rows``, ``source_path``, ...; ``exclusion_reason`` of those
+        that are excluded by hand, which no estimate, boundary or cost uses, else "". Verdicts are in `costs`.
 
     Raises
     ------
@@ -112,7 +114,11 @@ def trials(processed: Place = "processed", device: str | None = None, experiment
     DeviceError
         If the device or experiment has no trials.
     """
-    return frame_of_stored(_read(folder_of(processed), device, experiment, None))
+    folder = folder_of(processed)
+    table, known = _read(folder, device, experiment, None), read_exclusions(folder)
+    keys = zip(*(table.column(name).to_pylist() for name in ("source_sha256", "label")), strict=True)
+    reasons = [known[key].exclusion_reason if key in known else "" for key in keys]
+    return frame_of_stored(table.append_column("exclusion_reason", [reasons]))
 
 
 def samples(processed: Place, trial_id: str) -> pd.DataFrame:

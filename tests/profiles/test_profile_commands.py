@@ -277,7 +277,7 @@ def test_a_decimal_mark_that_could_part_thousands_is_asked(cells, asked):
     assert layout.keys.get("decimal") == (None if asked else "," if "," in cells else ".")
 
 
-@pytest.mark.parametrize("text", ["", "hello\n", "a;b\nc;d\ne;f\n", "1\n2\n3\n"])
+@pytest.mark.parametrize("text", ["", "hello\n", "a;b\nc;d\ne;f\n"])
 def test_a_text_without_a_table_is_refused(text):
     with pytest.raises(LogError, match=r"no table of numbers|is empty"):
         text_layout("x", text.encode())
@@ -589,3 +589,10 @@ def test_si_units_exist_for_all_quantities():
                 assert factor_to_si(si_unit(quantity), (quantity,)) == 1.0
     with pytest.raises(ParameterError):
         factor_to_si(si_unit("force"), ("torque",))
+
+
+@pytest.mark.parametrize("text", ["x\n1.0\n2.0\n3.5\n", "1.0\n2.0\n3.5\n", "0.1;\n0.2;\n0.3;\n"])
+def test_a_file_of_one_column_is_called_so(text):
+    """It was said to be no table of numbers, to be exported as CSV."""
+    with pytest.raises(LogError, match=r"one column of numbers .* needs the command and the position, or the velocity"):
+        text_layout("one.csv", text.encode())

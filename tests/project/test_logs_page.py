@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from places import ROOT
 
-from pipeline.profiles.profile_columns import ColumnSource, Fraction, TimeSource
+from pipeline.profiles.profile_columns import Fraction, PositionSource, TimeSource
 from pipeline.profiles.profile_model import ConditionUnits, Constants, FileEntry, Partner, Profile, StepEntry, Window
 from pipeline.shell.cli import run
 
@@ -114,7 +114,7 @@ def test_each_family_is_read(title, capsys):
 
 
 def test_families_and_their_values(capsys):
-    assert len(FAMILIES) == 11
+    assert len(FAMILIES) == 12
     (_, out, _), *_ = follow(section("### Headerless columns in counts"), capsys)
     # 1000 us over the wrap: 4294967296 - 4294966796 + 500
     assert re.search(r"time +0 to 0\.003 s", out)
@@ -124,6 +124,9 @@ def test_families_and_their_values(capsys):
     assert "last row is cut: '4229185'" in out
     (_, out, _), *_ = follow(section("### Several steps in one file, and runs that are disturbed later"), capsys)
     assert re.search(r"trial '8 N'.*step +row 2: declared, at 0\.006 s", out, re.DOTALL)
+    (_, out, _), *_ = follow(section("### A velocity and no position"), capsys)
+    # (28.6 + 57.3) deg/s over 1 ms each
+    assert re.search(r"position +0 to 0\.0014992\d* rad +from omega \[deg/s, integrated \(difference\)\]", out)
     (_, out, _), *_ = follow(section("### Delimited text"), capsys)
     assert re.search(r"stiffness +1145\.9\d* Nm/rad", out)  # 20 Nm/deg 180/pi
     assert "skipped_position 1" in out
@@ -131,7 +134,7 @@ def test_families_and_their_values(capsys):
 
 def test_every_key_of_a_profile_is_in_the_table():
     table = section("## All keys of a profile")
-    models = (Profile, TimeSource, ColumnSource, Fraction, Constants, ConditionUnits, FileEntry, StepEntry, Window)
+    models = (Profile, TimeSource, PositionSource, Fraction, Constants, ConditionUnits, FileEntry, StepEntry, Window)
     keys = {key for model in (*models, Partner) for key in model.model_fields}
     parts = set(re.findall(r"[A-Za-z_]+", " ".join(re.findall(r"`([^`]+)`", table))))
     assert keys - parts - {"columns"} == set()

@@ -111,7 +111,10 @@ def test_what_was_saved_is_stored_in_si(make, lab, tmp_path):
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (objects_73, ("'ts' is a MATLAB object of class timeseries", "x = ts.Data; t = ts.Time; save(")),
+        (
+            objects_73,
+            ("'ts' is a MATLAB object of class timeseries", "s = struct('time', ts.Time, 'data', ts.Data); save("),
+        ),
         (zero_length, ("run.mat has 0 samples; expected at least 2",)),
     ],
 )

@@ -78,7 +78,10 @@ def test_every_value_of_version_73_comes_back(userblock):
 
 def test_objects_are_refused_with_how_to_export_them():
     for wanted in ("ts", "ts.Data"):
-        with pytest.raises(LogError, match=r"object of class timeseries.*x = ts\.Data; t = ts\.Time; save\('log\.mat'"):
+        with pytest.raises(
+            LogError,
+            match=r"object of class timeseries.*struct\('time', ts\.Time, 'data', ts\.Data\); save\('log\.mat'",
+        ):
             frame(hdf5_file(matlab73_log, 512), "t", wanted)
     hints = {info.name: info.hint for info in list_columns("log.mat", hdf5_file(matlab73_log, 512))}
     assert "class timeseries" in hints["ts"]
@@ -93,6 +96,24 @@ def opaque(name, kind):
 
     body = struct.pack("<IIII", 6, 8, 17, 0) + text(name) + text(b"MCOS") + text(kind) + struct.pack("<II", 14, 0)
     return struct.pack("<II", 14, len(body)) + body
+
+
+@pytest.mark.parametrize(
+    ("kind", "words"),
+    [
+        ("timeseries", "there: s = struct('time', ts.Time, 'data', ts.Data); save('log.mat', 's', '-v7')"),
+        ("Simulink.SimulationData.Dataset", "there for each of its elements: ts = logsout{1}.Values; s = struct("),
+        ("Simulink.SimulationOutput", "there for each of its elements: ts = out.logsout{1}.Values; s = struct("),
+        ("timetable", "there: s = table2struct(timetable2table(T), 'ToScalar', true); save("),
+        ("lab.Recording", "there: s = struct('time', <its times>, 'data', <its values>); save("),
+    ],
+)
+def test_the_hint_is_for_the_class_of_the_object(kind, words):
+    """A Dataset was told to export ts.Data and T.Name."""
+    with pytest.raises(LogError) as refusal:
+        frame(matlab5_log(False) + opaque(b"run1", kind.encode()), "t", "run1.Data")
+    assert words in refusal.value.reason
+    assert ("T.Name" in refusal.value.reason) is False
 
 
 def test_objects_in_version_5_are_refused_by_their_own_name():

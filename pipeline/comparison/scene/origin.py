@@ -11,11 +11,13 @@ from importlib.metadata import version
 from pathlib import Path
 
 from pipeline import __version__
+from pipeline.base.file_names import path_of_text
 from pipeline.base.provenance import digest, sha256
 from pipeline.comparison.scene.scene import SceneData, needed_stages
 from pipeline.measured.stages.stage_windows import WINDOWS_S
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.criteria import REPORTED
+from pipeline.records.findings import ExcludedTrial
 from pipeline.records.results import LogList
 
 LIBRARIES = ("numpy", "pyarrow", "matplotlib")
@@ -35,6 +37,20 @@ def log_list(stages: ExperimentStages) -> LogList:
         files=names,
         sha256=joint_sha256(hashes),
         samples=stages.samples_digest,
+    )
+
+
+def excluded_trials(data: SceneData) -> tuple[ExcludedTrial, ...]:
+    """Return the trials that were excluded by hand, as a report names them."""
+    return tuple(
+        ExcludedTrial(
+            experiment=one.experiment,
+            trial_id=one.trial_id,
+            log=path_of_text(one.source_path).name + (f", {one.label}" if one.label else ""),
+            reason=one.exclusion_reason,
+            since=one.excluded_since,
+        )
+        for one in data.excluded
     )
 
 
@@ -89,7 +105,9 @@ def provenance(
 def request(data: SceneData, lists: Sequence[LogList], processed: Path, code: str) -> dict[str, object]:
     """Return what the comparison was asked for and rests on, as `verify` asks for it again."""
     logs = {e.experiment: {"files": len(e.files), "sha256": e.sha256, "samples": e.samples} for e in lists}
-    return {"processed": str(processed), "scene": data.scene.model_dump(mode="json"), "logs": logs, "code": code}
+    excluded = [one.model_dump() for one in data.excluded]
+    asked = {"processed": str(processed), "scene": data.scene.model_dump(mode="json")}
+    return asked | {"logs": logs, "code": code, "excluded": excluded}
 
 
 def _command(data: SceneData, processed: Path, output: Sequence[str]) -> str:

@@ -11,7 +11,8 @@ from pipeline.device_data.devices import known_devices
 from pipeline.measured.stages.stages import STAGES, ExperimentStages, required
 from pipeline.records.criteria import FAMILIES, MEASURED, REPORTED, criterion_of, members
 from pipeline.records.models import Device, Scene, Shown
-from pipeline.store.storage import list_devices, list_experiments, read_trials
+from pipeline.store.exclusions import Exclusion
+from pipeline.store.storage import list_devices, list_experiments
 
 RUN, REUSE, LEAVE_OUT = "run", "reuse", "leave out"
 
@@ -39,6 +40,8 @@ class SceneData:
     simulated: bool
     overlay: bool
     """Whether theory is also drawn from the estimates, which needs delay, mass and damping."""
+    excluded: tuple[Exclusion, ...] = ()
+    """Trials of these experiments that are excluded by hand, and those of experiments of which no other is left."""
 
 
 def open_scene(
@@ -53,7 +56,8 @@ def open_scene(
     Raises
     ------
     DeviceError
-        If no log of the device is stored, or an experiment has none; the message lists what there is.
+        If no log of the device is stored, or an experiment has none (the message lists what there is), or all trials
+        are excluded.
     UsageError
         For an unknown criterion.
     StoreError
@@ -73,9 +77,17 @@ def open_scene(
     missing = [e for e in experiments or () if e not in stored]
     if missing:
         raise DeviceError(f"device {device!r} has no logs of experiment {missing[0]!r}; found {', '.join(stored)}.")
-    names = tuple(e for e in stored if not experiments or e in experiments)
+    chosen_names = tuple(e for e in stored if not experiments or e in experiments)
     known = known_devices().get(device)
-    data = tuple(ExperimentStages(processed, device, e, read_trials(processed, device, e)) for e in names)
+    every = [ExperimentStages.stored(processed, device, e) for e in chosen_names]
+    data = tuple(d for d in every if d.trials.num_rows)
+    left_out = [d.experiment for d in every if not d.trials.num_rows and (experiments or not data)]
+    if left_out:
+        raise DeviceError(
+            f"device {device!r}, experiment {left_out[0]!r}: all of its trials are excluded by hand; expected one "
+            "that is used. `pipeline status` lists them, `pipeline exclude TRIAL --undo` uses one again."
+        )
+    names = tuple(d.experiment for d in data)
     grips = {grip for d in data for grip in d.trials.column("grip").unique().to_pylist()}
     added = {n for d in data for n in d.trials.column("added_delay_samples").unique().to_pylist()}
     motions = sorted({motion for d in data for motion in d.trials.column("motion").unique().to_pylist()})
@@ -102,6 +114,7 @@ def open_scene(
         experiments=data,
         simulated=any(any(d.trials.column("simulated").to_pylist()) for d in data),
         overlay=estimates and (known is None or {"delay", "mass", "damping"} <= needed),
+        excluded=tuple(one for d in every for one in d.excluded),
     )
 
 
@@ -140,7 +153,7 @@ def plan_measured(data: SceneData) -> list[PlannedStage]:
             if stage not in needed:
                 plan += [PlannedStage(name, LEAVE_OUT, _LEFT_OUT[stage])] if stage in _LEFT_OUT else []
             elif experiment.is_stored(stage):
-                plan.append(PlannedStage(name, REUSE, "logs, code and earlier stages are unchanged"))
+                plan.append(PlannedStage(name, REUSE, "logs, exclusions, code and earlier stages are unchanged"))
             else:
                 plan.append(PlannedStage(name, RUN, experiment.why_run(stage)))
     return plan

@@ -7,7 +7,7 @@ from math import isclose
 
 import numpy as np
 
-from pipeline.base.wording import listed, percent, true_minus
+from pipeline.base.wording import counted, listed, percent, true_minus
 from pipeline.comparison.figures.boundary_curves import too_late
 from pipeline.comparison.scene.scene import SceneData
 from pipeline.loop.loop import LARGEST_DELAY
@@ -16,6 +16,7 @@ from pipeline.records.findings import DRIFTS, Estimate, Trend
 from pipeline.records.models import Device
 from pipeline.records.results import ExperimentResult
 from pipeline.rendering.labels import percent_text
+from pipeline.store.storage import natural_key
 
 Drift = tuple[str, Estimate, Trend]
 """Experiment, its estimate, and a trend of that which is worth a warning."""
@@ -46,6 +47,13 @@ def warnings_of(data: SceneData, results: Sequence[ExperimentResult]) -> tuple[s
     mixed = [r.experiment for r in results if r.simulated]
     if mixed and len(mixed) < len(results):
         warnings.append(f"Simulated logs stand beside recorded ones: those of {_named(mixed)} are simulated.")
+    if data.excluded:
+        where = _named(sorted({one.experiment for one in data.excluded}, key=natural_key))
+        verb = "was" if len(data.excluded) == 1 else "were"
+        warnings.append(
+            f"{counted(len(data.excluded), 'trial')} of {where} {verb} excluded by hand and {verb} used for no number: "
+            "the table of excluded trials has the reasons."
+        )
     few = [r.experiment for r in results if r.trials < FEW_TRIALS]
     if few:
         where = _named(few, len(results))

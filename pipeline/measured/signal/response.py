@@ -1,24 +1,20 @@
 """Where the step response begins in a log, and how finely its sensor sees.
 
-The external force is recovered from the log itself: command plus wall force. It is a step from 0 to F_0,
-whatever delay, mass and sensor do, because the controller computed the wall force from the very positions
-in the log.
+The edge is that of the external force, which is recovered from the log itself (`edge`).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from pipeline.base.errors import ParameterError
+from pipeline.measured.signal.edge import EDGE_SAMPLES, find_edges, level_before
+from pipeline.measured.signal.edge import NO_ROW as NO_ROW
+from pipeline.measured.signal.edge import external_force as external_force
 from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
-
-NO_ROW = -1
-"""Edge row of a trial without an identifiable command edge."""
-
-EDGE_SAMPLES = 3
-"""Rows for which the external force must stay above half the step: fewer would take a flicker for it."""
 
 BASELINE_SAMPLES = 5
 """Fewest baseline rows for the noise, whose own error then is 60 % (25 % for 20 rows); none would be zero."""
@@ -60,6 +56,10 @@ class Response:
     ----------
     edge_row : int64
         Row of the command edge k0, counted from 0; -1 where there is none.
+    level : float64
+        External force before the step [N, Nm]; 0 but for a step at an operating point.
+    steps : int64
+        Jumps of the external force from level to level; a log with several has no edge, whatever its metadata say.
     position_start : float64
         First position, where the wall rests [m, rad].
     position_final_expected : float64
@@ -67,7 +67,7 @@ class Response:
     position_final_measured : float64
         Mean over the last tenth of the log [m, rad].
     sensor_quantum : float64
-        Step of the grid on which all positions lie [m, rad]; 0 where there is none.
+        Step of the grid on which all positions lie [m, rad]; 0 where there is none, and for integrals of a velocity.
     sensor_noise : float64
         Standard deviation of the white noise of the positions before the edge [m, rad]; NaN without a
         baseline.
@@ -82,6 +82,8 @@ class Response:
     """
 
     edge_row: Integers
+    level: Floats
+    steps: Integers
     position_start: Floats
     position_final_expected: Floats
     position_final_measured: Floats
@@ -120,9 +122,9 @@ def find_response(batch: TrialBatch, *, edge_samples: int = EDGE_SAMPLES) -> Res
 
     Notes
     -----
-    The external force is exact for a controller that uses the plain difference of positions. With a velocity
-    filter or a force limit it is wrong once the device moves, but not before, so that the edge stays right
-    for any delay of at least one sample.
+    Level and edge are those of `edge.find_edges`. The external force is exact for a controller that uses the plain
+    difference of positions. With a velocity filter or a force limit it is wrong once the device moves, but not before,
+    so that the edge stays right for any delay of at least one sample.
 
     A command of wrong sign or size, or another signal, has no edge: the wall force alone would cross half the step,
     too, only later. Such a log is known by a command that has not reached half the step by then
@@ -136,24 +138,28 @@ def find_response(batch: TrialBatch, *, edge_samples: int = EDGE_SAMPLES) -> Res
 
     Source: Hulin 2017, sec. 6.1.1 (procedure) and eq. 6.1 (final position).
     """
-    edge, no_edge = _edge(batch, edge_samples)
+    edges = find_edges(batch, edge_samples)
     quantum = _quantum(batch)
+    if batch.integrated is not None:
+        quantum = np.where(batch.integrated, 0.0, quantum)
     with np.errstate(divide="ignore", invalid="ignore"):
         travel = np.where(batch.stiffness > 0, batch.step / batch.stiffness, np.nan)
     start = batch.position[:, :1].reshape(-1)
     reason = tuple(
         "; ".join(part for part in (text, "" if k > 0 else _no_final(k)) if part)
-        for text, k in zip(no_edge, batch.stiffness, strict=True)
+        for text, k in zip(edges.reason, batch.stiffness, strict=True)
     )
     return Response(
-        edge_row=edge,
+        edge_row=edges.row,
+        level=edges.level,
+        steps=edges.steps,
         position_start=start,
         position_final_expected=start + travel,
         position_final_measured=_last_tenth(batch),
         sensor_quantum=quantum,
-        **_baseline(batch, quantum, edge),
+        **_baseline(batch, quantum, edges.row),
         reason=reason,
-        edge_reason=tuple(no_edge),
+        edge_reason=edges.reason,
     )
 
 
@@ -168,7 +174,7 @@ def declare_edge(batch: TrialBatch, response: Response, edge_row: int | Integers
     edge_row : int or int64, shape (n,)
         Row in which the command first holds the step, counted from 0; it replaces what the log shows, and the rows
         before it are the baseline. Row 0 is legal: such a log has none, so that its noise is unknown. -1 leaves a
-        trial as it is.
+        trial as it is, and so do several steps.
 
     Returns
     -------
@@ -180,7 +186,7 @@ def declare_edge(batch: TrialBatch, response: Response, edge_row: int | Integers
         If a row lies outside its log.
     """
     edge = np.broadcast_to(np.asarray(edge_row, dtype=np.int64), (len(batch),)).copy()
-    kept = edge == NO_ROW
+    kept = (edge == NO_ROW) | (response.steps > 1)
     outside = ~kept & ((edge < 0) | (edge >= batch.rows))
     if outside.any():
         i = int(np.argmax(outside))
@@ -190,9 +196,12 @@ def declare_edge(batch: TrialBatch, response: Response, edge_row: int | Integers
         )
     final = ("" if k > 0 else _no_final(k) for k in batch.stiffness)
     edge = np.where(kept, response.edge_row, edge)
+    force = external_force(batch)
+    level = [level_before(f, k, step) for f, k, step in zip(force, edge.tolist(), batch.step.tolist(), strict=True)]
     return replace(
         response,
         edge_row=edge,
+        level=np.where(kept, response.level, level),
         **_baseline(batch, response.sensor_quantum, edge),
         reason=tuple(old if same else new for same, old, new in zip(kept, response.reason, final, strict=True)),
         edge_reason=tuple(old if same else "" for same, old in zip(kept, response.edge_reason, strict=True)),
@@ -203,66 +212,6 @@ def sensor_floor(quantum: Floats, noise: Floats) -> Floats:
     """Return the position amplitude that quantum and noise alone can cause [m, rad]; a noise of NaN counts as none."""
     floor: Floats = quantum + NOISE_FACTOR * np.nan_to_num(noise)
     return floor
-
-
-def external_force(batch: TrialBatch) -> Floats:
-    """Return command plus wall force, shape (n, N) [N, Nm]: the external step as the controller added it.
-
-    The wall force is K (x_k - x_0) + B (x_k - x_{k-1})/T with x_{-1} = x_0.
-    """
-    change = np.diff(batch.position, axis=1, prepend=batch.position[:, :1])
-    damping_per_sample = batch.damping / batch.sampling_period_s
-    return batch.command + batch.stiffness[:, None] * batch.displacement + damping_per_sample[:, None] * change
-
-
-def _edge(batch: TrialBatch, samples: int) -> tuple[Integers, list[str]]:
-    sign, half = np.sign(batch.step)[:, None], 0.5 * np.abs(batch.step)[:, None]
-    external = np.nan_to_num(external_force(batch) * sign)
-    first, found = _first_run(external > half, samples)
-    opposite, against = _first_run(external < -half, samples)
-    against &= opposite < first
-    # where the command has a wrong unit or is another signal, the wall force alone crosses half the step, only later;
-    # a chatter before the step may be larger than it, of either sign
-    early = np.arange(external.shape[1])[None, :] < first[:, None] + samples
-    moves = np.any((np.nan_to_num(np.abs(batch.command)) > half) & early, axis=1, keepdims=True)[:, 0]
-    reasons = []
-    for trial, (k, has, step) in enumerate(zip(first, found, batch.step, strict=True)):
-        if step == 0:
-            reasons.append("no step was commanded (step is 0)")
-        elif not has:
-            reasons.append(
-                f"no command edge: command plus wall force never stays above half the step ({step:g}) "
-                f"for {samples} rows; check step, stiffness and damping in the log's header"
-            )
-        elif k == 0:
-            reasons.append(
-                "no baseline, the step is already there in row 0: the command edge is not identifiable; "
-                "record at least one row before the step"
-            )
-        elif not moves[trial]:
-            reasons.append(
-                f"no command edge: command plus wall force reaches half the step ({step:g}) in row {k}, but the "
-                "command itself has not; check the units, the step, and that it is the total command"
-            )
-        elif against[trial]:
-            reasons.append(
-                f"no command edge: command plus wall force first jumps against the step ({step:g}), in row "
-                f"{opposite[trial]}; check the sign of command, position and step"
-            )
-        else:
-            reasons.append("")
-    return np.where(found & (first > 0) & moves & ~against, first, NO_ROW).astype(np.int64), reasons
-
-
-def _first_run(rows: Booleans, samples: int) -> tuple[Integers, Booleans]:
-    """Return the first row from which on so many rows are true, shape (n,), and whether there is one."""
-    stays = rows.copy()
-    for shift in range(1, samples):
-        stays[:, :-shift] &= rows[:, shift:]
-        stays[:, -shift:] = False
-    first = np.argmax(stays, axis=1) if stays.shape[1] else np.zeros(len(stays))
-    found: Booleans = np.any(stays, axis=1, keepdims=True)[:, 0]
-    return first.astype(np.int64), found
 
 
 def _no_final(stiffness: float) -> str:
@@ -350,7 +299,7 @@ def _exact_grid(size: Floats, changes: int, rounding: Floats) -> Floats:
     return quantum
 
 
-def _baseline(batch: TrialBatch, quantum: Floats, edge: Integers) -> dict[str, Floats]:
+def _baseline(batch: TrialBatch, quantum: Floats, edge: Integers) -> dict[str, Any]:
     """Return what the rows before the edge tell: noise, sensor floor and motion, each of shape (n,)."""
     baseline = np.arange(batch.position.shape[1])[None, :] < edge[:, None]
     noise = _white_noise(batch.position, baseline)

@@ -120,6 +120,9 @@ def wall_law(batch: TrialBatch, response: Response) -> WallLaw:
     n = len(batch)
     residual, rounding = np.full(n, np.nan), np.full(n, np.nan)
     departures: list[tuple[Departure, ...]] = [()] * n
+    for i in np.flatnonzero(response.steps > 1):
+        found = Departure("several_steps", response.edge_reason[i], int(batch.rows[i]), float(response.steps[i]))
+        departures[i] = (found,)
     for i in np.flatnonzero(response.has_edge & (batch.step != 0)):
         log = LogRows.of(batch, response, int(i), external[i])
         off = np.abs(log.residual)

@@ -15,7 +15,7 @@ def conditions(of: TrialGroup) -> Columns:
     """Return the columns by which trials are known."""
     return {
         "trial_id": list(of.batch.trial_id),
-        "samples_sha256": list(of.batch.digests),
+        "samples_sha256": list(of.logged.digests),
         "stiffness": of.batch.stiffness,
         "damping": of.batch.damping,
     }

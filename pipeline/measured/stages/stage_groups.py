@@ -37,9 +37,16 @@ def _unjudged() -> Verdicts:
 
 @dataclass
 class TrialGroup:
-    """Trials that are computed together, with their verdicts as stored; none before the stage that judges them."""
+    """Trials that are computed together, with their verdicts as stored; none before the stage that judges them.
 
-    batch: TrialBatch
+    Parameters
+    ----------
+    logged : TrialBatch
+        As the logs have them.
+    verdicts : Verdicts
+    """
+
+    logged: TrialBatch
     verdicts: Verdicts = field(default_factory=_unjudged)
     _told: dict[tuple[Any, ...], Any] = field(default_factory=dict)
 
@@ -51,13 +58,23 @@ class TrialGroup:
         result: Result = self._told[key]
         return result
 
+    @cached_property
+    def batch(self) -> TrialBatch:
+        """The trials; at an operating point of a device without a wall, forces count from the level before the step.
+
+        What holds the device there, gravity or a friction at its limit, is as large, so that the motion is that of the
+        change alone. A wall has its operating point in the position at which it rests.
+        """
+        level = np.where(self.logged.stiffness == 0, self.found.level, 0.0)
+        return self.logged.relative_to(level) if level.any() else self.logged
+
     def select(self, which: Booleans) -> TrialGroup:
         """Return the trials picked by a mask; the group itself where it picks all."""
         if which.all():
             return self
         index = np.flatnonzero(which)
         verdicts = self.verdicts.select(index) if self.verdicts.reason else self.verdicts
-        some = TrialGroup(self.batch.select(index), verdicts)
+        some = TrialGroup(self.logged.select(index), verdicts)
         some.found = self.found.select(index)
         return some
 
@@ -66,13 +83,13 @@ class TrialGroup:
 
         The group itself where all logs are as short: what tells mass and damping is the motion, not the rest after it.
         """
-        first = np.zeros(len(self.batch), dtype=np.int64)
-        if self.batch.position.shape[1] <= LONGEST_MOTION:
+        first = np.zeros(len(self.logged), dtype=np.int64)
+        if self.logged.position.shape[1] <= LONGEST_MOTION:
             return self, first
         first = np.maximum(self.found.edge_row - LEAD, 0)
         windows = [
-            self.batch.select(slice(i, i + 1)).window(start, min(int(rows) - start, LONGEST_MOTION))
-            for i, (start, rows) in enumerate(zip(first.tolist(), self.batch.rows, strict=True))
+            self.logged.select(slice(i, i + 1)).window(start, min(int(rows) - start, LONGEST_MOTION))
+            for i, (start, rows) in enumerate(zip(first.tolist(), self.logged.rows, strict=True))
         ]
         some = TrialGroup(TrialBatch.joined(windows), self.verdicts)
         some.found = replace(
@@ -103,6 +120,6 @@ class TrialGroup:
     @cached_property
     def found(self) -> Response:
         """Edge and resolution of each trial; a declared step row stands for what the log does not show."""
-        found = find_response(self.batch)
-        declared = self.batch.step_row
-        return found if declared is None else declare_edge(self.batch, found, declared)
+        found = find_response(self.logged)
+        declared = self.logged.step_row
+        return found if declared is None else declare_edge(self.logged, found, declared)

@@ -13,7 +13,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, Self, TypeVar
 
 import numpy as np
 import pyarrow as pa
@@ -29,8 +29,9 @@ from pipeline.records.batch import Booleans, Floats
 from pipeline.records.groups import TrialGroups
 from pipeline.records.table_files import read_metadata, read_table, write_table
 from pipeline.records.tables import arrow_schema, to_arrow
+from pipeline.store.exclusions import Exclusion, read_exclusions, split_trials
 from pipeline.store.samples import load_groups
-from pipeline.store.storage import stage_file
+from pipeline.store.storage import read_trials, stage_file
 
 SAMPLED = "response"
 """Stage that every scene needs; its result is stored with a hash of the samples."""
@@ -91,7 +92,9 @@ class StageTables:
     processed : Path
     device, experiment : str
     trials : pyarrow.Table
-        Rows of the trials table that belong to the experiment.
+        Rows of the trials table that belong to the experiment and are in use.
+    excluded : tuple of Exclusion
+        Its trials that are not.
     """
 
     stages: ClassVar[Mapping[str, Stage]]
@@ -100,9 +103,16 @@ class StageTables:
     device: str
     experiment: str
     trials: pa.Table
+    excluded: tuple[Exclusion, ...] = ()
     _tables: dict[str, pa.Table] = field(default_factory=dict)
     _found: dict[Callable[..., Any], Any] = field(default_factory=dict, init=False)
     _mapped: Callable[..., Iterable[Any]] = map
+
+    @classmethod
+    def stored(cls, processed: Path, device: str, experiment: str) -> Self:
+        """Return the stages of a stored experiment; the table of trials has no row where all are excluded."""
+        trials, excluded = split_trials(read_trials(processed, device, experiment), read_exclusions(processed))
+        return cls(processed, device, experiment, trials, excluded)
 
     @cached_property
     def rotation(self) -> bool:
@@ -168,7 +178,11 @@ class StageTables:
     def why_run(self, stage: str) -> str:
         """Return in words why a stage that is not reused has to run."""
         stored = self._stored_key(stage)
-        return "no result is stored" if stored is None else "logs, code or an earlier stage changed since it was stored"
+        return (
+            "no result is stored"
+            if stored is None
+            else "logs, exclusions, code or an earlier stage changed since it was stored"
+        )
 
     def _stored_key(self, stage: str) -> str | None:
         return read_metadata(self._file(stage)).get("pipeline.key")
@@ -227,7 +241,7 @@ class StageTables:
         former = self._former(stage, common)
         kept = set(former.column(ROW_KEY).to_pylist())
         groups = self._groups if stage == SAMPLED else self._judged
-        masks = [np.array([key not in kept for key in group.batch.digests]) for group in groups]
+        masks = [np.array([key not in kept for key in group.logged.digests]) for group in groups]
         new = [number for number, mask in enumerate(masks) if mask.any()]
         compute = partial(_new_rows, stage=stage, columns=made.rows, given=given, rotation=self.rotation)
         rows = pa.concat_tables([former, *self._mapped(compute, [groups[i] for i in new], [masks[i] for i in new])])

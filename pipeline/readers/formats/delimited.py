@@ -274,6 +274,13 @@ def _places(profile: Profile, name: str, table: _Table, wanted: Sequence[str]) -
     by_position = {str(source.column) for source in profile.column_sources().values() if source.column is not None}
     keys = {column: key for file in ("source", "partner") for key, column in profile.wanted(file).items()}
     places = {}
+    if len(names) == 1 < len(set(wanted)):
+        raise LogError(
+            f"{name}: has one column, {names[0]!r}, but profile {profile.name} wants {', '.join(wanted)}. Correct the "
+            f"delimiter ({profile.delimiter!r}); a log needs command and position, or velocity, in each row.",
+            table.top,
+            code="column-missing",
+        )
     for column in wanted:
         if column in by_position or not profile.header:
             if not column.isdecimal() or not 1 <= int(column) <= len(names):

@@ -36,10 +36,28 @@ _CELL, _STRUCT, _OBJECT, _CHAR, _SPARSE, _FUNCTION, _OPAQUE = 1, 2, 3, 4, 5, 16,
 _NUMBERS = {6: "f8", 7: "f4", 8: "i1", 9: "u1", 10: "i2", 11: "u2", 12: "i4", 13: "u4", 14: "i8", 15: "u8"}
 _COMPLEX = 0x0800
 
-OBJECT_ADVICE = (
-    "is a MATLAB object of class {kind}, which only MATLAB can read. Export it there: "
-    "x = ts.Data; t = ts.Time; save('log.mat', 't', 'x', '-v7') for a timeseries ts; x = T.Name for a table T."
-)
+_EXPORTS = {
+    "timeseries": "s = struct('time', ts.Time, 'data', ts.Data)",
+    "Simulink.SimulationData.Dataset": "ts = logsout{1}.Values; s = struct('time', ts.Time, 'data', ts.Data)",
+    "Simulink.SimulationData.Signal": "ts = signal.Values; s = struct('time', ts.Time, 'data', ts.Data)",
+    "Simulink.SimulationOutput": "ts = out.logsout{1}.Values; s = struct('time', ts.Time, 'data', ts.Data)",
+    "table": "s = table2struct(T, 'ToScalar', true)",
+    "timetable": "s = table2struct(timetable2table(T), 'ToScalar', true)",
+    "string": "s = char(x)",
+    "datetime": "s = seconds(x - x(1))",
+    "duration": "s = seconds(x)",
+}
+"""How MATLAB makes plain arrays of what it saves in a form of its own, by class."""
+
+
+def object_advice(kind: str) -> str:
+    """Return why an object of a class is not read, and how it is exported."""
+    export = _EXPORTS.get(kind, "s = struct('time', <its times>, 'data', <its values>)")
+    each = " for each of its elements" if kind.endswith(("Dataset", "Output")) else ""
+    return (
+        f"is a MATLAB object of class {kind[:80]}, whose form only MATLAB knows. Export it there{each}: "
+        f"{export}; save('log.mat', 's', '-v7')."
+    )
 
 
 @dataclass
@@ -143,7 +161,7 @@ class _Parser:
             own, at = self._text(body, at)
             _, at = self._text(body, at)
             class_name, at = self._text(body, at)
-            self._refuse(path or own, OBJECT_ADVICE.format(kind=class_name[:80]))
+            self._refuse(path or own, object_advice(class_name))
             return
         _, dims, at = self._element(body, at)
         shape = tuple(np.frombuffer(dims, self.order + "i4").tolist())
@@ -191,7 +209,7 @@ class _Parser:
     def _container(self, body: memoryview, at: int, path: str, shape: tuple[int, ...], kind: int, depth: int) -> None:
         if kind == _OBJECT:
             class_name, at = self._text(body, at)
-            self._refuse(path, OBJECT_ADVICE.format(kind=class_name[:80]))
+            self._refuse(path, object_advice(class_name))
             return
         names = [""]
         if kind == _STRUCT:

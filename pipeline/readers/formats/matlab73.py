@@ -11,7 +11,7 @@ import numpy as np
 from pipeline.base.errors import LogError
 from pipeline.readers.formats.arrays import Array, StoredArray
 from pipeline.readers.formats.hdf5 import load_dataset
-from pipeline.readers.formats.matlab5 import DEEPEST, MOST_ELEMENTS, OBJECT_ADVICE, MatContents
+from pipeline.readers.formats.matlab5 import DEEPEST, MOST_ELEMENTS, MatContents, object_advice
 from pipeline.readers.safety import library
 
 _NUMBERS = {"double", "single", "logical", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))}
@@ -60,7 +60,7 @@ class _Collector:
             )
         kind = self._class(item)
         if "MATLAB_object_decode" in item.attrs or (kind not in _NUMBERS | {"char", "cell", "struct", ""}):
-            self.contents.refused[path] = OBJECT_ADVICE.format(kind=kind[:80])
+            self.contents.refused[path] = object_advice(kind)
         elif "MATLAB_sparse" in item.attrs:
             self.contents.refused[path] = "is a sparse matrix; save full(x)."
         elif isinstance(item, self.h5py.Group):

@@ -44,6 +44,7 @@ TABLES: dict[str, Callable[[ComparisonResult, TrialPage], Table | list[Table] | 
     "windows": report_estimates.window_table,
     "definitions": report_estimates.definition_table,
     "missing": report_tables.missing_table,
+    "excluded": report_tables.excluded_table,
     "score_costs": report_scores.cost_score_table,
     "score_rules": report_scores.rule_score_table,
 }
@@ -55,7 +56,7 @@ PRINTED = tuple(name for name in TABLES if name not in ("score_costs", "score_ru
 SEVERAL = ("optima", "delay_tables")
 """Names that stand for any number of tables."""
 
-ALWAYS = ("missing", "accuracy", "stages", "provenance")
+ALWAYS = ("missing", "excluded", "accuracy", "stages", "provenance")
 """Tables that a reader needs to trust the others: no scene leaves them out."""
 
 PARTS = {"score_costs": "scores", "score_rules": "scores"}

@@ -60,7 +60,7 @@ def write(page: AgainstPage, path: Path) -> AgainstResult:
 
 
 def pair_tables(pair: PairDifference, motion: Motion, index: int = 0) -> list[Table]:
-    """Return the tables of a pair that have rows: estimates, optima, costs at common points, boundary.
+    """Return the tables of a pair that have rows: estimates, optima, costs at common points, boundary, excluded trials.
 
     Parameters
     ----------
@@ -76,6 +76,7 @@ def pair_tables(pair: PairDifference, motion: Motion, index: int = 0) -> list[Ta
         _value_table(f"optima-{index}", "Optimal points and their costs", pair, pair.optima),
         _cost_table(f"costs-{index}", pair.costs),
         _boundary_table(f"boundary-{index}", pair, stiffness, damping),
+        _excluded_table(f"excluded-{index}", pair),
     ]
     return [table for table in found if table.blocks]
 
@@ -128,4 +129,14 @@ def _boundary_table(name: str, pair: PairDifference, stiffness: str, damping: st
         if p.significant is not None:
             sure = "yes" if p.significant else "no"
         table.add(significant(p.damping, 6), {**dict(p), "difference": p.percent, "significant": sure})
+    return table
+
+
+def _excluded_table(name: str, pair: PairDifference) -> Table:
+    columns = [words(head) for head in ("side", "trial", "log", "reason", "since")]
+    table = Table(name, "Trials excluded by hand", columns)
+    for label, side in zip(pair.labels, (pair.first, pair.second), strict=True):
+        for one in side.excluded:
+            cells = {"side": label, "trial": one.trial_id, "log": one.log, "reason": one.reason, "since": one.since}
+            table.add(f"{label}/{one.trial_id}", cells)
     return table

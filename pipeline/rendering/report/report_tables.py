@@ -105,6 +105,16 @@ def missing_table(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> Ta
     return table.filled
 
 
+def excluded_table(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> Table | None:
+    """Return the trials that were excluded by hand, or None where none was."""
+    columns = [words(name) for name in ("experiment", "trial", "log", "reason", "since")]
+    table = Table("excluded", "Trials excluded by hand: kept, and used for no number of this report", columns)
+    for one in result.excluded:
+        cells = {"experiment": one.experiment, "trial": one.trial_id, "log": one.log}
+        table.add(one.trial_id, cells | {"reason": one.reason, "since": one.since})
+    return table.filled
+
+
 def _rows_by_table(result: ComparisonResult) -> dict[str, list[ComparisonRow]]:
     tables: dict[str, list[ComparisonRow]] = {}
     for row in result.tables:

@@ -242,6 +242,12 @@ def status(
     changed = _listed("changed or touched since ingested", list(found.changed))
     for line in (*changed, *_listed("gone", list(found.removed))):
         console.say(line)
+    excluded = [
+        f"{_excluded_words(one.model_dump())}{'' if one.stored else ', no longer stored'}: {one.exclusion_reason}"
+        for one in found.excluded
+    ]
+    for line in _listed("excluded by hand", excluded):
+        console.say(line)
     for code, count in found.quarantined.items():
         console.say(f"in quarantine, {code}: {count}")
     for line in _listed("in quarantine, and no longer where it was", list(found.refused_gone)):
@@ -258,6 +264,47 @@ def status(
         console.say(line)
     if found.damaged:
         raise typer.Exit(EXIT_ERROR)
+
+
+def exclude(
+    trial: Annotated[str, typer.Argument(help="Trial id, the beginning of one, or the path of a log with one trial.")],
+    reason: Annotated[str | None, typer.Option("--reason", help="Why; every report shows it.")] = None,
+    undo: Annotated[bool, typer.Option("--undo", help="Use the trial again.")] = False,
+    processed: Processed = Path("processed"),
+    wait: Wait = WAIT_S,
+    as_json: Json = False,
+) -> None:
+    """Exclude a trial by hand: it is kept, used for no estimate, boundary, cost or optimum, and named in every report.
+
+    It stays excluded when its log is ingested again or renamed, and when the store is merged or repaired. Reports are
+    made anew by `pipeline compare`. `pipeline status` lists what is excluded.
+
+    Example: pipeline exclude 3f9a12c07be41d55 --reason "gripper slipped"
+
+    Example: pipeline exclude raw/bench/K400_B2.csv --reason "cable pulled during the step"
+
+    Example: pipeline exclude 3f9a --undo
+    """
+    from pipeline.intake import exclude as exclusions
+
+    _must_exist(processed)
+    if undo == (reason is not None):
+        raise UsageError(f'{trial}: expected either --reason "<words>" or --undo, found {"both" if undo else "none"}.')
+    note = None if as_json else console.note
+    if reason is not None:
+        found = exclusions.exclude(processed, trial, reason, wait, note)
+    else:
+        found = exclusions.use_again(processed, trial, wait, note)
+    if as_json:
+        console.print_json({"excluded": not undo, **found.model_dump(mode="json")})
+        return
+    done = "used again; it was excluded" if undo else "excluded"
+    console.say(f"{_excluded_words(found.model_dump())}: {done}: {found.exclusion_reason}")
+
+
+def _excluded_words(one: Mapping[str, Any]) -> str:
+    label = f", {one['label']}" if one["label"] else ""
+    return f"{one['trial_id']} of {one['device']}, experiment {one['experiment']} ({one['source_path']}{label})"
 
 
 def _mb(size: int) -> str:

@@ -17,7 +17,7 @@ from pipeline.device_data.devices import known_devices
 from pipeline.intake.reading import load_source, motion_of
 from pipeline.intake.sources import find_sources
 from pipeline.measured.signal.response import NO_ROW, find_response
-from pipeline.profiles.profile_columns import QUANTITIES, ColumnSource, TimeSource
+from pipeline.profiles.profile_columns import QUANTITIES, ColumnSource, PositionSource, TimeSource
 from pipeline.profiles.profile_model import CONDITION_QUANTITIES, CONDITIONS, Profile
 from pipeline.readers import Log, RawLog, reader_of
 from pipeline.readers.conditions import entry_of, places_of
@@ -178,13 +178,14 @@ def _columns(profile: Profile, log: Log, motion: Motion, hints: dict[str, str]) 
         values = getattr(log, key)
         if values is None:
             continue
-        source, quantity = sources.get(key), QUANTITIES[key][motion]
-        unit = si_unit(quantity)
+        source, unit = sources.get(key), si_unit(QUANTITIES[key][motion])
         name, written = (key, unit) if source is None else (source.key, source.unit or "")
         if isinstance(source, TimeSource) and not source.has_stamps:
             name, written = "(one row each sampling period)", ""
         if isinstance(source, ColumnSource):
             stands = f", stands for {source.stands_for}" if source.stands_for else ""
+            if isinstance(source, PositionSource) and source.integrate:
+                written += f", integrated ({source.integrate})"
             written += stands + (", sign -1" if source.sign == -1 else "")
         if source is not None and source.counts_per_unit is not None:
             written = f"counts, {source.counts_per_unit:g} a {written}"
@@ -214,6 +215,7 @@ def _batch(log: Log) -> TrialBatch:
         time=log.time[None],
         command=log.command[None],
         position=log.position[None],
+        integrated=np.array([log.header.extra.get("integrated") == "trapezoid"]),
     )
 
 

@@ -29,6 +29,7 @@ from pipeline.shell.verify.verify_differences import (
     value_differences,
 )
 from pipeline.shell.verify.verify_logs import LogProblem, ReportedLogs, read_anew
+from pipeline.store.exclusions import Exclusion
 
 
 class Verification(Record):
@@ -62,6 +63,7 @@ class _Request(BaseModel):
     code: str
     full: bool = False
     document: str = ""
+    excluded: tuple[Exclusion, ...] = ()
 
 
 def verify(
@@ -109,7 +111,7 @@ def verify(
         store = Path(temporary) / "processed"
         say("reading the logs")
         lists = {logs.experiment: logs for logs in document.logs} if document else {}
-        fresh = read_anew(request.scene.device, folder, request.logs, lists, store, profiles)
+        fresh = read_anew(request.scene.device, folder, request.logs, lists, store, profiles, request.excluded)
         if (folder / "accuracy.json").is_file():
             shutil.copy(folder / "accuracy.json", store / "accuracy.json")
         say(f"computing anew: {fresh.read} trials from logs, {fresh.kept} from stored samples")

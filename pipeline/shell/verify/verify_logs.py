@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -22,6 +22,7 @@ from pipeline.records.batch import Floats, TrialBatch
 from pipeline.records.findings import Record
 from pipeline.records.results import LogList
 from pipeline.records.table_files import write_table
+from pipeline.store.exclusions import Exclusion, read_exclusions, split_trials, write_exclusions
 from pipeline.store.samples import load_groups
 from pipeline.store.storage import read_trials, trials_folder
 
@@ -73,6 +74,7 @@ def read_anew(
     lists: Mapping[str, LogList],
     folder: Path,
     profiles: Sequence[Path] = (),
+    excluded: Sequence[Exclusion] = (),
 ) -> FreshStore:
     """Read the logs behind a report again.
 
@@ -89,6 +91,8 @@ def read_anew(
         Gets trials and samples.
     profiles : sequence of Path
         Profile files of the lab; the shipped profiles are known.
+    excluded : sequence of Exclusion
+        Trials that the page says were excluded by hand.
 
     Returns
     -------
@@ -100,20 +104,55 @@ def read_anew(
         If `processed` is damaged.
     """
     store = FreshStore(folder)
-    for experiment, said in reported.items():
-        trials = _of_the_report(store, read_trials(processed, device, experiment), said, lists.get(experiment))
-        if not trials.num_rows:
-            store.problems.append(LogProblem(path=f"experiment {experiment}", problem="none of its logs are stored"))
-            continue
-        readable = _readable(store, trials, profiles)
-        again = _read(store, experiment, trials.filter(readable), profiles)
-        left = pc.invert(pc.is_in(trials.column("source_path"), value_set=pa.array(sorted(again), pa.string())))
-        kept = trials.filter(left)
-        _keep(store, device, experiment, processed, kept)
-        store.read += trials.num_rows - kept.num_rows
+    known = {one.key: one for one in excluded}
+    write_exclusions(folder, excluded)
+    stored = read_exclusions(processed)
+    for experiment in sorted({*reported, *(one.experiment for one in excluded)}):
+        every = read_trials(processed, device, experiment)
+        _compare_exclusions(store, experiment, *(split_trials(every, which)[1] for which in (known, stored)))
+        used = split_trials(every, known)[0]
+        # what enters no number is taken over as it is stored, to be named
+        left_out = every.filter(pc.invert(_among(every, "trial_id", used.column("trial_id").to_pylist())))
+        if experiment in reported:
+            said = reported[experiment]
+            used = _of_the_report(store, used, said, lists.get(experiment))
+            if not used.num_rows:
+                store.problems.append(
+                    LogProblem(path=f"experiment {experiment}", problem="none of its logs are stored")
+                )
+                continue
+        again = _read(store, experiment, used.filter(_readable(store, used, profiles)), profiles)
+        kept = used.filter(pc.invert(_among(used, "source_path", sorted(again))))
+        _keep(store, device, experiment, processed, pa.concat_tables([kept, left_out]))
+        store.read += used.num_rows - kept.num_rows
         store.kept += kept.num_rows
-        _compare_samples(store, device, experiment, processed, trials, said)
+        if experiment in reported:
+            _compare_samples(store, device, experiment, processed, used, said)
     return store
+
+
+def _among(table: pa.Table, column: str, values: Collection[str]) -> pa.ChunkedArray:
+    return pc.is_in(table.column(column), value_set=pa.array(values, pa.string()))
+
+
+def _compare_exclusions(
+    store: FreshStore, experiment: str, reported: Sequence[Exclusion], stored: Sequence[Exclusion]
+) -> None:
+    """Hold the exclusions that a page names against those of the store."""
+    said, now = ({one.key: one.exclusion_reason for one in part} for part in (reported, stored))
+    for one in {one.key: one for one in (*reported, *stored)}.values():
+        if said.get(one.key) == now.get(one.key):
+            continue
+        what = "is excluded now, and was used" if one.key not in said else "was excluded, and is not excluded now"
+        problem = "its exclusion has another reason" if one.key in said and one.key in now else what
+        store.problems.append(
+            LogProblem(
+                path=one.source_path,
+                problem=f"{problem} (experiment {experiment}, trial {one.trial_id})",
+                expected=said.get(one.key, "no exclusion"),
+                found=now.get(one.key, "no exclusion"),
+            )
+        )
 
 
 def _of_the_report(store: FreshStore, trials: pa.Table, said: ReportedLogs, listed: LogList | None) -> pa.Table:
@@ -137,10 +176,7 @@ def _of_the_report(store: FreshStore, trials: pa.Table, said: ReportedLogs, list
             store.problems.append(LogProblem(path=path, problem=text, expected=sha, found=stored.get(path)))
     # the log that stands where one of the report stood shows what its change does to the numbers
     paths = [os.path.join(listed.folder, name) for name in listed.files]
-    ours = pc.or_(
-        pc.is_in(trials.column("source_sha256"), value_set=pa.array(list(listed.files.values()), pa.string())),
-        pc.is_in(trials.column("source_path"), value_set=pa.array(paths, pa.string())),
-    )
+    ours = pc.or_(_among(trials, "source_sha256", list(listed.files.values())), _among(trials, "source_path", paths))
     if later := trials.num_rows - pc.sum(ours).as_py():
         store.notes.append(f"experiment {listed.experiment}: {later} trials were stored later and are left out")
     return trials.filter(ours)
@@ -220,7 +256,8 @@ def _compare_samples(
 ) -> None:
     """Hold what is stored against what was read just now, and against the hash in the report."""
     stored = load_groups(processed, trials)
-    fresh = load_groups(store.folder, read_trials(store.folder, device, experiment))
+    fresh_trials = split_trials(read_trials(store.folder, device, experiment), read_exclusions(store.folder))[0]
+    fresh = load_groups(store.folder, fresh_trials)
     both = sorted(set(stored.of_trials("trial_id")) & set(fresh.of_trials("trial_id")))
     paths = dict(zip(*(trials.column(c).to_pylist() for c in ("trial_id", "source_path")), strict=True))
     before = len(store.problems)

@@ -30,6 +30,7 @@ from pipeline.intake.ingest_report import IngestReport, Refusal
 from pipeline.intake.quarantine import list_quarantine
 from pipeline.records.models import SceneFile
 from pipeline.shell.report_index import write_index
+from pipeline.store.exclusions import read_exclusions, split_trials
 from pipeline.store.names import report_of
 from pipeline.store.storage import list_devices, read_trials
 
@@ -251,9 +252,11 @@ def _inputs(processed: Path, device: str, scene: SceneFile | None) -> str:
     """Return a hash of what the report of a device rests on besides the code."""
     # a damaged experiment that a scene leaves out does not concern its report
     experiments = scene.experiments if scene and scene.experiments else (None,)
-    tables = [read_trials(processed, device, name, columns=["trial_id", "profile_sha256"]) for name in experiments]
-    rows = sorted(tuple(row.values()) for table in tables for row in table.to_pylist())
-    return digest([rows, scene.model_dump_json() if scene else None])
+    tables = [read_trials(processed, device, name) for name in experiments]
+    excluded = [one.model_dump() for table in tables for one in split_trials(table, read_exclusions(processed))[1]]
+    names = ("trial_id", "profile_sha256")
+    rows = sorted(row for table in tables for row in zip(*(table.column(n).to_pylist() for n in names), strict=True))
+    return digest([rows, excluded, scene.model_dump_json() if scene else None])
 
 
 def _fail(emit: Emit, outcome: PassOutcome, what: str, reason: str, retry: bool) -> None:

@@ -117,7 +117,7 @@ def test_staircase():
     force = 8.0 * (np.arange(500) >= 20) - 4.0 * (np.arange(500) >= 200) + 6.0 * (np.arange(500) >= 350)
     d = only(log(force=force), "several_steps")
     assert d.value == 3
-    assert "4 from row 200" in d.evidence
+    assert "row 200 (8 to 4)" in d.evidence
 
 
 @pytest.mark.parametrize("share", [0.005, 0.02, 0.1])

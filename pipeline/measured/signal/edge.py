@@ -1,0 +1,193 @@
+"""Where the external force steps in a log: from its previous level to the next, once.
+
+The external force is recovered from the log itself: command plus wall force. It is a step, whatever delay, mass and
+sensor do, because the controller computed the wall force from the very positions in the log. It begins at 0, or at the
+level of an operating point; the step of a log is the change.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
+
+NO_ROW = -1
+"""Edge row of a trial without an identifiable command edge."""
+
+EDGE_SAMPLES = 3
+"""Rows for which the external force must stay above half the step: fewer would take a flicker for it."""
+
+LEVEL = 0.02
+"""Largest distance from a level, relative to the step, of rows on it: sensors and printed digits stay below."""
+
+LEVEL_ROWS = 20
+"""Rows before and behind a jump that show two levels. A velocity over N rows leaves a plateau of N rows behind each
+quantum; with as many rows it is too low to be a step."""
+
+JUMP, JUMP_WITH_DAMPING = 0.04, 0.1
+"""Smallest jump between two levels that is a step, relative to the step of the log; with B, quanta jump, too."""
+
+STEP_TOLERANCE = 0.1
+"""Relative difference of the jump from an operating point and the step up to which they are the same."""
+
+LISTED_STEPS = 6
+"""Steps that a reason lists."""
+
+
+@dataclass(frozen=True, eq=False)
+class Edges:
+    """Row of the command edge (-1 for none), level before it, number of steps, and why there is no edge, shape (n,)."""
+
+    row: Integers
+    level: Floats
+    steps: Integers
+    reason: tuple[str, ...]
+
+
+def external_force(batch: TrialBatch) -> Floats:
+    """Return command plus wall force, shape (n, N) [N, Nm]: the external step as the controller added it.
+
+    The wall force is K (x_k - x_0) + B (x_k - x_{k-1})/T with x_{-1} = x_0.
+    """
+    change = np.diff(batch.position, axis=1, prepend=batch.position[:, :1])
+    damping_per_sample = batch.damping / batch.sampling_period_s
+    return batch.command + batch.stiffness[:, None] * batch.displacement + damping_per_sample[:, None] * change
+
+
+def find_edges(batch: TrialBatch, samples: int = EDGE_SAMPLES) -> Edges:
+    """Find the one step of each trial.
+
+    Parameters
+    ----------
+    batch : TrialBatch
+    samples : int
+        Rows for which the external force must stay above half the step.
+
+    Notes
+    -----
+    The edge is the first row from which on the external force stays above half the step. Where it begins on another
+    level than 0, as at an operating point, the edge is the first row in which it leaves that, by the step. Two or more
+    jumps between levels are several steps, which no row tells apart.
+    """
+    external = external_force(batch)
+    sign, half = np.sign(batch.step)[:, None], 0.5 * np.abs(batch.step)[:, None]
+    towards = np.nan_to_num(external * sign)
+    first, found = _first_run(towards > half, samples)
+    opposite, against = _first_run(towards < -half, samples)
+    against &= opposite < first
+    # where the command has a wrong unit or is another signal, the wall force alone crosses half the step, only later;
+    # a chatter before the step may be larger than it, of either sign
+    early = np.arange(external.shape[1])[None, :] < first[:, None] + samples
+    moves = np.any((np.nan_to_num(np.abs(batch.command)) > half) & early, axis=1, keepdims=True)[:, 0]
+    row = np.where(found & (first > 0) & moves & ~against, first, NO_ROW).astype(np.int64)
+    level, count = np.zeros(len(batch)), np.zeros(len(batch), dtype=np.int64)
+    reasons = []
+    for i, step in enumerate(batch.step.tolist()):
+        reason = ""
+        force = external[i, : batch.rows[i]]
+        steps = _steps(force, step, JUMP_WITH_DAMPING if batch.damping[i] else JUMP) if step else []
+        count[i] = len(steps)
+        raised = _from_level(force, step, samples) if step else None
+        if step == 0:
+            reason = "no step was commanded (step is 0)"
+        elif len(steps) > 1:
+            row[i], reason = NO_ROW, _told(force, steps)
+        elif raised is not None:
+            row[i], level[i], reason = raised
+        elif row[i] != NO_ROW:
+            level[i] = level_before(force, int(row[i]), step)
+        elif not found[i]:
+            reason = (
+                f"no command edge: command plus wall force never stays above half the step ({step:g}) "
+                f"for {samples} rows; check step, stiffness and damping in the log's header"
+            )
+        elif first[i] == 0:
+            reason = (
+                "no baseline, the step is already there in row 0: the command edge is not identifiable; "
+                "record at least one row before the step"
+            )
+        elif not moves[i]:
+            reason = (
+                f"no command edge: command plus wall force reaches half the step ({step:g}) in row {first[i]}, but the "
+                "command itself has not; check the units, the step, and that it is the total command"
+            )
+        else:
+            reason = (
+                f"no command edge: command plus wall force first jumps against the step ({step:g}), in row "
+                f"{opposite[i]}; check the sign of command, position and step"
+            )
+        reasons.append(reason)
+    return Edges(row, level, count, tuple(reasons))
+
+
+def level_before(force: Floats, row: int, step: float) -> float:
+    """Return the level of a force in the rows before one [N, Nm]; 0 where it is on none, or on one near to 0."""
+    near = LEVEL * abs(step)
+    level = float(np.median(force[:row])) if row > 0 else 0.0
+    return level if abs(level) > near and np.abs(force[:row] - level).max() <= near else 0.0
+
+
+def _from_level(force: Floats, step: float, samples: int) -> tuple[int, float, str] | None:
+    """Return edge, level before it, and why there is no edge, for a force that begins on a level and jumps to another.
+
+    None where it begins near 0, or does not jump.
+    """
+    start = level_before(force, samples, step)
+    if start == 0:
+        return None
+    away, leaves = _first_run((np.abs(force - start) > LEVEL * abs(step))[None, :], samples)
+    edge = int(away[0])
+    reached = force[edge : edge + samples]
+    if not leaves[0] or np.ptp(reached) > LEVEL * abs(step):
+        return None
+    jump = float(np.median(reached)) - start
+    if abs(jump - step) <= STEP_TOLERANCE * abs(step):
+        return edge, start, ""
+    return (
+        *(NO_ROW, 0.0),
+        f"no command edge: command plus wall force goes from {start:.4g} to {start + jump:.4g} in row {edge}, a change "
+        f"of {jump:.4g}, but the step is {step:g}; the step of a log is the change",
+    )
+
+
+def _steps(force: Floats, step: float, smallest: float) -> list[int]:
+    """Return the rows in which a force jumps from a level to another one."""
+    near = LEVEL * abs(step)
+    rows = np.flatnonzero(np.abs(np.diff(force)) > smallest * abs(step)) + 1
+    if len(rows) < 2:
+        return [int(row) for row in rows]
+    before = (force[max(row - LEVEL_ROWS, 0) : row] for row in rows)
+    behind = (force[row : row + LEVEL_ROWS] for row in rows)
+    return [
+        int(row)
+        for row, a, b in zip(rows, before, behind, strict=True)
+        if np.ptp(a) <= near and np.ptp(b) <= near and min(len(a), len(b)) >= EDGE_SAMPLES
+    ]
+
+
+def _told(force: Floats, steps: list[int]) -> str:
+    ends = [*steps[1:], len(force)]
+    levels = [
+        float(np.median(force[: steps[0]])),
+        *(float(np.median(force[a:b])) for a, b in zip(steps, ends, strict=True)),
+    ]
+    told = [f"row {row} ({a:.4g} to {b:.4g})" for row, (a, b) in zip(steps, pairwise(levels), strict=True)]
+    more = f" and {len(told) - LISTED_STEPS} more" if len(told) > LISTED_STEPS else ""
+    return (
+        f"several steps: {', '.join(told[:LISTED_STEPS])}{more}; cut the log into one step each, by [[steps]] of a "
+        "profile or by recording them apart"
+    )
+
+
+def _first_run(rows: Booleans, samples: int) -> tuple[Integers, Booleans]:
+    """Return the first row from which on so many rows are true, shape (n,), and whether there is one."""
+    stays = rows.copy()
+    for shift in range(1, samples):
+        stays[:, :-shift] &= rows[:, shift:]
+        stays[:, -shift:] = False
+    first = np.argmax(stays, axis=1) if stays.shape[1] else np.zeros(len(stays))
+    found: Booleans = np.any(stays, axis=1, keepdims=True)[:, 0]
+    return first.astype(np.int64), found

@@ -1,0 +1,312 @@
+"""A trial that is excluded by hand is kept, enters no number, and is named wherever numbers are shown."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+from conftest import Lab, make_lab
+from native_logs import log_text
+from typer.testing import CliRunner
+
+import pipeline
+from pipeline.base import lock
+from pipeline.base.errors import EXIT_USAGE, DeviceError, StoreError, UsageError
+from pipeline.comparison.against_run import against_document, against_experiments, read_document
+from pipeline.comparison.compare import compare
+from pipeline.device_data.devices import load_device
+from pipeline.intake.compaction import compact
+from pipeline.intake.exclude import exclude, use_again
+from pipeline.intake.ingest import ingest
+from pipeline.measured.stages.stages import ExperimentStages
+from pipeline.rendering.report.report import cells
+from pipeline.rendering.report.report_against import render
+from pipeline.repair.repair_damage import check
+from pipeline.shell.cli import application
+from pipeline.shell.status import status
+from pipeline.shell.verify.verify import verify
+from pipeline.shell.watch.watch_pass import _inputs
+from pipeline.store.exclusions import EXCLUSIONS_FILE, read_exclusions
+from pipeline.store.storage import read_trials
+
+pytestmark = pytest.mark.usefixtures("one_process")
+
+WHY = "gripper slipped"
+CRITERIA = ("settle_2pct", "overshoot")
+
+
+@pytest.fixture
+def store(tmp_path) -> Path:
+    """Four trials of two experiments: 0 and 2 of "9", 1 and 3 of "10"."""
+    logs = tmp_path / "logs"
+    logs.mkdir()
+    for number in range(4):
+        (logs / f"{number}.csv").write_text(log_text(float(number), experiment=f"{9 + number % 2}"))
+    ingest([logs], tmp_path / "processed", jobs=1)
+    return tmp_path / "processed"
+
+
+def ids(processed: Path) -> dict[str, str]:
+    """Id of each trial by the name of its log."""
+    columns = (read_trials(processed).column(name).to_pylist() for name in ("source_path", "trial_id"))
+    return {Path(path).name: trial for path, trial in zip(*columns, strict=True)}
+
+
+def run(*words: str):
+    """The command line, as it is typed; messages do not matter here."""
+    return CliRunner().invoke(application(words[0]), list(words))
+
+
+def used(processed: Path, experiment: str) -> list[str]:
+    return sorted(ExperimentStages.stored(processed, "bench", experiment).trials.column("trial_id").to_pylist())
+
+
+def excluded(processed: Path) -> list[str]:
+    return [one.trial_id for one in read_exclusions(processed).values()]
+
+
+@pytest.mark.parametrize("way", ["id", "prefix", "path"])
+def test_a_trial_is_kept_and_not_used(store, way):
+    trial = ids(store)["2.csv"]
+    words = {"id": trial, "prefix": trial[:9], "path": str(store.parent / "logs" / "2.csv")}[way]
+    found = exclude(store, words, "  gripper\n slipped ")
+    assert (found.trial_id, found.exclusion_reason, found.experiment) == (trial, WHY, "9")
+    assert read_trials(store).num_rows == 4
+    table = pipeline.trials(store)
+    assert table.loc[table["exclusion_reason"] == WHY, "trial_id"].tolist() == [trial]
+    assert used(store, "9") == [ids(store)["0.csv"]]
+    assert len(used(store, "10")) == 2
+    assert use_again(store, words).trial_id == trial
+    assert len(used(store, "9")) == 2
+    assert not (store / EXCLUSIONS_FILE).exists()
+
+
+def test_a_second_reason_replaces_the_first(store):
+    for reason in ("cable", WHY):
+        exclude(store, ids(store)["2.csv"], reason)
+    assert [one.exclusion_reason for one in read_exclusions(store).values()] == [WHY]
+
+
+def test_it_stays_excluded_through_all_that_rewrites_the_store(store):
+    """Ingest of everything again, of a renamed log, compaction and repair."""
+    trial = ids(store)["2.csv"]
+    exclude(store, trial, WHY)
+    logs = store.parent / "logs"
+    ingest([logs], store, jobs=1, rehash=True)
+    (logs / "4.csv").write_text(log_text(4.0, experiment="9"))
+    (logs / "2.csv").rename(logs / "renamed.csv")
+    ingest([logs], store, jobs=1)
+    compact(store)
+    file = next((store / "trials" / "bench" / "9").glob("*.parquet"))
+    file.write_bytes(b"")
+    assert [damage.remedy for damage in check(store, repair=True).damage] == ["restore"]
+    assert excluded(store) == [trial]
+    stages = ExperimentStages.stored(store, "bench", "9")
+    assert (stages.trials.num_rows, [one.trial_id for one in stages.excluded]) == (2, [trial])
+
+
+def test_a_log_with_other_content_is_another_trial(store):
+    log = store.parent / "logs" / "2.csv"
+    exclude(store, ids(store)["2.csv"], WHY)
+    log.write_text(log_text(2.0, experiment="9", rows=31))
+    ingest([log.parent], store, jobs=1)
+    assert len(used(store, "9")) == 2
+    (one,) = status(store).excluded
+    assert (one.stored, one.exclusion_reason) == (False, WHY)
+    use_again(store, one.trial_id)
+    assert status(store).excluded == ()
+
+
+def test_unknown_and_ambiguous_words(store):
+    trial = ids(store)["2.csv"]
+    wrong = trial[:-1] + ("0" if trial[-1] != "0" else "1")
+    with pytest.raises(UsageError, match=rf"no stored trial.*Nearest: {trial} \(2.csv\)"):
+        exclude(store, wrong, WHY)
+    with pytest.raises(UsageError, match=r"no stored trial.*2\.csv"):
+        exclude(store, str(store.parent / "logs" / "22.csv"), WHY)
+    with pytest.raises(UsageError, match="is no excluded trial"):
+        use_again(store, trial)
+    with pytest.raises(UsageError, match="no stored trial"):
+        exclude(store, "", WHY)
+    with pytest.raises(UsageError, match="--reason"):
+        exclude(store, trial, " \n ")
+    several = next(one for one in "0123456789abcdef" if sum(t.startswith(one) for t in ids(store).values()) != 1)
+    if any(t.startswith(several) for t in ids(store).values()):
+        with pytest.raises(UsageError, match=r"fits \d stored trials.*Give one id"):
+            exclude(store, several, WHY)
+    assert not (store / EXCLUSIONS_FILE).exists()
+
+
+def test_a_log_of_several_trials_is_no_name_of_one(tmp_path):
+    profile = tmp_path / "lab.toml"
+    profile.write_text(LONG_FORM)
+    rows = [f"{name},{k * 0.001},{float(k > 3)},{k * k * 1e-6}" for name in ("a", "b") for k in range(30)]
+    (tmp_path / "both.csv").write_text("\n".join(["trial,t,u,x", *rows]) + "\n")
+    assert ingest([tmp_path / "both.csv"], tmp_path / "processed", profile=profile).ingested == 1
+    with pytest.raises(UsageError, match=r"fits 2 stored trials: .*\(both.csv, a\).*\(both.csv, b\)"):
+        exclude(tmp_path / "processed", str(tmp_path / "both.csv"), WHY)
+    trials = read_trials(tmp_path / "processed")
+    labels = dict(zip(*(trials.column(name).to_pylist() for name in ("label", "trial_id")), strict=True))
+    exclude(tmp_path / "processed", labels["a"], WHY)
+    assert used(tmp_path / "processed", "1") == [labels["b"]]
+
+
+LONG_FORM = """
+name = "lab"
+format = "delimited"
+files = ["*.csv"]
+delimiter = ","
+decimal = "."
+header = true
+step_at = "command edge"
+trial_column = "trial"
+columns.time = {name = "t", unit = "s"}
+columns.command = {name = "u", unit = "N", sign = 1}
+columns.position = {name = "x", unit = "m", sign = 1}
+constants = {device = "bench", experiment = "1", stiffness = 0.0, damping = 0.0, step = 1.0, sampling_period_s = 0.001}
+"""
+
+
+def test_one_writer_at_a_time(store):
+    with lock.writing(store), pytest.raises(StoreError, match="writes there"):
+        exclude(store, ids(store)["2.csv"], WHY, wait_s=0)
+    assert not (store / EXCLUSIONS_FILE).exists()
+
+
+def test_a_damaged_file_is_restored_and_never_ignored(store):
+    """What is excluded is not known then: nothing is computed as if nothing were."""
+    exclude(store, ids(store)["2.csv"], WHY)
+    file = store / EXCLUSIONS_FILE
+    whole, known = file.read_bytes(), read_exclusions(store)
+    for at in range(0, len(whole), max(len(whole) // 40, 1)):
+        file.write_bytes(whole[:at] + bytes([whole[at] ^ 0x5A]) + whole[at + 1 :])
+        with pytest.raises(StoreError, match="pipeline check --repair"):
+            ExperimentStages.stored(store, "bench", "9")
+        assert any(EXCLUSIONS_FILE in text for text in status(store).damaged)
+        assert [(d.file, d.remedy) for d in check(store, repair=True).damage] == [(EXCLUSIONS_FILE, "restore")]
+        assert read_exclusions(store) == known
+    file.write_bytes(whole[: len(whole) // 2])
+    (found,) = check(store, repair=True).damage
+    assert (found.remedy, file.exists()) == ("set aside", False)
+    (kept,) = (store / "damaged").glob(f"{EXCLUSIONS_FILE}*")
+    assert kept.read_bytes() == whole[: len(whole) // 2]
+
+
+def test_watch_makes_the_report_anew(store):
+    before = _inputs(store, "bench", None)
+    exclude(store, ids(store)["2.csv"], "cable")
+    first = _inputs(store, "bench", None)
+    exclude(store, ids(store)["2.csv"], WHY)
+    assert len({before, first, _inputs(store, "bench", None)}) == 3
+    use_again(store, ids(store)["2.csv"])
+    assert _inputs(store, "bench", None) == before
+
+
+def test_the_command(store):
+    trial = ids(store)["2.csv"]
+    where = ("--processed", str(store))
+    done = run("exclude", trial[:8], "--reason", WHY, *where, "--json")
+    assert json.loads(done.stdout)["excluded"] is True
+    assert json.loads(done.stdout)["trial_id"] == trial
+    told = run("status", *where).stdout
+    assert trial in told
+    assert WHY in told
+    assert json.loads(run("status", *where, "--json").stdout)["excluded"][0]["exclusion_reason"] == WHY
+    assert run("exclude", trial, *where).exception.exit_status == EXIT_USAGE
+    assert run("exclude", trial, "--reason", "a", "--undo", *where).exception.exit_status == EXIT_USAGE
+    assert "used again" in run("exclude", trial, "--undo", *where).stdout
+    assert run("exclude", trial, "--undo", *where).exception.exit_status == EXIT_USAGE
+
+
+@pytest.fixture(scope="module")
+def course(tmp_path_factory) -> Lab:
+    """Two small experiments of one device."""
+    device = load_device("falcon")
+    return make_lab(tmp_path_factory.mktemp("course"), device, ("1", "2"), ideal=True, coarsen=8)
+
+
+@pytest.fixture
+def lab(course, tmp_path) -> Lab:
+    shutil.copytree(course.processed, tmp_path / "processed")
+    return Lab(course.device, course.courses, course.raw, tmp_path / "processed")
+
+
+def test_the_best_trial_is_excluded_and_every_number_follows(lab, tmp_path):
+    page = tmp_path / "falcon.html"
+
+    def compared():
+        result = lab.compare(criteria=CRITERIA, report=page, experiments=["1"]).result
+        return result, result.experiments[0], cells(page.read_text(encoding="utf-8"))
+
+    before, first, _ = compared()
+    shutil.copy(page.with_suffix(".json"), tmp_path / "before.json")
+    best = str(first.optimum["settle_2pct"].trial_id)
+    exclude(lab.processed, best, WHY)
+    assert {e.experiment: bool(e.stale) for e in status(lab.processed).experiments} == {"1": True, "2": False}
+    after, second, shown = compared()
+    assert second.trials == first.trials - 1
+    assert sum(second.verdicts.values()) == second.trials
+    assert second.optimum["settle_2pct"].trial_id != best
+    assert second.optimum["settle_2pct"].cost >= first.optimum["settle_2pct"].cost
+    assert [(one.experiment, one.trial_id, one.reason) for one in after.excluded] == [("1", best, WHY)]
+    assert {shown[f"excluded/{best}/{name}"] for name in ("trial", "reason")} == {best, WHY}
+    assert any("1 trial of experiment 1 was excluded by hand" in line for line in after.warnings)
+    assert not any("excluded" in line for line in before.warnings)
+    assert f"{best}" not in json.dumps(after.model_dump(mode="json")["tables"])
+    # the page about both versions names what the second leaves out
+    assert WHY in render(against_document(after, read_document(tmp_path / "before.json", "falcon")))
+    other = against_experiments(lab.processed, ("falcon", "1"), ("falcon", "2"), criteria=CRITERIA)
+    assert WHY in render(other)
+    use_again(lab.processed, best)
+    assert compared()[0].numbers() == before.numbers()
+
+
+def test_a_report_tells_another_reason_anew(lab, tmp_path):
+    page = tmp_path / "falcon.html"
+    trial = read_trials(lab.processed, "falcon", "1").column("trial_id")[0].as_py()
+    for reason in ("cable", WHY):
+        exclude(lab.processed, trial, reason)
+        lab.compare(criteria=CRITERIA, report=page, experiments=["1"])
+        assert cells(page.read_text(encoding="utf-8"))[f"excluded/{trial}/reason"] == reason
+
+
+def test_an_experiment_without_a_used_trial_is_left_out_and_named(store):
+    for name in ("0.csv", "2.csv"):
+        exclude(store, ids(store)[name], WHY)
+    with pytest.raises(DeviceError, match=r"experiment '9': all of its trials are excluded"):
+        compare("bench", store, experiments=["9"])
+    result = compare("bench", store, criteria=("overshoot",)).result
+    assert [e.experiment for e in result.experiments] == ["10"]
+    assert sorted(one.trial_id for one in result.excluded) == sorted(ids(store)[n] for n in ("0.csv", "2.csv"))
+
+
+def test_verify_covers_exclusions(lab, tmp_path):
+    page = tmp_path / "falcon.html"
+    columns = ("trial_id", "source_path")
+    trials = list(zip(*(read_trials(lab.processed, "falcon", "1").column(c).to_pylist() for c in columns), strict=True))
+    (one, _), (two, path) = trials[0], trials[1]
+    exclude(lab.processed, one, WHY)
+    lab.compare(criteria=CRITERIA, report=page, experiments=["1"])
+    found = verify(page, lab.processed)
+    assert found.equal, found
+    text = page.read_text(encoding="utf-8")
+    assert text.count(WHY) >= 2
+    exclude(lab.processed, two, "later")
+    found = verify(page, lab.processed)
+    assert not found.equal
+    assert [(p.path, p.expected, p.found) for p in found.logs] == [(path, "no exclusion", "later")]
+    assert found.differences == ()
+    use_again(lab.processed, two)
+    # the words of the table changed by hand, then those of the request with them
+    forged = text.replace(f">{WHY}<", ">nothing to see<")
+    assert forged != text
+    page.write_text(forged, encoding="utf-8")
+    assert any("excluded" in d.name for d in verify(page, lab.processed).differences)
+    page.write_text(text.replace(WHY, "nothing to see"), encoding="utf-8")
+    found = verify(page, lab.processed)
+    assert [(p.expected, p.found) for p in found.logs] == [("nothing to see", WHY)]
+    page.write_text(text, encoding="utf-8")
+    use_again(lab.processed, one)
+    assert [(p.expected, p.found) for p in verify(page, lab.processed).logs] == [(WHY, "no exclusion")]

@@ -1,0 +1,147 @@
+"""The edge of a log is a jump from its previous level to the next; a log with several jumps has none."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from simulated import FALCON, simulate
+
+from pipeline.measured.fit.fit import fit_trials
+from pipeline.measured.signal.response import NO_ROW, declare_edge, find_response
+from pipeline.measured.stages.stage_groups import TrialGroup
+from pipeline.records.batch import TrialBatch
+
+ROWS, EDGE, T = 600, 100, 1e-3
+MOTOR = {"mass": 1.2e-4, "b": 7e-5}
+
+
+def motor(levels, rows=(EDGE,), step=None, balance=0.0, delay=2, noise=0.0, seed=0) -> TrialBatch:
+    """A motor without a wall, driven from level to level; a constant torque beside it takes ``balance`` away.
+
+    The motion is the closed solution of J w' = u - b w over each row, no code of the package.
+    """
+    command = np.full(ROWS, float(levels[0]))
+    for row, level in zip(rows, levels[1:], strict=True):
+        command[row:] = level
+    rate = MOTOR["b"] / MOTOR["mass"]
+    fade = np.exp(-rate * T)
+    x, w, position = 0.0, 0.0, np.zeros(ROWS)
+    for k in range(ROWS):
+        position[k] = x
+        final = (command[max(k - delay, 0)] - balance) / MOTOR["b"]
+        x += final * T + (w - final) * (1 - fade) / rate
+        w = final + (w - final) * fade
+    position += np.random.default_rng(seed).normal(size=ROWS) * noise
+    one = np.ones(1)
+    change = levels[1] - levels[0] if step is None else step
+    return TrialBatch(
+        ("motor",), 0 * one, 0 * one, change * one, T * one, np.array([ROWS]), np.arange(ROWS)[None] * T,
+        command[None], position[None],
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("levels", [(0.05, 0.065), (-0.1, 0.065), (0.02, 0.085), (0.065, 0.05), (-0.05, -0.065)])
+def test_a_step_from_an_operating_point(levels):
+    """0.05 to 0.065 was refused: 'already there in row 0'."""
+    found = find_response(motor(levels, balance=levels[0]))
+    assert found.edge_row.tolist() == [EDGE], found.edge_reason
+    np.testing.assert_allclose(found.level, levels[0])
+
+
+def test_the_step_of_a_log_is_the_change():
+    found = find_response(motor((0.05, 0.065), step=0.065, balance=0.05))
+    assert found.edge_row.tolist() == [NO_ROW]
+    assert "from 0.05 to 0.065 in row 100, a change of 0.015, but the step is 0.065" in found.edge_reason[0]
+
+
+@pytest.mark.parametrize("level", [0.05, -0.2])
+def test_mass_and_damping_at_an_operating_point_are_those_at_rest(level):
+    """What holds the device before the step is as large as the level: the motion is that of the change."""
+    from_zero = motor((0.0, 0.015), noise=1e-6)
+    raised = motor((level, level + 0.015), balance=level, noise=1e-6)
+    np.testing.assert_allclose(raised.position, from_zero.position, atol=1e-12)
+    groups = [TrialGroup(batch) for batch in (from_zero, raised)]
+    plain, at_level = (fit_trials(group.batch, group.found) for group in groups)
+    np.testing.assert_allclose(plain.mass, MOTOR["mass"], rtol=1e-3)
+    np.testing.assert_allclose(at_level.mass, plain.mass, rtol=1e-6)
+    np.testing.assert_allclose(at_level.damping, plain.damping, rtol=1e-4)
+    np.testing.assert_allclose(at_level.delay, plain.delay, atol=1e-6)
+    assert groups[1].logged.digests == raised.digests
+    assert groups[1].select(np.array([True])).batch.command[0, 0] == 0
+
+
+def test_a_wall_keeps_its_command():
+    """A constant force beside a wall is no operating point of the wall: that is for the wall law to tell."""
+    batch = simulate([3000.0], [20.0], **FALCON)
+    raised = replace(batch, command=batch.command + 1.0)
+    group = TrialGroup(raised)
+    assert group.found.edge_row.tolist() == [20]
+    assert group.batch is raised
+
+
+STAIRCASES = {
+    "up": (0.0, 0.05, 0.1),
+    "back": (0.0, 0.05, 0.0),
+    "from a level": (0.05, 0.065, 0.08),
+    "to the other side": (0.0, 0.05, -0.05),
+}
+
+
+@pytest.mark.parametrize("name", STAIRCASES)
+@pytest.mark.parametrize("step", ["first", "last level", "whole"])
+def test_a_staircase_is_no_step(name, step):
+    """It was read as one step, with a delay of 501 samples where the header names the last level."""
+    levels = STAIRCASES[name]
+    size = {"first": levels[1] - levels[0], "last level": levels[2], "whole": levels[2] - levels[0]}[step]
+    if size == 0:
+        pytest.skip("a step of 0 is none")
+    batch = motor(levels, rows=(EDGE, 400), step=size)
+    found = find_response(batch)
+    assert found.edge_row.tolist() == [NO_ROW]
+    assert found.steps.tolist() == [2]
+    assert found.edge_reason[0].startswith(f"several steps: row 100 ({levels[0]:.4g} to {levels[1]:.4g}), row 400 (")
+    declared = declare_edge(batch, found, EDGE)
+    assert declared.edge_row.tolist() == [NO_ROW]
+    assert declared.edge_reason == found.edge_reason
+
+
+def test_a_staircase_of_many_small_steps():
+    levels = np.linspace(0, 0.2, 16)
+    found = find_response(motor(levels, rows=range(100, 550, 30), step=0.2))
+    assert found.steps.tolist() == [15]
+    assert "and 9 more" in found.edge_reason[0]
+
+
+def test_a_staircase_against_a_wall():
+    batch = simulate([900.0, 900.0], [10.0, 10.0], **FALCON, rows=900)
+    # the wall acts on what the device does: the second step is commanded on top
+    command = batch.command.copy()
+    command[0, 500:] += 4.0
+    found = find_response(replace(batch, command=command))
+    assert found.edge_row.tolist() == [NO_ROW, 20]
+    assert "row 20 (0 to 8), row 500 (8 to 12)" in found.edge_reason[0]
+
+
+@pytest.mark.parametrize("samples", [1, 3, 10, 30])
+@pytest.mark.parametrize("quantum", [1e-5, 6e-5])
+def test_a_filtered_velocity_and_a_coarse_sensor_are_no_steps(samples, quantum):
+    """A velocity over N rows leaves a plateau of N rows behind each quantum."""
+    stiffness = np.array([200.0, 3000.0, 9000.0, 15000.0])
+    damping = np.array([4.0, 184.0, 90.0, 120.0])
+    batch = simulate(stiffness, damping, **FALCON, quantum=quantum, noise=2e-6, seed=5)
+    x = np.concatenate([np.repeat(batch.position[:, :1], samples, axis=1), batch.position], axis=1)
+    velocity = (x[:, samples:] - x[:, :-samples]) / (samples * T)
+    force = 8.0 * (np.arange(x.shape[1] - samples) >= 20)
+    command = force - stiffness[:, None] * batch.displacement - damping[:, None] * velocity
+    found = find_response(replace(batch, command=command))
+    assert (found.steps < 2).all()
+    assert not found.level.any()
+
+
+def test_clipped_and_one_sided_commands_are_no_steps():
+    batch = simulate(np.linspace(2000, 26000, 12), np.linspace(5, 60, 12), **FALCON)
+    for command in (np.clip(batch.command, -12, 12), np.maximum(batch.command, 0.0)):
+        found = find_response(replace(batch, command=command))
+        assert not any(text.startswith("several") for text in found.edge_reason)
