@@ -9,7 +9,7 @@ from pipeline.measured.device import friction, mass
 from pipeline.measured.experiment.estimates import damping_estimate
 from pipeline.measured.experiment.known_delay import with_delay
 from pipeline.measured.stages.stage_columns import conditions, joined_texts
-from pipeline.measured.stages.stage_given import Experiment
+from pipeline.measured.stages.stage_given import Experiment, is_open_loop
 from pipeline.measured.stages.stage_groups import Columns, Given, TrialGroup
 
 BALANCE_TERMS = ("damping", "friction")
@@ -22,12 +22,7 @@ A rotating device in the open loop may be a pendulum, for which gravity is added
 
 def given_of(of: Experiment) -> Given:
     """Return what the stage takes from the whole experiment."""
-    walls = (of.trials.column(name).to_numpy() for name in ("stiffness", "damping"))
-    return {
-        **with_delay(of),
-        "open_loop": not any(values.any() for values in walls),
-        "rotation": of.rotation,
-    }
+    return {**with_delay(of), "open_loop": is_open_loop(of), "rotation": of.rotation}
 
 
 def columns(of: TrialGroup, given: Given) -> Columns:
