@@ -122,7 +122,7 @@ COLUMNS: dict[str, Column] = {
     "force_mass": Column(_F, "kg", "kg m^2", "as balance_mass, by the measured force", True),
     "force_mass_error": Column(_F, "kg", "kg m^2", "its standard error", True),
     "viscous_damping": Column(_F, "Ns/m", "Nms/rad", "viscous damping b from the trial", True),
-    "balance_sums": _same(pa.list_(_F), "", "weighted sums of its joint balance, see `forces.balance_sums`", True),
+    "balance_sums": _same(pa.list_(pa.field("element", _F)), "", "weighted sums of its joint balance, see `forces.balance_sums`", True),
     # cost stages
     "overshoot": _same(_F, "1", "(max x - x_inf)/(x_inf - x_0), 0 where the position stays below", True),
     "overshoot_floor": _same(_F, "1", "overshoot that sensor and chatter alone can cause"),

@@ -29,7 +29,7 @@ def record(
     random = np.random.default_rng(seed)
     K, B, step = np.broadcast_arrays(*(np.atleast_1d(np.asarray(a, dtype=float)) for a in (K, B, step)))
     n, h = len(K), T / fine
-    late = int(round(delay * fine))
+    late = round(delay * fine)
     # the device rests at first, its constant force held by friction or hand
     x, v, acting = np.zeros(n), np.zeros(n), np.zeros(n)
     moved = np.zeros(n, dtype=bool)

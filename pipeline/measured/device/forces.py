@@ -36,15 +36,15 @@ LEAST_SHARE = 1e-3
 LARGEST_ERROR = 0.1
 """Standard error of a friction or constant force, relative to the largest force, from which on it is not told."""
 
-NEGLIGIBLE = 0.01
-"""Size of a term, relative to the force of the step, below which the model does without it."""
-
 FEWEST_FREEDOM = 3
 """Degrees of freedom of an interval from few trials: each has hundreds of readings, but shares its errors."""
 
 ASKED_FOR = 0.7
 """Share of the squared residual that may be left for a term to be asked for by the logs: a term that the model lacks
 makes more of the residual than the sensor does, or it makes no difference."""
+
+NEGLIGIBLE = 2e-3
+"""Size of a term, relative to what would make all of the force, below which the model does without it."""
 
 SIGNIFICANT = 3.0
 """Standard errors from 0 that it must lie as well."""
@@ -200,7 +200,7 @@ def identify(sums: Floats, period: float) -> Forces | None:
     What cannot be told is found before any interval. Of a motion one way, friction and a constant force are one
     number. With friction, a motion under one constant force F tells mass and damping no more: (m, b, c) moves as
     ((1 - c/F) m_0, (1 - c/F) b_0, c), so that m_0 and b_0 are upper bounds. Of the terms that can be told, those are
-    part of the model whose absence raises the squared residual and which are not negligible.
+    part of the model whose absence raises the squared residual, and which lie apart from 0.
 
     Errors add up those of the readings, the scatter between trials (by leaving out each in turn), and `MODEL_ERROR`.
     """
@@ -292,10 +292,8 @@ class _Model:
         if len(self.others):
             left = self.solve(self.others, terms)[0]
             variance = variance + (len(left) - 1) * left.var(axis=0)
-        least = [
-            MODEL_ERROR * (self.size(t) if t in OPTIONAL else abs(v)) for t, v in zip(terms, values[0], strict=True)
-        ]
-        error = np.hypot(np.sqrt(variance), least)
+        sizes = [self.size(t) if t in OPTIONAL else abs(v) for t, v in zip(terms, values[0], strict=True)]
+        error = np.hypot(np.sqrt(variance), MODEL_ERROR * np.array(sizes))
         return dict(zip(terms, values[0].tolist(), strict=True)), dict(zip(terms, error.tolist(), strict=True))
 
     def share(self, terms: list[str], term: str) -> float:
@@ -317,7 +315,7 @@ class _Model:
         return error < LARGEST_ERROR * (self.size(term) if term in OPTIONAL else abs(value))
 
     def asks_for(self, terms: list[str], term: str) -> bool:
-        """Whether the logs do not follow without a term, and it is not negligible."""
+        """Whether the logs do not follow without a term, and it lies apart from 0."""
         without = [other for other in terms if other != term]
         with_it, left = (self.solve(self.all[None], some)[2][0] for some in (terms, without))
         value, error = (found[term] for found in self.fit(terms))

@@ -55,8 +55,16 @@ def model_delay(of: Stored) -> Estimate:
 
 
 def jitter_estimate(of: Stored) -> Estimate:
-    """Return the standard deviation of the delay within a trial by the model [samples]."""
-    return _by_model(of, "jitter", "samples")
+    """Return the standard deviation of the delay within a trial by the model [samples].
+
+    It needs a model that explains most trials: any force that the model lacks looks like a jitter to some of them.
+    """
+    found = _by_model(of, "jitter", "samples")
+    if found.value is None or _explains(found):
+        return found
+    explained, text = found.trials + len(found.outliers), commonest(of.texts("model", "reason"))
+    reason = f"the model explains {explained} of {explained + found.refused} trials only; most others: {text}"
+    return Estimate(value=None, unit=found.unit, method=found.method, reason=reason, refused=found.refused)
 
 
 def damping_estimate(of: Stored) -> Estimate:
@@ -209,11 +217,17 @@ def _recommended(of: Stored, model: Estimate, thesis: Estimate, methods: dict[st
     found, joint = of.once(joint_forces), methods["joint_balance"]
     if found is not None and (found.asked_for or not found.value):
         return joint.model_copy(update={"by_method": methods})
-    explained = model.trials + len(model.outliers)
-    if model.value is not None and explained >= MODEL_SHARE * (explained + model.refused):
+    if model.value is not None and _explains(model):
         return model.model_copy(update={"by_method": methods})
+    explained = model.trials + len(model.outliers)
     other, why = (thesis if joint.value is None else joint), None
     if other.value is not None:
         why = f"the model explains {explained} of {explained + model.refused} trials only; its value is not taken"
     warning = "; ".join(filter(None, [other.warning, why])) or None
     return other.model_copy(update={"by_method": methods, "warning": warning})
+
+
+def _explains(model: Estimate) -> bool:
+    """Whether the model explains so many trials that it can be right."""
+    explained = model.trials + len(model.outliers)
+    return explained >= MODEL_SHARE * (explained + model.refused)

@@ -49,6 +49,9 @@ arrival. Errors that need more come from something else."""
 STEADY_GAIN = 4.0
 """Fall of the deviance from jitter to a force error in every row from which on it is not jitter: odds of 7 to 1."""
 
+FRICTION_GAIN = 7.0
+"""Fall of the deviance by Coulomb friction beside the jitter from which on the errors are no jitter's: a chance of 1 %."""
+
 NOISE_BAND = 6.0
 """Standard deviations that a single error of a right model does not reach: chance makes 1e-6 of it in 1,000 rows."""
 
@@ -295,6 +298,7 @@ def _describe(window: Window, fit: JitterFit, period: Floats, order: Order) -> t
                 int(leaves[i]),
                 float(fit.jitter[i]),
                 float(fit.steady[i]),
+                float(fit.friction[i]),
             )
         )
     no_value = np.array([bool(text) for text in lost])
@@ -366,7 +370,9 @@ def _lost(converged: bool, delta: float, error: float, main: str) -> str:
     return ""
 
 
-def _doubtful(misfit: float, allowed: float, whiteness: float, leaves: int, jitter: float, steady: float) -> str:
+def _doubtful(
+    misfit: float, allowed: float, whiteness: float, leaves: int, jitter: float, steady: float, friction: float
+) -> str:
     """Say why the model does not explain the log, so that its errors mean nothing; empty where it does."""
     if misfit > allowed:
         return (
@@ -393,5 +399,10 @@ def _doubtful(misfit: float, allowed: float, whiteness: float, leaves: int, jitt
         return (
             "no interval: the errors of the force do not follow the changes of the command, as those of a jittering "
             f"delay do (deviance lower by {steady:.0f}, allowed {STEADY_GAIN:g}); look for friction or a resonance"
+        )
+    if friction > FRICTION_GAIN:
+        return (
+            "no interval: the errors of the force follow the direction of the motion, as friction does, and not only "
+            f"the changes of the command (deviance lower by {friction:.0f}, allowed {FRICTION_GAIN:g})"
         )
     return ""
