@@ -41,6 +41,10 @@ _UNITS: dict[Term, tuple[str, str]] = {
 }
 """Unit of each, of a translation and a rotation."""
 
+FRICTION_GAIN = 8.0
+"""Median fall of the deviance by friction beside a jitter from which on the jitter is not believed: of the trials of a
+loop with jitter alone one in four passes it, of those with friction enough to feign a jitter nearly all."""
+
 NOT_EXPLAINED = "the model explains no trial; the reasons stand with the trials"
 
 
@@ -57,13 +61,21 @@ def model_delay(of: Stored) -> Estimate:
 def jitter_estimate(of: Stored) -> Estimate:
     """Return the standard deviation of the delay within a trial by the model [samples].
 
-    It needs a model that explains most trials: any force that the model lacks looks like a jitter to some of them.
+    It needs a model that explains most trials, and errors that friction does not explain as well: any force that the
+    model lacks looks like a jitter.
     """
     found = _by_model(of, "jitter", "samples")
-    if found.value is None or _explains(found):
+    gain = of.column("model", "friction_gain")
+    fall = float(np.nanmedian(gain)) if np.isfinite(gain).any() else 0.0
+    explained = found.trials + len(found.outliers)
+    if found.value is None or (_explains(found) and fall <= FRICTION_GAIN):
         return found
-    explained, text = found.trials + len(found.outliers), commonest(of.texts("model", "reason"))
-    reason = f"the model explains {explained} of {explained + found.refused} trials only; most others: {text}"
+    reason = f"the model explains {explained} of {explained + found.refused} trials only"
+    if fall > FRICTION_GAIN:
+        reason = (
+            "the errors of the force follow the direction of the motion, as friction does, and not only the changes of "
+            f"the command (deviance of the median trial lower by {fall:.3g}, allowed {FRICTION_GAIN:g})"
+        )
     return Estimate(value=None, unit=found.unit, method=found.method, reason=reason, refused=found.refused)
 
 

@@ -49,9 +49,6 @@ arrival. Errors that need more come from something else."""
 STEADY_GAIN = 4.0
 """Fall of the deviance from jitter to a force error in every row from which on it is not jitter: odds of 7 to 1."""
 
-FRICTION_GAIN = 7.0
-"""Fall of the deviance by Coulomb friction beside the jitter from which on the errors are no jitter's: a chance of 1 %."""
-
 NOISE_BAND = 6.0
 """Standard deviations that a single error of a right model does not reach: chance makes 1e-6 of it in 1,000 rows."""
 
@@ -92,6 +89,8 @@ class Fit:
         the log has neither.
     whiteness : float64
         p-value of a test that the whitened errors are not correlated; NaN for too few.
+    friction_gain : float64
+        By how much Coulomb friction beside the jitter explains the log better (fall of the deviance); NaN without one.
     leaves_row : int64
         First row where the error leaves the noise band; -1 where it never does.
     reason : tuple of str
@@ -113,6 +112,7 @@ class Fit:
     last_row: Integers
     misfit: Floats
     whiteness: Floats
+    friction_gain: Floats
     leaves_row: Integers
     reason: tuple[str, ...]
 
@@ -298,7 +298,6 @@ def _describe(window: Window, fit: JitterFit, period: Floats, order: Order) -> t
                 int(leaves[i]),
                 float(fit.jitter[i]),
                 float(fit.steady[i]),
-                float(fit.friction[i]),
             )
         )
     no_value = np.array([bool(text) for text in lost])
@@ -309,6 +308,7 @@ def _describe(window: Window, fit: JitterFit, period: Floats, order: Order) -> t
     found["jitter"] = np.where(jitter_known | (fit.jitter > 0) & ~no_value, fit.jitter, np.nan)
     found["jitter_error"] = np.where(jitter_known, fit.jitter_error, np.nan)
     found["misfit"] = np.where(window.noise_known, misfit, np.nan)
+    found["friction_gain"] = np.where(np.isfinite(fit.friction), fit.friction, np.nan)
     found["whiteness"], found["leaves_row"] = whiteness, leaves.astype(np.float64)
     found["first_row"], found["last_row"] = window.first_row.astype(np.float64), window.last_row.astype(np.float64)
     reasons = [a or b for a, b in zip(lost, doubtful, strict=True)]
@@ -370,9 +370,7 @@ def _lost(converged: bool, delta: float, error: float, main: str) -> str:
     return ""
 
 
-def _doubtful(
-    misfit: float, allowed: float, whiteness: float, leaves: int, jitter: float, steady: float, friction: float
-) -> str:
+def _doubtful(misfit: float, allowed: float, whiteness: float, leaves: int, jitter: float, steady: float) -> str:
     """Say why the model does not explain the log, so that its errors mean nothing; empty where it does."""
     if misfit > allowed:
         return (
@@ -399,10 +397,5 @@ def _doubtful(
         return (
             "no interval: the errors of the force do not follow the changes of the command, as those of a jittering "
             f"delay do (deviance lower by {steady:.0f}, allowed {STEADY_GAIN:g}); look for friction or a resonance"
-        )
-    if friction > FRICTION_GAIN:
-        return (
-            "no interval: the errors of the force follow the direction of the motion, as friction does, and not only "
-            f"the changes of the command (deviance lower by {friction:.0f}, allowed {FRICTION_GAIN:g})"
         )
     return ""

@@ -205,9 +205,9 @@ def fit_window(window: Window, start: Floats, lag: Integers, *, order: Order) ->
         if which is jittery:
             error[which] = _jitter_error(part, p, s, lowest[which], order)
             steady[which] = lowest[which] - steady_force_deviance(part, p, s, order)
-            other, q = with_friction(part, p, s, order)
-            with_it = _deviance(other, q, gains_at(part, q, s, order), s, order)
-            friction[which] = lowest[which] - _finite(with_it)
+            moved, q = with_friction(part, p, s, order)
+            beside = _deviance(moved, q, gains_at(part, q, s, order), s, order)
+            friction[which] = lowest[which] - _finite(beside)
             model = inverse(solution.normal[which]) * scale[which, None, None]
             inflation[:, which] = _inflation(run, solution.normal[which], model)
         else:
