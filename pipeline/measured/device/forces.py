@@ -13,7 +13,7 @@ from pipeline.measured.device.friction import mean_direction
 from pipeline.measured.device.momentum import acting_force
 from pipeline.measured.intervals import student_95
 from pipeline.measured.signal.response import Response
-from pipeline.records.batch import Booleans, Floats, TrialBatch
+from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
 
 TERMS = ("mass", "damping", "friction", "stiffness", "constant_force", "delay", "turning")
 """What takes the force up, in the order of the columns of `balance_sums`."""
@@ -57,6 +57,12 @@ ROUNDING = 1e-13
 
 MODEL_ERROR = 5e-4
 """Error of a value that trials share, relative to mass, damping, or to what would make all of the force."""
+
+LEAST_REST, RESTS = 20, 20
+"""A rest lasts so many rows, and so large a part of the log: a device that moves less tells nothing."""
+
+NEARLY = 0.999
+"""Mean direction of an interval from which on the device did not turn in it."""
 
 _ROUNDS = 4
 """Repetitions with the delay and friction found before, which correct the force: the change falls tenfold in each."""
@@ -118,10 +124,8 @@ def _columns(batch: TrialBatch, response: Response, delay_samples: int, pendulum
     force = np.where(after, np.nan_to_num(acting_force(batch, None))[:, arrived], 0.0)
     x = np.where(after, np.nan_to_num(batch.displacement), 0.0)
     direction = mean_direction(batch, response.floor, after[:, :-1] & after[:, 1:])
-    # the sensor sees the motion later than it begins
-    first = (direction != 0).argmax(axis=1)
-    initial = np.take_along_axis(direction, first[:, None], axis=1)
-    direction = np.where(rows[:, :-1] < first[:, None], initial, direction) * (step > 0)
+    direction, initial, first = _surely(direction)
+    direction = direction * (step > 0)
 
     def integral(rate: Floats, slope: Floats | float = 0.0) -> Floats:
         """Integral of what holds ``rate`` at the beginning of each interval and changes by ``slope``."""
@@ -150,11 +154,40 @@ def _columns(batch: TrialBatch, response: Response, delay_samples: int, pendulum
         initial * elapsed,
         integral(once[:, :-1], force[:, :-1]),
     ]
-    # a device that has come to rest obeys another balance: what moves it no more, friction holds
-    end = np.take_along_axis(x, (batch.rows - 1)[:, None], axis=1)
-    away = after & (np.abs(x - end) > response.floor[:, None])
-    last = rows.shape[1] - 1 - away[:, ::-1].argmax(axis=1)
-    return np.stack(columns, axis=1), after & (rows <= last[:, None]) & away.any(axis=1)[:, None]
+    resting = _rests(x, response.floor) & (rows >= begin) & (rows > first)
+    last = np.where(resting.any(axis=1), resting.argmax(axis=1), batch.rows - 1)
+    return np.stack(columns, axis=1), after & (rows <= last[:, None]) & (first < rows.shape[1] - 1)
+
+
+def _rests(x: Floats, floor: Floats) -> Booleans:
+    """Rows from which on the position stays where it is for a while, as far as the sensor sees, shape (n, N).
+
+    A device that has come to rest obeys another balance: what moves it no more, friction holds.
+    """
+    length = max(LEAST_REST, x.shape[1] // RESTS)
+    rests = np.ones(x.shape, dtype=np.bool_)
+    for part in (4, 3, 2, 1):
+        later = np.minimum(np.arange(x.shape[1]) + length // part, x.shape[1] - 1)
+        rests &= np.abs(x[:, later] - x) <= floor[:, None]
+    rests[:, -length:] = False
+    return rests
+
+
+def _surely(direction: Floats) -> tuple[Floats, Floats, Integers]:
+    """Directions (n, N - 1) with those that a slow motion hides, and the first one of each trial with its row (n, 1).
+
+    Between two intervals with the same direction the device did not turn, and it began in the first that is seen.
+    """
+    count = direction.shape[1]
+    sure = np.abs(direction) > NEARLY
+    at = np.broadcast_to(np.arange(count), direction.shape)
+    before = np.maximum.accumulate(np.where(sure, at, -1), axis=1)
+    after = np.minimum.accumulate(np.where(sure, at, count)[:, ::-1], axis=1)[:, ::-1]
+    sign = np.sign(direction)
+    following = np.take_along_axis(sign, np.minimum(after, count - 1), axis=1) * (after < count)
+    former = np.where(before < 0, following, np.take_along_axis(sign, np.maximum(before, 0), axis=1))
+    same = ~sure & (former == following)
+    return np.where(same, former, direction), following[:, :1], after[:, :1]
 
 
 @dataclass(frozen=True, eq=False)
