@@ -64,6 +64,9 @@ LEAST_REST, RESTS = 20, 20
 NEARLY = 0.999
 """Mean direction of an interval from which on the device did not turn in it."""
 
+LONGEST_TURN = 4
+"""Intervals between sure directions up to which a turn is where the velocity, drawn straight, goes through 0."""
+
 _ROUNDS = 4
 """Repetitions with the delay and friction found before, which correct the force: the change falls tenfold in each."""
 
@@ -124,7 +127,7 @@ def _columns(batch: TrialBatch, response: Response, delay_samples: int, pendulum
     force = np.where(after, np.nan_to_num(acting_force(batch, None))[:, arrived], 0.0)
     x = np.where(after, np.nan_to_num(batch.displacement), 0.0)
     direction = mean_direction(batch, response.floor, after[:, :-1] & after[:, 1:])
-    direction, initial, first = _surely(direction)
+    direction, initial, first = _surely(direction, x)
     direction = direction * (step > 0)
 
     def integral(rate: Floats, slope: Floats | float = 0.0) -> Floats:
@@ -173,7 +176,7 @@ def _rests(x: Floats, floor: Floats) -> Booleans:
     return rests
 
 
-def _surely(direction: Floats) -> tuple[Floats, Floats, Integers]:
+def _surely(direction: Floats, x: Floats) -> tuple[Floats, Floats, Integers]:
     """Directions (n, N - 1) with those that a slow motion hides, and the first one of each trial with its row (n, 1).
 
     Between two intervals with the same direction the device did not turn, and it began in the first that is seen.
@@ -187,6 +190,15 @@ def _surely(direction: Floats) -> tuple[Floats, Floats, Integers]:
     following = np.take_along_axis(sign, np.minimum(after, count - 1), axis=1) * (after < count)
     former = np.where(before < 0, following, np.take_along_axis(sign, np.maximum(before, 0), axis=1))
     same = ~sure & (former == following)
+    # a longer doubt holds a turn, where the position is farthest
+    doubt = ~sure & ~same & (after - before > LONGEST_TURN)
+    gap = (before + 1 + np.arange(len(direction))[:, None] * (count + 1)).ravel()
+    reached = np.where(doubt, former * x[:, :-1], -np.inf).ravel()
+    farthest, turn = np.full(gap.max(initial=0) + 1, -np.inf), np.full(gap.max(initial=0) + 1, count)
+    np.maximum.at(farthest, gap, reached)
+    np.minimum.at(turn, gap, np.where(reached == farthest[gap], at.ravel(), count))
+    turned = at >= turn[gap].reshape(at.shape)
+    direction = np.where(doubt, np.where(turned, following, former), direction)
     return np.where(same, former, direction), following[:, :1], after[:, :1]
 
 
@@ -244,16 +256,17 @@ def identify(sums: Floats, period: float) -> Forces | None:
     if not len(products):
         return None
     model = _Model(products, LARGEST_REST * period)
-    terms = [*TERMS[:-1]]
+    terms = [*TERMS] if model.turns else [*TERMS[:-1]]
     one_way = model.share(["friction", "constant_force"], "constant_force") < LEAST_SHARE
     if one_way:
         terms.remove("constant_force")
     if not model.tells(terms, "stiffness"):
         terms.remove("stiffness")
     if not model.tells(terms, "mass"):
-        terms.remove("friction")
+        terms = [term for term in terms if term not in ("friction", "turning")]
         bound = {}
-        if model.tells(terms, "mass"):
+        # after a turn less friction is no longer like more mass
+        if not model.turns and model.tells(terms, "mass"):
             value, error = model.fit(terms)
             bound = {term: value[term] + _half(error[term], len(products)) for term in ("mass", "damping")}
         bound = bound if min(bound.values(), default=0.0) > 0 else {}
@@ -263,8 +276,8 @@ def identify(sums: Floats, period: float) -> Forces | None:
         if not model.asks_for(terms, term):
             terms.remove(term)
     asked = frozenset(terms).intersection(told)
-    if "friction" in asked and model.turns and model.tells([*terms, "turning"], "friction"):
-        terms.append("turning")
+    if "friction" not in terms and "turning" in terms:
+        terms.remove("turning")
     value, error = model.fit(terms)
     for term in OPTIONAL:
         if term in told and term not in terms:

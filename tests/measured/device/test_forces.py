@@ -24,7 +24,7 @@ def told(batch, delay):
 
 def motor(step=TORQUE, **options):
     return told(
-        record(np.zeros(6), 0, step=step, delay=2, noise=5e-5, fine=20, **{"c": FRICTION, **MOTOR, **options}), 2
+        record(np.zeros(6), 0, step=step, delay=2, fine=20, **{"noise": 5e-5, "c": FRICTION, **MOTOR, **options}), 2
     )
 
 
@@ -58,12 +58,20 @@ def test_one_way_under_two_torques_tells_mass_and_damping_and_the_sum_of_frictio
 
 @pytest.mark.parametrize("constant", [0.0, -0.001, 0.0005])
 def test_a_reversal_tells_everything(constant):
-    found = motor(constant=constant, reverse=300)
+    found = motor(constant=constant, reverse=300, noise=0.0)
     assert not found.one_way
     assert found.value["mass"] == pytest.approx(MOTOR["mass"], rel=0.01)
     assert found.value["damping"] == pytest.approx(MOTOR["b"], rel=0.05)
     assert found.value["friction"] == pytest.approx(FRICTION, rel=0.01)
     assert found.value["constant_force"] == pytest.approx(constant, abs=0.01 * TORQUE)
+
+
+def test_a_reversal_that_noise_hides_is_told_with_its_interval_or_not_at_all():
+    for reverse in (250, 300, 350):
+        found = motor(reverse=reverse)
+        truth = {"mass": MOTOR["mass"], "damping": MOTOR["b"], "friction": FRICTION}
+        assert found.bound == {}
+        assert all(holds(found, **{name: value for name, value in truth.items() if name in found.value}).values())
 
 
 def test_steps_of_both_signs_and_two_sizes_tell_friction_from_a_constant_force():
