@@ -52,6 +52,9 @@ SIGNIFICANT = 3.0
 LARGEST_REST = 2.0
 """Samples of delay beyond the integer factor up to which the force is corrected for its square."""
 
+LONGEST_DELAY = 5.0
+"""The same, relative to `LARGEST_REST`, from which on it is no delay."""
+
 ROUNDING = 1e-13
 """Eigenvalue of the scaled normal equations that rounding makes."""
 
@@ -127,7 +130,7 @@ def _columns(batch: TrialBatch, response: Response, delay_samples: int, pendulum
     force = np.where(after, np.nan_to_num(acting_force(batch, None))[:, arrived], 0.0)
     x = np.where(after, np.nan_to_num(batch.displacement), 0.0)
     direction = mean_direction(batch, response.floor, after[:, :-1] & after[:, 1:])
-    direction, initial, first = _surely(direction, x)
+    direction, initial, first = _surely(direction)
     direction = direction * (step > 0)
 
     def integral(rate: Floats, slope: Floats | float = 0.0) -> Floats:
@@ -176,7 +179,7 @@ def _rests(x: Floats, floor: Floats) -> Booleans:
     return rests
 
 
-def _surely(direction: Floats, x: Floats) -> tuple[Floats, Floats, Integers]:
+def _surely(direction: Floats) -> tuple[Floats, Floats, Integers]:
     """Directions (n, N - 1) with those that a slow motion hides, and the first one of each trial with its row (n, 1).
 
     Between two intervals with the same direction the device did not turn, and it began in the first that is seen.
@@ -190,14 +193,9 @@ def _surely(direction: Floats, x: Floats) -> tuple[Floats, Floats, Integers]:
     following = np.take_along_axis(sign, np.minimum(after, count - 1), axis=1) * (after < count)
     former = np.where(before < 0, following, np.take_along_axis(sign, np.maximum(before, 0), axis=1))
     same = ~sure & (former == following)
-    # a longer doubt holds a turn, where the position is farthest
+    # in a longer doubt the turn is taken in its middle: how far that is off is alike in all trials
     doubt = ~sure & ~same & (after - before > LONGEST_TURN)
-    gap = (before + 1 + np.arange(len(direction))[:, None] * (count + 1)).ravel()
-    reached = np.where(doubt, former * x[:, :-1], -np.inf).ravel()
-    farthest, turn = np.full(gap.max(initial=0) + 1, -np.inf), np.full(gap.max(initial=0) + 1, count)
-    np.maximum.at(farthest, gap, reached)
-    np.minimum.at(turn, gap, np.where(reached == farthest[gap], at.ravel(), count))
-    turned = at >= turn[gap].reshape(at.shape)
+    turned = 2 * at >= before + after
     direction = np.where(doubt, np.where(turned, following, former), direction)
     return np.where(same, former, direction), following[:, :1], after[:, :1]
 
@@ -262,7 +260,7 @@ def identify(sums: Floats, period: float) -> Forces | None:
         terms.remove("constant_force")
     if not model.tells(terms, "stiffness"):
         terms.remove("stiffness")
-    if not model.tells(terms, "mass"):
+    if not (model.tells(terms, "mass") and model.believable(terms)):
         terms = [term for term in terms if term not in ("friction", "turning")]
         bound = {}
         # after a turn less friction is no longer like more mass
@@ -365,4 +363,9 @@ class _Model:
         without = [other for other in terms if other != term]
         with_it, left = (self.solve(self.all[None], some)[2][0] for some in (terms, without))
         value, error = (found[term] for found in self.fit(terms))
-        return bool(with_it < ASKED_FOR * left and abs(value) > max(NEGLIGIBLE * self.size(term), SIGNIFICANT * error))
+        missed = with_it < ASKED_FOR * left or not self.believable(without)
+        return bool(missed and abs(value) > max(NEGLIGIBLE * self.size(term), SIGNIFICANT * error))
+
+    def believable(self, terms: list[str]) -> bool:
+        """Whether the delay that the terms leave is one: what they lack, a long delay imitates."""
+        return abs(self.fit(terms)[0]["delay"]) <= LONGEST_DELAY * self.reach
