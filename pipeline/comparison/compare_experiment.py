@@ -11,7 +11,7 @@ from pipeline.comparison.scores.implied_delay import implied_delay
 from pipeline.comparison.scores.implied_slope import DeviceParameters
 from pipeline.loop.loop import LARGEST_DELAY
 from pipeline.measured.experiment.boundary_band import boundary_area
-from pipeline.measured.experiment.estimates import standard_error, with_model_delay
+from pipeline.measured.experiment.estimates import Term, by_joint_balance, standard_error, with_model_delay
 from pipeline.measured.stages.stages import STAGES, ExperimentStages
 from pipeline.records.findings import Estimate, Optimum
 from pipeline.records.loop_parts import LoopParts
@@ -121,6 +121,13 @@ def _estimates(stages: ExperimentStages, needed: Collection[str], units: Units) 
         "damping": stages.damping_estimate if "damping" in needed else _without(units.damping, left_out),
         "boundary_area": boundary_area(stages.boundary_points, f"{units.stiffness} {units.damping}"),
     }
+    if "damping" in needed:
+        terms: dict[str, Term] = {
+            "friction": "friction",
+            "device_stiffness": "stiffness",
+            "constant_force": "constant_force",
+        }
+        found |= {name: by_joint_balance(stages, term) for name, term in terms.items()}
     mass, damping = found["mass"], found["damping"]
     if "model" in needed:
         found["jitter_samples"] = stages.jitter_estimate

@@ -32,6 +32,7 @@ def _same(dtype: pa.DataType, unit: str, meaning: str, nullable: bool = False) -
 
 
 _F, _I, _S, _B = pa.float64(), pa.int64(), pa.string(), pa.bool_()
+_L = pa.list_(pa.field("element", _F))  # the name that Parquet gives it
 
 
 def _cost(criterion: Criterion) -> dict[str, Column]:
@@ -127,6 +128,7 @@ COLUMNS: dict[str, Column] = {
         _F, "1", "root mean square of the whitened errors of the model; 1 where the sensor explains them", True
     ),
     "whiteness": _same(_F, "1", "p-value of a test that these errors are not correlated", True),
+    "friction_gain": _same(_F, "1", "fall of the deviance by friction beside the jitter of the model", True),
     "ghost_deviation": Column(_F, "m", "rad", "root mean square of log minus simulated loop (ghost)", True),
     "ghost_relative": _same(_F, "1", "the same relative to the final displacement", True),
     "ghost_row": _same(_I, "", "first row where the log leaves the noise band about the ghost", True),
@@ -139,6 +141,7 @@ COLUMNS: dict[str, Column] = {
     "force_mass": Column(_F, "kg", "kg m^2", "as balance_mass, by the measured force", True),
     "force_mass_error": Column(_F, "kg", "kg m^2", "its standard error", True),
     "viscous_damping": Column(_F, "Ns/m", "Nms/rad", "viscous damping b from the trial", True),
+    "balance_sums": _same(_L, "", "weighted sums of its joint balance, see `forces.balance_sums`", True),
     # cost stages
     **{name: column for criterion in MEASURED for name, column in _cost(criterion_of(criterion)).items()},
     "overshoot_floor": _same(_F, "1", "overshoot that sensor and chatter alone can cause"),
@@ -188,7 +191,7 @@ _BESIDE = {
 
 _MODEL = (
     *("model_mass", "model_mass_error", "model_damping", "model_damping_error", "model_delay", "model_delay_error"),
-    *("model_jitter", "model_jitter_error", "model_start", "misfit", "whiteness", "leaves_row"),
+    *("model_jitter", "model_jitter_error", "model_start", "misfit", "whiteness", "friction_gain", "leaves_row"),
     *("ghost_deviation", "ghost_relative", "ghost_row"),
 )
 _TRIAL = ("trial_id", "samples_sha256", "stiffness", "damping")
@@ -254,7 +257,7 @@ TABLES: dict[str, tuple[str, ...]] = {
         ),
         *("force_mass", "force_mass_error", "reason"),
     ),
-    "damping": (*_TRIAL, "viscous_damping", "reason"),
+    "damping": (*_TRIAL, "viscous_damping", "balance_sums", "reason"),
     **{
         name: (*_TRIAL, *(c for m in members(family) for c in _cost(m)), *_BESIDE.get(name, ()), "reason")
         for name, family in FAMILIES.items()

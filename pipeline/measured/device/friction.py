@@ -219,7 +219,7 @@ def _columns(
         if term == "start":
             return np.ones_like(duration)
         if term == "friction":
-            return integral(_direction(batch, response.floor[index], inside))
+            return integral(mean_direction(batch, response.floor[index], inside))
         if term == "offset":
             return integral(np.ones_like(duration))
         if term == "gravity":
@@ -236,7 +236,7 @@ def _columns(
     )
 
 
-def _direction(batch: TrialBatch, floor: Floats, inside: Booleans) -> Floats:
+def mean_direction(batch: TrialBatch, floor: Floats, inside: Booleans) -> Floats:
     """Mean sign of the velocity of each interval, 0 where it moves less than the sensor sees, shape (n, N-1).
 
     Slow motions are looked at over more rows, so many that the typical change passes the floor. With velocities

@@ -1,15 +1,19 @@
 """Delay, mass and damping of an experiment: each by every method, and the one that is recommended.
 
 The model fitted to the whole response is recommended where it explains most trials: it uses all samples, and it says
-when it is wrong. Else the methods of the thesis stand, with a warning that says why.
+when it is wrong. It has no friction, spring or constant force: where the logs ask for one, or cannot exclude friction,
+the joint balance of all trials speaks. Else the methods of the thesis stand, with a warning that says why.
 """
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 
-from pipeline.base.wording import commonest
+from pipeline.base.wording import commonest, percent
 from pipeline.measured.device import damping
+from pipeline.measured.device.forces import Forces, identify
 from pipeline.measured.experiment import aggregate
 from pipeline.measured.experiment.combine import with_sign_warning
 from pipeline.measured.experiment.known_delay import delay_estimate
@@ -19,6 +23,27 @@ from pipeline.records.findings import Estimate, ModelCheck
 
 MODEL_SHARE = 0.5
 """Share of the trials that the model has to explain to be recommended: what is wrong for most is no model."""
+
+CONSTANT_SHARE = 0.5
+"""Constant force, relative to the friction, that the interval of a friction allows for which is not told from it."""
+
+REVERSAL = "record a reversal, or a step in the other direction, to tell them apart"
+
+Term = Literal["mass", "damping", "friction", "stiffness", "constant_force"]
+"""Terms of the joint balance that are estimates of an experiment."""
+
+_UNITS: dict[Term, tuple[str, str]] = {
+    "mass": ("kg", "kg m^2"),
+    "damping": ("Ns/m", "Nms/rad"),
+    "friction": ("N", "Nm"),
+    "stiffness": ("N/m", "Nm/rad"),
+    "constant_force": ("N", "Nm"),
+}
+"""Unit of each, of a translation and a rotation."""
+
+FRICTION_GAIN = 8.0
+"""Median fall of the deviance by friction beside a jitter from which on the jitter is not believed: of the trials of a
+loop with jitter alone one in four passes it, of those with friction enough to feign a jitter nearly all."""
 
 NOT_EXPLAINED = "the model explains no trial; the reasons stand with the trials"
 
@@ -34,8 +59,24 @@ def model_delay(of: Stored) -> Estimate:
 
 
 def jitter_estimate(of: Stored) -> Estimate:
-    """Return the standard deviation of the delay within a trial by the model [samples]."""
-    return _by_model(of, "jitter", "samples")
+    """Return the standard deviation of the delay within a trial by the model [samples].
+
+    It needs a model that explains most trials, and errors that friction does not explain as well: any force that the
+    model lacks looks like a jitter.
+    """
+    found = _by_model(of, "jitter", "samples")
+    gain = of.column("model", "friction_gain")
+    fall = float(np.nanmedian(gain)) if np.isfinite(gain).any() else 0.0
+    explained = found.trials + len(found.outliers)
+    if found.value is None or (_explains(found) and fall <= FRICTION_GAIN):
+        return found
+    reason = f"the model explains {explained} of {explained + found.refused} trials only"
+    if fall > FRICTION_GAIN:
+        reason = (
+            "the errors of the force follow the direction of the motion, as friction does, and not only the changes of "
+            f"the command (deviance of the median trial lower by {fall:.3g}, allowed {FRICTION_GAIN:g})"
+        )
+    return Estimate(value=None, unit=found.unit, method=found.method, reason=reason, refused=found.refused)
 
 
 def damping_estimate(of: Stored) -> Estimate:
@@ -45,10 +86,11 @@ def damping_estimate(of: Stored) -> Estimate:
     K, B, growth = (of.column("response", name) for name in ("stiffness", "damping", "growth_per_s"))
     thesis = aggregate.estimate_damping(damping.by_limit(B, K, growth), of.column("damping", "viscous_damping"), unit)
     model = with_sign_warning(_by_model(of, "damping", unit))
-    methods = {**thesis.by_method, "model": model}
+    joint = by_joint_balance(of, "damping")
+    methods = {**thesis.by_method, "model": model, "joint_balance": joint}
     if mass.value is not None and delay.value is not None:
         methods["decay"] = _decay(of, mass.value, delay.value, unit)
-    return _recommended(model, thesis, methods)
+    return _recommended(of, model, thesis, methods)
 
 
 def mass_estimate(of: Stored) -> Estimate:
@@ -68,6 +110,7 @@ def mass_estimate(of: Stored) -> Estimate:
         "corrected_momentum_balance": thesis.model_copy(update={"by_method": {}}),
         "friction_momentum_balance": friction,
         "model": model,
+        "joint_balance": by_joint_balance(of, "mass"),
     }
     if np.isfinite(of.column("mass", "force_mass")).any():
         methods["measured_force"] = combined(
@@ -75,7 +118,57 @@ def mass_estimate(of: Stored) -> Estimate:
             "momentum balance by the measured force, with viscous damping and Coulomb friction",
         )
     # where the model does not hold, friction is the commonest cause
-    return _recommended(model, thesis if friction.value is None else friction, methods)
+    return _recommended(of, model, thesis if friction.value is None else friction, methods)
+
+
+def joint_forces(of: Stored) -> Forces | None:
+    """Return what the joint balance of all trials tells, None where no trial says anything."""
+    return identify(of.lists("damping", "balance_sums"), of.sampling_period_s)
+
+
+def by_joint_balance(of: Stored, term: Term) -> Estimate:
+    """Return a term of the joint balance: its value, an upper bound of it, or why there is neither."""
+    found, unit = of.once(joint_forces), _UNITS[term][of.rotation]
+    method = "joint balance of all trials"
+    if found is None:
+        reason = f"no trial allows a balance over its motion; most trials: {commonest(of.texts('damping', 'reason'))}"
+        return Estimate(value=None, unit=unit, method=method, reason=reason)
+    value, trials = found.value.get(term), found.trials
+    if value is None:
+        bound = found.bound.get(term)
+        return Estimate(
+            value=None,
+            low=None if bound is None else 0.0,
+            high=bound,
+            unit=unit,
+            method=method if bound is None else f"upper bound, as if there were no friction, by the {method}",
+            reason=_not_told(found, term),
+            trials=trials,
+        )
+    half, warning = found.half_width[term], None
+    low, high = value - half, value + half
+    if found.one_way and term == "friction":
+        # a constant force of o adds to the friction of c or takes from it
+        low, high = low / (1 + CONSTANT_SHARE), high / (1 - CONSTANT_SHARE)
+        warning = (
+            f"all motion is one way, where a constant force counts as friction: the interval allows for one of "
+            f"{percent(CONSTANT_SHARE)} of the friction; {REVERSAL}"
+        )
+    return Estimate(value=value, low=low, high=high, unit=unit, method=method, trials=trials, warning=warning)
+
+
+def _not_told(found: Forces, term: Term) -> str:
+    if found.value:
+        if term == "constant_force" and found.one_way:
+            return f"all motion is one way, where a constant force and friction are one number; {REVERSAL}"
+        return f"the motion does not tell the {term.replace('_', ' ')} from the other forces"
+    text = (
+        "the motion does not tell Coulomb friction from inertia and damping: under one constant force, less force "
+        "and less mass move alike"
+    )
+    if term in found.bound:
+        text += "; the bound holds unless a constant force helps the motion"
+    return f"{text}; record steps of two sizes, or trials that oscillate against a wall"
 
 
 def model_mass(of: Stored) -> Estimate:
@@ -132,12 +225,21 @@ def _decay(of: Stored, mass: float, delay: float, unit: str) -> Estimate:
     )
 
 
-def _recommended(model: Estimate, thesis: Estimate, methods: dict[str, Estimate]) -> Estimate:
-    explained = model.trials + len(model.outliers)
-    if model.value is not None and explained >= MODEL_SHARE * (explained + model.refused):
+def _recommended(of: Stored, model: Estimate, thesis: Estimate, methods: dict[str, Estimate]) -> Estimate:
+    found, joint = of.once(joint_forces), methods["joint_balance"]
+    if found is not None and (found.asked_for or not found.value):
+        return joint.model_copy(update={"by_method": methods})
+    if model.value is not None and _explains(model):
         return model.model_copy(update={"by_method": methods})
-    why = None
-    if thesis.value is not None:
+    explained = model.trials + len(model.outliers)
+    other, why = (thesis if joint.value is None else joint), None
+    if other.value is not None:
         why = f"the model explains {explained} of {explained + model.refused} trials only; its value is not taken"
-    warning = "; ".join(filter(None, [thesis.warning, why])) or None
-    return thesis.model_copy(update={"by_method": methods, "warning": warning})
+    warning = "; ".join(filter(None, [other.warning, why])) or None
+    return other.model_copy(update={"by_method": methods, "warning": warning})
+
+
+def _explains(model: Estimate) -> bool:
+    """Whether the model explains so many trials that it can be right."""
+    explained = model.trials + len(model.outliers)
+    return explained >= MODEL_SHARE * (explained + model.refused)

@@ -89,6 +89,8 @@ class Fit:
         the log has neither.
     whiteness : float64
         p-value of a test that the whitened errors are not correlated; NaN for too few.
+    friction_gain : float64
+        By how much Coulomb friction beside the jitter explains the log better (fall of the deviance); NaN without one.
     leaves_row : int64
         First row where the error leaves the noise band; -1 where it never does.
     reason : tuple of str
@@ -110,6 +112,7 @@ class Fit:
     last_row: Integers
     misfit: Floats
     whiteness: Floats
+    friction_gain: Floats
     leaves_row: Integers
     reason: tuple[str, ...]
 
@@ -305,6 +308,7 @@ def _describe(window: Window, fit: JitterFit, period: Floats, order: Order) -> t
     found["jitter"] = np.where(jitter_known | (fit.jitter > 0) & ~no_value, fit.jitter, np.nan)
     found["jitter_error"] = np.where(jitter_known, fit.jitter_error, np.nan)
     found["misfit"] = np.where(window.noise_known, misfit, np.nan)
+    found["friction_gain"] = np.where(np.isfinite(fit.friction), fit.friction, np.nan)
     found["whiteness"], found["leaves_row"] = whiteness, leaves.astype(np.float64)
     found["first_row"], found["last_row"] = window.first_row.astype(np.float64), window.last_row.astype(np.float64)
     reasons = [a or b for a, b in zip(lost, doubtful, strict=True)]

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pipeline.measured.fit.fit_filter import STIFFNESS, Gains, filter_gains
+from pipeline.measured.fit.fit_friction import with_friction
 from pipeline.measured.fit.fit_motion import Order
 from pipeline.measured.fit.fit_noise import over_rows, portmanteau
 from pipeline.measured.fit.fit_search import (
@@ -111,6 +112,8 @@ class JitterFit:
     steady : float64
         By how much an unknown force that does not follow the command explains the readings better than the jitter
         (fall of the deviance); -inf without jitter.
+    friction : float64
+        By how much Coulomb friction beside the jitter explains them better; -inf without jitter.
     """
 
     window: Window
@@ -121,6 +124,7 @@ class JitterFit:
     scale: Floats
     inflation: Floats
     steady: Floats
+    friction: Floats
 
 
 def fit_window(window: Window, start: Floats, lag: Integers, *, order: Order) -> JitterFit:
@@ -187,7 +191,7 @@ def fit_window(window: Window, start: Floats, lag: Integers, *, order: Order) ->
     jittery = jitter > 0
     window = replace(window.shortened(jittery, longest), run=np.where(jittery, 1.0, window.run))
     error = np.full(n, np.inf)
-    inflation, steady = np.ones(start.shape), np.full(n, -np.inf)
+    inflation, steady, friction = np.ones(start.shape), np.full(n, -np.inf), np.full(n, -np.inf)
     white = np.zeros(window.position.shape)
     scale = np.maximum(solution.scale, smallest_scale(window))
     for which in (jittery, ~jittery):
@@ -201,11 +205,14 @@ def fit_window(window: Window, start: Floats, lag: Integers, *, order: Order) ->
         if which is jittery:
             error[which] = _jitter_error(part, p, s, lowest[which], order)
             steady[which] = lowest[which] - steady_force_deviance(part, p, s, order)
+            moved, q = with_friction(part, p, s, order)
+            beside = _deviance(moved, q, gains_at(part, q, s, order), s, order)
+            friction[which] = lowest[which] - _finite(beside)
             model = inverse(solution.normal[which]) * scale[which, None, None]
             inflation[:, which] = _inflation(run, solution.normal[which], model)
         else:
             error[which] = _unseen(part, p, order)
-    return JitterFit(window, solution, jitter, error, white, scale, inflation, steady)
+    return JitterFit(window, solution, jitter, error, white, scale, inflation, steady, friction)
 
 
 def _with_jitter(window: Window, start: Floats, rows: int, order: Order) -> tuple[Solution, Floats]:

@@ -185,7 +185,7 @@ def search(window: Window, start: Floats, jitter: Floats, *, order: Order, most_
             position, force, gains, now = position[:, keep], force[:, keep], gains.select(keep), now.select(keep)
             active, factor, step = active[keep], factor[keep], step[keep]
             smallest, smallest_delay = smallest[keep], smallest_delay[keep]
-        parameters = _limited(now.parameters, step.T, smallest_delay)
+        parameters = limited(now.parameters, step.T, smallest_delay)
         tried = _solution(position, force, gains, parameters, order)
         better = tried.cost < now.cost
         factor = np.where(better, factor * 0.1, factor * 10.0)
@@ -259,7 +259,7 @@ def inverse(normal: Floats) -> Floats:
     return result
 
 
-def _limited(parameters: Floats, step: Floats, smallest_delay: Floats) -> Floats:
+def limited(parameters: Floats, step: Floats, smallest_delay: Floats) -> Floats:
     """Take a step, shortened so that delay and gain stay within the reach of the linear model."""
     gain_room = 0.7 * parameters[GAIN] / np.maximum(np.abs(step[GAIN]), 1e-300)
     delay_room = LARGEST_DELAY_STEP / np.maximum(np.abs(step[DELAY]), 1e-300)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pyarrow as pa
 
@@ -9,7 +11,7 @@ from pipeline.measured.device import friction, mass
 from pipeline.measured.experiment.estimates import damping_estimate
 from pipeline.measured.experiment.known_delay import with_delay
 from pipeline.measured.stages.stage_columns import conditions, joined_texts
-from pipeline.measured.stages.stage_given import Experiment
+from pipeline.measured.stages.stage_given import Experiment, is_open_loop
 from pipeline.measured.stages.stage_groups import Columns, Given, TrialGroup
 
 BALANCE_TERMS = ("damping", "friction")
@@ -22,12 +24,7 @@ A rotating device in the open loop may be a pendulum, for which gravity is added
 
 def given_of(of: Experiment) -> Given:
     """Return what the stage takes from the whole experiment."""
-    walls = (of.trials.column(name).to_numpy() for name in ("stiffness", "damping"))
-    return {
-        **with_delay(of),
-        "open_loop": not any(values.any() for values in walls),
-        "rotation": of.rotation,
-    }
+    return {**with_delay(of), "open_loop": is_open_loop(of), "rotation": of.rotation}
 
 
 def columns(of: TrialGroup, given: Given) -> Columns:
@@ -40,7 +37,7 @@ def columns(of: TrialGroup, given: Given) -> Columns:
     if given["open_loop"]:
         terms = (*OPEN_LOOP_TERMS, "gravity") if given["rotation"] else OPEN_LOOP_TERMS
         samples = 0  # the start term stands for the delay, which friction hides
-    balance = friction.fit_balance(begin.batch, begin.found, samples, terms=terms)
+    balance = _told(friction.fit_balance(begin.batch, begin.found, samples, terms=terms))
     made = conditions(of) | {
         "mass_momentum": found.mass_momentum,
         "damping_share": found.damping_share,
@@ -49,13 +46,25 @@ def columns(of: TrialGroup, given: Given) -> Columns:
         "balance_mass_error": balance.mass_error,
         "force_mass": nothing,
         "force_mass_error": nothing,
-        "reason": joined_texts(found.reason),
+        "reason": joined_texts(found.reason, balance.reason),
     }
     if begin.batch.force is not None:
         # a force measured at the device has passed the delay already
-        force = friction.fit_balance(begin.batch, begin.found, 0, terms=terms, force=begin.batch.force, held=False)
+        force = _told(
+            friction.fit_balance(begin.batch, begin.found, 0, terms=terms, force=begin.batch.force, held=False)
+        )
         made |= {"force_mass": force.mass, "force_mass_error": force.mass_error}
     return made
+
+
+def _told(balance: friction.BalanceFit) -> friction.BalanceFit:
+    """Return the balance without the masses of which friction may be a part: those of trials that do not tell it."""
+    lost = ["friction is not told" in text for text in balance.dropped]
+    reason = tuple(
+        f"no balance with friction: {text}" if without else ""
+        for text, without in zip(balance.dropped, lost, strict=True)
+    )
+    return replace(balance, mass=np.where(lost, np.nan, balance.mass), reason=reason)
 
 
 def corrected(of: Experiment, rows: pa.Table) -> Columns:

@@ -23,6 +23,7 @@ def columns(of: TrialGroup, given: Given) -> Columns:
         "model_start": found.start,
         "misfit": found.misfit,
         "whiteness": found.whiteness,
+        "friction_gain": found.friction_gain,
         "leaves_row": row_column(np.where(found.leaves_row < 0, NO_ROW, found.leaves_row + first)),
         "ghost_deviation": beside.deviation,
         "ghost_relative": beside.relative,

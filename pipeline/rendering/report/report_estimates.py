@@ -22,6 +22,9 @@ NAMES = {
     "damping": "damping b",
     "implied_delay": "delay implied by the boundary",
     "jitter_samples": "jitter of the delay within a trial",
+    "friction": "Coulomb friction",
+    "device_stiffness": "stiffness of the device",
+    "constant_force": "constant force on the device",
     "boundary_area": "area under the boundary",
 }
 
