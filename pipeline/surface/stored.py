@@ -15,7 +15,7 @@ from pipeline.comparison.scene.scene import SceneData, needed_stages, open_scene
 from pipeline.comparison.stage_pool import compute_stages
 from pipeline.device_data.devices import known_devices
 from pipeline.measured.stages.stages import ExperimentStages, cost_column
-from pipeline.records.criteria import CRITERIA
+from pipeline.records.criteria import MEASURED
 from pipeline.records.findings import Estimate, Optimum
 from pipeline.records.models import Motion
 from pipeline.records.results import ExperimentResult
@@ -290,7 +290,7 @@ def _cost_rows(stages: ExperimentStages) -> Iterator[dict[str, Any]]:
         "damping": stages.column("response", "damping"),
         "verdict": stages.verdicts.verdict.tolist(),
     }
-    for criterion in CRITERIA:
+    for criterion in MEASURED:
         low, high = stages.cost_interval(criterion)
         reason = [text or None for text in stages.texts(cost_column(criterion)[0], "reason")]
         columns = {**trial, "cost": stages.cost(criterion)[0], "low": low, "high": high, "reason": reason}

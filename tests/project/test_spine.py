@@ -110,7 +110,7 @@ def tables_of(processed: Path, names) -> dict[str, object]:
         f"{name}/{stage}": read_table(stage_file(processed, "lwr", name, stage)).replace_schema_metadata(None)
         for name in names
         for stage in STAGES
-        if stage != "settling"  # not asked for
+        if stage not in ("settling", "rise")  # not asked for
     }
 
 

@@ -123,7 +123,10 @@ def balance_sums(batch: TrialBatch, response: Response, delay_samples: int, *, p
 def _columns(batch: TrialBatch, response: Response, delay_samples: int, pendulum: bool) -> tuple[Floats, Booleans]:
     """Columns of the balance at each row, shape (n, 10, N), and which rows are used."""
     rows = np.arange(batch.position.shape[1])[None, :]
-    begin = np.where(response.has_edge, response.edge_row + delay_samples, rows.shape[1])[:, None]
+    # several steps, as a reversal, are no response of the loop and tell the more of its forces
+    large = np.abs(np.nan_to_num(batch.command)) > 0.5 * np.abs(batch.step)[:, None]
+    first = np.where(response.steps > 1, np.argmax(large, axis=1), response.edge_row)
+    begin = np.where(first >= 0, first + delay_samples, rows.shape[1])[:, None]
     after = batch.valid & (rows >= begin)
     step = np.where(after[:, 1:] & after[:, :-1], np.nan_to_num(np.diff(batch.time, axis=1)), 0.0)
     arrived = np.maximum(np.arange(rows.shape[1]) - delay_samples, 0)
@@ -247,7 +250,9 @@ def identify(sums: Floats, period: float) -> Forces | None:
 
     Errors add up those of the readings, the scatter between trials (by leaving out each in turn), and `MODEL_ERROR`.
     """
-    known = np.isfinite(sums).all(axis=1) & (sums[:, 0] > 0)
+    if not sums.shape[1]:  # no trial has any
+        sums = np.full((len(sums), _COLUMNS * (_COLUMNS + 1) // 2), np.nan)
+    known = np.isfinite(sums).all(axis=1) & (sums[:, :1] > 0).any(axis=1)
     products = np.zeros((int(known.sum()), _COLUMNS, _COLUMNS))
     i, j = np.triu_indices(_COLUMNS)
     products[:, i, j] = products[:, j, i] = sums[known]

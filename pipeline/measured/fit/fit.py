@@ -1,7 +1,6 @@
 """Delay, mass and damping of each trial, with 95 % intervals, by a model fitted to the whole response.
 
-The controller logs its command exactly, so that the device is an open-loop model from logged command to
-position: m x'' + b x' = F(t - t_d). What the loop is made of (K, B, filters) does not matter.
+The controller logs its command exactly: an open-loop model from it to the position, m x'' + b x' = F(t - t_d).
 """
 
 from __future__ import annotations

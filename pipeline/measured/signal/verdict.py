@@ -62,6 +62,9 @@ LIMIT_SIGMAS = 3.0
 FEWEST_TURNS = 8
 """Changes of sign, of what no rigid device explains with K = 0, that show a vibration: a smooth error has three."""
 
+TONE = 7.0
+"""How far, in ln, the power of a vibration stands above the largest of white errors: a chance of 1e-3."""
+
 RATE_ROUNDING = 1e-9
 """Smallest change of the acceleration over a whole log that double precision positions can tell."""
 
@@ -280,6 +283,7 @@ def _judge_free(batch: TrialBatch, edge: Integers, floor: Floats) -> Verdicts:
     resolved = enough & (np.abs(rate) > LIMIT_SIGMAS * error)
     turns = (inside[:, 1:] & (unfitted[:, 1:] * unfitted[:, :-1] < 0)).sum(axis=1)
     vibrates = enough & (residual > np.maximum(0.5 * floor, IDEAL_RANGE * scale)) & (turns >= FEWEST_TURNS)
+    vibrates &= _is_tone(np.where(inside, unfitted, 0.0), count)
     grown = _vibration(x, count, floor, vibrates)
     size = sizes(unfitted, count)
     lasts = vibrates & np.isnan(grown) & (size[:, 3] >= LASTING * size[:, 2])
@@ -300,6 +304,20 @@ def _judge_free(batch: TrialBatch, edge: Integers, floor: Floats) -> Verdicts:
                 f"too little motion at K = 0: at least {FEWEST_SAMPLES} samples above the sensor floor needed"
             )
     return Verdicts(verdict, growth, tuple(reasons))
+
+
+def _is_tone(rest: Floats, count: Integers) -> Booleans:
+    """Whether one frequency bears more of a motion than chance gives it among errors that know nothing of each other.
+
+    Of m powers of white noise the largest is above (ln m + TONE)/m of their sum with a chance of exp(-TONE).
+    """
+    power = np.abs(np.fft.rfft(rest, axis=1)) ** 2
+    total, number = power.sum(axis=1), np.maximum(count / 2, 1.0)
+    share = power.max(axis=1, initial=0.0) / np.where(total > 0, total, 1.0)
+    # zeros behind a log make its spectrum finer, not its powers more
+    finer = power.shape[1] / number
+    result: Booleans = share * finer > (np.log(number) + TONE) / number
+    return result
 
 
 def _vibration(x: Floats, count: Integers, floor: Floats, vibrates: Booleans) -> Floats:

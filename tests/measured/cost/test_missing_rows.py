@@ -11,8 +11,8 @@ from not_ideal import simulate
 from pipeline.measured.cost.costs import WEIGHTS
 from pipeline.measured.signal.response import find_response
 from pipeline.measured.signal.verdict import judge
-from pipeline.measured.stages import stage_energy, stage_settling
 from pipeline.measured.stages.stage_groups import TrialGroup
+from pipeline.measured.stages.stages import STAGES
 from pipeline.records.criteria import SETTLING_BANDS
 
 STIFFNESS = np.linspace(800.0, 6000.0, 12)
@@ -31,7 +31,7 @@ def group(batch):
 
 def costs(batch):
     of = group(batch)
-    made = stage_settling.columns(of, GIVEN) | stage_energy.columns(of, GIVEN)
+    made = STAGES["settling"].rows(of, GIVEN) | STAGES["energy"].rows(of, GIVEN)
     names = [*SETTLING_BANDS, *ENERGIES]
     return {
         key: np.array(made[key].to_pylist() if hasattr(made[key], "to_pylist") else made[key], dtype=float)

@@ -221,14 +221,15 @@ def test_jitter_is_found():
 class Coulomb(MassSpringDamper):
     friction: float = 0.8
 
-    def advance(self, state, force, time_s):
+    def advance(self, state, command, push, time_s):
+        force = command + push
         parts = 10
         for _ in range(parts):
             v = state[1]
             against = np.where(
                 np.abs(v) > 1e-6, np.sign(v) * self.friction, np.clip(force, -self.friction, self.friction)
             )
-            state = super().advance(state, force - against, time_s / parts)
+            state = super().advance(state, force - against, 0.0, time_s / parts)
             state[1] = np.where(state[1] * v < 0, 0.0, state[1])
         return state
 
@@ -237,20 +238,20 @@ class Coulomb(MassSpringDamper):
 class Saturated(MassSpringDamper):
     limit: float = 4.0
 
-    def advance(self, state, force, time_s):
-        return super().advance(state, np.clip(force, -self.limit, self.limit), time_s)
+    def advance(self, state, command, push, time_s):
+        return super().advance(state, np.clip(command, -self.limit, self.limit), push, time_s)
 
 
 @dataclass(frozen=True)
 class Pushed(MassSpringDamper):
     """A push of 1 N on all trials, from 90 to 110 ms, by a clock in the state."""
 
-    def rest(self, trials):
-        return np.zeros((3, trials))
+    def rest(self, command):
+        return np.zeros((3, len(command)))
 
-    def advance(self, state, force, time_s):
-        push = np.where((state[2] > 0.09) & (state[2] < 0.11), 1.0, 0.0)
-        return np.concatenate([super().advance(state[:2], force + push, time_s), state[2:] + time_s])
+    def advance(self, state, command, push, time_s):
+        hand = np.where((state[2] > 0.09) & (state[2] < 0.11), 1.0, 0.0)
+        return np.concatenate([super().advance(state[:2], command, push + hand, time_s), state[2:] + time_s])
 
 
 @dataclass(frozen=True)
@@ -260,10 +261,10 @@ class Resonant(MassSpringDamper):
     part: float = 0.1
     frequency: float = 40.0
 
-    def rest(self, trials):
-        return np.zeros((4, trials))
+    def rest(self, command):
+        return np.zeros((4, len(command)))
 
-    def advance(self, state, force, time_s):
+    def advance(self, state, command, push, time_s):
         w, m = 2 * np.pi * self.frequency, self.mass - self.part
         k, c = self.part * w**2, 0.1 * w * self.part
         flow = np.zeros((5, 5))
@@ -271,7 +272,7 @@ class Resonant(MassSpringDamper):
         flow[1] = [-k / m, -(c + self.damping) / m, k / m, c / m, 1 / m]
         flow[3] = [k / self.part, c / self.part, -k / self.part, -c / self.part, 0]
         moved = expm(flow * time_s)
-        return moved[:4, :4] @ state + moved[:4, 4:] * force
+        return moved[:4, :4] @ state + moved[:4, 4:] * (command + push)
 
 
 def measured(plant, trials=40):
