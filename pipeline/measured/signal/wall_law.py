@@ -13,10 +13,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.measured.signal.log_rows import LogRows
-from pipeline.measured.signal.response import Response, external_force
+from pipeline.measured.signal.log_rows import ROUNDINGS, LogRows
+from pipeline.measured.signal.response import CHUNK, Response, external_force
 from pipeline.measured.signal.velocity_filter import VelocityFilterFound, find_filter
 from pipeline.records.batch import Booleans, Floats, TrialBatch
+
+PRINTED_IN_FULL = float(ROUNDINGS**2 * np.finfo(np.float64).eps)
+"""Rounding of the law relative to its largest force where all numbers are printed in full, as `LogRows.of` has it."""
 
 PLATEAU = 2
 """Rows of equal extreme command that show a limit: two equal numbers are no chance."""
@@ -116,16 +119,40 @@ def wall_law(batch: TrialBatch, response: Response) -> WallLaw:
 
     Source: Hulin 2017, eqs. 3.9 and 3.10 (wall), sec. 6.1.1 (command as logged).
     """
-    external = external_force(batch)
     n = len(batch)
     residual, rounding = np.full(n, np.nan), np.full(n, np.nan)
     departures: list[tuple[Departure, ...]] = [()] * n
-    for i in np.flatnonzero(response.has_edge & (batch.step != 0)):
-        log = LogRows.of(batch, response, int(i), external[i])
-        off = np.abs(log.residual)
-        residual[i], rounding[i] = off.max() / abs(log.step), log.rounding / abs(log.step)
-        departures[i] = tuple(_departures(log))
+    for place, some in batch.portions(CHUNK):
+        of, external = response.select(place), external_force(some)
+        seen = of.has_edge & (some.step != 0)
+        size = np.abs(np.where(seen, some.step, np.nan))
+        off, least = _largest_residual(some, of, external)
+        residual[place], rounding[place] = off / size, least / size
+        for i in np.flatnonzero(seen & ((off > least) | _odd_rows(some, of))):
+            log = LogRows.of(some, of, int(i), external[i])
+            rounding[place.start + i] = log.rounding / size[i]
+            departures[place.start + i] = tuple(_departures(log))
     return WallLaw(residual, rounding, tuple(departures))
+
+
+def _largest_residual(batch: TrialBatch, response: Response, external: Floats) -> tuple[Floats, Floats]:
+    """Return the largest residual of each log, and what rounding leaves of it where all is printed in full [N, Nm]."""
+    after = np.arange(external.shape[1]) >= response.edge_row[:, None]
+    off = np.abs(external - batch.step[:, None] * after)
+    return np.fmax.reduce(off, axis=1), PRINTED_IN_FULL * np.fmax.reduce(np.abs(external), axis=1)
+
+
+def _odd_rows(batch: TrialBatch, response: Response) -> Booleans:
+    """Return which logs skip rows by their stamps, or stand still in single rows, shape (n,)."""
+    gaps = (np.diff(batch.time, axis=1) > 1.5 * batch.sampling_period_s[:, None]).any(axis=1)
+    change = np.diff(batch.position, axis=1, prepend=batch.position[:, :1])
+    # most logs of a device that is read exactly never stand still after the step
+    after = np.arange(change.shape[1]) >= response.edge_row[:, None]
+    some = np.flatnonzero(((change == 0) & after).any(axis=1))
+    span = np.fmax.reduce(batch.position[some], axis=1) - np.fmin.reduce(batch.position[some], axis=1)
+    still = _stands_still(change[some], after[some], (STILL_FLOORS * response.floor[some] + EQUAL * span)[:, None])
+    gaps[some] |= still.sum(axis=1) >= PLATEAU
+    return gaps
 
 
 def _departures(log: LogRows) -> Iterator[Departure]:
@@ -179,15 +206,7 @@ def _missing(log: LogRows) -> Departure | None:
 
 def _repeated(log: LogRows) -> Departure | None:
     """Rows that stand still while the device moves before and after them."""
-    change = np.abs(log.change)
-    least = STILL_FLOORS * log.floor + EQUAL * np.ptp(log.position)
-    still = (change == 0) & log.after
-    # the row behind makes up for the way of the one that stood still; a device that turns comes back instead
-    behind = np.append(log.change[1:], 0.0)
-    before = np.where(np.roll(change, 1) > 0, np.roll(log.change, 1), np.roll(log.change, 2))
-    still &= (np.abs(behind) > least) & (np.abs(before) > least) & (behind * before > 0)
-    still &= np.abs(behind) > CAUGHT_UP * np.abs(before)
-    rows = np.flatnonzero(still)
+    rows = np.flatnonzero(_stands_still(log.change, log.after, STILL_FLOORS * log.floor + EQUAL * np.ptp(log.position)))
     if len(rows) < PLATEAU:
         return None
     both = int((log.command[rows] == log.command[rows - 1]).sum())
@@ -200,6 +219,16 @@ def _repeated(log: LogRows) -> Departure | None:
         off if off <= 2 * len(rows) else len(rows),
         float(len(rows)),
     )
+
+
+def _stands_still(change: Floats, after: Booleans, least: float | Floats) -> Booleans:
+    """Return which rows stand still while the device moves by more than ``least`` before and after them."""
+    # the row behind makes up for the way of the one that stood still; a device that turns comes back instead
+    behind = np.concatenate([change[..., 1:], np.zeros_like(change[..., :1])], axis=-1)
+    before = np.where(np.roll(change, 1, axis=-1) != 0, np.roll(change, 1, axis=-1), np.roll(change, 2, axis=-1))
+    still = (change == 0) & after & (np.abs(behind) > least) & (np.abs(before) > least) & (behind * before > 0)
+    result: Booleans = still & (np.abs(behind) > CAUGHT_UP * np.abs(before))
+    return result
 
 
 def _clipped(log: LogRows) -> tuple[Departure, ...] | None:
