@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.base.wording import counted
-from pipeline.comparison.loops.log_evidence import LawDeparture, RestForces, rest_words
+from pipeline.comparison.loops.log_evidence import OF_THE_FORCE, LawDeparture, RestForces, rest_words
 from pipeline.comparison.loops.loop_range import EXPLAINED, MATTERS, LoopRange, loop_delay
 from pipeline.comparison.scores.overlap import measured_limits
 from pipeline.records.batch import Floats
@@ -66,7 +66,11 @@ def doubts(
         Parts of a loop that is not ideal, which the device file declares; empty where it declares none.
     units : Units
     """
-    found = [Doubt(f"{each.sentence.rstrip('.')} ({each.shown})", _HELP.get(each.code, _LAW)) for each in departures]
+    found = [
+        Doubt(f"{each.sentence.rstrip('.')} ({each.shown})", _HELP.get(each.code, _LAW))
+        for each in departures
+        if each.code not in OF_THE_FORCE
+    ]
     if parts:
         found.append(Doubt(f"the device file declares {parts}, and theory here knows the ideal loop only"))
     found += _unknown(result, loop)
@@ -82,8 +86,6 @@ def doubts(
 _LAW = "log the command that the controller computes by the wall law, before filter and limit, with every row"
 _HELP = {
     "saturation": "a smaller step, or the command before it is clipped in the log",
-    "several_steps": "one step a log",
-    "step_not_a_step": "a step from one row to the next, of the size in the header",
     "velocity_filter": "a device file that declares the filter",
 }
 
@@ -175,7 +177,7 @@ def _disagreeing(result: ExperimentResult, loop: LoopRange, units: Units) -> Ite
         return
     worst = int(np.argmax(np.abs(off)))
     yield Doubt(
-        f"{int(far.sum())} of {counted(int(some.sum()), 'measured limit')} lie off those of mass, damping and delay, at "
-        f"B = {significant(float(damping[worst]), 3)} {units.damping} by {percent_text(100 * float(off[worst]))} % "
+        f"{int(far.sum())} of {counted(int(some.sum()), 'measured limit')} lie off those of mass, damping and delay, "
+        f"at B = {significant(float(damping[worst]), 3)} {units.damping} by {percent_text(100 * float(off[worst]))} % "
         "beyond all intervals"
     )

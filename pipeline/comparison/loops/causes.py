@@ -18,6 +18,9 @@ from pipeline.rendering.labels import Units, percent_text, share_text, significa
 FEW = 10
 """Trials below which nothing that differs between trials can be told."""
 
+LEAST_SPREAD = 0.2
+"""Scatter of the onsets [samples] below which nothing jitters by whole samples."""
+
 APART = 3.0
 """Scatter of the onsets, in errors of one, from which on the delay differs from trial to trial."""
 
@@ -33,6 +36,8 @@ def direct_causes(
     rest: RestForces,
     stated_mass: float | None,
     units: Units,
+    *,
+    adequate: bool,
 ) -> tuple[Cause, ...]:
     """Return the causes that logs show directly, most certain first; empty for an ideal loop.
 
@@ -47,6 +52,8 @@ def direct_causes(
     stated_mass : float or None
         Mass by the device file.
     units : Units
+    adequate : bool
+        Whether the loop is; a delay or a gain of one that is not means something else.
 
     Notes
     -----
@@ -55,7 +62,8 @@ def direct_causes(
     found = law_causes(departures, stages)[:MOST]
     found += _force(result, rest, units)
     if loop is not None:
-        found += _delay(result, stages, loop)
+        found += _jitter(result, loop)
+        found += [] if not adequate else [*_part_of_a_sample(result, loop)]
         found += _gain(result, loop, stated_mass)
     found += _sensor(stages)
     found += _trials(result, stages)
@@ -86,38 +94,37 @@ def _force(result: ExperimentResult, rest: RestForces, units: Units) -> Iterator
         )
 
 
-def _delay(result: ExperimentResult, stages: ExperimentStages, loop: LoopRange) -> Iterator[Cause]:
+def _part_of_a_sample(result: ExperimentResult, loop: LoopRange) -> Iterator[Cause]:
     delay = loop_delay(result)
-    if delay.value is None or not explains(result):
-        return
-    if _jitters(result, stages, loop):
-        jitter = result.estimates["jitter_samples"]
-        yield Cause(
-            code="delay_jitter",
-            sentence=f"The delay jitters, by {significant(jitter.value or 0.0, 2)} samples within a trial.",
-            evidence=f"95 %: {_interval(jitter)}; the first motion of the trials comes after different delays, too",
-        )
-        return
-    part = delay.value - round(delay.value)
+    value = delay.value or 0.0
+    part = value - round(value)
     if part and loop.effect(delay=-part) > MATTERS:
         yield Cause(
             code="fractional_delay",
-            sentence=f"The delay is no whole number of samples: {significant(delay.value, 3)}.",
+            sentence=f"The delay is no whole number of samples: {significant(value, 3)} (an actuator lag of less than "
+            "a sample looks the same).",
             evidence=f"model fitted to the whole response, 95 %: {_interval(delay)}",
         )
 
 
-def _jitters(result: ExperimentResult, stages: ExperimentStages, loop: LoopRange) -> bool:
-    """Return whether the delay jitters: within trials, by an amount that matters, and between them.
+def _jitter(result: ExperimentResult, loop: LoopRange) -> Iterator[Cause]:
+    """Jitter of the delay: within trials, by an amount that matters, and between them.
 
     Friction and lag look like jitter within a trial; the first motion, which nothing but the step causes, comes after
     the same delay with them.
     """
     jitter = result.estimates.get("jitter_samples")
     if jitter is None or (jitter.low or 0.0) <= 0 or loop.effect(delay=jitter.low or 0.0) <= MATTERS:
-        return False
+        return
     onset = result.estimates["delay_samples"].by_method.get("onset")
-    return onset is not None and (onset.spread or 0.0) > APART * (onset.within or 0.0) and (onset.spread or 0.0) > 0.2
+    if onset is None or (onset.spread or 0.0) <= max(APART * (onset.within or 0.0), LEAST_SPREAD):
+        return
+    yield Cause(
+        code="delay_jitter",
+        sentence=f"The delay jitters, by {significant(jitter.value or 0.0, 2)} samples within a trial.",
+        evidence=f"95 %: {_interval(jitter)}; the first motion comes after delays that scatter by "
+        f"{significant(onset.spread or 0.0, 2)} samples between trials",
+    )
 
 
 def _gain(result: ExperimentResult, loop: LoopRange, stated_mass: float | None) -> Iterator[Cause]:

@@ -49,7 +49,8 @@ def loop_findings(
     against = doubts(result, loop, departures, rest, parts, units)
     velocity = found_filter(stages) if any(each.code == "velocity_filter" for each in departures) else None
     shown = _loop_result(result, loop, against, stated=entry is not None, velocity=velocity)
-    causes = direct_causes(result, stages, estimated, departures, rest, entry.mass if entry else None, units)
+    stated = entry.mass if entry else None
+    causes = direct_causes(result, stages, estimated, departures, rest, stated, units, adequate=not against)
     if loop is None or against:
         why = f"needs an adequate loop, and this one is not: {shown.reason}"
         return LoopFindings(loop=shown, passive_reason=why, causes=causes)

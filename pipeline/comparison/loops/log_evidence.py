@@ -1,4 +1,4 @@
-"""What single logs show of a loop that is not ideal: departures from the wall law, and where the device comes to rest."""
+"""What single logs show of a loop that is not ideal: departures from the wall law, and where the device rests."""
 
 from __future__ import annotations
 
@@ -49,6 +49,10 @@ _SENTENCES = {
     "other_wall": "The command obeys another wall than the header states.",
     "unknown": "The logged command is not that of the wall law.",
 }
+
+
+OF_THE_FORCE = ("step_not_a_step", "several_steps")
+"""Departures of the external force: the wall is as it should be, and the model knows the command."""
 
 
 @dataclass(frozen=True)

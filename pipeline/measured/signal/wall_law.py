@@ -157,13 +157,15 @@ def _odd_rows(batch: TrialBatch, response: Response) -> Booleans:
 
 def _departures(log: LogRows) -> Iterator[Departure]:
     """Yield what departs from the law: what shows by itself first, then what explains all that is left."""
-    rows = _repeated(log) or _missing(log)
+    rows = _repeated(log) or _gaps(log)
     if rows is not None:
         yield rows
     off = np.abs(log.residual) > log.rounding
     if not off.any() or (rows is not None and rows.rows >= off.sum()):
         return
     for explanation in _EXPLANATIONS:
+        if rows is not None and explanation is _other_step:
+            continue  # each row beside a missing or repeated one looks like a step
         found = explanation(log)
         if found is not None:
             yield from found
@@ -177,12 +179,17 @@ def _departures(log: LogRows) -> Iterator[Departure]:
         )
 
 
-def _missing(log: LogRows) -> Departure | None:
-    """Rows that the stamps skip, or that are missing between stamps that do not show it."""
+def _gaps(log: LogRows) -> Departure | None:
+    """Rows that the stamps skip."""
     gaps = np.flatnonzero(np.rint(np.diff(log.time) / log.period) > 1)
-    if len(gaps):
-        lost = int((np.rint(np.diff(log.time) / log.period)[gaps] - 1).sum())
-        return Departure("missing_rows", f"the stamps skip {lost} rows, first after row {gaps[0]}", len(gaps), lost)
+    if not len(gaps):
+        return None
+    lost = int((np.rint(np.diff(log.time) / log.period)[gaps] - 1).sum())
+    return Departure("missing_rows", f"the stamps skip {lost} rows, first after row {gaps[0]}", len(gaps), lost)
+
+
+def _hidden(log: LogRows) -> tuple[Departure, ...] | None:
+    """Rows that are missing between stamps that do not show it."""
     off = (np.abs(log.residual) > log.rounding) & log.after
     if not off.any() or log.damping == 0 or off.mean() > MOST_SPIKES:
         return None
@@ -195,11 +202,13 @@ def _missing(log: LogRows) -> Departure | None:
     single = off & ~np.roll(off, 1)
     if np.median(part) > 0 and np.mean((part > -1) & (part < 2)) > 0.9 and single.sum() > 0.7 * off.sum():
         rows = np.flatnonzero(off)
-        return Departure(
-            "missing_rows",
-            f"{len(rows)} single rows, first row {rows[0]}, fit the wall law only with a row missing before them",
-            len(rows),
-            float(len(rows)),
+        return (
+            Departure(
+                "missing_rows",
+                f"{len(rows)} single rows, first row {rows[0]}, fit the wall law only with a row missing before them",
+                len(rows),
+                float(len(rows)),
+            ),
         )
     return None
 
@@ -393,6 +402,7 @@ _EXPLANATIONS: tuple[Callable[[LogRows], tuple[Departure, ...] | None], ...] = (
     _clipped,
     _one_sided,
     _offset,
+    _hidden,
     _other_step,
     _other_wall,
     _filtered,
