@@ -31,7 +31,7 @@ def causes(result: ExperimentResult, units: Units) -> list[str]:
         texts.append(_bound(first.bound, units))
     band = next((s.band for s in result.scores if s.band is not None), None)
     distance = first.distance
-    if band is not None and (distance is None or abs(distance.median) >= SMALL or band.share < MOSTLY):
+    if band is not None and distance is not None and abs(distance.median) >= SMALL:
         texts.append(_band(band, units))
     return texts
 
@@ -47,7 +47,7 @@ def _bound(bound: BoundScore, units: Units) -> str:
 
 def _band(band: BandScore, units: Units) -> str:
     low, high = (significant(d, 3) for d in band.delay_samples)
-    ranges = f"m, b and d = {low} to {high}" if low != high else "m, b and d"
+    ranges = f"the estimated m, b and d = {low} to {high}" if low != high else "the estimated m, b and d"
     if band.share >= MOSTLY:
         return (
             f"The intervals of {ranges} allow this deviation: {band.inside} of {counted(band.points, 'limit')} meet "
