@@ -23,6 +23,10 @@ from pipeline.rendering.labels import Units, percent_text, share_text, significa
 WHITE = 1e-3
 """Median p-value of the test on whiteness below which what the model leaves is no noise."""
 
+EXACT = 1e-3
+"""Deviation of simulated from logged motion, relative to the displacement, below which what is left is rounding or the
+quantum's pattern, whatever its colour."""
+
 SCATTER = 3.0
 """Scatter between trials, in errors of one trial, from which on the device itself differs from trial to trial."""
 
@@ -115,8 +119,8 @@ def _unexplained(result: ExperimentResult) -> Iterator[Doubt]:
             f"mass, damping and delay explain {check.explained} of {counted(check.trials, 'log')} only",
             "a device file whose [loop] table names what the device has beside mass, damping and delay",
         )
-    elif check.whiteness is not None and check.whiteness < WHITE:
-        yield Doubt(f"what the model leaves of the logs is no noise (p = {significant(check.whiteness, 2)})")
+    elif (check.whiteness or 1.0) < WHITE and (check.ghost or 0.0) > EXACT:
+        yield Doubt(f"what the model leaves of the logs is no noise (p = {significant(check.whiteness or 0.0, 2)})")
 
 
 def _changing(result: ExperimentResult, loop: LoopRange, units: Units) -> Iterator[Doubt]:

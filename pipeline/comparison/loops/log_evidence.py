@@ -22,6 +22,9 @@ SOME_LOGS = 0.03
 RESTS = 3.0
 """Distance from x_0 + F_0/K, in sensor floors, from which on a device rests elsewhere."""
 
+SLIGHT = 2e-3
+"""Force relative to the step that is none: a tenth of what is worth a word, and more than the motion that is left."""
+
 OFTEN = 0.2
 """Share of the logs that come to rest elsewhere, from which on they are no accidents (trials that still move)."""
 
@@ -128,8 +131,7 @@ def rest_forces(stages: ExperimentStages) -> RestForces:
     floor = sensor_floor(*(stages.column("response", f"sensor_{name}") for name in ("quantum", "noise")))
     lasts = _settled(stages)
     force = (stiffness * (end - expected))[lasts]
-    # rounding of doubles is what an exact log leaves
-    reach = (stiffness * (RESTS * floor + 1e-9 * np.abs(expected)))[lasts]
+    reach = (stiffness * (RESTS * floor + SLIGHT * np.abs(expected - start)))[lasts]
     off = np.abs(force) > reach
     if not off.any():
         return RestForces(0.0, 0, len(force), False)
