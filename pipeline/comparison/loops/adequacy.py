@@ -13,8 +13,9 @@ import numpy as np
 
 from pipeline.base.wording import counted
 from pipeline.comparison.loops.log_evidence import OF_THE_FORCE, LawDeparture, RestForces, rest_words
-from pipeline.comparison.loops.loop_range import EXPLAINED, MATTERS, LoopRange, loop_delay
+from pipeline.comparison.loops.loop_range import MATTERS, LoopRange, loop_delay
 from pipeline.comparison.scores.overlap import measured_limits
+from pipeline.measured.experiment.estimates import EXPLAINED
 from pipeline.records.batch import Floats
 from pipeline.records.models import Estimate
 from pipeline.records.results import ExperimentResult
@@ -99,13 +100,11 @@ def _force(units: Units) -> str:
 
 
 def _unknown(result: ExperimentResult, loop: LoopRange | None) -> Iterator[Doubt]:
-    if loop is not None:
-        return
     names = {"mass": "mass", "damping": "viscous damping", "delay_samples": "delay"}
     missing = [(name, result.estimates[key]) for key, name in names.items() if result.estimates[key].value is None]
     for name, estimate in missing:
         yield Doubt(f"the {name} is not known ({estimate.reason})")
-    if not missing:
+    if loop is None and not missing:
         yield Doubt("the delay is longer than theory is computed for")
 
 

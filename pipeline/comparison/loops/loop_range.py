@@ -9,6 +9,7 @@ import numpy as np
 
 from pipeline.comparison.scores.theory_band import ParameterBox, theory_band
 from pipeline.loop.loop import LARGEST_DELAY, Normalised
+from pipeline.measured.experiment.estimates import EXPLAINED
 from pipeline.measured.experiment.known_delay import whole_delay
 from pipeline.records.batch import Floats
 from pipeline.records.loop_records import Parameter
@@ -94,10 +95,6 @@ def explains(result: ExperimentResult) -> bool:
     """Return whether the fitted model explains nearly all logs of an experiment."""
     check = result.model_check
     return check is not None and check.trials > 0 and check.explained >= EXPLAINED * check.trials
-
-
-EXPLAINED = 0.9
-"""Share of the logs that a model explains which is right: chance leaves 5 % of them unexplained."""
 
 
 def estimated_range(result: ExperimentResult, sampling_period_s: float) -> LoopRange | None:

@@ -131,7 +131,7 @@ _LEFT_OUT = {
     "outcome": "neither the table of outcomes nor the trials are shown",
     "wall_law": "no estimate is shown",
     "delay": "overshoot and the measured boundary need no delay",
-    "model": "neither mass nor damping is asked for",
+    "model": "neither mass nor damping nor settling time is asked for",
     "damping": "damping enters no measured cost, and no theory is drawn from estimates",
     "mass": "only energy costs need the mass",
     "overshoot": "overshoot is not asked for",

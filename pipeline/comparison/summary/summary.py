@@ -21,6 +21,7 @@ from pipeline.rendering.labels import (
     estimate_texts,
     percent_text,
     share_text,
+    stiffness_text,
 )
 
 MOST_CAUSES = 2
@@ -181,9 +182,9 @@ def _distance(result: ExperimentResult, units: Units) -> str:
         # a lower bound below theory is no deviation
         told = not stiffness.lower_bound or stiffness.deviation_percent > 0
         parts.append(
-            f"the largest stable stiffness measured is {least}{stiffness.measured:.0f} {units.stiffness} (at B = "
-            f"{stiffness.measured_damping:g} {units.damping}), theory says {stiffness.theory:.0f} {units.stiffness} at "
-            f"{stiffness.theory_damping:.3g} {units.damping}"
+            f"the largest stable stiffness measured is {least}{stiffness_text(stiffness.measured)} {units.stiffness} "
+            f"(at B = {stiffness.measured_damping:g} {units.damping}), theory says {stiffness_text(stiffness.theory)} "
+            f"{units.stiffness} at {stiffness.theory_damping:.3g} {units.damping}"
             + (f" ({percent_text(stiffness.deviation_percent)} %)" if told else "")
         )
     return f"Experiment {result.experiment}: {'; '.join(parts)}." if parts else ""
@@ -197,8 +198,8 @@ def _stiffest(results: Sequence[ExperimentResult], units: Units) -> str:
             stiffness, damping = max(stable)
             least = "at least " if any(p.censored for p in result.boundary) else ""
             return (
-                f"Experiment {result.experiment}: the largest stable stiffness measured is {least}{stiffness:.0f} "
-                f"{units.stiffness} (at B = {damping:g} {units.damping})."
+                f"Experiment {result.experiment}: the largest stable stiffness measured is {least}"
+                f"{stiffness_text(stiffness)} {units.stiffness} (at B = {damping:g} {units.damping})."
             )
     return ""
 

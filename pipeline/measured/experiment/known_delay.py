@@ -22,16 +22,19 @@ LEAST_OFFSET = 0.01
 """Distance [samples] from a whole number up to which a delay is one: a fit is not known to be less biased."""
 
 
-def whole_delay(estimate: Estimate) -> float:
+def whole_delay(estimate: Estimate, at: float | None = None) -> float:
     """Return the value of a delay, or the whole number of samples next to it where its interval holds that.
+
+    Another number inside the interval may be given in its place.
 
     >>> whole_delay(Estimate(value=3.97, low=3.93, high=4.01, unit="samples", method="model"))
     4.0
     >>> whole_delay(Estimate(value=2.37, low=2.36, high=2.38, unit="samples", method="model"))
     2.37
     """
-    value = estimate.value or 0.0
-    reach = max(value - (estimate.low or value), (estimate.high or value) - value)
+    middle = estimate.value or 0.0
+    value = middle if at is None else at
+    reach = max(middle - (estimate.low or middle), (estimate.high or middle) - middle)
     near = abs(value - round(value)) <= min(max(reach, LEAST_OFFSET), LARGEST_OFFSET)
     return float(round(value)) if near else value
 

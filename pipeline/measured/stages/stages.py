@@ -42,7 +42,7 @@ STAGES: dict[str, Stage] = {
         derived=stage_mass.corrected,
     ),
     "overshoot": Stage(("response",), stage_overshoot.columns, stage_overshoot.given_of),
-    "settling": Stage(("response", "delay"), stage_settling.columns, stage_settling.given_of),
+    "settling": Stage(("response", "delay", "model"), stage_settling.columns, stage_settling.given_of),
     "energy": Stage(("response", "delay", "model", "damping", "mass"), stage_energy.columns, stage_energy.given_of),
     "windows": Stage(("response", "delay"), whole=stage_windows.columns),
 }

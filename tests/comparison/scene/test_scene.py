@@ -11,8 +11,8 @@ from pipeline.measured.stages.stages import STAGES
 ALWAYS = {"response", "outcome", "boundary"}
 NEEDED = {
     ("overshoot",): ALWAYS | {"overshoot"},
-    ("settle_2pct",): ALWAYS | {"wall_law", "delay", "settling"},
-    ("settle_1pct", "overshoot"): ALWAYS | {"wall_law", "delay", "settling", "overshoot"},
+    ("settle_2pct",): ALWAYS | {"wall_law", "delay", "model", "settling"},
+    ("settle_1pct", "overshoot"): ALWAYS | {"wall_law", "delay", "model", "settling", "overshoot"},
     ("energy_step_w1",): ALWAYS | {"wall_law", "delay", "model", "energy", "mass", "damping", "windows"},
 }
 
@@ -86,7 +86,12 @@ def test_plan_goes_from_run_to_reuse_and_follows_changes(falcon, noisy, tmp_path
     for stage in needed_stages(data):
         data.experiments[0].table(stage)
     _, plan = actions(("settle_2pct", "overshoot"))
-    assert {s for s, (action, _) in plan.items() if action == REUSE} == ALWAYS | {"wall_law", "delay", "settling"}
+    assert {s for s, (action, _) in plan.items() if action == REUSE} == ALWAYS | {
+        "wall_law",
+        "delay",
+        "model",
+        "settling",
+    }
     assert {s for s, (action, _) in plan.items() if action == RUN} == {"overshoot"}
     # a stage of other logs under the same name
     (processed / "stages/falcon/1/settling.parquet").unlink()
