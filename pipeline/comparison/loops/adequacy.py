@@ -105,7 +105,7 @@ def _unknown(result: ExperimentResult, loop: LoopRange | None) -> Iterator[Doubt
     for name, estimate in missing:
         yield Doubt(f"the {name} is not known ({estimate.reason})")
     if loop is None and not missing:
-        yield Doubt("the delay is longer than theory is computed for")
+        yield Doubt("the mass is not positive, or the delay longer than theory is computed for")
 
 
 def _unexplained(result: ExperimentResult) -> Iterator[Doubt]:

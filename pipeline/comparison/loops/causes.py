@@ -117,7 +117,11 @@ def _jitter(result: ExperimentResult, loop: LoopRange) -> Iterator[Cause]:
     if jitter is None or (jitter.low or 0.0) <= 0 or loop.effect(delay=jitter.low or 0.0) <= MATTERS:
         return
     onset = result.estimates["delay_samples"].by_method.get("onset")
-    if onset is None or (onset.spread or 0.0) <= max(APART * (onset.within or 0.0), LEAST_SPREAD):
+    if (
+        onset is None
+        or not explains(result)
+        or (onset.spread or 0.0) <= max(APART * (onset.within or 0.0), LEAST_SPREAD)
+    ):
         return
     yield Cause(
         code="delay_jitter",

@@ -92,6 +92,9 @@ def law_departures(stages: ExperimentStages) -> list[LawDeparture]:
         logs = [i for i, each in enumerate(codes) if code in each and not (code == "saturation" and unstable[i])]
         if len(logs) > SOME_LOGS * held:
             found.append(LawDeparture(code, len(logs), held, commonest(evidence[i] for i in logs)))
+    # beside rows that are lost or repeated a log may look like one with several steps
+    rows = max((each.logs for each in found if each.code in ("missing_rows", "repeated_rows")), default=0)
+    found = [each for each in found if each.code != "several_steps" or each.logs > rows]
     return sorted(found, key=lambda each: -each.logs)
 
 

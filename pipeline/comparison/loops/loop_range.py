@@ -22,6 +22,9 @@ from pipeline.theory.stability.region import stiffness_limit
 MATTERS = 0.02
 """Change of the stability limit, relative to it, that is worth a word: a course brackets a limit no closer."""
 
+LEAST_MASS = 1e-3
+"""Mass relative to the estimated one that stands for none: an interval or a change may reach below zero."""
+
 _ALONG = np.linspace(0.0, 1.0, 6)
 """Dampings, relative to that of the stiffest wall, at which a change of the limit is looked for: beyond it the limit
 falls so steeply that any change is large."""
@@ -52,8 +55,9 @@ class LoopRange:
 
     def band(self, wall_damping: Floats) -> tuple[Floats, Floats]:
         """Return the least and the largest limit over all intervals."""
-        ends = ((p.low, p.high) for p in (self.mass, self.damping, self.delay_samples))
-        mass, damping, delay = ((max(low, 0.0), max(high, 0.0)) for low, high in ends)
+        least = LEAST_MASS * self.mass.value
+        mass = max(self.mass.low, least), max(self.mass.high, least)
+        damping, delay = ((max(p.low, 0.0), max(p.high, 0.0)) for p in (self.damping, self.delay_samples))
         return theory_band(ParameterBox(mass, damping, delay, self.sampling_period_s, self.stiffness), wall_damping)
 
     @cached_property
@@ -69,7 +73,7 @@ class LoopRange:
     def effect(self, *, mass: float = 0.0, damping: float = 0.0, delay: float = 0.0) -> float:
         """Return the largest relative change of the limit when parameters change by these amounts."""
         where, limit = self._typical
-        least = 1e-3 * self.mass.value  # a change beyond nothing is one to nothing
+        least = LEAST_MASS * self.mass.value
         changed = self.limit(
             where,
             max(self.mass.value + mass, least),
@@ -101,6 +105,8 @@ def estimated_range(result: ExperimentResult, sampling_period_s: float) -> LoopR
     """Return the loop by the estimates of an experiment, or None where mass, damping or delay are not known."""
     mass, damping, delay = result.estimates["mass"], result.estimates["damping"], loop_delay(result)
     if None in (mass.value, damping.value, delay.value) or (delay.value or 0.0) > LARGEST_DELAY:
+        return None
+    if (mass.value or 0.0) <= 0:
         return None
     return LoopRange(_parameter(mass), _parameter(damping), _parameter(delay), 0.0, sampling_period_s)
 
