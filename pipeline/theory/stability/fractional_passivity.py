@@ -15,8 +15,11 @@ from pipeline.loop.loop import as_points
 from pipeline.records.batch import Floats
 from pipeline.theory.stability.passivity import boundary_angle
 
-_ANGLES = 2000
-"""Frequencies at which the condition is looked at; the largest need is missed by less than 1e-6 of it."""
+_ANGLES = 1500
+"""Frequencies up to 4 pi/(d + 1), where K decides: the largest need is missed by less than 1e-5 of it."""
+
+_PER_TURN = 32
+"""Frequencies per turn of the delay above them, where what is needed for K has fallen and B alone is left."""
 
 _RATIOS = 200
 """Dampings among which the best one is first looked for; `_ROUNDS` of as many between its neighbours follow."""
@@ -52,7 +55,9 @@ def needed_damping(delay: float, stiffness: object, damping: object) -> Floats:
     k, b = as_points(stiffness, damping)
     whole = math.floor(delay)
     part = delay - whole
-    w = np.linspace(0.0, np.pi, _ANGLES + 1)[1:]
+    near = min(4 * boundary_angle(delay), np.pi)
+    rest = np.linspace(near, np.pi, int(_PER_TURN * (delay + 1)) + 1)[1:]
+    w = np.concatenate([np.linspace(0.0, near, _ANGLES + 1)[1:], rest])
     back = np.exp(-1j * w)
     gain = back**whole * ((1 - part) + part * back)
     half = np.sin(0.5 * w) ** 2
