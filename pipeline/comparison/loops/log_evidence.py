@@ -168,7 +168,8 @@ def law_causes(departures: list[LawDeparture], stages: ExperimentStages) -> list
     """Return the causes that departures from the wall law are, without those that have no name."""
     found = []
     for each in departures:
-        if each.code not in CODES:
+        # a controller filters the velocity in all trials or in none; single logs can imitate it
+        if each.code not in CODES or (each.code == "velocity_filter" and each.logs <= 0.5 * each.of):
             continue
         sentence = each.sentence
         velocity = found_filter(stages) if each.code == "velocity_filter" else None

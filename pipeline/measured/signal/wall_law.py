@@ -144,15 +144,17 @@ def _largest_residual(batch: TrialBatch, response: Response, external: Floats) -
 
 def _odd_rows(batch: TrialBatch, response: Response) -> Booleans:
     """Return which logs skip rows by their stamps, or stand still in single rows, shape (n,)."""
-    gaps = (np.diff(batch.time, axis=1) > 1.5 * batch.sampling_period_s[:, None]).any(axis=1)
+    odd: Booleans = np.any(np.diff(batch.time, axis=1) > 1.5 * batch.sampling_period_s[:, None], axis=1, keepdims=True)[
+        :, 0
+    ]
     change = np.diff(batch.position, axis=1, prepend=batch.position[:, :1])
     # most logs of a device that is read exactly never stand still after the step
     after = np.arange(change.shape[1]) >= response.edge_row[:, None]
     some = np.flatnonzero(((change == 0) & after).any(axis=1))
     span = np.fmax.reduce(batch.position[some], axis=1) - np.fmin.reduce(batch.position[some], axis=1)
     still = _stands_still(change[some], after[some], (STILL_FLOORS * response.floor[some] + EQUAL * span)[:, None])
-    gaps[some] |= still.sum(axis=1) >= PLATEAU
-    return gaps
+    odd[some] |= still.sum(axis=1) >= PLATEAU
+    return odd
 
 
 def _departures(log: LogRows) -> Iterator[Departure]:
