@@ -54,6 +54,9 @@ _SENTENCES = {
 }
 
 
+LIKE_STEPS = ("missing_rows", "repeated_rows", "velocity_filter")
+"""Departures by which single logs look like ones with several steps."""
+
 OF_THE_FORCE = ("step_not_a_step", "several_steps")
 """Departures of the external force: the wall is as it should be, and the model knows the command."""
 
@@ -92,9 +95,8 @@ def law_departures(stages: ExperimentStages) -> list[LawDeparture]:
         logs = [i for i, each in enumerate(codes) if code in each and not (code == "saturation" and unstable[i])]
         if len(logs) > SOME_LOGS * held:
             found.append(LawDeparture(code, len(logs), held, commonest(evidence[i] for i in logs)))
-    # beside rows that are lost or repeated a log may look like one with several steps
-    rows = max((each.logs for each in found if each.code in ("missing_rows", "repeated_rows")), default=0)
-    found = [each for each in found if each.code != "several_steps" or each.logs > rows]
+    others = max((each.logs for each in found if each.code in LIKE_STEPS), default=0)
+    found = [each for each in found if each.code != "several_steps" or each.logs > others]
     return sorted(found, key=lambda each: -each.logs)
 
 
