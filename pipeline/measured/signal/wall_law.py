@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.measured.signal.log_rows import ROUNDINGS, LogRows
+from pipeline.measured.signal.log_rows import ROUNDINGS, LogRows, stands_still
 from pipeline.measured.signal.response import CHUNK, Response, external_force
 from pipeline.measured.signal.velocity_filter import VelocityFilterFound, find_filter
 from pipeline.records.batch import Booleans, Floats, TrialBatch
@@ -41,9 +41,6 @@ MOST_SPIKES = 0.34
 
 STILL_FLOORS = 3.0
 """Change of position on both sides of a row, in sensor floors, between which a device cannot stand still for a row."""
-
-CAUGHT_UP = 1.3
-"""Way in the row after one that was held, relative to the way before it: twice at an even speed."""
 
 EXPLAINED = 1e-6
 """Part of the damping force that a filter may leave unexplained, beside rounding: what is found is exact or not it."""
@@ -152,7 +149,7 @@ def _odd_rows(batch: TrialBatch, response: Response) -> Booleans:
     after = np.arange(change.shape[1]) >= response.edge_row[:, None]
     some = np.flatnonzero(((change == 0) & after).any(axis=1))
     span = np.fmax.reduce(batch.position[some], axis=1) - np.fmin.reduce(batch.position[some], axis=1)
-    still = _stands_still(change[some], after[some], (STILL_FLOORS * response.floor[some] + EQUAL * span)[:, None])
+    still = stands_still(change[some], after[some], (STILL_FLOORS * response.floor[some] + EQUAL * span)[:, None])
     odd[some] |= still.sum(axis=1) >= PLATEAU
     return odd
 
@@ -217,7 +214,7 @@ def _hidden(log: LogRows) -> tuple[Departure, ...] | None:
 
 def _repeated(log: LogRows) -> Departure | None:
     """Rows that stand still while the device moves before and after them."""
-    rows = np.flatnonzero(_stands_still(log.change, log.after, STILL_FLOORS * log.floor + EQUAL * np.ptp(log.position)))
+    rows = np.flatnonzero(stands_still(log.change, log.after, STILL_FLOORS * log.floor + EQUAL * np.ptp(log.position)))
     if len(rows) < PLATEAU:
         return None
     both = int((log.command[rows] == log.command[rows - 1]).sum())
@@ -230,16 +227,6 @@ def _repeated(log: LogRows) -> Departure | None:
         off if off <= 2 * len(rows) else len(rows),
         float(len(rows)),
     )
-
-
-def _stands_still(change: Floats, after: Booleans, least: float | Floats) -> Booleans:
-    """Return which rows stand still while the device moves by more than ``least`` before and after them."""
-    # the row behind makes up for the way of the one that stood still; a device that turns comes back instead
-    behind = np.concatenate([change[..., 1:], np.zeros_like(change[..., :1])], axis=-1)
-    before = np.where(np.roll(change, 1, axis=-1) != 0, np.roll(change, 1, axis=-1), np.roll(change, 2, axis=-1))
-    still = (change == 0) & after & (np.abs(behind) > least) & (np.abs(before) > least) & (behind * before > 0)
-    result: Booleans = still & (np.abs(behind) > CAUGHT_UP * np.abs(before))
-    return result
 
 
 def _clipped(log: LogRows) -> tuple[Departure, ...] | None:
