@@ -313,7 +313,8 @@ def sentences_of(pair: PairDifference) -> tuple[str, ...]:
         size = (
             f"{significant(cost.median, 3)} times as large"
             if cost.kind == "ratio"
-            else f"larger by {significant(100 * cost.median, 3)} percentage points"
+            else f"{'larger' if cost.median >= 0 else 'smaller'} by {significant(abs(100 * cost.median), 3)} "
+            "percentage points"
         )
         sure = {True: "significant", False: "not significant", None: "not judged"}[cost.significant]
         found.append(f"Costs of {b} at {cost.points} common points, {name}: {size} in the median ({sure}).")

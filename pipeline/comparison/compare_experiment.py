@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 
-from pipeline.comparison.figures.boundary_curves import too_late
+from pipeline.comparison.loops.findings import loop_findings
+from pipeline.comparison.loops.loop_range import adequate_theory, estimated_range
 from pipeline.comparison.scene.scene import SceneData, needed_stages
 from pipeline.comparison.scores.implied_delay import implied_delay
 from pipeline.comparison.scores.implied_slope import DeviceParameters
@@ -15,6 +16,7 @@ from pipeline.measured.experiment.estimates import Term, by_joint_balance, stand
 from pipeline.measured.stages.stages import STAGES, ExperimentStages
 from pipeline.records.findings import Estimate, Optimum
 from pipeline.records.loop_parts import LoopParts
+from pipeline.records.loop_records import LoopFindings
 from pipeline.records.models import Experiment, Motion
 from pipeline.records.results import ExperimentResult, MassWindow, OtherDefinitions, TheoryParameters
 from pipeline.rendering.labels import UNITS, Units
@@ -57,23 +59,10 @@ def _with(parts: LoopParts) -> str:
 
 
 def estimated_theories(results: Sequence[ExperimentResult], data: SceneData) -> dict[str, Theory]:
-    """Theory by the estimates of each experiment, where mass, damping and delay are known and within its range."""
-    theories = {}
-    for result, stages in zip(results, data.experiments, strict=True):
-        mass, damping, delay = (result.estimates[n].value for n in ("mass", "damping", "delay_samples"))
-        if mass is None or damping is None or delay is None or too_late(result.estimates["delay_samples"]):
-            continue
-        theories[result.experiment] = Theory(
-            TheoryParameters(
-                mass=mass,
-                damping=max(damping, 0.0),  # the theory asks for b >= 0; a negative estimate is noise about zero
-                stiffness=0.0,
-                sampling_period_s=stages.sampling_period_s,
-                delay_samples=delay,
-                source="estimated from the logs",
-            )
-        )
-    return theories
+    """Theory by the estimates of each experiment whose loop is adequate."""
+    both = zip(results, data.experiments, strict=True)
+    found = {result.experiment: adequate_theory(result, stages.sampling_period_s) for result, stages in both}
+    return {name: theory for name, theory in found.items() if theory is not None}
 
 
 def experiment_result(data: SceneData, stages: ExperimentStages, theory: Theory | None) -> ExperimentResult:
@@ -93,7 +82,7 @@ def experiment_result(data: SceneData, stages: ExperimentStages, theory: Theory 
         else:
             missing[criterion] = stages.cost(criterion)[1] or "no stable trial has this cost"
     grips = sorted(set(stages.trials.column("grip").to_pylist()))
-    return ExperimentResult(
+    result = ExperimentResult(
         experiment=stages.experiment,
         configuration=entry.configuration if entry else "",
         grip=grips[0] if len(grips) == 1 else "none",
@@ -110,6 +99,34 @@ def experiment_result(data: SceneData, stages: ExperimentStages, theory: Theory 
         missing=missing,
         theory=theory.parameters if theory else None,
     )
+    return _with_loop(data, stages, result, units) if "wall_law" in needed else result
+
+
+def _with_loop(data: SceneData, stages: ExperimentStages, result: ExperimentResult, units: Units) -> ExperimentResult:
+    """Add the loop and what follows from it, and leave out or doubt what needs a better one."""
+    findings = loop_findings(result, stages, data.device, units)
+    found = dict(result.estimates)
+    loop = estimated_range(result, stages.sampling_period_s)
+    if not findings.loop.adequate:
+        found |= {name: _doubted(found[name]) for name in ("delay_samples", "mass", "damping")}
+        reason = "needs a loop that is adequate; why this one is not stands with the loop"
+        found["implied_delay"] = _without("samples", reason)
+    elif loop is not None:
+        mass, damping = found["mass"], found["damping"]
+        device = DeviceParameters(
+            *(loop.mass.value, loop.damping.value, stages.sampling_period_s),
+            *(standard_error(mass), standard_error(damping)),
+        )
+        found["implied_delay"] = implied_delay(stages.boundary_points, device)
+    named = {name: getattr(findings, name) for name in LoopFindings.model_fields}
+    return result.model_copy(update={**named, "estimates": found})
+
+
+def _doubted(estimate: Estimate) -> Estimate:
+    if estimate.value is None:
+        return estimate
+    doubt = "the loop that it rests on is not adequate, so that its interval does not hold"
+    return estimate.model_copy(update={"warning": "; ".join(filter(None, [estimate.warning, doubt]))})
 
 
 def _estimates(stages: ExperimentStages, needed: Collection[str], units: Units) -> dict[str, Estimate]:
@@ -128,15 +145,9 @@ def _estimates(stages: ExperimentStages, needed: Collection[str], units: Units) 
             "constant_force": "constant_force",
         }
         found |= {name: by_joint_balance(stages, term) for name, term in terms.items()}
-    mass, damping = found["mass"], found["damping"]
     if "model" in needed:
         found["jitter_samples"] = stages.jitter_estimate
         found["delay_samples"] = with_model_delay(stages, found["delay_samples"])
-    if mass.value is not None and damping.value is not None:
-        device = DeviceParameters(
-            mass.value, damping.value, stages.sampling_period_s, standard_error(mass), standard_error(damping)
-        )
-        found["implied_delay"] = implied_delay(stages.boundary_points, device)
     return found
 
 

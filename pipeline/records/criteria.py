@@ -109,7 +109,7 @@ SETTLING = Family(
     "settling time",
     unit="samples",
     whole=True,
-    needs=("response", "delay"),
+    needs=("response", "delay", "model"),
     term="Settling time <i>C</i><sub>settle</sub> [samples], (5.10)",
     definition="Time after which the position stays inside a band of ±1, 2 or 5 % around its final value, divided by "
     "<i>T</i>.\n<i>C</i>* is the first sample from which on all samples are inside.",

@@ -13,6 +13,7 @@ from pydantic import Field
 from pipeline.records.accuracy import AccuracyReport
 from pipeline.records.figure_records import Figure
 from pipeline.records.findings import BoundaryPoint, Estimate, ExcludedTrial, ModelCheck, Optimum, Record
+from pipeline.records.loop_records import Cause, LoopLimit, LoopResult, PassiveWall
 from pipeline.records.models import ComparisonRow, Motion
 from pipeline.records.score_records import Scores
 from pipeline.records.score_records import TheoryParameters as TheoryParameters
@@ -62,6 +63,11 @@ class ExperimentResult(Record):
     missing: dict[str, str] = Field(default_factory=dict)
     theory: TheoryParameters | None = None
     scores: tuple[Scores, ...] = ()
+    loop: LoopResult | None = None
+    loop_boundary: tuple[LoopLimit, ...] | None = None
+    passive: PassiveWall | None = None
+    passive_reason: str | None = None
+    causes: tuple[Cause, ...] = ()
 
 
 class LogList(Record):

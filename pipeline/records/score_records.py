@@ -139,7 +139,7 @@ class MapScore(Record):
 class DelayScore(Record):
     """Delay [samples] that the boundary implies beside that of the trials, each with its 95 % interval.
 
-    They ``agree`` where the intervals share a value.
+    They ``agree`` where the intervals share a value, or are nearer than moves a limit by 2 %.
     """
 
     implied: float

@@ -104,6 +104,13 @@ COLUMNS: dict[str, Column] = {
     "position_final_measured": Column(_F, "m", "rad", "mean position over the last tenth of the log", True),
     "sensor_quantum": Column(_F, "m", "rad", "smallest change of the position seen in the log", True),
     "sensor_noise": Column(_F, "m", "rad", "standard deviation of the white noise of the position", True),
+    # wall_law stage
+    "law_residual": _same(_F, "1", "largest departure of the command from the wall law, relative to F_0", True),
+    "law_rounding": _same(_F, "1", "what rounding of the printed numbers leaves of it at most", True),
+    "law_codes": _same(_S, "", "why it departs: codes of `wall_law.CODES`, comma separated; empty where it does not"),
+    "law_evidence": _same(_S, "", "the evidence for them, in words"),
+    "law_rows": _same(_I, "", "rows concerned"),
+    "velocity_filter": _same(_S, "", "filter b(z)/a(z) of the velocity that the log shows, as JSON", True),
     # outcome stage
     "outcome": _same(_S, "", "what happened in the trial, see `outcome.OUTCOMES`"),
     "evidence": _same(_S, "", "the evidence for it, in words"),
@@ -227,6 +234,7 @@ TABLES: dict[str, tuple[str, ...]] = {
         ),
         *("position_final_expected", "position_final_measured", "sensor_quantum", "sensor_noise"),
     ),
+    "wall_law": (*_TRIAL, "law_residual", "law_rounding", "law_codes", "law_evidence", "law_rows", "velocity_filter"),
     "outcome": (
         *_TRIAL,
         "outcome",

@@ -22,6 +22,9 @@ DIGITS = 3
 MOST_DIGITS = 6
 """Most digits of an estimate."""
 
+BEYOND = 1000.0
+"""Deviation in percent from which on its digits tell nothing: the two numbers have nothing to do with each other."""
+
 ALL_BUT_ROUNDING = 1e-9
 """Distance from 1 up to which a share is all: sums of 1e4 areas round by 1e-12."""
 
@@ -127,7 +130,13 @@ def published_text(value: float) -> str:
 
 
 def percent_text(value: float, places: int = 1) -> str:
-    """Return a deviation with its sign and one decimal, as in Table D.6."""
+    """Return a deviation with its sign and one decimal, as in Table D.6; what is beyond all comparison in words.
+
+    >>> percent_text(-7.5), percent_text(537261.9)
+    ('−7.5', 'over +1000')
+    """
+    if value > BEYOND:
+        return f"over +{BEYOND:.0f}"
     text = f"{value:+.{places}f}"
     return f"{0:.{places}f}" if float(text) == 0 else text.replace("-", "\N{MINUS SIGN}")
 

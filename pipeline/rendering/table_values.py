@@ -33,6 +33,8 @@ def value_tables(result: ComparisonResult) -> tuple[Table, ...]:
         _table("windows", units, _listed(result, "mass_windows")),
         _table("definitions", units, _listed(result, "other_definitions")),
         _table("scores", {}, _scores(result)),
+        _table("loop_boundary", units, _limits(result)),
+        _table("causes", {}, _listed(result, "causes")),
         _table("trials", {}, _counts(result)),
         _table("missing", {}, _missing(result)),
     ]
@@ -94,6 +96,11 @@ def _estimates(result: ComparisonResult) -> Iterator[Row]:
 def _listed(result: ComparisonResult, field: str) -> Iterator[Row]:
     for e in result.experiments:
         yield from ({"experiment": e.experiment, **_fields(item)} for item in getattr(e, field))
+
+
+def _limits(result: ComparisonResult) -> Iterator[Row]:
+    for e in result.experiments:
+        yield from ({"experiment": e.experiment, **_fields(item)} for item in e.loop_boundary or ())
 
 
 def _optima(result: ComparisonResult) -> Iterator[Row]:

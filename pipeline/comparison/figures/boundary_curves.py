@@ -7,8 +7,7 @@ import numpy as np
 from pipeline.loop.loop import LARGEST_DELAY
 from pipeline.records.figure_records import Curve
 from pipeline.records.findings import Estimate
-from pipeline.records.loop_parts import LoopParts
-from pipeline.records.results import ExperimentResult, TheoryParameters
+from pipeline.records.results import ExperimentResult
 from pipeline.theory.predictions import Theory
 from pipeline.theory.stability.passivity import boundary_angle, passive_boundary
 
@@ -121,28 +120,6 @@ def envelope_curve(result: ExperimentResult) -> Curve | None:
 def too_late(delay: Estimate) -> bool:
     """Return whether a delay, or what its interval leaves open, is longer than theory is computed for."""
     return max(value for value in (delay.value, delay.high, 0.0) if value is not None) > LARGEST_DELAY
-
-
-def estimated_theory(result: ExperimentResult, nominal: Theory | None, sampling_period_s: float) -> Theory | None:
-    """Return the theory by the estimates of an experiment; None where one of them has no value or is `too_late`.
-
-    A damping below zero counts as zero: the theory asks for delta >= 0. The stiffness, which is not estimated, is
-    that of the nominal theory.
-    """
-    mass, damping, delay = (result.estimates[name].value for name in ("mass", "damping", "delay_samples"))
-    if mass is None or damping is None or delay is None or too_late(result.estimates["delay_samples"]):
-        return None
-    return Theory(
-        TheoryParameters(
-            mass=mass,
-            damping=max(damping, 0.0),
-            stiffness=nominal.parameters.stiffness if nominal else 0.0,
-            sampling_period_s=sampling_period_s,
-            delay_samples=max(delay, 0.0),
-            loop=nominal.parameters.loop.felt() if nominal else LoopParts(),
-            source="estimates of this experiment",
-        )
-    )
 
 
 def normalised(curve: Curve, theory: Theory) -> Curve:

@@ -11,13 +11,13 @@ from dataclasses import dataclass
 from pipeline.comparison.figures.boundary_curves import (
     bound_curve,
     envelope_curve,
-    estimated_theory,
     linear_curve,
     measured_curve,
     normalised,
     passive_curve,
     theory_curve,
 )
+from pipeline.comparison.loops.loop_range import adequate_theory
 from pipeline.comparison.scene.scene import SceneData
 from pipeline.records.figure_records import Curve, Figure, Limits
 from pipeline.records.models import Experiment
@@ -179,7 +179,8 @@ class _Builder:
         panels = []
         for result in self.results:
             name = result.experiment
-            theory = estimated_theory(result, self.theories.get(name), periods[name])
+            nominal = self.theories.get(name)
+            theory = adequate_theory(result, periods[name], nominal.parameters.stiffness if nominal else 0.0)
             if theory is None:
                 continue
             more = (envelope_curve(result), bound_curve(result), linear_curve(theory), passive_curve(theory))

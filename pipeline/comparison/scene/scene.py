@@ -129,13 +129,17 @@ def needed_stages(data: SceneData) -> set[str]:
     needed = required(_wanted(data.scene.criteria))
     if data.scene.shown.has_table("outcomes") or data.scene.shown.has_figure("trials"):
         needed |= {"outcome"}
-    return needed | required(("delay", "mass", "damping")) if data.overlay else needed
+    if data.overlay:
+        needed |= required(("delay", "mass", "damping"))
+    # nothing is said of a device by its logs before they are held against the law that they were made by
+    return needed | {"wall_law"} if "delay" in needed else needed
 
 
 _LEFT_OUT = {  # but for what a report holds only by name
     "outcome": "neither the table of outcomes nor the trials are shown",
+    "wall_law": "no estimate is shown",
     "delay": "neither the measured boundary nor a cost that is asked for needs the delay",
-    "model": "neither mass nor damping is asked for",
+    "model": "neither mass nor damping nor settling time is asked for",
     "damping": "damping enters no measured cost, and no theory is drawn from estimates",
     "mass": "only energy costs need the mass",
     **{name: f"no {family.title} is asked for" for name, family in FAMILIES.items() if members(family, REPORTED)},

@@ -40,6 +40,10 @@ COARSE_STEP = 0.5
 AROUND = COARSE_STEP
 """Delays tabulated on either side of those that limits imply: their interpolation in coarse steps is off by less."""
 
+LEAST_REACH = 0.01
+"""Least half width of the interval [samples]: the sensor shifts growth rates of all dampings alike, which no scatter of
+the limits shows, and theory is interpolated."""
+
 MISFIT = 0.02
 """Deviation of the limits from theory, relative to them and beyond their errors, that is worth a warning: 2 % of
 stiffness are 0.04 samples at d = 4."""
@@ -122,7 +126,7 @@ def implied_delay(points: Sequence[BoundaryPoint], device: DeviceParameters) -> 
         near = _delays(limits, changed)
         return _fit(limits, near, _table(limits, changed, near)).value
 
-    reach = float(np.hypot(fit.reach, NORMAL_95 * propagated(device, fit.value, value)))
+    reach = float(np.hypot(max(fit.reach, LEAST_REACH), NORMAL_95 * propagated(device, fit.value, value)))
     warnings = []
     if fit.value >= LONGEST:
         warnings.append(f"the longest delay compared, {LONGEST:g} samples, fits best")

@@ -9,6 +9,7 @@ import numpy as np
 
 from pipeline.base.wording import counted
 from pipeline.comparison.compare_experiment import estimated_theories
+from pipeline.comparison.loops.loop_range import loop_delay
 from pipeline.comparison.scene.scene import SceneData
 from pipeline.comparison.scores.agreement import boundary_distance, verdict_agreement
 from pipeline.comparison.scores.implied_slope import limits_of
@@ -17,6 +18,7 @@ from pipeline.comparison.scores.score_costs import map_scores, optimum_scores
 from pipeline.comparison.scores.theory_band import band_score, parameter_box
 from pipeline.comparison.scores.upper_bound import TheoryCurve, upper_bound
 from pipeline.measured.experiment.estimates import MODEL_SHARE
+from pipeline.measured.experiment.known_delay import LARGEST_OFFSET
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.batch import Floats
 from pipeline.records.results import ExperimentResult
@@ -108,7 +110,7 @@ def _scores(
         missing["bound"] = why
     band = None
     if not known:
-        mass, damping, samples = (result.estimates[n] for n in ("mass", "damping", "delay_samples"))
+        mass, damping, samples = result.estimates["mass"], result.estimates["damping"], loop_delay(result)
         p, model_holds = theory.parameters, _model_holds(result)
         box = parameter_box(mass, damping, samples, p.sampling_period_s, stiffness=p.stiffness, model_holds=model_holds)
         box = box and replace(box, loop=p.loop)
@@ -200,7 +202,7 @@ def _stiffness(
 
 
 def _delay(result: ExperimentResult) -> DelayScore | None:
-    implied, trials = result.estimates.get("implied_delay"), result.estimates["delay_samples"]
+    implied, trials = result.estimates.get("implied_delay"), loop_delay(result)
     if implied is None or implied.value is None or implied.low is None or implied.high is None:
         return None
     if trials.value is None or trials.low is None or trials.high is None:
@@ -212,7 +214,7 @@ def _delay(result: ExperimentResult) -> DelayScore | None:
         trials=trials.value,
         trials_low=trials.low,
         trials_high=trials.high,
-        agree=implied.high >= trials.low and implied.low <= trials.high,
+        agree=implied.high >= trials.low - LARGEST_OFFSET and implied.low <= trials.high + LARGEST_OFFSET,
     )
 
 

@@ -10,7 +10,6 @@ from pipeline.comparison.scores.overlap import MeasuredLimits, measured_limits
 from pipeline.records.criteria import criterion_of
 from pipeline.records.findings import Optimum
 from pipeline.records.results import ExperimentResult
-from pipeline.records.score_records import TheoryParameters
 from pipeline.rendering.labels import (
     Units,
     cost_text,
@@ -19,8 +18,6 @@ from pipeline.rendering.labels import (
     significant,
     stiffness_text,
 )
-from pipeline.theory.predictions import Theory
-from pipeline.theory.stability.passivity import maximum_passive_stiffness
 
 PREFERRED = ("settle_2pct", "settle_5pct", "settle_1pct", "energy_step_w1", "energy_step_w0", "energy_step_w2")
 """Criteria by which a point is recommended, the first one that has a cost: how fast a wall comes to rest is what a user
@@ -108,28 +105,22 @@ def choice(result: ExperimentResult, units: Units) -> str:
     )
 
 
-def passive_choice(parameters: TheoryParameters, units: Units) -> str:
-    """Return the sentence that names the stiffest passive wall, which is stable with every passive hand.
+def passive_choice(result: ExperimentResult, units: Units) -> str:
+    """Return the sentence that names the stiffest passive wall, which is stable with every passive hand, or why none.
 
-    Source: Hulin 2017, eq. 4.11.
+    Source: Hulin 2017, eqs. 4.6 and 4.11.
     """
-    p = parameters
-    if p.damping <= 0:
-        return "Without damping of the device no wall is passive: stability with every hand cannot be promised (4.6)."
-    if p.loop.words():
-        stiffest = Theory(p).stiffest_passive
-        if stiffest is None:
-            return "The position is sensed beyond the vibration mode: no wall is passive for every hand."
-        stiffness, damping = stiffest
-        return (
-            "A wall that is passive, and so stable with every passive hand, has at most "
-            f"K = {stiffness_text(stiffness)} {units.stiffness} at B = {damping_text(round(damping, 2))} "
-            f"{units.damping} (this loop, with {p.loop.words()})."
+    wall, loop = result.passive, result.loop
+    if wall is None:
+        return f"No passive wall is named: {result.passive_reason}." if result.passive_reason else ""
+    reach = ""
+    if loop is not None and loop.damping is not None and loop.delay_samples is not None:
+        b, d = loop.damping, loop.delay_samples
+        reach = (
+            f" (4.6, for all of b = {significant(b.low, 4)} to {significant(b.high, 4)} {units.damping} and "
+            f"d = {significant(d.low, 4)} to {significant(d.high, 4)})"
         )
-    kappa, ratio = (float(v[0]) for v in maximum_passive_stiffness(p.delay_samples))
     return (
-        f"A wall that is passive, and so stable with every passive hand, has at most "
-        f"K = {stiffness_text(kappa * p.damping / p.sampling_period_s)} {units.stiffness} at "
-        f"B = {damping_text(round(ratio * p.damping, 2))} {units.damping} (4.11, for b = {significant(p.damping, 3)} "
-        f"{units.damping} and d = {significant(p.delay_samples, 3)})."
+        f"A wall that is passive, and so stable with every passive hand, has at most K = {wall.stiffness:.4g} "
+        f"{units.stiffness} at B = {wall.damping:.4g} {units.damping}{reach}."
     )

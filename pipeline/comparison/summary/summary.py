@@ -21,6 +21,7 @@ from pipeline.rendering.labels import (
     estimate_texts,
     percent_text,
     share_text,
+    stiffness_text,
 )
 
 MOST_CAUSES = 2
@@ -70,7 +71,7 @@ def summarise(
         Sentence(_distance(lead, units) if lead else _stiffest(results, units), BOUNDARY),
         *(Sentence(text, SCORES) for text in (causes(lead, units)[:MOST_CAUSES] if lead else ())),
         Sentence(choice(best, units) if best else "", COSTS),
-        Sentence(passive_choice(best.scores[0].parameters, units) if best and best.scores else "", EXPERIMENTS),
+        *_loops(results, units),
         Sentence(_device(results), EXPERIMENTS),
     ]
     told = tuple(s for s in found if s.text)
@@ -83,6 +84,27 @@ def summarise(
             "costs follow; the reasons are below."
         ),
     )
+
+
+def _loops(results: Sequence[ExperimentResult], units: Units) -> list[Sentence]:
+    """Why there is no theory by the estimates, what the logs show, and the passive wall of the first loop with one."""
+    said = []
+    doubtful = [r for r in results if r.loop is not None and not r.loop.adequate]
+    if doubtful and (first := doubtful[0].loop) is not None:
+        others = f" (and {counted(len(doubtful) - 1, 'other experiment')})" if len(doubtful) > 1 else ""
+        said.append(
+            f"The loop of experiment {doubtful[0].experiment}{others} is not adequate: {first.reason}. So nothing "
+            "is said that needs its mass, damping and delay: theory by the estimates, a passive wall, an implied delay."
+        )
+    seen = next((r for r in results if r.causes), None)
+    if seen is not None:
+        told = " ".join(f"{cause.sentence} ({cause.evidence})" for cause in seen.causes[:MOST_CAUSES])
+        said.append(f"Experiment {seen.experiment}: {told}")
+    passive = next((r for r in results if r.passive is not None), None)
+    if passive is None:  # why a loop is not adequate is said already
+        passive = next((r for r in results if r.passive_reason and r.loop is not None and r.loop.adequate), None)
+    said.append(passive_choice(passive, units) if passive else "")
+    return [Sentence(text, EXPERIMENTS) for text in said]
 
 
 def _region(results: Sequence[ExperimentResult]) -> str:
@@ -160,9 +182,9 @@ def _distance(result: ExperimentResult, units: Units) -> str:
         # a lower bound below theory is no deviation
         told = not stiffness.lower_bound or stiffness.deviation_percent > 0
         parts.append(
-            f"the largest stable stiffness measured is {least}{stiffness.measured:.0f} {units.stiffness} (at B = "
-            f"{stiffness.measured_damping:g} {units.damping}), theory says {stiffness.theory:.0f} {units.stiffness} at "
-            f"{stiffness.theory_damping:.3g} {units.damping}"
+            f"the largest stable stiffness measured is {least}{stiffness_text(stiffness.measured)} {units.stiffness} "
+            f"(at B = {stiffness.measured_damping:g} {units.damping}), theory says {stiffness_text(stiffness.theory)} "
+            f"{units.stiffness} at {stiffness.theory_damping:.3g} {units.damping}"
             + (f" ({percent_text(stiffness.deviation_percent)} %)" if told else "")
         )
     return f"Experiment {result.experiment}: {'; '.join(parts)}." if parts else ""
@@ -176,8 +198,8 @@ def _stiffest(results: Sequence[ExperimentResult], units: Units) -> str:
             stiffness, damping = max(stable)
             least = "at least " if any(p.censored for p in result.boundary) else ""
             return (
-                f"Experiment {result.experiment}: the largest stable stiffness measured is {least}{stiffness:.0f} "
-                f"{units.stiffness} (at B = {damping:g} {units.damping})."
+                f"Experiment {result.experiment}: the largest stable stiffness measured is {least}"
+                f"{stiffness_text(stiffness)} {units.stiffness} (at B = {damping:g} {units.damping})."
             )
     return ""
 

@@ -53,6 +53,7 @@ def combine(
     rotation: bool = False,
     outlier: float = OUTLIER,
     drift: float = DRIFT,
+    shared: float = 0.0,
 ) -> Estimate:
     """Return the value of an experiment: the median of its trials, weighted by what each one knows.
 
@@ -72,6 +73,8 @@ def combine(
         Deviation, in standard deviations of a trial, from which on it is named and left out (more with few trials).
     drift : float
         Change over the tested range, relative to the value, below which a significant trend gives no warning.
+    shared : float
+        Part of the error of one trial that all trials share, as `stored.SHARED` of fits.
 
     Returns
     -------
@@ -89,8 +92,8 @@ def combine(
     divided by their standard deviations, have a mean square of one (Paule and Mandel), taken over the trials that are
     no outliers; it is 0 where the errors explain all scatter. Outliers are first sought with the spread for which the
     median of those deviations is that of a normal distribution, which stands up to nearly half of wrong trials. The
-    interval is that of the weighted median of normal values, with Student's factor for few trials. It covers scatter
-    within and between trials, not an error that all trials share. With one trial it is that of the trial.
+    interval is that of the weighted median of normal values, with Student's factor for few trials, and half of a
+    significant drift and the shared part of the error of one trial beside it.
 
     A median is less precise than a mean by a quarter where nothing is wrong; that is the price for not being moved
     by the trials that are wrong without being far off.
@@ -120,7 +123,10 @@ def combine(
     named: dict[Axis, Floats | None] = {"stiffness": stiffness, "damping": damping}
     conditions = {name: x[index] for name, x in named.items() if x is not None}
     trend = find_trends(v[index], np.hypot(e[index], found.spread), conditions, unit, rotation=rotation)
+    # trials that drift with the wall are those of no one device: the value is known to half of what they drift
+    drifts = [0.5 * t.slope * (t.span or 0.0) for t in trend if t.significant]
     within = float(np.median(e[used]))
+    reach = float(np.sqrt(reach**2 + np.max(np.square(drifts), initial=0.0) + (shared * within) ** 2))
     # 2 % of nothing is nothing: beside a value that may be 0, a drift within the error of one trial is small
     least = max(drift * abs(found.value), within if abs(found.value) <= reach else 0.0)
     warnings += [drift_warning(t, conditions[t.over], found.value, least, unit, rotation=rotation) for t in trend]

@@ -45,6 +45,9 @@ FRICTION_GAIN = 8.0
 """Median fall of the deviance by friction beside a jitter from which on the jitter is not believed: of the trials of a
 loop with jitter alone one in four passes it, of those with friction enough to feign a jitter nearly all."""
 
+EXPLAINED = 0.9
+"""Share of the logs that a model explains which is right: chance leaves 5 % of them unexplained."""
+
 NOT_EXPLAINED = "the model explains no trial; the reasons stand with the trials"
 
 
@@ -56,6 +59,17 @@ def with_model_delay(of: Stored, delay: Estimate) -> Estimate:
 def model_delay(of: Stored) -> Estimate:
     """Return the mean delay of the command in force by the model, not rounded [samples]."""
     return _by_model(of, "delay", "samples")
+
+
+def explaining_delay(of: Stored) -> Estimate | None:
+    """Return the delay by the model where that explains nearly all logs and the delay does not jitter, else None.
+
+    By it costs are counted, too: the first motion that a coarse sensor shows comes too late, and scatters.
+    """
+    check, jitter = model_check(of), jitter_estimate(of)
+    if not check.trials or check.explained < EXPLAINED * check.trials or (jitter.low or 0.0) > 0:
+        return None
+    return model_delay(of)
 
 
 def jitter_estimate(of: Stored) -> Estimate:

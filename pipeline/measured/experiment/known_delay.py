@@ -15,6 +15,29 @@ from pipeline.measured.stages.stage_groups import Given
 from pipeline.records.batch import Integers
 from pipeline.records.findings import Estimate
 
+LARGEST_OFFSET = 0.05
+"""Distance [samples] from a whole number beyond which a delay is none, however wide its interval: 2 % of the limit."""
+
+LEAST_OFFSET = 0.01
+"""Distance [samples] from a whole number up to which a delay is one: a fit is not known to be less biased."""
+
+
+def whole_delay(estimate: Estimate, at: float | None = None) -> float:
+    """Return the value of a delay, or the whole number of samples next to it where its interval holds that.
+
+    Another number inside the interval may be given in its place.
+
+    >>> whole_delay(Estimate(value=3.97, low=3.93, high=4.01, unit="samples", method="model"))
+    4.0
+    >>> whole_delay(Estimate(value=2.37, low=2.36, high=2.38, unit="samples", method="model"))
+    2.37
+    """
+    middle = estimate.value or 0.0
+    value = middle if at is None else at
+    reach = max(middle - (estimate.low or middle), (estimate.high or middle) - middle)
+    near = abs(value - round(value)) <= min(max(reach, LEAST_OFFSET), LARGEST_OFFSET)
+    return float(round(value)) if near else value
+
 
 def estimate_delay(delay_samples: Integers, *, sampling_period_s: float | None = None) -> Estimate:
     """Return the integer delay factor of an experiment: the median of its trials.

@@ -20,6 +20,9 @@ ON_GRID = 1e-4
 MOST_DECIMALS = 9
 """More decimals than these tell a number like one printed in full: its rounding is below every sensor's."""
 
+CAUGHT_UP = 1.3
+"""Way in the row after one that was held, relative to the way before it: twice at an even speed."""
+
 
 @dataclass(frozen=True, eq=False)
 class LogRows:
@@ -93,3 +96,13 @@ def _resolution(values: Floats) -> float:
         if (np.abs(scaled - np.rint(scaled)) < ON_GRID).all() and len(np.unique(np.rint(scaled))) > 2:
             return max(0.5 * 10.0**-decimals, exact)
     return exact
+
+
+def stands_still(change: Floats, after: Booleans, least: float | Floats) -> Booleans:
+    """Return which rows stand still while the device moves by more than ``least`` before and after them."""
+    # the row behind makes up for the way of the one that stood still; a device that turns comes back instead
+    behind = np.concatenate([change[..., 1:], np.zeros_like(change[..., :1])], axis=-1)
+    before = np.where(np.roll(change, 1, axis=-1) != 0, np.roll(change, 1, axis=-1), np.roll(change, 2, axis=-1))
+    still = (change == 0) & after & (np.abs(behind) > least) & (np.abs(before) > least) & (behind * before > 0)
+    result: Booleans = still & (np.abs(behind) > CAUGHT_UP * np.abs(before))
+    return result

@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pipeline.measured.signal.log_rows import LogRows
+from pipeline.measured.signal.lost_rows import STILL_FLOORS, hidden_rows, repeated_rows
 from pipeline.measured.signal.response import NO_ROW, Response, external_force
-from pipeline.measured.signal.wall_law import STILL_FLOORS, hidden_rows, repeated_rows
 from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
 
 LONGEST_GAP = 8

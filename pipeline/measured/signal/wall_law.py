@@ -13,16 +13,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.measured.signal.log_rows import LogRows
-from pipeline.measured.signal.response import Response, external_force
+from pipeline.measured.signal.log_rows import ROUNDINGS, LogRows, stands_still
+from pipeline.measured.signal.lost_rows import EQUAL, PLATEAU, STILL_FLOORS, hidden_rows, is_equal, repeated_rows
+from pipeline.measured.signal.response import CHUNK, Response, external_force
 from pipeline.measured.signal.velocity_filter import VelocityFilterFound, find_filter
-from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
+from pipeline.records.batch import Booleans, Floats, TrialBatch
 
-PLATEAU = 2
-"""Rows of equal extreme command that show a limit: two equal numbers are no chance."""
-
-EQUAL = 1e-12
-"""Relative difference of commands that are the same number."""
+PRINTED_IN_FULL = float(ROUNDINGS**2 * np.finfo(np.float64).eps)
+"""Rounding of the law relative to its largest force where all numbers are printed in full, as `LogRows.of` has it."""
 
 LONGEST_RAMP = 0.25
 """Part of the rows after the edge that a ramped step may take."""
@@ -32,15 +30,6 @@ LEVEL_ROWS = 5
 
 MOST_LEVELS = 12
 """Levels beyond which an external force is no staircase."""
-
-MOST_SPIKES = 0.34
-"""Largest share of rows off the law that single lost or repeated rows cause; with more, nothing is single."""
-
-STILL_FLOORS = 3.0
-"""Change of position on both sides of a row, in sensor floors, between which a device cannot stand still for a row."""
-
-CAUGHT_UP = 1.3
-"""Way in the row after one that was held, relative to the way before it: twice at an even speed."""
 
 EXPLAINED = 1e-6
 """Part of the damping force that a filter may leave unexplained, beside rounding: what is found is exact or not it."""
@@ -116,30 +105,58 @@ def wall_law(batch: TrialBatch, response: Response) -> WallLaw:
 
     Source: Hulin 2017, eqs. 3.9 and 3.10 (wall), sec. 6.1.1 (command as logged).
     """
-    external = external_force(batch)
     n = len(batch)
     residual, rounding = np.full(n, np.nan), np.full(n, np.nan)
     departures: list[tuple[Departure, ...]] = [()] * n
+    for place, some in batch.portions(CHUNK):
+        of, external = response.select(place), external_force(some)
+        seen = of.has_edge & (some.step != 0)
+        size = np.abs(np.where(seen, some.step, np.nan))
+        off, least = _largest_residual(some, of, external)
+        residual[place], rounding[place] = off / size, least / size
+        for i in np.flatnonzero(seen & ((off > least) | _odd_rows(some, of))):
+            log = LogRows.of(some, of, int(i), external[i])
+            rounding[place.start + i] = log.rounding / size[i]
+            departures[place.start + i] = tuple(_departures(log))
     for i in np.flatnonzero(response.steps > 1):
         found = Departure("several_steps", response.edge_reason[i], int(batch.rows[i]), float(response.steps[i]))
         departures[i] = (found,)
-    for i in np.flatnonzero(response.has_edge & (batch.step != 0)):
-        log = LogRows.of(batch, response, int(i), external[i])
-        off = np.abs(log.residual)
-        residual[i], rounding[i] = off.max() / abs(log.step), log.rounding / abs(log.step)
-        departures[i] = tuple(_departures(log))
     return WallLaw(residual, rounding, tuple(departures))
+
+
+def _largest_residual(batch: TrialBatch, response: Response, external: Floats) -> tuple[Floats, Floats]:
+    """Return the largest residual of each log, and what rounding leaves of it where all is printed in full [N, Nm]."""
+    after = np.arange(external.shape[1]) >= response.edge_row[:, None]
+    off = np.abs(external - batch.step[:, None] * after)
+    return np.fmax.reduce(off, axis=1), PRINTED_IN_FULL * np.fmax.reduce(np.abs(external), axis=1)
+
+
+def _odd_rows(batch: TrialBatch, response: Response) -> Booleans:
+    """Return which logs skip rows by their stamps, or stand still in single rows, shape (n,)."""
+    odd: Booleans = np.any(np.diff(batch.time, axis=1) > 1.5 * batch.sampling_period_s[:, None], axis=1, keepdims=True)[
+        :, 0
+    ]
+    change = np.diff(batch.position, axis=1, prepend=batch.position[:, :1])
+    # most logs of a device that is read exactly never stand still after the step
+    after = np.arange(change.shape[1]) >= response.edge_row[:, None]
+    some = np.flatnonzero(((change == 0) & after).any(axis=1))
+    span = np.fmax.reduce(batch.position[some], axis=1) - np.fmin.reduce(batch.position[some], axis=1)
+    still = stands_still(change[some], after[some], (STILL_FLOORS * response.floor[some] + EQUAL * span)[:, None])
+    odd[some] |= still.sum(axis=1) >= PLATEAU
+    return odd
 
 
 def _departures(log: LogRows) -> Iterator[Departure]:
     """Yield what departs from the law: what shows by itself first, then what explains all that is left."""
-    rows = _repeated(log) or _missing(log)
+    rows = _repeated(log) or _gaps(log)
     if rows is not None:
         yield rows
     off = np.abs(log.residual) > log.rounding
     if not off.any() or (rows is not None and rows.rows >= off.sum()):
         return
     for explanation in _EXPLANATIONS:
+        if rows is not None and explanation is _other_step:
+            continue  # each row beside a missing or repeated one looks like a step
         found = explanation(log)
         if found is not None:
             yield from found
@@ -153,39 +170,27 @@ def _departures(log: LogRows) -> Iterator[Departure]:
         )
 
 
-def _missing(log: LogRows) -> Departure | None:
-    """Rows that the stamps skip, or that are missing between stamps that do not show it."""
+def _gaps(log: LogRows) -> Departure | None:
+    """Rows that the stamps skip."""
     gaps = np.flatnonzero(np.rint(np.diff(log.time) / log.period) > 1)
-    if len(gaps):
-        lost = int((np.rint(np.diff(log.time) / log.period)[gaps] - 1).sum())
-        return Departure("missing_rows", f"the stamps skip {lost} rows, first after row {gaps[0]}", len(gaps), lost)
+    if not len(gaps):
+        return None
+    lost = int((np.rint(np.diff(log.time) / log.period)[gaps] - 1).sum())
+    return Departure("missing_rows", f"the stamps skip {lost} rows, first after row {gaps[0]}", len(gaps), lost)
+
+
+def _hidden(log: LogRows) -> tuple[Departure, ...] | None:
     rows = hidden_rows(log)
     if not len(rows):
         return None
-    return Departure(
-        "missing_rows",
-        f"{len(rows)} single rows, first row {rows[0]}, fit the wall law only with a row missing before them",
-        len(rows),
-        float(len(rows)),
+    return (
+        Departure(
+            "missing_rows",
+            f"{len(rows)} single rows, first row {rows[0]}, fit the wall law only with a row missing before them",
+            len(rows),
+            float(len(rows)),
+        ),
     )
-
-
-def hidden_rows(log: LogRows) -> Integers:
-    """Return the rows before which rows are missing by the wall law, while the stamps may not show it."""
-    none = np.empty(0, dtype=np.int64)
-    off = (np.abs(log.residual) > log.rounding) & log.after
-    if not off.any() or log.damping == 0 or off.mean() > MOST_SPIKES:
-        return none
-    # over a row that is missing the position changed by more than since the row before: the residual is a part of
-    # the damping force that the logged rows would give
-    moving = off & (log.change != 0)
-    if not moving.any():
-        return none
-    part = log.residual[moving] * log.period / (log.damping * log.change[moving])
-    single = off & ~np.roll(off, 1)
-    if np.median(part) > 0 and np.mean((part > -1) & (part < 2)) > 0.9 and single.sum() > 0.7 * off.sum():
-        return np.flatnonzero(off)
-    return none
 
 
 def _repeated(log: LogRows) -> Departure | None:
@@ -204,35 +209,12 @@ def _repeated(log: LogRows) -> Departure | None:
     )
 
 
-def repeated_rows(log: LogRows) -> Integers:
-    """Return the rows that stand still while the device moves before and after them; one alone may be chance."""
-    change = np.abs(log.change)
-    least = STILL_FLOORS * log.floor + EQUAL * np.ptp(log.position)
-    still = (change == 0) & log.after
-    # the row behind makes up for the way of the one that stood still; a device that turns comes back instead
-    behind = np.append(log.change[1:], 0.0)
-    before = np.where(np.roll(change, 1) > 0, np.roll(log.change, 1), np.roll(log.change, 2))
-    still &= (np.abs(behind) > least) & (np.abs(before) > least) & (behind * before > 0)
-    still &= np.abs(behind) > CAUGHT_UP * np.abs(before)
-    # a device may be too slow for that, but a wall that sees it rest does not command what it did while it moved,
-    # unless that is a limit of its
-    same = log.after & (log.change == 0) & (np.diff(log.command, prepend=np.nan) == 0)
-    for limit in (log.command.min(), log.command.max(), log.step):
-        same &= ~_equal(log.command, float(limit))
-    off = np.abs(log.residual) > log.rounding
-    # the row behind is off the law, too, as the reading before it is not there; behind a missing row it is not
-    still |= same & off & np.append(off[1:], False) & (np.abs(np.diff(log.residual, prepend=0.0)) > log.rounding)
-    still[1:] |= same[1:] & still[:-1]  # twice in a row
-    rows = np.flatnonzero(still)
-    return rows if len(rows) >= PLATEAU else rows[:0]
-
-
 def _clipped(log: LogRows) -> tuple[Departure, ...] | None:
     demand = log.step * log.after - log.wall
     low, high = float(log.command.min()), float(log.command.max())
-    if _equal(np.array([low, high]), log.step).any():
+    if is_equal(np.array([low, high]), log.step).any():
         return None  # a command that never passes the step is that of a wall that never pulls
-    at = [_equal(log.command, limit) for limit in (low, high)]
+    at = [is_equal(log.command, limit) for limit in (low, high)]
     beyond = [(demand < low - log.rounding) & at[0], (demand > high + log.rounding) & at[1]]
     count = int(beyond[0].sum() + beyond[1].sum())
     if count < PLATEAU:
@@ -245,11 +227,6 @@ def _clipped(log: LogRows) -> tuple[Departure, ...] | None:
     )
     free = ~(at[0] & beyond[0]) & ~(at[1] & beyond[1])
     return (found,) if not log.off(demand, free) else None
-
-
-def _equal(values: Floats, limit: float) -> Booleans:
-    result: Booleans = np.abs(values - limit) <= EQUAL * max(abs(limit), 1e-300)
-    return result
 
 
 def _one_sided(log: LogRows) -> tuple[Departure, ...] | None:
@@ -364,7 +341,7 @@ def _filtered(log: LogRows) -> tuple[Departure, ...] | None:
     force = log.step * log.after - log.stiffness * (log.position - log.position[0])
     output = (force - log.command) * (log.period / log.damping)
     tolerance = log.rounding * log.period / abs(log.damping) + EXPLAINED * float(np.abs(log.change).max())
-    limits = _equal(log.command, log.command.min()) | _equal(log.command, log.command.max())
+    limits = is_equal(log.command, log.command.min()) | is_equal(log.command, log.command.max())
     for clipped in (np.zeros_like(limits), limits):
         found = find_filter(log.change, output, ~clipped, tolerance, log.period)
         if found is None:
@@ -389,6 +366,7 @@ _EXPLANATIONS: tuple[Callable[[LogRows], tuple[Departure, ...] | None], ...] = (
     _clipped,
     _one_sided,
     _offset,
+    _hidden,
     _other_step,
     _other_wall,
     _filtered,

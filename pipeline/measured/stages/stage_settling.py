@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from pipeline.measured.experiment.known_delay import delay_estimate, delay_range, with_delay
+from math import floor
+
+from pipeline.measured.experiment.estimates import explaining_delay
+from pipeline.measured.experiment.known_delay import delay_estimate, delay_range, whole_delay, with_delay
 from pipeline.measured.stages.stage_given import Experiment
 from pipeline.measured.stages.stage_groups import Given
 from pipeline.measured.stages.stage_overshoot import sensor_of
@@ -13,4 +16,9 @@ def given_of(of: Experiment) -> Given:
     found = with_delay(of)
     if "missing" in found:
         return found
-    return {**sensor_of(of, found["delay"]), "delay_range": delay_range(of.once(delay_estimate))}
+    first, last = delay_range(of.once(delay_estimate))
+    samples = found["delay"]
+    model = of.once(explaining_delay)
+    if model is not None and model.value is not None:
+        samples, first, last = (floor(whole_delay(model, end)) for end in (model.value, model.low, model.high))
+    return {**sensor_of(of, samples), "delay_range": (min(first, samples), max(last, samples))}

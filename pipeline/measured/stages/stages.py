@@ -21,6 +21,7 @@ from pipeline.measured.stages import (
     stage_overshoot,
     stage_response,
     stage_settling,
+    stage_wall_law,
     stage_windows,
 )
 from pipeline.measured.stages.stage_tables import SAMPLED, Stage, StageTables
@@ -42,6 +43,7 @@ def _cost_stage(family: Family) -> Stage:
 
 STAGES: dict[str, Stage] = {
     "response": Stage(rows=stage_response.columns),
+    "wall_law": Stage(("response",), stage_wall_law.columns),
     "outcome": Stage(("response",), stage_outcome.columns, stage_outcome.given_of),
     "boundary": Stage(("response",), whole=stage_boundary.columns),
     "delay": Stage(("response",), stage_delay.columns),

@@ -39,6 +39,8 @@ TABLES: dict[str, Callable[[ComparisonResult, TrialPage], Table | list[Table] | 
     "measured_optima": report_tables.measured_optimum_table,
     "boundary": report_tables.boundary_table,
     "methods": report_estimates.method_table,
+    "loops": report_estimates.loop_table,
+    "causes": report_estimates.cause_table,
     "model": report_estimates.model_table,
     "outcomes": report_estimates.outcome_table,
     "windows": report_estimates.window_table,
@@ -56,7 +58,7 @@ PRINTED = tuple(name for name in TABLES if name not in ("score_costs", "score_ru
 SEVERAL = ("optima", "delay_tables")
 """Names that stand for any number of tables."""
 
-ALWAYS = ("missing", "excluded", "accuracy", "stages", "provenance")
+ALWAYS = ("missing", "excluded", "loops", "causes", "accuracy", "stages", "provenance")
 """Tables that a reader needs to trust the others: no scene leaves them out."""
 
 PARTS = {"score_costs": "scores", "score_rules": "scores"}

@@ -7,6 +7,7 @@ from typing import Any
 
 from pipeline.base.wording import counted
 from pipeline.records.findings import DRIFTS, Estimate
+from pipeline.records.loop_records import Parameter
 from pipeline.records.models import Motion
 from pipeline.records.results import ComparisonResult, TheoryParameters
 from pipeline.records.trial_records import NO_TRIALS, TrialPage
@@ -114,6 +115,53 @@ def experiment_table(result: ComparisonResult, trials: TrialPage = NO_TRIALS) ->
         values |= {"experiment": e.experiment, "trials": e.trials, "theory": _theory_cell(e.theory, result.motion)}
         values["set-up"] = ", ".join(filter(None, [e.configuration, operator]))
         table.add(e.experiment, values)
+    return table.filled
+
+
+def loop_table(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> Table | None:
+    """Return the loop of each experiment and whether it bears statements, or None where none is known."""
+    columns = [words("experiment"), words("adequate", "adequate loop"), words("reason", "why")]
+    columns += [words("source", "parameters by"), words("delay", "delay d [samples]")]
+    columns += [words("mass", f"mass m [{UNITS[result.motion].mass}]")]
+    columns += [
+        words("damping", f"damping b [{UNITS[result.motion].damping}]"),
+        words("passive", "stiffest passive wall"),
+    ]
+    table = Table("loops", "The loop that all statements about a device rest on, with 95 % intervals", columns)
+    for e in result.experiments:
+        if e.loop is None:
+            continue
+        values = {
+            "experiment": e.experiment,
+            "adequate": "yes" if e.loop.adequate else "no",
+            "reason": e.loop.reason,
+            "source": e.loop.source,
+            "delay": _parameter_text(e.loop.delay_samples),
+            "mass": _parameter_text(e.loop.mass),
+            "damping": _parameter_text(e.loop.damping),
+            "passive": f"K = {e.passive.stiffness:.4g}, B = {e.passive.damping:.4g}" if e.passive else "none is named",
+        }
+        table.add(e.experiment, values)
+    return table.filled
+
+
+def _parameter_text(parameter: Parameter | None) -> str:
+    if parameter is None:
+        return "not known"
+    given = Estimate(**parameter.model_dump(), unit="", method="")
+    value, low, high = estimate_texts(given)
+    return f"{value} ({low} to {high})" if parameter.low < parameter.high else value
+
+
+def cause_table(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> Table | None:
+    """Return what logs show directly of a loop that is not ideal, with the evidence; None where they show nothing."""
+    columns = [words("code", "cause"), words("sentence", "what it is"), words("evidence")]
+    table = Table("causes", "What the logs show beside mass, damping and delay", columns)
+    for e in result.experiments:
+        for cause in e.causes:
+            name = cause.code.replace("_", " ")
+            values = {"code": name, "sentence": cause.sentence, "evidence": cause.evidence}
+            table.add(f"{e.experiment}/{cause.code}", values, f"experiment {e.experiment}")
     return table.filled
 
 

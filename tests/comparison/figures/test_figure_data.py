@@ -8,11 +8,12 @@ import pytest
 import simulated
 
 from pipeline.comparison.compare_experiment import nominal_theories
-from pipeline.comparison.figures.boundary_curves import estimated_theory, linear_curve, measured_curve, theory_curve
+from pipeline.comparison.figures.boundary_curves import linear_curve, measured_curve, theory_curve
 from pipeline.comparison.figures.figure_data import FigureBuilder, requests_of_delay_figure
+from pipeline.comparison.loops.loop_range import adequate_theory
 from pipeline.comparison.scene.scene import open_scene
 from pipeline.records.models import Shown, TableLayout
-from pipeline.theory.predictions import Predictions, Theory
+from pipeline.theory.predictions import Predictions
 
 
 @pytest.fixture(scope="module")
@@ -167,10 +168,11 @@ def test_theory_by_estimates_needs_all_three_and_no_negative_damping(of_falcon, 
         estimate = result.estimates[name].model_copy(update={"value": value})
         return result.model_copy(update={"estimates": result.estimates | {name: estimate}})
 
-    assert estimated_theory(with_("mass", None), None, 1e-3) is None
-    assert estimated_theory(with_("damping", -0.05), None, 1e-3).parameters.damping == 0.0
-    stiff = of_falcon.theories["1"].parameters.model_copy(update={"stiffness": 40.0})
-    assert estimated_theory(result, Theory(stiff), 1e-3).parameters.stiffness == 40.0
+    assert adequate_theory(with_("mass", None), 1e-3) is None
+    assert adequate_theory(with_("damping", -0.05), 1e-3).parameters.damping == 0.0
+    assert adequate_theory(result, 1e-3, 40.0).parameters.stiffness == 40.0
+    doubtful = result.loop.model_copy(update={"adequate": False})
+    assert adequate_theory(result.model_copy(update={"loop": doubtful}), 1e-3) is None
 
 
 def test_cost_figures_show_theory_beside_the_trials(of_falcon, falcon):

@@ -4,15 +4,16 @@ import pytest
 
 from pipeline.base.errors import DeviceError, StoreError, UsageError
 from pipeline.comparison.scene.scene import LEAVE_OUT, REUSE, RUN, needed_stages, open_scene, plan_measured
+from pipeline.measured.stages.stages import STAGES
 
 # What each quantity needs, from the definitions (6.1.4, 6.2.2): overshoot and boundary need neither delay nor mass,
 # settling needs the delay, energy delay and mass; the mass comes from the model or is corrected by the damping
 ALWAYS = {"response", "outcome", "boundary"}
 NEEDED = {
     ("overshoot",): ALWAYS | {"overshoot"},
-    ("settle_2pct",): ALWAYS | {"delay", "settling"},
-    ("settle_1pct", "overshoot"): ALWAYS | {"delay", "settling", "overshoot"},
-    ("energy_step_w1",): ALWAYS | {"delay", "model", "energy", "mass", "damping", "windows"},
+    ("settle_2pct",): ALWAYS | {"wall_law", "delay", "model", "settling"},
+    ("settle_1pct", "overshoot"): ALWAYS | {"wall_law", "delay", "model", "settling", "overshoot"},
+    ("energy_step_w1",): ALWAYS | {"wall_law", "delay", "model", "energy", "mass", "damping", "windows"},
 }
 
 
@@ -21,7 +22,7 @@ def test_known_device_needs_no_more_than_its_criteria(falcon, criteria):
     data = open_scene("falcon", falcon.processed, None, criteria)
     assert needed_stages(data) == NEEDED[criteria]
     left_out = {p.stage for p in plan_measured(data) if p.action == LEAVE_OUT}
-    everything = ALWAYS | {"delay", "model", "damping", "mass", "overshoot", "settling", "energy", "windows"}
+    everything = set(STAGES)
     assert left_out == {f"1: {stage}" for stage in everything - NEEDED[criteria]}
     assert all(p.reason for p in plan_measured(data))
 
@@ -30,12 +31,12 @@ def test_unknown_device_needs_its_estimates_for_any_theory(unknown):
     data = open_scene("mydevice", unknown.processed, None, ("overshoot",))
     assert data.device is None
     assert data.overlay
-    assert needed_stages(data) == ALWAYS | {"overshoot", "delay", "model", "mass", "damping"}
+    assert needed_stages(data) == ALWAYS | {"wall_law", "overshoot", "delay", "model", "mass", "damping"}
 
 
 def test_all_criteria_need_all_stages(falcon):
     data = open_scene("falcon", falcon.processed, None, None)
-    assert len(needed_stages(data)) == 11
+    assert len(needed_stages(data)) == 12
     assert data.overlay
     assert len(data.scene.criteria) == 7
 
@@ -85,7 +86,12 @@ def test_plan_goes_from_run_to_reuse_and_follows_changes(falcon, noisy, tmp_path
     for stage in needed_stages(data):
         data.experiments[0].table(stage)
     _, plan = actions(("settle_2pct", "overshoot"))
-    assert {s for s, (action, _) in plan.items() if action == REUSE} == ALWAYS | {"delay", "settling"}
+    assert {s for s, (action, _) in plan.items() if action == REUSE} == ALWAYS | {
+        "wall_law",
+        "delay",
+        "model",
+        "settling",
+    }
     assert {s for s, (action, _) in plan.items() if action == RUN} == {"overshoot"}
     # a stage of other logs under the same name
     (processed / "stages/falcon/1/settling.parquet").unlink()

@@ -9,9 +9,9 @@ from report_data import BOUND
 from pipeline.comparison.scores.overlap import MeasuredLimits
 from pipeline.comparison.summary.advice import choice, margin, passive_choice, recommended
 from pipeline.comparison.summary.causes import causes
-from pipeline.records.findings import BoundaryPoint, Estimate, Optimum, Trend
-from pipeline.records.results import TheoryParameters
-from pipeline.records.score_records import BandScore, DelayScore, Departure
+from pipeline.records.findings import BoundaryPoint, Optimum
+from pipeline.records.loop_records import PassiveWall
+from pipeline.records.score_records import BandScore, Departure
 from pipeline.rendering.labels import UNITS
 
 FALCON = UNITS["translation"]
@@ -43,13 +43,13 @@ def test_agreement_needs_no_cause(result):
 def test_band_explains_a_deviation_or_not(result):
     inside = BandScore(**BAND, points=20, inside=20)
     (text,) = causes(with_scores(result, band=inside, distance=off(result, 0.1)), FALCON)
-    assert text.startswith("The intervals of m, b and d = 3 to 5 allow this deviation: 20 of 20")
+    assert text.startswith("The intervals of the estimated m, b and d = 3 to 5 allow this deviation: 20 of 20")
     departures = (
         Departure(side="above", damping_low=0, damping_high=8, dampings=2),
         Departure(side="below", damping_low=100, damping_high=148, dampings=8),
     )
     outside = BandScore(**BAND, points=20, inside=10, departures=departures)
-    (text,) = causes(with_scores(result, band=outside), FALCON)
+    (text,) = causes(with_scores(result, band=outside, distance=off(result, 0.1)), FALCON)
     assert "do not explain it: only 10 of 20" in text
     assert "lies below it from B = 100 to 148 Ns/m" in text
 
@@ -57,32 +57,10 @@ def test_band_explains_a_deviation_or_not(result):
 def test_bound_is_named_first(result):
     gone = Departure(side="below", damping_low=100, damping_high=180, dampings=19)
     band = BandScore(**BAND, points=20, inside=1, departures=(gone,))
-    texts = causes(with_scores(result, bound=BOUND, band=band), FALCON)
+    texts = causes(with_scores(result, bound=BOUND, band=band, distance=off(result, 0.1)), FALCON)
     assert texts[0].startswith("From B = 100 Ns/m on the boundary is a straight line, K ≤ 38000 N/m − 230 s⁻¹ B")
     assert "20 % of the region" in texts[0]
     assert len(texts) == 2
-
-
-def test_delays_that_differ_and_jitter(result):
-    delay = DelayScore(implied=5, implied_low=4.9, implied_high=5.1, trials=3, trials_low=3, trials_high=4, agree=False)
-    (text,) = causes(with_scores(result, delay=delay), FALCON)
-    assert "fits a delay of 5 samples (4.90 to 5.10), the trials show 3 (3 to 4)" in text
-    jittering = result.estimates["delay_samples"].model_copy(update={"low": 3.0, "high": 6.0})
-    estimates = result.estimates | {"delay_samples": jittering}
-    (text,) = causes(with_scores(result.model_copy(update={"estimates": estimates})), FALCON)
-    assert text.startswith(
-        "The delay jitters over d = 3 to 5 samples; the boundary as a whole follows theory for d = 4"
-    )
-
-
-def test_drift_of_a_parameter_is_named(result):
-    drift = Trend(over="stiffness", slope=1, low=0.5, high=1.5, unit="", significant=True)
-    calm = drift.model_copy(update={"over": "damping", "significant": False})
-    damping = result.estimates["damping"].model_copy(update={"trend": (drift, calm)})
-    (text,) = causes(
-        with_scores(result.model_copy(update={"estimates": result.estimates | {"damping": damping}})), FALCON
-    )
-    assert text.startswith("Parameters drift (viscous damping over stiffness)")
 
 
 def limits(*K, censored=()):
@@ -129,16 +107,15 @@ def test_settling_time_comes_before_energy(result):
     assert recommended(result.model_copy(update={"optimum": points}))[0] == "energy_step_w1"
 
 
-def test_stiffest_passive_wall():
-    def parameters(b):
-        return TheoryParameters(mass=0.58, damping=b, stiffness=0, sampling_period_s=1e-3, delay_samples=0, source="")
+def test_the_passive_wall_is_named_as_it_was_checked_or_its_absence_explained(result):
+    wall = PassiveWall(stiffness=1548.0, damping=2.387)
+    assert "at most K = 1548 N/m at B = 2.387 Ns/m" in passive_choice(
+        result.model_copy(update={"passive": wall}), FALCON
+    )
+    none = result.model_copy(update={"passive": None, "passive_reason": "b may be 0"})
+    assert passive_choice(none, FALCON) == "No passive wall is named: b may be 0."
 
-    # without delay (4.7): K T <= 2 b at B = 0, as Colgate and Schenkel found
-    assert "at most K = 8000 N/m at B = 0 Ns/m" in passive_choice(parameters(4.0), FALCON)
-    assert "no wall is passive" in passive_choice(parameters(0.0), FALCON)
 
-
-def test_no_estimate_no_jitter(result):
-    lost = Estimate(value=None, unit="samples", method="none", reason="none")
-    bare = result.model_copy(update={"estimates": result.estimates | {"delay_samples": lost}})
-    assert causes(with_scores(bare), FALCON) == []
+def test_a_deviation_below_two_percent_needs_no_band(result):
+    outside = BandScore(**BAND, points=20, inside=10)
+    assert causes(with_scores(result, band=outside, distance=off(result, 0.01)), FALCON) == []

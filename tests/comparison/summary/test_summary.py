@@ -132,6 +132,8 @@ def test_summary_leaves_out_what_is_not_known(data, result):
             "boundary": (),
             "scores": (),
             "optimum": {},
+            "loop": None,
+            "passive": None,
         }
     )
     (sentence,) = summarise(data, [bare], ())

@@ -112,6 +112,14 @@ def test_estimates_of_ideal_logs(ideal):
         assert method.value == pytest.approx(TRUE_DAMPING, abs=0.02)
 
 
+def test_ideal_logs_obey_the_wall_law(ideal):
+    assert set(ideal.texts("wall_law", "law_codes")) == {""}
+    residual, rounding = (ideal.column("wall_law", f"law_{name}") for name in ("residual", "rounding"))
+    assert np.isfinite(residual).all()
+    assert (residual <= rounding).all()
+    assert set(ideal.column("wall_law", "law_rows")) == {0}
+
+
 def test_settling_and_overshoot_of_logs_are_those_of_theory(lasting, decayed):
     loop, alpha, beta = normalised(batch_of(lasting).stiffness[decayed], batch_of(lasting).damping[decayed])
     theory = transient_costs(loop, alpha, beta, continuous=False)
@@ -177,7 +185,7 @@ def test_estimates_of_noisy_logs_hold_the_truth(noisy):
 def test_needs_are_those_of_the_definitions():
     assert required(["boundary"]) == {"boundary", "response"}
     assert required(["overshoot"]) == {"overshoot", "response"}
-    assert required(["settling"]) == {"settling", "response", "delay"}
+    assert required(["settling"]) == {"settling", "response", "delay", "model"}
     assert required(["energy"]) == {"energy", "response", "delay", "model", "damping", "mass"}
     order = {stage: i for i, stage in enumerate(STAGES)}
     assert all(order[need] < order[stage] for stage, made in STAGES.items() for need in made.needs)

@@ -1,0 +1,1 @@
+"""The loop that an experiment's logs allow to speak of: its parameters, whether it is adequate, and what follows."""

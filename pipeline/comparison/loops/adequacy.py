@@ -1,0 +1,186 @@
+"""Whether the loop of an experiment may bear statements: one decision, with its reasons.
+
+A loop is adequate where nothing that the logs show speaks against it: they obey the wall law, the fitted model explains
+them, its parameters do not depend on the wall, and the measured limits are those that it predicts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.base.wording import counted
+from pipeline.comparison.loops.log_evidence import OF_THE_FORCE, LawDeparture, RestForces, rest_words
+from pipeline.comparison.loops.loop_range import MATTERS, LoopRange, loop_delay
+from pipeline.comparison.scores.overlap import measured_limits
+from pipeline.measured.experiment.estimates import EXPLAINED
+from pipeline.records.batch import Floats
+from pipeline.records.findings import Estimate
+from pipeline.records.results import ExperimentResult
+from pipeline.rendering.labels import Units, percent_text, share_text, significant
+
+WHITE = 1e-3
+"""Median p-value of the test on whiteness below which what the model leaves is no noise."""
+
+EXACT = 1e-3
+"""Deviation of simulated from logged motion, relative to the displacement, below which what is left is rounding or the
+quantum's pattern, whatever its colour."""
+
+SCATTER = 3.0
+"""Scatter between trials, in errors of one trial, from which on the device itself differs from trial to trial."""
+
+DISAGREE = 0.1
+"""Share of the measured limits that may lie off the loop's: both have intervals of 95 %."""
+
+FEWEST_OFF = 2
+"""Limits off the loop's that are no chance."""
+
+_LOW = 0.25
+"""Limit relative to the largest one below which measured and predicted ones are not compared."""
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """What speaks against a loop, and what would help."""
+
+    text: str
+    help: str = ""
+
+
+def doubts(
+    result: ExperimentResult,
+    loop: LoopRange | None,
+    departures: list[LawDeparture],
+    rest: RestForces,
+    parts: str,
+    units: Units,
+) -> list[Doubt]:
+    """Return what speaks against the loop of an experiment, gravest first; nothing where it is adequate.
+
+    Parameters
+    ----------
+    result : ExperimentResult
+        Without its loop.
+    loop : LoopRange or None
+        What the statements would rest on.
+    departures : list of LawDeparture
+    rest : RestForces
+    parts : str
+        Parts of a loop that is not ideal, which the device file declares; empty where it declares none.
+    units : Units
+    """
+    found = [
+        Doubt(f"{each.sentence.rstrip('.')} ({each.shown})", _HELP.get(each.code, _LAW))
+        for each in departures
+        if each.code not in OF_THE_FORCE
+    ]
+    if parts:
+        found.append(Doubt(f"the device file declares {parts}, and theory here knows the ideal loop only"))
+    found += _unknown(result, loop)
+    found += _unexplained(result)
+    if rest.tells:
+        found.append(Doubt(rest_words(rest, _force(units)), "a device file with the force or friction in it"))
+    if loop is not None:
+        found += _changing(result, loop, units)
+        found += _disagreeing(result, loop, units)
+    return found
+
+
+_LAW = "log the command that the controller computes by the wall law, before filter and limit, with every row"
+_HELP = {
+    "saturation": "a smaller step, or the command before it is clipped in the log",
+    "velocity_filter": "a device file that declares the filter",
+}
+
+
+def _force(units: Units) -> str:
+    return "Nm" if "rad" in units.stiffness else "N"
+
+
+def _unknown(result: ExperimentResult, loop: LoopRange | None) -> Iterator[Doubt]:
+    names = {"mass": "mass", "damping": "viscous damping", "delay_samples": "delay"}
+    missing = [(name, result.estimates[key]) for key, name in names.items() if result.estimates[key].value is None]
+    for name, estimate in missing:
+        yield Doubt(f"the {name} is not known ({estimate.reason})")
+    if loop is None and not missing:
+        yield Doubt("the mass is not positive, or the delay longer than theory is computed for")
+
+
+def _unexplained(result: ExperimentResult) -> Iterator[Doubt]:
+    check = result.model_check
+    if check is None:
+        yield Doubt("no model was fitted to the logs, since nothing that was asked for needs one")
+        return
+    if check.explained < EXPLAINED * check.trials or not check.trials:
+        yield Doubt(
+            f"mass, damping and delay explain {check.explained} of {counted(check.trials, 'log')} only",
+            "a device file whose [loop] table names what the device has beside mass, damping and delay",
+        )
+    elif (check.whiteness or 1.0) < WHITE and (check.ghost or 0.0) > EXACT:
+        yield Doubt(f"what the model leaves of the logs is no noise (p = {significant(check.whiteness or 0.0, 2)})")
+
+
+def _changing(result: ExperimentResult, loop: LoopRange, units: Units) -> Iterator[Doubt]:
+    """Parameters that depend on the wall or on the trial by more than the limit bears."""
+    found = {
+        "mass": ("mass", result.estimates["mass"]),
+        "damping": ("viscous damping", result.estimates["damping"]),
+        "delay": ("delay", loop_delay(result)),
+    }
+    for key, (name, estimate) in found.items():
+        for trend in estimate.trend:
+            change = trend.slope * (trend.span or 0.0)
+            effect = loop.effect(**{key: change})
+            if trend.significant and effect > MATTERS:
+                yield Doubt(
+                    f"the {name} drifts by {significant(change, 2)} {_unit(estimate)} over the tested {trend.over}, "
+                    f"which moves the limit by {share_text(effect)} %"
+                )
+        spread, within = estimate.spread or 0.0, estimate.within or 0.0
+        if spread > SCATTER * within and loop.effect(**{key: spread}) > MATTERS:
+            yield Doubt(
+                f"the {name} differs between trials by {significant(spread, 2)} {_unit(estimate)}, "
+                f"{significant(spread / within, 2) if within else 'many'} times what one trial leaves open"
+            )
+    jitter = result.estimates.get("jitter_samples")
+    if jitter is not None and (jitter.low or 0.0) > 0:
+        effect = loop.effect(delay=jitter.low or 0.0)
+        if effect > MATTERS:
+            yield Doubt(
+                f"the delay seems to jitter by {significant(jitter.value or 0.0, 2)} samples within a trial (or what "
+                f"looks like it), which moves the limit by up to {share_text(effect)} %"
+            )
+    friction = result.estimates.get("friction")
+    if friction is not None and (friction.low or 0.0) > 0:
+        yield Doubt(f"there is Coulomb friction of {significant(friction.value or 0.0, 2)} {friction.unit}")
+
+
+def _unit(estimate: Estimate) -> str:
+    return estimate.unit.replace("^2", "²")
+
+
+def _disagreeing(result: ExperimentResult, loop: LoopRange, units: Units) -> Iterator[Doubt]:
+    """Measured limits off those of the loop by more than both intervals and `MATTERS`."""
+    limits = measured_limits(result.boundary)
+    known = limits.known
+    if not known.any():
+        return
+    damping = limits.damping[known]
+    value = loop.at_values(damping)
+    low, high = loop.band(damping)
+    some = value > _LOW * value.max(initial=0.0)
+    above = np.maximum(limits.low[known] - high, 0.0)
+    # a tested range that ended at a stable trial leaves the limit open upwards
+    below = np.where(limits.censored[known], 0.0, np.maximum(low - limits.high[known], 0.0))
+    off: Floats = np.where(some, (above - below) / np.where(some, value, 1.0), 0.0)
+    far = np.abs(off) > MATTERS
+    if far.sum() < FEWEST_OFF or far.sum() <= DISAGREE * some.sum():
+        return
+    worst = int(np.argmax(np.abs(off)))
+    yield Doubt(
+        f"{int(far.sum())} of {counted(int(some.sum()), 'measured limit')} lie off those of mass, damping and delay, "
+        f"at B = {significant(float(damping[worst]), 3)} {units.damping} by {percent_text(100 * float(off[worst]))} % "
+        "beyond all intervals"
+    )

@@ -1,0 +1,189 @@
+"""What single logs show of a loop that is not ideal: departures from the wall law, and where the device rests."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import get_args
+
+import numpy as np
+
+from pipeline.base.wording import commonest, counted
+from pipeline.measured.signal.response import sensor_floor
+from pipeline.measured.signal.velocity_filter import VelocityFilterFound
+from pipeline.measured.stages.stages import ExperimentStages
+from pipeline.records.batch import Booleans, Floats
+from pipeline.records.loop_records import Cause, CauseCode
+from pipeline.rendering.labels import share_text, significant
+
+SOME_LOGS = 0.03
+"""Share of logs up to which a departure is an accident of single trials."""
+
+RESTS = 3.0
+"""Distance from x_0 + F_0/K, in sensor floors, from which on a device rests elsewhere."""
+
+SLIGHT = 2e-3
+"""Force relative to the step that is none: a tenth of what is worth a word, and more than the motion that is left."""
+
+OFTEN = 0.2
+"""Share of the logs that come to rest elsewhere, from which on they are no accidents (trials that still move)."""
+
+FEWEST_RESTS = 3
+"""Logs that must come to rest elsewhere to tell anything."""
+
+ALIKE = 0.5
+"""Largest difference of the forces that hold a device off its place from their median, relative to it, up to which
+they are one force: the sensor adds to them."""
+
+LASTING = 12.0
+"""Decay, in time constants over the log, after which nothing of the motion is left in the mean of its last tenth."""
+
+CODES = frozenset(get_args(CauseCode))
+
+_SENTENCES = {
+    "saturation": "The command is clipped.",
+    "unilateral_wall": "The wall acts on one side only.",
+    "constant_force": "The command holds a constant force beside the wall law.",
+    "missing_rows": "Rows are missing in the logs.",
+    "repeated_rows": "Rows or readings of the position are repeated.",
+    "velocity_filter": "The velocity of the wall law is filtered.",
+    "step_not_a_step": "The external force is not the step that the header states.",
+    "several_steps": "The external force has several steps.",
+    "other_wall": "The command obeys another wall than the header states.",
+    "unknown": "The logged command is not that of the wall law.",
+}
+
+
+LIKE_STEPS = ("missing_rows", "repeated_rows", "velocity_filter")
+"""Departures by which single logs look like ones with several steps."""
+
+OF_THE_FORCE = ("step_not_a_step", "several_steps")
+"""Departures of the external force: the wall is as it should be, and the model knows the command."""
+
+
+@dataclass(frozen=True)
+class LawDeparture:
+    """A way in which logs depart from the wall law: its code, how many of how many logs, and the first evidence."""
+
+    code: str
+    logs: int
+    of: int
+    evidence: str
+
+    @property
+    def sentence(self) -> str:
+        """What it is, in a sentence."""
+        return _SENTENCES[self.code]
+
+    @property
+    def shown(self) -> str:
+        """The evidence with the number of logs."""
+        return f"{self.logs} of {counted(self.of, 'log')}; {self.evidence}"
+
+
+def law_departures(stages: ExperimentStages) -> list[LawDeparture]:
+    """Return how the logs of an experiment depart from the wall law, in the order of how many do.
+
+    A log that is clipped where it diverges shows how it ended, not another loop; it does not count.
+    """
+    unstable = stages.verdicts.verdict == "unstable"
+    codes = [set(filter(None, text.split(","))) for text in stages.texts("wall_law", "law_codes")]
+    evidence = stages.texts("wall_law", "law_evidence")
+    held = int(np.isfinite(stages.column("wall_law", "law_residual")).sum())
+    found = []
+    for code in _SENTENCES:
+        logs = [i for i, each in enumerate(codes) if code in each and not (code == "saturation" and unstable[i])]
+        if len(logs) > SOME_LOGS * held:
+            found.append(LawDeparture(code, len(logs), held, commonest(evidence[i] for i in logs)))
+    others = max((each.logs for each in found if each.code in LIKE_STEPS), default=0)
+    found = [each for each in found if each.code != "several_steps" or each.logs > others]
+    return sorted(found, key=lambda each: -each.logs)
+
+
+def found_filter(stages: ExperimentStages) -> VelocityFilterFound | None:
+    """Return the velocity filter that most logs show, or None where they show none."""
+    text = commonest(stages.texts("wall_law", "velocity_filter"))
+    if not text:
+        return None
+    found = json.loads(text)
+    return VelocityFilterFound(tuple(found["b"]), tuple(found["a"]), found["difference"], found["cutoff_hz"])
+
+
+@dataclass(frozen=True)
+class RestForces:
+    """Forces K (x_end - x_0) - F_0 that hold a device off the place where the wall lets it rest.
+
+    ``typical`` is their median [N, Nm], ``off`` the number of logs of ``of`` that rest farther off than their sensor
+    can tell; ``constant`` says that they are one force that friction cannot be: it acts along the step.
+    """
+
+    typical: float
+    off: int
+    of: int
+    constant: bool
+
+    @property
+    def tells(self) -> bool:
+        """Whether so many logs rest elsewhere that the loop has another force or friction."""
+        return self.off >= FEWEST_RESTS and self.off > OFTEN * self.of
+
+
+def rest_forces(stages: ExperimentStages) -> RestForces:
+    """Return the forces that hold settled devices off x_0 + F_0/K."""
+    stiffness = stages.column("response", "stiffness")
+    end, expected = (stages.column("response", f"position_final_{name}") for name in ("measured", "expected"))
+    start = stages.column("response", "position_start")
+    floor = sensor_floor(*(stages.column("response", f"sensor_{name}") for name in ("quantum", "noise")))
+    lasts = _settled(stages)
+    force = (stiffness * (end - expected))[lasts]
+    reach = (stiffness * (RESTS * floor + SLIGHT * np.abs(expected - start)))[lasts]
+    off = np.abs(force) > reach
+    if not off.any():
+        return RestForces(0.0, 0, len(force), False)
+    middle = float(np.median(force[off]))
+    alike = float(np.abs(force[off] - middle).max()) <= ALIKE * abs(middle)
+    along = middle * float(np.median((stiffness * (expected - start))[lasts])) > 0
+    return RestForces(middle, int(off.sum()), len(force), alike and along)
+
+
+def _settled(stages: ExperimentStages) -> Booleans:
+    """Which trials have a final position that their motion has reached: stable ones that decayed within their log."""
+    growth = stages.column("response", "growth_per_s")
+    rows = dict(zip(*(stages.trials.column(name).to_pylist() for name in ("trial_id", "rows")), strict=True))
+    names = stages.texts("response", "trial_id")
+    duration = np.array([rows[name] for name in names], dtype=np.float64) * stages.sampling_period_s
+    stable = stages.verdicts.verdict == "stable"
+    expected = stages.column("response", "position_final_expected")
+    settled: Booleans = stable & np.isfinite(expected) & (np.nan_to_num(growth) * duration < -LASTING)
+    return settled
+
+
+def coarse(stages: ExperimentStages) -> Floats:
+    """Return the quantum of the sensor relative to the final displacement of each stable trial, shape (n,)."""
+    moved = stages.column("response", "position_final_expected") - stages.column("response", "position_start")
+    stable = (stages.verdicts.verdict == "stable") & np.isfinite(moved) & (moved != 0)
+    share: Floats = (stages.column("response", "sensor_quantum")[stable] / np.abs(moved[stable])).astype(np.float64)
+    return share
+
+
+def law_causes(departures: list[LawDeparture], stages: ExperimentStages) -> list[Cause]:
+    """Return the causes that departures from the wall law are, without those that have no name."""
+    found = []
+    for each in departures:
+        # a controller filters the velocity in all trials or in none; single logs can imitate it
+        if each.code not in CODES or (each.code == "velocity_filter" and each.logs <= 0.5 * each.of):
+            continue
+        sentence = each.sentence
+        velocity = found_filter(stages) if each.code == "velocity_filter" else None
+        if velocity is not None:
+            sentence = f"The velocity of the wall law {velocity.words()}."
+        found.append(Cause.model_validate({"code": each.code, "sentence": sentence, "evidence": each.shown}))
+    return found
+
+
+def rest_words(rest: RestForces, unit: str) -> str:
+    """Return where logs come to rest, in words."""
+    return (
+        f"{rest.off} of {counted(rest.of, 'settled log')} ({share_text(rest.off / max(rest.of, 1), 0)} %) rest "
+        f"elsewhere than at x_0 + F_0/K, by a force of {significant(rest.typical, 3)} {unit} in the median"
+    )

@@ -1,0 +1,111 @@
+"""The stiffest passive wall that may be named: passive and stable over the whole 95 % range of an adequate loop."""
+
+from __future__ import annotations
+
+from math import floor, log10
+
+import numpy as np
+
+from pipeline.comparison.loops.loop_range import LoopRange
+from pipeline.comparison.scores.overlap import measured_limits
+from pipeline.loop.loop import LARGEST_DELAY
+from pipeline.records.loop_records import PassiveWall
+from pipeline.records.results import ExperimentResult
+from pipeline.theory.stability.fractional_passivity import needed_damping, stiffest_passive
+
+DIGITS = 4
+"""Digits with which a passive wall is named; what is named is checked."""
+
+SPARE = 1e-4
+"""Part of the damping that is kept back: a hundred times what the frequencies that are looked at can miss."""
+
+_TRIES = 200
+"""Steps of two units of the last digit by which a stiffness is lowered: 4 % in all, where rounding costs 0.1 %."""
+
+
+def passive_wall(loop: LoopRange, result: ExperimentResult) -> tuple[PassiveWall | None, str | None]:
+    """Return the stiffest wall that is passive and stable whatever the intervals leave open, or None and why.
+
+    Parameters
+    ----------
+    loop : LoopRange
+    result : ExperimentResult
+        Its measured limits bound the wall.
+
+    Notes
+    -----
+    Passivity needs most damping at one end of the delay's interval or at a whole number inside it, and the device has
+    the least at the lower end of b. The stiffness is rounded down and the rounded pair is held against passivity, the
+    limits of theory over all intervals, and the measured limits, interpolated between the dampings: the stable region
+    is convex there, so that a chord of it lies inside.
+    """
+    damping = loop.damping.low
+    if damping <= 0:
+        return None, (
+            "no wall is passive for the whole range of the device's damping, which may be 0: stability with every hand "
+            "cannot be promised (4.6)"
+        )
+    delays = _delays(loop)
+    if not delays:
+        return None, "the delay may be longer than theory is computed for"
+    period = loop.sampling_period_s
+    ratios = [stiffest_passive(delay) for delay in delays]
+    kappa, ratio = min(ratios)
+    wall_damping = _rounded(ratio * damping)
+    stiffness = _rounded_down(
+        min(kappa * damping / period, _stable_everywhere(loop, wall_damping), _measured(result, wall_damping))
+    )
+    # a smaller stiffness at the same damping needs less, down to none but that for B itself
+    for _ in range(_TRIES):
+        if stiffness <= 0 or _holds(loop, delays, stiffness, wall_damping):
+            break
+        stiffness = _rounded_down(stiffness * (1 - 2 * 10.0**-DIGITS))
+    else:
+        return None, "no wall that is passive was found beside the measured limits"
+    if stiffness <= 0:
+        return None, "the logs show no stable wall at the damping of the stiffest passive one"
+    return PassiveWall(stiffness=stiffness, damping=wall_damping), None
+
+
+def _delays(loop: LoopRange) -> list[float]:
+    low, high = max(loop.delay_samples.low, 0.0), max(loop.delay_samples.high, 0.0)
+    if high > LARGEST_DELAY:
+        return []
+    whole = np.arange(np.ceil(low), floor(high) + 1).tolist()
+    return sorted({low, max(loop.delay_samples.value, 0.0), high, *whole})
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.{DIGITS}g}")
+
+
+def _rounded_down(value: float) -> float:
+    if not value > 0:
+        return 0.0
+    step = 10.0 ** (floor(log10(value)) - DIGITS + 1)
+    return float(f"{floor(value / step) * step:.{DIGITS}g}")
+
+
+def _stable_everywhere(loop: LoopRange, damping: float) -> float:
+    """Return the least limit of theory at a damping, less what keeps a wall off the limit itself."""
+    return float(loop.band(np.array([damping]))[0][0]) * (1 - SPARE)
+
+
+def _measured(result: ExperimentResult, damping: float) -> float:
+    """Return the lower end of the measured limits at a damping, infinite outside those that were tested to their end.
+
+    Where no trial was stable, all that is known is the softest unstable one.
+    """
+    limits = measured_limits(result.boundary)
+    ended = limits.known & ~limits.censored
+    where = limits.damping[ended]
+    if not len(where) or not where[0] <= damping <= where[-1]:
+        return np.inf
+    least = np.where(limits.low[ended] > 0, limits.low[ended], limits.high[ended])
+    return float(np.interp(damping, where, least))
+
+
+def _holds(loop: LoopRange, delays: list[float], stiffness: float, damping: float) -> bool:
+    period, least = loop.sampling_period_s, loop.damping.low * (1 - SPARE)
+    passive = all(float(needed_damping(delay, [stiffness * period], [damping])[0]) <= least for delay in delays)
+    return passive and stiffness <= _stable_everywhere(loop, damping)

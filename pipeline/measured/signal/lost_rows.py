@@ -1,0 +1,60 @@
+"""Rows of a log that are missing or repeated, by its positions and by the wall law."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pipeline.measured.signal.log_rows import LogRows, stands_still
+from pipeline.records.batch import Booleans, Floats, Integers
+
+PLATEAU = 2
+"""Rows of equal extreme command that show a limit: two equal numbers are no chance."""
+
+EQUAL = 1e-12
+"""Relative difference of commands that are the same number."""
+
+MOST_SPIKES = 0.34
+"""Largest share of rows off the law that single lost or repeated rows cause; with more, nothing is single."""
+
+STILL_FLOORS = 3.0
+"""Change of position on both sides of a row, in sensor floors, between which a device cannot stand still for a row."""
+
+
+def hidden_rows(log: LogRows) -> Integers:
+    """Return the rows before which rows are missing by the wall law, while the stamps may not show it."""
+    none = np.empty(0, dtype=np.int64)
+    off = (np.abs(log.residual) > log.rounding) & log.after
+    if not off.any() or log.damping == 0 or off.mean() > MOST_SPIKES:
+        return none
+    # over a row that is missing the position changed by more than since the row before: the residual is a part of
+    # the damping force that the logged rows would give
+    moving = off & (log.change != 0)
+    if not moving.any():
+        return none
+    part = log.residual[moving] * log.period / (log.damping * log.change[moving])
+    single = off & ~np.roll(off, 1)
+    if np.median(part) > 0 and np.mean((part > -1) & (part < 2)) > 0.9 and single.sum() > 0.7 * off.sum():
+        return np.flatnonzero(off)
+    return none
+
+
+def repeated_rows(log: LogRows) -> Integers:
+    """Return the rows that stand still while the device moves before and after them; one alone may be chance."""
+    still = stands_still(log.change, log.after, STILL_FLOORS * log.floor + EQUAL * np.ptp(log.position))
+    # a device may be too slow for that, but a wall that sees it rest does not command what it did while it moved,
+    # unless that is a limit of its
+    same = log.after & (log.change == 0) & (np.diff(log.command, prepend=np.nan) == 0)
+    for limit in (log.command.min(), log.command.max(), log.step):
+        same &= ~is_equal(log.command, float(limit))
+    off = np.abs(log.residual) > log.rounding
+    # the row behind is off the law, too, as the reading before it is not there; behind a missing row it is not
+    still |= same & off & np.append(off[1:], False) & (np.abs(np.diff(log.residual, prepend=0.0)) > log.rounding)
+    still[1:] |= same[1:] & still[:-1]  # twice in a row
+    rows = np.flatnonzero(still)
+    return rows if len(rows) >= PLATEAU else rows[:0]
+
+
+def is_equal(values: Floats, limit: float) -> Booleans:
+    """Return which values are the same number as a limit, up to rounding."""
+    result: Booleans = np.abs(values - limit) <= EQUAL * max(abs(limit), 1e-300)
+    return result

@@ -1,0 +1,27 @@
+"""Stage `wall_law`: whether the logged command of each trial obeys the wall law, and why not."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+
+from pipeline.measured.signal.wall_law import Departure, wall_law
+from pipeline.measured.stages.stage_columns import conditions
+from pipeline.measured.stages.stage_groups import Columns, Given, TrialGroup
+
+
+def columns(of: TrialGroup, given: Given) -> Columns:
+    """Return the columns of the stage for some trials."""
+    law = wall_law(of.batch, of.found)
+    return conditions(of) | {
+        "law_residual": law.residual,
+        "law_rounding": law.rounding,
+        "law_codes": [",".join(each.code for each in found) for found in law.departures],
+        "law_evidence": ["; ".join(each.evidence for each in found) for found in law.departures],
+        "law_rows": [max((each.rows for each in found), default=0) for found in law.departures],
+        "velocity_filter": [_filter(found) for found in law.departures],
+    }
+
+
+def _filter(found: tuple[Departure, ...]) -> str | None:
+    return next((json.dumps(asdict(each.filter)) for each in found if each.filter is not None), None)

@@ -1,0 +1,116 @@
+"""What is said of a loop: nothing of one that is not adequate, and what is said of an adequate one holds."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pipeline.comparison.compare import compare
+from pipeline.device_data.devices import load_device
+from pipeline.intake.ingest import ingest
+from pipeline.simulation.course import Course, write_course
+from pipeline.simulation.radius import spectral_radius
+from pipeline.studies.coverage.kinds import kinds, record
+
+KINDS = kinds(load_device("falcon"))
+SEED = 71
+SMALL = {"coarsen": 8, "duration_s": 0.4}
+
+
+@pytest.fixture(scope="module")
+def compared(tmp_path_factory):
+    """The result of a small course of a kind of device, as of a lab that states nothing of the device."""
+    known = {}
+
+    def of(name: str, seed: int = SEED):
+        if (name, seed) not in known:
+            folder = tmp_path_factory.mktemp("kind")
+            course = record(KINDS[name](seed), **SMALL)
+            write_course(course, folder / "raw")
+            ingest([folder / "raw"], folder / "processed", jobs=1)
+            result = compare(
+                course.device.name, folder / "processed", criteria=("settle_2pct", "energy_step_w0")
+            ).result
+            known[name, seed] = course, result
+        return known[name, seed]
+
+    return of
+
+
+def radius(course: Course, stiffness: float, damping: float) -> float:
+    """Growth of the true loop from sample to sample, at the mean of a jittering delay."""
+    return float(spectral_radius(course.setup.plant, course.setup, np.array([stiffness]), np.array([damping]))[0])
+
+
+@pytest.mark.parametrize("name", ["ideal", "fractional delay", "coarse sensor", "few trials", "only unstable"])
+def test_an_adequate_loop_is_the_true_one_and_its_passive_wall_is_stable(compared, name):
+    course, result = compared(name)
+    (found,) = result.experiments
+    loop = found.loop
+    assert loop.adequate, loop.reason
+    assert (loop.source, loop.explained) == ("estimated", pytest.approx(1, abs=0.05))
+    truth = course.experiment
+    assert loop.mass.value == pytest.approx(truth.mass, rel=2e-3)
+    assert loop.damping.value == pytest.approx(truth.damping, rel=2e-2)
+    assert loop.delay_samples.value == pytest.approx(course.setup.delay_samples, abs=0.01)
+    assert radius(course, found.passive.stiffness, found.passive.damping) < 1
+    for limit in found.loop_boundary:
+        assert limit.low <= limit.stiffness <= limit.high
+        if limit.stiffness > 1000:  # nearer to either end of the boundary a limit in percent says nothing
+            assert (
+                radius(course, 0.985 * limit.stiffness, limit.damping)
+                < 1
+                < radius(course, 1.015 * limit.stiffness, limit.damping)
+            )
+
+
+@pytest.mark.parametrize(
+    ("name", "code"),
+    [
+        ("butterworth filter", "velocity_filter"),
+        ("clipping in the log", "saturation"),
+        ("one-sided wall", "unilateral_wall"),
+        ("lost rows", "missing_rows"),
+        ("hidden rows", "missing_rows"),
+        ("repeated rows", "repeated_rows"),
+        ("several steps", "several_steps"),
+        ("ramp", "step_not_a_step"),
+        ("jitter", "delay_jitter"),
+        ("friction strong", None),
+        ("mode at the motor", None),
+        ("actuator lag", None),
+        ("clipping", None),
+        ("operator", None),
+    ],
+)
+def test_what_logs_show_is_named_and_no_other_loop_bears_a_statement(compared, name, code):
+    _, result = compared(name)
+    (found,) = result.experiments
+    named = {cause.code for cause in found.causes} - {"coarse_sensor"}
+    assert named == ({code} if code else set())
+    assert all(cause.evidence for cause in found.causes)
+    assert not found.loop.adequate
+    assert found.loop.reason
+    assert (found.passive, found.loop_boundary, found.theory, found.scores) == (None, None, None, ())
+    assert found.passive_reason
+    assert found.estimates["implied_delay"].value is None
+    assert all("not adequate" in found.estimates[q].warning for q in ("mass", "damping") if found.estimates[q].value)
+    told = " ".join(result.summary)
+    assert "is not adequate" in told
+    for claim in ("passive, and so stable", "friction, play", "allow this deviation", "Theory predicts"):
+        assert claim not in told
+
+
+def test_an_ideal_loop_has_no_causes(compared):
+    _, result = compared("ideal")
+    assert result.experiments[0].causes == ()
+    assert "is not adequate" not in " ".join(result.summary)
+
+
+def test_theory_takes_the_delay_that_explains_the_logs(compared):
+    course, result = compared("fractional delay")
+    (found,) = result.experiments
+    assert found.theory.delay_samples == pytest.approx(course.setup.delay_samples, abs=0.01)
+    (cause,) = found.causes
+    assert cause.code == "fractional_delay"
+    assert abs(found.scores[0].distance.median) < 0.02
