@@ -36,6 +36,9 @@ from pipeline.store.storage import list_devices, list_experiments, read_trials
 MOST = 1000
 """Items of a page."""
 
+RETRY_S = 60.0
+"""Time after which what could not be computed is tried again by who looks at it [s]."""
+
 EVENT_S = 0.3
 """Time between two looks at a job that somebody watches [s]."""
 
@@ -144,7 +147,8 @@ class Service:
             document: dict[str, Any] = json.loads(results.document_file(self.settings, key).read_bytes())
         except FileNotFoundError:
             self._may_compute()
-            return None, self.job("experiment", {"key": key, "request": request}, key)
+            failed = self.database.failed_job("experiment", key, RETRY_S)
+            return None, failed or self.job("experiment", {"key": key, "request": request}, key)
         return document, None
 
     def _may_compute(self) -> None:

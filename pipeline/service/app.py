@@ -9,16 +9,18 @@ from typing import Any
 
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
+from pydantic import ValidationError
 from starlette.exceptions import HTTPException
 from starlette.responses import Response
 from starlette.types import ASGIApp
 
 from pipeline import __version__
 from pipeline.base.errors import PipelineError, UsageError
-from pipeline.service import api
+from pipeline.service import api, pages
 from pipeline.service.catalogue import Catalogue
 from pipeline.service.database import Database
-from pipeline.service.problems import TITLES, Problem, answer, problem_of
+from pipeline.service.problems import TITLES, Problem, problem_of
+from pipeline.service.problems import answer as answer_of
 from pipeline.service.security import Guard
 from pipeline.service.settings import Settings
 from pipeline.service.theory import Theory
@@ -58,29 +60,36 @@ def create_app(settings: Settings) -> ASGIApp:
         openapi_url="/api/v1/openapi.json",
     )  # fmt: skip
     app.include_router(api.routes(service))
-    _answer_errors(app)
+    app.include_router(pages.routes(service))
+    _answer_errors(app, service)
     return Guard(app, settings, database)
 
 
-def _answer_errors(app: FastAPI) -> None:
+def _answer_errors(app: FastAPI, service: api.Service) -> None:
+    def answer(request: Request, problem: Problem) -> Response:
+        if "text/html" in request.headers.get("accept", "") and not request.url.path.startswith("/api/"):
+            return pages.page_of(service, request, "problem.html.j2", problem.status, problem=problem.document)
+        return answer_of(problem)
+
     @app.exception_handler(Problem)
-    async def problem(_: Request, error: Problem) -> Response:
-        return answer(error)
+    async def problem(request: Request, error: Problem) -> Response:
+        return answer(request, error)
 
     @app.exception_handler(PipelineError)
-    async def named(_: Request, error: PipelineError) -> Response:
-        return answer(problem_of(error))
+    async def named(request: Request, error: PipelineError) -> Response:
+        return answer(request, problem_of(error))
 
+    @app.exception_handler(ValidationError)
     @app.exception_handler(RequestValidationError)
-    async def wrong(_: Request, error: RequestValidationError) -> Response:
+    async def wrong(request: Request, error: RequestValidationError | ValidationError) -> Response:
         errors: list[Any] = [{"where": ".".join(map(str, e["loc"])), "detail": e["msg"]} for e in error.errors()]
-        return answer(Problem(422, errors[0]["detail"], where=errors[0]["where"], errors=errors))
+        return answer(request, Problem(422, errors[0]["detail"], where=errors[0]["where"], errors=errors))
 
     @app.exception_handler(HTTPException)
-    async def other(_: Request, error: HTTPException) -> Response:
+    async def other(request: Request, error: HTTPException) -> Response:
         if error.status_code not in TITLES:
             return Response(status_code=error.status_code, headers=error.headers)
-        return answer(Problem(error.status_code, str(error.detail)))
+        return answer(request, Problem(error.status_code, str(error.detail)))
 
 
 def serve(settings: Settings) -> None:

@@ -182,6 +182,14 @@ class Database:
         rows = self.run("SELECT * FROM jobs WHERE id = ?", job)
         return _shown(rows[0]) if rows else None
 
+    def failed_job(self, kind: str, key: str, within_s: float) -> str | None:
+        """Return the job of a kind and key that failed a moment ago."""
+        since = time.time() - within_s
+        rows = self.run(
+            "SELECT id FROM jobs WHERE kind = ? AND key = ? AND state = 'failed' AND changed > ?", kind, key, since
+        )
+        return rows[0]["id"] if rows else None
+
     def jobs(self, before: int, limit: int) -> list[dict[str, Any]]:
         """Return jobs, the newest first, below a number."""
         rows = self.run("SELECT * FROM jobs WHERE number < ? ORDER BY number DESC LIMIT ?", before, limit)

@@ -132,16 +132,19 @@ class Guard:
 
     def _check_script(self, headers: Headers, cookies: Mapping[str, str]) -> None:
         """Refuse a change by a browser that no page of this server asked for; programs send no cookies."""
-        if (cookies or "origin" in headers) and not self.is_form(cookies, headers.get("x-csrf-token", "")):
+        if (cookies or "origin" in headers) and not is_form(self.database, cookies, headers.get("x-csrf-token", "")):
             raise Problem(403, "The form is not one of this server; load its page again.", where="X-CSRF-Token")
 
-    def is_form(self, cookies: Mapping[str, str], token: str) -> bool:
-        """Return whether the token of a form belongs to the browser that sends it."""
-        return FORM in cookies and hmac.compare_digest(self.form_token(cookies[FORM]), token)
 
-    def form_token(self, browser: str) -> str:
-        """Return the token that forms for a browser bear."""
-        return hmac.new(self.database.form_secret().encode(), browser.encode(), "sha256").hexdigest()
+def is_form(database: Database, cookies: Mapping[str, str], token: str) -> bool:
+    """Return whether the token of a form belongs to the browser that sends it."""
+    own = form_token(database, cookies.get(FORM, ""))
+    return FORM in cookies and hmac.compare_digest(own.encode(), token.encode())
+
+
+def form_token(database: Database, browser: str) -> str:
+    """Return the token that forms for a browser bear."""
+    return hmac.new(database.form_secret().encode(), browser.encode(), "sha256").hexdigest()
 
 
 class _Body:
