@@ -158,7 +158,7 @@ class Service:
     def samples(self, trial: str) -> tuple[dict[str, Any], pa.Table]:
         """Return the conditions and the samples of a trial."""
         trials, row = self.found(trial)
-        shown = trials.trial(row)
+        (shown,) = trials.items([row])
         stored = read_trials(self.settings.processed, shown["device"], shown["experiment"])
         own = stored.take(np.flatnonzero([name == trial for name in stored.column("trial_id").to_pylist()]))
         if not own.num_rows:
@@ -214,11 +214,12 @@ def trial_list(
     kind = (type(None),) if name == "id" else (str,) if name in trials.texts else (float, int, type(None))
     after = place(word, (kind, str))  # type: ignore[arg-type]
     asked = {key: "" if value == "none yet" else value for key, value in words.items() if value}
-    mask = trials.select(asked, {key: value for key, value in ranges.items() if value is not None}, q)
+    limits = {key: value for key, value in ranges.items() if value is not None}
+    mask, facets = trials.selected(asked, limits, q)
     rows, more = trials.page(mask, sort, limit, after)
     last = [trials.value(rows[-1], name), trials.ids[rows[-1]]] if more else None
-    items = [trials.trial(row) for row in rows]
-    return {"items": items, "next_cursor": cursor(last), "total": int(mask.sum()), "facets": trials.facets(mask)}
+    items = trials.items(rows)
+    return {"items": items, "next_cursor": cursor(last), "total": int(mask.sum()), "facets": facets}
 
 
 def routes(service: Service) -> APIRouter:
@@ -259,17 +260,17 @@ def routes(service: Service) -> APIRouter:
         sort: Name = "id",
         limit: Limit = 100,
         cursor_: Annotated[Cursor, Query(alias="cursor")] = None,
-    ) -> dict[str, Any]:
+    ) -> JSONResponse:
         words = {"device": device, "experiment": experiment, "verdict": verdict, "outcome": outcome}
         ranges = {"stiffness_min": stiffness_min, "stiffness_max": stiffness_max, "damping_min": damping_min,
                   "damping_max": damping_max}  # fmt: skip
-        return trial_list(service, words, ranges, q, sort, limit, cursor_)
+        return JSONResponse(trial_list(service, words, ranges, q, sort, limit, cursor_))
 
     @api.get("/trials/{trial}")
     def one_trial(trial: str) -> dict[str, Any]:
         found, row = service.found(trial)
         words = {kind: database.words(kind, ["trial", trial]) for kind in ("notes", "tags")}
-        return {**found.trial(row), **words, "source": results.uploaded_name(database, found.sources[row].as_py())}
+        return {**found.items([row])[0], **words, "source": results.uploaded_name(database, found.sources[row].as_py())}
 
     @api.get("/trials/{trial}/samples", response_class=Response)
     def samples(trial: str, request: Request) -> Response:

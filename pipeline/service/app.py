@@ -7,6 +7,7 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from typing import Any
 
+from anyio import to_thread
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from pydantic import ValidationError
@@ -26,6 +27,9 @@ from pipeline.service.settings import Settings
 from pipeline.service.theory import Theory
 from pipeline.service.uploads import remove_unacknowledged
 from pipeline.service.workers import Workers
+
+THREADS = 12
+"""That answer requests: more take memory, and the interpreter from each other."""
 
 
 def create_app(settings: Settings) -> ASGIApp:
@@ -47,6 +51,7 @@ def create_app(settings: Settings) -> ASGIApp:
 
     @asynccontextmanager
     async def life(_: FastAPI) -> AsyncIterator[None]:
+        to_thread.current_default_thread_limiter().total_tokens = THREADS
         if not settings.read_only:
             remove_unacknowledged(settings, database)
             service.job("stages", {}, "stages")

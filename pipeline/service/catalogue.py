@@ -6,6 +6,7 @@ did. Nothing is computed here.
 
 from __future__ import annotations
 
+import json
 import os
 import threading
 import time
@@ -17,6 +18,7 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from pipeline.base.errors import StoreError
 from pipeline.measured.stages.stages import ExperimentStages, cost_column
@@ -29,6 +31,9 @@ from pipeline.store.storage import natural_key, read_trials, stage_file, trials_
 
 LOOK_S = 0.5
 """Longest time after which a change by the command line is seen [s]."""
+
+KEPT = 32
+"""Selections that are kept of a state: readers turn pages, and look at the same."""
 
 TEXTS = ("trial_id", "device", "experiment", "verdict", "outcome", "motion", "grip", "source_path")
 _STORED = ("trial_id", "device", "experiment", "motion", "grip", "source_path", "stiffness", "damping")
@@ -71,7 +76,10 @@ class Trials:
         self.texts = {name: _texts(table.column(name)) for name in TEXTS[1:-1]}
         self.numbers = {name: table.column(name).to_numpy() for name in NUMBERS}
         self.sources = table.column("source_path").combine_chunks()
+        # ignoring case while searching takes ten times as long
+        self._searched = [pc.utf8_lower(table.column(name)) for name in ("trial_id", "source_path")]
         self._orders: dict[str, Integers] = {}
+        self._kept: dict[str, tuple[np.ndarray, dict[str, dict[str, int]]]] = {}
         self._sorted, self._rank = np.unique(np.array(self.ids, dtype="U"), return_inverse=True)
 
     @cached_property
@@ -109,17 +117,39 @@ class Trials:
             one["trials"] += e["trials"]
         return list(found.values())
 
-    def trial(self, row: int) -> dict[str, Any]:
-        """Return a trial as the API shows it."""
-        words = {name: texts.words[texts.codes[row]] or None for name, texts in self.texts.items()}
-        value = {name: _number(values[row]) for name, values in self.numbers.items()}
-        costs = {
-            c: {"value": value[c], "low": value[f"{c}_low"], "high": value[f"{c}_high"]}
-            for c in CRITERIA
-            if value[c] is not None
-        }
-        own = {"stiffness": value["stiffness"], "damping": value["damping"]}
-        return {"id": self.ids[row], **words, **own, "costs": costs, "source": self.sources[row].as_py()}
+    def items(self, rows: Sequence[int]) -> list[dict[str, Any]]:
+        """Return trials as the API shows them."""
+        place = np.array(rows, dtype=np.int64)
+        words = {n: [t.words[code] or None for code in t.codes[place].tolist()] for n, t in self.texts.items()}
+        value = {n: [None if x != x else x for x in v[place].tolist()] for n, v in self.numbers.items()}
+        sources = self.sources.take(pa.array(place)).to_pylist()
+        return [
+            {
+                "id": self.ids[row],
+                **{name: column[i] for name, column in words.items()},
+                "stiffness": value["stiffness"][i],
+                "damping": value["damping"][i],
+                "costs": {
+                    c: {"value": value[c][i], "low": value[f"{c}_low"][i], "high": value[f"{c}_high"][i]}
+                    for c in CRITERIA
+                    if value[c][i] is not None
+                },
+                "source": sources[i],
+            }
+            for i, row in enumerate(rows)
+        ]
+
+    def selected(
+        self, asked: dict[str, str], ranges: dict[str, float], text: str = ""
+    ) -> tuple[np.ndarray, dict[str, dict[str, int]]]:
+        """Return the rows of `select` with their facets; those asked for a moment ago are kept."""
+        key = json.dumps([asked, ranges, text])
+        if key not in self._kept:
+            if len(self._kept) >= KEPT:
+                self._kept.clear()
+            mask = self.select(asked, ranges, text)
+            self._kept[key] = mask, self.facets(mask)
+        return self._kept[key]
 
     def select(self, asked: dict[str, str], ranges: dict[str, float], text: str = "") -> np.ndarray:
         """Return which rows have words, lie in ranges (``stiffness_min``, ...), and hold a text in id or source."""
@@ -130,9 +160,7 @@ class Trials:
             values = self.numbers[name[:-4]]
             mask &= values >= limit if name.endswith("_min") else values <= limit
         if text:
-            import pyarrow.compute as pc
-
-            near = [pc.match_substring(column, text, ignore_case=True) for column in (pa.array(self.ids), self.sources)]
+            near = [pc.match_substring(column, text.lower()) for column in self._searched]
             mask &= pc.or_(*near).to_numpy(zero_copy_only=False)
         return mask
 

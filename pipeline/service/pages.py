@@ -159,14 +159,14 @@ def routes(service: Service) -> APIRouter:
                 raise
             problem = str(error)
         trials = service.catalogue.trials()
-        mask = trials.select({"device": device, "experiment": experiment}, {})
+        mask, facets = trials.selected({"device": device, "experiment": experiment}, {})
         rows = np.flatnonzero(mask)[:PLOTTED].tolist()
-        shown = [trials.trial(row) for row in rows]
+        shown = trials.items(rows)
         found = document["experiments"][0] if document else None
         words = {kind: database.words(kind, ["experiment", device, experiment]) for kind in ("notes", "tags")}
         return page(
             request, "experiment.html.j2", device=device, experiment=experiment, trials=shown, total=int(mask.sum()),
-            plot=_plane(shown, found), found=found, job=job, problem=problem, facets=trials.facets(mask), **words,
+            plot=_plane(shown, found), found=found, job=job, problem=problem, facets=facets, **words,
             causes=document["causes"][experiment] if document else [], units=_units(shown),
         )  # fmt: skip
 

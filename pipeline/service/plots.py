@@ -11,7 +11,7 @@ from markupsafe import Markup, escape
 from pipeline.records.batch import Floats
 
 WIDTH, HEIGHT = 640.0, 400.0
-LEFT, RIGHT, TOP, BOTTOM = 72.0, 12.0, 12.0, 48.0
+LEFT, RIGHT, TOP, BOTTOM = 84.0, 16.0, 12.0, 58.0
 STEPS = (1.0, 2.0, 2.5, 5.0, 10.0)
 MOST_POINTS = 1200
 """Of a line; more are not told apart on any screen."""
@@ -37,8 +37,9 @@ def figure(layers: Sequence[Layer], x_label: str, y_label: str, title: str, zero
         [v for layer in layers for v in (layer.y, layer.low, layer.high) if v is not None] or [np.zeros(1)]
     )
     x_axis, y_axis = (_Axis.of(values[np.isfinite(values)], zero) for values in (xs, ys))
+    role = "group" if any(layer.links for layer in layers) else "img"  # an image hides what is in it
     parts = [
-        f'<svg viewBox="0 0 {WIDTH:g} {HEIGHT:g}" role="img" class="plot"><title>{escape(title)}</title>',
+        f'<svg viewBox="0 0 {WIDTH:g} {HEIGHT:g}" role="{role}" class="plot"><title>{escape(title)}</title>',
         *_axes(x_axis, y_axis, x_label, y_label),
     ]
     for layer in layers:
@@ -71,7 +72,7 @@ def _axes(x: _Axis, y: _Axis, x_label: str, y_label: str) -> list[str]:
     parts = []
     for value, place in zip(x.ticks.tolist(), x.at(x.ticks, LEFT, right).tolist(), strict=True):
         parts.append(f'<path class="grid" d="M{place:.1f} {TOP:g}V{bottom:g}"/>')
-        parts.append(f'<text class="tick" x="{place:.1f}" y="{bottom + 16:g}" text-anchor="middle">{value:.5g}</text>')
+        parts.append(f'<text class="tick" x="{place:.1f}" y="{bottom + 20:g}" text-anchor="middle">{value:.5g}</text>')
     for value, place in zip(y.ticks.tolist(), y.at(y.ticks, bottom, TOP).tolist(), strict=True):
         parts.append(f'<path class="grid" d="M{LEFT:g} {place:.1f}H{right:g}"/>')
         parts.append(f'<text class="tick" x="{LEFT - 6:g}" y="{place + 4:.1f}" text-anchor="end">{value:.5g}</text>')
@@ -79,8 +80,8 @@ def _axes(x: _Axis, y: _Axis, x_label: str, y_label: str) -> list[str]:
     parts.append(
         f'<text class="label" x="{middle_x:g}" y="{HEIGHT - 8:g}" text-anchor="middle">{escape(x_label)}</text>'
     )
-    turn = f'transform="rotate(-90 14 {middle_y:g})"'
-    parts.append(f'<text class="label" x="14" y="{middle_y:g}" text-anchor="middle" {turn}>{escape(y_label)}</text>')
+    turn = f'transform="rotate(-90 18 {middle_y:g})"'
+    parts.append(f'<text class="label" x="18" y="{middle_y:g}" text-anchor="middle" {turn}>{escape(y_label)}</text>')
     return parts
 
 
@@ -94,7 +95,8 @@ def _drawn(layer: Layer, x_axis: _Axis, y_axis: _Axis) -> list[str]:
         parts += [f'<path class="interval" d="M{a:.1f} {b:.1f}V{c:.1f}"/>' for a, b, c in ends if np.isfinite(b + c)]
     if layer.links:
         for a, b, link in zip(x, y, layer.links, strict=True):
-            parts.append(f'<a href="{escape(link)}" tabindex="-1">{_mark(layer.kind, a, b)}</a>')
+            label = f"trial {link.rpartition('/')[2]}, {layer.label}"
+            parts.append(f'<a href="{escape(link)}" aria-label="{escape(label)}">{_mark(layer.kind, a, b)}</a>')
     else:
         every = max(1, len(x) // MOST_POINTS)
         places = [f"{a:.1f} {b:.1f}" for a, b in zip(x[::every], y[::every], strict=True) if np.isfinite(a + b)]

@@ -76,7 +76,7 @@ class Guard:
 
         scope.setdefault("state", {})
         try:
-            scope["state"]["role"] = await asyncio.to_thread(self._role, scope)
+            scope["state"]["role"] = self._role(scope)
             cookies = cookies_of(scope)
             scope["state"]["session"] = cookies.get(SESSION)
             body = _Body(receive, self._most(scope), self.settings.body_s)

@@ -19,6 +19,9 @@ from pipeline.theory.cases import Cases, boundary_document, optimum_document, po
 LONGEST_DELAY = 64.0
 """Samples; longer delays are for the command line."""
 
+WAIT_S = 2.0
+"""Time that a request waits for another one [s]: those that wait keep others from being answered."""
+
 MOST_POINTS = 500
 
 
@@ -38,7 +41,7 @@ class Theory:
 
     def compute(self, function: Callable[..., Any], *values: Any) -> Any:
         """Return what a function of this module returns; an error of the values passes."""
-        if not self._lock.acquire(timeout=self.most_s):
+        if not self._lock.acquire(timeout=WAIT_S):
             raise Problem(503, "Theory is computed for others; ask again.", where="theory")
         try:
             if self._pool is None:

@@ -160,11 +160,8 @@ def test_kill_loses_nothing_and_doubles_nothing(tmp_path, logs, after_s):
         with socket.create_connection(("127.0.0.1", port)) as half:
             sent = form(logs[4:])
             lines = ["POST /api/v1/logs HTTP/1.1", "Host: localhost", f"Content-Length: {len(sent['body'])}"]
-            head = "
-".join([*lines, f"Content-Type: {sent['headers']['Content-Type']}"])
-            half.sendall(f"{head}
-
-".encode() + sent["body"][:-3])
+            head = "\r\n".join([*lines, f"Content-Type: {sent['headers']['Content-Type']}"])
+            half.sendall(f"{head}\r\n\r\n".encode() + sent["body"][:-3])
             time.sleep(after_s)
             os.kill(process.pid, signal.SIGKILL)
         process.wait()
