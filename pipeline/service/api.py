@@ -2,42 +2,29 @@
 
 import asyncio
 import base64
-import io
 import json
 import math
 import time
 from collections.abc import AsyncIterator, Callable
-from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
-import numpy as np
-import pyarrow as pa
-import pyarrow.csv as pa_csv
-import pyarrow.parquet as pq
 from fastapi import APIRouter, Depends, Path, Query, Request
 from fastapi.responses import FileResponse, JSONResponse, Response, StreamingResponse
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 from starlette.concurrency import run_in_threadpool
 
 from pipeline import __version__
-from pipeline.records.findings import CRITERIA
-from pipeline.records.tables import COLUMNS
 from pipeline.service import results, theory
-from pipeline.service.catalogue import Catalogue, Trials, page_of, sorting
+from pipeline.service.catalogue import page_of, sorting
 from pipeline.service.database import ENDED, Database
 from pipeline.service.problems import RESPONSES, Problem
-from pipeline.service.settings import Settings
+from pipeline.service.sample_forms import form_of
+from pipeline.service.shared import ComparisonRequest, Service
 from pipeline.service.uploads import Upload
-from pipeline.service.workers import Workers
 from pipeline.store.names import name_of_folder
-from pipeline.store.samples import load_batch
-from pipeline.store.storage import list_devices, list_experiments, read_trials
 
 MOST = 1000
 """Items of a page."""
-
-RETRY_S = 60.0
-"""Time after which what could not be computed is tried again by who looks at it [s]."""
 
 EVENT_S = 0.3
 """Time between two looks at a job that somebody watches [s]."""
@@ -46,8 +33,6 @@ REPORT_POLICY = (
     "sandbox allow-scripts allow-popups; default-src 'none'; style-src 'unsafe-inline'; img-src data:; "
     "script-src 'unsafe-inline'"
 )
-
-SAMPLES = ("time_s", "command", "position", "force", "velocity")
 
 Limit = Annotated[int, Query(ge=1, le=MOST, description="Items of a page.")]
 Name = Annotated[str, Query(max_length=500)]
@@ -59,24 +44,6 @@ Finite = Annotated[float | None, Query(allow_inf_nan=False)]
 Part = Literal["estimates", "boundary", "optima", "causes"]
 Coefficient = Annotated[float, Query(allow_inf_nan=False)]
 Delay = Annotated[float, Query(ge=0, le=theory.LONGEST_DELAY, description="Delay in samples.")]
-
-
-class Against(BaseModel):
-    """The other experiment."""
-
-    model_config = ConfigDict(extra="forbid")
-    device: Annotated[str, Field(max_length=500)]
-    experiment: Annotated[str, Field(max_length=500)]
-
-
-class ComparisonRequest(BaseModel):
-    """What is to be compared."""
-
-    model_config = ConfigDict(extra="forbid")
-    device: Annotated[str, Field(max_length=500)]
-    experiments: Annotated[list[str], Field(max_length=500)] | None = None
-    criteria: Annotated[list[Literal[CRITERIA]], Field(min_length=1)] | None = None  # type: ignore[valid-type]
-    against: Against | None = None
 
 
 class Notes(BaseModel):
@@ -91,93 +58,6 @@ class Tags(BaseModel):
 
     model_config = ConfigDict(extra="forbid")
     tags: Annotated[list[Annotated[str, Field(min_length=1, max_length=100)]], Field(max_length=100)]
-
-
-@dataclass(frozen=True)
-class Service:
-    """What all requests share."""
-
-    settings: Settings
-    database: Database
-    catalogue: Catalogue
-    workers: Workers
-    theory: theory.Theory
-
-    def job(self, kind: str, request: dict[str, Any], key: str = "") -> str:
-        """Queue a job and wake a worker."""
-        job = self.database.add_job(kind, request, key)
-        self.workers.wake()
-        return job
-
-    def experiments(self, device: str, asked: list[str] | None) -> list[str]:
-        """Return experiments of a device that are stored, all where none is named."""
-        stored = list_experiments(self.settings.processed, device)
-        if not stored:
-            raise Problem(404, "There are no trials of this device.", found=device, where="device",
-                          expected=list_devices(self.settings.processed))  # fmt: skip
-        for name in asked or ():
-            if name not in stored:
-                raise Problem(
-                    404, "There are no trials of this experiment.", where="experiment", expected=stored, found=name
-                )
-        return [name for name in stored if not asked or name in asked]
-
-    def comparison(self, asked: ComparisonRequest) -> tuple[str, str | None]:
-        """Return the key of a comparison, and the job that makes it; no job where it is there."""
-        names = self.experiments(asked.device, asked.experiments)
-        request: dict[str, Any] = {"device": asked.device, "experiments": names, "criteria": asked.criteria}
-        if asked.against:
-            self.experiments(asked.against.device, [asked.against.experiment])
-            if len(names) != 1:
-                raise Problem(422, "One experiment is compared against another one.", where="experiments",
-                              expected="one name", found=names)  # fmt: skip
-            request["against"] = asked.against.model_dump()
-        key = results.key_of(self.settings, request)
-        if results.document_file(self.settings, key, report=True).is_file():
-            return key, None
-        self._may_compute()
-        return key, self.job("comparison", {"key": key, "request": request}, key)
-
-    def experiment(self, device: str, experiment: str) -> tuple[dict[str, Any] | None, str | None]:
-        """Return the document of an experiment, or the job that makes it."""
-        self.experiments(device, [experiment])
-        request = {"device": device, "experiments": [experiment], "criteria": None}
-        key = results.key_of(self.settings, request)
-        try:
-            document: dict[str, Any] = json.loads(results.document_file(self.settings, key).read_bytes())
-        except FileNotFoundError:
-            self._may_compute()
-            failed = self.database.failed_job("experiment", key, RETRY_S)
-            return None, failed or self.job("experiment", {"key": key, "request": request}, key)
-        return document, None
-
-    def _may_compute(self) -> None:
-        if self.settings.read_only:
-            raise Problem(503, "This was not computed yet, and the server is read-only.", where="server")
-
-    def samples(self, trial: str) -> tuple[dict[str, Any], pa.Table]:
-        """Return the conditions and the samples of a trial."""
-        trials, row = self.found(trial)
-        (shown,) = trials.items([row])
-        stored = read_trials(self.settings.processed, shown["device"], shown["experiment"])
-        own = stored.take(np.flatnonzero([name == trial for name in stored.column("trial_id").to_pylist()]))
-        if not own.num_rows:
-            raise Problem(404, "The trial was removed a moment ago.", found=trial, where="trial")
-        batch = load_batch(self.settings.processed, own.slice(0, 1))
-        arrays = {"time_s": batch.time, **{name: getattr(batch, name) for name in SAMPLES[1:]}}
-        present = {name: values[0] for name, values in arrays.items() if values is not None}
-        length = int(own.column("rows")[0].as_py())
-        columns = {
-            name: pa.array(values[:length]) for name, values in present.items() if not np.isnan(values[:length]).all()
-        }
-        return shown, pa.table(columns)
-
-    def found(self, trial: str) -> tuple[Trials, int]:
-        """Return the trials and the row of one of them."""
-        trials = self.catalogue.trials()
-        if trial not in trials.place:
-            raise Problem(404, "There is no such trial.", where="trial", found=trial)
-        return trials, trials.place[trial]
 
 
 def cursor(value: object) -> str | None:
@@ -274,7 +154,7 @@ def routes(service: Service) -> APIRouter:
 
     @api.get("/trials/{trial}/samples", response_class=Response)
     def samples(trial: str, request: Request) -> Response:
-        write = _form(request.headers.get("accept", "*/*"))
+        write = form_of(request.headers.get("accept", "*/*"))
         about, table = service.samples(trial)
         response: Response = write(about, table)
         return response
@@ -446,43 +326,3 @@ def _file(service: Service, key: str, ending: str, media: str) -> Response:
     return FileResponse(
         file, media_type=media, headers={"content-security-policy": REPORT_POLICY} if ending == ".html" else {}
     )
-
-
-def _form(accept: str) -> Any:
-    """Return the writer of the first form that a client takes."""
-    for kind in (part.partition(";")[0].strip().lower() for part in accept.split(",")):
-        if kind in FORMS:
-            return FORMS[kind]
-        if kind in ("*/*", "application/*", ""):
-            return _as_json
-    raise Problem(406, "Samples have no such form.", where="Accept", expected=list(FORMS), found=accept)
-
-
-def _as_json(about: dict[str, Any], table: pa.Table) -> Response:
-    which = "unit_rotation" if about["motion"] == "rotation" else "unit"
-    units = {name: getattr(COLUMNS[name], which) for name in table.column_names}
-    columns = {name: [None if x != x else x for x in table.column(name).to_pylist()] for name in table.column_names}
-    return JSONResponse({"trial": about, "units": units, "columns": columns})
-
-
-def _as_bytes(write: Any, media: str) -> Any:
-    def response(_about: dict[str, Any], table: pa.Table) -> Response:
-        stream = io.BytesIO()
-        write(table, stream)
-        return Response(stream.getvalue(), media_type=media)
-
-    return response
-
-
-def _write_arrow(table: pa.Table, stream: io.BytesIO) -> None:
-    with pa.ipc.new_stream(stream, table.schema) as writer:
-        writer.write_table(table)
-
-
-FORMS = {
-    "application/json": _as_json,
-    "text/csv": _as_bytes(pa_csv.write_csv, "text/csv; charset=utf-8"),
-    "application/vnd.apache.parquet": _as_bytes(pq.write_table, "application/vnd.apache.parquet"),
-    "application/vnd.apache.arrow.stream": _as_bytes(_write_arrow, "application/vnd.apache.arrow.stream"),
-}
-"""Forms of samples by their media type."""

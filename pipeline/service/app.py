@@ -24,6 +24,7 @@ from pipeline.service.problems import TITLES, Problem, problem_of
 from pipeline.service.problems import answer as answer_of
 from pipeline.service.security import Guard
 from pipeline.service.settings import Settings
+from pipeline.service.shared import Service
 from pipeline.service.theory import Theory
 from pipeline.service.uploads import remove_unacknowledged
 from pipeline.service.workers import Workers
@@ -47,7 +48,7 @@ def create_app(settings: Settings) -> ASGIApp:
             f"pipeline token create --role admin --processed {settings.processed}"
         )
     workers, theory = Workers(settings, database), Theory(settings.theory_s)
-    service = api.Service(settings, database, Catalogue(settings.processed, database), workers, theory)
+    service = Service(settings, database, Catalogue(settings.processed, database), workers, theory)
 
     @asynccontextmanager
     async def life(_: FastAPI) -> AsyncIterator[None]:
@@ -70,7 +71,7 @@ def create_app(settings: Settings) -> ASGIApp:
     return Guard(app, settings, database)
 
 
-def _answer_errors(app: FastAPI, service: api.Service) -> None:
+def _answer_errors(app: FastAPI, service: Service) -> None:
     def answer(request: Request, problem: Problem) -> Response:
         if "text/html" in request.headers.get("accept", "") and not request.url.path.startswith("/api/"):
             return pages.page_of(service, request, "problem.html.j2", problem.status, problem=problem.document)

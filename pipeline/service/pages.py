@@ -16,7 +16,6 @@ import numpy as np
 from fastapi import APIRouter, Query, Request
 from fastapi.responses import FileResponse, HTMLResponse, RedirectResponse, Response
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
-from markupsafe import Markup
 from starlette.concurrency import run_in_threadpool
 
 from pipeline.intake.quarantine import list_quarantine
@@ -25,13 +24,16 @@ from pipeline.records.findings import CRITERIA
 from pipeline.rendering.labels import CRITERION_NAMES, UNITS, significant
 from pipeline.rendering.report.page_template import TEMPLATES
 from pipeline.service import api
-from pipeline.service.api import Finite, Name, Segment, Service
+from pipeline.service.api import Finite, Name, Segment
 from pipeline.service.catalogue import SORTS
 from pipeline.service.database import ENDED
+from pipeline.service.page_figures import limits, plane, units_of
 from pipeline.service.plots import Layer, figure
 from pipeline.service.problems import Problem
 from pipeline.service.results import uploaded_name
+from pipeline.service.sample_forms import FORMS
 from pipeline.service.security import FORM, SESSION, cookie, cookies_of, form_token, is_form
+from pipeline.service.shared import ComparisonRequest, Service
 from pipeline.store.names import folder_name, name_of_folder
 
 HERE = Path(__file__).parent
@@ -166,8 +168,8 @@ def routes(service: Service) -> APIRouter:
         words = {kind: database.words(kind, ["experiment", device, experiment]) for kind in ("notes", "tags")}
         return page(
             request, "experiment.html.j2", device=device, experiment=experiment, trials=shown, total=int(mask.sum()),
-            plot=_plane(shown, found), found=found, job=job, problem=problem, facets=facets, **words,
-            causes=document["causes"][experiment] if document else [], units=_units(shown),
+            plot=plane(shown, found), found=found, job=job, problem=problem, facets=facets, **words,
+            causes=document["causes"][experiment] if document else [], units=units_of(shown),
         )  # fmt: skip
 
     @pages.get("/trials")
@@ -214,7 +216,7 @@ def routes(service: Service) -> APIRouter:
                  "arrows": "application/vnd.apache.arrow.stream"}  # fmt: skip
         if ending not in media:
             raise Problem(404, "Samples have no such form.", expected=list(media), found=ending)
-        response: Response = api.FORMS[media[ending]](*service.samples(trial))
+        response: Response = FORMS[media[ending]](*service.samples(trial))
         response.headers["content-disposition"] = f'attachment; filename="{quote(trial)}.{ending}"'
         return response
 
@@ -231,14 +233,14 @@ def routes(service: Service) -> APIRouter:
         waiting = [(d, e, database.job(job)) for d, e, _, job in found if job]
         return page(
             request, "compare.html.j2", runs=documents, waiting=waiting, busy=any(_busy(job) for *_, job in waiting),
-            plots=_limits(documents), criteria=CRITERIA, all=service.catalogue.trials().experiments,
+            plots=limits(documents), criteria=CRITERIA, all=service.catalogue.trials().experiments,
             chosen={run_of(*run) for run in chosen},
         )  # fmt: skip
 
     @pages.post("/compare")
     async def ask_comparison(request: Request) -> Response:
         fields = await fields_of(request)
-        asked = api.ComparisonRequest.model_validate(
+        asked = ComparisonRequest.model_validate(
             {
                 "device": fields.get("device", [""])[0],
                 "experiments": fields.get("experiments"),
@@ -354,10 +356,6 @@ def _limit(name: str, value: float | str | None) -> float | None:
     return number
 
 
-def _units(trials: Sequence[Mapping[str, Any]]) -> Any:
-    return UNITS[trials[0]["motion"] if trials else "translation"]
-
-
 def _csv(items: Sequence[Mapping[str, Any]]) -> Response:
     stream = io.StringIO()
     writer = csv.writer(stream)
@@ -367,55 +365,3 @@ def _csv(items: Sequence[Mapping[str, Any]]) -> Response:
         costs = (item["costs"].get(c, {}).get(key) for c in CRITERIA for key in ("value", "low", "high"))
         writer.writerow([*(item[name] for name in plain), *costs])
     return Response(stream.getvalue(), media_type="text/csv; charset=utf-8")
-
-
-def _floats(rows: Sequence[Mapping[str, Any]], name: str, scale: float = 1.0) -> np.ndarray:
-    return np.array([np.nan if row[name] is None else row[name] * scale for row in rows], dtype=np.float64)
-
-
-def _plane(trials: Sequence[Mapping[str, Any]], found: Mapping[str, Any] | None) -> Markup:
-    """Return the trials of an experiment by verdict, with the measured limits."""
-    layers = []
-    for kind in ("stable", "unstable", "undecided", None):
-        own = [t for t in trials if t["verdict"] == kind]
-        if own:
-            links = [f"/trials/{t['id']}" for t in own]
-            place = _floats(own, "damping"), _floats(own, "stiffness")
-            layers.append(Layer(kind or "none", *place, kind or "no verdict yet", links=links))
-    if found:
-        layers.append(_boundary(found["boundary"], "limit", "measured limit, 95 %"))
-    unit = _units(trials)
-    return figure(
-        layers, f"damping B [{unit.damping}]", f"stiffness K [{unit.stiffness}]", "Trials by verdict, and limits"
-    )
-
-
-def _boundary(points: Sequence[Mapping[str, Any]], kind: str, label: str, scale: tuple[float, float] = (1, 1)) -> Layer:
-    ordered = sorted((p for p in points if p["estimate"] is not None), key=lambda p: p["damping"])
-    x, y, low, high = (
-        _floats(ordered, name, factor)
-        for name, factor in (("damping", scale[1]), ("estimate", scale[0]), ("low", scale[0]), ("high", scale[0]))
-    )
-    return Layer(kind, x, y, label, low, high)
-
-
-def _limits(runs: Sequence[tuple[str, str, Mapping[str, Any]]]) -> list[tuple[str, Markup]]:
-    """Return limits over each other: as measured where all move alike, and normalised where masses are known."""
-    if not runs:
-        return []
-    motions = {document["motion"] for *_, document in runs}
-    named = [(f"run-{i}", f"{d}, experiment {e}", doc["experiments"][0]) for i, (d, e, doc) in enumerate(runs)]
-    plots = []
-    if len(motions) == 1:
-        unit = UNITS[motions.pop()]
-        layers = [_boundary(found["boundary"], kind, label) for kind, label, found in named]
-        plots.append(("Stability limits with their 95 % intervals", figure(
-            layers, f"damping B [{unit.damping}]", f"stiffness K [{unit.stiffness}]", "Stability limits")))  # fmt: skip
-    if all(found["theory"] for *_, found in named):
-        layers = []
-        for kind, label, found in named:
-            period, mass = found["theory"]["sampling_period_s"], found["theory"]["mass"]
-            layers.append(_boundary(found["boundary"], kind, label, (period**2 / mass, period / mass)))
-        plots.append(("The same, normalised by mass and sampling period", figure(layers, "β = B T/m", "α = K T²/m",
-                      "Normalised stability limits")))  # fmt: skip
-    return plots
