@@ -62,10 +62,10 @@ class Service:
 
     def experiments(self, device: str, asked: list[str] | None) -> list[str]:
         """Return experiments of a device that are stored, all where none is named."""
+        devices = list_devices(self.settings.processed)
+        if device not in devices:
+            raise Problem(404, "There are no trials of this device.", where="device", expected=devices, found=device)
         stored = list_experiments(self.settings.processed, device)
-        if not stored:
-            raise Problem(404, "There are no trials of this device.", found=device, where="device",
-                          expected=list_devices(self.settings.processed))  # fmt: skip
         for name in asked or ():
             if name not in stored:
                 raise Problem(

@@ -221,3 +221,51 @@ def test_events_tell_of_a_job_until_it_ends(served):
     lines = served.get(f"jobs/{job}/events").content.decode().splitlines()
     assert lines[0] == "event: done"
     assert json.loads(lines[1].removeprefix("data: "))["id"] == job
+
+
+ODD = (
+    "%0d%0aX",
+    "%00",
+    "%ff%fe",
+    "%F0%9F%92%A5",
+    "a" * 3000,
+    "-1",
+    "1e400",
+    "NaN",
+    "'%3B--",
+    "%2e%2e%2f",
+    "{}",
+    "[]",
+    "",
+)
+
+
+@pytest.mark.parametrize("odd", ODD)
+def test_odd_words_are_no_defect(served, odd):
+    """Every parameter of every GET takes every odd word without a status of 500."""
+    trial = served.get("trials?limit=1").content["items"][0]["id"]
+    found = {}
+    for path, methods in served.get("openapi.json").content["paths"].items():
+        if "get" not in methods or path.endswith("/events"):
+            continue
+        names = [p["name"] for p in methods["get"].get("parameters", ()) if p["in"] == "query"]
+        filled = path.replace("{trial}", trial).replace("{device}", "falcon").replace("{experiment}", "1")
+        broken = [path.replace(part, odd or "x") for part in {part for part in path.split("/") if part[:1] == "{"}]
+        plain = [filled + f"?{name}={odd}" for name in names]
+        for asked in [p.replace("{trial}", odd or "x").replace("{device}", odd or "x") for p in broken] + plain:
+            if "{" not in asked.replace("{}", "") and " " not in asked:
+                found[asked] = served.get(asked).status
+    assert {asked: status for asked, status in found.items() if status >= 500 and status != 503} == {}
+    assert len(found) > 20
+
+
+BODIES = (b"", b"{", b"[]", b"null", b'{"text": "\\ud800"}', b"\xff", b'{"text": 1}', b'{"text": "\\u0000"}')
+
+
+@pytest.mark.parametrize("body", BODIES)
+def test_odd_bodies_are_no_defect(served, body):
+    words = [("PUT", f"experiments/falcon/1/{kind}") for kind in ("notes", "tags")]
+    for method, path in (*words, ("POST", "comparisons")):
+        answer = served.ask(method, path, body, {"Content-Type": "application/json"})
+        assert answer.status in (200, 400, 422), (path, answer.content)
+    served.ask("PUT", "experiments/falcon/1/notes", document={"text": ""})

@@ -26,7 +26,8 @@ def test_without_the_extra_the_message_says_what_to_install(tmp_path):
         "sys.meta_path.insert(0, Hidden())\n"
         "import importlib.util as u\n"
         "find = u.find_spec\n"
-        "u.find_spec = lambda name, *more: None if name in ('fastapi', 'uvicorn', 'python_multipart') else find(name, *more)\n"
+        "extra = ('fastapi', 'uvicorn', 'python_multipart')\n"
+        "u.find_spec = lambda name, *more: None if name in extra else find(name, *more)\n"
         "from pipeline.shell.cli import run\n"
         "run(sys.argv[1:])\n"
     )

@@ -175,3 +175,35 @@ def test_kill_loses_nothing_and_doubles_nothing(tmp_path, logs, after_s):
     finally:
         process.terminate()
         process.wait()
+
+
+def running(client, database, job):
+    while client.get(f"jobs/{job}").content["state"] == "queued":
+        time.sleep(0.01)
+    return database.run("SELECT owner FROM jobs WHERE id = ?", job)[0]["owner"]
+
+
+def test_a_running_job_ends_when_it_is_cancelled(empty, logs, tmp_path):
+    database = Database(Settings(tmp_path / "processed", tmp_path / "reports").data)
+    empty.upload(logs)
+    empty.all_done()
+    job = empty.ask("POST", "comparisons", document={"device": "falcon"}).content["job"]
+    worker = running(empty, database, job)
+    assert empty.ask("DELETE", f"jobs/{job}").content["state"] == "cancelled"
+    _, after = empty.upload(logs[:1])
+    assert after["state"] == "done"
+    assert database.run("SELECT owner FROM jobs WHERE id = ?", after["id"])[0]["owner"] != worker
+    assert empty.get(f"jobs/{job}").content["state"] == "cancelled"
+
+
+def test_a_killed_worker_is_followed_by_another(empty, logs, tmp_path):
+    database = Database(Settings(tmp_path / "processed", tmp_path / "reports").data)
+    empty.upload(logs)
+    empty.all_done()
+    asked = {"device": "falcon", "criteria": ["overshoot"]}
+    job = empty.ask("POST", "comparisons", document=asked).content["job"]
+    first = running(empty, database, job)
+    os.kill(int(first.partition("-")[0]), signal.SIGKILL)
+    found = empty.done(job)
+    assert (found["state"], found["problem"]) == ("done", None)
+    assert database.run("SELECT owner FROM jobs WHERE id = ?", job)[0]["owner"] != first
