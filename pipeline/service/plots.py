@@ -11,7 +11,7 @@ from markupsafe import Markup, escape
 from pipeline.records.batch import Floats
 
 WIDTH, HEIGHT = 640.0, 400.0
-LEFT, RIGHT, TOP, BOTTOM = 84.0, 16.0, 12.0, 58.0
+LEFT, RIGHT, TOP, BOTTOM = 104.0, 16.0, 12.0, 58.0
 STEPS = (1.0, 2.0, 2.5, 5.0, 10.0)
 MOST_POINTS = 1200
 """Of a line; more are not told apart on any screen."""
