@@ -126,12 +126,15 @@ class Database:
         return name
 
     def claim(self, owner: str) -> dict[str, Any] | None:
-        """Take the oldest job that waits, or whose worker was not heard of, for a worker; None where there is none."""
+        """Take the oldest job that waits, or whose worker was not heard of; None where there is none.
+
+        Jobs of the kind ``stages``, for which nobody waits, come last.
+        """
         now = time.time()
         rows = self.run(
             "UPDATE jobs SET state = 'running', owner = ?, lease = ?, changed = ? WHERE "
             "number = (SELECT number FROM jobs WHERE state = 'queued' OR (state = 'running' AND lease < ?) "
-            "ORDER BY number LIMIT 1) RETURNING *",
+            "ORDER BY kind = 'stages', number LIMIT 1) RETURNING *",
             *(owner, now + LEASE_S, now, now),
         )
         return dict(rows[0]) if rows else None

@@ -207,3 +207,13 @@ def test_a_killed_worker_is_followed_by_another(empty, logs, tmp_path):
     found = empty.done(job)
     assert (found["state"], found["problem"]) == ("done", None)
     assert database.run("SELECT owner FROM jobs WHERE id = ?", job)[0]["owner"] != first
+
+
+def test_jobs_that_nobody_waits_for_come_last(tmp_path):
+    database = Database(tmp_path)
+    stages = database.add_job("stages", {}, "stages")
+    assert database.add_job("stages", {}, "stages") == stages
+    upload = database.add_job("upload", {})
+    assert [database.claim(worker)["id"] for worker in "ab"] == [upload, stages]
+    # a running one may have passed what is new
+    assert database.add_job("stages", {}, "stages") != stages
