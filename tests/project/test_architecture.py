@@ -31,6 +31,7 @@ DIRECTLY: dict[str, tuple[str, ...]] = {
 }
 """Folders that the modules of a folder may import from, as in docs/architecture.md; and all that these may."""
 
+DIRECTLY["service"] = tuple(DIRECTLY)
 DIRECTLY["shell"] = tuple(DIRECTLY)
 
 

@@ -1,0 +1,328 @@
+"""REST: ``/api/v1/...``. Nothing is computed in a request; what is not stored yet is asked for as a job."""
+
+import asyncio
+import base64
+import json
+import math
+import time
+from collections.abc import AsyncIterator, Callable
+from typing import Annotated, Any, Literal
+
+from fastapi import APIRouter, Depends, Path, Query, Request
+from fastapi.responses import FileResponse, JSONResponse, Response, StreamingResponse
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from starlette.concurrency import run_in_threadpool
+
+from pipeline import __version__
+from pipeline.service import results, theory
+from pipeline.service.catalogue import page_of, sorting
+from pipeline.service.database import ENDED, Database
+from pipeline.service.problems import RESPONSES, Problem
+from pipeline.service.sample_forms import form_of
+from pipeline.service.shared import ComparisonRequest, Service
+from pipeline.service.uploads import Upload
+from pipeline.store.names import name_of_folder
+
+MOST = 1000
+"""Items of a page."""
+
+EVENT_S = 0.3
+"""Time between two looks at a job that somebody watches [s]."""
+
+REPORT_POLICY = (
+    "sandbox allow-scripts allow-popups; default-src 'none'; style-src 'unsafe-inline'; img-src data:; "
+    "script-src 'unsafe-inline'"
+)
+
+Limit = Annotated[int, Query(ge=1, le=MOST, description="Items of a page.")]
+Name = Annotated[str, Query(max_length=500)]
+Cursor = Annotated[str | None, Query(max_length=2000, description="`next_cursor` of the page before.")]
+Segment = Annotated[str, AfterValidator(name_of_folder)]
+"""A name in an address: one with a slash or % is written as `names.folder_name` has it, and then quoted."""
+
+Finite = Annotated[float | None, Query(allow_inf_nan=False)]
+Part = Literal["estimates", "boundary", "optima", "causes"]
+Coefficient = Annotated[float, Query(allow_inf_nan=False)]
+Delay = Annotated[float, Query(ge=0, le=theory.LONGEST_DELAY, description="Delay in samples.")]
+
+
+class Notes(BaseModel):
+    """A text on a trial or experiment."""
+
+    model_config = ConfigDict(extra="forbid")
+    text: Annotated[str, Field(max_length=100_000)]
+
+
+class Tags(BaseModel):
+    """Short words on a trial or experiment."""
+
+    model_config = ConfigDict(extra="forbid")
+    tags: Annotated[list[Annotated[str, Field(min_length=1, max_length=100)]], Field(max_length=100)]
+
+
+def cursor(value: object) -> str | None:
+    """Return a place in a list as a word for an address; None stays so."""
+    return None if value is None else base64.urlsafe_b64encode(json.dumps(value).encode()).decode()
+
+
+def place(word: str | None, kinds: tuple[type, ...]) -> Any:
+    """Return the place that a cursor names: a list of parts of some kinds, or None."""
+    if word is None:
+        return None
+    try:
+        value = json.loads(base64.urlsafe_b64decode(word.encode()))
+    except ValueError:
+        value = None
+    right = isinstance(value, list) and len(value) == len(kinds)
+    if not right or not all(isinstance(part, kind) for part, kind in zip(value, kinds, strict=True)):
+        raise Problem(400, "The cursor is none of this list. Begin without one.", where="cursor")
+    return value
+
+
+def trial_list(
+    service: Service,
+    words: dict[str, str | None],
+    ranges: dict[str, float | None],
+    q: str,
+    sort: str,
+    limit: int,
+    word: str | None,
+) -> dict[str, Any]:
+    """Return a page of trials with facets, as the API and the pages show it."""
+    name = sorting(sort).lstrip("-")
+    trials = service.catalogue.trials()
+    kind = (type(None),) if name == "id" else (str,) if name in trials.texts else (float, int, type(None))
+    after = place(word, (kind, str))  # type: ignore[arg-type]
+    asked = {key: "" if value == "none yet" else value for key, value in words.items() if value}
+    limits = {key: value for key, value in ranges.items() if value is not None}
+    mask, facets = trials.selected(asked, limits, q)
+    rows, more = trials.page(mask, sort, limit, after)
+    last = [trials.value(rows[-1], name), trials.ids[rows[-1]]] if more else None
+    items = trials.items(rows)
+    return {"items": items, "next_cursor": cursor(last), "total": int(mask.sum()), "facets": facets}
+
+
+def routes(service: Service) -> APIRouter:
+    """Return the routes of the API."""
+    api = APIRouter(prefix="/api/v1", responses=RESPONSES)
+    settings, database = service.settings, service.database
+
+    @api.get("/health")
+    def health() -> dict[str, Any]:
+        states = database.run("SELECT state, count(*) AS n FROM jobs GROUP BY state")
+        jobs = {row["state"]: row["n"] for row in states}
+        return {"state": "ok", "version": __version__, "read_only": settings.read_only, "jobs": jobs}
+
+    @api.get("/devices")
+    def devices(limit: Limit = 100, cursor_: Annotated[Cursor, Query(alias="cursor")] = None) -> dict[str, Any]:
+        items, last = page_of(service.catalogue.trials().devices, ("device",), limit, place(cursor_, (str,)))
+        return {"items": items, "next_cursor": cursor(last)}
+
+    @api.get("/experiments")
+    def experiments(
+        device: Name | None = None, limit: Limit = 100, cursor_: Annotated[Cursor, Query(alias="cursor")] = None
+    ) -> dict[str, Any]:
+        all_ = [e for e in service.catalogue.trials().experiments if device in (None, e["device"])]
+        items, last = page_of(all_, ("device", "experiment"), limit, place(cursor_, (str, str)))
+        return {"items": items, "next_cursor": cursor(last)}
+
+    @api.get("/trials")
+    def trials(
+        device: Name | None = None,
+        experiment: Name | None = None,
+        verdict: Name | None = None,
+        outcome: Name | None = None,
+        stiffness_min: Finite = None,
+        stiffness_max: Finite = None,
+        damping_min: Finite = None,
+        damping_max: Finite = None,
+        q: Name = "",
+        sort: Name = "id",
+        limit: Limit = 100,
+        cursor_: Annotated[Cursor, Query(alias="cursor")] = None,
+    ) -> JSONResponse:
+        words = {"device": device, "experiment": experiment, "verdict": verdict, "outcome": outcome}
+        ranges = {"stiffness_min": stiffness_min, "stiffness_max": stiffness_max, "damping_min": damping_min,
+                  "damping_max": damping_max}  # fmt: skip
+        return JSONResponse(trial_list(service, words, ranges, q, sort, limit, cursor_))
+
+    @api.get("/trials/{trial}")
+    def one_trial(trial: str) -> dict[str, Any]:
+        found, row = service.found(trial)
+        words = {kind: database.words(kind, ["trial", trial]) for kind in ("notes", "tags")}
+        return {**found.items([row])[0], **words, "source": results.uploaded_name(database, found.sources[row].as_py())}
+
+    @api.get("/trials/{trial}/samples", response_class=Response)
+    def samples(trial: str, request: Request) -> Response:
+        write = form_of(request.headers.get("accept", "*/*"))
+        about, table = service.samples(trial)
+        response: Response = write(about, table)
+        return response
+
+    @api.post("/logs", status_code=202)
+    async def logs(request: Request) -> dict[str, Any]:
+        return await receive(service, request)
+
+    @api.get("/jobs")
+    def jobs(limit: Limit = 100, cursor_: Annotated[Cursor, Query(alias="cursor")] = None) -> dict[str, Any]:
+        before = (place(cursor_, (int,)) or [2**62])[0]
+        if not 0 <= before < 2**63:
+            raise Problem(400, "The cursor is none of this list. Begin without one.", where="cursor")
+        found = database.jobs(before, limit + 1)
+        last = [found[limit - 1]["number"]] if len(found) > limit else None
+        return {"items": found[:limit], "next_cursor": cursor(last)}
+
+    @api.get("/jobs/{job}")
+    def one_job(job: str) -> dict[str, Any]:
+        shown = database.job(job)
+        if shown is None:
+            raise Problem(404, "There is no such job.", where="job", found=job)
+        return shown
+
+    @api.delete("/jobs/{job}")
+    def cancel(job: str) -> dict[str, Any]:
+        one_job(job)
+        database.cancel(job)
+        return one_job(job)
+
+    @api.get("/jobs/{job}/events", response_class=StreamingResponse)
+    async def events(job: str, request: Request) -> StreamingResponse:
+        await run_in_threadpool(one_job, job)
+
+        async def told() -> AsyncIterator[str]:
+            former = None
+            while not await request.is_disconnected():
+                shown = await run_in_threadpool(one_job, job)
+                if shown != former:
+                    yield f"event: {shown['state']}\ndata: {json.dumps(shown)}\n\n"
+                former = shown
+                if shown["state"] in ENDED:
+                    return
+                await asyncio.sleep(EVENT_S)
+
+        return StreamingResponse(told(), media_type="text/event-stream")
+
+    @api.post("/comparisons", responses={202: {"description": "A job makes it."}})
+    def compare(asked: ComparisonRequest) -> JSONResponse:
+        key, job = service.comparison(asked)
+        return JSONResponse({"key": key}) if job is None else JSONResponse({"job": job, "key": key}, 202)
+
+    @api.get("/comparisons/{key}")
+    def comparison(key: Annotated[str, Path(pattern="^[0-9a-f]{16}$")]) -> Response:
+        return _file(service, key, ".json", "application/json")
+
+    @api.get("/comparisons/{key}/report", response_class=Response)
+    def report(key: Annotated[str, Path(pattern="^[0-9a-f]{16}$")]) -> Response:
+        return _file(service, key, ".html", "text/html; charset=utf-8")
+
+    @api.get("/theory/boundary", responses={504: {"description": "It took too long."}})
+    def boundary(delay: Delay, gamma: Coefficient = 0.0, delta: Coefficient = 0.0) -> Any:
+        return service.theory.compute(theory.boundary, gamma, delta, delay)
+
+    @api.get("/theory/optimum", responses={504: {"description": "It took too long."}})
+    def optimum(
+        criterion: Name,
+        delay: Delay,
+        gamma: Coefficient = 0.0,
+        delta: Coefficient = 0.0,
+        signal: Literal["continuous", "discrete"] | None = None,
+    ) -> Any:
+        return service.theory.compute(theory.optimum, gamma, delta, delay, criterion, signal)
+
+    @api.get("/theory/points", responses={504: {"description": "It took too long."}})
+    def points(
+        alpha: Annotated[list[float], Query(max_length=theory.MOST_POINTS)],
+        beta: Annotated[list[float], Query(max_length=theory.MOST_POINTS)],
+        delay: Delay,
+        gamma: Coefficient = 0.0,
+        delta: Coefficient = 0.0,
+    ) -> Any:
+        if len(alpha) != len(beta) or not all(map(math.isfinite, (*alpha, *beta))):
+            raise Problem(422, "Each point needs a finite alpha and beta.", where="alpha, beta")
+        rows = [(a, b, gamma, delta, delay) for a, b in zip(alpha, beta, strict=True)]
+        return service.theory.compute(theory.points, rows)
+
+    def of_trial(trial: str) -> list[str]:
+        service.found(trial)
+        return ["trial", trial]
+
+    def of_experiment(device: Segment, experiment: Segment) -> list[str]:
+        service.experiments(device, [experiment])
+        return ["experiment", device, experiment]
+
+    for owner, of in (("/trials/{trial}", of_trial), ("/experiments/{device}/{experiment}", of_experiment)):
+        _add_words(api, database, owner, of)
+
+    @api.get("/experiments/{device}/{experiment}/{part}")
+    async def experiment_part(device: Segment, experiment: Segment, part: Part) -> Response:
+        document, job = await run_in_threadpool(service.experiment, device, experiment)
+        until = time.monotonic() + settings.wait_s
+        while document is None and time.monotonic() < until:
+            assert job is not None, "there is a document or a job"
+            shown = await run_in_threadpool(database.job, job)
+            if shown is not None and shown["state"] in ENDED:
+                if shown["problem"]:
+                    raise Problem(503, shown["problem"]["detail"], where=f"{device}, experiment {experiment}")
+                document, job = await run_in_threadpool(service.experiment, device, experiment)
+            else:
+                await asyncio.sleep(0.1)
+        if document is None:
+            return JSONResponse({"job": job}, 202, {"Retry-After": "5", "Location": f"/api/v1/jobs/{job}"})
+        return JSONResponse(part_of(document, part))
+
+    return api
+
+
+async def receive(service: Service, request: Request, check: Any = lambda _: None) -> dict[str, Any]:
+    """Store the logs of a request and queue their job; `check` looks at the fields of the form before."""
+    upload = Upload(service.settings)
+    try:
+        await upload.receive(request)
+        check(upload.fields)
+        accepted = await run_in_threadpool(upload.accept, service.database)
+    except BaseException:
+        upload.discard()
+        raise
+    service.workers.wake()
+    return accepted
+
+
+def part_of(document: dict[str, Any], part: str) -> Any:
+    """Return a part of an experiment's document."""
+    (found,) = document["experiments"]
+    if part == "causes":
+        return document["causes"][found["experiment"]]
+    return found["optimum" if part == "optima" else part]
+
+
+def _add_words(api: APIRouter, database: Database, owner: str, of: Callable[..., list[str]]) -> None:
+    """Add the routes of notes and tags of trials or experiments."""
+    owned = Annotated[list[str], Depends(of)]
+
+    @api.get(f"{owner}/notes")
+    def notes(of: owned) -> dict[str, Any]:
+        return {"text": database.words("notes", of)}
+
+    @api.put(f"{owner}/notes")
+    def put_notes(of: owned, notes: Notes) -> dict[str, Any]:
+        database.set_words("notes", of, notes.text)
+        return notes.model_dump()
+
+    @api.get(f"{owner}/tags")
+    def tags(of: owned) -> dict[str, Any]:
+        return {"tags": database.words("tags", of)}
+
+    @api.put(f"{owner}/tags")
+    def put_tags(of: owned, tags: Tags) -> dict[str, Any]:
+        database.set_words("tags", of, tags.tags)
+        return tags.model_dump()
+
+
+def _file(service: Service, key: str, ending: str, media: str) -> Response:
+    """Return a file of a comparison; the scripts of a page run as those of a site of its own."""
+    file = results.document_file(service.settings, key, report=True).with_suffix(ending)
+    if not file.is_file():
+        raise Problem(404, "There is no such comparison. POST comparisons makes one.", where="key", found=key)
+    return FileResponse(
+        file, media_type=media, headers={"content-security-policy": REPORT_POLICY} if ending == ".html" else {}
+    )

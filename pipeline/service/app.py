@@ -1,0 +1,111 @@
+"""The server: its parts put together."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
+from typing import Any
+
+from anyio import to_thread
+from fastapi import FastAPI, Request
+from fastapi.exceptions import RequestValidationError
+from pydantic import ValidationError
+from starlette.exceptions import HTTPException
+from starlette.responses import Response
+from starlette.types import ASGIApp
+
+from pipeline import __version__
+from pipeline.base.errors import PipelineError, UsageError
+from pipeline.service import api, pages
+from pipeline.service.catalogue import Catalogue
+from pipeline.service.database import Database
+from pipeline.service.problems import TITLES, Problem, problem_of
+from pipeline.service.problems import answer as answer_of
+from pipeline.service.security import Guard
+from pipeline.service.settings import Settings
+from pipeline.service.shared import Service
+from pipeline.service.theory import Theory
+from pipeline.service.uploads import remove_unacknowledged
+from pipeline.service.workers import Workers
+
+THREADS = 12
+"""That answer requests: more take memory, and the interpreter from each other."""
+
+
+def create_app(settings: Settings) -> ASGIApp:
+    """Return the server as an ASGI application.
+
+    Raises
+    ------
+    UsageError
+        If other computers would reach it and there is no token.
+    """
+    database = Database(settings.data)
+    if not settings.loopback and not database.has_tokens():
+        raise UsageError(
+            f"--host {settings.host}: other computers would reach the server, and there is no token. Make one first: "
+            f"pipeline token create --role admin --processed {settings.processed}"
+        )
+    workers, theory = Workers(settings, database), Theory(settings.theory_s)
+    service = Service(settings, database, Catalogue(settings.processed, database), workers, theory)
+
+    @asynccontextmanager
+    async def life(_: FastAPI) -> AsyncIterator[None]:
+        to_thread.current_default_thread_limiter().total_tokens = THREADS
+        if not settings.read_only:
+            remove_unacknowledged(settings, database)
+            service.job("stages", {}, "stages")
+            workers.start()
+        yield
+        workers.stop()
+        theory.stop()
+
+    app = FastAPI(
+        title="pipeline", version=__version__, lifespan=life, docs_url=None, redoc_url=None,
+        openapi_url="/api/v1/openapi.json",
+    )  # fmt: skip
+    app.include_router(api.routes(service))
+    app.include_router(pages.routes(service))
+    _answer_errors(app, service)
+    return Guard(app, settings, database)
+
+
+def _answer_errors(app: FastAPI, service: Service) -> None:
+    def answer(request: Request, problem: Problem) -> Response:
+        if "text/html" in request.headers.get("accept", "") and not request.url.path.startswith("/api/"):
+            return pages.page_of(service, request, "problem.html.j2", problem.status, problem=problem.document)
+        return answer_of(problem)
+
+    @app.exception_handler(Problem)
+    async def problem(request: Request, error: Problem) -> Response:
+        return answer(request, error)
+
+    @app.exception_handler(PipelineError)
+    async def named(request: Request, error: PipelineError) -> Response:
+        return answer(request, problem_of(error))
+
+    @app.exception_handler(ValidationError)
+    @app.exception_handler(RequestValidationError)
+    async def wrong(request: Request, error: RequestValidationError | ValidationError) -> Response:
+        errors: list[Any] = [{"where": ".".join(map(str, e["loc"])), "detail": e["msg"]} for e in error.errors()]
+        return answer(request, Problem(422, errors[0]["detail"], where=errors[0]["where"], errors=errors))
+
+    @app.exception_handler(HTTPException)
+    async def other(request: Request, error: HTTPException) -> Response:
+        if error.status_code not in TITLES:
+            return Response(status_code=error.status_code, headers=error.headers)
+        return answer(request, Problem(error.status_code, str(error.detail)))
+
+
+def serve(settings: Settings) -> None:
+    """Serve until a signal asks for an end."""
+    import uvicorn
+
+    logging.getLogger("pipeline.service").setLevel(logging.INFO)
+    logging.basicConfig(format="%(message)s")
+    app = create_app(settings)
+    uvicorn.run(
+        app, host=settings.host, port=settings.port, log_config=None, access_log=False, server_header=False,
+        proxy_headers=False, timeout_graceful_shutdown=5,
+    )  # fmt: skip

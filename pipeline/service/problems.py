@@ -1,0 +1,63 @@
+"""Errors as problem documents (RFC 9457): what, where, expected, found, what to do."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from fastapi.responses import JSONResponse
+
+from pipeline.base.errors import DeviceError, PipelineError, StoreError
+
+MEDIA = "application/problem+json"
+
+TITLES = {
+    400: "The request is wrong",
+    401: "Not logged in",
+    403: "Not allowed",
+    404: "Not found",
+    405: "Method not allowed",
+    406: "No such form",
+    408: "The client is too slow",
+    413: "Too large",
+    422: "A value is wrong",
+    429: "Too many requests",
+    503: "Not available",
+    504: "Took too long",
+}
+
+
+class Problem(Exception):  # noqa: N818 (RFC 9457 calls it so)
+    """A request that cannot be answered.
+
+    Parameters
+    ----------
+    status : int
+    detail : str
+        What is wrong and what to do.
+    **more : object
+        Such as ``where``, ``expected``, ``found``.
+    """
+
+    def __init__(self, status: int, detail: str, **more: object) -> None:
+        super().__init__(detail)
+        self.status = status
+        self.document = {"type": "about:blank", "title": TITLES[status], "status": status, "detail": detail, **more}
+
+
+def problem_of(error: PipelineError) -> Problem:
+    """Return a named error as the answer to a request."""
+    status = 404 if isinstance(error, DeviceError) else 503 if isinstance(error, StoreError) else 422
+    return Problem(status, str(error))
+
+
+def answer(problem: Problem) -> JSONResponse:
+    """Return the document of a problem."""
+    headers = {"WWW-Authenticate": "Bearer"} if problem.status == 401 else None
+    return JSONResponse(problem.document, problem.status, headers, MEDIA)
+
+
+RESPONSES: dict[int | str, dict[str, Any]] = {
+    status: {"description": TITLES[status], "content": {MEDIA: {"schema": {"type": "object"}}}}
+    for status in (400, 401, 403, 404, 413, 422, 503)
+}
+"""Answers that every route of the API may give, for its schema."""

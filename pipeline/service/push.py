@@ -1,0 +1,126 @@
+"""Logs to a server, some at a time, with what Python brings along."""
+
+from __future__ import annotations
+
+import json
+import os
+import secrets
+import time
+from collections.abc import Callable, Iterator
+from http.client import HTTPConnection, HTTPException, HTTPSConnection
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote, urlsplit
+
+from pipeline.base.errors import UsageError
+
+AT_A_TIME, BYTES = 200, 64 << 20
+"""Logs, and bytes of them, in a request: an interruption costs no more."""
+
+POLL_S = 0.2
+
+Advance = Callable[[int, int | None], None]
+
+
+def push(folder: Path, to: str, profile: str | None, token: str | None, advance: Advance) -> dict[str, Any]:
+    """Upload logs and wait until they are stored; return what ``ingest --json`` would print of all.
+
+    Raises
+    ------
+    UsageError
+        If there are no logs, the server cannot be reached, or it refuses; what it took before stays there.
+    """
+    files = [folder] if folder.is_file() else sorted(_logs(folder))
+    if not files:
+        raise UsageError(f"{folder}: no files. Give a folder with logs.")
+    server = _Server(to, token)
+    total: dict[str, Any] = {"found": 0, "ingested": 0, "skipped": 0, "quarantined": [], "warnings": [], "damaged": []}
+    jobs = []
+    sent = 0
+    for group in _groups(files):
+        jobs.append(server.upload(group, folder, profile)["job"])
+        sent += len(group)
+        advance(sent, len(files))
+    for job in jobs:
+        result = server.wait(job)
+        for name, value in total.items():
+            total[name] = value + result.get(name, type(value)())
+    return total
+
+
+def _logs(folder: Path) -> Iterator[Path]:
+    for here, folders, names in os.walk(folder):
+        folders[:] = [name for name in folders if not name.startswith(".")]
+        yield from (Path(here, name) for name in names if not name.startswith(".") and name != "truth.json")
+
+
+def _groups(files: list[Path]) -> Iterator[list[Path]]:
+    """Yield files in groups; those of one folder stand together, as pairs have to."""
+    group: list[Path] = []
+    size = 0
+    for file in files:
+        length = file.stat().st_size
+        if group and (len(group) >= AT_A_TIME or size + length > BYTES) and file.stem != group[-1].stem:
+            yield group
+            group, size = [], 0
+        group.append(file)
+        size += length
+    yield group
+
+
+class _Server:
+    def __init__(self, address: str, token: str | None) -> None:
+        self.address = address
+        parts = urlsplit(address)
+        if parts.scheme not in ("http", "https") or not parts.hostname:
+            raise UsageError(f"--to {address}: expected an address such as http://127.0.0.1:8000.")
+        self.make = HTTPSConnection if parts.scheme == "https" else HTTPConnection
+        self.host, self.port = parts.hostname, parts.port
+        self.base = parts.path.rstrip("/")
+        self.headers = {"Authorization": f"Bearer {token}"} if token else {}
+
+    def upload(self, files: list[Path], folder: Path, profile: str | None) -> Any:
+        boundary = secrets.token_hex(16)
+        root = folder if folder.is_dir() else folder.parent
+        pieces = []
+        if profile is not None:
+            head = f'--{boundary}\r\nContent-Disposition: form-data; name="profile"\r\n\r\n'
+            pieces.append(f"{head}{profile}\r\n".encode())
+        for file in files:
+            name = file.relative_to(root).as_posix().replace("\\", "\\\\").replace('"', '\\"').replace("\n", "%0A")
+            head = f'--{boundary}\r\nContent-Disposition: form-data; name="files"; filename="{name}"\r\n\r\n'
+            pieces += [head.encode(), file.read_bytes(), b"\r\n"]
+        body = b"".join([*pieces, f"--{boundary}--\r\n".encode()])
+        return self._ask("POST", "/api/v1/logs", body, {"Content-Type": f"multipart/form-data; boundary={boundary}"})
+
+    def wait(self, job: str) -> dict[str, Any]:
+        while True:
+            found = self._ask("GET", f"/api/v1/jobs/{quote(job)}")
+            if found["state"] == "done":
+                result: dict[str, Any] = found["result"]
+                return result
+            if found["state"] in ("failed", "cancelled"):
+                why = found["problem"]["detail"] if found["problem"] else "it was cancelled"
+                raise UsageError(f"{self.address}: the logs were taken, but not stored: {why}")
+            time.sleep(POLL_S)
+
+    def _ask(self, method: str, path: str, body: bytes | None = None, headers: dict[str, str] | None = None) -> Any:
+        connection = self.make(self.host, self.port, timeout=120.0)
+        try:
+            connection.request(method, self.base + path, body, {**self.headers, **(headers or {})})
+            response = connection.getresponse()
+            text = response.read()
+        except (OSError, HTTPException) as error:
+            raise UsageError(
+                f"{self.address}: cannot be reached ({error}). What it acknowledged is stored there; the same command "
+                "sends the rest."
+            ) from error
+        finally:
+            connection.close()
+        try:
+            document = json.loads(text)
+        except ValueError:
+            raise UsageError(f"{self.address}: this is no server of pipeline (status {response.status}).") from None
+        if response.status >= 400:
+            raise UsageError(f"{self.address}: {document.get('detail', text[:200])} (status {response.status})")
+        return document

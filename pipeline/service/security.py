@@ -1,0 +1,230 @@
+"""Who may: checks of every request before anything else reads it, and headers of every answer.
+
+On loopback no token is needed; a page of another site cannot use that, as its Origin, or the name under which it made a
+browser find this computer (Host), is refused. Elsewhere a token is needed, sent as Bearer or kept as a login's cookie.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import hmac
+import json
+import logging
+import secrets
+import time
+from collections.abc import Mapping
+from http.cookies import CookieError, SimpleCookie
+from urllib.parse import parse_qsl, urlsplit
+
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from pipeline.service.database import ROLES, Database, Role
+from pipeline.service.problems import Problem, answer
+from pipeline.service.settings import Settings
+
+LOG = logging.getLogger("pipeline.service")
+
+SESSION, FORM = "pipeline-session", "pipeline-form"
+"""Names of cookies: of a login, and of the forms of a browser."""
+
+SMALL = 1 << 20
+"""Bytes of a request without logs."""
+
+DRAIN_S = 5.0
+"""Time that a refused client may go on sending [s]: one that is cut off does not read why."""
+
+OPEN = ("/login", "/api/v1/health")
+UPLOADS = ("/upload", "/api/v1/logs")
+SAFE = ("GET", "HEAD", "OPTIONS")
+LOCAL = ("localhost", "127.0.0.1", "::1")
+
+HEADERS = {
+    "content-security-policy": "default-src 'none'; style-src 'self'; script-src 'self'; img-src 'self'; "
+    "connect-src 'self'; form-action 'self'; base-uri 'none'; frame-ancestors 'none'",
+    "x-content-type-options": "nosniff",
+    "referrer-policy": "same-origin",
+    "cross-origin-resource-policy": "same-origin",
+    "cache-control": "private, no-cache",
+}
+
+
+class Guard:
+    """The outermost part of the server."""
+
+    def __init__(self, app: ASGIApp, settings: Settings, database: Database) -> None:
+        self.app, self.settings, self.database = app, settings, database
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Answer a request, or refuse it."""
+        if scope["type"] != "http":
+            await self.app(scope, receive, send)
+            return
+        began, status, request_id = time.monotonic(), 0, secrets.token_hex(6)
+
+        async def sending(message: Message) -> None:
+            nonlocal status
+            if message["type"] == "http.response.start":
+                status = message["status"]
+                headers = MutableHeaders(scope=message)
+                for name, value in HEADERS.items():
+                    headers.setdefault(name, value)
+                headers["x-request-id"] = request_id
+                if FORM not in cookies_of(scope) and "form" in scope["state"]:
+                    headers.append("set-cookie", cookie(FORM, scope["state"]["form"]))
+            await send(message)
+
+        scope.setdefault("state", {})
+        try:
+            scope["state"]["role"] = self._role(scope)
+            cookies = cookies_of(scope)
+            scope["state"]["session"] = cookies.get(SESSION)
+            body = _Body(receive, self._most(scope), self.settings.body_s)
+            body.check(Headers(scope=scope))
+            await self.app(scope, body, sending)
+        except Problem as problem:
+            if status == 0:
+                await _refuse(problem, scope, receive, sending)
+        finally:
+            line = {"id": request_id, "method": scope["method"], "path": scope["path"], "status": status}
+            LOG.info(json.dumps({**line, "ms": round(1e3 * (time.monotonic() - began), 1)}))
+
+    def _most(self, scope: Scope) -> int:
+        return self.settings.max_request if scope["path"] in UPLOADS else SMALL
+
+    def _role(self, scope: Scope) -> Role:
+        """Return what the sender may do; raise where he may not do this."""
+        headers = Headers(scope=scope)
+        host = headers.get("host", "")
+        if self.settings.loopback and _name(host) not in LOCAL:
+            raise Problem(403, "Only this computer is served, by its own names.", where="Host", expected=LOCAL)
+        origin = headers.get("origin")
+        if origin is not None and urlsplit(origin).netloc != host:
+            raise Problem(403, "Requests of pages of other sites are refused.", where="Origin", expected=host)
+        if any(name.lower() in ("token", "access_token", "api_key") for name, _ in _query(scope)):
+            raise Problem(400, "A token in an address ends in logs. Send it as `Authorization: Bearer`.", where="query")
+        role, bearer = self._known(headers, cookies_of(scope), scope["path"])
+        if self.settings.read_only:
+            role = "viewer"
+        needed = _needed(scope)
+        if scope["path"] not in OPEN and ROLES.index(role) < ROLES.index(needed):
+            why = "The server is read-only." if self.settings.read_only else "Ask for a token with a higher role."
+            raise Problem(403, f"This needs the role {needed}. {why}", expected=needed, found=role)
+        if scope["method"] not in SAFE and not bearer and scope["path"].startswith("/api/"):
+            self._check_script(headers, cookies_of(scope))
+        return role
+
+    def _known(self, headers: Headers, cookies: Mapping[str, str], path: str) -> tuple[Role, bool]:
+        """Return the role, and whether a token was sent that no browser adds by itself."""
+        given = headers.get("authorization")
+        if given is not None:
+            scheme, _, token = given.partition(" ")
+            role = self.database.role_of(token.strip()) if scheme.lower() == "bearer" else None
+            if role is None:
+                raise Problem(401, "The token is not known. `pipeline token create` makes one.", where="Authorization")
+            return role, True
+        if self.settings.loopback:
+            return "admin", False
+        role = self.database.role_of_session(cookies[SESSION]) if SESSION in cookies else None
+        if role is None and path not in OPEN and not path.startswith("/static/"):
+            raise Problem(401, "Send a token as `Authorization: Bearer`, or log in at /login.", where="Authorization")
+        return role or "viewer", False
+
+    def _check_script(self, headers: Headers, cookies: Mapping[str, str]) -> None:
+        """Refuse a change by a browser that no page of this server asked for; programs send no cookies."""
+        if (cookies or "origin" in headers) and not is_form(self.database, cookies, headers.get("x-csrf-token", "")):
+            raise Problem(403, "The form is not one of this server; load its page again.", where="X-CSRF-Token")
+
+
+def is_form(database: Database, cookies: Mapping[str, str], token: str) -> bool:
+    """Return whether the token of a form belongs to the browser that sends it."""
+    own = form_token(database, cookies.get(FORM, ""))
+    return FORM in cookies and hmac.compare_digest(own.encode(), token.encode())
+
+
+def form_token(database: Database, browser: str) -> str:
+    """Return the token that forms for a browser bear."""
+    return hmac.new(database.form_secret().encode(), browser.encode(), "sha256").hexdigest()
+
+
+class _Body:
+    """The body of a request: as large as allowed, and not slower."""
+
+    def __init__(self, receive: Receive, most: int, silence_s: float) -> None:
+        self.receive, self.most, self.silence_s, self.seen = receive, most, silence_s, 0
+        self.ended = False
+
+    def check(self, headers: Headers) -> None:
+        length = headers.get("content-length", "0")
+        if not length.isascii() or not length.isdigit():
+            raise Problem(400, "Content-Length is no number.", where="Content-Length")
+        self._within(int(length))
+
+    def _within(self, size: int) -> None:
+        if size > self.most:
+            raise Problem(
+                413, "The request is too large. Send fewer files at a time.", expected=f"<= {self.most}", found=size
+            )
+
+    async def __call__(self) -> Message:
+        if self.ended:
+            return await self.receive()  # waits for the end of the connection
+        try:
+            message = await asyncio.wait_for(self.receive(), self.silence_s)
+        except TimeoutError:
+            raise Problem(408, f"Nothing came for {self.silence_s:g} s.", where="body") from None
+        self.seen += len(message.get("body", b""))
+        self.ended = not message.get("more_body", False)
+        self._within(self.seen)
+        return message
+
+
+async def _refuse(problem: Problem, scope: Scope, receive: Receive, send: Send) -> None:
+    """Send a problem; a client that is still sending gets to read it."""
+    response = answer(problem)
+    accept = Headers(scope=scope).get("accept", "")
+    if problem.status == 401 and scope["method"] == "GET" and "text/html" in accept:
+        response.status_code = 303
+        response.headers["location"] = "/login"
+    await send({"type": "http.response.start", "status": response.status_code, "headers": response.raw_headers})
+    await send({"type": "http.response.body", "body": response.body, "more_body": True})
+    try:
+        async with asyncio.timeout(DRAIN_S):
+            while problem.status == 413 and (await receive()).get("more_body", False):
+                pass
+    except TimeoutError:
+        pass
+    await send({"type": "http.response.body", "body": b""})
+
+
+def _needed(scope: Scope) -> Role:
+    if scope["method"] in SAFE or scope["path"] == "/logout":
+        return "viewer"
+    return "admin" if scope["method"] == "DELETE" else "contributor"
+
+
+def _name(host: str) -> str:
+    """Return the name in a Host header, without port and brackets."""
+    try:
+        return urlsplit(f"//{host}").hostname or ""
+    except ValueError:
+        return ""
+
+
+def _query(scope: Scope) -> list[tuple[str, str]]:
+    return parse_qsl(scope["query_string"].decode("latin-1"), keep_blank_values=True)
+
+
+def cookies_of(scope: Scope) -> dict[str, str]:
+    """Return the cookies of this server that a request bears."""
+    jar: SimpleCookie = SimpleCookie()
+    try:
+        jar.load(Headers(scope=scope).get("cookie", ""))
+    except CookieError:
+        return {}
+    return {name: morsel.value for name, morsel in jar.items() if name in (SESSION, FORM)}
+
+
+def cookie(name: str, value: str, secure: bool = False) -> str:
+    """Return the header that gives a browser a cookie that scripts and other sites do not get."""
+    return f"{name}={value}; Path=/; HttpOnly; SameSite=Strict" + ("; Secure" if secure else "")

@@ -1,0 +1,61 @@
+"""What one server serves, from where, and how much it takes."""
+
+from __future__ import annotations
+
+import ipaddress
+from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Folders and limits of a server.
+
+    Parameters
+    ----------
+    processed, reports : Path
+        As those of the command line.
+    host, port
+        Address that is listened at.
+    read_only : bool
+        Whether every change is refused.
+    max_file, max_request : int
+        Bytes of a log, and of a whole request with logs.
+    max_files : int
+        Logs in a request.
+    body_s, theory_s, wait_s : float
+        Longest silence of a client that sends, time for a theory, and wait of a request for a job [s].
+    """
+
+    processed: Path
+    reports: Path
+    host: str = "127.0.0.1"
+    port: int = 8000
+    read_only: bool = False
+    max_file: int = 64 << 20
+    max_request: int = 1 << 30
+    max_files: int = 10_000
+    body_s: float = 30.0
+    theory_s: float = 20.0
+    wait_s: float = 20.0
+
+    @property
+    def data(self) -> Path:
+        """Folder beside `processed` with uploaded logs and the database: an ingest leaves `processed` itself out."""
+        whole = self.processed.absolute()
+        return whole.with_name(f"{whole.name}-service")
+
+    @property
+    def comparisons(self) -> Path:
+        """Folder of the reports that were asked for here, by key."""
+        return self.reports / "comparisons"
+
+    @property
+    def loopback(self) -> bool:
+        """Whether only programs on this computer reach the server."""
+        if self.host == "localhost":
+            return True
+        try:
+            return ipaddress.ip_address(self.host).is_loopback
+        except ValueError:
+            return False

@@ -1,0 +1,131 @@
+"""What all requests share: the store, jobs, and what is asked of both."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import pyarrow as pa
+from pydantic import BaseModel, ConfigDict, Field
+
+from pipeline.records.findings import CRITERIA
+from pipeline.service import results, theory
+from pipeline.service.catalogue import Catalogue, Trials
+from pipeline.service.database import Database
+from pipeline.service.problems import Problem
+from pipeline.service.settings import Settings
+from pipeline.service.workers import Workers
+from pipeline.store.samples import load_batch
+from pipeline.store.storage import list_devices, list_experiments, read_trials
+
+RETRY_S = 60.0
+"""Time after which what could not be computed is tried again by who looks at it [s]."""
+
+SAMPLES = ("time_s", "command", "position", "force", "velocity")
+
+
+class Against(BaseModel):
+    """The other experiment."""
+
+    model_config = ConfigDict(extra="forbid")
+    device: Annotated[str, Field(max_length=500)]
+    experiment: Annotated[str, Field(max_length=500)]
+
+
+class ComparisonRequest(BaseModel):
+    """What is to be compared."""
+
+    model_config = ConfigDict(extra="forbid")
+    device: Annotated[str, Field(max_length=500)]
+    experiments: Annotated[list[str], Field(max_length=500)] | None = None
+    criteria: Annotated[list[Literal[CRITERIA]], Field(min_length=1)] | None = None  # type: ignore[valid-type]
+    against: Against | None = None
+
+
+@dataclass(frozen=True)
+class Service:
+    """What all requests share."""
+
+    settings: Settings
+    database: Database
+    catalogue: Catalogue
+    workers: Workers
+    theory: theory.Theory
+
+    def job(self, kind: str, request: dict[str, Any], key: str = "") -> str:
+        """Queue a job and wake a worker."""
+        job = self.database.add_job(kind, request, key)
+        self.workers.wake()
+        return job
+
+    def experiments(self, device: str, asked: list[str] | None) -> list[str]:
+        """Return experiments of a device that are stored, all where none is named."""
+        devices = list_devices(self.settings.processed)
+        if device not in devices:
+            raise Problem(404, "There are no trials of this device.", where="device", expected=devices, found=device)
+        stored = list_experiments(self.settings.processed, device)
+        for name in asked or ():
+            if name not in stored:
+                raise Problem(
+                    404, "There are no trials of this experiment.", where="experiment", expected=stored, found=name
+                )
+        return [name for name in stored if not asked or name in asked]
+
+    def comparison(self, asked: ComparisonRequest) -> tuple[str, str | None]:
+        """Return the key of a comparison, and the job that makes it; no job where it is there."""
+        names = self.experiments(asked.device, asked.experiments)
+        request: dict[str, Any] = {"device": asked.device, "experiments": names, "criteria": asked.criteria}
+        if asked.against:
+            self.experiments(asked.against.device, [asked.against.experiment])
+            if len(names) != 1:
+                raise Problem(422, "One experiment is compared against another one.", where="experiments",
+                              expected="one name", found=names)  # fmt: skip
+            request["against"] = asked.against.model_dump()
+        key = results.key_of(self.settings, request)
+        if results.document_file(self.settings, key, report=True).is_file():
+            return key, None
+        self._may_compute()
+        return key, self.job("comparison", {"key": key, "request": request}, key)
+
+    def experiment(self, device: str, experiment: str) -> tuple[dict[str, Any] | None, str | None]:
+        """Return the document of an experiment, or the job that makes it."""
+        self.experiments(device, [experiment])
+        request = {"device": device, "experiments": [experiment], "criteria": None}
+        key = results.key_of(self.settings, request)
+        try:
+            document: dict[str, Any] = json.loads(results.document_file(self.settings, key).read_bytes())
+        except FileNotFoundError:
+            self._may_compute()
+            failed = self.database.failed_job("experiment", key, RETRY_S)
+            return None, failed or self.job("experiment", {"key": key, "request": request}, key)
+        return document, None
+
+    def _may_compute(self) -> None:
+        if self.settings.read_only:
+            raise Problem(503, "This was not computed yet, and the server is read-only.", where="server")
+
+    def samples(self, trial: str) -> tuple[dict[str, Any], pa.Table]:
+        """Return the conditions and the samples of a trial."""
+        trials, row = self.found(trial)
+        (shown,) = trials.items([row])
+        stored = read_trials(self.settings.processed, shown["device"], shown["experiment"])
+        own = stored.take(np.flatnonzero([name == trial for name in stored.column("trial_id").to_pylist()]))
+        if not own.num_rows:
+            raise Problem(404, "The trial was removed a moment ago.", found=trial, where="trial")
+        batch = load_batch(self.settings.processed, own.slice(0, 1))
+        arrays = {"time_s": batch.time, **{name: getattr(batch, name) for name in SAMPLES[1:]}}
+        present = {name: values[0] for name, values in arrays.items() if values is not None}
+        length = int(own.column("rows")[0].as_py())
+        columns = {
+            name: pa.array(values[:length]) for name, values in present.items() if not np.isnan(values[:length]).all()
+        }
+        return shown, pa.table(columns)
+
+    def found(self, trial: str) -> tuple[Trials, int]:
+        """Return the trials and the row of one of them."""
+        trials = self.catalogue.trials()
+        if trial not in trials.place:
+            raise Problem(404, "There is no such trial.", where="trial", found=trial)
+        return trials, trials.place[trial]

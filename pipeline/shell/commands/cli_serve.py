@@ -1,0 +1,153 @@
+"""Commands of the service: parse, call, print."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from pipeline.base.errors import EXIT_ERROR, EXIT_QUARANTINED, UsageError
+from pipeline.shell import console
+
+token_app = typer.Typer(no_args_is_help=True, help="Tokens for other computers: make, list, revoke.")
+
+Processed = Annotated[Path, typer.Option("--processed", help="Folder of the stored tables.")]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout, nothing else there.")]
+
+TOKEN_VARIABLE = "PIPELINE_TOKEN"
+
+
+class RoleName(StrEnum):
+    """What the holder of a token may do."""
+
+    viewer = "viewer"
+    contributor = "contributor"
+    admin = "admin"
+
+
+def serve(
+    processed: Processed = Path("processed"),
+    reports: Annotated[Path, typer.Option("--reports", help="Folder of the reports.")] = Path("reports"),
+    host: Annotated[str, typer.Option("--host", help="Address to listen at; other computers need a token.")] = (
+        "127.0.0.1"
+    ),
+    port: Annotated[int, typer.Option("--port", min=0, max=65535, help="Port to listen at.")] = 8000,
+    read_only: Annotated[bool, typer.Option("--read-only", help="Refuse every change.")] = False,
+    max_file_mib: Annotated[int, typer.Option("--max-file", min=1, help="Largest log [MiB].")] = 64,
+    max_request_mib: Annotated[int, typer.Option("--max-request", min=1, help="Largest upload [MiB].")] = 1024,
+) -> None:
+    """Serve what is stored in the browser and by REST, take uploads, compare. Ctrl-C ends it.
+
+    Example: pipeline serve --processed processed
+    """
+    _check_installed()
+    from pipeline.service.app import serve as run
+    from pipeline.service.settings import Settings
+
+    settings = Settings(
+        processed=processed,
+        reports=reports,
+        host=host,
+        port=port,
+        read_only=read_only,
+        max_file=max_file_mib << 20,
+        max_request=max_request_mib << 20,
+    )
+    console.note(f"http://{f'[{host}]' if ':' in host else host}:{port}/ (Ctrl-C ends it)")
+    run(settings)
+
+
+@token_app.command("create")
+def create(
+    role: Annotated[
+        RoleName,
+        typer.Option("--role", help="viewer reads, contributor uploads and compares, admin cancels jobs, too."),
+    ],
+    name: Annotated[str, typer.Option("--name", help="Whose it is, for `pipeline token list`.")] = "",
+    processed: Processed = Path("processed"),
+) -> None:
+    """Make a token and print it, once: only its hash is stored.
+
+    Example: pipeline token create --role contributor --name "lab computer"
+    """
+    console.say(_database(processed).create_token(role.value, name))
+
+
+@token_app.command("list")
+def list_tokens(processed: Processed = Path("processed"), as_json: Json = False) -> None:
+    """List tokens by the first digits of their hashes.
+
+    Example: pipeline token list
+    """
+    rows = _database(processed).run("SELECT substr(hash, 1, 12) AS id, role, name FROM tokens ORDER BY created")
+    tokens = [dict(row) for row in rows]
+    if as_json:
+        console.print_json(tokens)
+        return
+    for line in console.table(tokens, ("id", "role", "name")):
+        console.say(line)
+
+
+@token_app.command("revoke")
+def revoke(
+    identifier: Annotated[str, typer.Argument(help="As `pipeline token list` shows it.")],
+    processed: Processed = Path("processed"),
+) -> None:
+    """Revoke a token, and end the logins by it.
+
+    Example: pipeline token revoke 0123456789ab
+    """
+    rows = _database(processed).run("DELETE FROM tokens WHERE substr(hash, 1, 12) = ? RETURNING hash", identifier)
+    if not rows:
+        raise UsageError(f"no token {identifier!r}. `pipeline token list` shows all.")
+
+
+def push(
+    folder: Annotated[Path, typer.Argument(help="Folder with logs (searched below, too), or one log.")],
+    to: Annotated[str, typer.Option("--to", help="Address of the server, such as http://127.0.0.1:8000.")],
+    profile: Annotated[str | None, typer.Option("--profile", help="Log profile by name.")] = None,
+    as_json: Json = False,
+) -> None:
+    """Upload logs to a server; what it has already is skipped, so that the same command resumes.
+
+    A token is taken from the variable PIPELINE_TOKEN. Exit status 3 where a log was refused.
+
+    Example: pipeline push raw --to http://127.0.0.1:8000
+    """
+    import os
+
+    from pipeline.service.push import push as push_logs
+
+    with console.progress("push", "logs", as_json) as advance:
+        report = push_logs(folder, to, profile, os.environ.get(TOKEN_VARIABLE), advance)
+    if as_json:
+        console.print_json(report)
+    else:
+        counts = {key: report[key] for key in ("found", "ingested", "skipped")}
+        counts["quarantined"] = len(report["quarantined"])
+        for line in console.table([counts], tuple(counts)):
+            console.say(line)
+        for refusal in report["quarantined"]:
+            row = "" if refusal["row"] is None else f", row {refusal['row']}"
+            console.say(f"{refusal['path']}{row}: {refusal['reason']}")
+    if report["damaged"] or report["quarantined"]:
+        raise typer.Exit(EXIT_ERROR if report["damaged"] else EXIT_QUARANTINED)
+
+
+def _check_installed() -> None:
+    missing = [name for name in ("fastapi", "uvicorn", "python_multipart") if find_spec(name) is None]
+    if missing:
+        raise UsageError(
+            f"the service needs {', '.join(missing)}, which a plain installation leaves out. "
+            "Install them: pip install 'haptic-pipeline[serve]'."
+        )
+
+
+def _database(processed: Path):  # type: ignore[no-untyped-def]  # imported when needed
+    from pipeline.service.database import Database
+    from pipeline.service.settings import Settings
+
+    return Database(Settings(processed, Path("reports")).data)

@@ -1,0 +1,203 @@
+"""Pages show what the API tells, escape what logs and people say, and take forms of their own only."""
+
+import html
+import re
+import shutil
+from http.cookies import SimpleCookie
+from urllib.parse import urlencode
+
+import pytest
+from served import form, serving
+
+from pipeline.service.database import Database
+from pipeline.service.settings import Settings
+
+HTML = {"Accept": "text/html"}
+PAGES = ("/", "/devices/falcon", "/devices/falcon/experiments/1", "/trials?sort=-stiffness", "/compare?runs=falcon/1",
+         "/upload", "/jobs", "/quarantine", "/reports", "/login", "/nothing")  # fmt: skip
+
+
+def page(client, path, **headers):
+    answer = client.get(path, **{**HTML, **headers})
+    return answer.content.decode()
+
+
+class Browser:
+    """Keeps cookies, and sends the forms of pages."""
+
+    def __init__(self, client):
+        self.client, self.cookies = client, SimpleCookie()
+
+    def ask(self, method, path, body=None, headers=None):
+        cookie = "; ".join(f"{name}={morsel.value}" for name, morsel in self.cookies.items())
+        sent = {**HTML, **(headers or {}), **({"Cookie": cookie} if cookie else {})}
+        answer = self.client.ask(method, path, body, sent)
+        for line in answer.headers.get_all("set-cookie") or ():
+            assert "HttpOnly" in line
+            assert "SameSite=Strict" in line
+            self.cookies.load(line)
+        return answer
+
+    def token(self, path):
+        return re.search(r'name="form" value="(\w+)"', self.ask("GET", path).content.decode())[1]
+
+    def send(self, path, at, **fields):
+        body = urlencode({"form": self.token(at), **fields}, doseq=True)
+        return self.ask("POST", path, body, {"Content-Type": "application/x-www-form-urlencoded"})
+
+
+@pytest.mark.parametrize("path", PAGES)
+def test_pages_need_no_script_and_no_other_server(served, path):
+    text = page(served, path)
+    assert text.rstrip().endswith("</html>")
+    assert re.findall(r"<script(?! src=\"/static/service.js\" defer>)", text) == []
+    assert re.findall(r"style=|javascript:|\son\w+=|(?:src|href)=\"(?:https?:)?//", text) == []
+    assert len(re.findall("<h1>", text)) == 1
+
+
+def test_the_experiment_page_has_the_numbers_of_the_api(served, falcon):
+    estimate = served.get("experiments/falcon/1/estimates").content["mass"]
+    text = page(served, "/devices/falcon/experiments/1")
+    row = re.search(r"<th scope=\"row\">mass</th>.*?</tr>", text)[0]
+    shown = [float(word) for word in re.findall(r"\d[\d.]*(?=[< ])", row)][:3]
+    assert shown == pytest.approx([estimate["value"], estimate["low"], estimate["high"]], rel=1e-3)
+    trials = falcon.stages("1").trials.num_rows
+    assert text.count('<circle class="mark"') + text.count('<path class="mark"') == trials
+
+
+def test_lists_turn_pages_and_keep_their_state(served):
+    first = page(served, "/trials?sort=-stiffness&verdict=stable")
+    assert '<option value="stable" selected>' in first
+    following = html.unescape(re.search(r'href="(\?[^"]*cursor[^"]*)" rel="next"', first)[1])
+    second = page(served, f"/trials{following}")
+    ids = [re.findall(r'href="/trials/(\w{16})"', text) for text in (first, second)]
+    assert len(ids[0]) == 100
+    assert set(ids[0]) & set(ids[1]) == set()
+    whole = served.get("trials?sort=-stiffness&verdict=stable&limit=1000").content["items"]
+    assert [t["id"] for t in whole] == ids[0] + ids[1]
+    lines = page(served, "/trials?sort=-stiffness&verdict=stable&format=csv").splitlines()
+    assert [line.split(",")[0] for line in lines[1:]] == ids[0]
+    empty = page(served, "/trials?q=&device=&stiffness_min=&sort=id")
+    assert "trials." in empty
+
+
+def test_a_trial_page_offers_its_samples(served):
+    trial = served.get("trials?limit=1").content["items"][0]["id"]
+    text = page(served, f"/trials/{trial}")
+    links = re.findall(r'href="(/trials/\w+/samples\.\w+)"', text)
+    assert len(links) == 4
+    for link in links:
+        assert served.get(link).headers["content-disposition"].startswith("attachment")
+
+
+def test_what_is_not_there_is_a_page(served):
+    for path in ("/trials/none", "/devices/none", "/devices/falcon/experiments/9", "/jobs/none", "/static/none"):
+        answer = served.get(path, **HTML)
+        assert answer.status == 404
+        assert b"<h1>Not found</h1>" in answer.content
+    assert served.get("/compare?runs=a,b,c", **HTML).status == 422
+    assert served.get("/trials?stiffness_min=high", **HTML).status == 422
+
+
+SCRIPT = "<script>alert('x')</script>"
+
+
+def test_hostile_names_are_escaped_everywhere(tmp_path, logs):
+    with serving(Settings(tmp_path / "processed", tmp_path / "reports", wait_s=200.0)) as client:
+        _, data = logs[0]
+        text = data.decode()
+        hostile = text.replace("# device: falcon", f"# device: {SCRIPT}").replace(
+            "# experiment: 1", "# experiment: ../%2e<img src=x>"
+        )
+        assert hostile.count(SCRIPT) == 1
+        bad = hostile.replace("\n0.01", f"\n{SCRIPT}", 1)
+        upload = [(f"{SCRIPT}.csv", hostile.encode()), ("<b>.csv", bad.encode())]
+        _, job = client.upload(upload)
+        assert len(job["result"]["quarantined"]) == 1
+        client.all_done()
+        home = page(client, "/")
+        links = {html.unescape(link) for link in re.findall(r'href="(/[^"]*)"', home)}
+        trial = client.get("trials").content["items"][0]["id"]
+        owner = Browser(client)
+        words = {"of": ["trial", trial], "notes": SCRIPT, "tags": SCRIPT}
+        assert owner.send("/words", f"/trials/{trial}", **words).status == 303
+        devices = [link for link in links if link.startswith("/devices/")]
+        assert len(devices) == 2
+        for path in (
+            *links,
+            f"/trials/{trial}",
+            "/trials",
+            f"/jobs/{job['id']}",
+            f"/trials?q={SCRIPT.replace(' ', '')}",
+        ):
+            answer = client.get(path.replace('"', "%22").replace("<", "%3C").replace(">", "%3E"), **HTML)
+            assert answer.status == 200, path
+            if "html" in answer.headers["content-type"]:
+                assert b"<script>" not in answer.content
+                assert b"<img" not in answer.content
+                assert b"<b>" not in answer.content
+
+
+def test_forms_of_a_browser(tmp_path, logs):
+    with serving(Settings(tmp_path / "processed", tmp_path / "reports")) as client:
+        browser = Browser(client)
+        sent = form(logs[:2], form=browser.token("/upload"), profile="")
+        answer = browser.ask("POST", "/upload", sent["body"], sent["headers"])
+        assert answer.status == 303
+        assert client.done(answer.headers["location"].rpartition("/")[2])["result"]["ingested"] == 2
+        forged = form(logs[2:4], form="0" * 64)
+        assert browser.ask("POST", "/upload", forged["body"], forged["headers"]).status == 403
+        assert Browser(client).ask("POST", "/upload", sent["body"], sent["headers"]).status == 403
+        assert len(list((tmp_path / "processed-service" / "logs").iterdir())) == 1
+        words = {"of": ["experiment", "falcon", "1"], "notes": "stiff\r\nspring", "tags": "a, b,,"}
+        answer = browser.send("/words", "/devices/falcon/experiments/1", **words)
+        assert (answer.status, answer.headers["location"]) == (303, "/devices/falcon/experiments/1")
+        assert client.get("experiments/falcon/1/notes").content == {"text": "stiff\nspring"}
+        assert client.get("experiments/falcon/1/tags").content == {"tags": ["a", "b"]}
+        assert browser.send("/words", "/upload", of=["trial", "none"]).status == 404
+        assert browser.send("/words", "/upload", of="nothing").status == 422
+        assert browser.send("/compare", "/upload", device="nobody").status == 404
+        assert browser.send("/compare", "/upload").status == 404
+        assert browser.send("/compare", "/upload", device="falcon", criteria="beauty").status == 422
+
+
+def test_a_login(tmp_path):
+    settings = Settings(tmp_path / "processed", tmp_path / "reports", host="0.0.0.0")
+    token = Database(settings.data).create_token("viewer", "")
+    with serving(settings) as client:
+        browser = Browser(client)
+        answer = browser.ask("GET", "/")
+        assert (answer.status, answer.headers["location"]) == (303, "/login")
+        assert browser.send("/login", "/login", secret="hp_wrong").status == 401
+        assert browser.send("/login", "/login", secret=token).status == 303
+        assert browser.ask("GET", "/").status == 200
+        assert browser.send("/compare", "/", device="x").status == 403
+        session = dict(browser.cookies)["pipeline-session"].value
+        assert browser.send("/logout", "/").status == 303
+        assert client.get("devices", Cookie=f"pipeline-session={session}").status == 401
+
+
+@pytest.mark.browser
+def test_pages_in_a_browser(served, tmp_path):
+    """No error, nothing wider than the window, nothing that axe finds, light and dark, desk and phone."""
+    sync = pytest.importorskip("playwright.sync_api")
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe()
+    chromium = shutil.which("chromium")
+    if chromium is None:
+        pytest.skip("no chromium")
+    served.get("experiments/falcon/1/estimates")
+    trial = served.get("trials?limit=1&verdict=stable").content["items"][0]["id"]
+    problems = []
+    with sync.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+        for width, scheme in ((1280, "light"), (390, "dark")):
+            context = browser.new_context(viewport={"width": width, "height": 800}, color_scheme=scheme)
+            tab = context.new_page()
+            tab.on("pageerror", lambda error: problems.append(str(error)))
+            for path in (*PAGES[:-1], f"/trials/{trial}"):
+                tab.goto(f"http://127.0.0.1:{served.port}{path}")
+                assert tab.evaluate("document.documentElement.scrollWidth") <= width, path
+                found = axe.run(tab).response["violations"]
+                assert [(path, rule["id"], rule["nodes"][0]["html"]) for rule in found] == []
+        browser.close()
+    assert problems == []

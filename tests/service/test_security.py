@@ -1,0 +1,245 @@
+"""Who may, and attacks: each is refused with a problem document, and nothing of it stays."""
+
+import socket
+import time
+from http.client import HTTPConnection
+
+import pytest
+from served import form, serving
+
+from pipeline.base.errors import UsageError
+from pipeline.service.app import create_app
+from pipeline.service.database import Database
+from pipeline.service.settings import Settings
+
+LOG = [("a.csv", b"time_s,command,position\n")]
+
+
+def settings_of(folder, **options):
+    return Settings(folder / "processed", folder / "reports", **options)
+
+
+@pytest.fixture
+def guarded(tmp_path):
+    """A server for all addresses, with a token of each role."""
+    settings = settings_of(tmp_path, host="0.0.0.0", max_file=1000, max_request=5000, max_files=3, body_s=0.5)
+    database = Database(settings.data)
+    tokens = {role: database.create_token(role, "test") for role in ("viewer", "contributor", "admin")}
+    with serving(settings) as client:
+        client.tokens, client.settings, client.database = tokens, settings, database
+        yield client
+
+
+def bearer(client, role):
+    return {"Authorization": f"Bearer {client.tokens[role]}"}
+
+
+def stored(settings):
+    return [path for path in (settings.data / "logs").rglob("*") if path.is_file()]
+
+
+@pytest.mark.parametrize("host", ["evil.example", "127.0.0.1.evil.example:80", "", "[::1", "10.0.0.1"])
+def test_a_foreign_host_is_refused(empty, host):
+    answer = empty.ask("GET", "devices", headers={"Host": host})
+    assert (answer.status, answer.content["where"]) == (403, "Host")
+
+
+@pytest.mark.parametrize("host", ["localhost", "127.0.0.1:80", "[::1]:8000"])
+def test_names_of_this_computer_are_taken(empty, host):
+    assert empty.ask("GET", "devices", headers={"Host": host}).status == 200
+
+
+@pytest.mark.parametrize("origin", ["http://evil.example", "null", "http://127.0.0.1:1", "https://localhost"])
+@pytest.mark.parametrize("method", ["GET", "POST"])
+def test_a_foreign_origin_is_refused(empty, origin, method):
+    sent = form(LOG)
+    sent["headers"]["Origin"] = origin
+    answer = empty.ask(method, "logs", **sent)
+    assert (answer.status, answer.content["where"]) == (403, "Origin")
+
+
+def test_an_own_page_needs_the_token_of_a_form(empty):
+    headers = {"Origin": f"http://127.0.0.1:{empty.port}"}
+    asked = {"device": "x"}
+    assert empty.ask("POST", "comparisons", document=asked, headers=headers).status == 403
+    headers |= {"Cookie": "pipeline-form=mine", "X-CSRF-Token": "0" * 64}
+    assert empty.ask("POST", "comparisons", document=asked, headers=headers).status == 403
+
+
+def test_other_addresses_need_a_token_first(tmp_path):
+    with pytest.raises(UsageError, match="pipeline token create"):
+        create_app(settings_of(tmp_path, host="0.0.0.0"))
+
+
+def test_without_a_token_nothing_is_told(guarded):
+    for headers in (
+        {},
+        {"Authorization": "Bearer hp_x"},
+        {"Authorization": "Basic YTpi"},
+        {"Cookie": "pipeline-session=x"},
+    ):
+        for path in ("devices", "openapi.json", "jobs", "/"):
+            answer = guarded.ask("GET", path, headers=headers)
+            assert answer.status == 401
+            assert answer.headers["www-authenticate"] == "Bearer"
+    assert guarded.get("health").status == 200
+
+
+def test_roles(guarded):
+    upload = form(LOG)
+    for role, status in (("viewer", 403), ("contributor", 202), ("admin", 202)):
+        assert guarded.ask("GET", "devices", headers=bearer(guarded, role)).status == 200
+        answer = guarded.ask("POST", "logs", upload["body"], {**upload["headers"], **bearer(guarded, role)})
+        assert answer.status == status
+    job = answer.content["job"]
+    assert guarded.ask("DELETE", f"jobs/{job}", headers=bearer(guarded, "contributor")).status == 403
+    assert guarded.ask("DELETE", f"jobs/{job}", headers=bearer(guarded, "admin")).status == 200
+
+
+@pytest.mark.parametrize("name", ["token", "access_token", "api_key", "TOKEN"])
+def test_a_token_in_an_address_is_refused(guarded, name):
+    answer = guarded.ask("GET", f"devices?{name}={guarded.tokens['admin']}", headers=bearer(guarded, "admin"))
+    assert (answer.status, answer.content["where"]) == (400, "query")
+
+
+def test_a_token_is_stored_hashed_and_never_logged(guarded, caplog):
+    caplog.set_level("INFO", "pipeline.service")
+    guarded.ask("GET", "devices", headers=bearer(guarded, "admin"))
+    data = b"".join(path.read_bytes() for path in guarded.settings.data.iterdir() if path.is_file())
+    assert any("/api/v1/devices" in record.getMessage() for record in caplog.records)
+    for token in guarded.tokens.values():
+        assert token.encode() not in data
+        assert token not in caplog.text
+
+
+def test_a_revoked_token_ends_its_logins(guarded):
+    session = guarded.database.login(guarded.tokens["viewer"])
+    headers = {"Cookie": f"pipeline-session={session}"}
+    assert guarded.ask("GET", "devices", headers=headers).status == 200
+    guarded.database.run("DELETE FROM tokens WHERE role = 'viewer'")
+    assert guarded.ask("GET", "devices", headers=headers).status == 401
+
+
+def test_a_cookie_alone_changes_nothing(guarded):
+    session = guarded.database.login(guarded.tokens["admin"])
+    sent = form(LOG)
+    sent["headers"]["Cookie"] = f"pipeline-session={session}"
+    assert guarded.ask("POST", "logs", **sent).status == 403
+
+
+def test_every_answer_has_the_headers(empty):
+    for path in ("health", "nothing", "trials?limit=0", "/static/service.css"):
+        headers = empty.get(path).headers
+        assert "script-src 'self'" in headers["content-security-policy"]
+        assert "unsafe" not in headers["content-security-policy"]
+        assert headers["x-content-type-options"] == "nosniff"
+        assert len(headers["x-request-id"]) == 12
+
+
+@pytest.mark.parametrize(
+    ("files", "where"),
+    [
+        ([("a.csv", b"x" * 1001)], "a.csv"),
+        ([(f"{i}.csv", b"x") for i in range(4)], None),
+        ([(f"{i}.csv", b"x" * 900) for i in range(6)], None),
+    ],
+)
+def test_limits_of_uploads(guarded, files, where):
+    sent = form(files)
+    answer = guarded.ask("POST", "logs", sent["body"], {**sent["headers"], **bearer(guarded, "admin")})
+    assert answer.status == 413
+    assert answer.content.get("where") == where
+    assert stored(guarded.settings) == []
+
+
+def raw(client, head, *parts):
+    """The answer to bytes that no library sends."""
+    with socket.create_connection((client.host, client.port), timeout=30) as connection:
+        connection.sendall(head.replace("\n", "\r\n").encode() + b"\r\n\r\n")
+        for part in parts:
+            connection.sendall(part)
+        answer = b""
+        while data := connection.recv(65536):
+            answer += data
+            if b"\r\n\r\n" in answer and b"}" in answer:
+                break
+        return answer
+
+
+def head_of(client, more):
+    return (
+        f"POST /api/v1/logs HTTP/1.1\nHost: x\nAuthorization: Bearer {client.tokens['admin']}\n"
+        f"Content-Type: multipart/form-data; boundary=b\n{more}"
+    )
+
+
+def test_ten_gigabytes_are_refused_before_they_come(guarded):
+    began = time.monotonic()
+    answer = raw(guarded, head_of(guarded, f"Content-Length: {10 << 30}"))
+    assert b" 413 " in answer.splitlines()[0]
+    assert b'"expected":"<= 5000"' in answer
+    assert time.monotonic() - began < 60
+
+
+def test_pieces_are_counted_where_no_length_is_told(guarded):
+    piece = b"1000\r\n" + b"x" * 0x1000 + b"\r\n"
+    assert b" 413 " in raw(guarded, head_of(guarded, "Transfer-Encoding: chunked"), piece, piece).splitlines()[0]
+
+
+def test_a_silent_client_is_told(guarded):
+    answer = raw(guarded, head_of(guarded, "Content-Length: 100"), b"--b\r\n")
+    assert b" 408 " in answer.splitlines()[0]
+    assert stored(guarded.settings) == []
+
+
+OUTSIDE = ("../../../outside.csv", "/etc/outside.csv", "..\\..\\outside.csv", ".", "a/./../b.csv", "con", "x\x01.csv")
+
+
+@pytest.mark.parametrize("name", OUTSIDE)
+def test_no_name_leads_out_of_the_folder(empty, tmp_path, name):
+    answer, job = empty.upload([(name, b"nonsense")])
+    files = stored(settings_of(tmp_path))
+    assert len(files) == 1
+    assert files[0].resolve().is_relative_to(tmp_path / "processed-service" / "logs" / answer["job"])
+    assert job["state"] == "done"
+    # quarantine keeps a copy, under a name of its own
+    others = [path for path in tmp_path.rglob("outside.csv") if "quarantine" not in path.parts]
+    assert [path for path in others if path not in files] == []
+
+
+ELSEWHERE = ("/static/../app.py", "/static/%2e%2e/app.py", "/static/..%2fapp.py", "/api/v1/comparisons/..%2f..%2fx")
+
+
+@pytest.mark.parametrize("path", ELSEWHERE)
+def test_no_address_leads_to_other_files(empty, path):
+    connection = HTTPConnection(empty.host, empty.port)
+    connection.putrequest("GET", path, skip_accept_encoding=True)
+    connection.endheaders()
+    assert connection.getresponse().status in (404, 422)
+    connection.close()
+
+
+@pytest.mark.parametrize(
+    ("body", "kind"),
+    [
+        (b"", "text/plain"),
+        (b"", "multipart/form-data"),
+        (b"--b\r\nnonsense", "multipart/form-data; boundary=b"),
+        (b"--b--\r\n", "multipart/form-data; boundary=b"),
+        (form(LOG)["body"][:-6], form(LOG)["headers"]["Content-Type"]),
+        (form([("a.csv", b"1"), ("a.csv", b"2")])["body"], form(LOG)["headers"]["Content-Type"]),
+        (form([("a" * 300, b"1")])["body"], form(LOG)["headers"]["Content-Type"]),
+        (form(LOG, profile="../../x.toml")["body"], form(LOG)["headers"]["Content-Type"]),
+    ],
+)
+def test_a_form_that_is_none_is_refused_whole(empty, tmp_path, body, kind):
+    answer = empty.ask("POST", "logs", body, {"Content-Type": kind})
+    assert (answer.status, answer.content["status"]) == (422, 422)
+    assert stored(settings_of(tmp_path)) == []
+
+
+def test_a_read_only_server_changes_nothing(tmp_path):
+    with serving(settings_of(tmp_path, read_only=True)) as client:
+        answer = client.ask("POST", "logs", **form(LOG))
+        assert (answer.status, "read-only" in answer.content["detail"]) == (403, True)
+        assert client.get("jobs").content["items"] == []

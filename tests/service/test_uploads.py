@@ -1,0 +1,219 @@
+"""What is acknowledged is stored, once, whatever happens; what is refused is named."""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+
+import pytest
+from served import Client, form, serving
+from stored import stored_rows
+
+from pipeline.intake.ingest import ingest
+from pipeline.service.database import Database
+from pipeline.service.settings import Settings
+from pipeline.service.worker import work
+
+
+def test_an_upload_is_what_an_ingest_is(empty, logs, tmp_path):
+    bad = ("bad.csv", logs[0][1].replace(b"\n0.01", b"\nzero", 1))
+    answer, job = empty.upload([*logs, bad, (f"again/{logs[0][0]}", logs[0][1])])
+    assert [file["state"] for file in answer["files"]] == ["queued"] * (len(logs) + 1) + ["skipped"]
+    assert [file["name"] for file in answer["files"]][-1] == f"again/{logs[0][0]}"
+    folder = tmp_path / "raw"
+    folder.mkdir()
+    for name, data in (*logs, bad):
+        (folder / name).write_bytes(data)
+    expected = ingest([folder], tmp_path / "other").model_dump(mode="json", exclude={"plan"})
+    (refused,) = expected["quarantined"]
+    refused["path"] = "bad.csv"
+    expected |= {"found": expected["found"] + 1, "skipped": expected["skipped"] + 1}
+    assert job["result"] == expected
+    assert stored_rows(tmp_path / "processed") == stored_rows(tmp_path / "other")
+    items = empty.get("trials?limit=100").content["items"]
+    assert {item["id"] for item in items} == set(stored_rows(tmp_path / "other"))
+    assert empty.get(f"trials/{items[0]['id']}").content["source"] in [name for name, _ in logs]
+
+
+def test_what_is_there_is_skipped(empty, logs, tmp_path):
+    empty.upload(logs[:3])
+    answer, job = empty.upload(logs[:4])
+    assert [file["state"] for file in answer["files"]] == ["skipped"] * 3 + ["queued"]
+    assert {name: job["result"][name] for name in ("found", "ingested", "skipped")} == {
+        "found": 4,
+        "ingested": 1,
+        "skipped": 3,
+    }
+    _, job = empty.upload(logs[:4])
+    assert (job["result"]["found"], job["result"]["skipped"], job["result"]["quarantined"]) == (4, 4, [])
+    assert stored_rows(tmp_path / "processed").total() == 4
+
+
+def test_the_command_line_works_beside(empty, logs, tmp_path):
+    """Two writers: what the command line stored meanwhile is listed, and not stored again."""
+    folder = tmp_path / "raw"
+    folder.mkdir()
+    for name, data in logs[:5]:
+        (folder / name).write_bytes(data)
+    answer = empty.ask("POST", "logs", **form(logs[3:]))
+    report = ingest([folder], tmp_path / "processed")
+    job = empty.done(answer.content["job"])
+    assert report.ingested + job["result"]["ingested"] == len(logs)
+    assert stored_rows(tmp_path / "processed").total() == len(logs)
+    time.sleep(0.6)  # `catalogue.LOOK_S`
+    assert empty.get("trials").content["total"] == len(logs)
+
+
+def test_a_damaged_file_stays_with_its_experiment(empty, logs, tmp_path):
+    empty.upload(logs)
+    empty.all_done()
+    (file,) = (tmp_path / "processed" / "trials").rglob("*.parquet")
+    file.write_bytes(b"nonsense")
+    time.sleep(0.6)
+    assert empty.get("trials").content["total"] == 0
+    answer = empty.get("experiments/falcon/1/boundary")
+    assert (answer.status, file.name in answer.content["detail"]) == (503, True)
+
+
+def test_a_waiting_job_is_cancelled(tmp_path):
+    database = Database(tmp_path)
+    job = database.add_job("stages", {})
+    database.cancel(job)
+    assert database.job(job)["state"] == "cancelled"
+    assert database.claim("worker") is None
+
+
+def test_a_job_of_a_dead_worker_is_taken_again(tmp_path):
+    database = Database(tmp_path)
+    job = database.add_job("stages", {})
+    for worker in ("first", "second"):
+        assert database.claim(worker)["id"] == job
+        assert database.claim("other") is None
+        database.free(worker)
+    assert not database.heartbeat(job, "first", None)
+    assert database.claim("third")["id"] == job
+    database.free("third")
+    found = database.job(job)
+    assert (found["state"], found["problem"]["status"]) == ("failed", 500)
+
+
+def test_what_a_former_worker_finishes_late_does_not_count(tmp_path):
+    database = Database(tmp_path)
+    job = database.add_job("stages", {})
+    database.claim("first")
+    database.free("first")
+    database.claim("second")
+    database.finish(job, "first", {"result": 1})
+    assert database.job(job)["state"] == "running"
+    database.finish(job, "second", {"result": 2})
+    assert database.job(job)["result"] == {"result": 2}
+
+
+def test_a_job_that_cannot_be_done_says_why(tmp_path):
+    settings = Settings(tmp_path / "processed", tmp_path / "reports")
+    database = Database(settings.data)
+    asked = {"device": "nobody", "experiments": ["1"], "criteria": None}
+    job = database.add_job("experiment", {"key": "0", "request": asked})
+    assert work(settings, database, "worker")
+    found = database.job(job)
+    assert found["state"] == "failed"
+    assert "nobody" in found["problem"]["detail"]
+
+
+def test_what_was_never_acknowledged_is_removed(tmp_path):
+    settings = Settings(tmp_path / "processed", tmp_path / "reports")
+    left = settings.data / "logs" / "0123" / "a.csv"
+    left.parent.mkdir(parents=True)
+    left.write_text("half")
+    with serving(settings):
+        assert not left.exists()
+
+
+def started(folder, port):
+    folders = ["--processed", folder / "processed", "--reports", folder / "reports"]
+    command = [sys.executable, "-m", "pipeline", "serve", *folders, "--port", str(port)]
+    process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+    for _ in range(1200):
+        try:
+            Client(port).get("health")
+            return process
+        except OSError:
+            assert process.poll() is None, "the server did not start"
+            time.sleep(0.05)
+    raise AssertionError("the server did not answer")
+
+
+@pytest.mark.parametrize("after_s", [0.0, 0.1, 0.8, 1.6])
+def test_kill_loses_nothing_and_doubles_nothing(tmp_path, logs, after_s):
+    """Killed during uploads and their jobs; the next server finishes what was acknowledged."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    process = started(tmp_path, port)
+    client = Client(port)
+    taken = []
+    try:
+        for log in logs[:4]:
+            taken.append(client.ask("POST", "logs", **form([log])).content["job"])
+        with socket.create_connection(("127.0.0.1", port)) as half:
+            sent = form(logs[4:])
+            lines = ["POST /api/v1/logs HTTP/1.1", "Host: localhost", f"Content-Length: {len(sent['body'])}"]
+            head = "\r\n".join([*lines, f"Content-Type: {sent['headers']['Content-Type']}"])
+            half.sendall(f"{head}\r\n\r\n".encode() + sent["body"][:-3])
+            time.sleep(after_s)
+            os.kill(process.pid, signal.SIGKILL)
+        process.wait()
+        process = started(tmp_path, port)
+        assert [client.done(job)["state"] for job in taken] == ["done"] * 4
+        client.all_done()
+        assert stored_rows(tmp_path / "processed").total() == 4
+        assert set(stored_rows(tmp_path / "processed").values()) == {1}
+        assert client.get("trials").content["total"] == 4
+        assert len(list((tmp_path / "processed-service" / "logs").iterdir())) == 4
+    finally:
+        process.terminate()
+        process.wait()
+
+
+def running(client, database, job):
+    while client.get(f"jobs/{job}").content["state"] == "queued":
+        time.sleep(0.01)
+    return database.run("SELECT owner FROM jobs WHERE id = ?", job)[0]["owner"]
+
+
+def test_a_running_job_ends_when_it_is_cancelled(empty, logs, tmp_path):
+    database = Database(Settings(tmp_path / "processed", tmp_path / "reports").data)
+    empty.upload(logs)
+    empty.all_done()
+    job = empty.ask("POST", "comparisons", document={"device": "falcon"}).content["job"]
+    worker = running(empty, database, job)
+    assert empty.ask("DELETE", f"jobs/{job}").content["state"] == "cancelled"
+    _, after = empty.upload(logs[:1])
+    assert after["state"] == "done"
+    assert database.run("SELECT owner FROM jobs WHERE id = ?", after["id"])[0]["owner"] != worker
+    assert empty.get(f"jobs/{job}").content["state"] == "cancelled"
+
+
+def test_a_killed_worker_is_followed_by_another(empty, logs, tmp_path):
+    database = Database(Settings(tmp_path / "processed", tmp_path / "reports").data)
+    empty.upload(logs)
+    empty.all_done()
+    asked = {"device": "falcon", "criteria": ["overshoot"]}
+    job = empty.ask("POST", "comparisons", document=asked).content["job"]
+    first = running(empty, database, job)
+    os.kill(int(first.partition("-")[0]), signal.SIGKILL)
+    found = empty.done(job)
+    assert (found["state"], found["problem"]) == ("done", None)
+    assert database.run("SELECT owner FROM jobs WHERE id = ?", job)[0]["owner"] != first
+
+
+def test_jobs_that_nobody_waits_for_come_last(tmp_path):
+    database = Database(tmp_path)
+    stages = database.add_job("stages", {}, "stages")
+    assert database.add_job("stages", {}, "stages") == stages
+    upload = database.add_job("upload", {})
+    assert [database.claim(worker)["id"] for worker in "ab"] == [upload, stages]
+    # a running one may have passed what is new
+    assert database.add_job("stages", {}, "stages") != stages

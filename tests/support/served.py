@@ -1,0 +1,92 @@
+"""A server of this process on a free port, asked by what Python brings along."""
+
+import json
+import socket
+import threading
+import time
+from contextlib import contextmanager
+from http.client import HTTPConnection
+from types import SimpleNamespace
+
+import uvicorn
+
+from pipeline.service.app import create_app
+
+BOUNDARY = "a-boundary"
+
+
+def form(files, **fields):
+    """Body and headers of a form with files: pairs of name and bytes."""
+    parts = [
+        f'--{BOUNDARY}\r\nContent-Disposition: form-data; name="{name}"\r\n\r\n{value}\r\n'.encode()
+        for name, value in fields.items()
+    ]
+    for name, data in files:
+        head = f'--{BOUNDARY}\r\nContent-Disposition: form-data; name="files"; filename="{name}"\r\n\r\n'
+        parts.append(head.encode() + data + b"\r\n")
+    body = b"".join(parts) + f"--{BOUNDARY}--\r\n".encode()
+    return {"body": body, "headers": {"Content-Type": f"multipart/form-data; boundary={BOUNDARY}"}}
+
+
+class Client:
+    """Asks a server; paths without a slash are those of the API."""
+
+    def __init__(self, port, host="127.0.0.1"):
+        self.port, self.host = port, host
+
+    def ask(self, method, path, body=None, headers=None, document=None):
+        """Status, headers, and content: parsed where it is JSON."""
+        connection = HTTPConnection(self.host, self.port, timeout=60)
+        sent = dict(headers or {})
+        if document is not None:
+            body, sent["Content-Type"] = json.dumps(document), "application/json"
+        connection.request(method, path if path.startswith("/") else f"/api/v1/{path}", body, sent)
+        response = connection.getresponse()
+        content = response.read()
+        connection.close()
+        if "json" in response.headers.get("content-type", ""):
+            content = json.loads(content)
+        return SimpleNamespace(status=response.status, headers=response.headers, content=content)
+
+    def get(self, path, **headers):
+        return self.ask("GET", path, headers=headers)
+
+    def done(self, job):
+        """What became of a job."""
+        until = time.monotonic() + 300
+        while time.monotonic() < until:
+            found = self.get(f"jobs/{job}").content
+            if found["state"] not in ("queued", "running"):
+                return found
+            time.sleep(0.05)
+        raise AssertionError(f"job {job} hangs: {found}")
+
+    def all_done(self):
+        """Wait until no job is left; return all."""
+        jobs = self.get("jobs?limit=1000").content["items"]
+        for job in jobs:
+            self.done(job["id"])
+        return jobs
+
+    def upload(self, files, **fields):
+        """Upload logs and wait until they are stored."""
+        answer = self.ask("POST", "logs", **form(files, **fields))
+        assert answer.status == 202, answer.content
+        return answer.content, self.done(answer.content["job"])
+
+
+@contextmanager
+def serving(settings):
+    """Serve while the block runs; yields a client."""
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))
+        config = uvicorn.Config(create_app(settings), log_config=None, access_log=False)
+        server = uvicorn.Server(config)
+        thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]}, daemon=True)
+        thread.start()
+        while not server.started:
+            assert thread.is_alive(), "the server did not start"
+            time.sleep(0.01)
+        yield Client(listener.getsockname()[1])
+        server.should_exit = True
+        thread.join()
