@@ -1,0 +1,201 @@
+"""Goal `boundary`: walls to try until the limit at each damping lies between two verdicts that are close enough."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import inf, sqrt
+
+import numpy as np
+
+from pipeline.plan.model import Evidence, Forecast, Range, evidence, forecast
+from pipeline.plan.split import Split, best_split
+from pipeline.plan.verdicts import Bracket, Tried, bracket
+from pipeline.records.batch import Floats
+
+DOUBT = 0.08
+"""Chance that the limit lies anywhere in its bracket whatever the model says."""
+
+GENTLE_PRICE = 4.0
+"""What an unstable trial costs, in stable ones, where a rig is to be spared."""
+
+HIGHER = 1.3
+"""How far above the largest limit known a limit is looked for, relative to it."""
+
+FIGURES = 3
+"""Digits of a proposed stiffness, more where the wanted accuracy needs them."""
+
+
+@dataclass(frozen=True)
+class Aim:
+    """What is to be known, and within what limits.
+
+    Parameters
+    ----------
+    dampings : tuple of float
+        B at which limits are wanted [Ns/m, Nms/rad], rising.
+    accuracy : float
+        Wanted largest error of a limit, relative to the largest limit.
+    gentle : bool
+        Whether unstable trials are avoided.
+    lowest, highest : float
+        Smallest and largest K that may be tried [N/m, Nm/rad].
+    force : float
+        Largest command that a trial may have shown [N, Nm]; no stiffer wall is tried at its damping.
+    """
+
+    dampings: tuple[float, ...]
+    accuracy: float = 0.02
+    gentle: bool = False
+    lowest: float = 0.0
+    highest: float = inf
+    force: float = inf
+
+
+@dataclass(frozen=True)
+class Column:
+    """One damping: what verdicts and model say of its limit, and what is left to do.
+
+    ``estimate`` is None where nothing tells it; ``split`` None where the damping is done.
+    """
+
+    damping: float
+    bracket: Bracket
+    estimate: float | None
+    split: Split | None
+    wall: float | None = None
+    note: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """All dampings, and the forecast that they rest on."""
+
+    columns: tuple[Column, ...]
+    largest: float
+    forecast: Forecast
+
+    @property
+    def done(self) -> bool:
+        """Whether nothing is left to try."""
+        return all(column.wall is None for column in self.columns)
+
+    @property
+    def trials_left(self) -> float:
+        """Trials that are expected until all is done."""
+        return sum(column.split.trials if column.split else float(column.wall is not None) for column in self.columns)
+
+
+def state(tried: Tried, aim: Aim, around: Range) -> State:
+    """Return what is known and left to do at each damping.
+
+    Parameters
+    ----------
+    tried : Tried
+        Trials at any damping with K > 0.
+    aim : Aim
+    around : Range
+        Where limits are looked for before trials tell.
+    """
+    levels = np.unique(np.concatenate([tried.damping, aim.dampings]))
+    rows = {float(b): tried.select(tried.damping == b) for b in levels}
+    found = {b: bracket(own.stiffness, own.verdict) for b, own in rows.items()}
+    seen = evidence(tried, levels, [(found[float(b)].bottom, found[float(b)].top) for b in levels])
+    wanted = np.array(aim.dampings)
+    ahead = forecast(around, seen, wanted)
+    ends = np.array([(found[b].bottom, min(found[b].top, aim.highest)) for b in aim.dampings])
+    largest = _largest(np.clip(ahead.limit, ends[:, 0], ends[:, 1]), ends, around)
+    width = 2 * aim.accuracy * largest
+    found |= {b: bracket(rows[b].stiffness, rows[b].verdict, width) for b in aim.dampings}
+    columns = tuple(
+        _column(float(b), found[float(b)], rows[float(b)], float(value), float(error), aim, largest, ahead.adequate)
+        for b, value, error in zip(wanted, ahead.limit, ahead.error, strict=True)
+    )
+    return State(columns, largest, ahead)
+
+
+def _largest(limit: Floats, ends: Floats, around: Range) -> float:
+    """Return the largest limit: of dampings that were tried, or a little more where the model says so of others."""
+    tested = (ends[:, 0] > 0) & np.isfinite(ends[:, 1])
+    if not tested.any():
+        return max(around.stiffness, float(ends[:, 0].max()))
+    known = max(float(limit[tested].max()), float(ends[:, 0].max()))
+    return float(np.clip(limit.max(), known, HIGHER * known))
+
+
+def _column(
+    damping: float, of: Bracket, own: Tried, value: float, error: float, aim: Aim, largest: float, adequate: bool
+) -> Column:
+    top = min(of.top, aim.highest, own.stiffness[own.force > aim.force].min(initial=inf))
+    width = 2 * aim.accuracy * largest
+    half = 0.5 * width
+    if of.again:
+        return Column(damping, of, float(np.clip(value, of.bottom, top)), None, of.again[0], "contradiction")
+    if of.high is not None and of.high - of.bottom <= width:
+        return Column(damping, of, float(np.clip(value, of.high - half, of.bottom + half)), None)
+    estimate = float(np.clip(value, of.bottom, of.top))
+    if of.bottom >= 0.99 * top or top <= aim.lowest:
+        return Column(damping, of, estimate, None, None, "limit of the tests")
+    edges = walls(of.bottom, top, estimate, error, width, largest)
+    chance = chances(edges, value, error if adequate else inf)
+    split = best_split(edges, chance, width, GENTLE_PRICE if aim.gentle else 1.0)
+    if split is None:
+        return Column(damping, of, estimate, None)
+    return Column(damping, of, estimate, split, float(edges[split.place]))
+
+
+def walls(bottom: float, top: float, value: float, error: float, width: float, largest: float) -> Floats:
+    """Return walls that may be tried between two ends, dense where the limit is expected and closing trials lie.
+
+    The first and the last are the ends; an infinite one is far above the expected limit.
+    """
+    far = top if np.isfinite(top) else max(2 * bottom, HIGHER * largest, width)
+    apart = 0.98 * width
+    spread = value + error * np.linspace(-2.5, 2.5, 21)
+    near = np.array([bottom + apart, far - apart, value - 0.5 * apart, value + 0.5 * apart])
+    ladder = value + apart * np.arange(-4, 5) / 4
+    inner = np.concatenate([np.linspace(bottom, far, 9)[1:-1], spread, near, ladder])
+    inner = np.unique(inner[(inner > bottom) & (inner < far)])
+    # walls nearer than this tell nothing new
+    kept = [bottom]
+    for wall in inner:
+        if wall - kept[-1] > 0.05 * width:
+            kept.append(float(wall))
+    return np.array([*kept, far])
+
+
+def chances(edges: Floats, value: float, error: float) -> Floats:
+    """Return the chance that the limit lies between two edges: by the forecast, and with `DOUBT` anywhere."""
+    anywhere = np.diff(edges) / (edges[-1] - edges[0])
+    if not np.isfinite(error):
+        return anywhere
+    below = np.array([_normal((edge - value) / error) for edge in edges])
+    told = np.diff(below)
+    return (1 - DOUBT) * told / max(told.sum(), 1e-12) + DOUBT * anywhere
+
+
+def _normal(z: float) -> float:
+    from math import erf
+
+    return 0.5 * (1 + erf(z / sqrt(2)))
+
+
+def order(columns: tuple[Column, ...]) -> list[int]:
+    """Return places of dampings that are left, in the order in which to try them.
+
+    Contradictions first; then dampings that were begun, the nearest to its end first; then those farthest from all
+    that were tried, where the model learns most.
+    """
+    left = [i for i, column in enumerate(columns) if column.wall is not None]
+    again = [i for i in left if columns[i].bracket.again]
+    begun = [i for i in left if columns[i].bracket.trials and i not in again]
+    begun.sort(key=lambda i: columns[i].split.trials if columns[i].split else 0.0)
+    new = [i for i in left if i not in again and i not in begun]
+    known = [i for i in range(len(columns)) if i not in new]
+    ordered: list[int] = []
+    last = len(columns) - 1
+    while new:
+        pick = max(new, key=lambda i: (min([abs(i - j) for j in known] + [i + 1, last - i + 1]), -abs(i - 0.5 * last)))
+        new.remove(pick)
+        known.append(pick)
+        ordered.append(pick)
+    return again + begun + ordered
