@@ -18,6 +18,9 @@ DOUBT = 0.08
 GENTLE_PRICE = 4.0
 """What an unstable trial costs, in stable ones, where a rig is to be spared."""
 
+LEAST = 0.01
+"""Largest limit below which no stable wall is looked for any more, relative to that expected at first."""
+
 HIGHER = 1.3
 """How far above the largest limit known a limit is looked for, relative to it."""
 
@@ -56,6 +59,7 @@ class Column:
     """One damping: what verdicts and model say of its limit, and what is left to do.
 
     ``estimate`` is None where nothing tells it; ``split`` None where the damping is done.
+    ``nothing`` where no stable wall is expected: such dampings wait until the largest limit is known.
     """
 
     damping: float
@@ -64,6 +68,7 @@ class Column:
     split: Split | None
     wall: float | None = None
     note: str = ""
+    nothing: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,21 +108,38 @@ def state(tried: Tried, aim: Aim, around: Range) -> State:
     wanted = np.array(aim.dampings)
     ahead = forecast(around, seen, wanted)
     ends = np.array([(found[b].bottom, min(found[b].top, aim.highest)) for b in aim.dampings])
-    largest = _largest(np.clip(ahead.limit, ends[:, 0], ends[:, 1]), ends, around)
+    value, error = beyond_zero(ahead, wanted, ends, aim)
+    largest = _largest(np.clip(value, ends[:, 0], ends[:, 1]), ends, around)
     width = 2 * aim.accuracy * largest
     found |= {b: bracket(rows[b].stiffness, rows[b].verdict, width) for b in aim.dampings}
     columns = tuple(
-        _column(float(b), found[float(b)], rows[float(b)], float(value), float(error), aim, largest, ahead.adequate)
-        for b, value, error in zip(wanted, ahead.limit, ahead.error, strict=True)
+        _column(float(b), found[float(b)], rows[float(b)], float(v), float(e), aim, largest, ahead.adequate)
+        for b, v, e in zip(wanted, value, error, strict=True)
     )
     return State(columns, largest, ahead)
+
+
+def beyond_zero(ahead: Forecast, dampings: Floats, ends: Floats, aim: Aim) -> tuple[Floats, Floats]:
+    """Return the forecast with a limit of zero beyond dampings whose own limit is surely next to zero.
+
+    Above the damping of the largest limit, a region that has ended does not begin again, but for rare devices.
+    """
+    tiny = aim.accuracy * max(float(ahead.limit.max()), float(ends[:, 0].max()))
+    value, error = ahead.limit.copy(), ahead.error.copy()
+    peak = dampings[np.argmax(np.where(ends[:, 0] > 0, ends[:, 0], -1.0))] if (ends[:, 0] > 0).any() else 0.0
+    gone = (ends[:, 0] == 0) & (value + error < tiny) & np.isfinite(ends[:, 1]) & (dampings > peak)
+    if gone.any():
+        after = (dampings > dampings[gone].min()) & (ends[:, 0] == 0)
+        value[after], error[after] = 0.0, tiny
+    return value, error
 
 
 def _largest(limit: Floats, ends: Floats, around: Range) -> float:
     """Return the largest limit: of dampings that were tried, or a little more where the model says so of others."""
     tested = (ends[:, 0] > 0) & np.isfinite(ends[:, 1])
     if not tested.any():
-        return max(around.stiffness, float(ends[:, 0].max()))
+        least = LEAST * around.stiffness
+        return float(max(min(around.stiffness, ends[:, 1].max()), ends[:, 0].max(), least))
     known = max(float(limit[tested].max()), float(ends[:, 0].max()))
     return float(np.clip(limit.max(), known, HIGHER * known))
 
@@ -140,7 +162,7 @@ def _column(
     split = best_split(edges, chance, width, GENTLE_PRICE if aim.gentle else 1.0)
     if split is None:
         return Column(damping, of, estimate, None)
-    return Column(damping, of, estimate, split, float(edges[split.place]))
+    return Column(damping, of, estimate, split, float(edges[split.place]), nothing=of.bottom == 0 and value < half)
 
 
 def walls(bottom: float, top: float, value: float, error: float, width: float, largest: float) -> Floats:
@@ -187,9 +209,10 @@ def order(columns: tuple[Column, ...]) -> list[int]:
     """
     left = [i for i, column in enumerate(columns) if column.wall is not None]
     again = [i for i in left if columns[i].bracket.again]
-    begun = [i for i in left if columns[i].bracket.trials and i not in again]
+    last_of_all = [i for i in left if i not in again and columns[i].nothing]
+    begun = [i for i in left if columns[i].bracket.trials and i not in again + last_of_all]
     begun.sort(key=lambda i: columns[i].split.trials if columns[i].split else 0.0)
-    new = [i for i in left if i not in again and i not in begun]
+    new = [i for i in left if i not in again + begun + last_of_all]
     known = [i for i in range(len(columns)) if i not in new]
     ordered: list[int] = []
     last = len(columns) - 1
@@ -198,4 +221,4 @@ def order(columns: tuple[Column, ...]) -> list[int]:
         new.remove(pick)
         known.append(pick)
         ordered.append(pick)
-    return again + begun + ordered
+    return again + begun + ordered + last_of_all

@@ -44,13 +44,16 @@ OWN, LARGEST_OWN = 0.03, 0.3
 MISFIT_USUAL = 0.03
 """Misfit that is as likely to be exceeded as not, before any trial."""
 
-TAILS = 4.0
+TAILS = 1.5
 """Degrees of freedom of Student's distribution of what loops miss: one damping may be quite another thing."""
+
+CAP = 3.0
+"""Largest penalty of a loop for one bracket, as logarithm: a mode may cut off what any loop of the set would allow."""
 
 JITTER = 0.4
 """Part of the set's spread that is drawn anew in each round."""
 
-APART = 0.01
+APART = 0.03
 """Distance of two walls relative to K from which on their rates tell a slope."""
 
 INADEQUATE = 0.25
@@ -221,20 +224,27 @@ def weigh(loops: Loops, seen: Evidence) -> Floats:
     limit, slope = loops.limits(seen.damping)
     scale = _scale(limit, loops.largest[:, None])
     misfit = np.exp(loops.values[:, 3])[:, None] * scale
-    told, error = told_by_rates(seen, np.where(np.isnan(seen.slope), slope, seen.slope))
+    told, error = told_by_rates(seen, slope)
     spread = np.hypot(misfit, error)
     known = np.isfinite(told)
     off = (limit - np.where(known, told, limit)) / spread
     by_rate = np.where(known, -0.5 * (TAILS + 1) * np.log1p(off**2 / TAILS) - np.log(spread / scale), 0.0)
     outside = np.maximum(np.maximum(seen.low - limit, limit - seen.high), 0.0) / misfit
-    return np.asarray((by_rate - 0.5 * outside**2).sum(axis=1))
+    return np.asarray((by_rate - np.minimum(0.5 * outside**2, CAP)).sum(axis=1))
 
 
 def told_by_rates(seen: Evidence, slope: Floats) -> tuple[Floats, Floats]:
-    """Return the limits that growth rates tell and their errors, NaN where too far away; shape of the slope."""
-    told = np.maximum(seen.wall - seen.rate / slope, 0.0)
-    away = np.abs(told - seen.wall)
-    return told, RATE_TRUST * away * (1 + 2 * away / seen.wall)
+    """Return the limits that growth rates tell and their errors, NaN where there is none; shape of the slope.
+
+    A slope that two trials show is better than one of a model, which holds near the limit alone. A limit below zero is
+    one at zero, the surer the farther below.
+    """
+    own = np.isfinite(seen.slope)
+    away = seen.rate / np.where(own, seen.slope, slope)
+    error = RATE_TRUST * np.abs(away) * np.where(own, 1, 1 + 2 * np.abs(away) / seen.wall)
+    told = seen.wall - away
+    below = np.maximum(-told, 0.0)
+    return np.maximum(told, 0.0), error / (1 + below / np.maximum(error, 1e-300))
 
 
 def _scale(limit: Floats, largest: Floats | float) -> Floats:
@@ -298,7 +308,7 @@ def forecast(around: Range, seen: Evidence, dampings: Floats) -> Forecast:
     misfit = float(np.exp(loops.values[:, 3].mean()))
     expected, rise = np.median(there, axis=0), np.median(slopes, axis=0)
     largest = float(np.median(loops.largest))
-    told, error = told_by_rates(seen, np.where(np.isnan(seen.slope), rise, seen.slope))
+    told, error = told_by_rates(seen, rise)
     told = np.clip(np.where(np.isnan(told), 0.5 * (seen.low + seen.high), told), seen.low, seen.high)
     by_ends = (seen.high - seen.low) / np.sqrt(12)
     error = np.fmin(np.where(np.isnan(error), np.inf, error + 0.003 * largest), by_ends)
