@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf, sqrt
 
 import numpy as np
 
-from pipeline.plan.model import Evidence, Forecast, Range, evidence, forecast
+from pipeline.plan.model import Forecast, Range, evidence, forecast, told_by_rates
 from pipeline.plan.split import Split, best_split
 from pipeline.plan.verdicts import Bracket, Tried, bracket
 from pipeline.records.batch import Floats
@@ -15,8 +15,19 @@ from pipeline.records.batch import Floats
 DOUBT = 0.08
 """Chance that the limit lies anywhere in its bracket whatever the model says."""
 
-GENTLE_PRICE = 4.0
+GENTLE_PRICE = 6.0
 """What an unstable trial costs, in stable ones, where a rig is to be spared."""
+
+WEAK = 0.15
+"""Change of the amplitude over a log, as logarithm, below which a verdict is asked for twice."""
+
+NEAR, SAFE, BOLD = 0.4, 1.5, 0.3
+"""Where a rig is to be spared: how far below the expected limit a wall stays, in wanted accuracies and in standard
+errors; but no farther than this share of it, else nothing would be learnt."""
+
+CLOSE = 1.8
+"""Width of a bracket that is narrow enough, in wanted accuracies: a little less than twice, since a verdict next to the
+limit may be wrong, and the largest limit is not known to the last."""
 
 LEAST = 0.01
 """Largest limit below which no stable wall is looked for any more, relative to that expected at first."""
@@ -110,10 +121,10 @@ def state(tried: Tried, aim: Aim, around: Range) -> State:
     ends = np.array([(found[b].bottom, min(found[b].top, aim.highest)) for b in aim.dampings])
     value, error = beyond_zero(ahead, wanted, ends, aim)
     largest = _largest(np.clip(value, ends[:, 0], ends[:, 1]), ends, around)
-    width = 2 * aim.accuracy * largest
+    width = CLOSE * aim.accuracy * largest
     found |= {b: bracket(rows[b].stiffness, rows[b].verdict, width) for b in aim.dampings}
     columns = tuple(
-        _column(float(b), found[float(b)], rows[float(b)], float(v), float(e), aim, largest, ahead.adequate)
+        _column(float(b), found[float(b)], rows[float(b)], float(v), float(e), aim, around, largest, ahead.adequate)
         for b, v, e in zip(wanted, value, error, strict=True)
     )
     return State(columns, largest, ahead)
@@ -145,24 +156,60 @@ def _largest(limit: Floats, ends: Floats, around: Range) -> float:
 
 
 def _column(
-    damping: float, of: Bracket, own: Tried, value: float, error: float, aim: Aim, largest: float, adequate: bool
+    damping: float, of: Bracket, own: Tried, value: float, error: float, aim: Aim, around: Range, largest: float, adequate: bool
 ) -> Column:
     top = min(of.top, aim.highest, own.stiffness[own.force > aim.force].min(initial=inf))
-    width = 2 * aim.accuracy * largest
-    half = 0.5 * width
+    width, half = CLOSE * aim.accuracy * largest, aim.accuracy * largest
     if of.again:
         return Column(damping, of, float(np.clip(value, of.bottom, top)), None, of.again[0], "contradiction")
     if of.high is not None and of.high - of.bottom <= width:
+        doubted = doubtful_ends(own, of, around.trial_s)
+        if doubted:
+            again = replace(of, again=doubted)
+            return Column(damping, again, float(np.clip(value, of.bottom, top)), None, doubted[0], "weak")
         return Column(damping, of, float(np.clip(value, of.high - half, of.bottom + half)), None)
     estimate = float(np.clip(value, of.bottom, of.top))
     if of.bottom >= 0.99 * top or top <= aim.lowest:
         return Column(damping, of, estimate, None, None, "limit of the tests")
+    if aim.gentle and from_below(own, of, half):
+        return Column(damping, of, estimate, None)
     edges = walls(of.bottom, top, estimate, error, width, largest)
     chance = chances(edges, value, error if adequate else inf)
     split = best_split(edges, chance, width, GENTLE_PRICE if aim.gentle else 1.0)
     if split is None:
         return Column(damping, of, estimate, None)
-    return Column(damping, of, estimate, split, float(edges[split.place]), nothing=of.bottom == 0 and value < half)
+    wall = float(edges[split.place])
+    if aim.gentle:
+        safe = value - max(NEAR * half, SAFE * error)
+        safe = max(safe, BOLD * value)
+        wall = min(wall, safe) if safe > of.bottom + 0.2 * half else wall
+    return Column(damping, of, estimate, split, wall, nothing=of.bottom == 0 and value < half)
+
+
+def doubtful_ends(own: Tried, of: Bracket, trial_s: float) -> tuple[float, ...]:
+    """Return the ends of a bracket that were tried once, with a growth that hardly changes the motion over the log.
+
+    Noise and friction may have made such a verdict; a second trial of the wall must say the same.
+    """
+    ends = []
+    for wall in (of.low, of.high):
+        trials = np.flatnonzero(own.stiffness == wall)
+        if len(trials) == 1 and abs(own.growth[trials[0]]) * trial_s < WEAK:
+            ends.append(float(own.stiffness[trials[0]]))
+    return tuple(ends)
+
+
+def from_below(own: Tried, of: Bracket, half: float) -> bool:
+    """Whether the decay of stable trials at one damping tells its limit without an unstable one.
+
+    Two growth rates must tell it by the line through them, and the stiffest stable wall lie no farther below it than
+    the wanted accuracy.
+    """
+    if of.low is None:
+        return False
+    seen = evidence(own, own.damping[:1], [(of.bottom, of.top)])
+    told, error = told_by_rates(seen, seen.slope)
+    return bool(np.isfinite(seen.slope[0]) and abs(told[0] - of.low) + error[0] < half and told[0] <= of.top)
 
 
 def walls(bottom: float, top: float, value: float, error: float, width: float, largest: float) -> Floats:

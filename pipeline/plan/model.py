@@ -106,11 +106,15 @@ def curves() -> Curves:
 
 @dataclass(frozen=True)
 class Range:
-    """Where limits are looked for: a stiffness near them [N/m, Nm/rad], and the largest damping [Ns/m, Nms/rad]."""
+    """Where limits are looked for: a stiffness near them [N/m, Nm/rad], and the largest damping [Ns/m, Nms/rad].
+
+    ``trial_s`` is how long a log goes on after its step [s].
+    """
 
     stiffness: float
     damping: float
     sampling_period_s: float
+    trial_s: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
