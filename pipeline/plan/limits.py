@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import inf, sqrt
+from math import erf, inf, sqrt
 
 import numpy as np
 
@@ -18,7 +18,7 @@ DOUBT = 0.08
 GENTLE_PRICE = 6.0
 """What an unstable trial costs, in stable ones, where a rig is to be spared."""
 
-WEAK = 0.15
+WEAK = 0.08
 """Change of the amplitude over a log, as logarithm, below which a verdict is asked for twice."""
 
 NEAR, SAFE, BOLD = 0.4, 1.5, 0.3
@@ -34,9 +34,6 @@ LEAST = 0.01
 
 HIGHER = 1.3
 """How far above the largest limit known a limit is looked for, relative to it."""
-
-FIGURES = 3
-"""Digits of a proposed stiffness, more where the wanted accuracy needs them."""
 
 
 @dataclass(frozen=True)
@@ -101,7 +98,7 @@ class State:
         return sum(column.split.trials if column.split else float(column.wall is not None) for column in self.columns)
 
 
-def state(tried: Tried, aim: Aim, around: Range) -> State:
+def state(tried: Tried, aim: Aim, around: Range, start: Forecast | None = None) -> State:
     """Return what is known and left to do at each damping.
 
     Parameters
@@ -111,13 +108,15 @@ def state(tried: Tried, aim: Aim, around: Range) -> State:
     aim : Aim
     around : Range
         Where limits are looked for before trials tell.
+    start : Forecast, optional
+        What is known before any trial; used where there is none.
     """
     levels = np.unique(np.concatenate([tried.damping, aim.dampings]))
     rows = {float(b): tried.select(tried.damping == b) for b in levels}
     found = {b: bracket(own.stiffness, own.verdict) for b, own in rows.items()}
     seen = evidence(tried, levels, [(found[float(b)].bottom, found[float(b)].top) for b in levels])
     wanted = np.array(aim.dampings)
-    ahead = forecast(around, seen, wanted)
+    ahead = start if start is not None and not len(tried) else forecast(around, seen, wanted)
     ends = np.array([(found[b].bottom, min(found[b].top, aim.highest)) for b in aim.dampings])
     value, error = beyond_zero(ahead, wanted, ends, aim)
     largest = _largest(np.clip(value, ends[:, 0], ends[:, 1]), ends, around)
@@ -173,7 +172,7 @@ def _column(
         return Column(damping, of, estimate, None, None, "limit of the tests")
     if aim.gentle and from_below(own, of, half):
         return Column(damping, of, estimate, None)
-    edges = walls(of.bottom, top, estimate, error, width, largest)
+    edges = walls(max(of.bottom, aim.lowest), top, estimate, error, width, largest)
     chance = chances(edges, value, error if adequate else inf)
     split = best_split(edges, chance, width, GENTLE_PRICE if aim.gentle else 1.0)
     if split is None:
@@ -243,8 +242,6 @@ def chances(edges: Floats, value: float, error: float) -> Floats:
 
 
 def _normal(z: float) -> float:
-    from math import erf
-
     return 0.5 * (1 + erf(z / sqrt(2)))
 
 
