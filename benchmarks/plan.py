@@ -1,4 +1,4 @@
-"""Trials that the planner needs for the limits at 12 dampings, beside bisection, random walls and the thesis's procedure.
+"""Trials that the planner needs for the limits at 12 dampings, beside bisection, random walls and the thesis's way.
 
     python benchmarks/plan.py [--seeds 20] [--kind ideal] [--out FILE.json]
 
@@ -41,6 +41,9 @@ MOST_TRIALS = 150
 WALLS, HIGHEST = 200, 20_000.0
 COARSE_STEP, FINE_STEPS = 200.0, 5
 """Of the thesis's procedure for the Falcon (6.1.1) [N/m]."""
+
+
+Ends = tuple[Floats, Floats]
 
 
 class Rig:
@@ -124,7 +127,9 @@ def bisected(rig: Rig, dampings: Sequence[float], largest: float) -> int:
     return trials
 
 
-def random_error(rig: Rig, dampings: Sequence[float], largest: float, trials: int, ends: tuple[Floats, Floats]) -> float:
+def random_error(
+    rig: Rig, dampings: Sequence[float], largest: float, trials: int, ends: tuple[Floats, Floats]
+) -> float:
     """Return the largest error of limits by random walls, relative to the largest limit."""
     random = np.random.default_rng(rig.seed)
     K, place = random.uniform(0, 1.3 * largest, trials), random.integers(len(dampings), size=trials)

@@ -123,7 +123,16 @@ def state(tried: Tried, aim: Aim, around: Range, start: Forecast | None = None) 
     width = CLOSE * aim.accuracy * largest
     found |= {b: bracket(rows[b].stiffness, rows[b].verdict, width) for b in aim.dampings}
     columns = tuple(
-        _column(float(b), found[float(b)], rows[float(b)], float(v), float(e), aim, around, largest, ahead.adequate)
+        _column(
+            float(b),
+            found[float(b)],
+            rows[float(b)],
+            (float(v), float(e)),
+            aim,
+            around.trial_s,
+            largest,
+            ahead.adequate,
+        )
         for b, v, e in zip(wanted, value, error, strict=True)
     )
     return State(columns, largest, ahead)
@@ -155,14 +164,22 @@ def _largest(limit: Floats, ends: Floats, around: Range) -> float:
 
 
 def _column(
-    damping: float, of: Bracket, own: Tried, value: float, error: float, aim: Aim, around: Range, largest: float, adequate: bool
+    damping: float,
+    of: Bracket,
+    own: Tried,
+    value: float,
+    error: float,
+    aim: Aim,
+    around: Range,
+    largest: float,
+    adequate: bool,
 ) -> Column:
     top = min(of.top, aim.highest, own.stiffness[own.force > aim.force].min(initial=inf))
     width, half = CLOSE * aim.accuracy * largest, aim.accuracy * largest
     if of.again:
         return Column(damping, of, float(np.clip(value, of.bottom, top)), None, of.again[0], "contradiction")
     if of.high is not None and of.high - of.bottom <= width:
-        doubted = doubtful_ends(own, of, around.trial_s)
+        doubted = doubtful_ends(own, of, trial_s)
         if doubted:
             again = replace(of, again=doubted)
             return Column(damping, again, float(np.clip(value, of.bottom, top)), None, doubted[0], "weak")

@@ -63,13 +63,15 @@ def next_walls(tried: Tried, dampings: Floats, limits: Floats, count: int) -> li
     value = np.log(np.where(known, tried.cost, 1.0))
     usual = float(value[known].mean()) if known.any() else 0.0
     value = np.where(known, value, usual + NO_COST)
-    for extra in range(count):
+    for _ in range(count):
         if len(seen) < FIRST:
             pick = _spread(seen, place, K, B, dampings, limits, len(seen))
             expected = usual
         else:
             mean, spread = _gaussian(seen, value - usual, place)
-            best = float(value[np.isfinite(tried.cost)[: len(value)].nonzero()[0]].min()) - usual if known.any() else 0.0
+            best = (
+                float(value[np.isfinite(tried.cost)[: len(value)].nonzero()[0]].min()) - usual if known.any() else 0.0
+            )
             z = (best - mean) / spread
             gain = spread * (z * np.array([0.5 * (1 + erf(x / 2**0.5)) for x in z]) + np.exp(-0.5 * z * z) / 2.5066)
             pick, expected = int(np.argmax(gain)), 0.0
@@ -79,9 +81,7 @@ def next_walls(tried: Tried, dampings: Floats, limits: Floats, count: int) -> li
     return chosen
 
 
-def _spread(
-    seen: Floats, place: Floats, K: Floats, B: Floats, dampings: Floats, limits: Floats, number: int
-) -> int:
+def _spread(seen: Floats, place: Floats, K: Floats, B: Floats, dampings: Floats, limits: Floats, number: int) -> int:
     """Return the place farthest from those seen, at a share of the limit that takes turns."""
     share = K / np.maximum(np.interp(B, dampings, limits), 1e-300)
     near = np.flatnonzero(np.abs(share - SHARES[number % len(SHARES)]) < 0.03)

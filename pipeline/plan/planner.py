@@ -231,7 +231,7 @@ def beginning(course: Course, dampings: Sequence[float]) -> tuple[Range, Forecas
     about = course.sampling_period_s, course.trial_s
     if len(tried):
         stable = tried.stiffness[tried.verdict == "stable"]
-        near = stable.max() if len(stable) else tried.stiffness.min()
+        near = stable.max() if len(stable) else tried.stiffness.max()
         return Range(float(near), reach, *about), None
     assert course.of_file is not None, "without logs there is a device file"
     of = course.of_file

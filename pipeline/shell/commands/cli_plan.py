@@ -42,8 +42,10 @@ def plan(
     accuracy: Annotated[
         float, typer.Option("--accuracy", help="Wanted largest error of a limit, in percent of the largest limit.")
     ] = 2.0,
-    gentle: Annotated[bool, typer.Option("--gentle", help="Prefer stable walls; approach limits from below.")] = False,
-    max_stiffness: Annotated[float, typer.Option("--max-stiffness", help="Largest K to try.", show_default=False)] = inf,
+    gentle: Annotated[bool, typer.Option("--gentle", help="Prefer stable walls, approach limits from below.")] = False,
+    max_stiffness: Annotated[
+        float, typer.Option("--max-stiffness", help="Largest K to try.", show_default=False)
+    ] = inf,
     max_damping: Annotated[float, typer.Option("--max-damping", help="Largest B to try.", show_default=False)] = inf,
     max_force: Annotated[
         float,
@@ -59,7 +61,9 @@ def plan(
     profile: Annotated[
         str | None, typer.Option("--profile", help="Log profile by name, or a profile file (.toml), for --watch.")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON document; with --watch one line each.")] = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print one JSON document; with --watch one line each.")
+    ] = False,
 ) -> None:
     """Say which virtual wall (K, B) to try next, why, and when it is enough.
 

@@ -67,9 +67,8 @@ def watch_plan(
             if (path, reason) not in told:
                 refused(f"refused: {path}: {reason}")
         told |= set(new)
-        if first or report.ingested:
-            answer = plan(name, processed, experiment, wish)
-            emit(answer)
-            if answer.done:
-                return
+        answer = plan(name, processed, experiment, wish)
+        emit(answer)
+        if answer.done:
+            return
         first = False
