@@ -95,7 +95,7 @@ class State:
     @property
     def trials_left(self) -> float:
         """Trials that are expected until all is done."""
-        return sum(column.split.trials if column.split else float(column.wall is not None) for column in self.columns)
+        return sum(_trials_left(column) for column in self.columns)
 
 
 def state(tried: Tried, aim: Aim, around: Range, start: Forecast | None = None) -> State:
@@ -167,13 +167,13 @@ def _column(
     damping: float,
     of: Bracket,
     own: Tried,
-    value: float,
-    error: float,
+    told: tuple[float, float],
     aim: Aim,
-    around: Range,
+    trial_s: float,
     largest: float,
     adequate: bool,
 ) -> Column:
+    value, error = told
     top = min(of.top, aim.highest, own.stiffness[own.force > aim.force].min(initial=inf))
     width, half = CLOSE * aim.accuracy * largest, aim.accuracy * largest
     if of.again:
@@ -252,10 +252,14 @@ def chances(edges: Floats, value: float, error: float) -> Floats:
     """Return the chance that the limit lies between two edges: by the forecast, and with `DOUBT` anywhere."""
     anywhere = np.diff(edges) / (edges[-1] - edges[0])
     if not np.isfinite(error):
-        return anywhere
+        return np.asarray(anywhere)
     below = np.array([_normal((edge - value) / error) for edge in edges])
     told = np.diff(below)
-    return (1 - DOUBT) * told / max(told.sum(), 1e-12) + DOUBT * anywhere
+    return np.asarray((1 - DOUBT) * told / max(told.sum(), 1e-12) + DOUBT * anywhere)
+
+
+def _trials_left(column: Column) -> float:
+    return column.split.trials if column.split else float(column.wall is not None)
 
 
 def _normal(z: float) -> float:
@@ -272,7 +276,7 @@ def order(columns: tuple[Column, ...]) -> list[int]:
     again = [i for i in left if columns[i].bracket.again]
     last_of_all = [i for i in left if i not in again and columns[i].nothing]
     begun = [i for i in left if columns[i].bracket.trials and i not in again + last_of_all]
-    begun.sort(key=lambda i: columns[i].split.trials if columns[i].split else 0.0)
+    begun.sort(key=lambda i: _trials_left(columns[i]))
     new = [i for i in left if i not in again + begun + last_of_all]
     known = [i for i in range(len(columns)) if i not in new]
     ordered: list[int] = []
