@@ -15,7 +15,7 @@ from pipeline.loop.loop import Normalised
 from pipeline.records.native import NativeHeader, format_header
 from pipeline.simulation.setup import setup_of
 from pipeline.simulation.simulate import simulate
-from pipeline.theory.stability.stability import boundary_points
+from pipeline.theory.stability.stability import boundary
 
 MOST = 25
 """Answers after which the rig gives up: bisection takes 15 trials."""
@@ -44,8 +44,9 @@ def record(folder: Path, stiffness: float, damping: float, number: int) -> None:
 def true_limits() -> np.ndarray:
     scale = Normalised(EXPERIMENT.mass, FALCON.sampling_period_s)
     loop = scale.loop(0.0, EXPERIMENT.damping, EXPERIMENT.delay_samples)
-    alpha, beta = boundary_points(loop, np.linspace(1e-3, 0.69, 4000))
-    return np.interp(DAMPINGS, beta * scale.damping, alpha * scale.stiffness)
+    curve = boundary(loop, 2000)
+    rising = curve.beta.argmax() + 1
+    return np.interp(DAMPINGS, curve.beta[:rising] * scale.damping, curve.alpha[:rising] * scale.stiffness)
 
 
 def test_watch_leads_a_rig_to_the_limits(tmp_path: Path) -> None:
