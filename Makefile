@@ -9,7 +9,7 @@ help:
 	@echo "make demo      simulate a small Falcon and LWR course, ingest it, write reports/*.html (FULL=1: thesis size)"
 	@echo "make test      lint, type check and the fast tests"
 	@echo "make test-all  the slow tests too"
-	@echo "make bench     speed and memory of ingest, estimates, theory, reports and watch, at thesis size"
+	@echo "make bench     speed and memory of ingest, estimates, theory, reports and watch, at thesis size; trials that the planner needs"
 	@echo "make docs      regenerate schemas/*.json and the figure in the README"
 	@echo "make clean     remove environment, caches and the demo's logs and tables (what you recorded and ingested, and reports/, are kept)"
 
@@ -51,6 +51,7 @@ bench: .venv/.bench
 	$(BIN)/python benchmarks/growth_theory.py
 	$(BIN)/python benchmarks/growth_trials.py
 	$(BIN)/python benchmarks/report.py --verify
+	$(BIN)/python benchmarks/plan.py
 
 docs: .venv/.dev
 	$(BIN)/python docs/make_schemas.py

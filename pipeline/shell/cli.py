@@ -35,6 +35,7 @@ COMMANDS = {
     "theory": ("cli_theory", "app"),
     "profile": ("cli_profiles", "profile_app"),
     "quarantine": ("cli_profiles", "quarantine_app"),
+    "plan": ("cli_plan", "plan"),
     "scene": ("cli_report", "scene_app"),
 }
 """Module and name of each command, or group of commands, in the order of the help."""

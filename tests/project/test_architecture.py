@@ -25,6 +25,7 @@ DIRECTLY: dict[str, tuple[str, ...]] = {
     "simulation": ("device_data", "store", "loop"),
     "rendering": ("records",),
     "comparison": ("store", "device_data", "profiles", "measured", "theory", "rendering"),
+    "plan": ("store", "device_data", "measured", "theory"),
     "surface": ("intake", "simulation", "comparison"),
     # they hold estimators against simulated truth, whose exact costs and limits are those of theory
     "studies": ("measured", "theory", "simulation", "rendering"),

@@ -77,7 +77,7 @@ def doubts(
         if each.code not in OF_THE_FORCE
     ]
     if parts:
-        found.append(Doubt(f"the device file declares {parts}, and theory here knows the ideal loop only"))
+        found.append(Doubt(f"the device file declares {parts}, and the estimates know the ideal loop only"))
     found += _unknown(result, loop)
     found += _unexplained(result)
     if rest.tells:
@@ -153,7 +153,7 @@ def _changing(result: ExperimentResult, loop: LoopRange, units: Units) -> Iterat
                 f"looks like it), which moves the limit by up to {share_text(effect)} %"
             )
     friction = result.estimates.get("friction")
-    if friction is not None and (friction.low or 0.0) > 0:
+    if friction is not None and (friction.low or 0.0) > LEAST_FRICTION * loop.step:
         yield Doubt(f"there is Coulomb friction of {significant(friction.value or 0.0, 2)} {friction.unit}")
 
 

@@ -60,7 +60,8 @@ def direct_causes(
     A cause whose effect on the limit is known and below `MATTERS` is not told.
     """
     found = law_causes(departures, stages)[:MOST]
-    found += _force(result, rest, units)
+    # a command that is not the wall law's tells of no force beside it
+    found += [] if departures else [*_force(result, rest, units)]
     if loop is not None:
         found += _jitter(result, loop)
         found += [] if not adequate else [*_part_of_a_sample(result, loop)]
@@ -73,7 +74,8 @@ def direct_causes(
 def _force(result: ExperimentResult, rest: RestForces, units: Units) -> Iterator[Cause]:
     """A constant force or friction, by the estimates where they are and by where the device rests."""
     constant, friction = (result.estimates.get(name) for name in ("constant_force", "friction"))
-    if constant is not None and _is_sure(constant):
+    walls = any(point.stable is not None for point in result.boundary)
+    if constant is not None and _is_sure(constant) and (rest.tells or not walls):
         yield Cause(
             code="constant_force",
             sentence=f"A constant force of {significant(constant.value or 0.0, 3)} {constant.unit} acts on the device.",
@@ -86,7 +88,7 @@ def _force(result: ExperimentResult, rest: RestForces, units: Units) -> Iterator
             sentence=f"A constant force of about {significant(rest.typical, 2)} {unit} acts on the device.",
             evidence=rest_words(rest, unit),
         )
-    if friction is not None and (friction.low or 0.0) > 0:
+    if friction is not None and (friction.low or 0.0) > 0 and (rest.tells or not walls):
         yield Cause(
             code="coulomb_friction",
             sentence=f"The device has Coulomb friction of {significant(friction.value or 0.0, 2)} {friction.unit}.",

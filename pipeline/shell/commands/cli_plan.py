@@ -1,0 +1,156 @@
+"""The command that says which wall to try next: parse, call, print."""
+
+from __future__ import annotations
+
+import json
+import sys
+from enum import StrEnum
+from math import inf
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from pipeline.base.errors import UsageError
+from pipeline.base.process import on_stop_signals
+from pipeline.shell import console
+
+if TYPE_CHECKING:
+    from pipeline.plan.answer import Plan
+    from pipeline.plan.planner import Wish
+
+
+class Goal(StrEnum):
+    """What the trials are for."""
+
+    boundary = "boundary"
+    optimum = "optimum"
+
+
+def plan(
+    device: Annotated[str, typer.Option("--device", help="Device by name, or a device file (.toml).")],
+    experiment: Annotated[
+        str | None, typer.Option("--experiment", "-e", help="Experiment; the only stored one where not given.")
+    ] = None,
+    count: Annotated[int, typer.Option("--next", min=1, help="How many walls to name at once.")] = 1,
+    goal: Annotated[Goal, typer.Option("--goal", help="Limits of stability, or the best cost.")] = Goal.boundary,
+    criterion: Annotated[str, typer.Option("--criterion", help="Criterion of the goal optimum.")] = "settle_2pct",
+    dampings: Annotated[
+        str | None, typer.Option("--dampings", help="Dampings at which limits are wanted, separated by commas.")
+    ] = None,
+    accuracy: Annotated[
+        float, typer.Option("--accuracy", help="Wanted largest error of a limit, in percent of the largest limit.")
+    ] = 2.0,
+    gentle: Annotated[bool, typer.Option("--gentle", help="Prefer stable walls, approach limits from below.")] = False,
+    max_stiffness: Annotated[
+        float, typer.Option("--max-stiffness", help="Largest K to try.", show_default=False)
+    ] = inf,
+    max_damping: Annotated[float, typer.Option("--max-damping", help="Largest B to try.", show_default=False)] = inf,
+    max_force: Annotated[
+        float,
+        typer.Option("--max-force", help="No wall stiffer than one whose command exceeded this.", show_default=False),
+    ] = inf,
+    max_travel: Annotated[
+        float, typer.Option("--max-travel", help="Largest distance of the start from the centre.", show_default=False)
+    ] = inf,
+    processed: Annotated[Path, typer.Option("--processed", help="Folder of the stored tables.")] = Path("processed"),
+    watch: Annotated[
+        list[Path] | None, typer.Option("--watch", help="Folder in which logs arrive: ingest them, plan after each.")
+    ] = None,
+    profile: Annotated[
+        str | None, typer.Option("--profile", help="Log profile by name, or a profile file (.toml), for --watch.")
+    ] = None,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Print one JSON document; with --watch one line each.")
+    ] = False,
+) -> None:
+    """Say which virtual wall (K, B) to try next, why, and when it is enough.
+
+    Example: pipeline plan --device falcon --experiment 1
+
+    Example: pipeline plan --device falcon --experiment 1 --watch logs --gentle
+    """
+    from pipeline.plan.planner import Wish
+    from pipeline.plan.planner import plan as plan_stored
+    from pipeline.records.models import CRITERIA
+
+    if criterion not in CRITERIA:
+        raise UsageError(f"unknown criterion {criterion!r}; expected one of {', '.join(CRITERIA)}.")
+    if not 0 < accuracy < 50:
+        raise UsageError(f"--accuracy {accuracy:g}: expected a percentage above 0 and below 50.")
+    for option, value in (
+        ("--max-stiffness", max_stiffness),
+        ("--max-force", max_force),
+        ("--max-travel", max_travel),
+    ):
+        if not value > 0:
+            raise UsageError(f"{option} {value:g}: expected a number above 0.")
+    wish = Wish(
+        goal.value,
+        criterion,
+        count,
+        _numbers(dampings),
+        accuracy / 100,
+        gentle,
+        max_stiffness,
+        max_damping,
+        max_force,
+        max_travel,
+    )
+    if watch:
+        _watch(watch, device, processed, experiment, wish, profile, as_json)
+    else:
+        _print(plan_stored(device, processed, experiment, wish), as_json)
+
+
+def _numbers(text: str | None) -> tuple[float, ...]:
+    try:
+        values = tuple(float(part) for part in text.split(",")) if text else ()
+    except ValueError:
+        values = (-1.0,)
+    if not all(0 <= value < inf for value in values):
+        raise UsageError(f"--dampings {text}: expected numbers of 0 or more, separated by commas, such as 0,20,40.")
+    return values
+
+
+def _watch(
+    folders: list[Path],
+    device: str,
+    processed: Path,
+    experiment: str | None,
+    wish: Wish,
+    profile: str | None,
+    as_json: bool,
+) -> None:
+    from pipeline.shell.watch.watch_plan import watch_plan
+
+    for folder in folders:
+        if not folder.is_dir():
+            raise UsageError(f"{folder}: no such folder. Give folders in which logs arrive.")
+    asked: list[int] = []
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        asked.append(number)
+
+    def emit(answer: Plan) -> None:
+        _print(answer, as_json, line=True)
+
+    with on_stop_signals(stop):
+        watch_plan(
+            folders, device, processed, experiment, wish, profile, emit, console.note, stopped=lambda: bool(asked)
+        )
+
+
+def _print(answer: Plan, as_json: bool, line: bool = False) -> None:
+    if as_json and line:
+        sys.stdout.write(json.dumps(answer.model_dump(mode="json"), allow_nan=False) + "\n")
+    elif as_json:
+        console.print_json(answer.model_dump(mode="json"))
+    else:
+        for wall in answer.next:
+            console.say(f"K = {wall.stiffness:g}, B = {wall.damping:g}: expected {wall.expected}. {wall.why}")
+        state = "done" if answer.done else f"about {answer.trials_expected} in all"
+        console.say(f"{answer.trials_used} trials so far, {state}")
+    if line:
+        sys.stdout.flush()

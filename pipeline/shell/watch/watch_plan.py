@@ -1,0 +1,74 @@
+"""Plans beside a rig: takes in each log that arrives, and says which wall to try next."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from pipeline.base.errors import StoreError
+from pipeline.intake.ingest import ingest
+from pipeline.plan.answer import Plan
+from pipeline.plan.planner import Wish, plan
+from pipeline.shell.watch.watch_files import Arrivals, look_at
+
+INTERVAL_S, SETTLE_S = 0.1, 0.3
+"""Time between two looks, and for which a log must stay the same before it is read [s]: the next wall is told within
+a second."""
+
+
+def watch_plan(
+    folders: Sequence[Path],
+    name: str,
+    processed: Path,
+    experiment: str | None,
+    wish: Wish,
+    profile: str | None,
+    emit: Callable[[Plan], None],
+    refused: Callable[[str], None],
+    stopped: Callable[[], bool],
+) -> None:
+    """Tell the plan at first and after each new log, until it is done or ``stopped``.
+
+    Parameters
+    ----------
+    folders : sequence of Path
+        In which logs arrive.
+    name, processed, experiment, wish
+        As of `planner.plan`.
+    profile : str or None
+        Log profile by name, or a profile file.
+    emit, refused : callable
+        Get each plan, and what is said of logs that go into quarantine.
+    stopped : callable
+        Asked between two looks.
+    """
+    arrivals = Arrivals(SETTLE_S)
+    arrivals.update(look_at(folders, (), (processed,)).states, time.monotonic() - SETTLE_S)
+    told: set[tuple[str, str]] = set()
+    first = True
+    while not stopped():
+        now = time.monotonic()
+        arrivals.update(look_at(folders, (), (processed,)).states, now)
+        if not (first or arrivals.ready(now)):
+            time.sleep(INTERVAL_S)
+            continue
+        growing = arrivals.restless(now)
+        arrivals.take(now)
+        try:
+            report = ingest(folders, processed, profile, growing=tuple(growing))
+        except StoreError as error:  # another command writes there: the next look tries again
+            refused(str(error))
+            arrivals = Arrivals(SETTLE_S)
+            time.sleep(1.0)
+            continue
+        new = [(refusal.path, refusal.reason) for refusal in report.quarantined]
+        for path, reason in new:
+            if (path, reason) not in told:
+                refused(f"refused: {path}: {reason}")
+        told |= set(new)
+        answer = plan(name, processed, experiment, wish)
+        emit(answer)
+        if answer.done:
+            return
+        first = False
