@@ -23,7 +23,7 @@ import pyarrow.compute as pc
 from pipeline.base.errors import StoreError
 from pipeline.measured.stages.stages import ExperimentStages, cost_column
 from pipeline.records.batch import Floats, Integers
-from pipeline.records.findings import CRITERIA
+from pipeline.records.criteria import CRITERIA
 from pipeline.service.database import Database
 from pipeline.service.problems import Problem
 from pipeline.store.names import name_of_folder

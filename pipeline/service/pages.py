@@ -20,8 +20,8 @@ from starlette.concurrency import run_in_threadpool
 
 from pipeline.intake.quarantine import list_quarantine
 from pipeline.profiles.profile_files import shipped_profiles
-from pipeline.records.findings import CRITERIA
-from pipeline.rendering.labels import CRITERION_NAMES, UNITS, significant
+from pipeline.records.criteria import CRITERIA
+from pipeline.rendering.labels import UNITS, criterion_name, significant
 from pipeline.rendering.report.page_template import TEMPLATES
 from pipeline.service import api
 from pipeline.service.api import Finite, Name, Segment
@@ -57,7 +57,7 @@ def _environment() -> Environment:
     )
     found.filters |= {
         "short": _short,
-        "name": lambda word: CRITERION_NAMES.get(word, word.replace("_", " ")),
+        "name": lambda word: criterion_name(word),
         "when": _when,
     }
     found.globals |= {"experiment_url": experiment_url, "device_url": device_url, "run_of": run_of}
@@ -65,7 +65,7 @@ def _environment() -> Environment:
 
 
 def _name(word: str) -> str:
-    return CRITERION_NAMES.get(word, word.replace("_", " "))
+    return criterion_name(word)
 
 
 def _short(value: float | None) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 from pydantic import BaseModel, ConfigDict, Field
 
-from pipeline.records.findings import CRITERIA
+from pipeline.records.criteria import CRITERIA
 from pipeline.service import results, theory
 from pipeline.service.catalogue import Catalogue, Trials
 from pipeline.service.database import Database

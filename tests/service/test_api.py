@@ -10,7 +10,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from pipeline import __version__
-from pipeline.records.findings import CRITERIA
+from pipeline.records.criteria import CRITERIA
 from pipeline.store.samples import load_batch
 
 

@@ -153,7 +153,7 @@ def _changing(result: ExperimentResult, loop: LoopRange, units: Units) -> Iterat
                 f"looks like it), which moves the limit by up to {share_text(effect)} %"
             )
     friction = result.estimates.get("friction")
-    if friction is not None and (friction.low or 0.0) > LEAST_FRICTION * loop.step:
+    if friction is not None and (friction.low or 0.0) > 0:
         yield Doubt(f"there is Coulomb friction of {significant(friction.value or 0.0, 2)} {friction.unit}")
 
 

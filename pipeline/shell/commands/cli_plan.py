@@ -73,7 +73,7 @@ def plan(
     """
     from pipeline.plan.planner import Wish
     from pipeline.plan.planner import plan as plan_stored
-    from pipeline.records.models import CRITERIA
+    from pipeline.records.criteria import CRITERIA
 
     if criterion not in CRITERIA:
         raise UsageError(f"unknown criterion {criterion!r}; expected one of {', '.join(CRITERIA)}.")
