@@ -96,7 +96,7 @@ _ROOT, _PACKAGE = os.path.split(PACKAGE_FOLDER)
 _IMPORT = re.compile(rf"\n[ \t]*(?:from ({_PACKAGE}[\w.]*) )?import (\([^)]*\)|.*)")
 _NO_NAME = re.compile(r"#.*|[()]")
 _BY_NAME = re.compile(rf'import_module\(f"({_PACKAGE}[\w.]*)\.{{')
-_FOR_TYPES = re.compile(r"\nif TYPE_CHECKING:(?:\n[ \t].*|\n(?=\n))*")
+_FOR_TYPES = re.compile(r"\nif TYPE_CHECKING:.*(?:\n[ \t].*|\n(?=\n))*")
 
 
 @cache

@@ -17,7 +17,7 @@ from pipeline.records.loop_records import Cause, LoopLimit, LoopResult, PassiveW
 from pipeline.records.models import ComparisonRow, Motion
 from pipeline.records.score_records import Scores
 from pipeline.records.score_records import TheoryParameters as TheoryParameters
-from pipeline.records.trial_records import TrialPage
+from pipeline.records.trial_codec import TrialPage
 
 
 class MassWindow(Record):

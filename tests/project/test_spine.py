@@ -89,8 +89,8 @@ def test_noisy_course_gives_estimates_with_their_spread(noisy, falcon_outcome):
     # one seed of many: the interval of 95 % misses the truth now and then, never by its own width
     assert abs(damping.value - 4.0) < damping.high - damping.low
     assert damping.value == pytest.approx(4.0, rel=0.01)
-    width = {name: e.high - e.low for name, e in experiment.estimates.items()}
-    quiet = {name: e.high - e.low for name, e in ideal.estimates.items()}
+    width = {name: e.high - e.low for name, e in experiment.estimates.items() if e.high is not None}
+    quiet = {name: e.high - e.low for name, e in ideal.estimates.items() if e.high is not None}
     assert width["mass"] > 10 * quiet["mass"]
     assert width["delay_samples"] > quiet["delay_samples"]
     # with delays drawn from 3 to 5 samples the loop is less stable than with 3 and more than with 5 (6.1.3)

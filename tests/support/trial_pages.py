@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.records.trial_codec import code, pack, step_size
-from pipeline.records.trial_records import TrialPage, reference
+from pipeline.records.trial_codec import TrialPage, code, pack, reference, step_size
 
 STIFFNESS = (500.0, 1000.0, 1500.0, 2000.0)
 DAMPING = (0.0, 10.0, 20.0)

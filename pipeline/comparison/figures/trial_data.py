@@ -24,8 +24,7 @@ from pipeline.records.criteria import criterion_of
 from pipeline.records.figure_records import Curve
 from pipeline.records.models import Motion
 from pipeline.records.results import ExperimentResult
-from pipeline.records.trial_codec import code, pack, pack_within, step_size, visible_rows
-from pipeline.records.trial_records import TrialPage, reference
+from pipeline.records.trial_codec import TrialPage, code, pack, pack_within, reference, step_size, visible_rows
 from pipeline.rendering.labels import (
     UNITS,
     cost_text,

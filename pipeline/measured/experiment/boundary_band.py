@@ -46,6 +46,10 @@ LARGEST_CONDITION = 1e10
 """Condition of the normal equations beyond which doubles keep fewer than six digits: trials at one stiffness."""
 
 
+LARGEST_UNLOCATED = 0.1
+"""Part of the area at dampings without a stable trial up to which the area is told, with what they leave open."""
+
+
 @dataclass(frozen=True, eq=False)
 class _Columns:
     """Trials of each damping side by side, shape (dampings, trials), padded with NaN and False."""
@@ -173,7 +177,8 @@ def boundary_area(points: Sequence[BoundaryPoint], unit: str = "N^2 s/m^2") -> E
     -------
     Estimate
         Its standard error is (high - low)/(2 `NORMAL_95`). No value, but a lower bound in ``low``, where a point has
-        no upper end, or an upper bound in ``high`` where one has no estimate. ``trials`` is the number of dampings.
+        no upper end, or an upper bound in ``high`` where those without an estimate bear more than
+        `LARGEST_UNLOCATED` of it. ``trials`` is the number of dampings.
 
     Notes
     -----
@@ -200,8 +205,11 @@ def boundary_area(points: Sequence[BoundaryPoint], unit: str = "N^2 s/m^2") -> E
             trials=len(used),
         )
     limit, high = (np.array([getattr(p, name) for p in used], dtype=np.float64) for name in ("estimate", "high"))
-    unlocated = int(np.isnan(limit).sum())
-    if unlocated:
+    lost = np.isnan(limit)
+    unlocated = int(lost.sum())
+    # a limit that lies anywhere between two ends is told by their middle, as long as that is no part of the result
+    limit = np.where(lost, 0.5 * (low + high), limit)
+    if float(share[lost] @ high[lost]) > LARGEST_UNLOCATED * float(share @ limit):
         return Estimate(
             value=None,
             high=float(share @ high),

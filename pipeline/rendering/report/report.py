@@ -18,7 +18,7 @@ from pipeline.base.wording import duration, error_text, unbroken
 from pipeline.records.accuracy import AccuracyReport, own_rungs
 from pipeline.records.criteria import criterion_of
 from pipeline.records.results import ComparisonResult, ReportData
-from pipeline.records.trial_records import NO_TRIALS, TrialPage
+from pipeline.records.trial_codec import NO_TRIALS, TrialPage
 from pipeline.rendering.report import (
     report_estimates,
     report_figures,

@@ -10,7 +10,7 @@ from pipeline.records.findings import DRIFTS, Estimate
 from pipeline.records.loop_records import Parameter
 from pipeline.records.models import Motion
 from pipeline.records.results import ComparisonResult, TheoryParameters
-from pipeline.records.trial_records import NO_TRIALS, TrialPage
+from pipeline.records.trial_codec import NO_TRIALS, TrialPage
 from pipeline.rendering.labels import DIGITS, UNITS, criterion_label, estimate_texts, significant
 from pipeline.rendering.table import Cell, Column, Table, missing, number, words
 

@@ -25,7 +25,7 @@ from pipeline.records.score_records import (
     StiffnessScore,
     VerdictScore,
 )
-from pipeline.records.trial_records import NO_TRIALS, TrialPage
+from pipeline.records.trial_codec import NO_TRIALS, TrialPage
 from pipeline.rendering.labels import (
     MISSING,
     UNITS,

@@ -11,7 +11,7 @@ from pipeline.records.delay_rows import DelayPoint, delay_points, is_delay_table
 from pipeline.records.findings import BoundaryPoint
 from pipeline.records.models import ComparisonRow, Motion
 from pipeline.records.results import ComparisonResult, ExperimentResult
-from pipeline.records.trial_records import NO_TRIALS, TrialPage
+from pipeline.records.trial_codec import NO_TRIALS, TrialPage
 from pipeline.rendering.labels import (
     MISSING,
     UNITS,

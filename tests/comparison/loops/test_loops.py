@@ -76,7 +76,7 @@ def test_an_adequate_loop_is_the_true_one_and_its_passive_wall_is_stable(compare
         ("several steps", "several_steps"),
         ("ramp", "step_not_a_step"),
         ("jitter", "delay_jitter"),
-        ("friction strong", None),
+        ("friction strong", "coulomb_friction"),
         ("mode at the motor", None),
         ("actuator lag", None),
         ("clipping", None),
