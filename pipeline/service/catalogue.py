@@ -23,7 +23,7 @@ import pyarrow.compute as pc
 from pipeline.base.errors import StoreError
 from pipeline.measured.stages.stages import ExperimentStages, cost_column
 from pipeline.records.batch import Floats, Integers
-from pipeline.records.criteria import CRITERIA
+from pipeline.records.criteria import REPORTED
 from pipeline.service.database import Database
 from pipeline.service.problems import Problem
 from pipeline.store.names import name_of_folder
@@ -39,10 +39,10 @@ TEXTS = ("trial_id", "device", "experiment", "verdict", "outcome", "motion", "gr
 _STORED = ("trial_id", "device", "experiment", "motion", "grip", "source_path", "stiffness", "damping")
 _KEYED = ("source_sha256", "profile_sha256")
 COSTS = {
-    f"{c}{end}": (cost_column(c)[0], f"{cost_column(c)[1]}{end}") for c in CRITERIA for end in ("", "_low", "_high")
+    f"{c}{end}": (cost_column(c)[0], f"{cost_column(c)[1]}{end}") for c in REPORTED for end in ("", "_low", "_high")
 }
 NUMBERS = ("stiffness", "damping", *COSTS)
-SORTS = ("id", "device", "experiment", "verdict", "outcome", "stiffness", "damping", *CRITERIA)
+SORTS = ("id", "device", "experiment", "verdict", "outcome", "stiffness", "damping", *REPORTED)
 STAGES = ("response", "outcome", *sorted({stage for stage, _ in COSTS.values()}))
 
 
@@ -131,7 +131,7 @@ class Trials:
                 "damping": value["damping"][i],
                 "costs": {
                     c: {"value": value[c][i], "low": value[f"{c}_low"][i], "high": value[f"{c}_high"][i]}
-                    for c in CRITERIA
+                    for c in REPORTED
                     if value[c][i] is not None
                 },
                 "source": sources[i],

@@ -20,7 +20,7 @@ from starlette.concurrency import run_in_threadpool
 
 from pipeline.intake.quarantine import list_quarantine
 from pipeline.profiles.profile_files import shipped_profiles
-from pipeline.records.criteria import CRITERIA
+from pipeline.records.criteria import REPORTED
 from pipeline.rendering.labels import UNITS, criterion_name, significant
 from pipeline.rendering.report.page_template import TEMPLATES
 from pipeline.service import api
@@ -147,7 +147,7 @@ def routes(service: Service) -> APIRouter:
         own = [e for e in service.catalogue.trials().experiments if e["device"] == device]
         if not own:
             raise Problem(404, "There are no trials of this device.", found=device)
-        return page(request, "device.html.j2", device=device, experiments=own, criteria=CRITERIA)
+        return page(request, "device.html.j2", device=device, experiments=own, criteria=REPORTED)
 
     @pages.get("/devices/{device}/experiments/{experiment}")
     def one_experiment(request: Request, device: Segment, experiment: Segment) -> Response:
@@ -233,7 +233,7 @@ def routes(service: Service) -> APIRouter:
         waiting = [(d, e, database.job(job)) for d, e, _, job in found if job]
         return page(
             request, "compare.html.j2", runs=documents, waiting=waiting, busy=any(_busy(job) for *_, job in waiting),
-            plots=limits(documents), criteria=CRITERIA, all=service.catalogue.trials().experiments,
+            plots=limits(documents), criteria=REPORTED, all=service.catalogue.trials().experiments,
             chosen={run_of(*run) for run in chosen},
         )  # fmt: skip
 
@@ -360,8 +360,8 @@ def _csv(items: Sequence[Mapping[str, Any]]) -> Response:
     stream = io.StringIO()
     writer = csv.writer(stream)
     plain = ("id", "device", "experiment", "stiffness", "damping", "verdict", "outcome")
-    writer.writerow([*plain, *(f"{c}{end}" for c in CRITERIA for end in ("", "_low", "_high"))])
+    writer.writerow([*plain, *(f"{c}{end}" for c in REPORTED for end in ("", "_low", "_high"))])
     for item in items:
-        costs = (item["costs"].get(c, {}).get(key) for c in CRITERIA for key in ("value", "low", "high"))
+        costs = (item["costs"].get(c, {}).get(key) for c in REPORTED for key in ("value", "low", "high"))
         writer.writerow([*(item[name] for name in plain), *costs])
     return Response(stream.getvalue(), media_type="text/csv; charset=utf-8")

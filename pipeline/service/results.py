@@ -15,12 +15,9 @@ from pipeline.comparison.against_run import against_experiments
 from pipeline.comparison.compare import compare, report_code
 from pipeline.comparison.scene.scene import needed_stages, open_scene
 from pipeline.comparison.stage_pool import compute_stages
-from pipeline.comparison.summary.causes import causes
 from pipeline.device_data.devices import known_devices
 from pipeline.intake.ingest import ingest
 from pipeline.measured.stages.stages import STAGES
-from pipeline.records.results import ComparisonResult
-from pipeline.rendering.labels import UNITS
 from pipeline.rendering.report.report_against import write
 from pipeline.service.database import Database
 from pipeline.service.settings import Settings
@@ -136,12 +133,8 @@ def _compared(settings: Settings, request: dict[str, Any], report: Path | None, 
         progress=progress,
     ).result
     assert result is not None, "only a dry run has none"
-    return {**result.model_dump(mode="json"), "causes": _causes(result)}
-
-
-def _causes(result: ComparisonResult) -> dict[str, list[dict[str, str]]]:
-    units = UNITS[result.motion]
-    return {found.experiment: [{"sentence": text} for text in causes(found, units)] for found in result.experiments}
+    document = result.model_dump(mode="json")
+    return {**document, "causes": {each["experiment"]: each["causes"] for each in document["experiments"]}}
 
 
 KINDS = {"upload": run_upload, "stages": run_stages, "experiment": run_experiment, "comparison": run_comparison}

@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 from pydantic import BaseModel, ConfigDict, Field
 
-from pipeline.records.criteria import CRITERIA
+from pipeline.records.criteria import REPORTED
 from pipeline.service import results, theory
 from pipeline.service.catalogue import Catalogue, Trials
 from pipeline.service.database import Database
@@ -40,7 +40,7 @@ class ComparisonRequest(BaseModel):
     model_config = ConfigDict(extra="forbid")
     device: Annotated[str, Field(max_length=500)]
     experiments: Annotated[list[str], Field(max_length=500)] | None = None
-    criteria: Annotated[list[Literal[CRITERIA]], Field(min_length=1)] | None = None  # type: ignore[valid-type]
+    criteria: Annotated[list[Literal[REPORTED]], Field(min_length=1)] | None = None  # type: ignore[valid-type]
     against: Against | None = None
 
 

@@ -10,7 +10,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from pipeline import __version__
-from pipeline.records.criteria import CRITERIA
+from pipeline.records.criteria import REPORTED
 from pipeline.store.samples import load_batch
 
 
@@ -51,7 +51,7 @@ def test_pages_hold_each_trial_once_in_order(served, falcon, sort):
     assert [t["id"] for t in found] == [t["id"] for t in whole]
     assert sorted(t["id"] for t in found) == sorted(falcon.stages("1").trials.column("trial_id").to_pylist())
     name = sort.lstrip("-")
-    values = [t["costs"].get(name, {}).get("value") if name in CRITERIA else t[name] for t in found]
+    values = [t["costs"].get(name, {}).get("value") if name in REPORTED else t[name] for t in found]
     known = [v for v in values if v is not None]
     assert known == sorted(known, reverse=sort.startswith("-"))
     assert len(known) > 50

@@ -73,10 +73,10 @@ def plan(
     """
     from pipeline.plan.planner import Wish
     from pipeline.plan.planner import plan as plan_stored
-    from pipeline.records.criteria import CRITERIA
+    from pipeline.records.criteria import MEASURED
 
-    if criterion not in CRITERIA:
-        raise UsageError(f"unknown criterion {criterion!r}; expected one of {', '.join(CRITERIA)}.")
+    if criterion not in MEASURED:
+        raise UsageError(f"unknown criterion {criterion!r}; expected one of {', '.join(MEASURED)}.")
     if not 0 < accuracy < 50:
         raise UsageError(f"--accuracy {accuracy:g}: expected a percentage above 0 and below 50.")
     for option, value in (
