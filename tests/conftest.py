@@ -4,47 +4,15 @@ from __future__ import annotations
 
 import os
 import signal
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
+from labs import Lab, make_lab
 
 from pipeline.base import provenance
-from pipeline.comparison.compare import Outcome, compare
+from pipeline.comparison.compare import Outcome
 from pipeline.device_data.devices import load_device
-from pipeline.intake.ingest import ingest
-from pipeline.measured.stages.stages import ExperimentStages
-from pipeline.records.models import Device
-from pipeline.simulation.course import Course, run_course, write_course
-from pipeline.store.storage import read_trials
-
-
-@dataclass(frozen=True)
-class Lab:
-    """Courses of one device, with the folders of their logs and of what was ingested from them."""
-
-    device: Device
-    courses: dict[str, Course]
-    raw: Path
-    processed: Path
-
-    def stages(self, experiment: str, processed: Path | None = None) -> ExperimentStages:
-        """Stages of an experiment, with nothing kept in memory."""
-        folder = processed or self.processed
-        trials = read_trials(folder, self.device.name, experiment)
-        return ExperimentStages(folder, self.device.name, experiment, trials)
-
-    def compare(self, **options) -> Outcome:
-        return compare(self.device.name, options.pop("processed", self.processed), **options)
-
-
-def make_lab(folder: Path, device: Device, experiments: tuple[str, ...], **options) -> Lab:
-    courses = {name: run_course(device, name, **options) for name in experiments}
-    written = sum(write_course(course, folder / "raw") for course in courses.values())
-    report = ingest([folder / "raw"], folder / "processed")
-    assert report.ingested == written == report.found
-    return Lab(device, courses, folder / "raw", folder / "processed")
 
 
 @pytest.fixture

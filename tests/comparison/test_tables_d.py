@@ -88,11 +88,11 @@ def test_theory_of_d4_to_d6_is_the_published_one(lwr_outcome):
 
 @pytest.mark.slow
 def test_theory_of_d3_and_of_all_delays_is_the_published_one(sweep, tmp_path_factory, one_process):
-    import conftest
+    import labs
 
     from pipeline.device_data.devices import load_device
 
-    firm = conftest.make_lab(tmp_path_factory.mktemp("firm"), load_device("falcon"), ("6",), ideal=True, coarsen=6)
+    firm = labs.make_lab(tmp_path_factory.mktemp("firm"), load_device("falcon"), ("6",), ideal=True, coarsen=6)
     rows = theory_rows(firm.compare())
     assert {(r.table, r.criterion) for r in rows} == {
         ("D.3", "settle_2pct"), ("D.3", "overshoot"), ("D.3", "energy_step_w2"),

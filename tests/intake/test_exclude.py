@@ -7,7 +7,7 @@ import shutil
 from pathlib import Path
 
 import pytest
-from conftest import Lab, make_lab
+from labs import Lab, make_lab
 from native_logs import log_text
 from typer.testing import CliRunner
 

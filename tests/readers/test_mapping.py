@@ -492,7 +492,7 @@ def test_a_log_of_another_kind_says_what_its_units_stand_for(lab):
     ("text", "row", "words"),
     [
         ("t,F,x\n0,0,0\n1,8,1,5\n2,8,2\n", 3, "expected 3 values, found 4"),
-        ("t;F;x\n0;0;0\n1;8;1,5\n", 1, "or correct the delimiter (',')"),
+        ("t;F;x\n0;0;0\n1;8;1,5\n", 1, "Correct the delimiter (',')"),
         (
             "t,F,x\n0,0,0\n1,8,much\n2,8,1\n",
             3,

@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pytest
-from conftest import make_lab
 from failing_disk import FailingOs
 from hypothesis import given
 from hypothesis import strategies as st
+from labs import make_lab
 from places import ROOT
 
 from pipeline.base import disk
@@ -43,6 +43,7 @@ GIVEN = {
     "delay": 4,
     "delay_range": [3, 5],
     "open_loop": False,
+    "pendulum": False,
     "rotation": False,
     "sensor": 1e-6,
     "rest": 1.3,

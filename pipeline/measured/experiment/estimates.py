@@ -241,6 +241,10 @@ def _decay(of: Stored, mass: float, delay: float, unit: str) -> Estimate:
 
 def _recommended(of: Stored, model: Estimate, thesis: Estimate, methods: dict[str, Estimate]) -> Estimate:
     found, joint = of.once(joint_forces), methods["joint_balance"]
+    # a balance of single trials with friction in it stands where all together tell neither value nor bound
+    alone = methods.get("friction_momentum_balance")
+    if found is not None and not found.value and not found.bound and alone is not None and alone.value is not None:
+        return alone.model_copy(update={"by_method": methods})
     if found is not None and (found.asked_for or not found.value):
         return joint.model_copy(update={"by_method": methods})
     if model.value is not None and _explains(model):

@@ -54,7 +54,9 @@ def with_friction(window: Window, parameters: Floats, jitter: Floats, order: Ord
 def _direction(window: Window, delay: Floats) -> Floats:
     """Sign of the motion at the rows at which a command would have to be given to act then, shape (N, n)."""
     rows = np.arange(len(window.position))[:, None]
-    sign = np.sign(np.diff(window.position, axis=0, append=window.position[-1:])) * window.inside
+    # behind the last row of a trial there is padding, which says nothing
+    known = window.inside & np.append(window.inside[1:], np.zeros_like(window.inside[:1]), axis=0)
+    sign = np.sign(np.diff(window.position, axis=0, append=window.position[-1:])) * known
     # while no motion is seen, the device moves as it will be seen to
     following = np.where(sign != 0, rows, len(rows) - 1)
     following = np.minimum.accumulate(following[::-1], axis=0)[::-1]
