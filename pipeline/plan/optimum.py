@@ -21,19 +21,8 @@ FIRST = 8
 SHARES = (0.3, 0.12, 0.55)
 """Share of the limit at which the first walls lie, in turn."""
 
-PATIENCE, GAIN = 16, 0.02
-"""The search ends when so many trials in a row did not lower the cost by this share."""
-
 NO_COST = 1.5
 """Logarithm above the mean of those known at which a trial without a cost counts: it keeps the search away."""
-
-
-def search_done(tried: Tried) -> bool:
-    """Whether the best cost has not fallen by `GAIN` in the last `PATIENCE` trials."""
-    best = np.fmin.accumulate(tried.cost)
-    if len(best) < FIRST + PATIENCE or not np.isfinite(best[-PATIENCE - 1]):
-        return False
-    return bool(best[-1] > (1 - GAIN) * best[-PATIENCE - 1])
 
 
 def next_walls(tried: Tried, dampings: Floats, limits: Floats, count: int) -> list[tuple[float, float, float]]:

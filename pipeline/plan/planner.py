@@ -17,7 +17,7 @@ from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.plan.answer import Limit, Next, Plan
 from pipeline.plan.limits import Aim, Column, State, order, state
 from pipeline.plan.model import Forecast, Range
-from pipeline.plan.optimum import next_walls, search_done
+from pipeline.plan.optimum import next_walls
 from pipeline.plan.verdicts import Tried
 from pipeline.records.batch import Floats
 from pipeline.records.models import Device, Experiment
@@ -137,9 +137,9 @@ def plan_of(course: Course, wish: Wish) -> Plan:
         Limit(damping=c.damping, estimate=c.estimate, low=c.bracket.low, high=c.bracket.high) for c in found.columns
     )
     if wish.goal == "optimum":
-        done = search_done(course.tried)
-        chosen = () if done else _optimum(course, wish, found, aim)
-        left = 0.0 if done else float(len(chosen))
+        # no number says when a search for the best cost is over, so that it does not say so itself
+        chosen, done = _optimum(course, wish, found, aim), False
+        left = float(len(chosen))
     else:
         chosen = tuple(_next(found.columns[i], found, aim, course) for i in order(found.columns)[: wish.count])
         done, left = found.done, found.trials_left
