@@ -34,7 +34,7 @@ def filter_in_w(velocity: VelocityFilter | None) -> tuple[Digits, Digits]:
     """Return numerator and denominator of a velocity filter as polynomials in w, of one degree."""
     if velocity is None:
         return as_exact([1]), as_exact([1])
-    if velocity is not None and velocity.kind == "butterworth":
+    if velocity.kind == "butterworth":
         root = Decimal(2).sqrt()
         side = (4 + 2 * root).sqrt()
         by_order: dict[int, list[int | Decimal]] = {
@@ -47,7 +47,7 @@ def filter_in_w(velocity: VelocityFilter | None) -> tuple[Digits, Digits]:
         bottom = as_exact([Decimal(c) / edge**k for k, c in enumerate(by_order[velocity.order])])
         return as_exact([1] + [0] * velocity.order), bottom
     n = filter_order(velocity)
-    if velocity is not None and velocity.kind == "difference":
+    if velocity.kind == "difference":
         b, a = as_exact([Decimal(1) / velocity.samples] * velocity.samples), as_exact([1])
     else:
         b, a = as_exact(velocity.b), as_exact(velocity.a)

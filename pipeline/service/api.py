@@ -16,12 +16,14 @@ from starlette.concurrency import run_in_threadpool
 from pipeline import __version__
 from pipeline.service import results, theory
 from pipeline.service.catalogue import page_of, sorting
-from pipeline.service.database import ENDED, Database
+from pipeline.service.database import ENDED
 from pipeline.service.problems import RESPONSES, Problem
 from pipeline.service.sample_forms import form_of
-from pipeline.service.shared import ComparisonRequest, Service
+from pipeline.service.shared import ComparisonRequest, Service, Shared
 from pipeline.service.uploads import Upload
 from pipeline.store.names import name_of_folder
+
+api = APIRouter(prefix="/api/v1", responses=RESPONSES)
 
 MOST = 1000
 """Items of a page."""
@@ -102,175 +104,245 @@ def trial_list(
     return {"items": items, "next_cursor": cursor(last), "total": int(mask.sum()), "facets": facets}
 
 
-def routes(service: Service) -> APIRouter:
-    """Return the routes of the API."""
-    api = APIRouter(prefix="/api/v1", responses=RESPONSES)
-    settings, database = service.settings, service.database
+@api.get("/health")
+def health(service: Shared) -> dict[str, Any]:
+    """Tell that the server answers, and how many jobs are in which state."""
+    states = service.database.run("SELECT state, count(*) AS n FROM jobs GROUP BY state")
+    jobs = {row["state"]: row["n"] for row in states}
+    return {"state": "ok", "version": __version__, "read_only": service.settings.read_only, "jobs": jobs}
 
-    @api.get("/health")
-    def health() -> dict[str, Any]:
-        states = database.run("SELECT state, count(*) AS n FROM jobs GROUP BY state")
-        jobs = {row["state"]: row["n"] for row in states}
-        return {"state": "ok", "version": __version__, "read_only": settings.read_only, "jobs": jobs}
 
-    @api.get("/devices")
-    def devices(limit: Limit = 100, cursor_: Annotated[Cursor, Query(alias="cursor")] = None) -> dict[str, Any]:
-        items, last = page_of(service.catalogue.trials().devices, ("device",), limit, place(cursor_, (str,)))
-        return {"items": items, "next_cursor": cursor(last)}
+@api.get("/devices")
+def devices(
+    service: Shared, limit: Limit = 100, cursor_: Annotated[Cursor, Query(alias="cursor")] = None
+) -> dict[str, Any]:
+    """List the devices that have trials."""
+    items, last = page_of(service.catalogue.trials().devices, ("device",), limit, place(cursor_, (str,)))
+    return {"items": items, "next_cursor": cursor(last)}
 
-    @api.get("/experiments")
-    def experiments(
-        device: Name | None = None, limit: Limit = 100, cursor_: Annotated[Cursor, Query(alias="cursor")] = None
-    ) -> dict[str, Any]:
-        all_ = [e for e in service.catalogue.trials().experiments if device in (None, e["device"])]
-        items, last = page_of(all_, ("device", "experiment"), limit, place(cursor_, (str, str)))
-        return {"items": items, "next_cursor": cursor(last)}
 
-    @api.get("/trials")
-    def trials(
-        device: Name | None = None,
-        experiment: Name | None = None,
-        verdict: Name | None = None,
-        outcome: Name | None = None,
-        stiffness_min: Finite = None,
-        stiffness_max: Finite = None,
-        damping_min: Finite = None,
-        damping_max: Finite = None,
-        q: Name = "",
-        sort: Name = "id",
-        limit: Limit = 100,
-        cursor_: Annotated[Cursor, Query(alias="cursor")] = None,
-    ) -> JSONResponse:
-        words = {"device": device, "experiment": experiment, "verdict": verdict, "outcome": outcome}
-        ranges = {"stiffness_min": stiffness_min, "stiffness_max": stiffness_max, "damping_min": damping_min,
-                  "damping_max": damping_max}  # fmt: skip
-        return JSONResponse(trial_list(service, words, ranges, q, sort, limit, cursor_))
+@api.get("/experiments")
+def experiments(
+    service: Shared,
+    device: Name | None = None,
+    limit: Limit = 100,
+    cursor_: Annotated[Cursor, Query(alias="cursor")] = None,
+) -> dict[str, Any]:
+    """List the experiments, of one device where one is named."""
+    all_ = [e for e in service.catalogue.trials().experiments if device in (None, e["device"])]
+    items, last = page_of(all_, ("device", "experiment"), limit, place(cursor_, (str, str)))
+    return {"items": items, "next_cursor": cursor(last)}
 
-    @api.get("/trials/{trial}")
-    def one_trial(trial: str) -> dict[str, Any]:
-        found, row = service.found(trial)
-        words = {kind: database.words(kind, ["trial", trial]) for kind in ("notes", "tags")}
-        return {**found.items([row])[0], **words, "source": results.uploaded_name(database, found.sources[row].as_py())}
 
-    @api.get("/trials/{trial}/samples", response_class=Response)
-    def samples(trial: str, request: Request) -> Response:
-        write = form_of(request.headers.get("accept", "*/*"))
-        about, table = service.samples(trial)
-        response: Response = write(about, table)
-        return response
+@api.get("/trials")
+def trials(
+    service: Shared,
+    device: Name | None = None,
+    experiment: Name | None = None,
+    verdict: Name | None = None,
+    outcome: Name | None = None,
+    stiffness_min: Finite = None,
+    stiffness_max: Finite = None,
+    damping_min: Finite = None,
+    damping_max: Finite = None,
+    q: Name = "",
+    sort: Name = "id",
+    limit: Limit = 100,
+    cursor_: Annotated[Cursor, Query(alias="cursor")] = None,
+) -> JSONResponse:
+    """List trials by their properties, with how many there are of each."""
+    words = {"device": device, "experiment": experiment, "verdict": verdict, "outcome": outcome}
+    ranges = {"stiffness_min": stiffness_min, "stiffness_max": stiffness_max, "damping_min": damping_min,
+              "damping_max": damping_max}  # fmt: skip
+    return JSONResponse(trial_list(service, words, ranges, q, sort, limit, cursor_))
 
-    @api.post("/logs", status_code=202)
-    async def logs(request: Request) -> dict[str, Any]:
-        return await receive(service, request)
 
-    @api.get("/jobs")
-    def jobs(limit: Limit = 100, cursor_: Annotated[Cursor, Query(alias="cursor")] = None) -> dict[str, Any]:
-        before = (place(cursor_, (int,)) or [2**62])[0]
-        if not 0 <= before < 2**63:
-            raise Problem(400, "The cursor is none of this list. Begin without one.", where="cursor")
-        found = database.jobs(before, limit + 1)
-        last = [found[limit - 1]["number"]] if len(found) > limit else None
-        return {"items": found[:limit], "next_cursor": cursor(last)}
+@api.get("/trials/{trial}")
+def one_trial(service: Shared, trial: str) -> dict[str, Any]:
+    """Return a trial: conditions, verdict, costs, notes and tags."""
+    found, row = service.found(trial)
+    words = {kind: service.database.words(kind, ["trial", trial]) for kind in ("notes", "tags")}
+    return {
+        **found.items([row])[0],
+        **words,
+        "source": results.uploaded_name(service.database, found.sources[row].as_py()),
+    }
 
-    @api.get("/jobs/{job}")
-    def one_job(job: str) -> dict[str, Any]:
-        shown = database.job(job)
-        if shown is None:
-            raise Problem(404, "There is no such job.", where="job", found=job)
-        return shown
 
-    @api.delete("/jobs/{job}")
-    def cancel(job: str) -> dict[str, Any]:
-        one_job(job)
-        database.cancel(job)
-        return one_job(job)
+@api.get("/trials/{trial}/samples", response_class=Response)
+def samples(service: Shared, trial: str, request: Request) -> Response:
+    """Return the samples of a trial in the form that Accept names."""
+    write = form_of(request.headers.get("accept", "*/*"))
+    about, table = service.samples(trial)
+    response: Response = write(about, table)
+    return response
 
-    @api.get("/jobs/{job}/events", response_class=StreamingResponse)
-    async def events(job: str, request: Request) -> StreamingResponse:
-        await run_in_threadpool(one_job, job)
 
-        async def told() -> AsyncIterator[str]:
-            former = None
-            while not await request.is_disconnected():
-                shown = await run_in_threadpool(one_job, job)
-                if shown != former:
-                    yield f"event: {shown['state']}\ndata: {json.dumps(shown)}\n\n"
-                former = shown
-                if shown["state"] in ENDED:
-                    return
-                await asyncio.sleep(EVENT_S)
+@api.post("/logs", status_code=202)
+async def logs(service: Shared, request: Request) -> dict[str, Any]:
+    """Store uploaded logs and queue their ingest."""
+    return await receive(service, request)
 
-        return StreamingResponse(told(), media_type="text/event-stream")
 
-    @api.post("/comparisons", responses={202: {"description": "A job makes it."}})
-    def compare(asked: ComparisonRequest) -> JSONResponse:
-        key, job = service.comparison(asked)
-        return JSONResponse({"key": key}) if job is None else JSONResponse({"job": job, "key": key}, 202)
+@api.get("/jobs")
+def jobs(
+    service: Shared, limit: Limit = 100, cursor_: Annotated[Cursor, Query(alias="cursor")] = None
+) -> dict[str, Any]:
+    """List jobs, the latest first."""
+    before = (place(cursor_, (int,)) or [2**62])[0]
+    if not 0 <= before < 2**63:
+        raise Problem(400, "The cursor is none of this list. Begin without one.", where="cursor")
+    found = service.database.jobs(before, limit + 1)
+    last = [found[limit - 1]["number"]] if len(found) > limit else None
+    return {"items": found[:limit], "next_cursor": cursor(last)}
 
-    @api.get("/comparisons/{key}")
-    def comparison(key: Annotated[str, Path(pattern="^[0-9a-f]{16}$")]) -> Response:
-        return _file(service, key, ".json", "application/json")
 
-    @api.get("/comparisons/{key}/report", response_class=Response)
-    def report(key: Annotated[str, Path(pattern="^[0-9a-f]{16}$")]) -> Response:
-        return _file(service, key, ".html", "text/html; charset=utf-8")
+@api.get("/jobs/{job}")
+def one_job(service: Shared, job: str) -> dict[str, Any]:
+    """Return a job: its state, progress and result."""
+    shown = service.database.job(job)
+    if shown is None:
+        raise Problem(404, "There is no such job.", where="job", found=job)
+    return shown
 
-    @api.get("/theory/boundary", responses={504: {"description": "It took too long."}})
-    def boundary(delay: Delay, gamma: Coefficient = 0.0, delta: Coefficient = 0.0) -> Any:
-        return service.theory.compute(theory.boundary, gamma, delta, delay)
 
-    @api.get("/theory/optimum", responses={504: {"description": "It took too long."}})
-    def optimum(
-        criterion: Name,
-        delay: Delay,
-        gamma: Coefficient = 0.0,
-        delta: Coefficient = 0.0,
-        signal: Literal["continuous", "discrete"] | None = None,
-    ) -> Any:
-        return service.theory.compute(theory.optimum, gamma, delta, delay, criterion, signal)
+@api.delete("/jobs/{job}")
+def cancel(service: Shared, job: str) -> dict[str, Any]:
+    """Cancel a job that has not ended."""
+    one_job(service, job)
+    service.database.cancel(job)
+    return one_job(service, job)
 
-    @api.get("/theory/points", responses={504: {"description": "It took too long."}})
-    def points(
-        alpha: Annotated[list[float], Query(max_length=theory.MOST_POINTS)],
-        beta: Annotated[list[float], Query(max_length=theory.MOST_POINTS)],
-        delay: Delay,
-        gamma: Coefficient = 0.0,
-        delta: Coefficient = 0.0,
-    ) -> Any:
-        if len(alpha) != len(beta) or not all(map(math.isfinite, (*alpha, *beta))):
-            raise Problem(422, "Each point needs a finite alpha and beta.", where="alpha, beta")
-        rows = [(a, b, gamma, delta, delay) for a, b in zip(alpha, beta, strict=True)]
-        return service.theory.compute(theory.points, rows)
 
-    def of_trial(trial: str) -> list[str]:
-        service.found(trial)
-        return ["trial", trial]
+@api.get("/jobs/{job}/events", response_class=StreamingResponse)
+async def events(service: Shared, job: str, request: Request) -> StreamingResponse:
+    """Tell each change of a job as a server-sent event, to its end."""
+    await run_in_threadpool(one_job, service, job)
 
-    def of_experiment(device: Segment, experiment: Segment) -> list[str]:
-        service.experiments(device, [experiment])
-        return ["experiment", device, experiment]
+    async def told() -> AsyncIterator[str]:
+        former = None
+        while not await request.is_disconnected():
+            shown = await run_in_threadpool(one_job, service, job)
+            if shown != former:
+                yield f"event: {shown['state']}\ndata: {json.dumps(shown)}\n\n"
+            former = shown
+            if shown["state"] in ENDED:
+                return
+            await asyncio.sleep(EVENT_S)
 
-    for owner, of in (("/trials/{trial}", of_trial), ("/experiments/{device}/{experiment}", of_experiment)):
-        _add_words(api, database, owner, of)
+    return StreamingResponse(told(), media_type="text/event-stream")
 
-    @api.get("/experiments/{device}/{experiment}/{part}")
-    async def experiment_part(device: Segment, experiment: Segment, part: Part) -> Response:
-        document, job = await run_in_threadpool(service.experiment, device, experiment)
-        until = time.monotonic() + settings.wait_s
-        while document is None and time.monotonic() < until:
-            assert job is not None, "there is a document or a job"
-            shown = await run_in_threadpool(database.job, job)
-            if shown is not None and shown["state"] in ENDED:
-                if shown["problem"]:
-                    raise Problem(503, shown["problem"]["detail"], where=f"{device}, experiment {experiment}")
-                document, job = await run_in_threadpool(service.experiment, device, experiment)
-            else:
-                await asyncio.sleep(0.1)
-        if document is None:
-            return JSONResponse({"job": job}, 202, {"Retry-After": "5", "Location": f"/api/v1/jobs/{job}"})
-        return JSONResponse(part_of(document, part))
 
-    return api
+@api.post("/comparisons", responses={202: {"description": "A job makes it."}})
+def compare(service: Shared, asked: ComparisonRequest) -> JSONResponse:
+    """Ask for a comparison; one that is there is named at once."""
+    key, job = service.comparison(asked)
+    return JSONResponse({"key": key}) if job is None else JSONResponse({"job": job, "key": key}, 202)
+
+
+@api.get("/comparisons/{key}")
+def comparison(service: Shared, key: Annotated[str, Path(pattern="^[0-9a-f]{16}$")]) -> Response:
+    """Return the document of a comparison."""
+    return _file(service, key, ".json", "application/json")
+
+
+@api.get("/comparisons/{key}/report", response_class=Response)
+def report(service: Shared, key: Annotated[str, Path(pattern="^[0-9a-f]{16}$")]) -> Response:
+    """Return the page of a comparison."""
+    return _file(service, key, ".html", "text/html; charset=utf-8")
+
+
+@api.get("/theory/boundary", responses={504: {"description": "It took too long."}})
+def boundary(service: Shared, delay: Delay, gamma: Coefficient = 0.0, delta: Coefficient = 0.0) -> Any:
+    """Return the stability boundary of the ideal loop, normalised."""
+    return service.theory.compute(theory.boundary, gamma, delta, delay)
+
+
+@api.get("/theory/optimum", responses={504: {"description": "It took too long."}})
+def optimum(
+    service: Shared,
+    criterion: Name,
+    delay: Delay,
+    gamma: Coefficient = 0.0,
+    delta: Coefficient = 0.0,
+    signal: Literal["continuous", "discrete"] | None = None,
+) -> Any:
+    """Return the point of least cost by a criterion, normalised."""
+    return service.theory.compute(theory.optimum, gamma, delta, delay, criterion, signal)
+
+
+@api.get("/theory/points", responses={504: {"description": "It took too long."}})
+def points(
+    service: Shared,
+    alpha: Annotated[list[float], Query(max_length=theory.MOST_POINTS)],
+    beta: Annotated[list[float], Query(max_length=theory.MOST_POINTS)],
+    delay: Delay,
+    gamma: Coefficient = 0.0,
+    delta: Coefficient = 0.0,
+) -> Any:
+    """Return stability and costs of points, normalised."""
+    if len(alpha) != len(beta) or not all(map(math.isfinite, (*alpha, *beta))):
+        raise Problem(422, "Each point needs a finite alpha and beta.", where="alpha, beta")
+    rows = [(a, b, gamma, delta, delay) for a, b in zip(alpha, beta, strict=True)]
+    return service.theory.compute(theory.points, rows)
+
+
+def of_trial(service: Shared, trial: str) -> list[str]:
+    """Return what notes of a trial belong to."""
+    service.found(trial)
+    return ["trial", trial]
+
+
+def of_experiment(service: Shared, device: Segment, experiment: Segment) -> list[str]:
+    """Return what notes of an experiment belong to."""
+    service.experiments(device, [experiment])
+    return ["experiment", device, experiment]
+
+
+def _add_words(owner: str, of: Callable[..., list[str]]) -> None:
+    """Add the routes of notes and tags of trials or experiments."""
+    owned = Annotated[list[str], Depends(of)]
+
+    @api.get(f"{owner}/notes")
+    def notes(service: Shared, of: owned) -> dict[str, Any]:
+        return {"text": service.database.words("notes", of)}
+
+    @api.put(f"{owner}/notes")
+    def put_notes(service: Shared, of: owned, notes: Notes) -> dict[str, Any]:
+        service.database.set_words("notes", of, notes.text)
+        return notes.model_dump()
+
+    @api.get(f"{owner}/tags")
+    def tags(service: Shared, of: owned) -> dict[str, Any]:
+        return {"tags": service.database.words("tags", of)}
+
+    @api.put(f"{owner}/tags")
+    def put_tags(service: Shared, of: owned, tags: Tags) -> dict[str, Any]:
+        service.database.set_words("tags", of, tags.tags)
+        return tags.model_dump()
+
+
+for owner, of in (("/trials/{trial}", of_trial), ("/experiments/{device}/{experiment}", of_experiment)):
+    _add_words(owner, of)
+
+
+@api.get("/experiments/{device}/{experiment}/{part}")
+async def experiment_part(service: Shared, device: Segment, experiment: Segment, part: Part) -> Response:
+    """Return a part of an experiment's results; 202 with a job where it is not computed in time."""
+    document, job = await run_in_threadpool(service.experiment, device, experiment)
+    until = time.monotonic() + service.settings.wait_s
+    while document is None and time.monotonic() < until:
+        assert job is not None, "there is a document or a job"
+        shown = await run_in_threadpool(service.database.job, job)
+        if shown is not None and shown["state"] in ENDED:
+            if shown["problem"]:
+                raise Problem(503, shown["problem"]["detail"], where=f"{device}, experiment {experiment}")
+            document, job = await run_in_threadpool(service.experiment, device, experiment)
+        else:
+            await asyncio.sleep(0.1)
+    if document is None:
+        return JSONResponse({"job": job}, 202, {"Retry-After": "5", "Location": f"/api/v1/jobs/{job}"})
+    return JSONResponse(part_of(document, part))
 
 
 async def receive(service: Service, request: Request, check: Any = lambda _: None) -> dict[str, Any]:
@@ -293,29 +365,6 @@ def part_of(document: dict[str, Any], part: str) -> Any:
     if part == "causes":
         return document["causes"][found["experiment"]]
     return found["optimum" if part == "optima" else part]
-
-
-def _add_words(api: APIRouter, database: Database, owner: str, of: Callable[..., list[str]]) -> None:
-    """Add the routes of notes and tags of trials or experiments."""
-    owned = Annotated[list[str], Depends(of)]
-
-    @api.get(f"{owner}/notes")
-    def notes(of: owned) -> dict[str, Any]:
-        return {"text": database.words("notes", of)}
-
-    @api.put(f"{owner}/notes")
-    def put_notes(of: owned, notes: Notes) -> dict[str, Any]:
-        database.set_words("notes", of, notes.text)
-        return notes.model_dump()
-
-    @api.get(f"{owner}/tags")
-    def tags(of: owned) -> dict[str, Any]:
-        return {"tags": database.words("tags", of)}
-
-    @api.put(f"{owner}/tags")
-    def put_tags(of: owned, tags: Tags) -> dict[str, Any]:
-        database.set_words("tags", of, tags.tags)
-        return tags.model_dump()
 
 
 def _file(service: Service, key: str, ending: str, media: str) -> Response:

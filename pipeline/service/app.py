@@ -65,8 +65,9 @@ def create_app(settings: Settings) -> ASGIApp:
         title="pipeline", version=__version__, lifespan=life, docs_url=None, redoc_url=None,
         openapi_url="/api/v1/openapi.json",
     )  # fmt: skip
-    app.include_router(api.routes(service))
-    app.include_router(pages.routes(service))
+    app.state.service = service
+    app.include_router(api.api)
+    app.include_router(pages.pages)
     _answer_errors(app, service)
     return Guard(app, settings, database)
 

@@ -7,7 +7,7 @@ import io
 import secrets
 import time
 from collections.abc import Mapping, Sequence
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any
 from urllib.parse import quote, urlencode
@@ -33,8 +33,10 @@ from pipeline.service.problems import Problem
 from pipeline.service.results import uploaded_name
 from pipeline.service.sample_forms import FORMS
 from pipeline.service.security import FORM, SESSION, cookie, cookies_of, form_token, is_form
-from pipeline.service.shared import ComparisonRequest, Service
+from pipeline.service.shared import ComparisonRequest, Service, Shared
 from pipeline.store.names import folder_name, name_of_folder
+
+pages = APIRouter(include_in_schema=False, default_response_class=HTMLResponse)
 
 HERE = Path(__file__).parent
 SHOWN = 100
@@ -57,15 +59,11 @@ def _environment() -> Environment:
     )
     found.filters |= {
         "short": _short,
-        "name": lambda word: criterion_name(word),
+        "name": criterion_name,
         "when": _when,
     }
     found.globals |= {"experiment_url": experiment_url, "device_url": device_url, "run_of": run_of}
     return found
-
-
-def _name(word: str) -> str:
-    return criterion_name(word)
 
 
 def _short(value: float | None) -> str:
@@ -108,231 +106,278 @@ def page_of(service: Service, request: Request, template: str, status: int = 200
     return HTMLResponse(text, status)
 
 
-def routes(service: Service) -> APIRouter:
-    """Return the routes of all pages."""
-    pages = APIRouter(include_in_schema=False, default_response_class=HTMLResponse)
-    database, settings = service.database, service.settings
+def check(service: Service, request: Request, token: str) -> None:
+    """Refuse a form that is not of this server and this browser."""
+    if not is_form(service.database, cookies_of(request.scope), token):
+        raise Problem(403, "The form is not one of this server, or too old. Load its page again.", where="form")
 
-    page = partial(page_of, service)
 
-    def check(request: Request, token: str) -> None:
-        if not is_form(database, cookies_of(request.scope), token):
-            raise Problem(403, "The form is not one of this server, or too old. Load its page again.", where="form")
+async def fields_of(service: Service, request: Request) -> dict[str, list[str]]:
+    """Return the fields of a form of ours."""
+    form = await request.form()
+    fields: dict[str, list[str]] = {}
+    for name, value in form.multi_items():
+        fields.setdefault(name, []).append(str(value))
+    check(service, request, fields.get("form", [""])[0])
+    return fields
 
-    async def fields_of(request: Request) -> dict[str, list[str]]:
-        form = await request.form()
-        fields: dict[str, list[str]] = {}
-        for name, value in form.multi_items():
-            fields.setdefault(name, []).append(str(value))
-        check(request, fields.get("form", [""])[0])
-        return fields
 
-    @pages.get("/static/{name}")
-    def static(name: str) -> Response:
-        if name == "service.css":
-            sheets = (TEMPLATES / "report.css", HERE / "static" / "service.css")
-            return Response("\n".join(sheet.read_text("utf-8") for sheet in sheets), media_type="text/css")
-        if name != "service.js":
-            raise Problem(404, "There is no such file.", found=name)
-        return FileResponse(HERE / "static" / name, media_type="text/javascript")
+@pages.get("/static/{name}")
+def static(name: str) -> Response:
+    """Return the style sheet or the script."""
+    if name == "service.css":
+        sheets = (TEMPLATES / "report.css", HERE / "static" / "service.css")
+        return Response("\n".join(sheet.read_text("utf-8") for sheet in sheets), media_type="text/css")
+    if name != "service.js":
+        raise Problem(404, "There is no such file.", found=name)
+    return FileResponse(HERE / "static" / name, media_type="text/javascript")
 
-    @pages.get("/")
-    def home(request: Request) -> Response:
-        trials = service.catalogue.trials()
-        by_device = {d["device"]: [e for e in trials.experiments if e["device"] == d["device"]] for d in trials.devices}
-        return page(request, "home.html.j2", devices=by_device, trials=trials.rows, damaged=trials.damaged)
 
-    @pages.get("/devices/{device}")
-    def one_device(request: Request, device: Segment) -> Response:
-        own = [e for e in service.catalogue.trials().experiments if e["device"] == device]
-        if not own:
-            raise Problem(404, "There are no trials of this device.", found=device)
-        return page(request, "device.html.j2", device=device, experiments=own, criteria=REPORTED)
+@pages.get("/")
+def home(service: Shared, request: Request) -> Response:
+    """Show the devices and their experiments."""
+    trials = service.catalogue.trials()
+    by_device = {d["device"]: [e for e in trials.experiments if e["device"] == d["device"]] for d in trials.devices}
+    return page_of(service, request, "home.html.j2", devices=by_device, trials=trials.rows, damaged=trials.damaged)
 
-    @pages.get("/devices/{device}/experiments/{experiment}")
-    def one_experiment(request: Request, device: Segment, experiment: Segment) -> Response:
-        document: dict[str, Any] | None = None
-        job = problem = None
-        try:
-            document, job = service.experiment(device, experiment)
-            problem = _problem_of(database.job(job)) if job else None
-        except Problem as error:
-            if error.status == 404:
-                raise
-            problem = str(error)
-        trials = service.catalogue.trials()
-        mask, facets = trials.selected({"device": device, "experiment": experiment}, {})
-        rows = np.flatnonzero(mask)[:PLOTTED].tolist()
-        shown = trials.items(rows)
-        found = document["experiments"][0] if document else None
-        words = {kind: database.words(kind, ["experiment", device, experiment]) for kind in ("notes", "tags")}
-        return page(
-            request, "experiment.html.j2", device=device, experiment=experiment, trials=shown, total=int(mask.sum()),
-            plot=plane(shown, found), found=found, job=job, problem=problem, facets=facets, **words,
-            causes=document["causes"][experiment] if document else [], units=units_of(shown),
-        )  # fmt: skip
 
-    @pages.get("/trials")
-    def trials(
-        request: Request,
-        device: Name = "", experiment: Name = "", verdict: Name = "", outcome: Name = "",
-        stiffness_min: Finite | str = None, stiffness_max: Finite | str = None, damping_min: Finite | str = None,
-        damping_max: Finite | str = None, q: Name = "", sort: Name = "id", cursor: str | None = None, format: Name = "",
-    ) -> Response:  # fmt: skip
-        words = {"device": device, "experiment": experiment, "verdict": verdict, "outcome": outcome}
-        given = {"stiffness_min": stiffness_min, "stiffness_max": stiffness_max, "damping_min": damping_min,
-                 "damping_max": damping_max}  # fmt: skip
-        ranges = {name: _limit(name, value) for name, value in given.items()}
-        found = api.trial_list(service, dict(words), ranges, q, sort, SHOWN, cursor)
-        if format == "csv":
-            return _csv(found["items"])
-        state = {k: v for k, v in {**words, **given, "q": q, "sort": sort}.items() if v not in ("", None)}
-        following = urlencode({**state, "cursor": found["next_cursor"]}) if found["next_cursor"] else None
-        return page(
-            request,
-            "trials.html.j2",
-            **found,
-            state=state,
-            following=following,
-            query=urlencode(state),
-            sorts=SORTS,
+@pages.get("/devices/{device}")
+def one_device(service: Shared, request: Request, device: Segment) -> Response:
+    """Show the experiments of a device."""
+    own = [e for e in service.catalogue.trials().experiments if e["device"] == device]
+    if not own:
+        raise Problem(404, "There are no trials of this device.", found=device)
+    return page_of(service, request, "device.html.j2", device=device, experiments=own, criteria=REPORTED)
+
+
+@pages.get("/devices/{device}/experiments/{experiment}")
+def one_experiment(service: Shared, request: Request, device: Segment, experiment: Segment) -> Response:
+    """Show the trials of an experiment in their plane, and what was found."""
+    document: dict[str, Any] | None = None
+    job = problem = None
+    try:
+        document, job = service.experiment(device, experiment)
+        problem = _problem_of(service.database.job(job)) if job else None
+    except Problem as error:
+        if error.status == 404:
+            raise
+        problem = str(error)
+    trials = service.catalogue.trials()
+    mask, facets = trials.selected({"device": device, "experiment": experiment}, {})
+    rows = np.flatnonzero(mask)[:PLOTTED].tolist()
+    shown = trials.items(rows)
+    found = document["experiments"][0] if document else None
+    words = {kind: service.database.words(kind, ["experiment", device, experiment]) for kind in ("notes", "tags")}
+    return page_of(
+        service, request, "experiment.html.j2", device=device, experiment=experiment, trials=shown,
+        total=int(mask.sum()),
+        plot=plane(shown, found), found=found, job=job, problem=problem, facets=facets, **words,
+        causes=document["causes"][experiment] if document else [], units=units_of(shown),
+    )  # fmt: skip
+
+
+@pages.get("/trials")
+def trials(
+    service: Shared, request: Request,
+    device: Name = "", experiment: Name = "", verdict: Name = "", outcome: Name = "",
+    stiffness_min: Finite | str = None, stiffness_max: Finite | str = None, damping_min: Finite | str = None,
+    damping_max: Finite | str = None, q: Name = "", sort: Name = "id", cursor: str | None = None, format: Name = "",
+) -> Response:  # fmt: skip
+    """Show a list of trials, or its CSV."""
+    words = {"device": device, "experiment": experiment, "verdict": verdict, "outcome": outcome}
+    given = {"stiffness_min": stiffness_min, "stiffness_max": stiffness_max, "damping_min": damping_min,
+             "damping_max": damping_max}  # fmt: skip
+    ranges = {name: _limit(name, value) for name, value in given.items()}
+    found = api.trial_list(service, dict(words), ranges, q, sort, SHOWN, cursor)
+    if format == "csv":
+        return _csv(found["items"])
+    state = {k: v for k, v in {**words, **given, "q": q, "sort": sort}.items() if v not in ("", None)}
+    following = urlencode({**state, "cursor": found["next_cursor"]}) if found["next_cursor"] else None
+    return page_of(
+        service,
+        request,
+        "trials.html.j2",
+        **found,
+        state=state,
+        following=following,
+        query=urlencode(state),
+        sorts=SORTS,
+    )
+
+
+@pages.get("/trials/{trial}")
+def one_trial(service: Shared, request: Request, trial: str) -> Response:
+    """Show the response of a trial and what is known of it."""
+    about, table = service.samples(trial)
+    time_s, position = (table.column(name).to_numpy() for name in ("time_s", "position"))
+    unit, metres = UNITS[about["motion"]], "rad" if about["motion"] == "rotation" else "m"
+    layers = [Layer("response", time_s, position, "position")]
+    drawing = figure(layers, "time [s]", f"position [{metres}]", f"Response of trial {trial}", zero=False)
+    words = {kind: service.database.words(kind, ["trial", trial]) for kind in ("notes", "tags")}
+    source = uploaded_name(service.database, about["source"])
+    about_all = {"trial": about, "plot": drawing, "units": unit, "samples": table.num_rows, "source": source}
+    return page_of(service, request, "trial.html.j2", **about_all, **words)
+
+
+@pages.get("/trials/{trial}/samples.{ending}")
+def download(service: Shared, trial: str, ending: str) -> Response:
+    """Return the samples of a trial as a file."""
+    media = {"csv": "text/csv", "parquet": "application/vnd.apache.parquet", "json": "application/json",
+             "arrows": "application/vnd.apache.arrow.stream"}  # fmt: skip
+    if ending not in media:
+        raise Problem(404, "Samples have no such form.", expected=list(media), found=ending)
+    response: Response = FORMS[media[ending]](*service.samples(trial))
+    response.headers["content-disposition"] = f'attachment; filename="{quote(trial)}.{ending}"'
+    return response
+
+
+@pages.get("/compare")
+def compare(service: Shared, request: Request, runs: Annotated[list[str], Query(max_length=50)] = []) -> Response:  # noqa: B006
+    """Show up to six experiments beside each other."""
+    names = [word for part in runs for word in part.split(",") if word]
+    chosen = [tuple(map(name_of_folder, name.split("/"))) for name in dict.fromkeys(names)]
+    if len(chosen) > MOST_RUNS or any(len(run) != 2 for run in chosen):
+        raise Problem(
+            422, "Compare up to six experiments.", where="runs", expected="device/experiment, ...", found=names
         )
+    found = [(device, experiment, *service.experiment(device, experiment)) for device, experiment in chosen]
+    documents = [(d, e, document) for d, e, document, _ in found if document]
+    waiting = [(d, e, service.database.job(job)) for d, e, _, job in found if job]
+    return page_of(
+        service, request, "compare.html.j2", runs=documents, waiting=waiting,
+        busy=any(_busy(job) for *_, job in waiting),
+        plots=limits(documents), criteria=REPORTED, all=service.catalogue.trials().experiments,
+        chosen={run_of(*run) for run in chosen},
+    )  # fmt: skip
 
-    @pages.get("/trials/{trial}")
-    def one_trial(request: Request, trial: str) -> Response:
-        about, table = service.samples(trial)
-        time_s, position = (table.column(name).to_numpy() for name in ("time_s", "position"))
-        unit, metres = UNITS[about["motion"]], "rad" if about["motion"] == "rotation" else "m"
-        layers = [Layer("response", time_s, position, "position")]
-        drawing = figure(layers, "time [s]", f"position [{metres}]", f"Response of trial {trial}", zero=False)
-        words = {kind: database.words(kind, ["trial", trial]) for kind in ("notes", "tags")}
-        source = uploaded_name(database, about["source"])
-        about_all = {"trial": about, "plot": drawing, "units": unit, "samples": table.num_rows, "source": source}
-        return page(request, "trial.html.j2", **about_all, **words)
 
-    @pages.get("/trials/{trial}/samples.{ending}")
-    def download(trial: str, ending: str) -> Response:
-        media = {"csv": "text/csv", "parquet": "application/vnd.apache.parquet", "json": "application/json",
-                 "arrows": "application/vnd.apache.arrow.stream"}  # fmt: skip
-        if ending not in media:
-            raise Problem(404, "Samples have no such form.", expected=list(media), found=ending)
-        response: Response = FORMS[media[ending]](*service.samples(trial))
-        response.headers["content-disposition"] = f'attachment; filename="{quote(trial)}.{ending}"'
-        return response
+@pages.post("/compare")
+async def ask_comparison(service: Shared, request: Request) -> Response:
+    """Ask for a report."""
+    fields = await fields_of(service, request)
+    asked = ComparisonRequest.model_validate(
+        {
+            "device": fields.get("device", [""])[0],
+            "experiments": fields.get("experiments"),
+            "criteria": fields.get("criteria"),
+        }
+    )
+    key, job = await run_in_threadpool(service.comparison, asked)
+    return RedirectResponse(f"/jobs/{job}" if job else f"/api/v1/comparisons/{key}/report", 303)
 
-    @pages.get("/compare")
-    def compare(request: Request, runs: Annotated[list[str], Query(max_length=50)] = []) -> Response:  # noqa: B006
-        names = [word for part in runs for word in part.split(",") if word]
-        chosen = [tuple(map(name_of_folder, name.split("/"))) for name in dict.fromkeys(names)]
-        if len(chosen) > MOST_RUNS or any(len(run) != 2 for run in chosen):
-            raise Problem(
-                422, "Compare up to six experiments.", where="runs", expected="device/experiment, ...", found=names
-            )
-        found = [(device, experiment, *service.experiment(device, experiment)) for device, experiment in chosen]
-        documents = [(d, e, document) for d, e, document, _ in found if document]
-        waiting = [(d, e, database.job(job)) for d, e, _, job in found if job]
-        return page(
-            request, "compare.html.j2", runs=documents, waiting=waiting, busy=any(_busy(job) for *_, job in waiting),
-            plots=limits(documents), criteria=REPORTED, all=service.catalogue.trials().experiments,
-            chosen={run_of(*run) for run in chosen},
-        )  # fmt: skip
 
-    @pages.post("/compare")
-    async def ask_comparison(request: Request) -> Response:
-        fields = await fields_of(request)
-        asked = ComparisonRequest.model_validate(
-            {
-                "device": fields.get("device", [""])[0],
-                "experiments": fields.get("experiments"),
-                "criteria": fields.get("criteria"),
-            }
-        )
-        key, job = await run_in_threadpool(service.comparison, asked)
-        return RedirectResponse(f"/jobs/{job}" if job else f"/api/v1/comparisons/{key}/report", 303)
+@pages.get("/upload")
+def upload(service: Shared, request: Request) -> Response:
+    """Show the form for logs."""
+    return page_of(
+        service, request, "upload.html.j2", profiles=[p.name for p in shipped_profiles()], settings=service.settings
+    )
 
-    @pages.get("/upload")
-    def upload(request: Request) -> Response:
-        return page(request, "upload.html.j2", profiles=[p.name for p in shipped_profiles()], settings=settings)
 
-    @pages.post("/upload")
-    async def receive(request: Request) -> Response:
-        accepted = await api.receive(service, request, lambda fields: check(request, fields.get("form", "")))
-        return RedirectResponse(f"/jobs/{accepted['job']}", 303)
+@pages.post("/upload")
+async def receive(service: Shared, request: Request) -> Response:
+    """Take logs."""
+    accepted = await api.receive(service, request, lambda fields: check(service, request, fields.get("form", "")))
+    return RedirectResponse(f"/jobs/{accepted['job']}", 303)
 
-    @pages.get("/jobs")
-    def jobs(request: Request, before: int = 2**62) -> Response:
-        found = database.jobs(min(max(before, 0), 2**62), SHOWN + 1)
-        last = found[SHOWN - 1]["number"] if len(found) > SHOWN else None
-        return page(request, "jobs.html.j2", jobs=found[:SHOWN], last=last, busy=any(_busy(job) for job in found))
 
-    @pages.get("/jobs/{job}")
-    def one_job(request: Request, job: str) -> Response:
-        found = database.job(job)
-        if found is None:
-            raise Problem(404, "There is no such job.", found=job)
-        return page(request, "job.html.j2", job=found, busy=_busy(found))
+@pages.get("/jobs")
+def jobs(service: Shared, request: Request, before: int = 2**62) -> Response:
+    """List jobs."""
+    found = service.database.jobs(min(max(before, 0), 2**62), SHOWN + 1)
+    last = found[SHOWN - 1]["number"] if len(found) > SHOWN else None
+    return page_of(
+        service, request, "jobs.html.j2", jobs=found[:SHOWN], last=last, busy=any(_busy(job) for job in found)
+    )
 
-    @pages.post("/jobs/{job}/cancel")
-    async def cancel(request: Request, job: str) -> Response:
-        await fields_of(request)
-        if request.state.role != "admin":
-            raise Problem(403, "Only an admin cancels jobs.", expected="admin", found=request.state.role)
-        await run_in_threadpool(database.cancel, job)
-        return RedirectResponse(f"/jobs/{quote(job)}", 303)
 
-    @pages.post("/words")
-    async def words(request: Request) -> Response:
-        fields = await fields_of(request)
-        of = fields.get("of", [""])
-        if of[0] == "trial" and len(of) == 2:
-            await run_in_threadpool(service.found, of[1])
-            back = f"/trials/{quote(of[1])}"
-        elif of[0] == "experiment" and len(of) == 3:
-            await run_in_threadpool(service.experiments, of[1], [of[2]])
-            back = experiment_url(of[1], of[2])
-        else:
-            raise Problem(422, "Notes belong to a trial or an experiment.", where="of", found=of)
-        notes = api.Notes(text=fields.get("notes", [""])[0].replace("\r\n", "\n"))
-        tags = api.Tags(tags=[word.strip() for word in fields.get("tags", [""])[0].split(",") if word.strip()])
-        await run_in_threadpool(database.set_words, "notes", of, notes.text)
-        await run_in_threadpool(database.set_words, "tags", of, tags.tags)
-        return RedirectResponse(back, 303)
+@pages.get("/jobs/{job}")
+def one_job(service: Shared, request: Request, job: str) -> Response:
+    """Show a job."""
+    found = service.database.job(job)
+    if found is None:
+        raise Problem(404, "There is no such job.", found=job)
+    return page_of(service, request, "job.html.j2", job=found, busy=_busy(found))
 
-    @pages.get("/quarantine")
-    def quarantine(request: Request) -> Response:
-        damaged: dict[Path, str] = {}
-        records = [(uploaded_name(database, r.path), r) for r in list_quarantine(settings.processed, damaged)]
-        return page(request, "quarantine.html.j2", records=records, damaged=damaged)
 
-    @pages.get("/reports")
-    def reports(request: Request) -> Response:
-        rows = database.run(
-            "SELECT * FROM jobs WHERE kind = 'comparison' AND state = 'done' ORDER BY number DESC LIMIT ?", SHOWN
-        )
-        jobs = [job for row in rows if (job := database.job(row["id"]))]
-        files = sorted(file.name for file in settings.reports.glob("*.html")) if settings.reports.is_dir() else []
-        return page(request, "reports.html.j2", jobs=jobs, files=files, folder=settings.reports)
+@pages.post("/jobs/{job}/cancel")
+async def cancel(service: Shared, request: Request, job: str) -> Response:
+    """Cancel a job."""
+    await fields_of(service, request)
+    if request.state.role != "admin":
+        raise Problem(403, "Only an admin cancels jobs.", expected="admin", found=request.state.role)
+    await run_in_threadpool(service.database.cancel, job)
+    return RedirectResponse(f"/jobs/{quote(job)}", 303)
 
-    @pages.get("/login")
-    def login(request: Request) -> Response:
-        return page(request, "login.html.j2", wrong=False)
 
-    @pages.post("/login")
-    async def enter(request: Request) -> Response:
-        fields = await fields_of(request)
-        session = await run_in_threadpool(database.login, fields.get("secret", [""])[0].strip())
-        if session is None:
-            return page(request, "login.html.j2", 401, wrong=True)
-        secure = request.headers.get("x-forwarded-proto") == "https"
-        return RedirectResponse("/", 303, {"set-cookie": cookie(SESSION, session, secure)})
+@pages.post("/words")
+async def words(service: Shared, request: Request) -> Response:
+    """Store notes and tags."""
+    fields = await fields_of(service, request)
+    of = fields.get("of", [""])
+    if of[0] == "trial" and len(of) == 2:
+        await run_in_threadpool(service.found, of[1])
+        back = f"/trials/{quote(of[1])}"
+    elif of[0] == "experiment" and len(of) == 3:
+        await run_in_threadpool(service.experiments, of[1], [of[2]])
+        back = experiment_url(of[1], of[2])
+    else:
+        raise Problem(422, "Notes belong to a trial or an experiment.", where="of", found=of)
+    notes = api.Notes(text=fields.get("notes", [""])[0].replace("\r\n", "\n"))
+    tags = api.Tags(tags=[word.strip() for word in fields.get("tags", [""])[0].split(",") if word.strip()])
+    await run_in_threadpool(service.database.set_words, "notes", of, notes.text)
+    await run_in_threadpool(service.database.set_words, "tags", of, tags.tags)
+    return RedirectResponse(back, 303)
 
-    @pages.post("/logout")
-    async def leave(request: Request) -> Response:
-        await fields_of(request)
-        await run_in_threadpool(database.logout, cookies_of(request.scope).get(SESSION, ""))
-        return RedirectResponse("/login", 303)
 
-    return pages
+@pages.get("/quarantine")
+def quarantine(service: Shared, request: Request) -> Response:
+    """List what could not be ingested."""
+    damaged: dict[Path, str] = {}
+    records = [
+        (uploaded_name(service.database, r.path), r) for r in list_quarantine(service.settings.processed, damaged)
+    ]
+    return page_of(service, request, "quarantine.html.j2", records=records, damaged=damaged)
+
+
+@pages.get("/reports")
+def reports(service: Shared, request: Request) -> Response:
+    """List reports."""
+    rows = service.database.run(
+        "SELECT * FROM jobs WHERE kind = 'comparison' AND state = 'done' ORDER BY number DESC LIMIT ?", SHOWN
+    )
+    jobs = [job for row in rows if (job := service.database.job(row["id"]))]
+    files = (
+        sorted(file.name for file in service.settings.reports.glob("*.html"))
+        if service.settings.reports.is_dir()
+        else []
+    )
+    return page_of(service, request, "reports.html.j2", jobs=jobs, files=files, folder=service.settings.reports)
+
+
+@pages.get("/login")
+def login(service: Shared, request: Request) -> Response:
+    """Show the form that asks for a token."""
+    return page_of(service, request, "login.html.j2", wrong=False)
+
+
+@pages.post("/login")
+async def enter(service: Shared, request: Request) -> Response:
+    """Begin a session by a token."""
+    fields = await fields_of(service, request)
+    session = await run_in_threadpool(service.database.login, fields.get("secret", [""])[0].strip())
+    if session is None:
+        return page_of(service, request, "login.html.j2", 401, wrong=True)
+    secure = request.headers.get("x-forwarded-proto") == "https"
+    return RedirectResponse("/", 303, {"set-cookie": cookie(SESSION, session, secure)})
+
+
+@pages.post("/logout")
+async def leave(service: Shared, request: Request) -> Response:
+    """End a session."""
+    await fields_of(service, request)
+    await run_in_threadpool(service.database.logout, cookies_of(request.scope).get(SESSION, ""))
+    return RedirectResponse("/login", 303)
 
 
 def _busy(job: Mapping[str, Any] | None) -> bool:

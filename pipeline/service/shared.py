@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import pyarrow as pa
+from fastapi import Depends, Request
 from pydantic import BaseModel, ConfigDict, Field
 
 from pipeline.records.criteria import REPORTED
@@ -129,3 +130,12 @@ class Service:
         if trial not in trials.place:
             raise Problem(404, "There is no such trial.", where="trial", found=trial)
         return trials, trials.place[trial]
+
+
+def service_of(request: Request) -> Service:
+    """Return the service that answers a request."""
+    service: Service = request.app.state.service
+    return service
+
+
+Shared = Annotated[Service, Depends(service_of)]

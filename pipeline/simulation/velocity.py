@@ -2,38 +2,22 @@
 
 from __future__ import annotations
 
-from math import comb, pi, tan
-
 import numpy as np
 
+from pipeline.loop.many_digits import as_floats, many_digits
+from pipeline.loop.velocity_filter import filter_in_z, per_sample
 from pipeline.records.batch import Floats
-from pipeline.records.loop_parts import Butterworth, Coefficients, Difference, VelocityFilter
+from pipeline.records.loop_parts import Difference, VelocityFilter
+
+DIGITS = 40
+"""In which a filter is written in powers of 1/z: a low cut-off cancels many of them."""
 
 
 def coefficients(kind: VelocityFilter | None, sampling_period_s: float) -> tuple[Floats, Floats]:
-    """Return b and a of the filter b(z)/a(z) that acts on (x_k - x_{k-1})/T, in powers of 1/z, a[0] = 1.
-
-    Notes
-    -----
-    A Butterworth filter has its poles on the circle about 0 whose radius is the cut-off, prewarped so that the bilinear
-    transform brings it back to its place: 1/s becomes (1 + 1/z)/(1 - 1/z) / tan(pi f T) in units of the cut-off.
-    """
-    if kind is None:
-        return np.ones(1), np.ones(1)
-    if isinstance(kind, Difference):
-        return np.full(kind.samples, 1 / kind.samples), np.ones(1)
-    if isinstance(kind, Coefficients):
-        return np.array(kind.b) / kind.a[0], np.array(kind.a) / kind.a[0]
-    return _butterworth(kind, sampling_period_s)
-
-
-def _butterworth(kind: Butterworth, sampling_period_s: float) -> tuple[Floats, Floats]:
-    n, warped = kind.order, tan(pi * kind.cutoff_hz * sampling_period_s)
-    poles = warped * np.exp(1j * pi * (2 * np.arange(n) + n + 1) / (2 * n))
-    a = np.real(np.poly((1 + poles) / (1 - poles)))
-    # the zeros lie at -1, the gain at rest is 1
-    gain = np.real(np.prod(warped / (1 - poles)))
-    return gain * np.array([comb(n, i) for i in range(n + 1)], dtype=np.float64), a
+    """Return b and a of the filter b(z)/a(z) that acts on (x_k - x_{k-1})/T, in powers of 1/z, a[0] = 1."""
+    with many_digits(DIGITS):
+        b, a = filter_in_z(per_sample(kind, sampling_period_s))
+        return as_floats(b), as_floats(a)
 
 
 class Velocity:
