@@ -7,8 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from pipeline.base.wording import counted
-from pipeline.comparison.loops.log_evidence import LawDeparture, RestForces, coarse, law_causes, rest_words
+from pipeline.comparison.loops.log_evidence import LawDeparture, coarse, law_causes, rest_words
 from pipeline.comparison.loops.loop_range import MATTERS, LoopRange, explains, loop_delay
+from pipeline.measured.experiment.rest_forces import RestForces
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.findings import Estimate
 from pipeline.records.loop_records import Cause
