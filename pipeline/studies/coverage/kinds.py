@@ -139,7 +139,8 @@ _KINDS = {
         ("velocity_filter",),
     ),
     "actuator lag": Kind(_LAG, ("actuator_lag",)),
-    "short lag": Kind({"loop.actuator_lag_s": uniform(1e-4, 5e-4)}, ("actuator_lag",)),
+    # logs do not tell a lag of less than a sample from a delay that is no whole number of them
+    "short lag": Kind({"loop.actuator_lag_s": uniform(1e-4, 5e-4)}, ("actuator_lag", "fractional_delay")),
     "mode at the motor": Kind({**_MODE, "loop.mode.sensor": either("motor")}, ("vibration_mode",)),
     "mode at the load": Kind({**_MODE, "loop.mode.sensor": either("load")}, ("vibration_mode",)),
     "operator": Kind(_OPERATOR, ("operator",)),
