@@ -104,8 +104,8 @@ def _part_of_a_sample(result: ExperimentResult, loop: LoopRange) -> Iterator[Cau
     if part and loop.effect(delay=-part) > MATTERS:
         yield Cause(
             code="fractional_delay",
-            sentence=f"The delay is no whole number of samples, {significant(value, 3)}, or an actuator lag of less than "
-            "a sample adds to a whole one: logs do not tell which.",
+            sentence=f"The delay is no whole number of samples, {significant(value, 3)}, or an actuator lag of less "
+            "than a sample adds to a whole one: logs do not tell which.",
             evidence=f"model fitted to the whole response, 95 %: {_interval(delay)}",
         )
 
