@@ -106,7 +106,8 @@ def truths(course: Course) -> Iterator[tuple[str, float, float]]:
     yield "mass", mass, OFF * mass
     yield "damping", damping, max(OFF * damping, OFF * 0.01 * mass / setup.sampling_period_s)
     yield "delay_samples", float(jitter.mean()), OFF_SAMPLES
-    yield "jitter_samples", float(jitter.std()), OFF_SAMPLES
+    # friction and lag look like jitter: none is none
+    yield "jitter_samples", float(jitter.std()), OFF_SAMPLES if jitter.std() else 0.0
     stiffness = (true.stiffness + held[2]) / gain
     yield "device_stiffness", stiffness, max(OFF * stiffness, 1e-3 * mass / setup.sampling_period_s**2 * OFF)
     coulomb = friction.coulomb / gain if friction else 0.0
