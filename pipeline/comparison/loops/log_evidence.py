@@ -69,8 +69,8 @@ def law_departures(stages: ExperimentStages) -> list[LawDeparture]:
     """
     unstable = stages.verdicts.verdict == "unstable"
     codes = [set(filter(None, text.split(","))) for text in stages.texts("wall_law", "law_codes")]
-    evidence = stages.texts("wall_law", "law_evidence")
-    held = int(np.isfinite(stages.column("wall_law", "law_residual")).sum())
+    evidence, residual = stages.texts("wall_law", "law_evidence"), stages.column("wall_law", "law_residual")
+    held = sum(seen or bool(of) for seen, of in zip(np.isfinite(residual), codes, strict=True))
     found = []
     for code in _SENTENCES:
         logs = [i for i, each in enumerate(codes) if code in each and not (code == "saturation" and unstable[i])]

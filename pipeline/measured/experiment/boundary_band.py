@@ -42,6 +42,10 @@ ROUNDS = 3
 """Fits of the growth rate, each around the zero of the one before; the verdicts' bracket, where the first one starts,
 can lie beside the limit by more than its width."""
 
+LINE_REACH = 3.0
+"""Distance of a zero from the middle of the verdicts' bracket, relative to that of the farthest trial, up to which a
+line through few rates may find it."""
+
 BEND = 1.0
 """Half of the largest second derivative of the growth rate over K, relative to its slope over K, by simulation up to
 0.6: by that times the distances of its trials from the zero a line through few rates is off."""
@@ -62,6 +66,11 @@ class _Columns:
     growth: Floats
     stable: Booleans
     unstable: Booleans
+
+    @property
+    def may_grow(self) -> Booleans:
+        """Trials that are not decided and rather grow."""
+        return ~self.stable & ~self.unstable & (np.nan_to_num(self.growth) > 0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,8 +126,8 @@ def boundary_band(
     softest unstable one above all stable ones, so that repeated trials that disagree widen it, and undecided ones do.
     Verdicts within `CONCLUSIVE` standard errors of zero growth, and those that the sign of the growth contradicts, are
     not counted. Where the scatter of the rates cannot be told, as with two of them, the allowed range is the interval
-    and the interpolation of two rates, or its middle, the value. The limit can therefore lie outside ``stable`` and
-    ``unstable``, which are plain counts of verdicts.
+    and the interpolation of two rates, or its middle, the value; a zero outside of it widens it. The limit can
+    therefore lie outside ``stable`` and ``unstable``, which are plain counts of verdicts.
 
     The limit is that of walls with K >= 0. With jitter of the delay it is the limit of the jittering loop, which is
     not that of its mean delay.
@@ -146,7 +155,12 @@ def boundary_band(
     # two rates leave nothing to tell an error from: the verdicts alone speak then (error is NaN)
     reach = np.hypot(np.hypot(student_95(found.freedom) * found.error, SHARED * single), found.bend)
     told = np.isfinite(reach) & (found.zero + reach >= low) & (found.zero - reach <= high)
+    # what may grow below the zero is another mode than the one that grows there
+    told &= ~(columns.may_grow & (columns.stiffness < (found.zero - reach)[:, None])).any(axis=1)
     interpolated = np.isnan(reach) & (found.zero >= low) & (found.zero <= high)
+    # rates that contradict the verdicts: a mode that grows below the sensor's floor beside one that dies away
+    apart = ~told & ~interpolated
+    low, high = (np.where(apart, end(limit, centre), limit) for end, limit in ((np.fmin, low), (np.fmax, high)))
     value = np.where(told | interpolated, np.clip(found.zero, low, high), 0.5 * (low + high))
     low, high = (
         np.where(told, np.fmax(found.zero - reach, low), low),
@@ -262,7 +276,7 @@ def _allowed(c: _Columns, scatter: Floats) -> tuple[Floats, Floats]:
     plain = np.isnan(c.growth) & np.isnan(scatter)[:, None]
     stable = c.stable & (plain | (c.growth < -doubt))
     unstable = c.unstable & (plain | (c.growth > doubt))
-    softest = np.where(unstable, c.stiffness, np.inf).min(axis=1)
+    softest = np.where(unstable | c.may_grow, c.stiffness, np.inf).min(axis=1)
     stiffest = np.where(stable, c.stiffness, 0.0).max(axis=1)
     low = np.where(stable & (c.stiffness < softest[:, None]), c.stiffness, 0.0).max(axis=1)
     high = np.where(unstable & (c.stiffness > stiffest[:, None]), c.stiffness, np.inf).min(axis=1)
@@ -315,18 +329,19 @@ def _zero_crossing(c: _Columns, centre: Floats) -> _Crossing:
     squares = (weight * (g - np.einsum("lmi,li->lm", design, a)) ** 2).sum(axis=1)
     scatter = np.sqrt(squares / np.where(freedom > 0, freedom, np.nan))
     root, step = np.zeros(len(g)), np.zeros(len(g))
+    reach = np.where(curved, 1.0, LINE_REACH)
     for _ in range(20):  # Newton's method; a parabola that is nearly a line takes three or four steps
         slope = a[:, 1] + 2 * a[:, 2] * root
         step = (a[:, 0] + a[:, 1] * root + a[:, 2] * root**2) / np.where(slope > 0, slope, np.inf)
-        root = np.clip(root - step, -1.0, 1.0)
+        root = np.clip(root - step, -reach, reach)
     slope = a[:, 1] + 2 * a[:, 2] * root
     crosses = usable & (slope > 0) & (np.abs(step) < 1e-9)  # of the width: far below any interval
     at = np.stack([np.ones_like(root), root, root**2 * curved], axis=1)
     slope = np.where(crosses, slope, np.nan) / width
     error = scatter * np.sqrt(np.einsum("li,lij,lj->l", at, inverse, at)) / slope
     zero = np.where(crosses, centre + root * width, np.nan)
-    apart = np.abs(u - root[:, None])  # of the width, and so at most 2
-    bend = np.where(use, apart, 2.0).min(axis=1) * np.where(use, apart, 0.0).max(axis=1)
+    apart = np.abs(u - root[:, None])  # of the width
+    bend = np.where(use, apart, 1 + LINE_REACH).min(axis=1) * np.where(use, apart, 0.0).max(axis=1)
     bend = np.where(curved == 0, BEND * bend * width**2, 0.0) / np.where(crosses, zero, np.inf)
     return _Crossing(zero, error, np.where(crosses, scatter, np.nan), slope, freedom, bend)
 

@@ -91,14 +91,14 @@ def explaining_factor(of: Stored) -> tuple[int, int, int] | None:
 def jitter_estimate(of: Stored) -> Estimate:
     """Return the standard deviation of the delay within a trial by the model [samples].
 
-    It needs a model that explains most trials, and errors that friction does not explain as well: any force that the
-    model lacks looks like a jitter.
+    It needs a model that explains nearly all trials, and errors that friction does not explain as well: any force that
+    the model lacks looks like a jitter.
     """
     found = _by_model(of, "jitter", "samples")
     gain = of.column("model", "friction_gain")
     fall = float(np.nanmedian(gain)) if np.isfinite(gain).any() else 0.0
     explained = found.trials + len(found.outliers)
-    if found.value is None or (_explains(found) and fall <= FRICTION_GAIN):
+    if found.value is None or (_explains(found, EXPLAINED) and fall <= FRICTION_GAIN):
         return found
     reason = f"the model explains {explained} of {explained + found.refused} trials only"
     if fall > FRICTION_GAIN:
@@ -184,7 +184,8 @@ def by_joint_balance(of: Stored, term: Term) -> Estimate:
             f"all motion is one way, where a constant force counts as friction: the interval allows for one of "
             f"{percent(CONSTANT_SHARE)} of the friction; {REVERSAL}"
         )
-    return Estimate(value=value, low=low, high=high, unit=unit, method=method, trials=trials, warning=warning)
+    found_one = Estimate(value=value, low=low, high=high, unit=unit, method=method, trials=trials, warning=warning)
+    return with_sign_warning(found_one) if term == "friction" and high < 0 else found_one
 
 
 def _not_told(found: Forces, term: Term) -> str:
@@ -273,7 +274,7 @@ def _recommended(of: Stored, model: Estimate, thesis: Estimate, methods: dict[st
     return other.model_copy(update={"by_method": methods, "warning": warning})
 
 
-def _explains(model: Estimate) -> bool:
+def _explains(model: Estimate, share: float = MODEL_SHARE) -> bool:
     """Whether the model explains so many trials that it can be right."""
     explained = model.trials + len(model.outliers)
-    return explained >= MODEL_SHARE * (explained + model.refused)
+    return explained >= share * (explained + model.refused)

@@ -179,8 +179,7 @@ def _gaps(log: LogRows) -> Departure | None:
 
 def _hidden(log: LogRows) -> tuple[Departure, ...] | None:
     rows = hidden_rows(log)
-    # a filter that leaves nothing has all its rows
-    if not len(rows) or _filtered(log) is not None:
+    if not len(rows):
         return None
     return (
         Departure(
@@ -340,7 +339,9 @@ def _filtered(log: LogRows) -> tuple[Departure, ...] | None:
     force = log.step * log.after - log.stiffness * (log.position - log.position[0])
     output = (force - log.command) * (log.period / log.damping)
     tolerance = log.rounding * log.period / abs(log.damping) + EXPLAINED * float(np.abs(log.change).max())
+    # a command that never passes the step is not clipped there
     limits = is_equal(log.command, log.command.min()) | is_equal(log.command, log.command.max())
+    limits &= ~is_equal(log.command, log.step)
     for clipped in (np.zeros_like(limits), limits):
         found = find_filter(log.change, output, ~clipped, tolerance, log.period)
         if found is None:
@@ -365,9 +366,10 @@ _EXPLANATIONS: tuple[Callable[[LogRows], tuple[Departure, ...] | None], ...] = (
     _clipped,
     _one_sided,
     _offset,
-    _hidden,
-    _other_step,
     _other_wall,
     _filtered,
+    _hidden,
+    _other_step,
 )
-"""In order: what changes the fewest rows before what could imitate it by changing all."""
+"""In order: what leaves nothing in any row before what explains single ones, which a slow device and a coarse sensor
+make look like missing rows or steps."""
