@@ -14,7 +14,7 @@ import numpy as np
 
 from pipeline.base.wording import commonest, percent
 from pipeline.measured.device import damping
-from pipeline.measured.device.forces import Forces, identify
+from pipeline.measured.device.forces import OPTIONAL, Forces, identify
 from pipeline.measured.experiment import aggregate
 from pipeline.measured.experiment.combine import with_sign_warning
 from pipeline.measured.experiment.known_delay import delay_estimate, whole_delay
@@ -177,6 +177,8 @@ def by_joint_balance(of: Stored, term: Term) -> Estimate:
         )
     half, warning = found.half_width[term], None
     low, high = value - half, value + half
+    if term in OPTIONAL and term not in found.asked_for:
+        low, high = min(low, 0.0), max(high, 0.0)  # the logs follow as well without it
     if found.one_way and term == "friction":
         # a constant force of o adds to the friction of c or takes from it
         low, high = low / (1 + CONSTANT_SHARE), high / (1 - CONSTANT_SHARE)
