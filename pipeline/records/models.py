@@ -18,7 +18,6 @@ from pipeline.records.simulation_parts import SimulationParts
 
 Motion = Literal["translation", "rotation"]
 Grip = Literal["none", "comfortable", "firm"]
-Stability = Literal["stable", "unstable", "undecided"]
 Name = Annotated[str, Field(min_length=1, max_length=200)]
 Positive = Annotated[float, Field(gt=0)]
 
@@ -136,37 +135,6 @@ class Device(Record):
         if self.baseline_s >= self.duration_s:
             raise ValueError(f"baseline_s ({self.baseline_s}) must be shorter than duration_s ({self.duration_s})")
         return self
-
-
-class Trial(Record):
-    """One step response and where it came from."""
-
-    trial_id: Name
-    device: Name
-    experiment: Name
-    motion: Motion = "translation"
-    stiffness: float
-    damping: float
-    step: float
-    sampling_period_s: Positive
-    added_delay_samples: Annotated[int, Field(ge=0)] = 0
-    grip: Grip = "none"
-    simulated: bool = False
-    rows: Annotated[int, Field(gt=0)]
-    source_path: str
-    source_sha256: str
-    profile: str
-    profile_sha256: str
-    package_version: str
-
-
-class Cost(Record):
-    """Cost of one trial by one criterion, or the reason why it has none."""
-
-    trial_id: Name
-    criterion: Name
-    cost: float | None
-    reason: str | None = None
 
 
 class ComparisonRow(Record):
@@ -292,9 +260,7 @@ class SceneFile(Record):
 SCHEMA_MODELS: dict[str, type[Record]] = {
     "device": Device,
     "experiment": Experiment,
-    "trial": Trial,
     "estimate": Estimate,
-    "cost": Cost,
     "boundary_point": BoundaryPoint,
     "comparison_row": ComparisonRow,
     "scene": Scene,

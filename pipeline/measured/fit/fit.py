@@ -13,7 +13,7 @@ import numpy as np
 from pipeline.base.errors import ParameterError
 from pipeline.base.wording import percent
 from pipeline.measured.device.delay import NO_DELAY, first_change
-from pipeline.measured.fit.fit_filter import DAMPING, DELAY, GAIN, START, STIFFNESS, open_loop, predict
+from pipeline.measured.fit.fit_filter import DAMPING, DELAY, GAIN, START, STIFFNESS
 from pipeline.measured.fit.fit_jitter import JitterFit, fit_window
 from pipeline.measured.fit.fit_motion import LARGEST_RATE, Order
 from pipeline.measured.fit.fit_noise import portmanteau
@@ -208,38 +208,6 @@ def _rows(values: dict[str, Floats]) -> dict[str, Integers]:
     """Take the rows of the log out of the values, as whole numbers, -1 where there are none."""
     taken = {name: values.pop(name) for name in ROWS}
     return {name: np.where(np.isfinite(row), row, NO_ROW).astype(np.int64) for name, row in taken.items()}
-
-
-def model_position(
-    batch: TrialBatch,
-    mass: Floats,
-    damping: Floats,
-    delay: Floats,
-    start: Floats,
-    *,
-    stiffness: Floats | None = None,
-) -> Floats:
-    """Return the position of the open-loop model under the logged command, shape (n, N) [m, rad], NaN beyond the log.
-
-    Parameters
-    ----------
-    batch : TrialBatch
-    mass, damping, delay, start : float64, shape (n,)
-        m [kg, kg m^2], b [Ns/m, Nms/rad], delay [samples], x_0 [m, rad]; a NaN gives NaN.
-    stiffness : float64, shape (n,), optional
-        k [N/m, Nm/rad] about x_0.
-    """
-    T, n = batch.sampling_period_s, len(batch)
-    k = np.zeros(n) if stiffness is None else stiffness
-    known = np.isfinite(mass) & np.isfinite(damping) & np.isfinite(delay) & np.isfinite(start) & np.isfinite(k)
-    m = np.where(known, mass, 1.0)
-    parameters = np.stack([0 * T, T**2 / m, delay, damping * T / m, k * T**2 / m])
-    parameters = np.where(known, parameters, 0.0)
-    still = np.zeros(batch.position.shape[::-1])
-    force = np.where(batch.valid, batch.command, 0.0).T
-    run = predict(still, force, open_loop(np.ones_like(still)), parameters, derivatives=False)
-    shown = batch.valid & known[:, None]
-    return np.where(shown, start[:, None] - run[:, 0].T, np.nan)
 
 
 def _problems(batch: TrialBatch, response: Response, edge: Integers, first: Integers, last: Integers) -> list[str]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop, as_points
-from pipeline.records.batch import Booleans, Floats
+from pipeline.records.batch import Floats
 from pipeline.theory.stability.region import stable_intervals
 
 _STIFFNESSES = 65
@@ -76,30 +76,6 @@ def robust_limits(delta: float, delay: float, beta: object) -> tuple[Floats, Flo
         gamma, limits = gamma[order], limits[order]
     result = limits.min(axis=0)
     return np.where(result > 0, result, -np.inf), gamma[np.argmin(limits, axis=0)]
-
-
-def is_robustly_stable(delta: float, delay: float, alpha: object, beta: object) -> Booleans:
-    """Return which walls lie between alpha = 0 and the robust limit at their beta, both excluded.
-
-    Parameters
-    ----------
-    delta, delay : float
-        Normalised damping of the device; delay factor.
-    alpha, beta : array_like, shape (n,)
-        Normalised virtual stiffness and damping.
-
-    Returns
-    -------
-    bool, shape (n,)
-
-    Raises
-    ------
-    ParameterError
-        If lengths differ, a value is not finite, or `Loop` refuses delta or delay.
-    """
-    a, b = as_points(alpha, beta)
-    levels, of = np.unique(b, return_inverse=True)
-    return np.asarray((a > 0) & (a < robust_limits(delta, delay, levels)[0][of]))
 
 
 def _reach(gamma: Floats, value: float) -> float:

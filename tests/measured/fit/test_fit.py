@@ -17,7 +17,7 @@ from simulated import FALCON, LWR, simulate
 
 from pipeline.base.errors import ParameterError
 from pipeline.device_data.devices import find_experiment, load_device
-from pipeline.measured.fit.fit import fit_trials, model_position
+from pipeline.measured.fit.fit import fit_trials
 from pipeline.measured.signal.response import find_response
 from pipeline.records.batch import TrialBatch
 from pipeline.simulation.plants import MassSpringDamper
@@ -107,16 +107,6 @@ def plain_position(command, T, mass, b, delay, start):
     held = np.concatenate([np.zeros(round(delay * fine)), held])[: len(held)]
     _, y, _ = dlsim(system, held[:, None])
     return start + y[::fine, 0]
-
-
-def test_model_position_agrees_with_scipy():
-    batch = simulate(K[:4], B[:4], **FALCON, noise=1e-6)
-    for delay in (0.0, 3.75, 4.25):
-        ours = model_position(batch, np.full(4, 0.7), np.full(4, 3.0), np.full(4, delay), np.full(4, 0.05))
-        for i in range(4):
-            rows = batch.rows[i]
-            theirs = plain_position(batch.command[i, :rows], 1e-3, 0.7, 3.0, delay, 0.05)
-            np.testing.assert_allclose(ours[i, :rows], theirs, atol=1e-11 * np.abs(theirs).max())
 
 
 def test_least_squares_by_scipy_finds_the_same():

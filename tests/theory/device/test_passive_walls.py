@@ -7,7 +7,7 @@ from pipeline.base.errors import ParameterError
 from pipeline.loop.device_loop import DeviceLoop, Vibration
 from pipeline.records.loop_parts import Butterworth
 from pipeline.theory.device.passive_walls import is_passive, passive_outline, required_damping, stiffest_passive
-from pipeline.theory.stability.passivity import maximum_passive_stiffness, passive_limits
+from pipeline.theory.stability.passivity import boundary_angle, maximum_passive_stiffness, passive_boundary
 
 ALIASES = 400
 
@@ -15,8 +15,9 @@ ALIASES = 400
 @pytest.mark.parametrize("delay", [0.0, 1.0, 2.0, 5.0])
 def test_integer_delays_need_what_the_thesis_says(delay):
     """(4.6) to (4.11): walls on the boundary need all of the damping."""
-    loop, ratio = DeviceLoop(0.0, 0.1, delay), np.linspace(-0.9, 0.9, 13)
-    np.testing.assert_allclose(required_damping(loop, 0.1 * passive_limits(delay, ratio), 0.1 * ratio), 0.1, rtol=1e-8)
+    loop, angle = DeviceLoop(0.0, 0.1, delay), boundary_angle(delay) * np.linspace(0, 0.95, 13)
+    alpha, beta = (0.1 * side for side in passive_boundary(delay, angle))
+    np.testing.assert_allclose(required_damping(loop, alpha, beta), 0.1, rtol=1e-8)
     stiffest = stiffest_passive(loop, 0.1)
     np.testing.assert_allclose(stiffest, [0.1 * v[0] for v in maximum_passive_stiffness(delay)], rtol=1e-7, atol=1e-9)
 
