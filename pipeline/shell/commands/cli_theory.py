@@ -11,6 +11,7 @@ import typer
 from pipeline.base.errors import ParameterError
 from pipeline.base.outputs import check_output
 from pipeline.shell import console
+from pipeline.shell.commands.options import Criteria, Json
 
 if TYPE_CHECKING:
     from pipeline.loop.loop import Loop
@@ -38,7 +39,6 @@ OfExperiment = Annotated[
 ]
 Gamma = Annotated[float, typer.Option("--gamma", help="Normalised stiffness of the device itself.")]
 Delta = Annotated[float, typer.Option("--delta", help="Normalised viscous damping of the device itself.")]
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout.")]
 
 
 class Signal(StrEnum):
@@ -57,10 +57,7 @@ def points(
             metavar="CSV",
         ),
     ],
-    criteria: Annotated[
-        str | None,
-        typer.Option("--criteria", help="Separated by commas; a wrong one lists all. The usual ones where not given."),
-    ] = None,
+    criteria: Criteria = None,
     device: OfDevice = None,
     experiment: OfExperiment = None,
     as_json: Json = False,
