@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 
 from pipeline.measured.fit.fit_filter import DELAY, GAIN, predict
-from pipeline.measured.fit.fit_motion import Order
 from pipeline.measured.fit.fit_noise import over_rows
 from pipeline.measured.fit.fit_search import gains_at, inverse, limited, predicted
 from pipeline.measured.fit.fit_window import Window
@@ -17,7 +16,7 @@ ROUNDS = 4
 """Steps of the search: it begins at the parameters with jitter, and friction moves them by some percent."""
 
 
-def with_friction(window: Window, parameters: Floats, jitter: Floats, order: Order) -> tuple[Window, Floats]:
+def with_friction(window: Window, parameters: Floats, jitter: Floats) -> tuple[Window, Floats]:
     """Return the window whose force is less the friction that explains the readings best, and the parameters then.
 
     Parameters
@@ -27,7 +26,6 @@ def with_friction(window: Window, parameters: Floats, jitter: Floats, order: Ord
         To begin with.
     jitter : float64, shape (n,)
         Standard deviation of the delay that errors are weighted by [samples].
-    order : {"second", "first"}
 
     Notes
     -----
@@ -39,9 +37,9 @@ def with_friction(window: Window, parameters: Floats, jitter: Floats, order: Ord
         against = _direction(window, p[DELAY])
         found = replace(window, force=window.force - friction * against)
         # friction does not jitter
-        gains = gains_at(window, p, jitter, order)
-        run = predicted(found, p, gains, jitter, order)
-        alone = predict(np.zeros_like(found.position), against, gains, p, order=order)
+        gains = gains_at(window, p, jitter)
+        run = predicted(found, p, gains, jitter)
+        alone = predict(np.zeros_like(found.position), against, gains, p)
         # the answer to the force is its derivative by the gain, times the gain; friction takes it away
         columns = np.concatenate([run[:, 1:], -p[GAIN] * alone[:, None, 1 + GAIN]], axis=1)
         normal = np.moveaxis(over_rows("kin,kjn->ijn", columns, columns), -1, 0)
