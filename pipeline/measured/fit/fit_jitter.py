@@ -22,7 +22,7 @@ from pipeline.measured.fit.fit_search import (
     starting_values,
 )
 from pipeline.measured.fit.fit_window import Window
-from pipeline.records.batch import Floats, Integers
+from pipeline.records.batch import Booleans, Floats, Integers
 
 JITTERS = (0.05, 0.1, 0.2, 0.35, 0.6, 1.0, 1.6, 2.5)
 """Standard deviations of the delay [samples] that are tried; between them the likelihood is a parabola."""
@@ -140,41 +140,16 @@ def fit_window(window: Window, start: Floats, lag: Integers) -> JitterFit:
     -----
     The first rows give what the whole window starts from, since a long chattering record has many local minima.
     """
-    n = start.shape[1]
-    none = np.zeros(n)
     rows = int((window.edge + np.maximum(lag, SEARCH_REACH)).max(initial=0)) + SEARCH_ROWS
-    head = window.head(rows)
-    solution = search(head, start, none, most_steps=HEAD_STEPS)
-    # where the first rows need jitter, a search without it would go astray over the whole window
-    calm = (solution.scale <= ASTRAY) | ~window.noise_known
-    if calm.any():
-        solution.put(calm, search(window.select(calm), solution.parameters[:, calm], none[calm]))
-    solution.converged[~calm] = False
-    jitter, lowest = np.zeros(n), np.full(n, np.inf)
-    look = (solution.scale > SUSPICIOUS) | ~solution.converged
-    unsure = ~look & window.noise_known
-    if unsure.any():
-        part, p = window.select(unsure), solution.parameters[:, unsure]
-        plain = predicted(part, p, gains_at(part, p, none[unsure]), none[unsure], derivatives=False)
-        look[unsure] = portmanteau(plain[:, 0], part.independent) < SUSPICIOUS_WHITENESS
     longest = rows - SEARCH_ROWS + LONGEST_WITH_JITTER
+    solution = _without_jitter(window, start, rows)
+    jitter, lowest = np.zeros(start.shape[1]), np.full(start.shape[1], np.inf)
+    look = _suspicious(window, solution)
     if look.any():
         # with jitter the device moves between equal readings too: each counts
         part = window.select(look).head(longest)
         part = replace(part, run=np.ones_like(part.run))
-        found, strength = _with_jitter(part, start[:, look], rows)
-        poor = (found.scale > LARGEST_SCALE) | ~found.converged
-        if poor.any():
-            # chatter can drown the response in as many rows as the start is read from: then fewer do better
-            again = part.select(poor)
-            short = starting_values(again, lag[look][poor], rows=SHORT_ROWS)
-            other, other_strength = _with_jitter(again, short, rows)
-            won = deviance(again, other.parameters, other_strength) < deviance(
-                again, found.parameters[:, poor], strength[poor]
-            )
-            where = np.flatnonzero(poor)[won]
-            found.put(where, other.select(won))
-            strength[where] = other_strength[won]
+        found, strength = _likeliest(part, start[:, look], lag[look], rows)
         without = deviance(part, solution.parameters[:, look], np.zeros_like(strength))
         least = np.maximum(LEAST_GAIN, LEAST_GAIN_PER_ROW * part.inside.sum(axis=0))
         with_it = deviance(part, found.parameters, strength)
@@ -183,11 +158,54 @@ def fit_window(window: Window, start: Floats, lag: Integers) -> JitterFit:
         lowest[where] = with_it[better]
         solution.put(where, found.select(better))
         jitter[where] = strength[better]
-    jittery = jitter > 0
-    window = replace(window.shortened(jittery, longest), run=np.where(jittery, 1.0, window.run))
-    error = np.full(n, np.inf)
-    inflation, steady, friction = np.ones(start.shape), np.full(n, -np.inf), np.full(n, -np.inf)
-    white = np.zeros(window.position.shape)
+    window = replace(window.shortened(jitter > 0, longest), run=np.where(jitter > 0, 1.0, window.run))
+    return _with_errors(window, solution, jitter, lowest, longest)
+
+
+def _without_jitter(window: Window, start: Floats, rows: int) -> Solution:
+    """Return the fit without jitter; it has not converged where the first rows need one."""
+    none = np.zeros(start.shape[1])
+    solution = search(window.head(rows), start, none, most_steps=HEAD_STEPS)
+    # where the first rows need jitter, a search without it would go astray over the whole window
+    calm = (solution.scale <= ASTRAY) | ~window.noise_known
+    if calm.any():
+        solution.put(calm, search(window.select(calm), solution.parameters[:, calm], none[calm]))
+    solution.converged[~calm] = False
+    return solution
+
+
+def _suspicious(window: Window, solution: Solution) -> Booleans:
+    """Return for which trials the fit without jitter misses more than the sensor explains, or in a correlated way."""
+    look: Booleans = (solution.scale > SUSPICIOUS) | ~solution.converged
+    unsure = ~look & window.noise_known
+    if unsure.any():
+        part, p, none = window.select(unsure), solution.parameters[:, unsure], np.zeros(int(unsure.sum()))
+        plain = predicted(part, p, gains_at(part, p, none), none, derivatives=False)
+        look[unsure] = portmanteau(plain[:, 0], part.independent) < SUSPICIOUS_WHITENESS
+    return look
+
+
+def _likeliest(window: Window, start: Floats, lag: Integers, rows: int) -> tuple[Solution, Floats]:
+    """Return the solution with jitter from the better of two starts, and that jitter [samples]."""
+    found, strength = _with_jitter(window, start, rows)
+    poor = (found.scale > LARGEST_SCALE) | ~found.converged
+    if poor.any():
+        # chatter can drown the response in as many rows as the start is read from: then fewer do better
+        again = window.select(poor)
+        other, other_strength = _with_jitter(again, starting_values(again, lag[poor], rows=SHORT_ROWS), rows)
+        first = deviance(again, found.parameters[:, poor], strength[poor])
+        won = deviance(again, other.parameters, other_strength) < first
+        where = np.flatnonzero(poor)[won]
+        found.put(where, other.select(won))
+        strength[where] = other_strength[won]
+    return found, strength
+
+
+def _with_errors(window: Window, solution: Solution, jitter: Floats, lowest: Floats, longest: int) -> JitterFit:
+    """Return a fit with its errors; ``lowest`` is the deviance of those with jitter."""
+    n, jittery = len(jitter), jitter > 0
+    error, steady, friction = np.full(n, np.inf), np.full(n, -np.inf), np.full(n, -np.inf)
+    inflation, white = np.ones(solution.parameters.shape), np.zeros(window.position.shape)
     scale = np.maximum(solution.scale, smallest_scale(window))
     for which in (jittery, ~jittery):
         if not which.any():
@@ -201,8 +219,8 @@ def fit_window(window: Window, start: Floats, lag: Integers) -> JitterFit:
             error[which] = _jitter_error(part, p, s, lowest[which])
             steady[which] = lowest[which] - steady_force_deviance(part, p, s)
             moved, q = with_friction(part, p, s)
-            beside = _deviance(moved, q, gains_at(part, q, s), s)
-            friction[which] = lowest[which] - _finite(beside)
+            # friction does not jitter: the gains are those of the command alone
+            friction[which] = lowest[which] - _finite(_deviance(moved, q, gains_at(part, q, s), s))
             model = inverse(solution.normal[which]) * scale[which, None, None]
             inflation[:, which] = _inflation(run, solution.normal[which], model)
         else:
