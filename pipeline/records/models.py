@@ -164,9 +164,10 @@ FigureKind = Literal["response", "boundaries", "plane", "maps", "residuals", "de
 """Figures of a report: first response (Fig. 6.2), boundaries (6.3, 6.4, 6.9), boundaries in the normalised plane, cost
 maps (6.5 to 6.7, 6.10, 6.11), measured minus theory, costs over delay (6.12), and the trials to look into."""
 
-Overlay = Literal["theory", "estimates", "band", "linear", "passive", "bound"]
+Overlay = Literal["theory", "estimates", "band", "linear", "passive", "bound", "robust"]
 """What is drawn over measured boundaries: theory by the device file, theory by the estimates, what their intervals
-leave open, the linear condition (3.25), the passive region (4.12), a linear upper bound as (6.5)."""
+leave open, the linear condition (3.25), the passive region (4.12), a linear upper bound as (6.5); the walls that are
+stable with every spring (4.3.3), drawn only where they are asked for."""
 
 
 class Shown(Record):
@@ -190,8 +191,8 @@ class Shown(Record):
         return self.tables is None or name in self.tables
 
     def has_overlay(self, kind: Overlay) -> bool:
-        """Tell whether an overlay is asked for."""
-        return self.overlays is None or kind in self.overlays
+        """Tell whether an overlay is asked for; without a choice all are but the robust region."""
+        return kind != "robust" if self.overlays is None else kind in self.overlays
 
 
 class Scene(Record):

@@ -24,6 +24,24 @@ _FINER = 8
 """New springs in each gap beside a worst one, per round: 8^4 finer in the end, an error of 1e-9 at a smooth minimum."""
 
 
+_POINTS = 40
+"""Dampings up to that of the device, and beyond it, at which an outline is computed."""
+
+
+def robust_outline(delta: float, delay: float) -> tuple[Floats, Floats, Floats]:
+    """Return the outline of the region that is stable with every spring: alpha, beta and the worst spring gamma, (n,).
+
+    Empty where there is none, as for delta = 0. Parameters and errors as for `robust_limits`.
+
+    Source: Hulin 2017, Fig. 4.5.
+    """
+    beyond = np.geomspace(1.0, 1 + 4 / (delta * (delay + 0.5)), _POINTS) if delta > 0 else np.empty(0)
+    beta = delta * np.concatenate([np.linspace(-1.0, 1.0, _POINTS), beyond[1:]])
+    alpha, gamma = robust_limits(delta, delay, beta)
+    inside = alpha > 1e-9 * alpha.max(initial=0.0)  # at B = -b it is what rounding leaves of 0
+    return alpha[inside], beta[inside], gamma[inside]
+
+
 def robust_limits(delta: float, delay: float, beta: object) -> tuple[Floats, Floats]:
     """Return the largest alpha that is stable with every spring, and the worst spring gamma, at each beta.
 
