@@ -16,6 +16,7 @@ from pipeline.measured.experiment.estimates import (
     by_joint_balance,
     standard_error,
     stiffness_estimate,
+    velocity_lag,
     with_model_delay,
 )
 from pipeline.measured.stages.stages import STAGES, ExperimentStages
@@ -149,6 +150,8 @@ def _estimates(stages: ExperimentStages, needed: Collection[str], units: Units) 
             "device_stiffness": stiffness_estimate(stages),
             "constant_force": by_joint_balance(stages, "constant_force"),
         }
+    if "wall_law" in needed and (lag := velocity_lag(stages)) is not None:
+        found["velocity_lag"] = lag
     if "model" in needed:
         found["jitter_samples"] = stages.jitter_estimate
         found["delay_samples"] = with_model_delay(stages, found["delay_samples"])
