@@ -15,6 +15,7 @@ from pipeline.comparison.figures.boundary_curves import (
     measured_curve,
     normalised,
     passive_curve,
+    robust_curve,
     theory_curve,
 )
 from pipeline.comparison.loops.loop_range import adequate_theory
@@ -93,7 +94,8 @@ class _Builder:
             return None
         values = list(dict.fromkeys((p.mass, p.damping, p.stiffness) for p in (self._own(r) for r in free)))
         first = self.theories[free[0].experiment]
-        conditions = (linear_curve(first), passive_curve(first), _first(bound_curve(r) for r in free))
+        robust = robust_curve(first) if self.data.scene.shown.has_overlay("robust") else None
+        conditions = (linear_curve(first), passive_curve(first), robust, _first(bound_curve(r) for r in free))
         curves = (*(measured_curve(r) for r in free), *self._over_delays(free, values), *filter(None, conditions))
         m, b, k = values[0]
         units = UNITS["rotation" if self.data.experiments[0].rotation else "translation"]

@@ -131,7 +131,7 @@ def draft_scene(device: str, processed: Path) -> str:
         f"figures = {_list(FIGURE_NAMES)}",
         "",
         "# overlays of the boundaries: theory by the device file and by the estimates, what their intervals leave",
-        "# open, the linear condition, the passive region, a linear upper bound",
+        "# open, the linear condition, the passive region, a linear upper bound; robust: stable with every spring",
         'overlays = ["theory", "estimates", "band", "linear", "passive", "bound"]',
         "",
         "# delay factors of the theoretical curves, in place of those of the device file",

@@ -13,7 +13,7 @@ from typing import Any, Literal
 import numpy as np
 
 from pipeline.base.wording import commonest, percent
-from pipeline.measured.device import damping
+from pipeline.measured.device import arm_stiffness, damping
 from pipeline.measured.device.forces import OPTIONAL, Forces, identify
 from pipeline.measured.experiment import aggregate
 from pipeline.measured.experiment.combine import with_sign_warning
@@ -186,8 +186,26 @@ def by_joint_balance(of: Stored, term: Term) -> Estimate:
             f"all motion is one way, where a constant force counts as friction: the interval allows for one of "
             f"{percent(CONSTANT_SHARE)} of the friction; {REVERSAL}"
         )
-    found_one = Estimate(value=value, low=low, high=high, unit=unit, method=method, trials=trials, warning=warning)
-    return with_sign_warning(found_one) if term == "friction" and high < 0 else found_one
+    return Estimate(value=value, low=low, high=high, unit=unit, method=method, trials=trials, warning=warning)
+
+
+def stiffness_estimate(of: Stored) -> Estimate:
+    """Return the stiffness of the device, an arm that holds it included; by the limit, too, where K < 0 was tested."""
+    joint = by_joint_balance(of, "stiffness")
+    K, B, growth = (of.column("response", name) for name in ("stiffness", "damping", "growth_per_s"))
+    if not (K < 0).any():
+        return joint
+    limit = arm_stiffness.by_limit(K, B, growth, joint.unit)
+    best = joint if joint.value is not None or limit.value is None else limit
+    return best.model_copy(update={"by_method": {"stability_limit": limit, "joint_balance": joint}})
+
+
+def velocity_lag(of: Stored) -> Estimate | None:
+    """Return how much later than the position the logged velocity is [s]; None where no log tells."""
+    if not np.isfinite(of.column("wall_law", "velocity_lag")).any():
+        return None
+    columns = ("wall_law", "velocity_lag", "velocity_lag_error")
+    return combined(of, columns, "s", "integral of the logged velocity beside the position")
 
 
 def _not_told(found: Forces, term: Term) -> str:

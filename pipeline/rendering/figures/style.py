@@ -51,6 +51,7 @@ LINES: dict[str, Any] = {
     "band": (0, (1, 2.5)),
     "bound": (0, (4, 1.5, 1, 1.5)),
     "passive": "-",
+    "robust": "-.",
     "envelope": "-",
 }
 
