@@ -67,11 +67,6 @@ class _Columns:
     stable: Booleans
     unstable: Booleans
 
-    @property
-    def may_grow(self) -> Booleans:
-        """Trials that are not decided and rather grow."""
-        return ~self.stable & ~self.unstable & (np.nan_to_num(self.growth) > 0)
-
 
 @dataclass(frozen=True, eq=False)
 class _Crossing:
@@ -156,7 +151,7 @@ def boundary_band(
     reach = np.hypot(np.hypot(student_95(found.freedom) * found.error, SHARED * single), found.bend)
     told = np.isfinite(reach) & (found.zero + reach >= low) & (found.zero - reach <= high)
     # what may grow below the zero is another mode than the one that grows there
-    told &= ~(columns.may_grow & (columns.stiffness < (found.zero - reach)[:, None])).any(axis=1)
+    told &= ~(_may_grow(columns, scatter) & (columns.stiffness < (found.zero - reach)[:, None])).any(axis=1)
     interpolated = np.isnan(reach) & (found.zero >= low) & (found.zero <= high)
     # rates that contradict the verdicts: a mode that grows below the sensor's floor beside one that dies away
     apart = ~told & ~interpolated
@@ -276,11 +271,31 @@ def _allowed(c: _Columns, scatter: Floats) -> tuple[Floats, Floats]:
     plain = np.isnan(c.growth) & np.isnan(scatter)[:, None]
     stable = c.stable & (plain | (c.growth < -doubt))
     unstable = c.unstable & (plain | (c.growth > doubt))
-    softest = np.where(unstable | c.may_grow, c.stiffness, np.inf).min(axis=1)
+    softest = np.where(unstable | _may_grow(c, scatter), c.stiffness, np.inf).min(axis=1)
     stiffest = np.where(stable, c.stiffness, 0.0).max(axis=1)
     low = np.where(stable & (c.stiffness < softest[:, None]), c.stiffness, 0.0).max(axis=1)
     high = np.where(unstable & (c.stiffness > stiffest[:, None]), c.stiffness, np.inf).min(axis=1)
     return low, high
+
+
+def _may_grow(c: _Columns, scatter: Floats) -> Booleans:
+    """Trials that are not decided and rather grow, and stable ones behind a peak of the growth rate.
+
+    The slowest mode of a rigid loop first dies away faster with K and then slower. Where the rate falls again, the mode
+    that had been rising goes on, below the floor beside another one.
+    """
+    rate = np.where(np.isfinite(c.growth), c.growth, np.nan)
+    order = np.argsort(np.where(np.isfinite(rate), c.stiffness, np.inf), axis=1, kind="stable")
+    K, g = (np.take_along_axis(values, order, axis=1) for values in (c.stiffness, rate))
+    change, here, clear = np.diff(g, axis=1), g[:, 2:-1], CONCLUSIVE * scatter[:, None]
+    peak = np.zeros(g.shape, dtype=np.bool_)
+    # a rate that rises twice and then falls to twice itself at least; NaN compares as false
+    peak[:, 2:-1] = (here < 0) & (change[:, :-2] > 0) & (change[:, 1:-1] > clear)
+    peak[:, 2:-1] &= -change[:, 2:] > np.maximum(clear, np.abs(here))
+    first = np.where(peak, K, np.inf).min(axis=1, initial=np.inf)
+    undecided = ~c.stable & ~c.unstable & (np.nan_to_num(c.growth) > np.nan_to_num(clear))
+    result: Booleans = undecided | (c.stable & (c.stiffness > first[:, None]))
+    return result
 
 
 def _pooled(scatter: Floats) -> Floats:
