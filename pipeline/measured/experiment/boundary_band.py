@@ -284,9 +284,8 @@ def _may_grow(c: _Columns, scatter: Floats) -> Booleans:
     The slowest mode of a rigid loop first dies away faster with K and then slower. Where the rate falls again, the mode
     that had been rising goes on, below the floor beside another one.
     """
-    rate = np.where(np.isfinite(c.growth), c.growth, np.nan)
-    order = np.argsort(np.where(np.isfinite(rate), c.stiffness, np.inf), axis=1, kind="stable")
-    K, g = (np.take_along_axis(values, order, axis=1) for values in (c.stiffness, rate))
+    order = np.argsort(np.where(np.isfinite(c.growth), c.stiffness, np.inf), axis=1, kind="stable")
+    K, g = (np.take_along_axis(values, order, axis=1) for values in (c.stiffness, c.growth))
     change, here, clear = np.diff(g, axis=1), g[:, 2:-1], CONCLUSIVE * scatter[:, None]
     peak = np.zeros(g.shape, dtype=np.bool_)
     # a rate that rises twice and then falls to twice itself at least; NaN compares as false
@@ -344,11 +343,11 @@ def _zero_crossing(c: _Columns, centre: Floats) -> _Crossing:
     squares = (weight * (g - np.einsum("lmi,li->lm", design, a)) ** 2).sum(axis=1)
     scatter = np.sqrt(squares / np.where(freedom > 0, freedom, np.nan))
     root, step = np.zeros(len(g)), np.zeros(len(g))
-    reach = np.where(curved, 1.0, LINE_REACH)
+    farthest = np.where(curved, 1.0, LINE_REACH)
     for _ in range(20):  # Newton's method; a parabola that is nearly a line takes three or four steps
         slope = a[:, 1] + 2 * a[:, 2] * root
         step = (a[:, 0] + a[:, 1] * root + a[:, 2] * root**2) / np.where(slope > 0, slope, np.inf)
-        root = np.clip(root - step, -reach, reach)
+        root = np.clip(root - step, -farthest, farthest)
     slope = a[:, 1] + 2 * a[:, 2] * root
     crosses = usable & (slope > 0) & (np.abs(step) < 1e-9)  # of the width: far below any interval
     at = np.stack([np.ones_like(root), root, root**2 * curved], axis=1)
