@@ -369,7 +369,9 @@ class _Model:
         with_it, left = (self.solve(self.all[None], some)[2][0] for some in (terms, without))
         value, error = (found[term] for found in self.fit(terms))
         missed = with_it < ASKED_FOR * left or not self.believable(without)
-        return bool(missed and abs(value) > max(NEGLIGIBLE * self.size(term), SIGNIFICANT * error))
+        # no friction helps the motion
+        size = value if term == "friction" else abs(value)
+        return bool(missed and size > max(NEGLIGIBLE * self.size(term), SIGNIFICANT * error))
 
     def believable(self, terms: list[str]) -> bool:
         """Whether the delay that the terms leave is one: what they lack, a long delay imitates."""
