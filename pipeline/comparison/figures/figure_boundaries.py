@@ -25,7 +25,7 @@ from pipeline.comparison.scene.scene import SceneData
 from pipeline.records.figure_records import Curve, Figure, Limits
 from pipeline.records.models import Experiment
 from pipeline.records.results import ExperimentResult, TheoryParameters
-from pipeline.rendering.labels import UNITS, Units
+from pipeline.rendering.labels import UNITS, Units, stiffness_text
 from pipeline.theory.predictions import Theory
 
 
@@ -231,8 +231,8 @@ def _told(facts: FrictionFacts, theory: Theory, units: Units) -> str:
     if quiet is None:
         return text
     return (
-        f"{text} Up to K = 2 f_c/Δ = {quiet:.3g} {units.stiffness} the sensor's quantum Δ causes no limit cycle "
-        "(Diolaiti et al. 2006; sufficient, not necessary: nothing is said of stiffer walls)."
+        f"{text} Up to K = 2 f_c/Δ = {stiffness_text(quiet)} {units.stiffness} the sensor's quantum Δ causes no limit "
+        "cycle (Diolaiti et al. 2006; sufficient, not necessary: nothing is said of stiffer walls)."
     )
 
 
