@@ -16,6 +16,7 @@ help:
 .venv/.run: pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv
 	$(PIP) -e .
+	$(BIN)/python -m compileall -q pipeline
 	@touch $@
 
 .venv/.dev: .venv/.run

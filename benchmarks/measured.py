@@ -67,7 +67,6 @@ def compute(file: Path) -> dict[str, Any]:
     from pipeline.measured.signal import outcome, verdict
     from pipeline.measured.signal.response import find_response
     from pipeline.measured.stages.stage_mass import BALANCE_TERMS
-    from pipeline.measured.stages.stage_windows import WINDOWS_S
     from pipeline.records.batch import TrialBatch
 
     with np.load(file) as stored:
@@ -93,7 +92,6 @@ def compute(file: Path) -> dict[str, Any]:
     timed("fit beside the log", lambda: simulate_ghost(batch, found, model.mass, model.damping, model.delay))
     timed("damping", lambda: damping.from_trials(batch, found, DELAY))
     timed("mass by momentum", lambda: mass.by_momentum(batch, found, DELAY))
-    timed("mass by windows", lambda: mass.window_scan(batch, found, DELAY, np.array(WINDOWS_S)))
     timed("mass by balance", lambda: friction.fit_balance(batch, found, DELAY, terms=BALANCE_TERMS))
     error = timed("error of readings", lambda: reading_error(batch, found, DELAY))
     settled = timed("settling", lambda: costs.settling(batch, found, judged, DELAY))

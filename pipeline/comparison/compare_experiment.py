@@ -12,7 +12,13 @@ from pipeline.comparison.scores.implied_delay import implied_delay
 from pipeline.comparison.scores.implied_slope import DeviceParameters
 from pipeline.loop.loop import LARGEST_DELAY
 from pipeline.measured.experiment.boundary_band import boundary_area
-from pipeline.measured.experiment.estimates import Term, by_joint_balance, standard_error, with_model_delay
+from pipeline.measured.experiment.estimates import (
+    by_joint_balance,
+    standard_error,
+    stiffness_estimate,
+    velocity_lag,
+    with_model_delay,
+)
 from pipeline.measured.stages.stages import STAGES, ExperimentStages
 from pipeline.records.findings import Estimate, Optimum
 from pipeline.records.loop_parts import LoopParts
@@ -139,12 +145,13 @@ def _estimates(stages: ExperimentStages, needed: Collection[str], units: Units) 
         "boundary_area": boundary_area(stages.boundary_points, f"{units.stiffness} {units.damping}"),
     }
     if "damping" in needed:
-        terms: dict[str, Term] = {
-            "friction": "friction",
-            "device_stiffness": "stiffness",
-            "constant_force": "constant_force",
+        found |= {
+            "friction": by_joint_balance(stages, "friction"),
+            "device_stiffness": stiffness_estimate(stages),
+            "constant_force": by_joint_balance(stages, "constant_force"),
         }
-        found |= {name: by_joint_balance(stages, term) for name, term in terms.items()}
+    if "wall_law" in needed and (lag := velocity_lag(stages)) is not None:
+        found["velocity_lag"] = lag
     if "model" in needed:
         found["jitter_samples"] = stages.jitter_estimate
         found["delay_samples"] = with_model_delay(stages, found["delay_samples"])

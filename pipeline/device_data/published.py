@@ -103,12 +103,8 @@ def published_files() -> tuple[Path, ...]:
 
 
 @cache
-def _all_rows() -> tuple[PublishedRow, ...]:
-    return shipped_rows(_FILE, PublishedRow)
-
-
-def published_rows(device: str) -> tuple[PublishedRow, ...]:
-    """Return the printed rows of a device in the order of the tables; empty for a device without published values.
+def published_rows() -> tuple[PublishedRow, ...]:
+    """Return all printed rows in the order of the tables.
 
     Raises
     ------
@@ -117,7 +113,7 @@ def published_rows(device: str) -> tuple[PublishedRow, ...]:
 
     Source: Hulin 2017, Tables D.1 to D.6.
     """
-    return tuple(row for row in _all_rows() if row.device == device)
+    return shipped_rows(_FILE, PublishedRow)
 
 
 def find(table: str, criterion: str, condition: str, delay_samples: float | None = None) -> PublishedRow | None:
@@ -130,7 +126,7 @@ def find(table: str, criterion: str, condition: str, delay_samples: float | None
     delay_samples : float, optional
         Total delay; needed for Table D.6, and not compared elsewhere, where the delay is that of the device.
     """
-    for row in _all_rows():
+    for row in published_rows():
         if (row.table, row.criterion, row.condition) == (table, criterion, condition) and (
             row.delay_samples is None or row.delay_samples == delay_samples
         ):

@@ -16,7 +16,7 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -25,7 +25,8 @@ from typing import IO, Any
 
 from pipeline.base.errors import LogError
 from pipeline.base.process import end_when, ended_through, leave_out_pandas
-from pipeline.readers.safety import LARGEST_FRAME, allowed_bytes
+from pipeline.readers.frame import ColumnInfo, Frame
+from pipeline.readers.safety import LARGEST_FRAME, allowed_bytes, reading
 
 CPU_SECONDS = 0.6
 """Processor time for any file: a hundred times what reading a log of 1 MB takes."""
@@ -49,6 +50,35 @@ SLACK = 32 << 20
 """Memory that a library takes for itself [byte]: caches, buffers, pieces that its allocator asks for."""
 
 _SERVE = "from pipeline.readers.isolation import serve; serve()"
+
+
+def isolated_reader(
+    module: str, kind: str, imports: tuple[str, ...], *more: Any, seconds_per_byte: float = CPU_SECONDS_PER_BYTE
+) -> tuple[Callable[..., Frame], Callable[..., list[ColumnInfo]]]:
+    """Return ``read_frame`` and ``list_columns`` of a format (`pipeline.readers.frame`) whose library runs in a worker.
+
+    Parameters
+    ----------
+    module : str
+        Module with what they do there: ``frame_here(name, data, wanted, *more)``, with the files of a split bag behind
+        these where there are several, and ``columns_here(name, data, *more)``. Whatever they raise is a damaged file.
+    kind, imports, seconds_per_byte
+        As in `isolated`.
+    *more
+        Further arguments of both.
+    """
+    options: dict[str, Any] = {"imports": imports, "seconds_per_byte": seconds_per_byte}
+
+    def read_frame(profile: object, name: str, data: bytes, wanted: Sequence[str], parts: Sequence[Any] = ()) -> Frame:
+        rest = (*more, parts) if parts else more
+        frame: Frame = isolated(f"{module}:frame_here", name, kind, data, tuple(wanted), *rest, **options)
+        return frame
+
+    def list_columns(name: str, data: bytes, profile: object = None) -> list[ColumnInfo]:
+        infos: list[ColumnInfo] = isolated(f"{module}:columns_here", name, kind, data, *more, **options)
+        return infos
+
+    return read_frame, list_columns
 
 
 def isolated(
@@ -91,7 +121,7 @@ def isolated(
     """
     seconds = CPU_SECONDS + seconds_per_byte * len(data)
     worker = _take()
-    outcome = worker.call((place, imports, (name, data, *more), seconds), WALL_FACTOR * seconds)
+    outcome = worker.call((place, imports, kind, (name, data, *more), seconds), WALL_FACTOR * seconds)
     if outcome is None:
         raise LogError(
             f"{name} cannot be read as {kind}: the library that reads it {worker.end()}. The file is damaged. "
@@ -116,7 +146,7 @@ def serve() -> None:
     calls: SimpleQueue[Any] = SimpleQueue()
     end_when(partial(_receive, pipe, calls))
     while True:
-        place, imports, arguments, seconds = calls.get()
+        place, imports, kind, arguments, seconds = calls.get()
         module, _, function = place.partition(":")
         work = getattr(import_module(module), function)
         for needed in imports:
@@ -127,7 +157,8 @@ def serve() -> None:
         size = len(arguments[1])
         with ended_through(pipe), memory_for(allowed_bytes(size) + size):  # nothing is sent before there is a result
             try:
-                outcome: tuple[bool, Any] = (True, work(*arguments))
+                with reading(arguments[0], kind):
+                    outcome: tuple[bool, Any] = (True, work(*arguments))
             except LogError as error:
                 outcome = (False, error)
         _alarm(0.0)
@@ -199,7 +230,9 @@ class _Worker:
         self.calls: IO[bytes] = self.process.stdin
         self.results: IO[bytes] = self.process.stdout
 
-    def call(self, call: tuple[str, tuple[str, ...], tuple[Any, ...], float], wait: float) -> tuple[bool, Any] | None:
+    def call(
+        self, call: tuple[str, tuple[str, ...], str, tuple[Any, ...], float], wait: float
+    ) -> tuple[bool, Any] | None:
         """Return what a call gives, or None where the process died of it."""
         watch = threading.Timer(wait, self.process.kill)
         watch.daemon = True

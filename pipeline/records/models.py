@@ -18,7 +18,6 @@ from pipeline.records.simulation_parts import SimulationParts
 
 Motion = Literal["translation", "rotation"]
 Grip = Literal["none", "comfortable", "firm"]
-Stability = Literal["stable", "unstable", "undecided"]
 Name = Annotated[str, Field(min_length=1, max_length=200)]
 Positive = Annotated[float, Field(gt=0)]
 
@@ -138,37 +137,6 @@ class Device(Record):
         return self
 
 
-class Trial(Record):
-    """One step response and where it came from."""
-
-    trial_id: Name
-    device: Name
-    experiment: Name
-    motion: Motion = "translation"
-    stiffness: float
-    damping: float
-    step: float
-    sampling_period_s: Positive
-    added_delay_samples: Annotated[int, Field(ge=0)] = 0
-    grip: Grip = "none"
-    simulated: bool = False
-    rows: Annotated[int, Field(gt=0)]
-    source_path: str
-    source_sha256: str
-    profile: str
-    profile_sha256: str
-    package_version: str
-
-
-class Cost(Record):
-    """Cost of one trial by one criterion, or the reason why it has none."""
-
-    trial_id: Name
-    criterion: Name
-    cost: float | None
-    reason: str | None = None
-
-
 class ComparisonRow(Record):
     """One row of Tables D.1 to D.6: computed or measured beside the published value.
 
@@ -196,10 +164,10 @@ FigureKind = Literal["response", "boundaries", "plane", "maps", "residuals", "de
 """Figures of a report: first response (Fig. 6.2), boundaries (6.3, 6.4, 6.9), boundaries in the normalised plane, cost
 maps (6.5 to 6.7, 6.10, 6.11), measured minus theory, costs over delay (6.12), and the trials to look into."""
 
-Overlay = Literal["theory", "estimates", "band", "linear", "passive", "bound", "friction"]
+Overlay = Literal["theory", "estimates", "band", "linear", "passive", "bound", "friction", "robust"]
 """What is drawn over measured boundaries: theory by the device file, theory by the estimates, what their intervals
-leave open, the linear condition (3.25), the passive region (4.12), a linear upper bound as (6.5), and limits with
-Coulomb friction."""
+leave open, the linear condition (3.25), the passive region (4.12), a linear upper bound as (6.5), limits with Coulomb
+friction; the walls that are stable with every spring (4.3.3), drawn only where they are asked for."""
 
 
 class Shown(Record):
@@ -223,8 +191,8 @@ class Shown(Record):
         return self.tables is None or name in self.tables
 
     def has_overlay(self, kind: Overlay) -> bool:
-        """Tell whether an overlay is asked for."""
-        return self.overlays is None or kind in self.overlays
+        """Tell whether an overlay is asked for; without a choice all are but the robust region."""
+        return kind != "robust" if self.overlays is None else kind in self.overlays
 
 
 class Scene(Record):
@@ -293,9 +261,7 @@ class SceneFile(Record):
 SCHEMA_MODELS: dict[str, type[Record]] = {
     "device": Device,
     "experiment": Experiment,
-    "trial": Trial,
     "estimate": Estimate,
-    "cost": Cost,
     "boundary_point": BoundaryPoint,
     "comparison_row": ComparisonRow,
     "scene": Scene,

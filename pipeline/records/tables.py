@@ -111,6 +111,8 @@ COLUMNS: dict[str, Column] = {
     "law_evidence": _same(_S, "", "the evidence for them, in words"),
     "law_rows": _same(_I, "", "rows concerned"),
     "velocity_filter": _same(_S, "", "filter b(z)/a(z) of the velocity that the log shows, as JSON", True),
+    "velocity_lag": _same(_F, "s", "how much later than the position the logged velocity is", True),
+    "velocity_lag_error": _same(_F, "s", "standard error of it", True),
     # outcome stage
     "outcome": _same(_S, "", "what happened in the trial, see `outcome.OUTCOMES`"),
     "evidence": _same(_S, "", "the evidence for it, in words"),
@@ -234,7 +236,10 @@ TABLES: dict[str, tuple[str, ...]] = {
         ),
         *("position_final_expected", "position_final_measured", "sensor_quantum", "sensor_noise"),
     ),
-    "wall_law": (*_TRIAL, "law_residual", "law_rounding", "law_codes", "law_evidence", "law_rows", "velocity_filter"),
+    "wall_law": (
+        *(*_TRIAL, "law_residual", "law_rounding", "law_codes", "law_evidence", "law_rows"),
+        *("velocity_filter", "velocity_lag", "velocity_lag_error"),
+    ),
     "outcome": (
         *_TRIAL,
         "outcome",

@@ -119,15 +119,6 @@ def code(values: Floats, step: float) -> dict[str, list[int]] | None:
     return {"c": coefficients.tolist(), "r": missed.tolist()}
 
 
-def decode(coded: dict[str, list[int]], step: float) -> Floats:
-    """Return the values that `code` coded, each within half a step."""
-    counted: list[int] = []
-    for missed in coded["r"]:
-        past = zip(coded["c"], reversed(counted), strict=False)
-        counted.append(missed + (sum(c * value for c, value in past) + PARTS // 2) // PARTS)
-    return np.asarray(counted, dtype=np.float64) * step
-
-
 def pack(content: Any) -> str:
     """Return a JSON value as deflated text in base64, which a browser unpacks by itself (``DecompressionStream``)."""
     return base64.b64encode(zlib.compress(_json(content), EFFORT)).decode()

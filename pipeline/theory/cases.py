@@ -24,6 +24,7 @@ from pipeline.theory.cost.theory_map import check_criteria
 from pipeline.theory.cost.transient import LONGEST
 from pipeline.theory.optimum.optimum import optimal_point
 from pipeline.theory.optimum.rules import POINT_CRITERIA, marked_point
+from pipeline.theory.stability.robust import robust_outline
 from pipeline.theory.stability.stability import boundary, spectral_radius, stable_by_radius
 
 CASE_COLUMNS = ("alpha", "beta", "gamma", "delta", "delay")
@@ -194,12 +195,17 @@ def _reason(loop: Loop, alpha: float, radius: float, missing: list[str]) -> str 
     return f"still moves after {LONGEST} samples: no {', '.join(missing)}" if missing else None
 
 
-def boundary_document(loop: Loop, points: int = 400) -> dict[str, Any]:
+def boundary_document(loop: Loop, robust: bool = False, points: int = 400) -> dict[str, Any]:
     """Return the stability boundary with its extreme points, as the document that `theory boundary` prints.
 
-    Source: Hulin 2017, sec. 3.4.
+    With ``robust`` also the region that is stable whatever spring the device is attached to, with the worst spring.
+
+    Source: Hulin 2017, secs. 3.4 and 4.3.3.
     """
     border = boundary(loop, points)
+    names = ("alpha", "beta", "gamma")
+    outline = robust_outline(loop.delta, loop.delay) if robust else ()
+    region = {"robust": {name: values.tolist() for name, values in zip(names, outline, strict=True)}} if robust else {}
     return {
         **_plant(loop),
         "alpha_max": border.alpha_max,
@@ -208,6 +214,7 @@ def boundary_document(loop: Loop, points: int = 400) -> dict[str, Any]:
         "alpha_at_beta_max": border.alpha_at_beta_max,
         "alpha": border.alpha.tolist(),
         "beta": border.beta.tolist(),
+        **region,
     }
 
 

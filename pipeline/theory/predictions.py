@@ -24,7 +24,7 @@ from pipeline.loop.loop import Loop, Normalised
 from pipeline.records.batch import Floats
 from pipeline.records.criteria import criterion_of
 from pipeline.records.results import TheoryParameters
-from pipeline.theory.device.passive_walls import passive_outline, stiffest_passive
+from pipeline.theory.device.passive_walls import passive_outline
 from pipeline.theory.optimum import optimum
 from pipeline.theory.optimum.optimum import optimal_point
 from pipeline.theory.optimum.search import OptimalPoint
@@ -78,14 +78,6 @@ class Theory:
         if self.parameters.damping <= 0 or (loop.mode is not None and loop.mode.sensor_far):
             return None
         return passive_outline(loop, self._own_delta)
-
-    @cached_property
-    def stiffest_passive(self) -> tuple[float, float] | None:
-        """Stiffness [N/m, Nm/rad] and damping [Ns/m, Nms/rad] of the stiffest passive wall; None without one."""
-        if self.passive_outline is None:
-            return None
-        alpha, beta = stiffest_passive(general(self.loop), self._own_delta)
-        return alpha * self.units.stiffness, beta * self.units.damping
 
     @property
     def _own_delta(self) -> float:

@@ -19,7 +19,7 @@ from pipeline.comparison.scene.scene import LEAVE_OUT, REUSE, RUN
 from pipeline.intake.ingest import ingest
 from pipeline.measured.stages import stage_tables
 from pipeline.records.results import ComparisonResult
-from pipeline.rendering.report import report
+from pipeline.rendering.report.report_parts import CELLS_META, take_apart
 from pipeline.shell.cli import app
 from pipeline.theory import predictions
 
@@ -116,8 +116,8 @@ def test_document_survives_the_round_trip(name, request):
 def test_report_stands_with_its_digest(falcon_outcome, lwr_outcome):
     for outcome in (falcon_outcome, lwr_outcome):
         page = outcome.report.read_text(encoding="utf-8")
-        assert report.stored_digest(page) is not None
-        assert len(report.cells(page)) > 50
+        assert take_apart(page).metas.get(CELLS_META) is not None
+        assert len(take_apart(page).cells) > 50
 
 
 def test_origin_names_the_command_that_repeats_the_comparison(own):

@@ -29,7 +29,7 @@ def test_every_row_of_d1_to_d5_is_there() -> None:
         assert (found.stiffness, found.damping, found.cost) == tuple(
             float(row[name]) for name in ("stiffness", "damping", "cost")
         )
-    shipped = [r for d in ("falcon", "lwr") for r in published_rows(d) if r.table != "D.6"]
+    shipped = [r for r in published_rows() if r.table != "D.6"]
     assert len(shipped) == len(rows)
 
 
@@ -52,7 +52,7 @@ def test_every_cell_of_d6_is_there() -> None:
             percent = 100 * (measured.cost / theory.cost - 1)
             assert percent == pytest.approx(float(row[f"deviation_{name}_percent"]), abs=0.9)
             count += 2
-    assert count == sum(r.table == "D.6" for r in published_rows("lwr"))
+    assert count == sum(r.table == "D.6" for r in published_rows())
 
 
 def test_some_printed_values() -> None:
@@ -66,7 +66,7 @@ def test_some_printed_values() -> None:
 
 
 def test_errata_are_marked_and_nothing_else() -> None:
-    marked = {(r.table, r.criterion, r.condition) for d in ("falcon", "lwr") for r in published_rows(d) if r.erratum}
+    marked = {(r.table, r.criterion, r.condition) for r in published_rows() if r.erratum}
     discrete = {(t, c, "theory_discrete") for t in ("D.1", "D.3", "D.4") for c in ("settle_2pct", "overshoot")}
     ridges = {(t, "overshoot", "theory_continuous") for t in ("D.1", "D.3", "D.4")}
     assert marked == discrete | ridges | {(t, "energy_step_w2", "theory_continuous") for t in ("D.2", "D.3", "D.5")}
@@ -76,14 +76,13 @@ def test_rows_belong_to_tables_and_experiments_of_the_shipped_devices() -> None:
     for name in ("falcon", "lwr"):
         device = load_device(name)
         tables = {table.name: table for table in device.tables}
-        for row in published_rows(name):
+        for row in (row for row in published_rows() if row.device == name):
             assert row.criterion in tables[row.table].criteria
             if row.condition.startswith("experiment_"):
                 assert row.condition.removeprefix("experiment_") in tables[row.table].experiments
 
 
 def test_what_is_not_printed_is_not_found() -> None:
-    assert published_rows("unknown") == ()
     assert find("D.1", "settle_2pct", "experiment_3") is None
     assert find("D.6", "settle_2pct", "experiment", 9) is None
     assert find("D.6", "settle_2pct", "experiment") is None  # a delay is needed there
@@ -92,20 +91,20 @@ def test_what_is_not_printed_is_not_found() -> None:
 
 def test_a_damaged_or_missing_file_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pipeline.device_data.published, "schema_folder", lambda: tmp_path)
-    pipeline.device_data.published._all_rows.cache_clear()
+    pipeline.device_data.published.published_rows.cache_clear()
     try:
         with pytest.raises(StoreError, match=r"hulin-2017\.csv"):
-            published_rows("falcon")
+            published_rows()
         folder = tmp_path / "published"
         folder.mkdir()
         (folder / "hulin-2017.csv").write_text("table,device,criterion,condition,cost\nD.1,falcon,overshoot,x,many\n")
         with pytest.raises(StoreError, match=r"(?s)data row 1.*cost"):
-            published_rows("falcon")
+            published_rows()
     finally:
-        pipeline.device_data.published._all_rows.cache_clear()
+        pipeline.device_data.published.published_rows.cache_clear()
 
 
 def test_costs_are_numbers() -> None:
-    for row in published_rows("falcon") + published_rows("lwr"):
+    for row in published_rows():
         assert math.isfinite(row.cost)
         assert row.cost >= 0

@@ -21,8 +21,8 @@ from pipeline.intake.compaction import compact
 from pipeline.intake.exclude import exclude, use_again
 from pipeline.intake.ingest import ingest
 from pipeline.measured.stages.stages import ExperimentStages
-from pipeline.rendering.report.report import cells
 from pipeline.rendering.report.report_against import render
+from pipeline.rendering.report.report_parts import take_apart
 from pipeline.repair.repair_damage import check
 from pipeline.shell.cli import application
 from pipeline.shell.status import status
@@ -238,7 +238,7 @@ def test_the_best_trial_is_excluded_and_every_number_follows(lab, tmp_path):
 
     def compared():
         result = lab.compare(criteria=CRITERIA, report=page, experiments=["1"]).result
-        return result, result.experiments[0], cells(page.read_text(encoding="utf-8"))
+        return result, result.experiments[0], take_apart(page.read_text(encoding="utf-8")).cells
 
     before, first, _ = compared()
     shutil.copy(page.with_suffix(".json"), tmp_path / "before.json")
@@ -269,7 +269,7 @@ def test_a_report_tells_another_reason_anew(lab, tmp_path):
     for reason in ("cable", WHY):
         exclude(lab.processed, trial, reason)
         lab.compare(criteria=CRITERIA, report=page, experiments=["1"])
-        assert cells(page.read_text(encoding="utf-8"))[f"excluded/{trial}/reason"] == reason
+        assert take_apart(page.read_text(encoding="utf-8")).cells[f"excluded/{trial}/reason"] == reason
 
 
 def test_an_experiment_without_a_used_trial_is_left_out_and_named(store):

@@ -32,7 +32,7 @@ COMMANDS = {
     "check": ["--repair", "--processed", "--profile", "--wait", "--json"],
     "compare": ["--device", "--experiment", "--criteria", "--processed", "--report", "--dry-run", "--json"],
     "theory points": ["--device", "--experiment", "--json"],
-    "theory boundary": ["--delay", "--gamma", "--delta", "--device", "--experiment", "--json"],
+    "theory boundary": ["--delay", "--gamma", "--delta", "--device", "--experiment", "--robust", "--json"],
     "theory optimum": ["--criterion", "--delay", "--gamma", "--delta", "--device", "--signal", "--json"],
     "theory tables": ["--table", "--json"],
     "theory figures": ["--figure", "--out", "--json"],

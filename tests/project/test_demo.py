@@ -5,7 +5,7 @@ import pytest
 from places import ROOT
 
 from pipeline.base.errors import PipelineError
-from pipeline.rendering.report.report import cells, stored_digest
+from pipeline.rendering.report.report_parts import CELLS_META, take_apart
 from pipeline.shell import demo
 from pipeline.store.storage import read_trials
 
@@ -30,8 +30,8 @@ def test_demo_goes_from_logs_to_a_complete_report(first):
     assert read_trials(folder / "processed" / "demo").num_rows == len(logs)
     assert outcome.reports == (folder / "reports" / "lwr.html",)
     page = outcome.reports[0].read_text(encoding="utf-8")
-    assert stored_digest(page) is not None
-    assert cells(page)
+    assert take_apart(page).metas.get(CELLS_META) is not None
+    assert take_apart(page).cells
     assert 'href="./lwr.html"' in (folder / "reports" / "index.html").read_text(encoding="utf-8")
     assert str(folder / "reports" / "index.html") in " ".join(outcome.lines)
     assert [s for s in said if s.startswith("simulate")] == ["simulate: lwr, experiment delay-8"]

@@ -15,7 +15,7 @@ from pipeline.comparison.compare import compare
 from pipeline.intake.ingest import ingest
 from pipeline.measured.device.delay import first_change
 from pipeline.measured.device.friction import fit_balance
-from pipeline.measured.device.mass import by_momentum, window_scan
+from pipeline.measured.device.mass import by_momentum
 from pipeline.measured.device.onset import motion_onset
 from pipeline.measured.signal.lag import velocity_lag
 from pipeline.measured.signal.response import declare_edge, find_response
@@ -117,10 +117,13 @@ def test_the_balance_of_the_thesis_takes_gravity_and_friction_for_mass(pendulum)
     # over the first quarter of a second it comes out at twice the inertia ...
     plain = fit_balance(batch, response, 0, terms=(), window_s=(0.0, 0.25))
     assert 0.28 < plain.mass[0] < 0.36
-    scan = window_scan(batch, response, 0, np.array([0.15, 0.2, 0.25, 0.3]), smallest_signal=0.0, logged_times=True)
+    scan = [
+        by_momentum(batch, response, 0, window_s=window, smallest_signal=0.0, logged_times=True).mass_momentum[0]
+        for window in (0.15, 0.2, 0.25, 0.3)
+    ]
     # ... and grows with the window, as the torque goes on and the speed does not
-    assert (np.diff(scan.mass[0]) > 0).all()
-    assert 0.28 < scan.mass[0, 1] < 0.33
+    assert (np.diff(scan) > 0).all()
+    assert 0.28 < scan[1] < 0.33
 
 
 def test_quantum_of_the_pendulum_is_10_arc_minutes(pendulum):
@@ -235,6 +238,24 @@ def test_compare_gives_the_inertia_of_the_pendulum(stored, tmp_path):
     assert 0.9 * 0.147 < mass.value < 1.1 * 0.157
     assert mass.low < 0.157
     assert mass.high > 0.147
+
+
+@pytest.mark.parametrize(("device", "latest"), [("dfki_pendulum", 16), ("tclab", 18)])
+def test_a_first_change_behind_a_coarse_sensor_is_an_upper_bound_of_the_delay(stored, device, latest):
+    outcome = compare(device, stored)
+    (experiment,) = outcome.result.experiments
+    delay = experiment.estimates["delay_samples"]
+    assert (delay.low, delay.high) == (0, latest)
+    assert "not adequate" in delay.warning
+    assert "95 %: " not in outcome.result.summary[-1]
+    assert not experiment.loop.adequate
+    assert experiment.passive is None
+
+
+def test_mass_of_the_heater_is_not_known_and_no_stop_holds_it(stored):
+    (experiment,) = compare("tclab", stored).result.experiments
+    assert experiment.estimates["mass"].value is None
+    assert "travel_limit" not in experiment.outcomes
 
 
 @pytest.mark.parametrize("device", ["bam_servo", "ohara_haptics"])

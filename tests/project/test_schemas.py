@@ -10,7 +10,7 @@ import pytest
 from places import ROOT
 
 from pipeline.records.findings import BoundaryPoint, Estimate, Record
-from pipeline.records.models import SCHEMA_MODELS, ComparisonRow, Cost, Device, Experiment, Scene, SceneFile, Trial
+from pipeline.records.models import SCHEMA_MODELS, ComparisonRow, Device, Experiment, Scene, SceneFile
 
 FOLDER = ROOT / "schemas"
 DEVICE_FILES = sorted((FOLDER / "devices").glob("*.toml"))
@@ -26,21 +26,6 @@ EXAMPLES: dict[str, Record] = {
         damping_step=4,
         stiffness_step=200,
     ),
-    "trial": Trial(
-        trial_id="0123456789abcdef",
-        device="falcon",
-        experiment="1",
-        stiffness=3200,
-        damping=18,
-        step=8,
-        sampling_period_s=0.001,
-        rows=400,
-        source_path="a.csv",
-        source_sha256="0" * 64,
-        profile="native",
-        profile_sha256="0" * 64,
-        package_version="0.1.0",
-    ),
     "estimate": Estimate(
         value=0.58,
         low=0.57,
@@ -50,7 +35,6 @@ EXAMPLES: dict[str, Record] = {
         trials=3,
         by_method={"other": Estimate(value=None, unit="kg", method="n", reason="no trial at K = 0")},
     ),
-    "cost": Cost(trial_id="a", criterion="settle_2pct", cost=None, reason="unstable: no cost"),
     "boundary_point": BoundaryPoint(damping=4, stable=200, unstable=None, censored=True),
     "comparison_row": ComparisonRow(
         table="D.1",

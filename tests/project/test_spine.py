@@ -23,7 +23,7 @@ from pipeline.records.criteria import REPORTED
 from pipeline.records.native import NativeHeader, format_header
 from pipeline.records.results import ComparisonResult
 from pipeline.records.table_files import read_table
-from pipeline.rendering.report.report import cells
+from pipeline.rendering.report.report_parts import take_apart
 from pipeline.shell.cli import run
 from pipeline.simulation.course import run_course, write_course
 from pipeline.store.storage import read_trials, stage_file
@@ -73,7 +73,7 @@ def test_commands_lead_from_simulation_to_the_report(call, tmp_path):
     largest = max(log["stiffness"] for log in stable)
     assert max(p["stable"] for p in experiment["boundary"] if p["stable"] is not None) == largest
     # all numbers of the rows stand in the page
-    shown = " ".join(cells((tmp_path / "reports/lwr.html").read_text(encoding="utf-8")).values())
+    shown = " ".join(take_apart((tmp_path / "reports/lwr.html").read_text(encoding="utf-8")).cells.values())
     for row in document["tables"]:
         if row["condition"] == "experiment":
             assert f"{row['stiffness']:.0f}" in shown.replace(" ", "").replace(",", "")

@@ -9,13 +9,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from trial_pages import decode
 
 from pipeline.records.trial_codec import (
     COLUMNS,
     LEVELS,
     WHOLE,
     code,
-    decode,
     pack,
     pack_within,
     step_size,

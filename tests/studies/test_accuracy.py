@@ -24,6 +24,7 @@ from pipeline.base.wording import duration, error_text
 from pipeline.records import accuracy
 from pipeline.records.accuracy import OURS, AccuracyReport, Rung, Sweep
 from pipeline.rendering.report import report as comparison_report
+from pipeline.rendering.report.report_parts import take_apart
 from pipeline.studies.accuracy import libraries, methods, page, rungs, searches, sweeps, theory_advice
 from pipeline.studies.accuracy.names import words
 from pipeline.studies.accuracy.run import left_out, measure
@@ -361,7 +362,7 @@ def test_reports_of_comparisons_show_the_stored_measurement(report: AccuracyRepo
     without, shown = comparison_report.render(data), comparison_report.render(replace(data, accuracy=report))
     assert "were not measured with this version" in without
     assert "were not measured with this version" not in shown
-    table = {name: text for name, text in comparison_report.cells(shown).items() if name.startswith("accuracy")}
+    table = {name: text for name, text in take_apart(shown).cells.items() if name.startswith("accuracy")}
     assert len(table) == 4 * len(QUANTITIES)
     own = {r.quantity: r for r in accuracy.own_rungs(report)}
     assert duration(own["map"].seconds) in table.values()

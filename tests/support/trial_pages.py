@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.records.trial_codec import TrialPage, code, pack, reference, step_size
+from pipeline.records.trial_codec import PARTS, TrialPage, code, pack, reference, step_size
 
 STIFFNESS = (500.0, 1000.0, 1500.0, 2000.0)
 DAMPING = (0.0, 10.0, 20.0)
@@ -86,3 +86,12 @@ def trial_page(names: tuple[str, str] = ("1", "2"), text: str = "") -> TrialPage
     }
     places = {(name, f"trial {row}"): reference(n, row) for n, name in enumerate(names) for row in range(len(k))}
     return TrialPage(content, trials=2 * len(k), responses=len(k), places=places, limits={})
+
+
+def decode(coded: dict[str, list[int]], step: float) -> np.ndarray:
+    """Return the values that `trial_codec.code` coded, as the script of the page does, each within half a step."""
+    counted: list[int] = []
+    for missed in coded["r"]:
+        past = zip(coded["c"], reversed(counted), strict=False)
+        counted.append(missed + (sum(c * value for c, value in past) + PARTS // 2) // PARTS)
+    return np.asarray(counted, dtype=np.float64) * step

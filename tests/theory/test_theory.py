@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from independent import characteristic, stable_by_schur_cohn
 from simulated import plant, spectral_radius
 
 from pipeline.base.errors import ParameterError
@@ -216,3 +217,17 @@ def test_signal_and_suffix_mean_the_same():
 def test_unsupported_optima_are_refused(criterion, signal, message):
     with pytest.raises(ParameterError, match=message):
         theory.optimum_document(Loop(0, 0, 0), criterion, signal)
+
+
+def test_robust_outline_is_the_limit_of_its_worst_spring_and_of_no_other() -> None:
+    found = theory.boundary_document(Loop(0.5, 0.03, 1.25), robust=True)["robust"]
+    assert len(found["alpha"]) > 20
+    assert found["beta"][0] < 0
+    assert found["beta"][-1] > 0.02
+    for alpha, beta, worst in list(zip(found["alpha"], found["beta"], found["gamma"], strict=True))[::9]:
+        for factor in (1 - 1e-6, 1 + 1e-6):
+            assert stable_by_schur_cohn(characteristic(worst, 0.03, 1.25, alpha * factor, beta)) == (factor < 1)
+        for spring in np.linspace(0, np.pi**2, 12):
+            assert stable_by_schur_cohn(characteristic(float(spring), 0.03, 1.25, alpha * (1 - 1e-6), beta))
+    assert theory.boundary_document(Loop(0.0, 0.0, 1.0), robust=True)["robust"]["alpha"] == []
+    assert "robust" not in theory.boundary_document(Loop(0.0, 0.03, 1.25))

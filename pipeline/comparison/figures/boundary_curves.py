@@ -16,6 +16,7 @@ from pipeline.records.results import ExperimentResult
 from pipeline.theory.device.overlays import quantum_limit, step_limits
 from pipeline.theory.predictions import Theory
 from pipeline.theory.stability.passivity import boundary_angle, passive_boundary
+from pipeline.theory.stability.robust import robust_outline
 
 FRICTION_POINTS = 48
 """Dampings at which a limit with friction is computed."""
@@ -103,6 +104,19 @@ def _passive_of_device(theory: Theory) -> Curve | None:
         np.append(v, v[0]) * s for v, s in ((alpha, theory.units.stiffness), (beta, theory.units.damping))
     )
     return Curve("passive region (of this loop)", "passive", stiffness, damping)
+
+
+def robust_curve(theory: Theory) -> Curve | None:
+    """Return the outline of the walls that are stable with every spring, None for a loop that is not ideal.
+
+    Source: Hulin 2017, sec. 4.3.3.
+    """
+    p, units = theory.parameters, theory.units
+    if p.damping <= 0 or p.loop.words():
+        return None
+    alpha, beta, _ = robust_outline(theory.loop.delta, p.delay_samples)
+    stiffness, damping = np.pad(alpha, 1) * units.stiffness, np.pad(beta, 1, mode="edge") * units.damping
+    return Curve("stable with every spring (4.3.3)", "robust", stiffness, damping)
 
 
 def bound_curve(result: ExperimentResult) -> Curve | None:

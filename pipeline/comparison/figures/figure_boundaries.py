@@ -18,6 +18,7 @@ from pipeline.comparison.figures.boundary_curves import (
     measured_curve,
     normalised,
     passive_curve,
+    robust_curve,
     theory_curve,
 )
 from pipeline.comparison.loops.loop_range import adequate_theory
@@ -96,15 +97,13 @@ class _Builder:
             return None
         values = list(dict.fromkeys((p.mass, p.damping, p.stiffness) for p in (self._own(r) for r in free)))
         first = self.theories[free[0].experiment]
-        conditions = (linear_curve(first), passive_curve(first), _first(bound_curve(r) for r in free))
+        shown = self.data.scene.shown
+        robust = robust_curve(first) if shown.has_overlay("robust") else None
+        conditions = (linear_curve(first), passive_curve(first), robust, _first(bound_curve(r) for r in free))
         facts = friction_facts(self.data.device, free)
-        held = friction_curves(first, facts) if facts and self.data.scene.shown.has_overlay("friction") else []
-        curves = (
-            *(measured_curve(r) for r in free),
-            *self._over_delays(free, values),
-            *filter(None, conditions),
-            *held,
-        )
+        held = friction_curves(first, facts) if facts and shown.has_overlay("friction") else []
+        drawn = (*filter(None, conditions), *held)
+        curves = (*(measured_curve(r) for r in free), *self._over_delays(free, values), *drawn)
         m, b, k = values[0]
         units = UNITS["rotation" if self.data.experiments[0].rotation else "translation"]
         others = ", ".join(f"{other[1]:g}" for other in values[1:])

@@ -31,6 +31,7 @@ _KINDS: dict[str, Overlay] = {
     "passive": "passive",
     "bound": "bound",
     "friction": "friction",
+    "robust": "robust",
 }
 """Overlay that a kind of curve belongs to; measured curves are always drawn."""
 

@@ -17,7 +17,6 @@ from pipeline.comparison.scores.implied_slope import (
     FEWEST_POINTS,
     DeviceParameters,
     Limits,
-    bounded_below,
     implied_by_slope,
     limits_of,
     propagated,
@@ -53,19 +52,6 @@ _ZOOMS = 6
 
 _HALVINGS = 50
 """Bisections of the misfit: more than its digits are worth."""
-
-
-@dataclass(frozen=True, eq=False)
-class DelayByDamping:
-    """Delay factor that the limit at each damping implies, shape (n,), NaN where there is none.
-
-    ``low`` and ``high`` are those of the interval of the limit; a lower bound of the limit gives ``high`` alone.
-    """
-
-    damping: Floats
-    delay: Floats
-    low: Floats
-    high: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,31 +139,6 @@ def implied_delay(points: Sequence[BoundaryPoint], device: DeviceParameters) -> 
         by_method=slope,
         warning="; ".join(warnings) or None,
     )
-
-
-def implied_by_damping(points: Sequence[BoundaryPoint], device: DeviceParameters) -> DelayByDamping:
-    """Return the delay factor that the limit at each damping implies by itself, for a figure.
-
-    Parameters
-    ----------
-    points : sequence of BoundaryPoint
-    device : DeviceParameters
-
-    Notes
-    -----
-    NaN where even without delay theory lies below the limit (device parameters that do not fit), and where a limit is
-    a lower bound.
-    """
-    limits = limits_of(points)
-    if not len(limits.damping):
-        return DelayByDamping(*[np.empty(0)] * 4)
-    delays = _delays(limits, device)
-    theory = _table(limits, device, delays)
-    used = bounded_below(points)
-    bounds = [np.array([getattr(p, n) for p in used], dtype=np.float64) for n in ("low", "high")]
-    low, high = (_single(np.where(np.isnan(b), np.inf, b), delays, theory) for b in bounds)
-    value = np.where(limits.censored, np.nan, _single(limits.stiffness, delays, theory))
-    return DelayByDamping(limits.damping, value, np.where(limits.censored, np.nan, high), low)
 
 
 def _delays(limits: Limits, device: DeviceParameters) -> Floats:

@@ -97,13 +97,25 @@ def sensor_error(noise: Floats, quantum: Floats) -> float:
     """
     variance = np.maximum(noise**2, UNIFORM_VARIANCE * quantum**2)
     seen = np.isfinite(variance)
-    return float(np.sqrt(np.median(variance[seen]))) if seen.any() else float("nan")
+    return as_known(float(np.sqrt(np.median(variance[seen])))) if seen.any() else float("nan")
 
 
 def usual_rest(rest: Floats) -> float:
     """Return the motion at rest that trials without any of their own take: the median of the others, 1 or more."""
     rests = np.isfinite(rest)
-    return max(float(np.median(rest[rests])), 1.0) if rests.any() else 1.0
+    return max(as_known(float(np.median(rest[rests]))), 1.0) if rests.any() else 1.0
+
+
+def as_known(value: float, error: float | None = None) -> float:
+    """Return a value in three digits more than its error has, or a spread in its own first three.
+
+    What all trials rest on is taken so: a log more, which moves it by far less than it is known, then leaves their
+    results alone.
+    """
+    scale = value if error is None else error
+    if not np.isfinite(scale) or scale <= 0:
+        return value
+    return round(value, 2 - int(np.floor(np.log10(scale))) + (error is not None))
 
 
 def motion_at_rest(batch: TrialBatch, response: Response, delay_samples: int, sensor: float) -> Floats:

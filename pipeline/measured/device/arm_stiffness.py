@@ -2,40 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from pipeline.base.wording import counted
 from pipeline.records.batch import Floats
+from pipeline.records.findings import Estimate
 
 
-@dataclass(frozen=True)
-class LimitStiffness:
-    """Physical stiffness k by the stability limit [N/m, Nm/rad], with the bracket that the trials give.
-
-    Parameters
-    ----------
-    value : float or None
-        -K where the growth rate crosses zero; None also where there is a bracket alone.
-    low, high : float or None
-        -K of the last stable and of the first unstable trial.
-    damping : float or None
-        Virtual damping B of the trials that it comes from [Ns/m, Nms/rad].
-    trials : int
-        Trials used, those of all B.
-    reason : str or None
-    """
-
-    value: float | None
-    low: float | None
-    high: float | None
-    damping: float | None
-    trials: int
-    reason: str | None = None
-
-
-def by_limit(stiffness: Floats, damping: Floats, growth_per_s: Floats) -> LimitStiffness:
+def by_limit(stiffness: Floats, damping: Floats, growth_per_s: Floats, unit: str = "N/m") -> Estimate:
     """Return k = -K at the lower stability limit, from trials with K <= 0 at a fixed B.
 
     Parameters
@@ -44,10 +20,12 @@ def by_limit(stiffness: Floats, damping: Floats, growth_per_s: Floats) -> LimitS
         Virtual stiffness K [N/m, Nm/rad] and damping B [Ns/m, Nms/rad]; only trials with K <= 0 are used.
     growth_per_s : float64, shape (n,)
         Growth rate as `verdict.judge` returns it [1/s]; NaN where it is not known.
+    unit : str
 
     Returns
     -------
-    LimitStiffness
+    Estimate
+        Value where the growth rate crosses zero; its interval is -K of the last stable and of the first unstable trial.
 
     Notes
     -----
@@ -62,27 +40,23 @@ def by_limit(stiffness: Floats, damping: Floats, growth_per_s: Floats) -> LimitS
     """
     used = (stiffness <= 0) & np.isfinite(growth_per_s)
     K, B, rate = stiffness[used], damping[used], growth_per_s[used]
+    known: dict[str, Any] = {"unit": unit, "trials": len(K), "method": "stability limit at K < 0"}
     if not (K < 0).any():
-        return LimitStiffness(
-            None, None, None, None, len(K), "no usable trial with K < 0: record some at a fixed B > 0"
-        )
-    found = [result for level in np.unique(B) if (result := _at(K[level == B], rate[level == B], float(level), len(K)))]
+        return Estimate(value=None, reason="no usable trial with K < 0: record some at a fixed B > 0", **known)
+    found = [(level, at) for level in np.unique(B) if (at := _at(K[level == B], rate[level == B]))]
     if not found:
         side = "unstable" if (rate >= 0).all() else "stable" if (rate < 0).all() else "one"
-        return LimitStiffness(
-            None,
-            None,
-            None,
-            None,
-            len(K),
-            f"{counted(len(K), 'trial')} with K <= 0, at each B on {side} side of the limit only; "
-            "it needs both at the same B",
-        )
-    return min(found, key=lambda r: ((r.high or 0.0) - (r.low or 0.0), -(r.damping or 0.0)))
+        trials = f"{counted(len(K), 'trial')} with K <= 0, at each B on {side} side of the limit only"
+        return Estimate(value=None, reason=f"{trials}; it needs both at the same B", **known)
+    level, (value, low, high) = min(found, key=lambda one: (one[1][2] - one[1][1], -one[0]))
+    known["method"] = f"stability limit at K < 0, B = {level:g}"
+    reason = f"between {low:g} and {high:g}: no second trial on either side that would tell where; record one"
+    return Estimate(value=value, low=low, high=high, reason=reason if value is None else None, **known)
 
 
-def _at(K: Floats, rate: Floats, damping: float, trials: int) -> LimitStiffness | None:
-    """Limit at one B, None where the trials do not bracket it once."""
+def _at(K: Floats, rate: Floats) -> tuple[float | None, float, float] | None:
+    """Return the limit -K at one B with its bracket, without a value where the rates do not tell it, and None where the
+    trials do not bracket it once."""
     levels, member = np.unique(K, return_inverse=True)
     mean = np.bincount(member, weights=rate) / np.bincount(member)
     stable, unstable = levels[mean < 0], levels[mean >= 0]
@@ -96,6 +70,5 @@ def _at(K: Floats, rate: Floats, damping: float, trials: int) -> LimitStiffness 
     elif len(unstable) > 1 and mean[levels == unstable[-2]][0] > below:
         crossing = first + (first - unstable[-2]) * below / (mean[levels == unstable[-2]][0] - below)
     else:
-        reason = f"between {low:g} and {high:g}: no second trial on either side that would tell where; record one"
-        return LimitStiffness(None, low, high, damping, trials, reason)
-    return LimitStiffness(float(np.clip(0.0 - crossing, low, high)), low, high, damping, trials)
+        return None, low, high
+    return float(np.clip(0.0 - crossing, low, high)), low, high

@@ -166,60 +166,6 @@ class WindowScan:
     reason: tuple[str, ...]
 
 
-def window_scan(
-    batch: TrialBatch,
-    response: Response,
-    delay_samples: int,
-    windows_s: Floats,
-    *,
-    smallest_signal: float = SMALLEST_SIGNAL,
-    force: Floats | None = None,
-    held: bool = True,
-    logged_times: bool = False,
-) -> WindowScan:
-    """Return the mass of each trial for several windows: how much the choice of 15 ms matters.
-
-    Parameters
-    ----------
-    batch : TrialBatch
-    response : Response
-        Of the same trials.
-    delay_samples : int
-        Integer delay factor.
-    windows_s : float64, shape (w,)
-        Times from the command edge [s].
-    smallest_signal, force, held, logged_times
-        As in `by_momentum`.
-
-    Raises
-    ------
-    ParameterError
-        As `by_momentum`.
-
-    Notes
-    -----
-    Longer windows see damping, friction and the wall turn the motion back: the velocity change gets small, and
-    what (6.4) leaves out large beside it.
-
-    Source: Hulin 2017, eq. 6.4 and sec. 6.1.2 (longer windows were irregular).
-    """
-    found = [
-        by_momentum(
-            batch,
-            response,
-            delay_samples,
-            window_s=float(window),
-            smallest_signal=smallest_signal,
-            force=force,
-            held=held,
-            logged_times=logged_times,
-        )
-        for window in windows_s
-    ]
-    masses = np.reshape([f.mass_momentum for f in found], (len(found), len(batch))).T
-    return scan_of(windows_s, masses, [f.reason for f in found])
-
-
 def scan_of(windows_s: Floats, masses: Floats, reasons: Sequence[Sequence[str]]) -> WindowScan:
     """Return what the masses of all trials show, shape (n, w); ``reasons`` say for each window why trials have none."""
     trials = np.isfinite(masses).sum(axis=0)

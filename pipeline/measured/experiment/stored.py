@@ -44,9 +44,10 @@ class Stored(Protocol):
 def combined(of: Stored, columns: tuple[str, str, str], unit: str, method: str) -> Estimate:
     """Return the value of an experiment from stage, column of values and column of errors of its trials."""
     stage, value, error = columns
+    reasons = f"; most trials: {commonest(of.texts(stage, 'reason'))}" if stage != "wall_law" else ""
     return combine(
         *(of.column(stage, value), of.column(stage, error), of.texts(stage, "trial_id"), unit, method),
-        f"no trial has a value with an interval; most trials: {commonest(of.texts(stage, 'reason'))}",
+        f"no trial has a value with an interval{reasons}",
         stiffness=of.column(stage, "stiffness"),
         damping=of.column(stage, "damping"),
         rotation=of.rotation,

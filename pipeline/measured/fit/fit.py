@@ -6,16 +6,15 @@ The controller logs its command exactly: an open-loop model from it to the posit
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 
 import numpy as np
 
-from pipeline.base.errors import ParameterError
 from pipeline.base.wording import percent
 from pipeline.measured.device.delay import NO_DELAY, first_change
-from pipeline.measured.fit.fit_filter import DAMPING, DELAY, GAIN, START, STIFFNESS, open_loop, predict
+from pipeline.measured.fit.fit_filter import DAMPING, DELAY, GAIN, START
 from pipeline.measured.fit.fit_jitter import JitterFit, fit_window
-from pipeline.measured.fit.fit_motion import LARGEST_RATE, Order
+from pipeline.measured.fit.fit_motion import LARGEST_RATE
 from pipeline.measured.fit.fit_noise import portmanteau
 from pipeline.measured.fit.fit_search import SMALLEST_DAMPING, inverse, starting_values
 from pipeline.measured.fit.fit_window import FEWEST_ROWS, Window, cut, usable_rows
@@ -56,8 +55,7 @@ IRREGULARITY = 0.1
 a tenth of the motion in a sample, as noise does."""
 
 LARGEST_RELATIVE_ERROR = 0.5
-"""Standard error of the mass (of b for the first order), relative to its value, beyond which the linear error is
-no interval."""
+"""Standard error of the mass, relative to its value, beyond which the linear error is no interval."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,11 +68,9 @@ class Fit:
     Parameters
     ----------
     mass, mass_error : float64
-        Apparent mass m [kg, kg m^2]; 0 for the first order, which has none.
+        Apparent mass m [kg, kg m^2].
     damping, damping_error : float64
         Viscous damping b of the device [Ns/m, Nms/rad].
-    stiffness, stiffness_error : float64
-        Stiffness k of the device [N/m, Nm/rad]; 0, with an error of 0, where it was not asked for.
     delay, delay_error : float64
         Mean delay of the command in force [samples].
     jitter, jitter_error : float64
@@ -100,8 +96,6 @@ class Fit:
     mass_error: Floats
     damping: Floats
     damping_error: Floats
-    stiffness: Floats
-    stiffness_error: Floats
     delay: Floats
     delay_error: Floats
     jitter: Floats
@@ -116,36 +110,18 @@ class Fit:
     reason: tuple[str, ...]
 
 
-def fit_trials(
-    batch: TrialBatch,
-    response: Response,
-    *,
-    edge_row: Integers | None = None,
-    stiffness: bool = False,
-    order: Order = "second",
-) -> Fit:
-    """Fit m x'' + b x' (+ k x) = F(t - t_d) to each trial and return its parameters with their errors.
+def fit_trials(batch: TrialBatch, response: Response) -> Fit:
+    """Fit m x'' + b x' = F(t - t_d) to each trial and return its parameters with their errors.
 
     Parameters
     ----------
     batch : TrialBatch
     response : Response
         Of the same trials.
-    edge_row : int64, shape (n,), optional
-        Row of the step where it is known otherwise, for logs without a baseline; by default the response's.
-    stiffness : bool
-        Fit the stiffness k of the device too; always done for the first order.
-    order : {"second", "first"}
-        ``first`` is b x' + k x = F(t - t_d), for thermal and other rigs without a mass.
 
     Returns
     -------
     Fit
-
-    Raises
-    ------
-    ParameterError
-        If ``edge_row`` has not one entry a trial.
 
     Notes
     -----
@@ -164,24 +140,21 @@ def fit_trials(
 
     Source: Hulin 2017, eqs. 3.3 to 3.8 and 6.4, as a least-squares problem over the whole response.
     """
-    edge = response.edge_row if edge_row is None else np.asarray(edge_row, dtype=np.int64)
-    if edge.shape != (len(batch),):
-        raise ParameterError(f"edge_row has shape {edge.shape}; expected one row for each of {len(batch)} trials.")
+    edge = response.edge_row
     first, last = usable_rows(batch, response, edge)
     problem = _problems(batch, response, edge, first, last)
     usable = np.array([not text for text in problem], dtype=np.bool_)
-    lag = first_change(batch, replace(response, edge_row=edge)).delay_samples
+    lag = first_change(batch, response).delay_samples
     lag = np.where(lag == NO_DELAY, 0, lag)
     values = {field.name: np.full(len(batch), np.nan) for field in fields(Fit) if field.name != "reason"}
     reason = list(problem)
-    stiff = stiffness or order == "first"
     index = np.flatnonzero(usable)
     index = index[np.argsort((last - first)[index], kind="stable")]
     for some in _portions(index, (last - first)[index] + 1):
         window = cut(batch.select(some), response.select(some), edge[some], first[some], last[some])
-        start = starting_values(window, lag[some], stiffness=stiff and order == "second", order=order)
-        fit = fit_window(window, start, lag[some], order=order)
-        found, why = _describe(fit.window, fit, batch.sampling_period_s[some], order)
+        start = starting_values(window, lag[some])
+        fit = fit_window(window, start, lag[some])
+        found, why = _describe(fit.window, fit, batch.sampling_period_s[some])
         for name, value in found.items():
             values[name][some] = value
         for i, text in zip(some, why, strict=True):
@@ -208,38 +181,6 @@ def _rows(values: dict[str, Floats]) -> dict[str, Integers]:
     """Take the rows of the log out of the values, as whole numbers, -1 where there are none."""
     taken = {name: values.pop(name) for name in ROWS}
     return {name: np.where(np.isfinite(row), row, NO_ROW).astype(np.int64) for name, row in taken.items()}
-
-
-def model_position(
-    batch: TrialBatch,
-    mass: Floats,
-    damping: Floats,
-    delay: Floats,
-    start: Floats,
-    *,
-    stiffness: Floats | None = None,
-) -> Floats:
-    """Return the position of the open-loop model under the logged command, shape (n, N) [m, rad], NaN beyond the log.
-
-    Parameters
-    ----------
-    batch : TrialBatch
-    mass, damping, delay, start : float64, shape (n,)
-        m [kg, kg m^2], b [Ns/m, Nms/rad], delay [samples], x_0 [m, rad]; a NaN gives NaN.
-    stiffness : float64, shape (n,), optional
-        k [N/m, Nm/rad] about x_0.
-    """
-    T, n = batch.sampling_period_s, len(batch)
-    k = np.zeros(n) if stiffness is None else stiffness
-    known = np.isfinite(mass) & np.isfinite(damping) & np.isfinite(delay) & np.isfinite(start) & np.isfinite(k)
-    m = np.where(known, mass, 1.0)
-    parameters = np.stack([0 * T, T**2 / m, delay, damping * T / m, k * T**2 / m])
-    parameters = np.where(known, parameters, 0.0)
-    still = np.zeros(batch.position.shape[::-1])
-    force = np.where(batch.valid, batch.command, 0.0).T
-    run = predict(still, force, open_loop(np.ones_like(still)), parameters, derivatives=False)
-    shown = batch.valid & known[:, None]
-    return np.where(shown, start[:, None] - run[:, 0].T, np.nan)
 
 
 def _problems(batch: TrialBatch, response: Response, edge: Integers, first: Integers, last: Integers) -> list[str]:
@@ -269,10 +210,10 @@ def _problems(batch: TrialBatch, response: Response, edge: Integers, first: Inte
     return reasons
 
 
-def _describe(window: Window, fit: JitterFit, period: Floats, order: Order) -> tuple[dict[str, Floats], list[str]]:
+def _describe(window: Window, fit: JitterFit, period: Floats) -> tuple[dict[str, Floats], list[str]]:
     """Return the fields of a fit in physical units, and for each trial what is wrong with it."""
     p = fit.solution.parameters
-    quantities, errors = _physical(window, fit, period, order)
+    quantities, errors = _physical(window, fit, period)
     scale = np.sqrt(np.maximum(fit.scale, 1.0))
     size = np.abs(fit.error) / np.where(window.noise_known, np.minimum(scale, LARGEST_MISFIT), scale)
     outside = size > NOISE_BAND
@@ -284,11 +225,10 @@ def _describe(window: Window, fit: JitterFit, period: Floats, order: Order) -> t
     exact = ~window.noise_known & (misfit <= 1)
     counted = np.where(fit.jitter > 0, window.inside, window.independent) & ~exact
     whiteness = portmanteau(fit.error, counted)
-    main = "damping" if order == "first" else "mass"
     lost, doubtful = [], []
     for i in range(p.shape[1]):
-        error = errors[main][i] / quantities[main][i]
-        lost.append(_lost(bool(fit.solution.converged[i]), float(p[DAMPING, i]), float(error), main))
+        error = errors["mass"][i] / quantities["mass"][i]
+        lost.append(_lost(bool(fit.solution.converged[i]), float(p[DAMPING, i]), float(error)))
         doubtful.append(
             _doubtful(
                 float(misfit[i]) if window.noise_known[i] else 0.0,
@@ -314,47 +254,28 @@ def _describe(window: Window, fit: JitterFit, period: Floats, order: Order) -> t
     return found, reasons
 
 
-def _physical(
-    window: Window, fit: JitterFit, period: Floats, order: Order
-) -> tuple[dict[str, Floats], dict[str, Floats]]:
+def _physical(window: Window, fit: JitterFit, period: Floats) -> tuple[dict[str, Floats], dict[str, Floats]]:
     """Return values and standard errors in physical units; linear propagation from the normalised parameters."""
     p = fit.solution.parameters
-    P = len(p)
     covariance = inverse(fit.solution.normal) * fit.scale[:, None, None]
     covariance *= fit.inflation.T[:, :, None] * fit.inflation.T[:, None, :]
     gain = p[GAIN]
-    inertia = window.force_scale * period ** (1 if order == "first" else 2) / (window.travel * gain)
-
-    def error(row: int, value: Floats, factor: Floats) -> Floats:
-        # value = factor * p[row], where factor is as 1/gain
-        gradient = np.zeros((len(value), P))
-        gradient[:, GAIN] = -value / gain
-        gradient[:, row] += factor
-        result: Floats = np.sqrt(np.einsum("ni,nij,nj->n", gradient, covariance, gradient))
-        return result
-
-    zero = np.zeros_like(gain)
-    main_error = np.abs(inertia / gain) * np.sqrt(covariance[:, GAIN, GAIN])
-    second, second_error = (
-        p[DAMPING] * inertia / period,
-        error(DAMPING, p[DAMPING] * inertia / period, inertia / period),
-    )
-    values = {"delay": p[DELAY], "start": window.origin + window.travel * p[START]}
-    errors = {"delay": np.sqrt(covariance[:, DELAY, DELAY])}
-    if order == "first":
-        values |= {"mass": zero, "damping": inertia, "stiffness": second}
-        errors |= {"mass": zero, "damping": main_error, "stiffness": second_error}
-        return values, errors
-    third, third_error = zero, zero
-    if P > STIFFNESS:
-        third = p[STIFFNESS] * inertia / period**2
-        third_error = error(STIFFNESS, third, inertia / period**2)
-    values |= {"mass": inertia, "damping": second, "stiffness": third}
-    errors |= {"mass": main_error, "damping": second_error, "stiffness": third_error}
+    mass = window.force_scale * period**2 / (window.travel * gain)
+    damping = p[DAMPING] * mass / period
+    # damping = factor * p[DAMPING], where factor is as 1/gain
+    gradient = np.zeros((len(gain), len(p)))
+    gradient[:, GAIN] = -damping / gain
+    gradient[:, DAMPING] += mass / period
+    errors = {
+        "delay": np.sqrt(covariance[:, DELAY, DELAY]),
+        "mass": np.abs(mass / gain) * np.sqrt(covariance[:, GAIN, GAIN]),
+        "damping": np.sqrt(np.einsum("ni,nij,nj->n", gradient, covariance, gradient)),
+    }
+    values = {"delay": p[DELAY], "start": window.origin + window.travel * p[START], "mass": mass, "damping": damping}
     return values, errors
 
 
-def _lost(converged: bool, delta: float, error: float, main: str) -> str:
+def _lost(converged: bool, delta: float, error: float) -> str:
     """Say why a trial has no values at all; empty where it has."""
     if not converged:
         return (
@@ -365,7 +286,7 @@ def _lost(converged: bool, delta: float, error: float, main: str) -> str:
     if delta >= LARGEST_RATE:
         return "the motion dies within one sample; it is not sampled finely enough for this model"
     if not error < LARGEST_RELATIVE_ERROR:
-        return f"the log does not tell the {main}: its standard error is {percent(error)} of the value"
+        return f"the log does not tell the mass: its standard error is {percent(error)} of the value"
     return ""
 
 

@@ -13,12 +13,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.measured.fit.fit_motion import Order, Step, acting, step_changes, step_of
+from pipeline.measured.fit.fit_motion import Step, acting, step_change, step_of
 from pipeline.measured.fit.fit_noise import over_rows
 from pipeline.records.batch import Booleans, Floats, Integers
 
-START, GAIN, DELAY, DAMPING, STIFFNESS = range(5)
-"""Rows of the parameter array: x_0, 1/m (1/b for the first order), delay, delta, gamma, all normalised."""
+START, GAIN, DELAY, DAMPING = range(4)
+"""Rows of the parameter array: x_0, 1/m, delay, delta, all normalised."""
 
 SMALLEST_SHARE = 0.3
 """Share of commands that are in time below which a jitter is spread over more samples, so that none is negative."""
@@ -88,7 +88,6 @@ def predict(
     gains: Gains,
     parameters: Floats,
     *,
-    order: Order = "second",
     derivatives: bool = True,
 ) -> Floats:
     """Return the errors of the one-step prediction, whitened, and their derivatives, shape (N, 1 + P, n).
@@ -103,7 +102,6 @@ def predict(
     gains : Gains
         Of the filter for the same readings.
     parameters : float64, shape (P, n)
-    order : {"second", "first"}
     derivatives : bool
         Without, there is the column of errors only.
 
@@ -116,22 +114,19 @@ def predict(
     gain, delay = parameters[GAIN], parameters[DELAY]
     whole = np.floor(delay).astype(np.int64)
     commands = acting(force, whole)
-    stiff = order == "first" or len(parameters) > STIFFNESS
-    gamma = parameters[STIFFNESS] if len(parameters) > STIFFNESS else np.zeros(n)
-    step = step_of(parameters[DAMPING], gamma, delay - whole, order)
-    changes = step_changes(parameters[DAMPING], gamma, delay - whole, order, C - 1 - DAMPING)
+    step = step_of(parameters[DAMPING], delay - whole)
+    change = step_change(parameters[DAMPING], delay - whole) if derivatives else step
     driven_from = 1 + GAIN if C > 1 else 0
     # without corrections the columns that no command drives have no state
     state_from = driven_from if gains.correction is None else 0
-    drive = _drive(step, changes, gain) if C > 1 else -gain * _effect(step)[:, :, None]
-    coupling = _coupling(changes)
+    drive = _drive(step, change, gain) if C > 1 else -gain * _effect(step)[:, :, None]
     columns = np.empty((len(position), C, n))
     x, v = state = np.zeros((2, C - state_from, n))
     driven, coupled = state[:, driven_from - state_from :], state[:, 1 + DAMPING - state_from :]
     work, pushed = np.empty_like(state), np.empty((2, *driven.shape))
-    motion, answer = np.empty((2, n)), np.empty(coupling.shape[1:])
-    # without stiffness the position by itself changes nothing
-    pairs = list(zip(coupling, motion, strict=True))[0 if stiff else 1 :] if C > 1 else []
+    # what the velocity adds to the derivatives by damping; the position by itself changes nothing
+    coupling, motion = np.array([[change.xv], [change.vv]]), np.empty((2, n))
+    answer = np.empty_like(coupling)
     readings = position - parameters[START]
     for k in range(len(position)):
         now = columns[k]
@@ -153,18 +148,13 @@ def predict(
             now[0] -= gain * now[1 + GAIN]
         now *= gains.weight[k]
         np.multiply(step.xv, v, out=work[0])
-        if stiff:
-            np.multiply(step.vx, x, out=work[1])
-            x *= step.xx
         v *= step.vv
         x += work[0]
-        if stiff:
-            v += work[1]
         np.multiply(drive, commands[k : k + 2, None, None, :], out=pushed)
         driven += pushed[0]
         driven += pushed[1]
-        for part, cause in pairs:
-            np.multiply(part, cause, out=answer)
+        if C > 1:
+            np.multiply(coupling, motion[1], out=answer)
             coupled += answer
     return columns
 
@@ -174,17 +164,10 @@ def _effect(step: Step) -> Floats:
     return np.array([[step.old_x, step.old_v], [step.new_x, step.new_v]])
 
 
-def _drive(step: Step, changes: list[Step], gain: Floats) -> Floats:
+def _drive(step: Step, change: Step, gain: Floats) -> Floats:
     """Return what old and new command add to position and velocity of the driven columns, shape (2, 2, D, n)."""
     jump = gain * np.array([step.jump_x, step.jump_v])
-    return np.stack([_effect(step), np.array([jump, -jump]), *(gain * _effect(change) for change in changes)], axis=2)
-
-
-def _coupling(changes: list[Step]) -> Floats:
-    """Return what position and velocity add to those of the derivatives by damping and stiffness, (2, 2, Q, n)."""
-    by_position = [[change.xx for change in changes], [change.vx for change in changes]]
-    by_velocity = [[change.xv for change in changes], [change.vv for change in changes]]
-    return np.array([by_position, by_velocity])
+    return np.stack([_effect(step), np.array([jump, -jump]), gain * _effect(change)], axis=2)
 
 
 def open_loop(weight: Floats) -> Gains:
@@ -192,7 +175,7 @@ def open_loop(weight: Floats) -> Gains:
     return Gains(None, weight, np.zeros(weight.shape[1]), np.count_nonzero(weight, axis=0).astype(np.float64))
 
 
-def filter_gains(weighed: Floats, run: Floats, shock: Floats, parameters: Floats, order: Order) -> Gains:
+def filter_gains(weighed: Floats, run: Floats, shock: Floats, parameters: Floats) -> Gains:
     """Return the gains of the Kalman filter for a model.
 
     Parameters
@@ -202,12 +185,10 @@ def filter_gains(weighed: Floats, run: Floats, shock: Floats, parameters: Floats
     run : float64, shape (N, n)
         Length of the run of equal readings that each reading belongs to.
     shock : float64, shape (N, n)
-        Variance of the acceleration error (of the rate for the first order) over the sample from each row; all 0
-        for an open-loop model.
+        Variance of the acceleration error over the sample from each row; all 0 for an open-loop model.
     parameters : float64, shape (P, n)
-        Damping and stiffness below 0 count as 0, since a gain for an unstable device would explain any motion as
+        Damping below 0 counts as 0, since a gain for an unstable device would explain any motion as
         a small error that grew.
-    order : {"second", "first"}
     """
     inside = np.isfinite(weighed)
     if not shock.any():
@@ -215,7 +196,7 @@ def filter_gains(weighed: Floats, run: Floats, shock: Floats, parameters: Floats
         correction = None
         information = over_rows("kn->n", np.where(inside, 1 / run, 0.0))
     else:
-        correction, spread = _kalman(weighed, shock, parameters, order)
+        correction, spread = _kalman(weighed, shock, parameters)
         spread = np.where(inside, spread, 1.0)
         # of the variance of an error, the reading's part counts once a run
         reading = np.where(inside, weighed, 0.0) / spread
@@ -224,20 +205,13 @@ def filter_gains(weighed: Floats, run: Floats, shock: Floats, parameters: Floats
     return Gains(correction, weight, over_rows("kn->n", np.log(spread)), information)
 
 
-def _kalman(weighed: Floats, shock: Floats, parameters: Floats, order: Order) -> tuple[Floats, Floats]:
+def _kalman(weighed: Floats, shock: Floats, parameters: Floats) -> tuple[Floats, Floats]:
     """Return the corrections, shape (N, 2, n), and the variance of each prediction's error, shape (N, n)."""
     N, n = weighed.shape
-    gamma = np.maximum(parameters[STIFFNESS], 0.0) if len(parameters) > STIFFNESS else np.zeros(n)
-    s = step_of(np.maximum(parameters[DAMPING], 0.0), gamma, np.zeros(n), order)
+    s, one, none = step_of(np.maximum(parameters[DAMPING], 0.0), np.zeros(n)), np.ones(n), np.zeros(n)
     share = np.array([s.hold_x**2, s.hold_x * s.hold_v, s.hold_v**2])
     # of the covariance xx, xv, vv from one row to the next
-    transition = np.array(
-        [
-            [s.xx * s.xx, 2 * s.xx * s.xv, s.xv * s.xv],
-            [s.xx * s.vx, s.xx * s.vv + s.xv * s.vx, s.xv * s.vv],
-            [s.vx * s.vx, 2 * s.vx * s.vv, s.vv * s.vv],
-        ]
-    )
+    transition = np.array([[one, 2 * s.xv, s.xv * s.xv], [none, s.vv, s.xv * s.vv], [none, none, s.vv * s.vv]])
     correction, spread = np.empty((N, 2, n)), np.empty((N, n))
     covariance, work, moved = np.zeros((3, n)), np.empty((3, n)), np.empty((3, 3, n))
     for k in range(N):

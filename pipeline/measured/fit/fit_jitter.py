@@ -7,9 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.measured.fit.fit_filter import STIFFNESS, Gains, filter_gains
+from pipeline.measured.fit.fit_filter import Gains, filter_gains
 from pipeline.measured.fit.fit_friction import with_friction
-from pipeline.measured.fit.fit_motion import Order
 from pipeline.measured.fit.fit_noise import over_rows, portmanteau
 from pipeline.measured.fit.fit_search import (
     SEARCH_REACH,
@@ -23,7 +22,7 @@ from pipeline.measured.fit.fit_search import (
     starting_values,
 )
 from pipeline.measured.fit.fit_window import Window
-from pipeline.records.batch import Floats, Integers
+from pipeline.records.batch import Booleans, Floats, Integers
 
 JITTERS = (0.05, 0.1, 0.2, 0.35, 0.6, 1.0, 1.6, 2.5)
 """Standard deviations of the delay [samples] that are tried; between them the likelihood is a parabola."""
@@ -127,7 +126,7 @@ class JitterFit:
     friction: Floats
 
 
-def fit_window(window: Window, start: Floats, lag: Integers, *, order: Order) -> JitterFit:
+def fit_window(window: Window, start: Floats, lag: Integers) -> JitterFit:
     """Return the fit of each trial, without jitter where that explains the readings.
 
     Parameters
@@ -136,63 +135,77 @@ def fit_window(window: Window, start: Floats, lag: Integers, *, order: Order) ->
     start : float64, shape (P, n)
     lag : int64, shape (n,)
         Delay by the first position change [samples].
-    order : {"second", "first"}
 
     Notes
     -----
     The first rows give what the whole window starts from, since a long chattering record has many local minima.
     """
-    n = start.shape[1]
-    none = np.zeros(n)
     rows = int((window.edge + np.maximum(lag, SEARCH_REACH)).max(initial=0)) + SEARCH_ROWS
-    head = window.head(rows)
-    solution = search(head, start, none, order=order, most_steps=HEAD_STEPS)
-    # where the first rows need jitter, a search without it would go astray over the whole window
-    calm = (solution.scale <= ASTRAY) | ~window.noise_known
-    if calm.any():
-        solution.put(calm, search(window.select(calm), solution.parameters[:, calm], none[calm], order=order))
-    solution.converged[~calm] = False
-    jitter, lowest = np.zeros(n), np.full(n, np.inf)
-    look = (solution.scale > SUSPICIOUS) | ~solution.converged
-    unsure = ~look & window.noise_known
-    if unsure.any():
-        part, p = window.select(unsure), solution.parameters[:, unsure]
-        plain = predicted(part, p, gains_at(part, p, none[unsure], order), none[unsure], order, derivatives=False)
-        look[unsure] = portmanteau(plain[:, 0], part.independent) < SUSPICIOUS_WHITENESS
-    # a rig without a mass moves as slowly as its time constant says: all of its log is response
-    longest = rows - SEARCH_ROWS + LONGEST_WITH_JITTER if order == "second" else len(window.position)
+    longest = rows - SEARCH_ROWS + LONGEST_WITH_JITTER
+    solution = _without_jitter(window, start, rows)
+    jitter, lowest = np.zeros(start.shape[1]), np.full(start.shape[1], np.inf)
+    look = _suspicious(window, solution)
     if look.any():
         # with jitter the device moves between equal readings too: each counts
         part = window.select(look).head(longest)
         part = replace(part, run=np.ones_like(part.run))
-        found, strength = _with_jitter(part, start[:, look], rows, order)
-        poor = (found.scale > LARGEST_SCALE) | ~found.converged
-        if poor.any():
-            # chatter can drown the response in as many rows as the start is read from: then fewer do better
-            again = part.select(poor)
-            short = starting_values(
-                again, lag[look][poor], stiffness=len(start) > STIFFNESS, order=order, rows=SHORT_ROWS
-            )
-            other, other_strength = _with_jitter(again, short, rows, order)
-            won = deviance(again, other.parameters, other_strength, order) < deviance(
-                again, found.parameters[:, poor], strength[poor], order
-            )
-            where = np.flatnonzero(poor)[won]
-            found.put(where, other.select(won))
-            strength[where] = other_strength[won]
-        without = deviance(part, solution.parameters[:, look], np.zeros_like(strength), order)
+        found, strength = _likeliest(part, start[:, look], lag[look], rows)
+        without = deviance(part, solution.parameters[:, look], np.zeros_like(strength))
         least = np.maximum(LEAST_GAIN, LEAST_GAIN_PER_ROW * part.inside.sum(axis=0))
-        with_it = deviance(part, found.parameters, strength, order)
+        with_it = deviance(part, found.parameters, strength)
         better = without > with_it + least
         where = np.flatnonzero(look)[better]
         lowest[where] = with_it[better]
         solution.put(where, found.select(better))
         jitter[where] = strength[better]
-    jittery = jitter > 0
-    window = replace(window.shortened(jittery, longest), run=np.where(jittery, 1.0, window.run))
-    error = np.full(n, np.inf)
-    inflation, steady, friction = np.ones(start.shape), np.full(n, -np.inf), np.full(n, -np.inf)
-    white = np.zeros(window.position.shape)
+    window = replace(window.shortened(jitter > 0, longest), run=np.where(jitter > 0, 1.0, window.run))
+    return _with_errors(window, solution, jitter, lowest, longest)
+
+
+def _without_jitter(window: Window, start: Floats, rows: int) -> Solution:
+    """Return the fit without jitter; it has not converged where the first rows need one."""
+    none = np.zeros(start.shape[1])
+    solution = search(window.head(rows), start, none, most_steps=HEAD_STEPS)
+    # where the first rows need jitter, a search without it would go astray over the whole window
+    calm = (solution.scale <= ASTRAY) | ~window.noise_known
+    if calm.any():
+        solution.put(calm, search(window.select(calm), solution.parameters[:, calm], none[calm]))
+    solution.converged[~calm] = False
+    return solution
+
+
+def _suspicious(window: Window, solution: Solution) -> Booleans:
+    """Return for which trials the fit without jitter misses more than the sensor explains, or in a correlated way."""
+    look: Booleans = (solution.scale > SUSPICIOUS) | ~solution.converged
+    unsure = ~look & window.noise_known
+    if unsure.any():
+        part, p, none = window.select(unsure), solution.parameters[:, unsure], np.zeros(int(unsure.sum()))
+        plain = predicted(part, p, gains_at(part, p, none), none, derivatives=False)
+        look[unsure] = portmanteau(plain[:, 0], part.independent) < SUSPICIOUS_WHITENESS
+    return look
+
+
+def _likeliest(window: Window, start: Floats, lag: Integers, rows: int) -> tuple[Solution, Floats]:
+    """Return the solution with jitter from the better of two starts, and that jitter [samples]."""
+    found, strength = _with_jitter(window, start, rows)
+    poor = (found.scale > LARGEST_SCALE) | ~found.converged
+    if poor.any():
+        # chatter can drown the response in as many rows as the start is read from: then fewer do better
+        again = window.select(poor)
+        other, other_strength = _with_jitter(again, starting_values(again, lag[poor], rows=SHORT_ROWS), rows)
+        first = deviance(again, found.parameters[:, poor], strength[poor])
+        won = deviance(again, other.parameters, other_strength) < first
+        where = np.flatnonzero(poor)[won]
+        found.put(where, other.select(won))
+        strength[where] = other_strength[won]
+    return found, strength
+
+
+def _with_errors(window: Window, solution: Solution, jitter: Floats, lowest: Floats, longest: int) -> JitterFit:
+    """Return a fit with its errors; ``lowest`` is the deviance of those with jitter."""
+    n, jittery = len(jitter), jitter > 0
+    error, steady, friction = np.full(n, np.inf), np.full(n, -np.inf), np.full(n, -np.inf)
+    inflation, white = np.ones(solution.parameters.shape), np.zeros(window.position.shape)
     scale = np.maximum(solution.scale, smallest_scale(window))
     for which in (jittery, ~jittery):
         if not which.any():
@@ -200,29 +213,29 @@ def fit_window(window: Window, start: Floats, lag: Integers, *, order: Order) ->
         part, p, s = window.select(which), solution.parameters[:, which], jitter[which]
         if which is jittery:
             part = part.head(longest)
-        run = predicted(part, p, gains_at(part, p, s, order), s, order, derivatives=which is jittery)
+        run = predicted(part, p, gains_at(part, p, s), s, derivatives=which is jittery)
         white[: len(part.position), which] = run[:, 0]
         if which is jittery:
-            error[which] = _jitter_error(part, p, s, lowest[which], order)
-            steady[which] = lowest[which] - steady_force_deviance(part, p, s, order)
-            moved, q = with_friction(part, p, s, order)
-            beside = _deviance(moved, q, gains_at(part, q, s, order), s, order)
-            friction[which] = lowest[which] - _finite(beside)
+            error[which] = _jitter_error(part, p, s, lowest[which])
+            steady[which] = lowest[which] - steady_force_deviance(part, p, s)
+            moved, q = with_friction(part, p, s)
+            # friction does not jitter: the gains are those of the command alone
+            friction[which] = lowest[which] - _finite(_deviance(moved, q, gains_at(part, q, s), s))
             model = inverse(solution.normal[which]) * scale[which, None, None]
             inflation[:, which] = _inflation(run, solution.normal[which], model)
         else:
-            error[which] = _unseen(part, p, order)
+            error[which] = _unseen(part, p)
     return JitterFit(window, solution, jitter, error, white, scale, inflation, steady, friction)
 
 
-def _with_jitter(window: Window, start: Floats, rows: int, order: Order) -> tuple[Solution, Floats]:
+def _with_jitter(window: Window, start: Floats, rows: int) -> tuple[Solution, Floats]:
     """Return the solution with the most likely jitter, and that jitter [samples]."""
     first = np.full(start.shape[1], FIRST_JITTER)
-    found = search(window.head(rows), start, first, order=order, most_steps=FEW_STEPS)
+    found = search(window.head(rows), start, first, most_steps=FEW_STEPS)
     early = window.head(rows + JITTER_ROWS)
-    found = search(early, found.parameters, first, order=order, most_steps=FEW_STEPS)
-    strength = strongest(early, found.parameters, order)
-    return search(window, found.parameters, strength, order=order, most_steps=STEPS_WITH_JITTER), strength
+    found = search(early, found.parameters, first, most_steps=FEW_STEPS)
+    strength = strongest(early, found.parameters)
+    return search(window, found.parameters, strength, most_steps=STEPS_WITH_JITTER), strength
 
 
 def _inflation(columns: Floats, normal: Floats, covariance: Floats) -> Floats:
@@ -250,13 +263,13 @@ def smallest_scale(window: Window) -> Floats:
     return np.where(window.noise_known, np.maximum(window.quantum_share, SMALLEST_SCALE), 0.0)
 
 
-def deviance(window: Window, parameters: Floats, jitter: Floats, order: Order) -> Floats:
+def deviance(window: Window, parameters: Floats, jitter: Floats) -> Floats:
     """Return minus twice the logarithm of the likelihood, up to a constant, at given parameters, shape (n,)."""
-    return _deviance(window, parameters, gains_at(window, parameters, jitter, order), jitter, order)
+    return _deviance(window, parameters, gains_at(window, parameters, jitter), jitter)
 
 
-def _deviance(window: Window, parameters: Floats, gains: Gains, jitter: Floats, order: Order) -> Floats:
-    white = predicted(window, parameters, gains, jitter, order, derivatives=False)[:, 0]
+def _deviance(window: Window, parameters: Floats, gains: Gains, jitter: Floats) -> Floats:
+    white = predicted(window, parameters, gains, jitter, derivatives=False)[:, 0]
     cost = over_rows("kn,kn->n", white, white)
     mean = cost / np.maximum(gains.information - len(parameters), 1.0)
     lowest = np.where(window.noise_known, smallest_scale(window), 1e-300)
@@ -266,7 +279,7 @@ def _deviance(window: Window, parameters: Floats, gains: Gains, jitter: Floats, 
     return result
 
 
-def steady_force_deviance(window: Window, parameters: Floats, jitter: Floats, order: Order) -> Floats:
+def steady_force_deviance(window: Window, parameters: Floats, jitter: Floats) -> Floats:
     """Return the least deviance with a force error that does not follow the command, shape (n,).
 
     In place of the jitter there is an unknown force of the same variance in every row: jitter acts only where the
@@ -278,19 +291,19 @@ def steady_force_deviance(window: Window, parameters: Floats, jitter: Floats, or
     def at(trials: Integers, rung: Integers) -> Floats:
         part, p = window.select(trials), parameters[:, trials]
         shock = np.broadcast_to(shares[rung] * mean[trials], part.force.shape)
-        gains = filter_gains(part.variance * part.run, part.run, shock, p, order)
-        return _deviance(part, p, gains, np.zeros(len(trials)), order)
+        gains = filter_gains(part.variance * part.run, part.run, shock, p)
+        return _deviance(part, p, gains, np.zeros(len(trials)))
 
     lowest: Floats = _down_the_ladder(at, len(jitter), len(shares), len(shares) - 2).min(axis=0)
     return lowest
 
 
-def strongest(window: Window, parameters: Floats, order: Order) -> Floats:
+def strongest(window: Window, parameters: Floats) -> Floats:
     """Return the most likely jitter [samples] at given parameters, within the ladder."""
     ladder = np.array(JITTERS)
 
     def at(trials: Integers, rung: Integers) -> Floats:
-        return deviance(window.select(trials), parameters[:, trials], ladder[rung], order)
+        return deviance(window.select(trials), parameters[:, trials], ladder[rung])
 
     trial = np.arange(parameters.shape[1])
     values = _down_the_ladder(at, len(trial), len(ladder), JITTERS.index(LIKELY_JITTER))
@@ -338,23 +351,23 @@ def _finite(values: Floats) -> Floats:
     return np.where(np.isfinite(values), values, np.inf)
 
 
-def _jitter_error(window: Window, parameters: Floats, jitter: Floats, middle: Floats, order: Order) -> Floats:
+def _jitter_error(window: Window, parameters: Floats, jitter: Floats, middle: Floats) -> Floats:
     """Return the standard error of a jitter by the bend of the deviance, infinite where it has none, shape (n,).
 
     ``middle`` is the deviance at that jitter.
     """
     span = 0.2 * jitter
-    low, high = (deviance(window, parameters, jitter + sign * span, order) for sign in (-1, 1))
+    low, high = (deviance(window, parameters, jitter + sign * span) for sign in (-1, 1))
     # the deviance rises by (change/error)^2
     with np.errstate(divide="ignore"):
         result: Floats = span / np.sqrt(np.maximum(0.5 * (low + high) - middle, 0.0))
     return result
 
 
-def _unseen(window: Window, parameters: Floats, order: Order) -> Floats:
+def _unseen(window: Window, parameters: Floats) -> Floats:
     """Return the standard error of a jitter of 0: the one at which the deviance has risen by 1, shape (n,)."""
     none = np.zeros(parameters.shape[1])
-    rise = deviance(window, parameters, none + MEASURE, order) - deviance(window, parameters, none, order)
+    rise = deviance(window, parameters, none + MEASURE) - deviance(window, parameters, none)
     with np.errstate(divide="ignore"):
         result: Floats = MEASURE / np.sqrt(np.maximum(rise, 0.0))
     return result

@@ -1,23 +1,18 @@
 """Exact motion of a model between two rows of a log, with its derivatives, for all trials at once.
 
-Time is counted in samples, so that damping and stiffness are the normalised delta = b T/m and gamma = k T^2/m
-(Table 3.1). A model without mass, b x' + k x = F(t - t_d), has delta = k T/b instead and no gamma.
+Time is counted in samples, so that the damping is the normalised delta = b T/m (Table 3.1).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
 from pipeline.records.batch import Floats, Integers
 
-Order = Literal["second", "first"]
-"""Of the model: m x'' + b x' + k x = F(t - t_d), or b x' + k x = F(t - t_d)."""
-
 LARGEST_RATE = 3.0
-"""Largest |delta| and |gamma|: beyond it the motion changes by a factor of 20 within a sample and is not sampled.
+"""Largest |delta|: beyond it the motion changes by a factor of 20 within a sample and is not sampled.
 It also keeps the power series below exact to 1e-13."""
 
 SERIES_TERMS = 32
@@ -27,7 +22,7 @@ NEGLIGIBLE = 1e-19
 """Coefficient of the power series below which the terms left change no digit: slow devices need ten terms."""
 
 DIFFERENCE = 1e-4
-"""Step in delta and gamma for the central differences of the coefficients: truncation and rounding are 1e-9."""
+"""Step in delta for the central differences of the coefficients: truncation and rounding are 1e-9."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,8 +31,8 @@ class Step:
 
     Parameters
     ----------
-    xx, xv, vx, vv : float64
-        Transition of position and velocity.
+    xv, vv : float64
+        What a velocity adds to the position, and what is left of it.
     old_x, old_v : float64
         Effect of the command that still acts at the row, until the switch.
     new_x, new_v : float64
@@ -48,9 +43,7 @@ class Step:
         Effect of a command over the whole sample.
     """
 
-    xx: Floats
     xv: Floats
-    vx: Floats
     vv: Floats
     old_x: Floats
     old_v: Floats
@@ -67,16 +60,15 @@ class Step:
         return Step(*((getattr(self, name) - getattr(other, name)) / span for name in names))
 
 
-def step_of(delta: Floats, gamma: Floats, part: Floats, order: Order) -> Step:
+def step_of(delta: Floats, part: Floats) -> Step:
     """Return the motion over a sample in which the command switches after a part of it.
 
     Parameters
     ----------
-    delta, gamma : float64, shape (..., n)
+    delta : float64, shape (..., n)
         At most `LARGEST_RATE` in size, of any sign.
     part : float64, shape (n,)
         Fraction of the sample before the switch, in [0, 1).
-    order : {"second", "first"}
 
     Notes
     -----
@@ -85,20 +77,13 @@ def step_of(delta: Floats, gamma: Floats, part: Floats, order: Order) -> Step:
     Source: Hulin 2017, eqs. 3.3 to 3.8; fractional delay as in the modified z-transform (sec. 7.2).
     """
     times = np.stack([part, 1 - part, np.ones_like(part)])
-    if order == "first":
-        none = np.zeros_like(delta)
-        early, late, hold = np.moveaxis(_impulse(delta, none, times)[0], -2, 0)
-        fade = np.exp(-delta * (1 - part))
-        return Step(np.exp(-delta), none, none, none, fade * early, none, late, none, fade, none, hold, none)
-    impulse, derivative, integral = (np.moveaxis(values, -2, 0) for values in _impulse(delta, gamma, times))
+    impulse, derivative, integral = (np.moveaxis(values, -2, 0) for values in _impulse(delta, times))
     (early_v, late_v, hold_v), (_, late_slope, slope), (early_x, late_x, hold_x) = impulse, derivative, integral
     return Step(
-        xx=1 - gamma * hold_x,
         xv=hold_v,
-        vx=-gamma * hold_v,
         vv=slope,
-        old_x=(1 - gamma * late_x) * early_x + late_v * early_v,
-        old_v=-gamma * late_v * early_x + late_slope * early_v,
+        old_x=early_x + late_v * early_v,
+        old_v=late_slope * early_v,
         new_x=late_x,
         new_v=late_v,
         jump_x=late_v,
@@ -108,13 +93,10 @@ def step_of(delta: Floats, gamma: Floats, part: Floats, order: Order) -> Step:
     )
 
 
-def step_changes(delta: Floats, gamma: Floats, part: Floats, order: Order, count: int) -> list[Step]:
-    """Return the derivatives of all coefficients by the first ``count`` of delta and gamma (none for less than 1)."""
-    h, changes = DIFFERENCE, []
-    for shift in ((h, 0.0), (0.0, h))[: max(count, 0)]:
-        above, below = (step_of(delta + side * shift[0], gamma + side * shift[1], part, order) for side in (1, -1))
-        changes.append(above.minus(below, 2 * h))
-    return changes
+def step_change(delta: Floats, part: Floats) -> Step:
+    """Return the derivatives of all coefficients by delta."""
+    h = DIFFERENCE
+    return step_of(delta + h, part).minus(step_of(delta - h, part), 2 * h)
 
 
 def acting(force: Floats, whole: Integers) -> Floats:
@@ -136,19 +118,19 @@ def acting(force: Floats, whole: Integers) -> Floats:
     return result
 
 
-def _impulse(delta: Floats, gamma: Floats, times: Floats) -> tuple[Floats, Floats, Floats]:
+def _impulse(delta: Floats, times: Floats) -> tuple[Floats, Floats, Floats]:
     """Return impulse response h, its derivative and its integral at some times <= 1 [sample], by power series.
 
-    Shape (..., n) of delta and gamma, (t, n) of the times, (..., t, n) of the results.
+    Shape (..., n) of delta, (t, n) of the times, (..., t, n) of the results.
 
-    h = sum s_n t^n with s_1 = 1 and n (n + 1) s_{n+1} = -n delta s_n - gamma s_{n-1}, which holds for any sign and
-    needs no special case at zero.
+    h = sum s_n t^n with s_1 = 1 and (n + 1) s_{n+1} = -delta s_n, which holds for any sign and needs no special case at
+    zero.
     """
     before, now = np.zeros_like(delta), np.ones_like(delta)
     power = times
     impulse, slope, gain = power.copy(), np.ones_like(power), 0.5 * power * times
     for n in range(1, SERIES_TERMS):
-        before, now = now, (-n * delta * now - gamma * before) / (n * (n + 1))
+        before, now = now, -n * delta * now / (n * (n + 1))
         term = now[..., None, :] * power
         slope = slope + (n + 1) * term
         power = power * times

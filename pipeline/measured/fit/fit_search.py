@@ -10,7 +10,6 @@ from pipeline.measured.fit.fit_filter import (
     DAMPING,
     DELAY,
     GAIN,
-    STIFFNESS,
     Gains,
     filter_gains,
     jitter_force,
@@ -18,7 +17,7 @@ from pipeline.measured.fit.fit_filter import (
     predict,
     spread_force,
 )
-from pipeline.measured.fit.fit_motion import LARGEST_RATE, Order
+from pipeline.measured.fit.fit_motion import LARGEST_RATE
 from pipeline.measured.fit.fit_noise import over_rows
 from pipeline.measured.fit.fit_window import ROUNDING, Window
 from pipeline.records.batch import Booleans, Floats, Integers
@@ -101,7 +100,7 @@ class Solution:
         return self.cost / freedom
 
 
-def starting_values(window: Window, lag: Integers, *, stiffness: bool, order: Order, rows: int = SEARCH_ROWS) -> Floats:
+def starting_values(window: Window, lag: Integers, rows: int = SEARCH_ROWS) -> Floats:
     """Return parameters to start from, by linear least squares over a ladder of whole delays, shape (P, n).
 
     Parameters
@@ -109,9 +108,6 @@ def starting_values(window: Window, lag: Integers, *, stiffness: bool, order: Or
     window : Window
     lag : int64, shape (n,)
         Delay by the first position change [samples].
-    stiffness : bool
-        A row for gamma is wanted.
-    order : {"second", "first"}
     rows : int
         Rows behind the first movement that are used.
 
@@ -126,9 +122,9 @@ def starting_values(window: Window, lag: Integers, *, stiffness: bool, order: Or
     weight = np.where(inside, 1.0, 0.0)
     zero = np.zeros(n)
     undamped = np.stack([zero, zero + 1.0, base + zero, zero])
-    motion = predict(np.zeros((rows, n)), window.force[:rows], open_loop(np.ones((rows, n))), undamped, order=order)
+    motion = predict(np.zeros((rows, n)), window.force[:rows], open_loop(np.ones((rows, n))), undamped)
     sources = (-motion[:, 0], motion[:, 1 + DAMPING])
-    best, cost = np.zeros((5, n)), np.full(n, np.inf)
+    best, cost = np.zeros((4, n)), np.full(n, np.inf)
     for shift in range(2 * SEARCH_REACH + 1):
         columns = np.ones((3, rows, n))
         for column, source in zip(columns, sources, strict=False):
@@ -141,14 +137,14 @@ def starting_values(window: Window, lag: Integers, *, stiffness: bool, order: Or
         with np.errstate(divide="ignore", invalid="ignore"):
             delta = np.clip(np.nan_to_num(solved[:, 1] / solved[:, 0]), 0.0, 0.3 * LARGEST_RATE)
         better = (residual < cost) & (solved[:, 0] > 0)
-        found = np.stack([solved[:, 2], solved[:, 0], base + float(shift), delta, zero])
+        found = np.stack([solved[:, 2], solved[:, 0], base + float(shift), delta])
         best = np.where(better, found, best)
         cost = np.where(better, residual, cost)
     best[GAIN] = np.where(best[GAIN] > 0, best[GAIN], 1e-6)
-    return best if stiffness else best[:STIFFNESS]
+    return best
 
 
-def search(window: Window, start: Floats, jitter: Floats, *, order: Order, most_steps: int = MOST_STEPS) -> Solution:
+def search(window: Window, start: Floats, jitter: Floats, *, most_steps: int = MOST_STEPS) -> Solution:
     """Return the parameters of the smallest weighted sum of squares near the start.
 
     Parameters
@@ -157,16 +153,15 @@ def search(window: Window, start: Floats, jitter: Floats, *, order: Order, most_
     start : float64, shape (P, n)
     jitter : float64, shape (n,)
         Standard deviation of the delay [samples] that the weights assume.
-    order : {"second", "first"}
     most_steps : int
 
     Notes
     -----
     The weights are those of the start and stay while the search goes on.
     """
-    gains = gains_at(window, start, jitter, order)
+    gains = gains_at(window, start, jitter)
     position, force = window.position, spread_force(window.force, jitter)
-    now = _solution(position, force, gains, start, order)
+    now = _solution(position, force, gains, start)
     final = now.select(np.arange(start.shape[1]))
     active = np.arange(start.shape[1])
     factor = np.full(start.shape[1], FIRST_FACTOR)
@@ -186,7 +181,7 @@ def search(window: Window, start: Floats, jitter: Floats, *, order: Order, most_
             active, factor, step = active[keep], factor[keep], step[keep]
             smallest, smallest_delay = smallest[keep], smallest_delay[keep]
         parameters = limited(now.parameters, step.T, smallest_delay)
-        tried = _solution(position, force, gains, parameters, order)
+        tried = _solution(position, force, gains, parameters)
         better = tried.cost < now.cost
         factor = np.where(better, factor * 0.1, factor * 10.0)
         now.put(better, tried.select(better))
@@ -195,10 +190,10 @@ def search(window: Window, start: Floats, jitter: Floats, *, order: Order, most_
     return final
 
 
-def gains_at(window: Window, parameters: Floats, jitter: Floats, order: Order) -> Gains:
+def gains_at(window: Window, parameters: Floats, jitter: Floats) -> Gains:
     """Return the filter's gains for given parameters and jitter [samples]."""
     shock = shock_at(window, parameters, jitter)
-    return filter_gains(window.variance * window.run, window.run, shock, parameters, order)
+    return filter_gains(window.variance * window.run, window.run, shock, parameters)
 
 
 def shock_at(window: Window, parameters: Floats, jitter: Floats) -> Floats:
@@ -209,19 +204,17 @@ def shock_at(window: Window, parameters: Floats, jitter: Floats) -> Floats:
     return variance
 
 
-def predicted(
-    window: Window, parameters: Floats, gains: Gains, jitter: Floats, order: Order, *, derivatives: bool = True
-) -> Floats:
+def predicted(window: Window, parameters: Floats, gains: Gains, jitter: Floats, *, derivatives: bool = True) -> Floats:
     """Return whitened errors of the prediction of a window, and their derivatives, shape (N, 1 + P, n)."""
     force = spread_force(window.force, jitter)
-    return predict(window.position, force, gains, parameters, order=order, derivatives=derivatives)
+    return predict(window.position, force, gains, parameters, derivatives=derivatives)
 
 
-def _solution(position: Floats, force: Floats, gains: Gains, parameters: Floats, order: Order) -> Solution:
+def _solution(position: Floats, force: Floats, gains: Gains, parameters: Floats) -> Solution:
     """Return the normal equations at given parameters."""
     P, n = parameters.shape
     product = np.empty((n, 1 + P, 1 + P))
-    columns = predict(position, force, gains, parameters, order=order)
+    columns = predict(position, force, gains, parameters)
     for i in range(1 + P):
         for j in range(i + 1):
             product[:, i, j] = product[:, j, i] = over_rows("kn,kn->n", columns[:, i], columns[:, j])
@@ -266,5 +259,4 @@ def limited(parameters: Floats, step: Floats, smallest_delay: Floats) -> Floats:
     after: Floats = parameters + step * np.minimum(1.0, np.minimum(gain_room, delay_room))
     after[DELAY] = np.maximum(after[DELAY], smallest_delay)
     after[DAMPING] = np.clip(after[DAMPING], SMALLEST_DAMPING, LARGEST_RATE)
-    after[STIFFNESS:] = np.clip(after[STIFFNESS:], -(SMALLEST_DAMPING**2), LARGEST_RATE)
     return after

@@ -1,6 +1,6 @@
 """The ghost of a trial: the loop simulated with fitted parameters beside the log.
 
-Other than the model under the logged command (`fit.model_position`), the ghost computes its own commands from its own
+Other than the model under the logged command (`fit_filter.predict`), the ghost computes its own commands from its own
 positions, as the wall would: where both part, the wall or the device does something that the loop of theory does not.
 """
 
@@ -71,7 +71,7 @@ def simulate_ghost(batch: TrialBatch, response: Response, mass: Floats, damping:
     T = batch.sampling_period_s
     m, b, d = (np.where(known, values, 1.0) for values in (mass, damping, delay))
     whole = np.floor(d).astype(np.int64)
-    s = step_of(b * T / m, np.zeros(n), d - whole, "second")
+    s = step_of(b * T / m, d - whole)
     scale = T * T / m
     reach = 100 * np.nanmax(np.abs(batch.displacement), axis=1, initial=0.0)
     # the last row stands for what was commanded before the log: nothing
@@ -93,8 +93,8 @@ def simulate_ghost(batch: TrialBatch, response: Response, mass: Floats, damping:
         new, old = (np.where(row >= 0, row, len(command) - 1) for row in (k - whole, k - whole - 1))
         u_old, u_new = scale * command[old, trial], scale * command[new, trial]
         x, v = (
-            s.xx * x + s.xv * v + s.old_x * u_old + s.new_x * u_new,
-            s.vx * x + s.vv * v + s.old_v * u_old + s.new_v * u_new,
+            x + s.xv * v + s.old_x * u_old + s.new_x * u_new,
+            s.vv * v + s.old_v * u_old + s.new_v * u_new,
         )
         inside = np.abs(x) <= reach
         x, v = np.where(inside, x, 0.0), np.where(inside, v, 0.0)

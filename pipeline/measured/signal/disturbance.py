@@ -27,7 +27,8 @@ commands are late by the same time: 15 and more for constant delays, 3 and less 
 samples or hide behind a coarse sensor."""
 
 FITTED_TRIALS = 64
-"""Trials, evenly spread over the experiment, that the device is fitted to: more tell three numbers no better."""
+"""Trials that the device is fitted to: more tell three numbers no better. Those with the smallest hash of their samples
+are taken: a log more seldom changes them, and so what is said of all others."""
 
 FITTED_ROWS = 4096
 """Rows of a longer log that the device is fitted to, from the step on: its rest would outweigh the other logs."""
@@ -123,8 +124,8 @@ class LargestForce:
 class Device:
     """Device that fits an experiment: m, b, k, delay and the deviation of single commands from it [samples].
 
-    ``span`` are the rows before and after a row from which its force is told; ``typical`` is the largest force of the
-    middle trial in units of the smallest that would be reported, 0 where trials are too few to tell.
+    ``span`` are the rows before and after a row from which its force is told; ``least`` is the ratio of `LargestForce`
+    from which on a force is an event, and not the device itself.
     """
 
     mass: float
@@ -133,7 +134,7 @@ class Device:
     delay: int
     jitter: int
     span: int = 0
-    typical: float = 0.0
+    least: float = 1.0
 
 
 def find_disturbance(
@@ -148,7 +149,7 @@ def find_disturbance(
     response : Response
         Of the same trials.
     device : Device, optional
-        What was learnt from all trials of the experiment (`learn_device`, `with_typical`); by default from these.
+        What was learnt from all trials of the experiment (`learn_device`, `with_least`); by default from these.
     largest : LargestForce, optional
         `largest_force` of the same trials and device, where it is known already.
 
@@ -171,15 +172,14 @@ def find_disturbance(
             batch.sampling_period_s,
         )
         largest = largest_force(batch, response, device)
-        device = with_typical(device, largest.ratio)
+        device = with_least(device, largest.ratio)
     if not device.mass > 0:
         unknown = "no motion in the experiment's trials from which to know the device"
         return Disturbance(first, first, 0, np.zeros(n), (unknown,) * n)
     largest = largest or largest_force(batch, response, device)
-    reported = max(1.0, TYPICAL_FACTOR * device.typical)
-    broken = largest.ratio > reported
+    broken = largest.ratio > device.least
     for index, ratio, _ in _ratios(batch, response, device, np.flatnonzero(broken)):
-        first[index] = np.argmax(ratio > reported, axis=1) + device.span
+        first[index] = np.argmax(ratio > device.least, axis=1) + device.span
     return Disturbance(
         first,
         np.where(broken, largest.row, NO_ROW),
@@ -206,10 +206,11 @@ def largest_force(batch: TrialBatch, response: Response, device: Device) -> Larg
     return found
 
 
-def with_typical(device: Device, size: Floats) -> Device:
-    """Return the device with the force of the middle trial, from the ratios of `largest_force` of all trials."""
+def with_least(device: Device, size: Floats) -> Device:
+    """Return the device with its least force, from the ratios of `largest_force` of all trials."""
     told = size[np.isfinite(size)]
-    return replace(device, typical=float(np.median(told)) if len(told) >= FEWEST_TRIALS else 0.0)
+    typical = float(np.median(told)) if len(told) >= FEWEST_TRIALS else 0.0
+    return replace(device, least=max(1.0, TYPICAL_FACTOR * typical))
 
 
 def learn_device(
@@ -229,7 +230,8 @@ def learn_device(
     usable = np.flatnonzero(_usable(edge_row, rows))
     if not len(usable):
         return nothing
-    some = usable[np.unique(np.linspace(0, len(usable) - 1, FITTED_TRIALS).astype(np.int64))]
+    by_hash = np.argsort(groups.of_trials("digests")[usable], kind="stable")
+    some = np.sort(usable[by_hash[:FITTED_TRIALS]])
     first = np.where(rows[some] > FITTED_ROWS, np.maximum(edge_row[some] - LEAD, 0), 0)
     trials = groups.cut(some, first, np.minimum(rows[some] - first, FITTED_ROWS))
     device = _fit(trials, edge_row[some] - first, floor[some])

@@ -8,7 +8,7 @@ import numpy as np
 
 from pipeline.base.errors import ParameterError
 from pipeline.base.wording import percent
-from pipeline.records.batch import Floats
+from pipeline.records.batch import Floats, TrialBatch
 
 FEWEST_ROWS = 20
 """Gain, lag and offset with fewer rows follow the noise."""
@@ -53,6 +53,19 @@ class Lag:
     standard_error_s: float | None
     gain: float | None
     reason: str | None = None
+
+
+def lags_of(batch: TrialBatch) -> tuple[Lag, ...]:
+    """Return the lag of the logged velocity of each trial, with a reason where it has none that can be used."""
+    none = Lag(None, None, None, "no velocity was logged, or its rows are not in order")
+    if batch.velocity is None:
+        return (none,) * len(batch)
+    found = []
+    for i, rows in enumerate(batch.rows):
+        columns = [values[i, :rows] for values in (batch.time, batch.position, batch.velocity)]
+        usable = all(np.isfinite(column).all() for column in columns) and (np.diff(columns[0]) > 0).all()
+        found.append(velocity_lag(*columns) if usable else none)
+    return tuple(found)
 
 
 def velocity_lag(time: Floats, position: Floats, velocity: Floats, *, largest_lag_s: float | None = None) -> Lag:

@@ -6,7 +6,7 @@ import numpy as np
 
 from pipeline.measured.cost.energy_intervals import HORIZON_PARTS, energy_interval
 from pipeline.measured.cost.families import joined
-from pipeline.measured.cost.reading_error import ReadingError
+from pipeline.measured.cost.reading_error import ReadingError, as_known
 from pipeline.measured.experiment.estimates import mass_estimate, standard_error
 from pipeline.measured.signal.response import Response
 from pipeline.measured.signal.verdict import Verdicts
@@ -22,7 +22,8 @@ def given_of(of: Experiment) -> Given:
     mass = of.once(mass_estimate)
     if mass.value is None:
         return {"missing": f"energy needs the mass: {mass.reason}"}
-    return {**given_to_settling(of), "mass": mass.value, "mass_error": standard_error(mass)}
+    error = as_known(standard_error(mass))
+    return {**given_to_settling(of), "mass": as_known(mass.value, error), "mass_error": error}
 
 
 def energy(batch: TrialBatch, response: Response, verdicts: Verdicts, error: ReadingError, given: Given) -> Columns:

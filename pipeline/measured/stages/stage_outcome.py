@@ -7,7 +7,7 @@ from dataclasses import asdict, replace
 import numpy as np
 
 from pipeline.measured.signal import outcome
-from pipeline.measured.signal.disturbance import Device, largest_force, learn_device, with_typical
+from pipeline.measured.signal.disturbance import Device, largest_force, learn_device, with_least
 from pipeline.measured.signal.events import usual_length
 from pipeline.measured.signal.response import NO_ROW, sensor_floor
 from pipeline.measured.stages.stage_columns import conditions, row_column
@@ -23,7 +23,7 @@ def given_of(of: Experiment) -> Given:
     rows, step, period = (of.samples.of_trials(name) for name in ("rows", "step", "sampling_period_s"))
     device = learn_device(of.samples, edge, sensor_floor(quantum, noise), rows, step, period)
     forces = np.concatenate(of.of_each(_largest_force, device=asdict(device)))
-    return {"usual_rows": usual_length(rows), "device": asdict(with_typical(device, forces))}
+    return {"usual_rows": usual_length(rows), "device": asdict(with_least(device, forces))}
 
 
 def _largest_force(of: TrialGroup, given: Given) -> Floats:
@@ -33,7 +33,7 @@ def _largest_force(of: TrialGroup, given: Given) -> Floats:
 def columns(of: TrialGroup, given: Given) -> Columns:
     """Return the columns of the stage for some trials."""
     device = Device(**given["device"])
-    largest = of.once(largest_force, replace(device, typical=0.0))
+    largest = of.once(largest_force, replace(device, least=1.0))
     found = outcome.classify(
         *(of.batch, of.found, of.verdicts), usual_rows=given["usual_rows"], device=device, largest=largest
     )

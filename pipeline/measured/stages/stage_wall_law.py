@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import asdict
 
+from pipeline.measured.signal.lag import lags_of
 from pipeline.measured.signal.wall_law import Departure, wall_law
 from pipeline.measured.stages.stage_columns import conditions
 from pipeline.measured.stages.stage_groups import Columns, Given, TrialGroup
@@ -12,7 +13,7 @@ from pipeline.measured.stages.stage_groups import Columns, Given, TrialGroup
 
 def columns(of: TrialGroup, given: Given) -> Columns:
     """Return the columns of the stage for some trials."""
-    law = wall_law(of.batch, of.found)
+    law, lags = wall_law(of.batch, of.found), lags_of(of.batch)
     return conditions(of) | {
         "law_residual": law.residual,
         "law_rounding": law.rounding,
@@ -20,6 +21,8 @@ def columns(of: TrialGroup, given: Given) -> Columns:
         "law_evidence": ["; ".join(each.evidence for each in found) for found in law.departures],
         "law_rows": [max((each.rows for each in found), default=0) for found in law.departures],
         "velocity_filter": [_filter(found) for found in law.departures],
+        "velocity_lag": [each.lag_s for each in lags],
+        "velocity_lag_error": [each.standard_error_s for each in lags],
     }
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from difflib import get_close_matches
 from itertools import product
 from math import prod
@@ -161,6 +161,42 @@ def list_arrays(arrays: Mapping[str, StoredArray]) -> list[ColumnInfo]:
             first = tuple(str(value) for value in column[:3])
             infos.append(ColumnInfo(key, array.kind, len(column), first, array.hint))
     return infos
+
+
+@dataclass
+class Contents:
+    """What a file holds.
+
+    Parameters
+    ----------
+    arrays : dict of str to StoredArray
+        Numbers and texts by path.
+    attributes : dict of str to str, float or int
+        Single numbers and texts.
+    refused : dict of str to str
+        What cannot be read, and why.
+    """
+
+    arrays: dict[str, StoredArray] = field(default_factory=dict)
+    attributes: dict[str, Scalar] = field(default_factory=dict)
+    refused: dict[str, str] = field(default_factory=dict)
+
+    def keep(self, path: str, array: StoredArray) -> None:
+        """Add an array; a single value is an attribute, too."""
+        self.arrays[path] = array
+        if prod(array.shape) == 1:
+            value = array.load().reshape(-1)[0]
+            self.attributes[path] = value.item() if isinstance(value, np.generic) else str(value)
+
+    def frame(self, name: str, wanted: Sequence[str]) -> Frame:
+        """Return the wanted arrays as a frame; of all, those that are no single values."""
+        plain = {path: array for path, array in self.arrays.items() if path not in self.attributes}
+        return frame_of_arrays(name, self.arrays if wanted else plain, wanted, self.attributes, self.refused)
+
+    def listed(self) -> list[ColumnInfo]:
+        """Return what `frame` can take; what cannot be read has no rows, and the reason as hint."""
+        refused = [ColumnInfo(path, "text", 0, (), reason) for path, reason in self.refused.items()]
+        return list_arrays(self.arrays) + refused
 
 
 def is_vector(shape: tuple[int, ...]) -> bool:

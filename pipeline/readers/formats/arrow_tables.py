@@ -14,14 +14,11 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from pipeline.base.errors import LogError
-from pipeline.profiles.profile_model import Profile
 from pipeline.readers.formats.arrays import LISTED_ELEMENTS, Array, plain_column, unknown_column
 from pipeline.readers.frame import ColumnInfo, Frame, Scalar
-from pipeline.readers.isolation import isolated
-from pipeline.readers.safety import check_claim, check_columns, reading
+from pipeline.readers.isolation import isolated_reader
+from pipeline.readers.safety import check_claim, check_columns
 
-_IMPORTS = ("pyarrow.parquet",)
-KIND = "a Parquet or Feather file"
 _PARQUET, _ARROW, _FEATHER_1 = b"PAR1", b"ARROW1", b"FEA1"
 _LONGEST_TEXT = 1000
 """Characters of a metadata entry that are kept: longer ones are schemas of other tools."""
@@ -29,84 +26,46 @@ _LONGEST_TEXT = 1000
 _EXACT = 1 << 53
 """Whole numbers up to this one are floats without loss."""
 
-
-def read_frame(profile: Profile, name: str, data: bytes, wanted: Sequence[str]) -> Frame:
-    """Read columns of a Parquet or Feather file, told apart by their first bytes.
-
-    Parameters
-    ----------
-    profile : Profile
-        Not used: the file names its columns.
-    name : str
-        File name, for messages.
-    data : bytes
-    wanted : sequence of str
-        Names; empty means all that are numbers or texts.
-
-    Returns
-    -------
-    Frame
-        Time stamps and durations are integers in nanoseconds, stated as attribute ``<column>@unit``; a null is NaN,
-        or an empty text. Attributes are the metadata of the file and, as ``<column>@<key>``, of its columns.
-
-    Raises
-    ------
-    LogError
-        If the file is damaged, a column is missing, is no number, or has nulls among numbers too long for a float.
-    """
-    frame: Frame = isolated(f"{__name__}:frame_here", name, KIND, data, tuple(wanted), imports=_IMPORTS)
-    return frame
-
-
-def list_columns(name: str, data: bytes, profile: Profile | None = None) -> list[ColumnInfo]:
-    """Return the columns of a Parquet or Feather file, with types and metadata as hints.
-
-    Raises
-    ------
-    LogError
-        If the file is damaged.
-    """
-    infos: list[ColumnInfo] = isolated(f"{__name__}:columns_here", name, KIND, data, imports=_IMPORTS)
-    return infos
+read_frame, list_columns = isolated_reader(__name__, "a Parquet or Feather file", ("pyarrow.parquet",))
+"""Time stamps and durations are integers in nanoseconds, stated as attribute ``<column>@unit``; a null is NaN, or an
+empty text. Attributes are the metadata of the file and, as ``<column>@<key>``, of its columns."""
 
 
 def frame_here(name: str, data: bytes, wanted: Sequence[str]) -> Frame:
     """Do what `read_frame` does, in the worker process."""
-    with reading(name, KIND):
-        schema = _schema(name, data)
-        leaves = dict(_leaves(schema))
-        check_columns(name, len(leaves))
-        for key in wanted:
-            if key not in leaves and _vector_of(key) not in leaves:
-                raise unknown_column(name, key, list(leaves))
-        table = _read(name, data, schema, wanted)
-        columns = dict(_columns(name, table, wanted))
-        for key in wanted:
-            if key not in columns:
-                raise LogError(
-                    f"{name}: column {key!r} is {leaves.get(key, 'no element of a list of one length')}; expected "
-                    f"numbers or texts. Correct columns.*.name; readable are {list(columns)[:40]}.",
-                    code="column-missing",
-                )
-        columns = {key: columns[key] for key in wanted or columns}
-        row = np.arange(1, table.num_rows + 1, dtype=np.int64)
-        units = {key: "ns" for key in columns if _is_time(leaves.get(key))}
-        return Frame(columns, row, "record", _attributes(schema), units=units)
+    schema = _schema(name, data)
+    leaves = dict(_leaves(schema))
+    check_columns(name, len(leaves))
+    for key in wanted:
+        if key not in leaves and _vector_of(key) not in leaves:
+            raise unknown_column(name, key, list(leaves))
+    table = _read(name, data, schema, wanted)
+    columns = dict(_columns(name, table, wanted))
+    for key in wanted:
+        if key not in columns:
+            raise LogError(
+                f"{name}: column {key!r} is {leaves.get(key, 'no element of a list of one length')}; expected "
+                f"numbers or texts. Correct columns.*.name; readable are {list(columns)[:40]}.",
+                code="column-missing",
+            )
+    columns = {key: columns[key] for key in wanted or columns}
+    row = np.arange(1, table.num_rows + 1, dtype=np.int64)
+    units = {key: "ns" for key in columns if _is_time(leaves.get(key))}
+    return Frame(columns, row, "record", _attributes(schema), units=units)
 
 
 def columns_here(name: str, data: bytes) -> list[ColumnInfo]:
     """Do what `list_columns` does, in the worker process."""
-    with reading(name, KIND):
-        schema = _schema(name, data)
-        attributes = _attributes(schema)
-        infos = []
-        for key, column in _columns(name, _read(name, data, schema, ()), ()):
-            kind = {"f": "number", "U": "text"}.get(column.dtype.kind, "integer")
-            hint = next(
-                (str(attributes[f"{key}@{unit}"]) for unit in ("unit", "units") if f"{key}@{unit}" in attributes), ""
-            )
-            infos.append(ColumnInfo(key, kind, len(column), tuple(map(str, column[:3])), hint))
-        return infos
+    schema = _schema(name, data)
+    attributes = _attributes(schema)
+    infos = []
+    for key, column in _columns(name, _read(name, data, schema, ()), ()):
+        kind = {"f": "number", "U": "text"}.get(column.dtype.kind, "integer")
+        hint = next(
+            (str(attributes[f"{key}@{unit}"]) for unit in ("unit", "units") if f"{key}@{unit}" in attributes), ""
+        )
+        infos.append(ColumnInfo(key, kind, len(column), tuple(map(str, column[:3])), hint))
+    return infos
 
 
 def _schema(name: str, data: bytes) -> pa.Schema:

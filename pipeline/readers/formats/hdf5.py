@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import replace
 from functools import partial
 from itertools import count
 from math import prod
@@ -16,13 +16,11 @@ from typing import Any
 import numpy as np
 
 from pipeline.base.errors import LogError
-from pipeline.profiles.profile_model import Profile
-from pipeline.readers.formats.arrays import Array, StoredArray, frame_of_arrays, list_arrays
+from pipeline.readers.formats.arrays import Array, Contents, StoredArray
 from pipeline.readers.frame import ColumnInfo, Frame, Scalar
-from pipeline.readers.isolation import isolated, memory_for
-from pipeline.readers.safety import check_claim, library, reading
+from pipeline.readers.isolation import isolated_reader, memory_for
+from pipeline.readers.safety import check_claim, library
 
-KIND = "an HDF5 file"
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 
 MOST_DATASETS = 2_000
@@ -34,76 +32,26 @@ _LONGEST_TEXT = 1000
 _IMAGES = count()
 
 
-@dataclass
-class _Contents:
-    arrays: dict[str, StoredArray] = field(default_factory=dict)
-    attributes: dict[str, Scalar] = field(default_factory=dict)
-    refused: dict[str, str] = field(default_factory=dict)
-
-
-def read_frame(profile: Profile, name: str, data: bytes, wanted: Sequence[str]) -> Frame:
-    """Read datasets of an HDF5 file.
-
-    Parameters
-    ----------
-    profile : Profile
-        Not used: the file names its datasets.
-    name : str
-        File name, for messages.
-    data : bytes
-    wanted : sequence of str
-        Paths, with or without the first slash; empty means all.
-
-    Returns
-    -------
-    Frame
-        Rows are samples. Attributes are those of the file by name, those of a group or dataset as ``/path@name``,
-        and single numbers and texts by path.
-
-    Raises
-    ------
-    LogError
-        If the file is damaged, a dataset is missing or no column, or lengths differ.
-    """
-    _check_signature(name, data)
-    frame: Frame = isolated(f"{__name__}:frame_here", name, KIND, data, tuple(wanted), imports=("h5py",))
-    return frame
-
-
-def list_columns(name: str, data: bytes, profile: Profile | None = None) -> list[ColumnInfo]:
-    """Return the datasets of an HDF5 file; what cannot be read is listed with no rows and the reason as hint.
-
-    Raises
-    ------
-    LogError
-        If the file is damaged.
-    """
-    _check_signature(name, data)
-    infos: list[ColumnInfo] = isolated(f"{__name__}:columns_here", name, KIND, data, imports=("h5py",))
-    return infos
+read_frame, list_columns = isolated_reader(__name__, "an HDF5 file", ("h5py",))
+"""Wanted columns are paths, with or without the first slash; what cannot be read is listed with no rows and the reason.
+Attributes are those of the file by name, those of a group or dataset as ``/path@name``, and single values by path."""
 
 
 def frame_here(name: str, data: bytes, wanted: Sequence[str]) -> Frame:
     """Do what `read_frame` does, in the worker process."""
-    with reading(name, KIND), open_image(data, "hdf5") as file:
-        contents = _collect(name, file, len(data))
-        arrays = contents.arrays
-        if not wanted:
-            arrays = {path: array for path, array in arrays.items() if path not in contents.attributes}
+    _check_signature(name, data)
+    with open_image(data, "hdf5") as file:
         full = [key if key.startswith("/") else f"/{key}" for key in wanted]
-        frame = frame_of_arrays(name, arrays, full, contents.attributes, contents.refused)
-        columns = (
-            {key: frame.columns[path] for key, path in zip(wanted, full, strict=True)} if wanted else frame.columns
-        )
-        return Frame(columns, frame.row, frame.row_name, frame.attributes)
+        frame = _collect(name, file, len(data)).frame(name, full)
+        named = {key: frame.columns[path] for key, path in zip(wanted, full, strict=True)}
+        return replace(frame, columns=named) if wanted else frame
 
 
 def columns_here(name: str, data: bytes) -> list[ColumnInfo]:
     """Do what `list_columns` does, in the worker process."""
-    with reading(name, KIND), open_image(data, "hdf5") as file:
-        contents = _collect(name, file, len(data))
-        refused = [ColumnInfo(path, "text", 0, (), reason) for path, reason in contents.refused.items()]
-        return list_arrays(contents.arrays) + refused
+    _check_signature(name, data)
+    with open_image(data, "hdf5") as file:
+        return _collect(name, file, len(data)).listed()
 
 
 def is_hdf5(data: bytes) -> bool:
@@ -203,8 +151,8 @@ def walk(name: str, group: Any) -> Iterator[Any]:
         waiting += reversed(inner)
 
 
-def _collect(name: str, file: Any, size: int) -> _Contents:
-    contents = _Contents()
+def _collect(name: str, file: Any, size: int) -> Contents:
+    contents = Contents()
     _keep_attributes(contents.attributes, "", file)
     for item in walk(name, file):
         _keep_attributes(contents.attributes, f"{item.name}@", item)
@@ -217,7 +165,7 @@ def _collect(name: str, file: Any, size: int) -> _Contents:
     return contents
 
 
-def _add_dataset(name: str, contents: _Contents, dataset: Any, size: int) -> None:
+def _add_dataset(name: str, contents: Contents, dataset: Any, size: int) -> None:
     path, dtype = dataset.name, dataset.dtype
     hint = next((str(dataset.attrs[key]) for key in _HINTS if key in dataset.attrs), "")[:_LONGEST_TEXT]
     if dataset.external or dataset.is_virtual:
@@ -233,18 +181,10 @@ def _add_dataset(name: str, contents: _Contents, dataset: Any, size: int) -> Non
             else:
                 contents.refused[f"{path}.{part}"] = f"is of type {inner}; expected numbers."
     elif dtype.kind in "fbiu" or is_text(dataset):
-        array = StoredArray(dataset.shape, _kind(dtype), partial(load_dataset, name, dataset, size), hint)
-        contents.arrays[path] = array
-        if dataset.shape == () or prod(dataset.shape) == 1:
-            value = load_dataset(name, dataset, size).reshape(-1)[0]
-            contents.attributes[path] = value.item() if isinstance(value, np.generic) else str(value)
-            contents.arrays[path] = StoredArray((1,), array.kind, partial(_one_value, array), hint)
+        load = partial(load_dataset, name, dataset, size)
+        contents.keep(path, StoredArray(dataset.shape or (1,), _kind(dtype), load, hint))
     else:
         contents.refused[path] = f"is of type {dtype}; expected numbers or texts."
-
-
-def _one_value(array: StoredArray) -> Array:
-    return array.load().reshape(1)
 
 
 def _load_field(name: str, dataset: Any, part: str, size: int) -> Array:

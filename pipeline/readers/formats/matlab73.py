@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from functools import partial
-from math import prod
 from typing import Any
 
 import numpy as np
 
-from pipeline.base.errors import LogError
 from pipeline.readers.formats.arrays import Array, StoredArray
 from pipeline.readers.formats.hdf5 import load_dataset
-from pipeline.readers.formats.matlab5 import DEEPEST, MOST_ELEMENTS, MatContents, object_advice
+from pipeline.readers.formats.matlab5 import COMPLEX, SPARSE, MatContents, object_advice
 from pipeline.readers.safety import library
 
 _NUMBERS = {"double", "single", "logical", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))}
@@ -46,23 +44,16 @@ class _Collector:
     def __init__(self, name: str, file: Any, size: int) -> None:
         self.name, self.file, self.size = name, file, size
         self.h5py = library("h5py", "h5py", "mat")
-        self.contents = MatContents()
-        self.elements = 0
+        self.contents = MatContents(name=name)
 
     def add(self, path: str, item: Any, depth: int) -> None:
         """Add a variable, a field of a struct or an element of a cell."""
-        self.elements += 1
-        if self.elements > MOST_ELEMENTS or depth > DEEPEST:
-            raise LogError(
-                f"{self.name}: more than {MOST_ELEMENTS} arrays, or structs more than {DEEPEST} deep; expected "
-                "recorded signals. Save the signals as plain arrays.",
-                code="too-deep",
-            )
+        self.contents.count(depth)
         kind = self._class(item)
         if "MATLAB_object_decode" in item.attrs or (kind not in _NUMBERS | {"char", "cell", "struct", ""}):
             self.contents.refused[path] = object_advice(kind)
         elif "MATLAB_sparse" in item.attrs:
-            self.contents.refused[path] = "is a sparse matrix; save full(x)."
+            self.contents.refused[path] = SPARSE
         elif isinstance(item, self.h5py.Group):
             for key in item:
                 self.add(f"{path}.{key}", item[key], depth + 1)
@@ -71,9 +62,7 @@ class _Collector:
         elif item.dtype == self.h5py.ref_dtype:
             self._references(path, item, kind, depth)
         elif item.dtype.names:
-            self.contents.refused[path] = (
-                "holds complex numbers. Save real and imaginary part: re = real(x); im = imag(x)."
-            )
+            self.contents.refused[path] = COMPLEX
         elif kind == "char":
             self._array(path, (item.shape[-1],), "text", partial(self._characters, item))
         elif item.dtype.kind in "fbiu":
@@ -83,10 +72,7 @@ class _Collector:
             self.contents.refused[path] = f"is of type {item.dtype}; expected numbers."
 
     def _array(self, path: str, shape: tuple[int, ...], kind: str, load: Any) -> None:
-        self.contents.arrays[path] = StoredArray(shape, kind, load)
-        if prod(shape) == 1:
-            value = load().reshape(-1)[0]
-            self.contents.attributes[path] = str(value) if kind == "text" else value.item()
+        self.contents.keep(path, StoredArray(shape, kind, load))
 
     def _references(self, path: str, item: Any, kind: str, depth: int) -> None:
         """Add the elements of a cell or, where a struct is an array, of one of its fields."""
@@ -94,16 +80,11 @@ class _Collector:
         cell = kind == "cell"
         # fields of a struct array are arrays of references: a.b -> a[0].b, a[1].b, ...
         stem, dot, last = ("", "", path) if cell else path.rpartition(".")
-        texts = []
         for number, reference in enumerate(references):
             place = f"{path}[{number}]" if cell else f"{stem}[{number}]{dot}{last}"
             self.add(place, self.file[reference], depth + 1)
-            if isinstance(value := self.contents.attributes.get(place), str):
-                texts.append(value)
-        if cell and len(texts) == len(references) > 1:
-            for number in range(len(texts)):
-                del self.contents.arrays[f"{path}[{number}]"], self.contents.attributes[f"{path}[{number}]"]
-            self._array(path, (len(texts),), "text", partial(np.array, texts))
+        if cell:
+            self.contents.join_texts(path, len(references))
 
     def _transposed(self, item: Any) -> Array:
         return load_dataset(self.name, item, self.size).T

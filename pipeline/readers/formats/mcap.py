@@ -7,101 +7,20 @@ recording was cut), takes only the profile "ros2", and unpacks without a bound.
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Sequence
 from zlib import crc32
 
 from pipeline.base.errors import LogError
-from pipeline.profiles.profile_model import Profile
-from pipeline.readers.formats.recording import LISTED_MESSAGES, Parts, Recording, Topic, split
-from pipeline.readers.formats.topics import IMPORTS, SECONDS_PER_BYTE, frame_of_topics, list_topics, topics_of
-from pipeline.readers.frame import ColumnInfo, Frame
-from pipeline.readers.isolation import isolated
-from pipeline.readers.safety import allowed_bytes, reading, unpack
+from pipeline.readers.formats.recording import Recording, Topic
+from pipeline.readers.formats.topics import bag_reader
+from pipeline.readers.safety import allowed_bytes, unpack
 
-KIND = "an MCAP file"
 MAGIC = b"\x89MCAP0\r\n"
 _SCHEMA, _CHANNEL, _MESSAGE, _CHUNK, _FOOTER = 0x03, 0x04, 0x05, 0x06, 0x02
 _SCHEMAS = {"ros1msg": "msg", "ros2msg": "msg", "ros2idl": "idl", "omgidl": "idl"}
 
 
-def read_frame(profile: Profile, name: str, data: bytes, wanted: Sequence[str], parts: Parts = ()) -> Frame:
-    """Read messages of an MCAP file.
-
-    Parameters
-    ----------
-    profile : Profile
-        Not used: columns are named by topic.
-    name : str
-        File name, for messages.
-    data : bytes
-    wanted : sequence of str
-        As `topics.frame_of_topics` has them.
-    parts : tuple of (str, int)
-        Name and bytes of each file where ``data`` holds those of a split bag, one behind the other.
-
-    Returns
-    -------
-    Frame
-
-    Raises
-    ------
-    LogError
-        If the file is damaged, a topic or field is missing, or a topic is encoded in another way.
-    """
-    frame: Frame = isolated(
-        f"{__name__}:frame_here",
-        name,
-        KIND,
-        data,
-        tuple(wanted),
-        parts,
-        imports=IMPORTS,
-        seconds_per_byte=SECONDS_PER_BYTE,
-    )
-    return frame
-
-
-def list_columns(name: str, data: bytes, profile: Profile | None = None) -> list[ColumnInfo]:
-    """Return the columns of all topics, as their first messages have them.
-
-    Raises
-    ------
-    LogError
-        If the file is damaged.
-    """
-    infos: list[ColumnInfo] = isolated(
-        f"{__name__}:columns_here", name, KIND, data, imports=IMPORTS, seconds_per_byte=SECONDS_PER_BYTE
-    )
-    return infos
-
-
-def frame_here(name: str, data: bytes, wanted: Sequence[str], parts: Parts = ()) -> Frame:
-    """Do what `read_frame` does, in the worker process."""
-    with reading(name, KIND):
-        return frame_of_topics(name, lambda keep: scan(name, data, keep, parts=parts), wanted, len(data))
-
-
-def columns_here(name: str, data: bytes) -> list[ColumnInfo]:
-    """Do what `list_columns` does, in the worker process."""
-    with reading(name, KIND):
-        return list_topics(name, scan(name, data, topics_of, LISTED_MESSAGES), len(data))
-
-
-def scan(name: str, data: bytes, keep: Callable[[str], bool], most: int | None = None, parts: Parts = ()) -> Recording:
-    """Walk through the records of an MCAP file.
-
-    Raises
-    ------
-    LogError
-        If it is no MCAP file, or unpacks to more than `safety.allowed_bytes`.
-    """
-    recording = Recording(keep, most)
-    for part_name, part in split(name, data, parts):
-        _scan_file(part_name, part, recording)
-    return recording
-
-
-def _scan_file(name: str, data: bytes, recording: Recording) -> None:
+def scan_file(name: str, data: bytes, recording: Recording) -> None:
+    """Add the records of one file to the recording (`topics.ScanFile`)."""
     if not data.startswith(MAGIC):
         raise LogError(
             f"{name} is no MCAP file: it begins with {data[:8]!r}, not {MAGIC!r}. Correct `format` in the profile.",
@@ -175,3 +94,6 @@ def _text(body: memoryview, at: int) -> tuple[str, int]:
     if at + 4 + length > len(body):
         raise ValueError(f"a text claims {length} bytes, but {len(body) - at - 4} follow")
     return bytes(body[at + 4 : at + 4 + length]).decode(), at + 4 + length
+
+
+read_frame, list_columns = bag_reader("an MCAP file", scan_file)

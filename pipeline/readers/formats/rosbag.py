@@ -10,18 +10,14 @@ from __future__ import annotations
 
 import sqlite3
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import closing
 
 from pipeline.base.errors import LogError
-from pipeline.profiles.profile_model import Profile
-from pipeline.readers.formats.recording import LISTED_MESSAGES, Parts, Recording, Topic, split
-from pipeline.readers.formats.topics import IMPORTS, SECONDS_PER_BYTE, frame_of_topics, list_topics, topics_of
-from pipeline.readers.frame import ColumnInfo, Frame
-from pipeline.readers.isolation import isolated
-from pipeline.readers.safety import allowed_bytes, reading, unpack
+from pipeline.readers.formats.recording import Recording, Topic
+from pipeline.readers.formats.topics import bag_reader
+from pipeline.readers.safety import allowed_bytes, unpack
 
-KIND = "a ROS bag"
 _BAG = b"#ROSBAG V2.0\n"
 _SQLITE = b"SQLite format 3\0"
 _ZSTD = b"\x28\xb5\x2f\xfd"
@@ -30,84 +26,8 @@ _WAL = slice(18, 20)
 """Bytes of a database that say how it is journalled."""
 
 
-def read_frame(profile: Profile, name: str, data: bytes, wanted: Sequence[str], parts: Parts = ()) -> Frame:
-    """Read messages of a ``.bag`` or ``.db3`` file.
-
-    Parameters
-    ----------
-    profile : Profile
-        Not used: columns are named by topic.
-    name : str
-        File name, for messages.
-    data : bytes
-    wanted : sequence of str
-        As `topics.frame_of_topics` has them.
-    parts : tuple of (str, int)
-        Name and bytes of each file where ``data`` holds those of a split bag, one behind the other.
-
-    Returns
-    -------
-    Frame
-
-    Raises
-    ------
-    LogError
-        If the file is damaged, a topic or field is missing, or a message type is not defined.
-    """
-    frame: Frame = isolated(
-        f"{__name__}:frame_here",
-        name,
-        KIND,
-        data,
-        tuple(wanted),
-        parts,
-        imports=IMPORTS,
-        seconds_per_byte=SECONDS_PER_BYTE,
-    )
-    return frame
-
-
-def list_columns(name: str, data: bytes, profile: Profile | None = None) -> list[ColumnInfo]:
-    """Return the columns of all topics, as their first messages have them.
-
-    Raises
-    ------
-    LogError
-        If the file is damaged.
-    """
-    infos: list[ColumnInfo] = isolated(
-        f"{__name__}:columns_here", name, KIND, data, imports=IMPORTS, seconds_per_byte=SECONDS_PER_BYTE
-    )
-    return infos
-
-
-def frame_here(name: str, data: bytes, wanted: Sequence[str], parts: Parts = ()) -> Frame:
-    """Do what `read_frame` does, in the worker process."""
-    with reading(name, KIND):
-        return frame_of_topics(name, lambda keep: scan(name, data, keep, parts=parts), wanted, len(data))
-
-
-def columns_here(name: str, data: bytes) -> list[ColumnInfo]:
-    """Do what `list_columns` does, in the worker process."""
-    with reading(name, KIND):
-        return list_topics(name, scan(name, data, topics_of, LISTED_MESSAGES), len(data))
-
-
-def scan(name: str, data: bytes, keep: Callable[[str], bool], most: int | None = None, parts: Parts = ()) -> Recording:
-    """Walk through the messages of a bag.
-
-    Raises
-    ------
-    LogError
-        If it is neither a ROS 1 bag nor a database of a ROS 2 bag, or unpacks to more than `safety.allowed_bytes`.
-    """
-    recording = Recording(keep, most)
-    for part_name, part in split(name, data, parts):
-        _scan_file(part_name, part, recording)
-    return recording
-
-
-def _scan_file(name: str, data: bytes, recording: Recording) -> None:
+def scan_file(name: str, data: bytes, recording: Recording) -> None:
+    """Add the records of one file to the recording (`topics.ScanFile`)."""
     if data.startswith(_BAG):
         _scan_ros1(name, data, recording)
     elif data.startswith(_SQLITE):
@@ -215,3 +135,6 @@ def _read_database(name: str, database: sqlite3.Connection, recording: Recording
             message = unpack(name, "zstd", message, left, size)
         left -= len(message)
         recording.add_message(topics[key], received, message)
+
+
+read_frame, list_columns = bag_reader("a ROS bag", scan_file)

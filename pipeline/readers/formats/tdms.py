@@ -11,66 +11,28 @@ from typing import Any
 import numpy as np
 
 from pipeline.base.errors import LogError
-from pipeline.profiles.profile_model import Profile
 from pipeline.readers.formats.arrays import Array, StoredArray, frame_of_arrays, list_arrays, stored
 from pipeline.readers.frame import ColumnInfo, Frame, Scalar
-from pipeline.readers.isolation import isolated
-from pipeline.readers.safety import check_claim, library, reading
+from pipeline.readers.isolation import isolated_reader
+from pipeline.readers.safety import check_claim, library
 
 TIME = "@time"
 """Name of the time that a waveform's properties imply: row times ``wf_increment`` plus ``wf_start_offset`` [s]."""
 
-KIND = "a TDMS file"
 _SIGNATURE = b"TDSm"
 _LONGEST_TEXT = 1000
 _EPOCH_S = 2_082_844_800
 """Seconds from the start of 1904, where TDMS counts from, to that of 1970."""
 
-
-def read_frame(profile: Profile, name: str, data: bytes, wanted: Sequence[str]) -> Frame:
-    """Read channels of a TDMS file.
-
-    Parameters
-    ----------
-    profile : Profile
-        Not used: the file names its channels.
-    name : str
-        File name, for messages.
-    data : bytes
-    wanted : sequence of str
-        ``/group/channel``, or ``@time`` for the time that the waveform properties of the wanted channels imply (all
-        must agree); empty means all channels.
-
-    Returns
-    -------
-    Frame
-        Rows are samples; time stamps are integers in ns since 1970, UTC. Attributes are the properties of the file by
-        name, those of groups and channels as ``/group/channel@property``.
-
-    Raises
-    ------
-    LogError
-        If the file is damaged, a channel is missing, lengths differ, or ``@time`` is wanted and not stated.
-    """
-    frame: Frame = isolated(f"{__name__}:frame_here", name, KIND, data, tuple(wanted), imports=("nptdms",))
-    return frame
-
-
-def list_columns(name: str, data: bytes, profile: Profile | None = None) -> list[ColumnInfo]:
-    """Return the channels of a TDMS file, with their units as hints, and ``@time`` where all of a length imply one.
-
-    Raises
-    ------
-    LogError
-        If the file is damaged.
-    """
-    infos: list[ColumnInfo] = isolated(f"{__name__}:columns_here", name, KIND, data, imports=("nptdms",))
-    return infos
+read_frame, list_columns = isolated_reader(__name__, "a TDMS file", ("nptdms",))
+"""Wanted are ``/group/channel``, and ``@time`` for the time that the waveform properties of the wanted channels imply
+(all must agree). Time stamps are integers in ns since 1970, UTC. Attributes are the properties of the file by name,
+those of groups and channels as ``/group/channel@property``."""
 
 
 def frame_here(name: str, data: bytes, wanted: Sequence[str]) -> Frame:
     """Do what `read_frame` does, in the worker process."""
-    with reading(name, KIND), _open(name, data) as file:
+    with _open(name, data) as file:
         arrays, attributes = _contents(name, file, len(data))
         plain = [key for key in wanted if key != TIME]
         if TIME in wanted:
@@ -83,7 +45,7 @@ def frame_here(name: str, data: bytes, wanted: Sequence[str]) -> Frame:
 
 def columns_here(name: str, data: bytes) -> list[ColumnInfo]:
     """Do what `list_columns` does, in the worker process."""
-    with reading(name, KIND), _open(name, data) as file:
+    with _open(name, data) as file:
         arrays, attributes = _contents(name, file, len(data))
         timed = [key for key in arrays if f"{key}@wf_increment" in attributes]
         if timed and len({arrays[key].shape for key in timed}) == 1:

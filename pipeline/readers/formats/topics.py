@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 
 from pipeline.base.errors import LogError
 from pipeline.readers.formats.arrays import LISTED_ELEMENTS, Array, plain_column, unknown_column
-from pipeline.readers.formats.recording import LISTED_MESSAGES, Recording
+from pipeline.readers.formats.recording import LISTED_MESSAGES, Parts, Recording, split
 from pipeline.readers.formats.ros_types import Decoder
 from pipeline.readers.frame import ColumnInfo, Frame
+from pipeline.readers.isolation import isolated_reader
 from pipeline.readers.safety import check_claim
 
 IMPORTS = ("rosbags.typesys", "lz4.frame")
@@ -39,15 +40,26 @@ _DEEPEST = 16
 _STEP = re.compile(r"\.?([^.\[\]]+)|\[(\d+)\]")
 
 
-def topics_of(topic: str) -> bool:
-    """Keep every topic."""
-    return True
+ScanFile = Callable[[str, bytes, Recording], None]
+"""Walks through the records of one file of a bag, given its name and bytes, and adds them to the recording."""
 
 
-def frame_of_topics(
-    name: str, scan: Callable[[Callable[[str], bool]], Recording], wanted: Sequence[str], size: int
-) -> Frame:
-    """Return fields of messages as a frame.
+def bag_reader(kind: str, scan_file: ScanFile) -> tuple[Callable[..., Frame], Callable[..., list[ColumnInfo]]]:
+    """Return ``read_frame`` and ``list_columns`` of a format of bags."""
+    return isolated_reader(__name__, kind, IMPORTS, scan_file, seconds_per_byte=SECONDS_PER_BYTE)
+
+
+def _recorded(
+    name: str, data: bytes, scan_file: ScanFile, parts: Parts, keep: Callable[[str], bool], most: int | None = None
+) -> Recording:
+    recording = Recording(keep, most)
+    for part_name, part in split(name, data, parts):
+        scan_file(part_name, part, recording)
+    return recording
+
+
+def frame_here(name: str, data: bytes, wanted: Sequence[str], scan_file: ScanFile, parts: Parts = ()) -> Frame:
+    """Return fields of messages as a frame, in the worker process.
 
     Columns of one topic keep the order of recording. Columns of several topics stand on the union of their times, in
     order of time, with NaN (an empty text) where a topic has no message; nothing is interpolated. Messages of one
@@ -57,14 +69,14 @@ def frame_of_topics(
     ----------
     name : str
         The file.
-    scan : callable
-        Walks through the bag, given which topics to keep.
+    data : bytes
     wanted : sequence of str
         ``/topic.field``, ``/topic.@received``, and ``@stamp`` or ``@received`` for the time of the rows; with several
         topics the rows are joined by ``@stamp`` (the stamps in the headers) where it is wanted, else by ``@received``.
         Empty means all numbers and texts of all topics.
-    size : int
-        Bytes of the file.
+    scan_file : callable
+    parts : tuple of (str, int)
+        Name and bytes of each file where ``data`` holds those of a split bag, one behind the other.
 
     Raises
     ------
@@ -76,12 +88,14 @@ def frame_of_topics(
             f"{name}: both {STAMP!r} and {RECEIVED!r} are wanted; rows have one time. Choose one of them.",
             code="profile-wrong",
         )
-    recording = scan(lambda topic: not wanted or any(key.startswith(f"{topic}.") for key in wanted))
+    recording = _recorded(
+        name, data, scan_file, parts, lambda topic: not wanted or any(key.startswith(f"{topic}.") for key in wanted)
+    )
     if not recording.topics:
         cut = "".join(f" The {warning}." for warning in recording.warnings)
         raise LogError(f"{name} holds no topics; expected recorded messages.{cut} Record the log again.", code="empty")
     fields: dict[str, list[str]] = {}
-    decoder = Decoder(name, recording.topics, size)
+    decoder = Decoder(name, recording.topics, len(data))
     for key in wanted:
         if key not in (STAMP, RECEIVED):
             topic, field = _split(name, recording, key)
@@ -111,19 +125,20 @@ def frame_of_topics(
         )
     axis = STAMP if STAMP in wanted else RECEIVED
     times = {topic: _times(name, decoder, recording, topic, axis) for topic in fields}
-    frame = _join(name, recording, wanted, axis, times, columns, number, size)
+    frame = _join(name, recording, wanted, axis, times, columns, number, len(data))
     return replace(frame, units=_units(decoder, recording, fields))
 
 
-def list_topics(name: str, recording: Recording, size: int) -> list[ColumnInfo]:
-    """Return the columns of all topics, as their first messages have them, with message types as hints.
+def columns_here(name: str, data: bytes, scan_file: ScanFile) -> list[ColumnInfo]:
+    """Return the columns of all topics, as their first messages have them, with message types as hints, in the worker.
 
     Raises
     ------
     LogError
         If a message cannot be decoded.
     """
-    decoder = Decoder(name, recording.topics, size)
+    recording = _recorded(name, data, scan_file, (), lambda topic: True, LISTED_MESSAGES)
+    decoder = Decoder(name, recording.topics, len(data))
     infos = []
     for topic, info in recording.topics.items():
         rows = recording.counts.get(topic, 0)

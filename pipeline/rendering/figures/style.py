@@ -52,6 +52,7 @@ LINES: dict[str, Any] = {
     "bound": (0, (4, 1.5, 1, 1.5)),
     "friction": (0, (3, 1, 1, 1, 1, 1)),
     "passive": "-",
+    "robust": "-.",
     "envelope": "-",
 }
 

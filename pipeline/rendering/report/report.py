@@ -119,25 +119,6 @@ def write(data: ReportData, path: Path) -> None:
     write_text(path, render(data))
 
 
-def cells(page: str) -> dict[str, str]:
-    """Return the text of every table cell of a report by name, as a reader sees it, notes' marks included.
-
-    Parameters
-    ----------
-    page : str
-        HTML made by `render`; other HTML has no named cells.
-    """
-    return report_parts.take_apart(page).cells
-
-
-def stored_digest(page: str) -> str | None:
-    """Return the digest over all cells that `render` stored in the page; None where there is none.
-
-    An untouched report has ``stored_digest(page) == provenance.digest(cells(page))``.
-    """
-    return report_parts.take_apart(page).metas.get(report_parts.CELLS_META)
-
-
 def tables_of(name: str, result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> list[Table]:
     """Return the tables of `TABLES` by a name; none where there is nothing to say."""
     found = TABLES[name](result, trials)

@@ -27,6 +27,7 @@ NAMES = {
     "device_stiffness": "stiffness of the device",
     "constant_force": "constant force on the device",
     "boundary_area": "area under the boundary",
+    "velocity_lag": "lag of the logged velocity",
 }
 
 DRIFT_NOTE = (

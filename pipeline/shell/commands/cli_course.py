@@ -12,16 +12,10 @@ import typer
 from pipeline.base.errors import UsageError
 from pipeline.base.outputs import check_output
 from pipeline.shell import console
+from pipeline.shell.commands.options import Experiments, Json, Processed
 
 if TYPE_CHECKING:
     from pipeline.records.models import Device
-
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout, nothing else there.")]
-Processed = Annotated[Path, typer.Option("--processed", help="Folder of the stored tables.")]
-Experiments = Annotated[
-    list[str] | None,
-    typer.Option("--experiment", "-e", help="Only this experiment; may be given several times."),
-]
 
 
 class DampingRange(StrEnum):

@@ -15,6 +15,7 @@ import typer
 from pipeline.base.errors import UsageError
 from pipeline.base.process import on_stop_signals
 from pipeline.shell import console
+from pipeline.shell.commands.options import Processed
 
 if TYPE_CHECKING:
     from pipeline.plan.answer import Plan
@@ -54,7 +55,7 @@ def plan(
     max_travel: Annotated[
         float, typer.Option("--max-travel", help="Largest distance of the start from the centre.", show_default=False)
     ] = inf,
-    processed: Annotated[Path, typer.Option("--processed", help="Folder of the stored tables.")] = Path("processed"),
+    processed: Processed = Path("processed"),
     watch: Annotated[
         list[Path] | None, typer.Option("--watch", help="Folder in which logs arrive: ingest them, plan after each.")
     ] = None,

@@ -11,6 +11,7 @@ import typer
 from pipeline.base.errors import EXIT_QUARANTINED, UsageError
 from pipeline.base.outputs import check_output
 from pipeline.shell import console
+from pipeline.shell.commands.options import Json, Processed, ProfileFile
 
 profile_app = typer.Typer(
     no_args_is_help=True,
@@ -20,9 +21,6 @@ quarantine_app = typer.Typer(
     no_args_is_help=True,
     help="Logs that were refused: list them, show where each is wrong, try again.",
 )
-
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout.")]
-Processed = Annotated[Path, typer.Option("--processed", help="Folder of the stored tables.")]
 
 
 @profile_app.command("check")
@@ -157,9 +155,7 @@ def retry(
     paths: Annotated[
         list[str] | None, typer.Argument(help="Paths or ids of logs in quarantine; all where none is given.")
     ] = None,
-    profile: Annotated[
-        str | None, typer.Option("--profile", help="Log profile by name, or a profile file (.toml).")
-    ] = None,
+    profile: ProfileFile = None,
     processed: Processed = Path("processed"),
     as_json: Json = False,
 ) -> None:

@@ -12,18 +12,12 @@ from pipeline.base.errors import EXIT_ERROR, UsageError
 from pipeline.base.outputs import check_output
 from pipeline.shell import console
 from pipeline.shell.commands import cli_theory
+from pipeline.shell.commands.options import Criteria, Experiments, Json, Processed
 
 if TYPE_CHECKING:
     from pipeline.rendering.report.report_against import AgainstPage
 
 scene_app = typer.Typer(no_args_is_help=True, help="Scene files: what one report shows. Draft one, check one.")
-
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout, nothing else there.")]
-Processed = Annotated[Path, typer.Option("--processed", help="Folder of the stored tables.")]
-Experiments = Annotated[
-    list[str] | None,
-    typer.Option("--experiment", "-e", help="Only this experiment; may be given several times."),
-]
 
 
 def compare(
@@ -31,10 +25,7 @@ def compare(
         str | None, typer.Option("--device", help="Device whose logs are compared; may stand in the scene file.")
     ] = None,
     experiment: Experiments = None,
-    criteria: Annotated[
-        str | None,
-        typer.Option("--criteria", help="Separated by commas; a wrong one lists all. The usual ones where not given."),
-    ] = None,
+    criteria: Criteria = None,
     processed: Processed = Path("processed"),
     report: Annotated[
         Path | None,

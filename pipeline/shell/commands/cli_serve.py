@@ -11,11 +11,10 @@ import typer
 
 from pipeline.base.errors import EXIT_ERROR, EXIT_QUARANTINED, UsageError
 from pipeline.shell import console
+from pipeline.shell.commands.options import Json, Processed
 
 token_app = typer.Typer(no_args_is_help=True, help="Tokens for other computers: make, list, revoke.")
 
-Processed = Annotated[Path, typer.Option("--processed", help="Folder of the stored tables.")]
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout, nothing else there.")]
 
 TOKEN_VARIABLE = "PIPELINE_TOKEN"
 

@@ -10,12 +10,11 @@ import typer
 
 from pipeline.base.errors import EXIT_ERROR, EXIT_OK, EXIT_QUARANTINED, UsageError
 from pipeline.shell import console
+from pipeline.shell.commands.options import Json, Processed, ProfileFile
 
 if TYPE_CHECKING:
     from pipeline.repair.check import CheckReport
 
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout, nothing else there.")]
-Processed = Annotated[Path, typer.Option("--processed", help="Folder of the stored tables.")]
 Wait = Annotated[
     float, typer.Option("--wait", help="Seconds to wait while another command writes there; 0 refuses at once.")
 ]
@@ -29,9 +28,7 @@ LISTED = 10
 
 def ingest(
     paths: Annotated[list[Path], typer.Argument(help="Folders with logs (searched below, too), and logs.")],
-    profile: Annotated[
-        str | None, typer.Option("--profile", help="Log profile by name, or a profile file (.toml).")
-    ] = None,
+    profile: ProfileFile = None,
     processed: Processed = Path("processed"),
     jobs: Annotated[int | None, typer.Option("--jobs", help="Threads; one per processor where not given.")] = None,
     rehash: Annotated[

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pipeline.base.errors import ParameterError
+from pipeline.base.errors import ParameterError, UsageError
 from pipeline.base.outputs import check_output
 from pipeline.shell import console
+from pipeline.shell.commands.options import Criteria, Json
 
 if TYPE_CHECKING:
     from pipeline.loop.loop import Loop
@@ -38,7 +39,6 @@ OfExperiment = Annotated[
 ]
 Gamma = Annotated[float, typer.Option("--gamma", help="Normalised stiffness of the device itself.")]
 Delta = Annotated[float, typer.Option("--delta", help="Normalised viscous damping of the device itself.")]
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout.")]
 
 
 class Signal(StrEnum):
@@ -57,10 +57,7 @@ def points(
             metavar="CSV",
         ),
     ],
-    criteria: Annotated[
-        str | None,
-        typer.Option("--criteria", help="Separated by commas; a wrong one lists all. The usual ones where not given."),
-    ] = None,
+    criteria: Criteria = None,
     device: OfDevice = None,
     experiment: OfExperiment = None,
     as_json: Json = False,
@@ -96,23 +93,33 @@ def boundary(
     delta: Delta = 0.0,
     device: OfDevice = None,
     experiment: OfExperiment = None,
+    robust: Annotated[
+        bool, typer.Option("--robust", help="Also the region that is stable with every spring, whatever --gamma says.")
+    ] = False,
     as_json: Json = False,
 ) -> None:
     """Boundary of the stable region and its extreme points.
 
     Example: pipeline theory boundary --delay 2 --gamma 0.001 --delta 0.02 --json
+
+    Example: pipeline theory boundary --delay 1 --delta 0.02 --robust --json
     """
+    if device is not None and robust:
+        raise UsageError("--robust is of the normalised loop. Give --delay and --delta in place of --device.")
     if device is not None:
         _device_boundary(device, experiment, as_json)
         return
     from pipeline.theory import cases as theory
 
-    document = theory.boundary_document(_loop(delay, gamma, delta))
+    document = theory.boundary_document(_loop(delay, gamma, delta), robust)
     if as_json:
         console.print_json(document)
         return
     console.say(f"largest alpha {document['alpha_max']:.6g} at beta {document['beta_at_alpha_max']:.6g}")
     console.say(f"largest beta  {document['beta_max']:.6g} at alpha {document['alpha_at_beta_max']:.6g}")
+    if robust:
+        largest = max(document["robust"]["alpha"], default=None)
+        console.say("no wall is stable with every spring" if largest is None else f"with every spring {largest:.6g}")
     console.say(f"({len(document['alpha'])} points along the boundary: --json)")
 
 

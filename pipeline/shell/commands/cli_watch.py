@@ -15,6 +15,7 @@ import typer
 from pipeline.base.errors import EXIT_OK, UsageError
 from pipeline.base.process import on_stop_signals
 from pipeline.shell import console
+from pipeline.shell.commands.options import JsonLines, Processed, ProfileFile
 
 if TYPE_CHECKING:
     from pipeline.shell.watch.watch import Watched
@@ -24,13 +25,11 @@ INTERVAL_S, SETTLE_S = 2.0, 2.0
 
 def watch(
     folders: Annotated[list[Path], typer.Argument(help="Folders in which logs arrive (searched below, too).")],
-    processed: Annotated[Path, typer.Option("--processed", help="Folder of the stored tables.")] = Path("processed"),
+    processed: Processed = Path("processed"),
     reports: Annotated[Path, typer.Option("--reports", help="Folder of the reports and the index page.")] = Path(
         "reports"
     ),
-    profile: Annotated[
-        str | None, typer.Option("--profile", help="Log profile by name, or a profile file (.toml).")
-    ] = None,
+    profile: ProfileFile = None,
     scene: Annotated[
         list[Path] | None,
         typer.Option(
@@ -47,7 +46,7 @@ def watch(
     once: Annotated[
         bool, typer.Option("--once", help="One pass, which waits for nothing; logs that still settle are left.")
     ] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print each line as a JSON document.")] = False,
+    as_json: JsonLines = False,
 ) -> None:
     """Keep reports and the index page current while logs arrive, until Ctrl-C or SIGTERM.
 

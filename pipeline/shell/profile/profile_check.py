@@ -27,7 +27,7 @@ from pipeline.readers.time_axis import step_flags
 from pipeline.records.batch import TrialBatch
 from pipeline.records.findings import Record
 from pipeline.records.models import Motion
-from pipeline.shell.profile.profile_warnings import other_step, other_units
+from pipeline.shell.profile.profile_warnings import late_velocity, other_step, other_units
 
 
 class CheckedCondition(Record):
@@ -151,7 +151,7 @@ def _trial(profile: Profile, name: str, log: Log, motion: Motion, hints: dict[st
         time=flags | dict(log.counts),
         step_row=step_row,
         step=step,
-        warnings=(*log.warnings, *other_units(profile, said), *other_step(log, step_row, batch)),
+        warnings=(*log.warnings, *other_units(profile, said), *other_step(log, step_row, batch), *late_velocity(batch)),
     )
 
 
@@ -215,6 +215,7 @@ def _batch(log: Log) -> TrialBatch:
         time=log.time[None],
         command=log.command[None],
         position=log.position[None],
+        velocity=None if log.velocity is None else log.velocity[None],
         integrated=np.array([log.header.extra.get("integrated") == "trapezoid"]),
     )
 

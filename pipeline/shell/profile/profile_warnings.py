@@ -8,6 +8,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from pipeline.base.units import find_unit
+from pipeline.measured.intervals import NORMAL_95
+from pipeline.measured.signal.lag import lags_of
 from pipeline.measured.signal.response import external_force
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers import Log
@@ -22,6 +24,9 @@ STEP_ROWS = 3
 
 STEP_TOLERANCE = 0.1
 """Part of the step by which its size may differ: a round number stands for what the controller commands."""
+
+LEAST_LAG = 0.5
+"""Lag of a velocity in sampling periods that any difference of two positions has."""
 
 _UNIT_IN_NAME = re.compile(r"[\[(]([^\[\]()]+)[\])]\s*$")
 
@@ -77,3 +82,15 @@ def other_step(log: Log, step_row: int | None, batch: TrialBatch) -> list[str]:
             "the step"
         )
     return found
+
+
+def late_velocity(batch: TrialBatch) -> list[str]:
+    """Return by how much the logged velocity of a sample is later than its position, where that is seen."""
+    (found,) = lags_of(batch)
+    lag, error = found.lag_s or 0.0, found.standard_error_s or 0.0
+    if abs(lag) <= NORMAL_95 * error or abs(lag) <= LEAST_LAG * batch.sampling_period_s[0]:
+        return []
+    return [
+        f"the logged velocity is {1e3 * lag:.3g} ms later than the position (± "
+        f"{1e3 * NORMAL_95 * error:.2g}): a filter, or a reading of another time; no cost or estimate uses it"
+    ]

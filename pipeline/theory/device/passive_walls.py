@@ -18,7 +18,7 @@ import numpy as np
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.device_loop import DeviceLoop
-from pipeline.records.batch import Booleans, Floats
+from pipeline.records.batch import Floats
 
 _ANGLES = 40
 """Angles of a turn of the delayed force; maxima are looked for between them."""
@@ -27,10 +27,10 @@ _NEAR_ZERO = 8e-3
 """Smallest angle, times delay and lag: below it 1/angle^2 loses digits, and what is needed, an even function of the
 angle, is continued to 0 to 1e-9."""
 
+_DIRECTIONS = 181
+
 _ZOOMS = 12
 """Zooms onto the worst angle, each to a quarter: a flat maximum to 1e-13."""
-
-_DIRECTIONS = 181
 
 
 def required_damping(loop: DeviceLoop, alpha: Floats, beta: Floats) -> Floats:
@@ -65,30 +65,9 @@ def required_damping(loop: DeviceLoop, alpha: Floats, beta: Floats) -> Floats:
     return np.asarray(np.maximum(np.maximum(largest, (4 * near - twice) / 3), 0.0))
 
 
-def is_passive(loop: DeviceLoop, delta: float, alpha: Floats, beta: Floats) -> Booleans:
-    """Return which walls are passive, alpha >= 0, on a device whose own normalised damping is delta."""
-    if delta <= 0:
-        return np.zeros(len(alpha), dtype=np.bool_)
-    return np.asarray((alpha >= 0) & (required_damping(loop, alpha, beta) < delta))
-
-
 def passive_outline(loop: DeviceLoop, delta: float) -> tuple[Floats, Floats]:
     """Return the outline of the passive region, alpha and beta, from (0, -delta) on; of zeros where delta is 0."""
     angle = np.linspace(-0.5 * np.pi, 0.5 * np.pi, _DIRECTIONS)
-    return _along(loop, delta, angle)
-
-
-def stiffest_passive(loop: DeviceLoop, delta: float) -> tuple[float, float]:
-    """Return alpha and beta of the stiffest passive wall; 0 where the device has no damping."""
-    angle = np.linspace(-0.5 * np.pi, 0.5 * np.pi, _DIRECTIONS)
-    for _ in range(_ZOOMS):
-        alpha, beta = _along(loop, delta, angle)
-        best = int(np.argmax(alpha))
-        angle = np.linspace(angle[max(best - 1, 0)], angle[min(best + 1, len(angle) - 1)], 9)
-    return float(alpha[best]), float(beta[best])
-
-
-def _along(loop: DeviceLoop, delta: float, angle: Floats) -> tuple[Floats, Floats]:
     # dampings are wider than stiffnesses by about the delay: directions are even in alpha (delay + lag + 1/2), beta
     alpha, beta = np.cos(angle) / (loop.delay + loop.lag + 0.5), np.sin(angle)
     reach = delta / required_damping(loop, alpha, beta)

@@ -161,11 +161,6 @@ def folded(theta: Floats) -> Floats:
     return np.where(theta <= FOLD, theta, (theta - math.pi) - _PI_LOW)
 
 
-def unfolded(angle: Floats) -> Floats:
-    """Return folded angles as theta in [0, pi] [rad]."""
-    return np.where(angle < 0, math.pi + angle, angle)
-
-
 def curve_points(c: Curve, angle: Floats) -> CurvePoints:
     """Return the points (alpha, beta) with poles on the unit circle at +- an angle, and their derivatives.
 

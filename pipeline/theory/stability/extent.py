@@ -1,4 +1,4 @@
-"""Limits and size of the stable region: largest stiffness, dampings, area, and how far the linear condition carries.
+"""Limits of the stable region: largest stiffness, dampings, and how far the linear condition carries.
 
 Everything is read from the exact branches of `region`. Where several branches bound the region, its corners are found
 by bisection of the verdict.
@@ -12,20 +12,16 @@ from collections.abc import Callable
 from functools import partial
 
 import numpy as np
-from numpy.polynomial.legendre import leggauss
 from numpy.typing import NDArray
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop, as_points
 from pipeline.records.batch import Booleans, Floats
 from pipeline.theory.stability.branches import curve_points
-from pipeline.theory.stability.region import Cells, Region, is_inside, region, solve, stable_intervals, stiffness_limit
+from pipeline.theory.stability.region import Cells, Region, region, solve, stable_intervals, stiffness_limit
 
 _SWEEP = 400
 """Dampings of a sweep through a region that several branches bound; parts below 1/400 of its height are not seen."""
-
-_GAUSS = leggauss(48)
-"""For integrals over pieces of the boundary that are smooth inside."""
 
 _BISECTIONS = 60
 """Halves a step of a sweep to the last bit of a double."""
@@ -58,36 +54,6 @@ def damping_range(loop: Loop) -> tuple[float, float]:
     outer = levels[[max(found[0] - 1, 0), min(found[-1] + 1, len(levels) - 1)]]
     ends = _bisect(lambda b: _any_stable(loop, b), inner, outer)
     return float(ends[0]), float(ends[1])
-
-
-def damping_limits(loop: Loop, alpha: object) -> tuple[Floats, Floats]:
-    """Return the smallest and largest stable beta at each alpha; inf and -inf where there is none.
-
-    Parameters
-    ----------
-    loop : Loop
-    alpha : array_like, shape (n,)
-        Normalised virtual stiffness.
-
-    Notes
-    -----
-    Between the two all beta are stable where the first branch encloses the region; otherwise there may be gaps.
-    """
-    a, _ = as_points(alpha, 0.0)
-    r = region(loop)
-    low, high = np.full(len(a), np.inf), np.full(len(a), -np.inf)
-    if r.first is not None:
-        has = np.flatnonzero((a > -loop.gamma) & (a < stiffest_point(loop)[0]))
-        low[has], high[has] = _on_first(r, r.first, a[has])
-        return low, high
-    levels = _corners(loop, r)
-    for i, value in enumerate(a):
-        found = np.flatnonzero(is_inside(loop, value, levels))
-        if len(found):
-            inner = levels[found[[0, -1]]]
-            outer = levels[[max(found[0] - 1, 0), min(found[-1] + 1, len(levels) - 1)]]
-            low[i], high[i] = _bisect(partial(is_inside, loop, value), inner, outer)
-    return low, high
 
 
 def stiffest_point(loop: Loop) -> tuple[float, float]:
@@ -125,34 +91,6 @@ def maximum_stiffness(delays: object, gamma: float, delta: float) -> tuple[Float
     d, _ = as_points(delays, 0.0)
     found = np.array([stiffest_point(Loop(gamma, delta, float(value))) for value in d]).reshape(len(d), 2)
     return found[:, 0], found[:, 1]
-
-
-def area(loop: Loop) -> float:
-    """Return the area of the stable region in the (alpha, beta) plane: the Z-width as one number.
-
-    In physical units times m^2/T^3.
-
-    Notes
-    -----
-    Where the first branch encloses: the integral of (alpha + gamma) d beta along it. Otherwise the stable length of
-    alpha over beta, integrated from corner to corner with beta = b_0 + (b_1 - b_0) sin^2, which takes the roots at
-    its ends away.
-
-    Source: Hulin 2017, secs. 3.4 and 5 (Z-width as the size of the stable region); exact in place of a grid.
-    """
-    r = region(loop)
-    nodes, weights = 0.5 * (_GAUSS[0] + 1), 0.5 * _GAUSS[1]
-    if r.first is not None:
-        low, high = r.first.low, np.append(r.first.high[:-1], _first_end(r, r.first))
-        size = (high - low)[:, None]
-        p = curve_points(r.curve, (low[:, None] + size * nodes).ravel())
-        return float((((p.alpha + loop.gamma) * p.beta_slope).reshape(len(low), -1) * size @ weights).sum())
-    edges = _corners(loop, r)
-    size = np.diff(edges)[:, None]
-    levels = edges[:-1, None] + size * np.sin(0.5 * np.pi * nodes) ** 2
-    found = stable_intervals(loop, levels.ravel())
-    length = np.bincount(found.index, found.high - found.low, minlength=levels.size).reshape(levels.shape)
-    return float((length * size * 0.5 * np.pi * np.sin(np.pi * nodes) @ weights).sum())
 
 
 def linear_error(loop: Loop, beta: object) -> Floats:
@@ -287,28 +225,6 @@ def _peak(r: Region, first: Cells) -> tuple[int, float]:
         rises = curve_points(r.curve, np.array([middle])).alpha_slope[0] > 0
         low, high = (middle, high) if rises else (low, middle)
     return cell, float(0.5 * (low + high))
-
-
-def _on_first(r: Region, first: Cells, alpha: Floats) -> tuple[Floats, Floats]:
-    """Beta of the first branch at given alpha, before and behind its stiffest point."""
-    cell, angle = _peak(r, first)
-    low, high = np.insert(first.low, cell + 1, angle), np.insert(first.high, cell, angle)
-    ends = curve_points(r.curve, low), curve_points(r.curve, high)
-    split = Cells(
-        low,
-        high,
-        ends[0].beta,
-        ends[1].beta,
-        ends[0].alpha,
-        ends[1].alpha,
-        np.empty(0, np.bool_),
-        np.empty(0, np.bool_),
-    )
-    rising = np.searchsorted(split.alpha_high[: cell + 1], alpha)
-    falling = len(low) - 1 - np.searchsorted(split.alpha_low[:cell:-1], alpha)
-    cells = np.minimum(rising, cell), np.maximum(falling, cell + 1)
-    before, behind = (curve_points(r.curve, solve(r.curve, split, c, alpha, "alpha")).beta for c in cells)
-    return before, behind
 
 
 def _first_end(r: Region, first: Cells) -> float:

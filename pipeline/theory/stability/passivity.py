@@ -15,45 +15,11 @@ import numpy as np
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import LARGEST_DELAY, as_points
-from pipeline.records.batch import Booleans, Floats
+from pipeline.records.batch import Floats
 from pipeline.theory.stability.extent import maximum_stiffness
-
-_ITERATIONS = 60
-"""Halves an interval of angles to the last bit of a double."""
 
 _SERIES = 0.1
 """Largest (d + 1) w for the power series of the boundary near w = 0, where the closed form loses w^2 relative to 1."""
-
-
-def required_damping(delay: float, stiffness: object, damping: object, angle: object) -> Floats:
-    """Return the damping that the wall needs of the device at a frequency: the right side of (4.6).
-
-    With kappa = K T and B it is (sin((d + 1/2) w) kappa + 2 sin(w/2) cos((d + 1) w) (-B)) / (2 sin(w/2)): the
-    quotient of cosines without its cancellation at small w.
-
-    Parameters
-    ----------
-    delay : float
-        Delay factor d, 0 <= d <= 256.
-    stiffness, damping : array_like
-        K T and B, or normalised alpha and beta, or K T/b and B/b: the result has the unit of B.
-    angle : array_like
-        w = omega T, 0 <= w <= pi; the limit is taken at 0. Arrays broadcast.
-
-    Raises
-    ------
-    ParameterError
-        If the delay is out of range.
-
-    Source: Hulin 2017, eq. 4.6.
-    """
-    d = _checked(delay)
-    w = np.asarray(angle, dtype=np.float64)
-    k, b = np.asarray(stiffness, dtype=np.float64), np.asarray(damping, dtype=np.float64)
-    half = np.sin(0.5 * w)
-    flat = half == 0
-    ratio = np.where(flat, 2 * d + 1, np.sin((d + 0.5) * w) / np.where(flat, 1.0, half))
-    return 0.5 * k * ratio - b * np.cos((d + 1) * w)
 
 
 def boundary_angle(delay: float) -> float:
@@ -113,56 +79,6 @@ def _rest(a: float, w: Floats) -> Floats:
     for order in range(11, 1, -2):
         total = (1 - x * total) / (order * (order - 1)) if order > 3 else -(a**3) * (1 - x * total) / 6
     return total
-
-
-def passive_limits(delay: float, damping: object) -> Floats:
-    """Return the largest passive K T/b at given B/b; -inf for |B/b| > 1, where nothing is passive.
-
-    Parameters
-    ----------
-    delay : float
-        Delay factor d.
-    damping : array_like, shape (n,)
-        B/b (beta/delta).
-
-    Notes
-    -----
-    Below B/b = d/(2 d + 3) the limit is the line (4.10), above it lies on (4.8), whose B/b grows with the angle.
-
-    Source: Hulin 2017, eqs. 4.7 to 4.10.
-    """
-    d = _checked(delay)
-    b, _ = as_points(damping, 0.0)
-    if d == 0:
-        return np.where(np.abs(b) <= 1, 2 * (1 - np.abs(b)), -np.inf)
-    low, high = np.zeros(len(b)), np.full(len(b), boundary_angle(d))
-    for _ in range(_ITERATIONS):
-        middle = 0.5 * (low + high)
-        below = passive_boundary(d, middle)[1] < b
-        low, high = np.where(below, middle, low), np.where(below, high, middle)
-    straight = (1 + b) / (0.5 + d)
-    limit = np.where(b <= d / (2 * d + 3), straight, passive_boundary(d, 0.5 * (low + high))[0])
-    return np.where(np.abs(b) <= 1, np.maximum(limit, 0.0), -np.inf)
-
-
-def is_passive(delta: float, delay: float, alpha: object, beta: object) -> Booleans:
-    """Return which walls are passive: 0 <= alpha/delta below `passive_limits` at beta/delta.
-
-    Parameters
-    ----------
-    delta, delay : float
-        Normalised damping of the device and delay factor.
-    alpha, beta : array_like, shape (n,)
-        Normalised wall.
-
-    Source: Hulin 2017, eqs. 4.6 and 4.12.
-    """
-    a, b = as_points(alpha, beta)
-    if not (math.isfinite(delta) and delta >= 0):
-        raise ParameterError(f"delta = {delta}: expected a finite number that is not negative.")
-    if delta == 0:  # (4.6) asks for more than 0
-        return np.zeros(len(a), dtype=np.bool_)
-    return np.asarray((a >= 0) & (a < delta * passive_limits(delay, b / delta)) & (np.abs(b) < delta))
 
 
 def maximum_passive_stiffness(delays: object) -> tuple[Floats, Floats]:

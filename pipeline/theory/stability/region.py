@@ -356,19 +356,6 @@ def is_well_inside(loop: Loop, alpha: Floats, beta: Floats, share: float = 1e-9)
     return inside & is_inside(loop, alpha + away, beta) & is_inside(loop, alpha - away, beta)
 
 
-def margin(loop: Loop, alpha: object, beta: object) -> Floats:
-    """Return how far alpha may move at constant beta until the verdict changes; positive for stable points.
-
-    -inf for an unstable point at a beta at which no alpha is stable. Shapes as in `is_inside`.
-    """
-    a, b = as_points(alpha, beta)
-    r = None if isinstance(loop, DeviceLoop) else region(loop)
-    if r is not None and r.first is not None:
-        limit = _first_limit(r, r.first, b)
-        return np.minimum(np.where(limit > -np.inf, a + loop.gamma, -np.inf), limit - a)
-    return _margins(loop, a, b)
-
-
 def _margins(loop: Loop, alpha: Floats, beta: Floats) -> Floats:
     levels, of = np.unique(beta, return_inverse=True)
     found = stable_intervals(loop, levels)

@@ -11,7 +11,7 @@ import numpy as np
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop, as_points
-from pipeline.records.batch import Booleans, Floats
+from pipeline.records.batch import Floats
 from pipeline.theory.stability.region import stable_intervals
 
 _STIFFNESSES = 65
@@ -22,6 +22,24 @@ _ROUNDS = 4
 
 _FINER = 8
 """New springs in each gap beside a worst one, per round: 8^4 finer in the end, an error of 1e-9 at a smooth minimum."""
+
+
+_POINTS = 40
+"""Dampings up to that of the device, and beyond it, at which an outline is computed."""
+
+
+def robust_outline(delta: float, delay: float) -> tuple[Floats, Floats, Floats]:
+    """Return the outline of the region that is stable with every spring: alpha, beta and the worst spring gamma, (n,).
+
+    Empty where there is none, as for delta = 0. Parameters and errors as for `robust_limits`.
+
+    Source: Hulin 2017, Fig. 4.5.
+    """
+    beyond = np.geomspace(1.0, 1 + 4 / (delta * (delay + 0.5)), _POINTS) if delta > 0 else np.empty(0)
+    beta = delta * np.concatenate([np.linspace(-1.0, 1.0, _POINTS), beyond[1:]])
+    alpha, gamma = robust_limits(delta, delay, beta)
+    inside = alpha > 1e-9 * alpha.max(initial=0.0)  # at B = -b it is what rounding leaves of 0
+    return alpha[inside], beta[inside], gamma[inside]
 
 
 def robust_limits(delta: float, delay: float, beta: object) -> tuple[Floats, Floats]:
@@ -76,30 +94,6 @@ def robust_limits(delta: float, delay: float, beta: object) -> tuple[Floats, Flo
         gamma, limits = gamma[order], limits[order]
     result = limits.min(axis=0)
     return np.where(result > 0, result, -np.inf), gamma[np.argmin(limits, axis=0)]
-
-
-def is_robustly_stable(delta: float, delay: float, alpha: object, beta: object) -> Booleans:
-    """Return which walls lie between alpha = 0 and the robust limit at their beta, both excluded.
-
-    Parameters
-    ----------
-    delta, delay : float
-        Normalised damping of the device; delay factor.
-    alpha, beta : array_like, shape (n,)
-        Normalised virtual stiffness and damping.
-
-    Returns
-    -------
-    bool, shape (n,)
-
-    Raises
-    ------
-    ParameterError
-        If lengths differ, a value is not finite, or `Loop` refuses delta or delay.
-    """
-    a, b = as_points(alpha, beta)
-    levels, of = np.unique(b, return_inverse=True)
-    return np.asarray((a > 0) & (a < robust_limits(delta, delay, levels)[0][of]))
 
 
 def _reach(gamma: Floats, value: float) -> float:

@@ -386,13 +386,3 @@ def _maximise(function: Callable[[Floats], Floats], theta: Floats) -> float:
         best = int(np.argmax(function(grid)))
         low, high = grid[max(best - 1, 0)], grid[min(best + 1, 18)]
     return float(0.5 * (low + high))
-
-
-def linear_condition(loop: Loop, alpha: object) -> Floats:
-    """Return the smallest beta that the linear condition calls stable, alpha (1/2 + d) - delta, shape as alpha (n,).
-
-    Valid near the origin (alpha, beta << 1); above its crossing with the exact boundary it is not safe (3.5).
-
-    Source: Hulin 2017, eq. 3.27.
-    """
-    return np.atleast_1d(np.asarray(alpha, dtype=np.float64)) * (0.5 + loop.delay) - loop.delta

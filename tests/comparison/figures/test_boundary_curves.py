@@ -17,11 +17,13 @@ from pipeline.comparison.figures.boundary_curves import (
     measured_curve,
     normalised,
     passive_curve,
+    robust_curve,
 )
 from pipeline.comparison.figures.figure_boundaries import plane_figure
 from pipeline.device_data.devices import load_device
 from pipeline.records.findings import BoundaryPoint, Estimate
 from pipeline.records.loop_parts import Friction, LoopParts
+from pipeline.records.models import Shown
 from pipeline.records.results import TheoryParameters
 from pipeline.records.score_records import BandScore, BoundScore, Scores
 from pipeline.theory.predictions import Theory
@@ -50,6 +52,20 @@ def test_outline_of_the_passive_region_needs_all_of_the_device_damping(delay: fl
     assert need.max(axis=1) == pytest.approx(4.0, rel=1e-6)
     assert curve.stiffness[0] == curve.stiffness[-1] == 0
     assert curve.damping.min() == -4.0
+
+
+def test_walls_that_any_spring_leaves_stable_hold_the_passive_ones_and_are_drawn_where_asked_for() -> None:
+    robust, passive = robust_curve(theory()), passive_curve(theory())
+    assert robust is not None
+    assert passive is not None
+    for stiffness, damping in zip(passive.stiffness[2:-2:6], passive.damping[2:-2:6], strict=True):
+        # a chord of the outline, 0.2 Ns/m long, is 0.1 % inside it at most
+        assert stiffness < 1.001 * np.interp(damping, robust.damping, robust.stiffness)
+    assert robust.stiffness.max() < theory().boundary.alpha_max * theory().units.stiffness
+    assert robust_curve(theory(damping=0.0)) is None
+    assert not Shown().has_overlay("robust")
+    assert Shown(overlays=("robust",)).has_overlay("robust")
+    assert Shown().has_overlay("passive")
 
 
 def test_nothing_is_passive_without_damping() -> None:

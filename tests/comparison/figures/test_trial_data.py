@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from stored import batch_of
+from trial_pages import decode
 
 from pipeline.comparison.compare_experiment import experiment_result, nominal_theories
 from pipeline.comparison.figures.trial_data import BUDGET, trial_page
 from pipeline.comparison.scene.scene import open_scene
 from pipeline.records.criteria import REPORTED
-from pipeline.records.trial_codec import LEVELS, decode, unpack
+from pipeline.records.trial_codec import LEVELS, unpack
 from pipeline.rendering.labels import cost_text
 from pipeline.rendering.report.report_scripts import json_text
 

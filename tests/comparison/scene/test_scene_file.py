@@ -21,7 +21,6 @@ from pipeline.comparison.scene.scene_parts import with_overlays
 from pipeline.measured.stages.stage_tables import StageTables
 from pipeline.records.figure_records import Curve, Figure
 from pipeline.records.models import SceneFile, Shown
-from pipeline.rendering.report.report import cells
 from pipeline.rendering.report.report_parts import take_apart
 from pipeline.shell.cli import app
 from pipeline.theory import predictions
@@ -131,7 +130,7 @@ def settling(falcon, tmp_path_factory):
 def test_a_settling_scene_has_its_figures_and_tables_and_no_empty_section(settling):
     outcome, page = settling
     parts = take_apart(page)
-    tables = {name.split("/")[0] for name in cells(page)}
+    tables = {name.split("/")[0] for name in take_apart(page).cells}
     assert {"D.1", "boundary"} <= tables <= {"D.1", "boundary", "missing", "stages", "provenance", "accuracy"}
     assert {row.criterion for row in outcome.result.tables} == {"settle_2pct"}
     assert {name.rsplit("-", 1)[0] for name in parts.figures} == {"boundaries-free", "D-1-settle_2pct"}

@@ -5,6 +5,7 @@ import pytest
 from scipy.linalg import expm
 
 from pipeline.measured.device.arm_stiffness import by_limit
+from pipeline.measured.experiment.estimates import stiffness_estimate
 from pipeline.measured.signal.verdict import judge
 from pipeline.records.batch import TrialBatch
 
@@ -71,7 +72,8 @@ def test_one_trial_on_either_side_of_0_gives_a_bracket_and_no_value():
 def test_the_narrowest_bracket_counts():
     K = np.array([-100.0, -300.0, -150.0, -200.0])
     found = by_limit(K, np.array([10.0, 10.0, 30.0, 30.0]), np.array([-1.0, 1.0, -1.0, 3.0]))
-    assert (found.low, found.high, found.damping) == (150.0, 200.0, 30.0)
+    assert (found.low, found.high) == (150.0, 200.0)
+    assert found.method.endswith("B = 30")
     assert found.value == pytest.approx(162.5)
 
 
@@ -84,3 +86,30 @@ def test_reasons():
     assert folded.value is None
     assert "one side" in folded.reason
     assert by_limit(-one, one, one * np.nan).trials == 0
+
+
+class Stored:
+    """An experiment whose trials went below K = 0, and whose balances tell nothing."""
+
+    rotation, sampling_period_s = False, T
+
+    def __init__(self, K):
+        self.K = K
+
+    def column(self, stage, name):
+        held_by_200 = np.where(self.K > -200.0, -1.0, 1.0)
+        return {"stiffness": self.K, "damping": np.full(len(self.K), 30.0), "growth_per_s": held_by_200}[name]
+
+    def texts(self, stage, name):
+        return ["too short"]
+
+    def once(self, function):
+        return None
+
+
+def test_the_limit_is_a_method_of_the_stiffness_where_k_below_0_was_tested():
+    found = stiffness_estimate(Stored(LEVELS))
+    assert found.low <= 200 <= found.high
+    assert found.value == found.by_method["stability_limit"].value
+    assert found.by_method["joint_balance"].reason.startswith("no trial allows a balance")
+    assert stiffness_estimate(Stored(-LEVELS)).by_method == {}

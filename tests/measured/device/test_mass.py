@@ -7,7 +7,7 @@ import pytest
 from simulated import FALCON, LWR, simulate, spectral_radius
 
 from pipeline.base.errors import ParameterError
-from pipeline.measured.device.mass import by_momentum, correct, window_scan
+from pipeline.measured.device.mass import by_momentum, correct
 from pipeline.measured.signal.response import find_response
 
 FIRM = {**FALCON, "mass": 1.0, "b": 34.0}
@@ -53,38 +53,6 @@ def test_sensor_and_jitter_leave_the_median(jitter):
     mass = correct(by_momentum(batch, find_response(batch), 4), 4.0)
     # jitter shifts the impulse of a trial by up to a sample of ten
     assert np.nanmedian(mass) == pytest.approx(0.58, rel=0.03 if jitter else 0.01)
-
-
-def test_window_scan_shows_the_growing_bias_of_damping():
-    batch = simulate(np.zeros(4), np.zeros(4), **FALCON)
-    windows = np.array([0.010, 0.015, 0.030, 0.045])
-    scan = window_scan(batch, find_response(batch), 4, windows)
-    assert scan.mass.shape == (4, 4)
-    assert scan.trials.tolist() == [4] * 4
-    # free mass under a constant force, as above, for each window
-    t = windows - 4.5e-3
-    bias = (4 / 0.58 * t) / -np.expm1(-4 / 0.58 * t) - 1
-    np.testing.assert_allclose(scan.median / 0.58 - 1, bias, rtol=6e-3)
-    np.testing.assert_allclose(scan.scatter, 0, atol=1e-9)
-    single = by_momentum(batch, find_response(batch), 4, window_s=0.030)
-    np.testing.assert_array_equal(scan.mass[:, 2], single.mass_momentum)
-
-
-def test_longer_windows_scatter_and_lose_trials():
-    # as the thesis saw: the wall turns the motion back, and the velocity change is small beside what is left out
-    batch = simulate(*course(FALCON, 12000.0, 15), **FALCON, quantum=2e-6, noise=5e-7, jitter=(3, 4, 5))
-    scan = window_scan(batch, find_response(batch), 4, np.array([0.015, 0.040, 0.080]))
-    assert scan.scatter[1] > 2 * scan.scatter[0]
-    assert scan.trials[2] < 0.9 * scan.trials[0]
-    assert scan.reason[2]
-
-
-def test_window_scan_without_any_mass():
-    batch = simulate([3000.0], [50.0], **FALCON)
-    scan = window_scan(batch, find_response(batch), 4, np.array([0.004, 0.015]))
-    assert np.isnan(scan.mass[0, 0])
-    assert "fills it" in scan.reason[0]
-    assert np.isnan(scan.median).all()  # one trial has no scatter, and no median worth the name
 
 
 def test_logged_times_are_integrated():

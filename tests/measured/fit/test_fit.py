@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-import csv
 import importlib.util
 import sys
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from places import ROOT, SHARED
+from places import ROOT
 from scipy.linalg import expm
 from scipy.optimize import least_squares
 from scipy.signal import cont2discrete, dlsim
 from simulated import FALCON, LWR, simulate
 
-from pipeline.base.errors import ParameterError
 from pipeline.device_data.devices import find_experiment, load_device
-from pipeline.measured.fit.fit import fit_trials, model_position
-from pipeline.measured.signal.response import find_response
-from pipeline.records.batch import TrialBatch
+from pipeline.measured.fit.fit import fit_trials
+from pipeline.measured.signal.response import declare_edge, find_response
 from pipeline.simulation.plants import MassSpringDamper
 from pipeline.simulation.setup import setup_of
 from pipeline.simulation.simulate import simulate as simulate_device
@@ -33,8 +30,8 @@ K = np.linspace(300, 9000, 24)
 B = np.linspace(1, 80, 24)
 
 
-def fitted(batch, **options):
-    return fit_trials(batch, find_response(batch), **options)
+def fitted(batch):
+    return fit_trials(batch, find_response(batch))
 
 
 # --- exact on ideal logs
@@ -66,12 +63,12 @@ def test_exact_for_fractional_delays(delay):
 @pytest.mark.parametrize("seed", range(4))
 def test_random_devices(seed):
     random = np.random.default_rng(seed)
-    mass, b, k = np.exp(random.uniform(-2, 2)), random.uniform(0, 30), random.uniform(50, 400)
+    mass, b = np.exp(random.uniform(-2, 2)), random.uniform(0, 30)
     delay, step, T = random.uniform(0, 9), random.choice([-1, 1]) * np.exp(random.uniform(-1, 3)), 2e-3
     device = load_device("falcon")
     setup = replace(
         setup_of(device, find_experiment(device, "1")),
-        plant=MassSpringDamper(mass, b, k),
+        plant=MassSpringDamper(mass, b),
         delay_samples=delay,
         jitter_samples=(),
         quantum=0.0,
@@ -81,10 +78,10 @@ def test_random_devices(seed):
         sampling_period_s=T,
         rows=400,
     )
-    fit = fitted(simulate_device(setup, np.array([100.0 * mass]), np.array([2.0 * mass])), stiffness=True)
+    fit = fitted(simulate_device(setup, np.array([100.0 * mass]), np.array([2.0 * mass])))
     assert fit.reason == ("",)
     np.testing.assert_allclose(fit.delay, delay, atol=1e-5)
-    np.testing.assert_allclose([fit.mass[0], fit.stiffness[0]], [mass, k], rtol=1e-5)
+    np.testing.assert_allclose(fit.mass, mass, rtol=1e-5)
     np.testing.assert_allclose(fit.damping, b, atol=1e-4 * mass / T * 0.01)
 
 
@@ -107,16 +104,6 @@ def plain_position(command, T, mass, b, delay, start):
     held = np.concatenate([np.zeros(round(delay * fine)), held])[: len(held)]
     _, y, _ = dlsim(system, held[:, None])
     return start + y[::fine, 0]
-
-
-def test_model_position_agrees_with_scipy():
-    batch = simulate(K[:4], B[:4], **FALCON, noise=1e-6)
-    for delay in (0.0, 3.75, 4.25):
-        ours = model_position(batch, np.full(4, 0.7), np.full(4, 3.0), np.full(4, delay), np.full(4, 0.05))
-        for i in range(4):
-            rows = batch.rows[i]
-            theirs = plain_position(batch.command[i, :rows], 1e-3, 0.7, 3.0, delay, 0.05)
-            np.testing.assert_allclose(ours[i, :rows], theirs, atol=1e-11 * np.abs(theirs).max())
 
 
 def test_least_squares_by_scipy_finds_the_same():
@@ -329,56 +316,9 @@ def test_reasons():
     time = batch.time.copy()
     time[0, 100:] += 5e-4
     assert "time steps" in fit_trials(replace(batch, time=time), response).reason[0]
-    with pytest.raises(ParameterError, match="edge_row"):
-        fit_trials(batch, response, edge_row=np.array([1, 2]))
 
 
 def test_a_declared_edge():
     batch = simulate(K[:3], B[:3], **FALCON, baseline=0)
-    fit = fitted(batch, edge_row=np.zeros(3, dtype=np.int64))
+    fit = fit_trials(batch, declare_edge(batch, find_response(batch), 0))
     np.testing.assert_allclose(fit.delay, 4, atol=1e-6)
-
-
-# --- first order
-
-
-def first_order(gain, constant, dead, T=1.0, rows=500, step=50.0, noise=0.0, quantum=0.0):
-    time = np.arange(rows) * T
-    rise = gain * step * -np.expm1(-np.maximum(time - dead * T, 0) / constant)
-    position = 20 + rise + noise * np.random.default_rng(0).standard_normal(rows)
-    position = np.round(position / quantum) * quantum if quantum else position
-    one = np.ones(1)
-    return TrialBatch(
-        ("t",), 0 * one, 0 * one, step * one, T * one, np.array([rows]), time[None, :],
-        np.full((1, rows), step), position[None, :],
-    )  # fmt: skip
-
-
-@pytest.mark.parametrize("dead", [0.0, 3.3, 27.6])
-def test_first_order_is_exact(dead):
-    batch = first_order(0.8, 150.0, dead)
-    fit = fitted(batch, edge_row=np.zeros(1, dtype=np.int64), order="first")
-    assert fit.reason == ("",)
-    np.testing.assert_allclose(fit.delay, dead, atol=1e-5)
-    np.testing.assert_allclose(1 / fit.stiffness, 0.8, rtol=1e-6)
-    np.testing.assert_allclose(fit.damping / fit.stiffness, 150.0, rtol=1e-6)
-    assert fit.mass.tolist() == [0.0]
-
-
-def test_first_order_with_a_sensor():
-    batch = first_order(0.8, 150.0, 27.6, noise=0.15, quantum=0.3)
-    fit = fitted(batch, edge_row=np.zeros(1, dtype=np.int64), order="first")
-    assert abs(fit.delay[0] - 27.6) < 3 * 0.5
-
-
-@pytest.mark.skipif(not SHARED.exists(), reason="needs the recorded logs in ../shared")
-def test_thermal_rig():
-    with (SHARED / "real" / "tclab" / "step_test_data.csv").open(newline="") as file:
-        table = list(csv.DictReader(file))
-    time, heater, warm = (np.array([[float(row[name]) for row in table]]) for name in ("Time", "Q1", "T1"))
-    one = np.ones(1)
-    batch = TrialBatch(("t",), 0 * one, 0 * one, 50 * one, one, np.array([len(table)]), time, heater, warm)
-    fit = fitted(batch, edge_row=np.zeros(1, dtype=np.int64), order="first")
-    # published fit of the same log: dead time 27.6 s, gain 0.836, time constant 150 s
-    assert abs(fit.delay[0] - 27.6) < 3
-    np.testing.assert_allclose(1 / fit.stiffness, 0.836, rtol=0.05)

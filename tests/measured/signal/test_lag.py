@@ -1,10 +1,14 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from pipeline.base.errors import ParameterError
-from pipeline.measured.signal.lag import velocity_lag
+from pipeline.measured.signal.lag import lags_of, velocity_lag
+from pipeline.records.batch import TrialBatch
+from pipeline.shell.profile.profile_warnings import late_velocity
 
 
 def swing(lag, *, n=400, seed=0, quantum=0.0, speed_quantum=0.0, jitter=0.2, gain=1.0, offset=0.0):
@@ -81,3 +85,28 @@ def test_errors():
         velocity_lag(time, np.where(np.arange(400) == 3, np.nan, position), velocity)
     with pytest.raises(ParameterError, match="time in row 1"):
         velocity_lag(time[::-1], position, velocity)
+
+
+def test_trials_without_a_velocity_in_order_have_no_lag():
+    time, position, velocity = swing(0.018)
+    one = np.ones(2)
+    both = [np.stack([values, values]) for values in (time, position, velocity)]
+    both[2][1] = np.nan
+    rows = np.array([400, 400])
+    batch = TrialBatch(("a", "b"), one, one, one, 4e-3 * one, rows, both[0], both[1], both[1], velocity=both[2])
+    first, second = lags_of(batch)
+    assert first.lag_s == pytest.approx(0.018, abs=2e-6)
+    assert second.lag_s is None
+    assert lags_of(replace(batch, velocity=None))[0].lag_s is None
+
+
+def test_a_late_velocity_is_told_by_profile_check():
+    time, position, velocity = swing(0.018, speed_quantum=0.01)
+    one = np.ones(1)
+    batch = TrialBatch(
+        ("a",), one, one, one, 4.4e-3 * one, np.array([400]), time[None], position[None], position[None],
+        velocity=velocity[None],
+    )  # fmt: skip
+    (text,) = late_velocity(batch)
+    assert "18 ms later than the position" in text
+    assert late_velocity(replace(batch, velocity=swing(0.0005)[2][None])) == []

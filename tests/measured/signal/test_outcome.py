@@ -124,7 +124,7 @@ def test_a_log_shorter_than_two_spans_shows_no_force() -> None:
     """As beside a coarse sensor, whose errors are told from a force over many rows."""
     whole = run(FALCON, [3000.0, 4000.0], [60.0, 60.0])
     batch = whole.window(0, FALCON.edge_row + 30)
-    device = Device(0.58, 4.0, 0.0, 4, 1, span=LONGEST_SPAN, typical=0.4)
+    device = Device(0.58, 4.0, 0.0, 4, 1, span=LONGEST_SPAN, least=1.2)
     found = find_disturbance(batch, find_response(batch), device)
     assert found.first_row.tolist() == found.largest_row.tolist() == [-1, -1]
     assert found.force.tolist() == [0.0, 0.0]

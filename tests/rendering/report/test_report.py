@@ -18,6 +18,7 @@ from pipeline.base.provenance import digest
 from pipeline.records.models import ComparisonRow
 from pipeline.records.results import ReportData
 from pipeline.rendering.report import report
+from pipeline.rendering.report.report_parts import CELLS_META, take_apart
 
 
 class Outline(HTMLParser):
@@ -90,7 +91,7 @@ def test_all_figures_fit_into_two_megabytes_and_are_the_same_each_time(page: str
 
 
 def test_cells_hold_the_numbers_as_printed(numbers: str) -> None:
-    found = report.cells(numbers)
+    found = take_apart(numbers).cells
     assert found["D.1/settle_2pct/theory_discrete/stiffness"] == "4469"
     assert found["D.1/settle_2pct/theory_discrete/damping"] == "73.05"
     assert found["D.1/settle_2pct/experiment_1/deviation"] == "\N{MINUS SIGN}14.7"
@@ -106,34 +107,34 @@ def test_overshoot_is_printed_in_percent() -> None:
     row = ComparisonRow(table="D.1", criterion="overshoot", condition="experiment_1", delay_samples=None,
                         stiffness=1.0, damping=2.0, cost=0.125)  # fmt: skip
     page = report.render(ReportData(data.result.model_copy(update={"tables": (row,)})))
-    assert report.cells(page)["D.1/overshoot/experiment_1/cost"] == "12.50"
+    assert take_apart(page).cells["D.1/overshoot/experiment_1/cost"] == "12.50"
     assert "overshoot [%]" in page
 
 
 def test_missing_value_gives_its_reason(numbers: str) -> None:
-    assert report.cells(numbers)["D.6/d=5/energy_step_w2/experiment"].startswith("– a ")
+    assert take_apart(numbers).cells["D.6/d=5/energy_step_w2/experiment"].startswith("– a ")
     assert re.search(r"<sup>a</sup>no stable trial with this cost", numbers)
     assert "no logs with K = 0 and B &lt;= 0 in this experiment" in numbers.replace("\N{NO-BREAK SPACE}", " ")
 
 
 def test_censored_and_erratum_are_footnotes(numbers: str) -> None:
-    assert report.cells(numbers)["D.1/settle_2pct/experiment_2/condition"] == "experiment 2 b"
+    assert take_apart(numbers).cells["D.1/settle_2pct/experiment_2/condition"] == "experiment 2 b"
     assert re.search(r"<sup>b</sup>At the edge of the tested range", numbers)
     assert re.search(r"<sup>a</sup>the printed value is a known erratum", numbers)
 
 
 def test_digest_shows_any_changed_cell(numbers: str) -> None:
-    assert report.stored_digest(numbers) == digest(report.cells(numbers))
+    assert take_apart(numbers).metas.get(CELLS_META) == digest(take_apart(numbers).cells)
     changed = numbers.replace(">4469<", ">4470<", 1)
     assert changed != numbers
-    assert report.stored_digest(changed) != digest(report.cells(changed))
+    assert take_apart(changed).metas.get(CELLS_META) != digest(take_apart(changed).cells)
 
 
 def test_hostile_names_are_harmless() -> None:
     page = report.render(report_data(full=False, hostile=True))
     tags = [[tag for tag, _ in Outline(p).tags] for p in (page, report.render(report_data(full=False)))]
     assert tags[0].count("script") == tags[1].count("script") == 1
-    assert report.cells(page)[f"experiments/{HOSTILE}/experiment"] == HOSTILE
+    assert take_apart(page).cells[f"experiments/{HOSTILE}/experiment"] == HOSTILE
 
 
 def test_sections_without_data_are_left_out() -> None:
@@ -234,7 +235,7 @@ def optimum_rows(measured_delay: float) -> tuple[ComparisonRow, ...]:
 def test_optima_stay_a_table_of_optima_where_the_estimated_delay_is_not_that_of_theory() -> None:
     data = report_data(full=False)
     result = data.result.model_copy(update={"tables": optimum_rows(3.0)})
-    found = report.cells(report.render(replace(data, result=result)))
+    found = take_apart(report.render(replace(data, result=result))).cells
     assert found["D.1/settle_2pct/experiment_1/stiffness"] == "5200"
     assert found["D.1/energy_step_w0/theory_discrete/stiffness"] == "4470"
     assert not any(name.startswith("D.1/d=") for name in found)
@@ -251,7 +252,7 @@ def test_two_experiments_of_one_delay_both_stand_in_the_table_over_delay() -> No
     ]  # fmt: skip
     data = report_data(full=False)
     page = report.render(replace(data, result=data.result.model_copy(update={"tables": tuple(rows)})))
-    found = report.cells(page)
+    found = take_apart(page).cells
     read = {name: text for name, text in found.items() if name.startswith("delay/") and "deviation" not in name}
     assert read == {
         "delay/d=3/delay": "3", "delay/d=3/settle_2pct/theory": "20", "delay/d=3/settle_2pct/experiment": "22",
@@ -270,7 +271,7 @@ def test_published_values_have_the_digits_that_were_published() -> None:
                         stiffness=5645.0, damping=90.79, cost=1329.8412, published_stiffness=5645.0,
                         published_damping=90.8, published_cost=1329.84)  # fmt: skip
     data = report_data(full=False)
-    found = report.cells(report.render(replace(data, result=data.result.model_copy(update={"tables": (row,)}))))
+    found = take_apart(report.render(replace(data, result=data.result.model_copy(update={"tables": (row,)})))).cells
     at = "D.2/energy_step_w2/theory_discrete"
     assert [found[f"{at}/{name}"] for name in ("cost", "published_damping", "published_cost")] == [
         "1329.8",
@@ -284,6 +285,6 @@ def test_scores_against_the_estimates_alone_are_shown(falcon_outcome) -> None:
     result = falcon_outcome.result
     data = ReportData(result, tables=("estimate_scores",))
     page = report.render(data)
-    assert any(name.startswith("scores-estimates/overlap/") for name in report.cells(page))
-    assert not any(name.startswith("scores/") for name in report.cells(page))
+    assert any(name.startswith("scores-estimates/overlap/") for name in take_apart(page).cells)
+    assert not any(name.startswith("scores/") for name in take_apart(page).cells)
     assert 'href="#sec-theory"' in page

@@ -6,7 +6,7 @@ import pytest
 from report_data import BOUND
 
 from pipeline.records.score_records import MapScore
-from pipeline.rendering.report.report import cells
+from pipeline.rendering.report.report_parts import take_apart
 from pipeline.rendering.report.report_scores import (
     cost_score_table,
     estimate_score_table,
@@ -114,7 +114,7 @@ def test_what_is_not_quite_all_is_not_printed_as_all(result):
 
 
 def test_page_shows_the_scores_with_names(falcon_outcome, result):
-    found = cells(falcon_outcome.report.read_text(encoding="utf-8"))
+    found = take_apart(falcon_outcome.report.read_text(encoding="utf-8")).cells
     table = score_table(result)
     for name in ("scores/overlap/1", "scores-costs/map/settle_2pct/1", "scores-estimates/overlap/1"):
         assert found[name]

@@ -27,7 +27,7 @@ from pipeline.comparison.scene.scene_file import read_scene
 from pipeline.device_data.devices import load_device
 from pipeline.intake.ingest import ingest
 from pipeline.intake.quarantine import list_quarantine
-from pipeline.rendering.report.report import cells
+from pipeline.rendering.report.report_parts import take_apart
 from pipeline.repair.repair_damage import check
 from pipeline.shell.cli import run
 from pipeline.shell.commands.cli_watch import line_of
@@ -124,7 +124,7 @@ def course(folder: Path, experiments: tuple[str, ...], coarsen: int) -> list[Pat
 
 
 def cells_of_results(path: Path) -> dict[str, str]:
-    found = cells(path.read_text(encoding="utf-8"))
+    found = take_apart(path.read_text(encoding="utf-8")).cells
     return {name: text for name, text in found.items() if name.split("/")[0] not in ("stages", "provenance")}
 
 

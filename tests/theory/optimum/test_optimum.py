@@ -60,7 +60,7 @@ def test_reference_optima_to_every_digit(criterion: str, d: int, alpha: float, b
 
 
 def energy_and_continuous_rows() -> list[PublishedRow]:
-    rows = [r for d in ("falcon", "lwr") for r in published_rows(d) if r.table in THEORY]
+    rows = [r for r in published_rows() if r.table in THEORY]
     return [
         r
         for r in rows
@@ -186,7 +186,7 @@ def test_the_discrete_settling_box_against_a_fine_grid() -> None:
     assert b.ravel()[inside].max() <= high_b + tolerance
 
 
-LWR_DELAYS = sorted({r.delay_samples for r in published_rows("lwr") if r.delay_samples is not None})
+LWR_DELAYS = sorted({r.delay_samples for r in published_rows() if r.delay_samples is not None})
 
 
 @pytest.mark.parametrize(
@@ -197,7 +197,7 @@ def test_theory_of_table_d6(delay: float) -> None:
     digits = {"settle_2pct": 2, "energy_step_w0": 3, "energy_step_w1": 3, "energy_step_w2": 4}
     rows = [
         r
-        for r in published_rows("lwr")
+        for r in published_rows()
         if r.table == "D.6" and r.condition == "theory_discrete" and r.delay_samples == delay
     ]
     assert len(rows) == 4

@@ -12,11 +12,10 @@ from independent import characteristic, random_loops, stable_by_schur_cohn
 
 from pipeline.loop.loop import Loop
 from pipeline.theory.stability.extent import (
-    damping_limits,
     damping_range,
     stiffest_point,
 )
-from pipeline.theory.stability.region import stable_intervals, stiffness_limit
+from pipeline.theory.stability.region import is_inside, stable_intervals, stiffness_limit
 from pipeline.theory.stability.robust import robust_limits
 
 NYQUIST = math.pi**2
@@ -45,14 +44,22 @@ def companion_radius(loop: Loop, alpha: np.ndarray, beta: np.ndarray) -> np.ndar
     return np.abs(np.linalg.eigvals(matrix)).max(axis=1)
 
 
+def damping_below(loop: Loop, step: float) -> float:
+    """A stable damping at a stiffness that lies a step below the largest one; the tip of a region may lean."""
+    alpha, at = stiffest_point(loop)
+    low, high = damping_range(loop)
+    share = np.concatenate([[0.0], np.geomspace(1e-12, 1.0, 600)])
+    beta = at + (high - low) * np.concatenate([-share, share])
+    return float(np.median(beta[is_inside(loop, alpha - step, beta)]))
+
+
 def check_extremes(loop: Loop) -> None:
     """Largest stiffness and damping with their partners: stable just inside, nothing stable on the line beyond."""
     low, high = damping_range(loop)
     peak, at = stiffest_point(loop)
     values = loop.gamma, loop.delta, loop.delay
     width = peak + loop.gamma
-    # the tip of a region may lean: just below it, the stable dampings lie beside that of the tip
-    inside = sum(float(limit[0]) for limit in damping_limits(loop, peak - 1e-9 * width)) / 2
+    inside = damping_below(loop, 1e-9 * width)
     assert stable_by_schur_cohn(characteristic(*values, peak - 1e-9 * width, inside)), loop
     across = low + (high - low) * np.linspace(-0.1, 1.1, 160)
     across = np.append(across, at + (high - low) * np.linspace(-1e-3, 1e-3, 41))

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import math
 
-import mpmath as mp
 import numpy as np
 import pytest
 from independent import (
@@ -18,7 +17,6 @@ from independent import (
     wall_of_radius,
 )
 from places import SHARED
-from test_branches import exact_point
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop
@@ -27,7 +25,6 @@ from pipeline.theory.stability.stability import (
     boundary,
     boundary_points,
     is_stable,
-    linear_condition,
     spectral_radius,
 )
 
@@ -225,35 +222,6 @@ def test_closed_values_without_delay_and_with_one_sample() -> None:
 def test_the_boundary_moves_steadily_with_the_delay() -> None:
     alpha = [boundary(Loop(0, 0, d)).alpha_max for d in np.linspace(0, 3, 25)]
     assert (np.diff(alpha) < 0).all()
-
-
-@pytest.mark.parametrize("values", [(0, 0, 1), (0, 0.02, 2), (0, 0.1, 3.5)])
-def test_the_linear_condition_is_the_tangent_at_the_origin(values: tuple[float, float, float]) -> None:
-    loop = Loop(*values)
-    alpha, beta = boundary_points(loop, np.array([0.002, 0.004]))
-    # both start at (0, -delta); the slopes differ by terms of the order of delta, which 3.27 neglects
-    excess = beta - linear_condition(loop, alpha)
-    assert abs(excess[0]) < 0.3 * abs(excess[1])
-    assert abs(excess[0]) < (10 * loop.delta + 1e-4) * alpha[0]
-    exact = float((mp.mpf(1) / 2 + loop.delay) * mp.mpf(0.01) - loop.delta)
-    assert linear_condition(loop, 0.01)[0] == pytest.approx(exact, rel=1e-12)
-
-
-def test_the_linear_condition_is_the_start_of_the_boundary_in_many_digits(record_property) -> None:
-    rng = np.random.default_rng(61)
-    random = np.where(rng.random(300) < 0.3, rng.integers(0, 20, 300), rng.uniform(0, 20, 300)).tolist()
-    extreme = [*np.geomspace(1e-9, 256, 30).tolist(), *(n + e for n in (1, 2, 64) for e in np.geomspace(1e-9, 0.9, 10))]
-    worst = 0.0
-    for d in random + extreme:
-        # without spring and damping the boundary starts at the origin: its slope at an angle of 1e-8, exact to 1e-12
-        alpha, beta, _ = exact_point(Loop(0.0, 0.0, d), 1e-8)
-        found = float(linear_condition(Loop(0.0, 0.0, d), float(alpha))[0] / beta)
-        assert found == pytest.approx(1, abs=1e-10), d
-        worst = max(worst, abs(found - 1))
-    record_property("random", len(random))
-    record_property("extreme", len(extreme))
-    record_property("deviation", worst)
-    assert len(extreme) >= 60
 
 
 def test_too_few_points_are_refused() -> None:

@@ -1,0 +1,21 @@
+"""Options that several commands share, each declared once."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout, nothing else there.")]
+JsonLines = Annotated[bool, typer.Option("--json", help="Print each line as a JSON document.")]
+Processed = Annotated[Path, typer.Option("--processed", help="Folder of the stored tables.")]
+ProfileFile = Annotated[str | None, typer.Option("--profile", help="Log profile by name, or a profile file (.toml).")]
+Criteria = Annotated[
+    str | None,
+    typer.Option("--criteria", help="Separated by commas; a wrong one lists all. The usual ones where not given."),
+]
+Experiments = Annotated[
+    list[str] | None,
+    typer.Option("--experiment", "-e", help="Only this experiment; may be given several times."),
+]
