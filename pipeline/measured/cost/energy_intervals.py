@@ -11,11 +11,10 @@ import numpy as np
 from pipeline.base.errors import ParameterError
 from pipeline.base.wording import percent
 from pipeline.measured.cost.cost_intervals import delay_bounds
-from pipeline.measured.cost.costs import WEIGHTS
 from pipeline.measured.cost.reading_error import ReadingError
 from pipeline.measured.cost.tail import extrapolate
 from pipeline.measured.intervals import CONFIDENCE
-from pipeline.measured.signal.horizon import EnergyTerms, energy_terms
+from pipeline.measured.signal.horizon import WEIGHTS, EnergyTerms, energy_terms
 from pipeline.measured.signal.response import Response
 from pipeline.measured.signal.verdict import Verdicts
 from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
@@ -27,7 +26,7 @@ HORIZON_PARTS = (0.5, 0.75, 0.9, 1.0)
 
 LEVEL_SIGMAS = 4.5
 """Standard errors of a reading above which the response stands: noise alone exceeds them in 0.3 % of 400 samples. The
-bias is taken off the sum, so that it can go further down than the sum that `costs.energy` takes as it is."""
+bias is taken off the sum, so that it can go further down than a plain sum."""
 
 LARGEST_LEVEL = 0.1
 """Level of the horizon relative to the final displacement, from which on the error is not small, as first order
