@@ -163,8 +163,6 @@ def test_dependence_on_the_horizon():
         stop = int(np.ceil(part * rows))
         expected = [(k**w * stored)[:stop].sum() for w in range(3)]
         np.testing.assert_allclose(found.by_horizon[i, :, n], expected, rtol=1e-9)
-    eighth = rows // 8
-    np.testing.assert_allclose(found.per_sample[i], [(k**w * stored)[-eighth:].mean() for w in range(3)], rtol=1e-9)
 
 
 def test_a_motion_that_lasts_has_no_value():
