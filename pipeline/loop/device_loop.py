@@ -15,9 +15,10 @@ import math
 from dataclasses import dataclass
 from decimal import Decimal
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop, Normalised
@@ -28,6 +29,8 @@ from pipeline.records.batch import Floats
 
 if TYPE_CHECKING:  # its classes take longer to load than a short command to run
     from pipeline.records.loop_parts import LoopParts, VelocityFilter
+
+_Number = TypeVar("_Number", np.float64, np.complex128)
 
 LARGEST_ORDER = 96
 """Delay [samples] plus length of the filter; its square is the time that the boundary takes: seconds beyond this."""
@@ -247,9 +250,24 @@ class DeviceLoop(Loop):
 
     def matrix(self, alpha: Floats, beta: Floats) -> Floats:
         """Return the loop matrices A with z_{k+1} = A z_k, shape (n, states, states)."""
-        free, push, position, velocity = self.open_loop
-        law = np.asarray(alpha)[:, None] * position + np.asarray(beta)[:, None] * velocity
-        return np.asarray(free - push[:, None] * law[:, None, :])
+        free, push, _, _ = self.open_loop
+        return np.asarray(free + push[:, None] * self.law(alpha, beta)[:, None, :])
+
+    def law(self, alpha: Floats, beta: Floats) -> Floats:
+        """Return the rows that make the wall's force of the state, shape (n, states)."""
+        _, _, position, velocity = self.open_loop
+        return np.asarray(-np.asarray(alpha)[:, None] * position - np.asarray(beta)[:, None] * velocity)
+
+    def seen(self, law: Floats, values: NDArray[_Number]) -> NDArray[_Number]:
+        """Return what a sampling interval's motion follows from, shape (n, q, m), of states, shape (n, states, m).
+
+        The device's state at the start, and the wall's force in each of `segments`, for the ``law`` of each point.
+        """
+        p, newest = len(self.device[1]), self.states - self.oldest_force - 1
+        forces = [
+            values[:, newest + part.age] if part.age else np.einsum("ns,nsm->nm", law, values) for part in self.segments
+        ]
+        return np.concatenate([values[:, :p], np.stack(forces, axis=1)], axis=1)
 
     def starts(self, alpha: Floats, signal: str) -> Floats:
         """Return z_0 of each point, shape (n, states).

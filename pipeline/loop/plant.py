@@ -116,6 +116,27 @@ def motion_series(gamma: float, delta: float) -> tuple[list[float], list[float]]
     return s[1:], [value / (n + 1) for n, value in enumerate(s) if n > 0]
 
 
+def turning_time(gamma: float, delta: float, e: Floats, v: Floats, u: Floats, duration: float) -> Floats:
+    """Time at which the velocity changes sign inside a segment, in closed form.
+
+    v(t) exp(delta t/2) = v c(t) + (a + delta v/2) s(t), with a the acceleration at the start, c and s the (hyperbolic)
+    cosine and sine of the plant's own motion.
+    """
+    slope = u - gamma * e - 0.5 * delta * v
+    square = 0.25 * delta * delta - gamma
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        if square > 0:
+            root = np.sqrt(square)
+            time = np.arctanh(np.clip(-v * root / slope, -1, 1)) / root
+        elif square < 0:
+            root = np.sqrt(-square)
+            time = np.arctan2(root * np.abs(v), -np.sign(v) * slope) / root
+        else:
+            time = -v / slope
+    bounded: Floats = np.clip(np.nan_to_num(time, nan=0.0), 0.0, duration)
+    return bounded
+
+
 def horner(coefficients: list[float], t: Floats) -> Floats:
     """Return the polynomial with these coefficients, lowest power first."""
     result = np.full_like(t, coefficients[-1])

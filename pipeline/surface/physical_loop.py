@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 import pandas as pd
+from pydantic import ValidationError
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop import loop as normalised
+from pipeline.loop.device_loop import loop_of, wall_units
 from pipeline.records.batch import Floats
+from pipeline.records.loop_parts import LoopParts
 from pipeline.records.models import Motion
 from pipeline.surface.frames import units_of
 from pipeline.theory.cases import POINT_COSTS, optimum_document, points_of_loop
 from pipeline.theory.cost.theory_map import MAP_DEFAULT, CostMap
+from pipeline.theory.device_cases import islands_in_si
 from pipeline.theory.stability.stability import boundary, spectral_radius
 
 
@@ -56,15 +60,26 @@ class Loop:
         Stiffness k of the device itself [N/m, Nm/rad], >= 0.
     motion : {"translation", "rotation"}
         Decides the units that data frames name.
+    velocity : mapping, optional
+        Filter of the velocity: ``kind`` and its numbers, as in a device file (docs/devices.md), like the parts below.
+    actuator_lag_s : float
+        Time constant of the drive [s], >= 0.
+    force_gain : float
+        Force over command, > 0.
+    mode : mapping, optional
+        Vibration mode: ``frequency_hz``, ``damping_ratio``, ``mass`` of the far side (part of the device's mass),
+        ``sensor`` (``motor`` or ``load``).
+    operator : mapping, optional
+        What holds the device rigidly: ``mass``, ``damping``, ``stiffness``, beside those of the device.
 
     Raises
     ------
     ParameterError
-        If a parameter is outside its range.
+        If a parameter is outside its range; delay and filter together are at most 96 samples long.
 
     Notes
     -----
-    Source: Hulin 2017, Table 3.1 (normalisation), ch. 3 to 5.
+    Source: Hulin 2017, Table 3.1 (normalisation), ch. 3 to 5; docs/definitions.md, "Devices that are not ideal".
 
     Examples
     --------
@@ -74,6 +89,10 @@ class Loop:
     >>> best = loop.optimum("settle_2pct")
     >>> bool(loop.points(best.stiffness, best.damping)["stable"].all())
     True
+    >>> smooth = {"kind": "butterworth", "order": 2, "cutoff_hz": 80.0}
+    >>> filtered = Loop(0.58, 4.0, 0.001, 4, velocity=smooth, actuator_lag_s=0.001)
+    >>> filtered.boundary().attrs["stiffness_max"] < loop.boundary().attrs["stiffness_max"]
+    True
     """
 
     mass: float
@@ -82,22 +101,38 @@ class Loop:
     delay_samples: float
     stiffness: float = 0.0
     motion: Motion = field(default="translation", kw_only=True)
+    velocity: Mapping[str, object] | None = field(default=None, kw_only=True, hash=False)
+    actuator_lag_s: float = field(default=0.0, kw_only=True)
+    force_gain: float = field(default=1.0, kw_only=True)
+    mode: Mapping[str, object] | None = field(default=None, kw_only=True, hash=False)
+    operator: Mapping[str, object] | None = field(default=None, kw_only=True, hash=False)
 
     def __post_init__(self) -> None:
         for name in ("damping", "stiffness", "delay_samples"):
             value = getattr(self, name)
             if not math.isfinite(value) or value < 0:
                 raise ParameterError(f"{name} = {value}: expected a finite number that is not negative.")
-        self._normalised  # noqa: B018 - a parameter out of range is told now and not with the first result
+        self._scale, self._normalised  # noqa: B018 - a parameter out of range is told now and not with the first result
+
+    @cached_property
+    def _parts(self) -> LoopParts:
+        named = {name: getattr(self, name) for name in LoopParts.model_fields if hasattr(self, name)}
+        try:
+            return LoopParts.model_validate(named)
+        except ValidationError as error:
+            told = (f"{'.'.join(map(str, e['loc']))} = {e['input']!r}: {e['msg']}" for e in error.errors())
+            raise ParameterError(f"{'; '.join(told)}. The keys are those of a device file (docs/devices.md).") from None
 
     @cached_property
     def _scale(self) -> normalised.Normalised:
-        return normalised.Normalised(self.mass, self.sampling_period_s)
+        normalised.Normalised(self.mass, self.sampling_period_s)  # refuses both by their own names
+        return wall_units(self.mass, self.sampling_period_s, self._parts)
 
     @cached_property
     def _normalised(self) -> normalised.Loop:
         """The one place where the parameters in SI become a loop of the theory."""
-        return self._scale.loop(self.stiffness, self.damping, self.delay_samples)
+        device = self.mass, self.damping, self.stiffness, self.delay_samples, self.sampling_period_s
+        return loop_of(*device, self._parts)
 
     def boundary(self, points: int = 400) -> pd.DataFrame:
         """Return the stability boundary.
@@ -111,7 +146,9 @@ class Loop:
         -------
         pandas.DataFrame
             ``damping`` B [Ns/m, Nms/rad], ``stiffness`` K [N/m, Nm/rad], in order along the boundary; ``attrs`` has its
-            extremes: ``stiffness_max``, ``damping_at_stiffness_max``, ``damping_max``, ``stiffness_at_damping_max``.
+            extremes: ``stiffness_max``, ``damping_at_stiffness_max``, ``damping_max``, ``stiffness_at_damping_max``;
+            and ``islands``, stable intervals of stiffness beyond an unstable gap (``damping``, ``stiffness_low``,
+            ``stiffness_high``), which only loops with filter, lag or mode have.
 
         Raises
         ------
@@ -129,6 +166,7 @@ class Loop:
             "damping_at_stiffness_max": border.beta_at_alpha_max * self._scale.damping,
             "damping_max": border.beta_max * self._scale.damping,
             "stiffness_at_damping_max": border.alpha_at_beta_max * self._scale.stiffness,
+            "islands": islands_in_si(border.islands, self._scale),
         }
         return frame
 

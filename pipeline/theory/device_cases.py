@@ -12,6 +12,7 @@ import numpy as np
 from pipeline.base.errors import ParameterError
 from pipeline.loop.device_loop import general, loop_of, wall_units
 from pipeline.loop.loop import Loop, Normalised
+from pipeline.records.batch import Floats
 from pipeline.records.loop_parts import LoopParts
 from pipeline.records.models import Device, Experiment
 from pipeline.theory.cases import POINT_COSTS, Cases, optimum_document, points_of_loop
@@ -72,18 +73,23 @@ def boundary_document(case: DeviceCase, points: int = 400) -> dict[str, Any]:
             f"device {case.device.name!r}, experiment {case.experiment.name!r}: no stiffness and damping stabilise "
             "this loop. Check delay, lag and filter in the device file."
         )
-    islands = [
-        {"damping": float(beta * b), "stiffness_low": float(low * k), "stiffness_high": float(high * k)}
-        for beta, low, high in found.islands
-    ]
     return {
         **case.names,
         "stiffness_max": float(found.alpha_max * k) if len(found.beta) else None,
         "damping_at_stiffness_max": float(found.beta_at_alpha_max * b) if len(found.beta) else None,
         "stiffness": (found.alpha * k).tolist(),
         "damping": (found.beta * b).tolist(),
-        "islands": islands,
+        "islands": islands_in_si(found.islands, case.units),
     }
+
+
+def islands_in_si(islands: Floats, units: Normalised) -> list[dict[str, float]]:
+    """Return stable intervals, shape (n, 3) as of `device.outline.Limits`, by name."""
+    k, b = units.stiffness, units.damping
+    return [
+        {"damping": float(beta * b), "stiffness_low": float(low * k), "stiffness_high": float(high * k)}
+        for beta, low, high in islands
+    ]
 
 
 def wall_documents(case: DeviceCase, walls: Cases, criteria: Sequence[str] = POINT_COSTS) -> list[dict[str, Any]]:

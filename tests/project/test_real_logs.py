@@ -240,6 +240,24 @@ def test_compare_gives_the_inertia_of_the_pendulum(stored, tmp_path):
     assert mass.high > 0.147
 
 
+@pytest.mark.parametrize(("device", "latest"), [("dfki_pendulum", 16), ("tclab", 18)])
+def test_a_first_change_behind_a_coarse_sensor_is_an_upper_bound_of_the_delay(stored, device, latest):
+    outcome = compare(device, stored)
+    (experiment,) = outcome.result.experiments
+    delay = experiment.estimates["delay_samples"]
+    assert (delay.low, delay.high) == (0, latest)
+    assert "not adequate" in delay.warning
+    assert "95 %: " not in outcome.result.summary[-1]
+    assert not experiment.loop.adequate
+    assert experiment.passive is None
+
+
+def test_mass_of_the_heater_is_not_known_and_no_stop_holds_it(stored):
+    (experiment,) = compare("tclab", stored).result.experiments
+    assert experiment.estimates["mass"].value is None
+    assert "travel_limit" not in experiment.outcomes
+
+
 @pytest.mark.parametrize("device", ["bam_servo", "ohara_haptics"])
 def test_a_log_without_a_step_is_compared_with_reasons_only(stored, device, tmp_path):
     outcome = compare(device, stored, report=tmp_path / "page.html")

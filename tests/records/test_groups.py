@@ -47,6 +47,7 @@ GIVEN = {
     "rotation": False,
     "sensor": 1e-6,
     "rest": 1.3,
+    "spring": 0.0,
     "mass": 0.58,
     "mass_error": 0.01,
     "usual_rows": 400,

@@ -1,12 +1,15 @@
 """`pipeline.Loop`: what theory says in normalised parameters, in SI."""
 
+import mpmath as mp
 import numpy as np
 import pytest
+from general_devices import Example, ManyDigits
 from simulated import spectral_radius
 
 import pipeline
 from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop as Normalised
+from pipeline.records.loop_parts import LoopParts
 from pipeline.theory.optimum.optimum import optimal_point
 
 FALCON = pipeline.Loop(mass=0.58, damping=4.0, sampling_period_s=0.001, delay_samples=4)
@@ -74,11 +77,54 @@ def test_map_is_a_grid_over_the_stable_region():
         ({"delay_samples": -1}, "delay_samples = -1"),
         ({"delay_samples": 300}, "at most 256"),
         ({"stiffness": 1e9}, "swings faster than it is sampled"),
+        ({"velocity": {"kind": "butterworth", "order": 2, "cutoff_hz": 600.0}}, "cutoff_hz: found 600"),
+        ({"velocity": {"kind": "butterworth", "order": 7, "cutoff_hz": 60.0}}, "order = 7: Input should be less"),
+        ({"velocity": {"kind": "coefficients", "b": [1.0], "a": [1.0, -2.0]}}, "expected a stable filter"),
+        ({"actuator_lag_s": -1e-3}, "actuator_lag_s = -0.001"),
+        ({"mode": {"frequency_hz": 60.0, "damping_ratio": -0.1, "mass": 0.1}}, "mode.damping_ratio = -0.1"),
+        ({"mode": {"frequency_hz": 60.0, "damping_ratio": 0.1, "mass": 0.6}}, "mode.mass: found 0.6"),
+        ({"operator": {"damping": 5.0}}, "operator.mass = .*Field required"),
     ],
 )
 def test_parameters_out_of_range(given, message):
     with pytest.raises(ParameterError, match=message):
         pipeline.Loop(**({"mass": 0.58, "damping": 4.0, "sampling_period_s": 0.001, "delay_samples": 4} | given))
+
+
+PARTS = {
+    "velocity": {"kind": "butterworth", "order": 2, "cutoff_hz": 80.0},
+    "actuator_lag_s": 0.001,
+    "force_gain": 0.8,
+    "mode": {"frequency_hz": 60.0, "damping_ratio": 0.05, "mass": 0.1, "sensor": "load"},
+    "operator": {"mass": 0.15, "damping": 5.0, "stiffness": 300.0},
+}
+
+
+@pytest.mark.parametrize("left_out", [(), ("velocity", "mode"), ("actuator_lag_s", "velocity", "mode")])
+def test_a_device_as_it_is(left_out):
+    """The limit is where a loop in other states, in SI and many digits, loses its stability."""
+    parts = {name: part for name, part in PARTS.items() if name not in left_out}
+    loop = pipeline.Loop(0.58, 4.0, 0.001, 2.4, stiffness=50.0, **parts)
+    border = loop.boundary(24)
+    truth = ManyDigits(Example(0.58, 4.0, 50.0, 2.4, 0.001, LoopParts.model_validate(parts)))
+    with mp.workdps(40):
+        for _, wall in border[border["stiffness"] > 0].iloc[2:-2:6].iterrows():
+            K, B = wall["stiffness"], wall["damping"]
+            assert [truth.stable(K * share, B) for share in (1 - 1e-8, 1 + 1e-8)] == [True, False]
+    assert border.attrs["islands"] == []
+    best = loop.optimum("energy_step_w0")
+    around = loop.points(best.stiffness * np.array([1, 0.97, 1.03]), best.damping)["energy_step_w0"]
+    assert around[0] == pytest.approx(best.cost, rel=1e-9)
+    assert (around[1:] > best.cost).all()
+    assert loop.map(size=5, criteria=["settle_2pct"])["settle_2pct"].notna().any()
+
+
+def test_absent_parts_are_ideal():
+    assert loop_frames(pipeline.Loop(0.58, 4.0, 0.001, 4, velocity=None, actuator_lag_s=0.0)) == loop_frames(FALCON)
+
+
+def loop_frames(loop):
+    return loop.boundary(20).to_numpy().tolist(), loop.points([3000.0], [20.0])["overshoot"].tolist()
 
 
 def test_walls_that_are_none():

@@ -28,7 +28,10 @@ SIGNATURES = {
     "Comparison": ["result", "compute"],
     "compare": ["device", "processed", "experiments", "criteria", "full"],
     "load": ["report"],
-    "Loop": ["mass", "damping", "sampling_period_s", "delay_samples", "stiffness", "motion"],
+    "Loop": [
+        *("mass", "damping", "sampling_period_s", "delay_samples", "stiffness", "motion"),
+        *("velocity", "actuator_lag_s", "force_gain", "mode", "operator"),
+    ],
 }
 
 HEAVY = ("numpy", "pandas", "scipy", "pyarrow", "pydantic", "matplotlib", "jinja2", "rich", "typer", "filelock")

@@ -7,8 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from pipeline.base.wording import counted
-from pipeline.comparison.loops.log_evidence import LawDeparture, RestForces, coarse, law_causes, rest_words
+from pipeline.comparison.loops.log_evidence import LawDeparture, coarse, law_causes, rest_words
 from pipeline.comparison.loops.loop_range import MATTERS, LoopRange, explains, loop_delay
+from pipeline.measured.experiment.rest_forces import RestForces
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.findings import Estimate
 from pipeline.records.loop_records import Cause
@@ -103,8 +104,8 @@ def _part_of_a_sample(result: ExperimentResult, loop: LoopRange) -> Iterator[Cau
     if part and loop.effect(delay=-part) > MATTERS:
         yield Cause(
             code="fractional_delay",
-            sentence=f"The delay is no whole number of samples: {significant(value, 3)} (an actuator lag of less than "
-            "a sample looks the same).",
+            sentence=f"The delay is no whole number of samples, {significant(value, 3)}, or an actuator lag of less "
+            "than a sample adds to a whole one: logs do not tell which.",
             evidence=f"model fitted to the whole response, 95 %: {_interval(delay)}",
         )
 

@@ -6,9 +6,10 @@ import numpy as np
 
 from pipeline.comparison.loops.adequacy import Doubt, doubts
 from pipeline.comparison.loops.causes import direct_causes
-from pipeline.comparison.loops.log_evidence import found_filter, law_departures, rest_forces
+from pipeline.comparison.loops.log_evidence import found_filter, law_departures
 from pipeline.comparison.loops.loop_range import LoopRange, estimated_range, stated_range
 from pipeline.comparison.loops.passive_wall import passive_wall
+from pipeline.measured.experiment.rest_forces import rest_forces
 from pipeline.measured.signal.velocity_filter import VelocityFilterFound
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.loop_parts import LoopParts, named
@@ -44,7 +45,7 @@ def loop_findings(
     estimated = estimated_range(result, stages.sampling_period_s)
     period = device.sampling_period_s if device else stages.sampling_period_s
     loop = estimated if entry is None else stated_range(entry, estimated, period)
-    departures, rest = law_departures(stages), rest_forces(stages)
+    departures, rest = law_departures(stages), stages.once(rest_forces)
     parts = _declared_parts(device, entry)
     against = doubts(result, loop, departures, rest, parts, units)
     velocity = found_filter(stages) if any(each.code == "velocity_filter" for each in departures) else None

@@ -9,34 +9,15 @@ from typing import get_args
 import numpy as np
 
 from pipeline.base.wording import commonest, counted
-from pipeline.measured.signal.response import sensor_floor
+from pipeline.measured.experiment.rest_forces import RestForces
 from pipeline.measured.signal.velocity_filter import VelocityFilterFound
 from pipeline.measured.stages.stages import ExperimentStages
-from pipeline.records.batch import Booleans, Floats
+from pipeline.records.batch import Floats
 from pipeline.records.loop_records import Cause, CauseCode
 from pipeline.rendering.labels import share_text, significant
 
 SOME_LOGS = 0.03
 """Share of logs up to which a departure is an accident of single trials."""
-
-RESTS = 3.0
-"""Distance from x_0 + F_0/K, in sensor floors, from which on a device rests elsewhere."""
-
-SLIGHT = 2e-3
-"""Force relative to the step that is none: a tenth of what is worth a word, and more than the motion that is left."""
-
-OFTEN = 0.2
-"""Share of the logs that come to rest elsewhere, from which on they are no accidents (trials that still move)."""
-
-FEWEST_RESTS = 3
-"""Logs that must come to rest elsewhere to tell anything."""
-
-ALIKE = 0.5
-"""Largest difference of the forces that hold a device off its place from their median, relative to it, up to which
-they are one force: the sensor adds to them."""
-
-LASTING = 12.0
-"""Decay, in time constants over the log, after which nothing of the motion is left in the mean of its last tenth."""
 
 CODES = frozenset(get_args(CauseCode))
 
@@ -107,55 +88,6 @@ def found_filter(stages: ExperimentStages) -> VelocityFilterFound | None:
         return None
     found = json.loads(text)
     return VelocityFilterFound(tuple(found["b"]), tuple(found["a"]), found["difference"], found["cutoff_hz"])
-
-
-@dataclass(frozen=True)
-class RestForces:
-    """Forces K (x_end - x_0) - F_0 that hold a device off the place where the wall lets it rest.
-
-    ``typical`` is their median [N, Nm], ``off`` the number of logs of ``of`` that rest farther off than their sensor
-    can tell; ``constant`` says that they are one force that friction cannot be: it acts along the step.
-    """
-
-    typical: float
-    off: int
-    of: int
-    constant: bool
-
-    @property
-    def tells(self) -> bool:
-        """Whether so many logs rest elsewhere that the loop has another force or friction."""
-        return self.off >= FEWEST_RESTS and self.off > OFTEN * self.of
-
-
-def rest_forces(stages: ExperimentStages) -> RestForces:
-    """Return the forces that hold settled devices off x_0 + F_0/K."""
-    stiffness = stages.column("response", "stiffness")
-    end, expected = (stages.column("response", f"position_final_{name}") for name in ("measured", "expected"))
-    start = stages.column("response", "position_start")
-    floor = sensor_floor(*(stages.column("response", f"sensor_{name}") for name in ("quantum", "noise")))
-    lasts = _settled(stages)
-    force = (stiffness * (end - expected))[lasts]
-    reach = (stiffness * (RESTS * floor + SLIGHT * np.abs(expected - start)))[lasts]
-    off = np.abs(force) > reach
-    if not off.any():
-        return RestForces(0.0, 0, len(force), False)
-    middle = float(np.median(force[off]))
-    alike = float(np.abs(force[off] - middle).max()) <= ALIKE * abs(middle)
-    along = middle * float(np.median((stiffness * (expected - start))[lasts])) > 0
-    return RestForces(middle, int(off.sum()), len(force), alike and along)
-
-
-def _settled(stages: ExperimentStages) -> Booleans:
-    """Which trials have a final position that their motion has reached: stable ones that decayed within their log."""
-    growth = stages.column("response", "growth_per_s")
-    rows = dict(zip(*(stages.trials.column(name).to_pylist() for name in ("trial_id", "rows")), strict=True))
-    names = stages.texts("response", "trial_id")
-    duration = np.array([rows[name] for name in names], dtype=np.float64) * stages.sampling_period_s
-    stable = stages.verdicts.verdict == "stable"
-    expected = stages.column("response", "position_final_expected")
-    settled: Booleans = stable & np.isfinite(expected) & (np.nan_to_num(growth) * duration < -LASTING)
-    return settled
 
 
 def coarse(stages: ExperimentStages) -> Floats:

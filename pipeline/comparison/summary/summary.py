@@ -221,14 +221,16 @@ def _device(results: Sequence[ExperimentResult]) -> str:
 
 def _estimates(result: ExperimentResult) -> str:
     names = {"delay_samples": "delay d", "mass": "mass", "damping": "viscous damping"}
+    # the intervals rest on the loop
+    doubted = result.loop is not None and not result.loop.adequate
     parts = []
     for key, name in names.items():
         estimate = result.estimates[key]
         if estimate.value is None:
             continue
         value, low, high = estimate_texts(estimate)
-        text = f"{name} {value} {estimate.unit.replace('^2', '²')}"
-        if low and high:
+        text = f"{name} {'about ' if doubted else ''}{value} {estimate.unit.replace('^2', '²')}"
+        if low and high and not doubted:
             text += f" (95 %: {low} to {high})"
         parts.append(text)
     return ", ".join(parts)

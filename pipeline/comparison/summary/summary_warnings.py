@@ -28,6 +28,9 @@ QUANTITIES = {
 }
 """Names of estimates that could be taken for something else."""
 
+NEEDED = ("mass", "damping", "delay")
+"""Estimates that theory needs: what else is missing stands with its reason in the table of methods."""
+
 FEW_TRIALS = 30
 """Trials below which an optimum or a boundary says little."""
 
@@ -93,7 +96,7 @@ def _estimates(results: Sequence[ExperimentResult]) -> list[str]:
     for result in results:
         for name, estimate in result.estimates.items():
             quantity = name.removesuffix("_samples").replace("_", " ")
-            if estimate.value is None and "left out" not in (estimate.reason or ""):
+            if estimate.value is None and quantity in NEEDED and "left out" not in (estimate.reason or ""):
                 missing.setdefault((quantity, estimate.reason or ""), []).append(result.experiment)
             elif estimate.value is not None and estimate.warning:
                 # a warning is made of clauses, those about drifts as their trends tell them

@@ -42,6 +42,10 @@ ROUNDS = 3
 """Fits of the growth rate, each around the zero of the one before; the verdicts' bracket, where the first one starts,
 can lie beside the limit by more than its width."""
 
+BEND = 1.0
+"""Half of the largest second derivative of the growth rate over K, relative to its slope over K, by simulation up to
+0.6: by that times the distances of its trials from the zero a line through few rates is off."""
+
 LARGEST_CONDITION = 1e10
 """Condition of the normal equations beyond which doubles keep fewer than six digits: trials at one stiffness."""
 
@@ -64,7 +68,8 @@ class _Columns:
 class _Crossing:
     """Zero of the growth rate over K of each damping, shape (dampings,), NaN where it is not told.
 
-    ``scatter`` is the standard deviation of one rate at the zero [1/s], ``slope`` that of the rate over K.
+    ``scatter`` is the standard deviation of one rate at the zero [1/s], ``slope`` that of the rate over K, ``bend``
+    what a line misses of a rate that bends [N/m, Nm/rad].
     """
 
     zero: Floats
@@ -72,6 +77,7 @@ class _Crossing:
     scatter: Floats
     slope: Floats
     freedom: Floats
+    bend: Floats
 
 
 def boundary_band(
@@ -103,16 +109,16 @@ def boundary_band(
     Notes
     -----
     The growth rate of up to `NEAREST` trials is fitted over K by a parabola (a line with fewer than
-    `FEWEST_FOR_CURVATURE`); its zero is the value. Two errors add in squares: that of the fit, with Student's factor,
-    and `SHARED` of that of a single rate, since the sensor shifts the rates of one damping alike, which more trials do
-    not average out.
+    `FEWEST_FOR_CURVATURE`); its zero is the value. Three errors add in squares: that of the fit, with Student's factor,
+    `SHARED` of that of a single rate, since the sensor shifts the rates of one damping alike, which more trials do
+    not average out, and what a line misses of a rate that bends.
 
     The interval is cut to what the verdicts allow: from the stiffest stable trial below all unstable ones to the
     softest unstable one above all stable ones, so that repeated trials that disagree widen it, and undecided ones do.
     Verdicts within `CONCLUSIVE` standard errors of zero growth, and those that the sign of the growth contradicts, are
-    not counted. Where the scatter of the rates cannot be told, the allowed range is the interval and the interpolation
-    of two rates, or its middle, the value. The limit can therefore lie outside ``stable`` and ``unstable``, which
-    are plain counts of verdicts.
+    not counted. Where the scatter of the rates cannot be told, as with two of them, the allowed range is the interval
+    and the interpolation of two rates, or its middle, the value. The limit can therefore lie outside ``stable`` and
+    ``unstable``, which are plain counts of verdicts.
 
     The limit is that of walls with K >= 0. With jitter of the delay it is the limit of the jittering loop, which is
     not that of its mean delay.
@@ -137,8 +143,8 @@ def boundary_band(
     scatter = _pooled(found.scatter)
     low, high = _allowed(columns, np.where(np.isnan(found.zero), nothing, scatter))
     single = NORMAL_95 * scatter / found.slope
-    # two rates leave nothing to tell an error from: that of a zero between them is at most that of one of them
-    reach = np.hypot(np.where(found.freedom > 0, student_95(found.freedom) * found.error, single), SHARED * single)
+    # two rates leave nothing to tell an error from: the verdicts alone speak then (error is NaN)
+    reach = np.hypot(np.hypot(student_95(found.freedom) * found.error, SHARED * single), found.bend)
     told = np.isfinite(reach) & (found.zero + reach >= low) & (found.zero - reach <= high)
     interpolated = np.isnan(reach) & (found.zero >= low) & (found.zero <= high)
     value = np.where(told | interpolated, np.clip(found.zero, low, high), 0.5 * (low + high))
@@ -319,7 +325,10 @@ def _zero_crossing(c: _Columns, centre: Floats) -> _Crossing:
     slope = np.where(crosses, slope, np.nan) / width
     error = scatter * np.sqrt(np.einsum("li,lij,lj->l", at, inverse, at)) / slope
     zero = np.where(crosses, centre + root * width, np.nan)
-    return _Crossing(zero, error, np.where(crosses, scatter, np.nan), slope, freedom)
+    apart = np.abs(u - root[:, None])  # of the width, and so at most 2
+    bend = np.where(use, apart, 2.0).min(axis=1) * np.where(use, apart, 0.0).max(axis=1)
+    bend = np.where(curved == 0, BEND * bend * width**2, 0.0) / np.where(crosses, zero, np.inf)
+    return _Crossing(zero, error, np.where(crosses, scatter, np.nan), slope, freedom, bend)
 
 
 def _steadiness(growth: Floats, use: Booleans) -> Floats:

@@ -7,7 +7,8 @@ the joint balance of all trials speaks. Else the methods of the thesis stand, wi
 
 from __future__ import annotations
 
-from typing import Literal
+from math import floor
+from typing import Any, Literal
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from pipeline.measured.device import arm_stiffness, damping
 from pipeline.measured.device.forces import Forces, identify
 from pipeline.measured.experiment import aggregate
 from pipeline.measured.experiment.combine import with_sign_warning
-from pipeline.measured.experiment.known_delay import delay_estimate
+from pipeline.measured.experiment.known_delay import delay_estimate, whole_delay
 from pipeline.measured.experiment.stored import Stored, combined
 from pipeline.measured.intervals import NORMAL_95
 from pipeline.records.findings import Estimate, ModelCheck
@@ -52,8 +53,14 @@ NOT_EXPLAINED = "the model explains no trial; the reasons stand with the trials"
 
 
 def with_model_delay(of: Stored, delay: Estimate) -> Estimate:
-    """Return the delay factor with the delay by the model among its methods."""
-    return delay.model_copy(update={"by_method": {**delay.by_method, "model": model_delay(of)}})
+    """Return the delay factor with the delay by the model among its methods, and by the model where costs take that."""
+    found: dict[str, Any] = {"by_method": {**delay.by_method, "model": model_delay(of)}}
+    factor = of.once(explaining_factor)
+    if factor is not None and delay.value is not None:
+        first, value, last = (float(whole) for whole in factor)
+        # (6.3) leaves the position inside the period open
+        found |= {"value": value, "low": first, "high": last + 1, "method": "model fitted to the whole response, whole"}
+    return delay.model_copy(update=found)
 
 
 def model_delay(of: Stored) -> Estimate:
@@ -70,6 +77,15 @@ def explaining_delay(of: Stored) -> Estimate | None:
     if not check.trials or check.explained < EXPLAINED * check.trials or (jitter.low or 0.0) > 0:
         return None
     return model_delay(of)
+
+
+def explaining_factor(of: Stored) -> tuple[int, int, int] | None:
+    """Return the least, the likely and the largest integer factor that `explaining_delay` leaves, None without it."""
+    model = explaining_delay(of)
+    if model is None or model.value is None:
+        return None
+    value, low, high = (floor(whole_delay(model, end)) for end in (model.value, model.low, model.high))
+    return min(low, value), value, max(high, value)
 
 
 def jitter_estimate(of: Stored) -> Estimate:

@@ -7,6 +7,7 @@ from math import ceil, floor
 import numpy as np
 
 from pipeline.base.wording import commonest
+from pipeline.measured.device.onset import SURE_ERROR
 from pipeline.measured.experiment.stored import Stored, combined
 from pipeline.measured.intervals import CONFIDENCE
 from pipeline.measured.signal.response import NO_ROW
@@ -105,10 +106,15 @@ def delay_estimate(of: Stored) -> Estimate:
         best = best.model_copy(
             update={"reason": f"{best.reason}; most trials: {commonest(of.texts('delay', 'reason'))}"}
         )
-    thesis = estimate_delay(plain).model_copy(update={"method": "first position change (6.2, 6.3)"})
     onset = combined(
         of, ("delay", "onset_samples", "onset_error"), "samples", "onset of motion, by the motion that the quantum hid"
     )
+    known = (onset.value, onset.low, onset.high)
+    if best.low is not None and (None in known or (onset.high or 0.0) - (onset.low or 0.0) > 2 * SURE_ERROR):
+        # what a sensor, or friction, hides at first makes the change that is seen late
+        earliest = max(floor(onset.low or 0.0), 0)
+        best = best.model_copy(update={"low": min(best.low, float(earliest))})
+    thesis = estimate_delay(plain).model_copy(update={"method": "first position change (6.2, 6.3)"})
     return best.model_copy(
         update={
             "method": "onset of motion where it is sure enough, else first position change; rounded",

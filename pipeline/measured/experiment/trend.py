@@ -18,6 +18,9 @@ DRIFT = 0.02
 """Change over the tested range, relative to the value, that matters: it shifts either end by 1 %, as much as the mass
 may be biased, and by 0.04 of 4 samples of delay, where 0.05 are allowed."""
 
+MOST_RELATIVE = 10.0
+"""Change, relative to the value, up to which it is told in percent of it."""
+
 FEWEST_FOR_TREND = 8
 """Trials from which on a trend is looked for: three coefficients and five more to tell their error."""
 
@@ -137,7 +140,8 @@ def drift_warning(trend: Trend, x: Floats, value: float, least: float, unit: str
     change = trend.slope * span
     if not trend.significant or abs(change) <= least:
         return ""
-    relative = f" ({100 * change / value:+.1f} %)" if value else ""
+    # beside a value near 0 a share says nothing
+    relative = f" ({100 * change / value:+.1f} %)" if abs(change) <= MOST_RELATIVE * abs(value) else ""
     name = _UNITS[trend.over][rotation]
     return true_minus(
         f"{DRIFTS} {change:+.3g} {unit}{relative} over the tested {trend.over} {x.min():g} to {x.max():g} {name}, "

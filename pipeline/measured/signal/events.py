@@ -133,9 +133,11 @@ def _first_stop(batch: TrialBatch, response: Response, outside: Disturbance) -> 
     blown = (outside.first_row >= 0) & (np.abs(outside.force) > BLOW * np.abs(batch.step))
     about = np.abs(column - outside.largest_row[:, None]) <= outside.span
     for side, depth in ((-1, highest - x), (1, x - lowest)):
-        near = after & (depth <= (1 + ROUNDING) * floor)
         # twice the floor: from a quiet baseline the noise of a coarse sensor is read too small
         there = after & (depth <= 2 * floor)
+        # a device that rests at its extreme before it moves has reached no stop
+        there &= np.maximum.accumulate(after & ~there, axis=1)
+        near = there & (depth <= (1 + ROUNDING) * floor)
         # the force is inwards, at the extreme: the first time that the device was there
         thrown = blown & (np.sign(outside.force) == side) & (there & about).any(axis=1)
         first = np.where(thrown, np.minimum(first, np.argmax(there, axis=1)), first)

@@ -38,8 +38,11 @@ def hidden_rows(log: LogRows) -> Integers:
     return none
 
 
-def repeated_rows(log: LogRows) -> Integers:
-    """Return the rows that stand still while the device moves before and after them; one alone may be chance."""
+def repeated_rows(log: LogRows, *, by_law: bool = True) -> Integers:
+    """Return the rows that stand still while the device moves before and after them; one alone may be chance.
+
+    ``by_law`` counts those, too, that only the plain wall law tells from a device that is slow.
+    """
     still = stands_still(log.change, log.after, STILL_FLOORS * log.floor + EQUAL * np.ptp(log.position))
     # a device may be too slow for that, but a wall that sees it rest does not command what it did while it moved,
     # unless that is a limit of its
@@ -48,7 +51,9 @@ def repeated_rows(log: LogRows) -> Integers:
         same &= ~is_equal(log.command, float(limit))
     off = np.abs(log.residual) > log.rounding
     # the row behind is off the law, too, as the reading before it is not there; behind a missing row it is not
-    still |= same & off & np.append(off[1:], False) & (np.abs(np.diff(log.residual, prepend=0.0)) > log.rounding)
+    still |= (
+        by_law & same & off & np.append(off[1:], False) & (np.abs(np.diff(log.residual, prepend=0.0)) > log.rounding)
+    )
     still[1:] |= same[1:] & still[:-1]  # twice in a row
     rows = np.flatnonzero(still)
     return rows if len(rows) >= PLATEAU else rows[:0]

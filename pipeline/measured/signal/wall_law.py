@@ -149,19 +149,17 @@ def _odd_rows(batch: TrialBatch, response: Response) -> Booleans:
 def _departures(log: LogRows) -> Iterator[Departure]:
     """Yield what departs from the law: what shows by itself first, then what explains all that is left."""
     rows = _repeated(log) or _gaps(log)
-    if rows is not None:
-        yield rows
     off = np.abs(log.residual) > log.rounding
     if not off.any() or (rows is not None and rows.rows >= off.sum()):
+        yield from filter(None, [rows])
         return
-    for explanation in _EXPLANATIONS:
-        if rows is not None and explanation is _other_step:
-            continue  # each row beside a missing or repeated one looks like a step
-        found = explanation(log)
-        if found is not None:
-            yield from found
-            return
-    if rows is None:
+    # each row beside a missing or repeated one looks like a step
+    explanations = (each for each in _EXPLANATIONS if rows is None or each is not _other_step)
+    found = next(filter(None, (explanation(log) for explanation in explanations)), ())
+    if found and rows is not None and rows.code == "repeated_rows":
+        rows = _repeated(log, by_law=False)  # the law that explains all has the rows as they are
+    yield from filter(None, [rows, *found])
+    if not found and rows is None:
         size = np.abs(log.residual).max()
         yield Departure(
             "unknown",
@@ -181,7 +179,8 @@ def _gaps(log: LogRows) -> Departure | None:
 
 def _hidden(log: LogRows) -> tuple[Departure, ...] | None:
     rows = hidden_rows(log)
-    if not len(rows):
+    # a filter that leaves nothing has all its rows
+    if not len(rows) or _filtered(log) is not None:
         return None
     return (
         Departure(
@@ -193,8 +192,8 @@ def _hidden(log: LogRows) -> tuple[Departure, ...] | None:
     )
 
 
-def _repeated(log: LogRows) -> Departure | None:
-    rows = repeated_rows(log)
+def _repeated(log: LogRows, *, by_law: bool = True) -> Departure | None:
+    rows = repeated_rows(log, by_law=by_law)
     if not len(rows):
         return None
     both = int((log.command[rows] == log.command[rows - 1]).sum())

@@ -78,6 +78,19 @@ class TrialGroup:
         some.found = self.found.select(index)
         return some
 
+    def held_by(self, spring: float) -> TrialGroup:
+        """Return the trials as costs see them where a spring k holds the device; the group itself for k = 0.
+
+        It rests at x_0 + F_0/(K + k), and the wall that stores the energy has K + k (5.7).
+        """
+        if not spring:
+            return self
+        wall = self.logged.stiffness
+        held = TrialGroup(replace(self.logged, stiffness=np.where(wall > 0, wall + spring, wall)), self.verdicts)
+        shift = self.logged.step / np.where(wall > 0, wall + spring, np.nan)
+        held.found = replace(self.found, position_final_expected=self.found.position_start + shift)
+        return held
+
     def beginning(self) -> tuple[TrialGroup, Integers]:
         """Return the trials from shortly before the step on for `LONGEST_MOTION` rows, and the first row of each.
 

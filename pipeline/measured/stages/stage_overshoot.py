@@ -8,6 +8,7 @@ import numpy as np
 
 from pipeline.measured.cost.families import Measure
 from pipeline.measured.cost.reading_error import ReadingError, motion_at_rest, reading_error, sensor_error, usual_rest
+from pipeline.measured.experiment.rest_forces import rest_spring
 from pipeline.measured.stages.stage_columns import conditions, hull
 from pipeline.measured.stages.stage_given import Experiment
 from pipeline.measured.stages.stage_groups import Columns, Given, TrialGroup
@@ -20,16 +21,17 @@ def given_of(of: Experiment) -> Given:
 
 
 def sensor_of(of: Experiment, delay: int) -> Given:
-    """What the error of a reading takes from all trials: the sensor, and the usual motion at rest."""
+    """What a cost and the error of a reading take from all trials: a spring, the sensor, the usual motion at rest."""
+    spring = rest_spring(of)
     sensor = sensor_error(*(of.column("response", f"sensor_{name}") for name in ("noise", "quantum")))
     if not np.isfinite(sensor):
-        return {"delay": delay, "sensor": None, "rest": 1.0}
-    rest = np.concatenate(of.of_each(_motion_at_rest, delay=delay, sensor=sensor))
-    return {"delay": delay, "sensor": sensor, "rest": usual_rest(rest)}
+        return {"delay": delay, "sensor": None, "rest": 1.0, "spring": spring}
+    rest = np.concatenate(of.of_each(_motion_at_rest, delay=delay, sensor=sensor, spring=spring))
+    return {"delay": delay, "sensor": sensor, "rest": usual_rest(rest), "spring": spring}
 
 
 def _motion_at_rest(of: TrialGroup, given: Given) -> Floats:
-    return of.once(motion_at_rest, given["delay"], given["sensor"])
+    return of.held_by(given["spring"]).once(motion_at_rest, given["delay"], given["sensor"])
 
 
 def _error_of(of: TrialGroup, given: Given) -> ReadingError:
@@ -50,4 +52,5 @@ def columns(of: TrialGroup, given: Given, measure: Measure, names: Sequence[str]
 
 
 def _columns(of: TrialGroup, given: Given, measure: Measure) -> Columns:
-    return measure(of.batch, of.found, of.verdicts, _error_of(of, given), given)
+    held = of.held_by(given["spring"])
+    return measure(held.batch, held.found, held.verdicts, _error_of(held, given), given)

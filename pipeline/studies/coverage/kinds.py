@@ -79,8 +79,13 @@ def of_step(low: float, high: float) -> Draw:
 
 
 def of_mass(low: float, high: float) -> Draw:
-    """Return a draw of a mass between two shares of the device's own."""
+    """Return a draw between two multiples of the device's mass: of what limits walls grow with it."""
     return lambda random, device: float(device.experiments[0].mass * random.uniform(low, high))
+
+
+def of_quantum(low: float, high: float) -> Draw:
+    """Return a draw of a length between two multiples of the sensor's quantum."""
+    return lambda random, device: float(device.sensor.quantum * random.uniform(low, high))
 
 
 def of_signed(draw: Draw) -> Draw:
@@ -100,8 +105,8 @@ _BUTTERWORTH = {
 }
 _OPERATOR = {
     "loop.operator.mass": of_mass(0.1, 0.5),
-    "loop.operator.damping": uniform(1, 8),
-    "loop.operator.stiffness": uniform(50, 400),
+    "loop.operator.damping": of_mass(1.7, 14),
+    "loop.operator.stiffness": of_mass(86, 690),
 }
 _LAG = {"loop.actuator_lag_s": uniform(0.001, 0.004)}
 _COULOMB = {"loop.friction.coulomb": of_step(0.01, 0.03)}
@@ -134,7 +139,8 @@ _KINDS = {
         ("velocity_filter",),
     ),
     "actuator lag": Kind(_LAG, ("actuator_lag",)),
-    "short lag": Kind({"loop.actuator_lag_s": uniform(1e-4, 5e-4)}, ("actuator_lag",)),
+    # logs do not tell a lag of less than a sample from a delay that is no whole number of them
+    "short lag": Kind({"loop.actuator_lag_s": uniform(1e-4, 5e-4)}, ("actuator_lag", "fractional_delay")),
     "mode at the motor": Kind({**_MODE, "loop.mode.sensor": either("motor")}, ("vibration_mode",)),
     "mode at the load": Kind({**_MODE, "loop.mode.sensor": either("load")}, ("vibration_mode",)),
     "operator": Kind(_OPERATOR, ("operator",)),
@@ -154,8 +160,8 @@ _KINDS = {
     ),
     "held samples": Kind({"simulation.held_samples": uniform(0.01, 0.1)}, ("repeated_rows",)),
     "repeated rows": Kind({"simulation.repeated_rows": uniform(0.01, 0.1)}, ("repeated_rows",)),
-    "coarse sensor": Kind({"sensor.quantum": uniform(2e-5, 8e-5)}, ("coarse_sensor",)),
-    "noisy sensor": Kind({"sensor.noise": uniform(5e-6, 2e-5)}),
+    "coarse sensor": Kind({"sensor.quantum": of_quantum(10, 40)}, ("coarse_sensor",)),
+    "noisy sensor": Kind({"sensor.noise": of_quantum(2.5, 10)}),
     "ramp": Kind({"simulation.ramp_samples": either(3, 6, 12, 25)}, ("step_not_a_step",)),
     "several steps": Kind(
         {"simulation.later_steps": lambda random, device: ({"time_s": 0.2, "size": -0.5 * device.step},)},
@@ -178,8 +184,8 @@ def kinds(base: Device, experiment: str | None = None) -> dict[str, Callable[[in
     Parameters
     ----------
     base : Device
-        Device that is varied; ranges of forces and masses are shares of its own, the others suit a device of the
-        size of the Falcon.
+        Device that is varied; ranges are shares of its own step, mass and quantum, and times of a sampling period of
+        about 1 ms.
     experiment : str, optional
         Its experiment; the first by default. Its jitter is left out.
     """

@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 
 from pipeline.loop.loop import Loop
+from pipeline.loop.plant import turning_time
 from pipeline.records.batch import Floats
 from pipeline.theory.cost.slowmodes import Complexes, SlowModes, force_factor
-from pipeline.theory.cost.transient import turning_time
 
 _TURN = 1.6
 """Size of log z up to which the two constants below hold."""

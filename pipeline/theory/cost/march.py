@@ -14,11 +14,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pipeline.loop.loop import Loop
+from pipeline.loop.plant import turning_time
 from pipeline.records.batch import Booleans, Floats, Integers
 from pipeline.theory.cost.envelope import envelope_end, excess, untouched
 from pipeline.theory.cost.march_buffer import Buffer, joined
 from pipeline.theory.cost.slowmodes import SlowModes, slow_modes, velocity_factor
-from pipeline.theory.cost.transient import Crossing, entry_times, lever, turning_time
+from pipeline.theory.cost.transient import Crossing, entry_times, lever
 
 _CHUNK = 2048
 """Points at a time: three buffers of some 20 samples then stay in a cache of 1 MiB."""

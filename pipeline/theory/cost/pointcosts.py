@@ -7,15 +7,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.base.errors import ParameterError
 from pipeline.loop.device_loop import DeviceLoop
 from pipeline.loop.loop import Loop
+from pipeline.loop.plant import turning_time
 from pipeline.records.batch import Floats
 from pipeline.records.criteria import DISCRETE, RISE_LEVELS, criterion_of
 from pipeline.theory.cost.energy import energy_costs
 from pipeline.theory.cost.march import step_transients
 from pipeline.theory.cost.poles import damping_ratio
-from pipeline.theory.cost.transient import QUIET, Active, Crossing, Move, entry_times, transient_costs, turning_time
+from pipeline.theory.cost.transient import QUIET, Active, Crossing, Move, entry_times, transient_costs
+from pipeline.theory.device.modes import TOGETHER
+from pipeline.theory.device.step_response import first_reached
 from pipeline.theory.stability.stability import spectral_radius
 
 _MANY = 256
@@ -67,27 +69,29 @@ def _poles(loop: Loop, alpha: Floats, beta: Floats, names: Sequence[str], _: Fol
 
 def _rises(loop: Loop, alpha: Floats, beta: Floats, names: Sequence[str], follow: Following) -> dict[str, Floats]:
     """Rise times; stability is not needed, so that they are also told along the edge of the stable region."""
-    if isinstance(loop, DeviceLoop):
-        raise ParameterError("rise_time is not told of loops with filter, lag or mode; leave it out of the criteria.")
+    asked = alpha, beta, [share - 1.0 for share in RISE_LEVELS], follow.longest, "rise_time" in names
+    exact, sampled = first_reached(loop, *asked) if isinstance(loop, DeviceLoop) else _first_reached(loop, *asked)
+    return {"rise_time": exact[-1] - exact[0], f"rise_time{DISCRETE}": sampled[-1] - sampled[0]}
+
+
+def _first_reached(
+    loop: Loop, alpha: Floats, beta: Floats, levels: Sequence[float], longest: int, between: bool
+) -> tuple[Floats, Floats]:
+    """As `device.step_response.first_reached`, of an ideal loop."""
     run = Active.start(loop, alpha, beta)
-    levels = [share - 1.0 for share in RISE_LEVELS]
     exact = [Crossing.empty(len(alpha)) for _ in levels]
     sampled = np.full((len(levels), len(alpha)), np.nan)
-    for k in range(follow.longest):
+    for k in range(longest):
         if not len(run.index):
             break
         for move in run.moves(loop, k):
-            for level, crossing in zip(levels, exact if "rise_time" in names else (), strict=False):
+            for level, crossing in zip(levels, exact if between else (), strict=False):
                 _note_first(loop, run, move, level, crossing)
         for level, row in zip(levels, sampled, strict=True):
             at = np.flatnonzero(np.isnan(row[run.index]) & (run.position >= level))
             row[run.index[at]] = k + (level - run.before[at]) / (run.position[at] - run.before[at])
         run.keep(np.isnan(sampled[-1][run.index]))
-    rises = {f"rise_time{DISCRETE}": sampled[-1] - sampled[0]}
-    if "rise_time" in names:
-        begin, end = (entry_times(loop, crossing) for crossing in exact)
-        rises["rise_time"] = end - begin
-    return rises
+    return np.array([entry_times(loop, crossing) for crossing in exact]), sampled
 
 
 def _note_first(loop: Loop, run: Active, move: Move, level: float, crossing: Crossing) -> None:
@@ -147,10 +151,15 @@ def point_costs_by_name(
     groups: dict[PointCosts, list[str]] = {}
     for name in names:
         groups.setdefault(FAMILIES[criterion_of(name).family.name], []).append(name)
-    result: dict[str, Floats] = {}
-    for function, group in groups.items():
-        result |= function(loop, alpha, beta, group, follow)
-    return {name: result[name] for name in names}
+    result = {name: np.empty(len(alpha)) for name in names}
+    together = TOGETHER if isinstance(loop, DeviceLoop) else max(1, len(alpha))  # they share their modes
+    for first in range(0, len(alpha), together):
+        some = slice(first, first + together)
+        for function, group in groups.items():
+            found = function(loop, alpha[some], beta[some], group, follow)
+            for name in group:
+                result[name][some] = found[name]
+    return result
 
 
 def _can_march(loop: Loop) -> bool:

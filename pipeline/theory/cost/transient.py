@@ -14,8 +14,9 @@ import numpy as np
 from pipeline.base.errors import ParameterError
 from pipeline.loop.device_loop import DeviceLoop
 from pipeline.loop.loop import Loop, as_points
+from pipeline.loop.plant import turning_time
 from pipeline.records.batch import Floats, Integers
-from pipeline.theory.device.motion import Asked, late_sample, step_costs
+from pipeline.theory.device.step_response import Asked, late_sample, step_costs
 
 LONGEST = 1 << 18
 """Samples after which a response that still moves is given up (no settling time): spectral radius about 1 - 1e-5."""
@@ -308,27 +309,6 @@ def _note(
                 *(run.index[out], start, turned[out], duration, run.position[out], run.velocity[out]),
                 *(force[out], np.sign(extreme[peaked & inside[turn]]) * band),
             )
-
-
-def turning_time(gamma: float, delta: float, e: Floats, v: Floats, u: Floats, duration: float) -> Floats:
-    """Time at which the velocity changes sign inside a segment, in closed form.
-
-    v(t) exp(delta t/2) = v c(t) + (a + delta v/2) s(t), with a the acceleration at the start, c and s the (hyperbolic)
-    cosine and sine of the plant's own motion.
-    """
-    slope = u - gamma * e - 0.5 * delta * v
-    square = 0.25 * delta * delta - gamma
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        if square > 0:
-            root = np.sqrt(square)
-            time = np.arctanh(np.clip(-v * root / slope, -1, 1)) / root
-        elif square < 0:
-            root = np.sqrt(-square)
-            time = np.arctan2(root * np.abs(v), -np.sign(v) * slope) / root
-        else:
-            time = -v / slope
-    bounded: Floats = np.clip(np.nan_to_num(time, nan=0.0), 0.0, duration)
-    return bounded
 
 
 def entry_times(loop: Loop, crossing: Crossing) -> Floats:

@@ -1,111 +1,38 @@
-"""Settling time and overshoot of a general loop's step response, from the exact motion between samples.
-
-As `cost.transient`, for devices with more states: all points are advanced sample by sample, and leave as soon as
-nothing that is asked for can change any more. A device's motion is small only where all its states are, so that a
-beat's silence is not taken for its end.
-"""
+"""Points of a general loop in motion after a step: exact from sample to sample, and where it is asked for between."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from copy import copy
 from functools import lru_cache
 
 import numpy as np
 
 from pipeline.loop.device_loop import DeviceLoop
 from pipeline.records.batch import Booleans, Floats, Integers
-from pipeline.theory.device.pieces import DEGREE, Piece, pieces
-
-_BLOCK = 16
-"""Samples between two checks of which points are finished."""
-
-_SETTLED = 0.1
-"""Share of the band (or of the overshoot found) below which all motion has to stay for a block and a delay."""
-
-_TOGETHER = 4096
-"""Points that are advanced together: their states fit a cache."""
-
-_NEWTON = 5
-"""Steps to a turning point from a first guess within a piece of at most one radian: each doubles its digits."""
-
-_HALVINGS = 54
-"""Halves a piece to below 1e-16."""
-
-
-@dataclass(frozen=True)
-class Asked:
-    """What is asked for, as of `cost.transient.transient_costs`."""
-
-    bands: Sequence[float]
-    overshoot: bool
-    continuous: bool
-    longest: int
-    quiet: float
-    cutoff: float = np.inf
-    enough: float = np.inf
-    unfinished_overshoot: bool = False
-
-
-@dataclass
-class _Entry:
-    """Last entry into a band: start and duration of the piece, the motion over it, bracket of the entry and level."""
-
-    start: Floats
-    duration: Floats
-    motion: Floats
-    low: Floats
-    high: Floats
-    level: Floats
-
-    @classmethod
-    def empty(cls, n: int) -> _Entry:
-        unknown, zero = np.full(n, np.nan), np.zeros(n)
-        return cls(unknown, unknown.copy(), np.zeros((DEGREE + 1, n)), zero, zero.copy(), zero.copy())
-
-    def note(self, index: Integers, start: float, piece: Piece, motion: Floats, *bracket: Floats | float) -> None:
-        self.start[index], self.duration[index], self.motion[:, index] = start, piece.duration, motion
-        self.low[index], self.high[index], self.level[index] = bracket
-
-    def time(self) -> Floats:
-        low, high, side = self.low.copy(), self.high.copy(), np.sign(self.level)
-        for _ in range(_HALVINGS):
-            middle = 0.5 * (low + high)
-            still = (_at(self.motion, middle) - self.level) * side > 0
-            low, high = np.where(still, middle, low), np.where(still, high, middle)
-        return self.start + 0.5 * (low + high) * self.duration
-
-
-@dataclass(frozen=True, eq=False)
-class _Course:
-    """A piece of the sampling interval: its device state and input from the loop's state, and from the wall's force."""
-
-    piece: Piece
-    given: Floats
-    given_by_force: Floats
+from pipeline.theory.device.pieces import DEGREE, pieces, starts
 
 
 @lru_cache(maxsize=64)
-def _interval(loop: DeviceLoop) -> tuple[Floats, Floats, tuple[_Course, ...]]:
-    """Return what a sampling interval makes of the loop's state: rows (r, states), and the force's part (r,).
+def _interval(loop: DeviceLoop) -> tuple[Floats, Floats, Floats, Floats]:
+    """Return what a sampling interval makes of the loop's state, each as rows (r, states) and the force's part (r,).
 
-    Rows: sensed position, filtered velocity, the next state, and for each piece the position at its end and the
-    velocities at both ends.
+    First what is `DeviceLoop.seen`; then sensed position, filtered velocity, the next state, and for each piece the
+    position at its end and the velocities at both ends.
     """
     free, push, position, velocity = loop.open_loop
-    p, n, sensor = len(loop.device[1]), loop.states, loop.device[2]
-    rows, by_force, courses = [position, velocity, *free], [0.0, 0.0, *push], []
-    start, start_by_force = np.eye(p, n), np.zeros(p)
-    for piece in pieces(loop):
-        force = np.zeros(n) if piece.age == 0 else np.eye(n)[n - loop.oldest_force + piece.age - 1]
-        given, by = np.vstack([start, force]), np.append(start_by_force, float(piece.age == 0))
-        courses.append(_Course(piece, given, by))
-        motion = np.column_stack([piece.transition, piece.gain])
-        start, start_by_force = motion @ given, motion @ by
-        for row in (sensor @ motion, piece.speed[0], piece.speed.sum(axis=0)):
-            rows.append(row @ given)
-            by_force.append(float(row @ by))
-    return np.array(rows), np.array(by_force), tuple(courses)
+    newest, sensor = loop.states - loop.oldest_force - 1, loop.device[2]
+    seen, seen_force = np.eye(len(sensor) + len(loop.segments), loop.states), np.zeros(len(sensor) + len(loop.segments))
+    for row, segment in enumerate(loop.segments, len(sensor)):
+        seen[row] = np.eye(loop.states)[newest + segment.age] * (segment.age > 0)
+        seen_force[row] = segment.age == 0
+    ends = [
+        row @ given
+        for piece, given in zip(pieces(loop), starts(loop), strict=True)
+        for row in (sensor @ np.column_stack([piece.transition, piece.gain]), piece.speed[0], piece.speed.sum(axis=0))
+    ]
+    rows = np.array([position, velocity, *free, *(row @ seen for row in ends)])
+    by_force = np.concatenate([[0.0, 0.0], push, [row @ seen_force for row in ends]])
+    return seen, seen_force, rows, by_force
 
 
 class Motion:
@@ -117,50 +44,83 @@ class Motion:
     alpha, beta : float64, shape (n,)
     between : bool
         Whether the motion between samples is asked for.
+
+    Notes
+    -----
+    ``index`` are the points' numbers, ``sample`` the number of the sample that each is at, ``stop`` of the one at which
+    it need not go on, ``since`` of the one from which on samples were left out.
     """
+
+    _OF_POINTS = ("index", "alpha", "beta", "sample", "since", "stop", "state", "scale")
 
     def __init__(self, loop: DeviceLoop, alpha: Floats, beta: Floats, *, between: bool) -> None:
         self.loop, self.index, self.alpha, self.beta = loop, np.arange(len(alpha)), alpha, beta
-        self.rows, self.by_force, courses = _interval(loop)
-        self.courses = courses if between else ()
-        if not between:
-            self.rows, self.by_force = self.rows[: 2 + loop.states], self.by_force[: 2 + loop.states]
+        self.pieces = pieces(loop) if between else ()
+        _, _, rows, by_force = _interval(loop)
+        count = 2 + loop.states + 3 * len(self.pieces)
+        self.rows, self.by_force = rows[:count], by_force[:count]
         self.driven = np.flatnonzero(self.by_force)
         self.state = np.ascontiguousarray(loop.starts(alpha, "step").T)
         self.scale = _levers(loop, alpha)
+        self.sample = np.zeros(len(alpha))
+        self.since, self.stop = np.full(len(alpha), np.inf), np.full(len(alpha), np.inf)
 
-    def step(self) -> None:
-        """Move by a sampling interval."""
-        self.before = self.state
-        self.made = self.rows @ self.state
-        self.force = -self.alpha * self.made[0] - self.beta * self.made[1]
-        for row in self.driven:
-            self.made[row] += self.by_force[row] * self.force
-        self.state = self.made[2 : 2 + self.loop.states]
+    def advance(self, count: int) -> None:
+        """Move by so many sampling intervals, at least one."""
+        n = self.loop.states
+        self.made, self.force = (
+            np.empty((count, *self.rows.shape[:1], len(self.index))),
+            np.empty((count, len(self.index))),
+        )
+        self.first, state = self.state, self.state
+        for made, force in zip(self.made, self.force, strict=True):
+            np.matmul(self.rows, state, out=made)
+            force[:] = -self.alpha * made[0] - self.beta * made[1]
+            for row in self.driven:
+                made[row] += self.by_force[row] * force
+            state = made[2 : 2 + n]
+        self.state, self.sample = state, self.sample + count
+
+    @property
+    def position(self) -> Floats:
+        """Sensed position, shape (n,)."""
+        return np.asarray(self.loop.open_loop[2] @ self.state)
 
     @property
     def sensed(self) -> Floats:
-        """Position at the end of the interval."""
-        return np.asarray(self.loop.open_loop[2] @ self.state)
+        """Positions at the end of each of the latest intervals, shape (count, n)."""
+        return np.asarray(self.loop.open_loop[2] @ self.made[:, 2 : 2 + self.loop.states])
 
-    def ends(self, number: int) -> tuple[Floats, Floats, Floats, Floats]:
-        """Return positions at the start and end of a piece, and velocities there."""
-        first = 2 + self.loop.states + 3 * number
-        return self.made[first - 3 if number else 0], *self.made[first : first + 3]
+    def ends(self) -> tuple[Floats, Floats, Floats, Floats]:
+        """Return positions at start and end of the latest intervals' pieces, and velocities; (count pieces, n) each."""
+        count, n = len(self.made), len(self.index)
+        after, start_speed, end_speed = np.moveaxis(
+            self.made[:, 2 + self.loop.states :].reshape(count, len(self.pieces), 3, n), 2, 0
+        )
+        before = np.concatenate([self.made[:, :1], after[:, :-1]], axis=1)
+        return tuple(values.reshape(-1, n) for values in (before, after, start_speed, end_speed))  # type: ignore[return-value]
 
-    def given(self, course: _Course, at: Integers) -> Floats:
-        """Return the device's state at the start of a piece, and its input, of some points."""
-        return np.asarray(course.given @ self.before[:, at] + course.given_by_force[:, None] * self.force[at])
+    def motion(self, row: Integers, point: Integers) -> Floats:
+        """Return the coefficients of the sensed position over pieces, numbered as by `ends`; shape (13, events)."""
+        seen, seen_force, _, _ = _interval(self.loop)
+        result, interval = np.empty((DEGREE + 1, len(row))), row // len(self.pieces)
+        for number, (piece, given) in enumerate(zip(self.pieces, starts(self.loop), strict=True)):
+            some = np.flatnonzero(row % len(self.pieces) == number)
+            k, at, rows = interval[some], point[some], piece.place @ given
+            state = np.where(k > 0, self.made[k - 1, 2 : 2 + self.loop.states, at].T, self.first[:, at])
+            result[:, some] = (rows @ seen) @ state + (rows @ seen_force)[:, None] * self.force[k, at]
+        return result
 
     def size(self) -> Floats:
         """Return all motion as a deviation."""
         return np.asarray((np.abs(self.state[: len(self.scale)]) * self.scale).sum(axis=0))
 
-    def keep(self, mask: Booleans) -> None:
-        """Leave out points."""
-        for name in ("index", "alpha", "beta"):
-            setattr(self, name, getattr(self, name)[mask])
-        self.state, self.scale = np.ascontiguousarray(self.state[:, mask]), self.scale[:, mask]
+    def part(self, which: Booleans | Integers | slice) -> Motion:
+        """Return the motion of some points."""
+        result = copy(self)
+        for name in self._OF_POINTS:
+            setattr(result, name, np.ascontiguousarray(getattr(self, name)[..., which]))
+        return result
 
     @property
     def memory(self) -> int:
@@ -168,149 +128,12 @@ class Motion:
         return self.loop.oldest_force + len(self.loop.filter_in_z[0]) + 1
 
 
-def step_costs(loop: DeviceLoop, alpha: Floats, beta: Floats, asked: Asked) -> dict[str, Floats]:
-    """Return settling times and overshoot, named and defined as by `cost.transient.transient_costs`."""
-    names = [f"settle_{100 * band:g}pct" for band in asked.bands] + ["overshoot"] * asked.overshoot
-    suffixes = ("", "_discrete") if asked.continuous else ("_discrete",)
-    result = {name + suffix: np.empty(len(alpha)) for name in names for suffix in suffixes}
-    for first in range(0, len(alpha), _TOGETHER):
-        part = slice(first, first + _TOGETHER)
-        found = _followed(Motion(loop, alpha[part], beta[part], between=asked.continuous), asked)
-        for name, values in result.items():
-            values[part] = found[name]
+def joined(parts: list[Motion]) -> Motion:
+    """Return the points of several motions of one loop in one."""
+    result = copy(parts[0])
+    for name in Motion._OF_POINTS:
+        setattr(result, name, np.concatenate([getattr(part, name) for part in parts], axis=-1))
     return result
-
-
-def late_sample(loop: DeviceLoop, alpha: Floats, beta: Floats, first: int, longest: int, faded: float) -> Floats:
-    """Return the largest deviation of samples from ``first`` on, until all motion is below a share ``faded`` of it."""
-    run, largest, calm = Motion(loop, alpha, beta, between=False), np.zeros(len(alpha)), np.zeros(len(alpha))
-    for k in range(1, longest + 1):
-        run.step()
-        if k < first:
-            continue
-        largest = np.maximum(largest, np.abs(run.sensed))
-        if (k - first) % _BLOCK == _BLOCK - 1:
-            calm = np.where(run.size() > faded * largest, 0.0, calm + 1)
-            if np.all(calm * _BLOCK > run.memory):
-                break
-    return largest
-
-
-def _followed(run: Motion, asked: Asked) -> dict[str, Floats]:
-    n = len(run.alpha)
-    found = _Found(asked, n)
-    quiet, calm = np.zeros(n), np.zeros(n)
-    still = _SETTLED * min(asked.bands) if asked.bands else 1.0
-    given_up: list[Integers] = []
-    for k in range(asked.longest):
-        if not len(run.index):
-            break
-        run.step()
-        for number, course in enumerate(run.courses):
-            _note(run, number, course, k, found)
-        sensed = run.sensed
-        size = np.abs(sensed)
-        for band in asked.bands:
-            found.settled[band][run.index[size > band]] = k + 1
-        found.sampled_peak[run.index] = np.maximum(found.sampled_peak[run.index], sensed)
-        done = np.zeros(len(run.index), dtype=bool)
-        if k > asked.cutoff and not asked.overshoot:
-            done |= size > max(asked.bands)
-            given_up.append(run.index[done])
-        if k % _BLOCK == 0:
-            motion, limit = run.size(), np.full(len(run.index), still)
-            if asked.overshoot:
-                limit = np.minimum(limit, np.maximum(_SETTLED * found.sampled_peak[run.index], asked.quiet))
-            quiet = np.where(motion > limit, 0.0, quiet + 1)
-            calm = np.where(motion > still, 0.0, calm + 1)
-            done |= quiet * _BLOCK > run.memory
-            if not asked.bands:
-                done |= np.maximum(found.peak, found.sampled_peak)[run.index] > asked.enough
-        if done.any():
-            run.keep(~done)
-            quiet, calm = quiet[~done], calm[~done]
-    restless = np.concatenate([run.index[calm * _BLOCK <= run.memory], *given_up]).astype(np.intp)
-    return found.costs(restless, np.concatenate([run.index, *given_up]).astype(np.intp))
-
-
-class _Found:
-    """What is known of each point."""
-
-    def __init__(self, asked: Asked, n: int) -> None:
-        self.asked = asked
-        self.peak, self.sampled_peak = np.zeros(n), np.zeros(n)
-        self.settled = {band: np.zeros(n) for band in asked.bands}
-        self.entry = {band: _Entry.empty(n) for band in asked.bands}
-
-    def costs(self, restless: Integers, unfinished: Integers) -> dict[str, Floats]:
-        result = {}
-        for band in self.asked.bands:
-            name = f"settle_{100 * band:g}pct"
-            result[f"{name}_discrete"] = self.settled[band] + 1
-            if self.asked.continuous:
-                result[name] = self.entry[band].time()
-        for values in result.values():
-            values[restless] = np.nan
-        if self.asked.overshoot:
-            peaks = {"overshoot_discrete": self.sampled_peak, "overshoot": np.maximum(self.peak, self.sampled_peak)}
-            if not self.asked.unfinished_overshoot:
-                for values in peaks.values():
-                    values[unfinished] = np.nan
-            result |= peaks
-        return result
-
-
-def _note(run: Motion, number: int, course: _Course, k: int, found: _Found) -> None:
-    """Note extrema inside a piece, and entries into the bands."""
-    before, after, start_speed, end_speed = run.ends(number)
-    piece, size_before, size_after = course.piece, np.abs(before), np.abs(after)
-    turned = start_speed * end_speed < 0
-    further = piece.duration * np.minimum(np.abs(start_speed), np.abs(end_speed))
-    events = turned & (start_speed > 0) & (np.maximum(before, after) + further > found.peak[run.index])
-    if not found.asked.overshoot and found.asked.bands:
-        events[:] = False
-    for band in found.asked.bands:
-        # it enters the band, or leaves it for a moment
-        out = (size_before > band) | (turned & (np.maximum(size_before, size_after) + further > band))
-        events |= (size_after <= band) & out
-    at = np.flatnonzero(events)
-    if not len(at):
-        return
-    motion = piece.place @ run.given(course, at)
-    turn, extreme = np.ones(len(at)), np.zeros(len(at))
-    some = np.flatnonzero(turned[at])
-    if len(some):
-        turn[some] = _turning(motion[:, some], start_speed[at[some]], end_speed[at[some]])
-        extreme[some] = _at(motion[:, some], turn[some])
-    which = run.index[at]
-    found.peak[which] = np.maximum(found.peak[which], extreme)
-    time = k + piece.start
-    for band, entry in found.entry.items():
-        inside = size_after[at] <= band
-        enter = inside & (size_before[at] > band)
-        level = np.sign(before[at][enter]) * band
-        entry.note(which[enter], time, piece, motion[:, enter], 0.0, turn[enter], level)
-        out = inside & (np.abs(extreme) > band)
-        entry.note(which[out], time, piece, motion[:, out], turn[out], 1.0, np.sign(extreme[out]) * band)
-
-
-def _at(motion: Floats, share: Floats) -> Floats:
-    """Return polynomials, shape (13, n), at shares of their piece."""
-    result: Floats = motion[-1].copy()
-    for coefficient in motion[-2::-1]:
-        result = result * share + coefficient
-    return result
-
-
-def _turning(motion: Floats, start: Floats, end: Floats) -> Floats:
-    """Return the shares at which motions that turn have no velocity."""
-    speed = motion[1:] * np.arange(1, len(motion))[:, None]
-    change = speed[1:] * np.arange(1, len(speed))[:, None]
-    share: Floats = start / (start - end)  # of different sign
-    for _ in range(_NEWTON):
-        bend = _at(change, share)
-        share = np.minimum(np.maximum(share - _at(speed, share) / np.where(bend == 0, np.inf, bend), 0.0), 1.0)
-    return share
 
 
 def _levers(loop: DeviceLoop, alpha: Floats) -> Floats:

@@ -73,25 +73,41 @@ def pieces(loop: DeviceLoop) -> tuple[Piece, ...]:
 
 
 @lru_cache(maxsize=64)
-def moments(loop: DeviceLoop) -> tuple[tuple[Floats, ...], tuple[Floats, ...]]:
-    """Return integrals of tau^w e^2 and tau^w v^2 over each piece as forms of state and input, w = 0, 1, 2.
+def energy_forms(loop: DeviceLoop) -> Floats:
+    """Return what an interval adds to the sums of e^2 and of v^2, as forms of `DeviceLoop.seen`.
 
-    Shapes (pieces, p + 1, p + 1) for each w, first of position, then of velocity.
+    Shape (2, 2, 3, q, q): position and velocity; integrals of tau^w over the interval, and for w = 0, 1, 2 the first
+    sample, or the way to the next, with its weight 1^w.
     """
     nodes, weights = leggauss(_GAUSS)
     share, weights = 0.5 * (nodes + 1), 0.5 * weights
-    forms = []
-    for part in ("place", "speed"):
-        by_weight = []
-        for w in WEIGHTS:
-            stack = []
-            for piece in pieces(loop):
-                rows = np.vander(share, DEGREE + (part == "place"), increasing=True) @ getattr(piece, part)
-                weight = piece.duration * weights * (piece.start + piece.duration * share) ** w
-                stack.append(np.einsum("t,ti,tj->ij", weight, rows, rows))
-            by_weight.append(np.array(stack))
-        forms.append(tuple(by_weight))
-    return forms[0], forms[1]
+    p, q = len(loop.device[1]), len(loop.device[1]) + len(loop.segments)
+    forms = np.zeros((2, 2, len(WEIGHTS), q, q))
+    for piece, given in zip(pieces(loop), starts(loop), strict=True):
+        time = piece.start + piece.duration * share
+        for form, part in zip(forms, (piece.place, piece.speed), strict=True):
+            rows = np.vander(share, len(part), increasing=True) @ part @ given
+            for w in WEIGHTS:
+                form[0, w] += (piece.duration * weights * time**w * rows.T) @ rows
+    place = np.append(loop.device[2], np.zeros(q - p))
+    with many_digits(loop.digits):
+        whole, gains = loop.pushes
+        way = as_floats(as_exact(loop.device[2]) @ (np.column_stack([whole, *gains]) - as_exact(np.eye(p, q))))
+    forms[0, 1, 0] = np.outer(place, place)
+    forms[1, 1] = np.outer(way, way)
+    return forms
+
+
+@lru_cache(maxsize=64)
+def starts(loop: DeviceLoop) -> tuple[Floats, ...]:
+    """Return the device's state at the start of each piece, and its input, from `DeviceLoop.seen`; (p + 1, q) each."""
+    p, q = len(loop.device[1]), len(loop.device[1]) + len(loop.segments)
+    ages, start, result = [segment.age for segment in loop.segments], np.eye(p, q), []
+    for piece in pieces(loop):
+        given = np.vstack([start, np.eye(q)[p + ages.index(piece.age)]])
+        result.append(given)
+        start = np.column_stack([piece.transition, piece.gain]) @ given
+    return tuple(result)
 
 
 def _edges(loop: DeviceLoop, duration: float) -> Floats:

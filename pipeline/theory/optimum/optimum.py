@@ -13,6 +13,7 @@ from functools import lru_cache, partial
 import numpy as np
 
 from pipeline.base.errors import ParameterError
+from pipeline.loop.device_loop import DeviceLoop
 from pipeline.loop.loop import Loop
 from pipeline.records.batch import Floats, Integers
 from pipeline.records.criteria import CRITERIA, DISCRETE, SETTLING_BANDS, criterion_of, with_discrete
@@ -32,6 +33,7 @@ from pipeline.theory.optimum.search import (
     search,
     where_stable,
 )
+from pipeline.theory.stability.region import stiffness_limit
 from pipeline.theory.stability.stability import boundary, boundary_points, spectral_radius
 
 UNDAMPED_LOSS = 1e-9
@@ -95,24 +97,29 @@ def optimal_point(loop: Loop, criterion: str) -> OptimalPoint:
 
 def _least(loop: Loop, criterion: str) -> OptimalPoint:
     """Smallest cost inside the stable region or, as a limit, along its edge, where the cost must be continuous."""
-    longest = int(_ENDLESS * (loop.delay + 1))
+    longest, general = int(_ENDLESS * (loop.delay + 1)), isinstance(loop, DeviceLoop)
+
+    def at(place: Floats) -> tuple[Floats, Floats]:
+        """The edge by its angle, a general loop's by its damping."""
+        return (stiffness_limit(loop, place), place) if general else boundary_points(loop, place)
 
     def cost(alpha: Floats, beta: Floats, _: float) -> Floats:
         return point_costs_by_name(loop, alpha, beta, (criterion,), longest)[criterion]
 
-    def along(_: Integers, theta: Floats, best: float) -> Floats:
-        alpha, beta = boundary_points(loop, theta)
-        found = np.full(len(theta), np.inf)
+    def along(_: Integers, place: Floats, best: float) -> Floats:
+        alpha, beta = at(place)
+        found = np.full(len(place), np.inf)
         steep = alpha > lowest
         found[steep] = cost(alpha[steep], beta[steep], best)
         return np.where(np.isnan(found), np.inf, found)
 
-    lowest, ends = float(region(loop)[0][0]), boundary(loop).theta
+    lowest, border = float(region(loop)[0][0]), boundary(loop)
+    ends = border.beta if general else border.theta
     edge = search_lines(along, ends[:1], ends[-1:])
     inside = search(loop, cost, SMOOTH)
     if edge.cost[0] > inside.cost:
         return inside
-    alpha, beta = boundary_points(loop, edge.place)
+    alpha, beta = at(edge.place)
     return OptimalPoint(float(alpha[0]), float(beta[0]), float(edge.cost[0]), attained=False)
 
 

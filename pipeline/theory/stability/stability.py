@@ -6,7 +6,7 @@ Source: Hulin 2017, secs. 3.4 and 3.5; the boundary by the closed form on |z| = 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from itertools import pairwise
 
@@ -161,6 +161,8 @@ class Boundary:
         Largest stable alpha and its beta.
     beta_max, alpha_at_beta_max : float
         Largest stable beta and its alpha.
+    islands : float64, shape (i, 3)
+        Of a general loop, as `device.outline.Outline` tells them.
     """
 
     alpha: Floats
@@ -170,6 +172,7 @@ class Boundary:
     beta_at_alpha_max: float
     beta_max: float
     alpha_at_beta_max: float
+    islands: Floats = field(default_factory=lambda: np.zeros((0, 3)))
 
 
 def boundary(loop: Loop, points: int = 400) -> Boundary:
@@ -230,7 +233,7 @@ def _of_device(loop: DeviceLoop, points: int) -> Boundary:
     if not len(found.beta):
         raise ParameterError(f"{loop}: no damping stabilises a soft wall.")
     unknown, top = np.full(len(found.beta), np.nan), (float(found.beta[-1]), float(found.alpha[-1]))
-    return Boundary(found.alpha, found.beta, unknown, found.alpha_max, found.beta_at_alpha_max, *top)
+    return Boundary(found.alpha, found.beta, unknown, found.alpha_max, found.beta_at_alpha_max, *top, found.islands)
 
 
 def _distinct(values: Floats) -> Floats:

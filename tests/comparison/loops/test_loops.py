@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import floor
+
 import numpy as np
 import pytest
 
@@ -53,6 +55,9 @@ def test_an_adequate_loop_is_the_true_one_and_its_passive_wall_is_stable(compare
     assert loop.mass.value == pytest.approx(truth.mass, rel=2e-3)
     assert loop.damping.value == pytest.approx(truth.damping, rel=2e-2)
     assert loop.delay_samples.value == pytest.approx(course.setup.delay_samples, abs=0.01)
+    # the whole factor is that of the same delay, also where a coarse sensor shows the first motion late
+    factor = found.estimates["delay_samples"]
+    assert (factor.value, factor.high) == (floor(course.setup.delay_samples), factor.value + 1)
     assert radius(course, found.passive.stiffness, found.passive.damping) < 1
     for limit in found.loop_boundary:
         assert limit.low <= limit.stiffness <= limit.high
@@ -99,6 +104,9 @@ def test_what_logs_show_is_named_and_no_other_loop_bears_a_statement(compared, n
     assert "is not adequate" in told
     for claim in ("passive, and so stable", "friction, play", "allow this deviation", "Theory predicts"):
         assert claim not in told
+    # no interval of 95 % where the loop that it rests on does not hold
+    assert "95 %" not in result.summary[-1]
+    assert "about" in result.summary[-1]
 
 
 def test_an_ideal_loop_has_no_causes(compared):

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,6 +16,8 @@ from pipeline.measured.signal.verdict import judge
 from pipeline.records.findings import BoundaryPoint
 from pipeline.simulation.course import run_course
 from pipeline.simulation.radius import spectral_radius
+from pipeline.simulation.setup import setup_of
+from pipeline.simulation.simulate import simulate
 
 FINE = {"quantum": 2e-6, "noise": 0.5e-6}
 COARSE = {"quantum": 1e-5, "noise": 1e-6}
@@ -65,6 +68,26 @@ def test_interval_covers_the_true_limit(sensor):
     # an interval that is as wide as the bracket of the verdicts would tell nothing new
     assert np.median(widths) < 0.6 * np.median(brackets)
     assert np.median(deviations) > 0.03 * np.median(widths)
+
+
+def test_intervals_of_courses_of_twenty_trials_hold_the_limits():
+    dampings, inside, wide = np.array([10.0, 25.0, 45.0, 70.0, 100.0]), [], []
+    for seed in range(901, 951):
+        random = np.random.default_rng(seed)
+        device = load_device("falcon")
+        conditions = {"mass": random.uniform(0.4, 0.75), "damping": random.uniform(2.8, 5.2), "jitter_samples": ()}
+        delay = {"delay_samples": float(random.uniform(2.5, 5))}
+        setup = setup_of(device, device.experiments[0].model_copy(update=conditions | delay))
+        limits = limit(setup, dampings)
+        K = (random.uniform(0.3, 1.5, (5, 4)) * limits[:, None]).ravel()
+        points = band(SimpleNamespace(batch=simulate(setup, K, np.repeat(dampings, 4), seed=seed)))
+        known = [(p, k) for p, k in zip(points, limits, strict=True) if p.high is not None]
+        inside += [p.low <= k <= p.high for p, k in known]
+        wide += [(p.high - p.low) / k for p, k in known]
+    assert len(inside) > 180
+    # 95 %; where two or three rates were trusted for less than they miss by a bend, 64 % of the narrow ones held
+    assert np.mean(inside) > 0.97
+    assert np.mean(inside, where=np.array(wide) < 0.05) > 0.9
 
 
 @pytest.mark.slow

@@ -107,6 +107,13 @@ def test_a_drift_is_told_in_words_and_numbers():
     assert rotation.trend[0].unit == "kg m^2/(Nm/rad)"
 
 
+def test_a_drift_beside_a_value_near_zero_is_told_without_a_share_of_it():
+    value, error, K, B, _ = trials(np.random.default_rng(3), 400, 0.0, gross=0.0, slope=0.05)
+    found = combine(value - value.mean(), error, [""] * 400, "kg", "m", "none", stiffness=K, damping=B)
+    assert "drifts by +0.0488 kg over" in found.warning
+    assert "%)" not in found.warning.replace("95 % interval", "")
+
+
 def test_a_small_drift_is_reported_and_gives_no_warning():
     value, error, K, B, _ = trials(np.random.default_rng(3), 2000, 0.0, gross=0.0, slope=0.006)
     found = combine(value, error, [""] * 2000, "kg", "m", "none", stiffness=K, damping=B)

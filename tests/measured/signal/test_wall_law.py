@@ -141,6 +141,20 @@ def test_repeated_rows():
     assert d.value >= 8
 
 
+@pytest.mark.parametrize("samples", [2, 4])
+@pytest.mark.parametrize("quantum", [5e-6, 2e-5])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_slow_device_before_a_coarse_sensor_repeats_and_misses_no_rows(samples, quantum, seed):
+    def filtered(v, x):
+        return (x[-1] - x[max(len(x) - 1 - samples, 0)]) / (samples * T)
+
+    sensor = {"quantum": quantum, "noise": 0.1 * quantum, "seed": seed}
+    _, departures = found(log(K=3000.0, B=80.0, filtered=filtered, **sensor), K=3000.0, B=80.0)
+    # many steps of a coarse sensor look like those of a force in single logs
+    assert {d.code for d in departures} <= {"velocity_filter", "several_steps"}
+    assert departures or quantum > 5e-6
+
+
 @pytest.mark.parametrize("samples", [2, 3, 8, 25])
 def test_velocity_as_difference_over_samples(samples):
     def filtered(v, x):

@@ -10,6 +10,7 @@ from pipeline.loop.device_loop import DeviceLoop, Vibration, general, loop_of, w
 from pipeline.loop.loop import Loop
 from pipeline.records.loop_parts import Butterworth
 from pipeline.theory.cost.energy import energy_costs
+from pipeline.theory.cost.pointcosts import point_costs_by_name
 from pipeline.theory.cost.transient import transient_costs
 from pipeline.theory.device.outline import outline
 from pipeline.theory.device.slowest_pole import slowest_poles
@@ -74,6 +75,13 @@ def test_costs_equal_fine_integration(sensor_far):
     last = np.flatnonzero(np.abs(place) > 0.02)[-1]
     assert costs["settle_2pct"][0] == pytest.approx(time[last], abs=1.01 / 256)
     assert costs["settle_2pct_discrete"][0] == np.flatnonzero(np.abs(place[::256]) > 0.02)[-1] + 1
+    rise = point_costs_by_name(loop, alpha, beta, ("rise_time", "rise_time_discrete"), 700)
+    for name, share, steps in (("rise_time", place, 256), ("rise_time_discrete", place[::256], 1)):
+        first = [np.flatnonzero(share >= level)[0] for level in (-0.9, -0.1)]
+        begin, end = (
+            k - (share[k] - level) / (share[k] - share[k - 1]) for k, level in zip(first, (-0.9, -0.1), strict=True)
+        )
+        assert rise[name][0] == pytest.approx((end - begin) / steps, abs=1e-9 if steps == 1 else 1e-4)
     energy = place**2 + speed**2 / (alpha[0] + loop.gamma)
     for w in (0, 1, 2):
         expected = np.trapezoid(time**w * energy, time)
@@ -139,8 +147,11 @@ def test_general_energies_equal_ideal_ones(signal):
 def test_general_transients_equal_ideal_ones():
     alpha, beta = np.array([0.002, 0.01, 0.03, 0.001]), np.array([0.1, 0.15, 0.2, 0.2])
     for gamma, delta, delay in ((0.0, 0.01, 2.0), (1e-3, 0.05, 1.4)):
-        ideal = transient_costs(Loop(gamma, delta, delay), alpha, beta)
-        found = transient_costs(DeviceLoop(gamma, delta, delay), alpha, beta)
+        ideal, found = (
+            transient_costs(loop, alpha, beta)
+            | point_costs_by_name(loop, alpha, beta, ("rise_time", "rise_time_discrete"), 5000)
+            for loop in (Loop(gamma, delta, delay), DeviceLoop(gamma, delta, delay))
+        )
         for name, values in ideal.items():
             np.testing.assert_allclose(found[name], values, rtol=1e-10, atol=1e-12, err_msg=name)
 
@@ -187,3 +198,10 @@ def test_no_random_wall_beats_the_optimum(criterion):
         others = transient_costs(loop, alpha, beta, (0.02,), overshoot=False)[criterion]
     assert len(others) > 20
     assert np.nanmin(others) >= best.cost * (1 - 1e-9)
+
+
+def test_the_soonest_rise_of_a_general_loop_is_the_ideal_one_along_its_edge():
+    ideal, found = (optimal_point(loop(1e-3, 0.02, 1.5), "rise_time") for loop in (Loop, DeviceLoop))
+    assert found.cost == pytest.approx(ideal.cost, rel=1e-9)
+    assert not found.attained
+    assert (found.alpha, found.beta) == pytest.approx((ideal.alpha, ideal.beta), rel=1e-5)  # flat there

@@ -1,0 +1,130 @@
+"""Where responses of a general loop settle, told from their modes, so that what lies before need not be followed.
+
+A mode's motion between samples is bounded by the coefficients of its polynomials (Bernstein's form); the sum of these
+envelopes bounds the response at every later time. Nothing is believed of modes that do not reproduce the present
+state. As `cost.march` does for ideal loops, whose three slowest modes it reads from their samples.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from math import comb
+
+import numpy as np
+
+from pipeline.loop.device_loop import DeviceLoop
+from pipeline.records.batch import Floats
+from pipeline.theory.cost.envelope import envelope_end, untouched
+from pipeline.theory.cost.slowmodes import SlowModes
+from pipeline.theory.device.modes import TOGETHER, Modes, modes
+from pipeline.theory.device.motion import Motion, joined
+from pipeline.theory.device.pieces import DEGREE, pieces, starts
+
+_REPRODUCED = 1e-11
+"""Largest difference of a state and its modes, relative to its motion."""
+
+_HALF_TURNS = 1.2
+"""Length of the window in front of the end, in half turns of the mode that is largest there."""
+
+_SHORTEST = 8.0
+"""Length of that window at least [samples]."""
+
+_WIDER = 4.0
+"""Growth of the window where nothing outside the band was met in it."""
+
+_STRAIGHT = 1e-3
+"""Angle of a pole [rad/sample] that counts as none for the window: 3,800 samples."""
+
+
+class Outlook:
+    """What modes tell of points that move.
+
+    Parameters
+    ----------
+    run, everyone : Motion
+        The points; all points that were started with them.
+
+    Notes
+    -----
+    ``run`` are those of which modes tell, ``unknown`` the others.
+    """
+
+    def __init__(self, run: Motion, everyone: Motion) -> None:
+        past = modes(run.loop, everyone.alpha, everyone.beta, "step").part(run.index - everyone.index[0])
+        off = np.abs(past.at(run.sample) - run.state)[: len(run.scale)]
+        known = (off * run.scale).sum(axis=0) <= _REPRODUCED * run.size()  # nan compares false
+        self.run, self.unknown, self.past = run.part(known), run.part(~known), past.part(known)
+        self.pole, self.rate = self.past.pole, self.past.rate
+        seen = run.loop.seen(run.loop.law(self.run.alpha, self.run.beta), self.past.state)
+        seen *= self.past.grown(self.run.sample)[:, None, :]
+        # real times complex, as two real ones
+        self.sensed = (_bernstein(run.loop) @ seen.view(np.float64)).view(np.complex128)
+        """Coefficients of each mode's motion in the next interval, shape (n, coefficients, modes)."""
+        self.size = np.abs(self.sensed).max(axis=1)
+
+    def before_the_end(self, band: float) -> Motion:
+        """Return the points a window before their envelope is inside the band."""
+        run, end = self.run.part(slice(None)), envelope_end(self.size.T, self.rate.T, band)
+        lead = np.argmax(self.size * np.exp(-self.rate * end[:, None]), axis=1)[:, None]
+        angle, largest, actual, decay = (
+            np.take_along_axis(values, lead, 1)[:, 0]
+            for values in (np.angle(self.pole), self.size, np.abs(self.sensed[:, 0]), self.rate)
+        )
+        turns = _HALF_TURNS * np.pi / np.maximum(np.abs(angle), _STRAIGHT) * (angle != 0)
+        window = _SHORTEST + 1.1 * np.log(largest / actual) / decay + turns
+        run.since, run.stop = run.sample, run.sample + end + 1
+        return _placed(run, self.past, np.maximum(np.floor(run.stop - window), run.since))
+
+    def before_a_peak(self, peak: Floats) -> Motion:
+        """Return the points whose motion may exceed a peak, shape (n,), at a sample before it does."""
+        with np.errstate(all="ignore"):  # of no motion at all nothing is finite
+            free = np.maximum(self._below(peak), self._leap(peak))
+        may = np.isfinite(free)
+        sample = self.run.sample + np.where(free >= _SHORTEST, np.floor(free), 0.0)
+        return _placed(self.run.part(may), self.past.part(may), sample[may])
+
+    def _below(self, peak: Floats) -> Floats:
+        """Return samples in which the envelopes keep the motion below a peak; infinity where they always do."""
+        # how far a motion below zero comes up again within an interval
+        least = np.maximum(-self.sensed.real.max(axis=1), 0.0)
+        slow = SlowModes(self.pole.T, self.sensed[:, 0].T, np.ones(len(peak), np.bool_))
+        share = ((self.size - least) / (self.size + least)).T
+        return np.nan_to_num(untouched(slow, self.size.T, self.rate.T, share, peak), nan=0.0, posinf=np.inf)
+
+    def _leap(self, peak: Floats) -> Floats:
+        """Return samples in which the motion stays below a peak, or rises in each interval above the one before.
+
+        Its coefficients change by sum_i sensed_i (pole_i^h - 1) in h samples, which is h times their first step up to
+        h^2/2 sum_i size_i |pole_i - 1|^2; a later step differs from the first by at most h times that sum.
+        """
+        turn = self.pole - 1
+        bend = (self.size * np.abs(turn) ** 2).sum(axis=1)
+        step = (self.sensed @ turn[:, :, None])[..., 0].real
+        room, fastest = np.maximum(peak - self.sensed.sum(axis=2).real.max(axis=1), 0.0), step.max(axis=1)
+        below = (np.sqrt(fastest**2 + 2 * bend * room) - fastest) / bend
+        return np.asarray(np.maximum(below, step.min(axis=1) / bend))
+
+
+def earlier(run: Motion) -> Motion:
+    """Return points a wider window before their stop."""
+    parts = [run.part(slice(first, first + TOGETHER)) for first in range(0, len(run.index), TOGETHER)]
+    for i, part in enumerate(parts):
+        start = np.maximum(np.floor(part.stop - _WIDER * (part.stop - part.sample)), part.since)
+        parts[i] = _placed(part, modes(part.loop, part.alpha, part.beta, "step"), start)
+    return joined(parts) if parts else run
+
+
+def _placed(run: Motion, past: Modes, sample: Floats) -> Motion:
+    """Return points at other samples; where that is none, as they are."""
+    moved = sample != run.sample
+    run.state, run.sample = np.where(moved, past.at(sample), run.state), sample
+    return run
+
+
+@lru_cache(maxsize=64)
+def _bernstein(loop: DeviceLoop) -> Floats:
+    """Return the coefficients of the sensed position over all pieces as forms of `DeviceLoop.seen`, (13 pieces, q)."""
+    change = [[comb(j, i) / comb(DEGREE, i) for i in range(DEGREE + 1)] for j in range(DEGREE + 1)]
+    return np.concatenate(
+        [np.array(change) @ piece.place @ given for piece, given in zip(pieces(loop), starts(loop), strict=True)]
+    )

@@ -1,0 +1,345 @@
+"""Settling time, overshoot and rise time of a general loop's step response, from the exact motion between samples.
+
+As `cost.transient`, for devices with more states: all points are advanced sample by sample, and leave as soon as
+nothing that is asked for can change any more, which is mostly known ahead from their modes (`ahead`). A device's motion
+is small only where all its states are, so that a beat's silence is not taken for its end.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+
+from pipeline.loop.device_loop import DeviceLoop
+from pipeline.records.batch import Booleans, Floats, Integers
+from pipeline.theory.device.ahead import Outlook, earlier
+from pipeline.theory.device.modes import TOGETHER
+from pipeline.theory.device.motion import Motion, joined
+from pipeline.theory.device.pieces import DEGREE
+
+_BLOCK = 16
+"""Samples between two checks of which points are finished."""
+
+_AT_ONCE = 512
+"""Points that are advanced together: products of their matrices stay in a cache, and on one processor."""
+
+_FIRST = 64
+"""Samples before modes are looked at."""
+
+_AGAIN = 32
+"""Samples before those that may still overshoot are looked at again: about what a look costs."""
+
+_SETTLED = 0.1
+"""Share of the band (or of the overshoot found) below which all motion has to stay for a block and a delay."""
+
+_NEWTON = 5
+"""Steps to a turning point from a first guess within a piece of at most one radian: each doubles its digits."""
+
+_HALVINGS = 54
+"""Halves a piece to below 1e-16."""
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What is asked for, as of `cost.transient.transient_costs`."""
+
+    bands: Sequence[float]
+    overshoot: bool
+    continuous: bool
+    longest: int
+    quiet: float
+    cutoff: float = np.inf
+    enough: float = np.inf
+    unfinished_overshoot: bool = False
+
+
+@dataclass
+class _Passing:
+    """Last passing of a level: start and duration of the piece, the motion over it, bracket of the passing, level."""
+
+    start: Floats
+    duration: Floats
+    motion: Floats
+    low: Floats
+    high: Floats
+    level: Floats
+
+    @classmethod
+    def empty(cls, n: int) -> _Passing:
+        unknown, zero = np.full(n, np.nan), np.zeros(n)
+        return cls(unknown, unknown.copy(), np.zeros((DEGREE + 1, n)), zero, zero.copy(), zero.copy())
+
+    @classmethod
+    def of_pieces(cls, run: Motion, events: Booleans, turned: Booleans) -> _Passing:
+        """Return the motion over pieces, marked as rows of `Motion.ends`, in order of time; up to where it turns."""
+        row, at = np.nonzero(events)
+        motion, high = run.motion(row, at), np.ones(len(at))
+        some = np.flatnonzero(turned[events])
+        if len(some):
+            _, _, start_speed, end_speed = (speed[events][some] for speed in run.ends())
+            high[some] = _turning(motion[:, some], start_speed, end_speed)
+        interval, number = np.divmod(row, len(run.pieces))
+        start, duration = (
+            np.array([getattr(piece, name) for piece in run.pieces])[number] for name in ("start", "duration")
+        )
+        time = run.sample[at] - len(run.made) + interval + start
+        return cls(time, duration, motion, np.zeros(len(at)), high, np.zeros(len(at)))
+
+    def part(self, which: Booleans | Integers) -> _Passing:
+        return _Passing(*(getattr(self, f.name)[..., which] for f in fields(self)))
+
+    def set(self, index: Integers, other: _Passing) -> None:
+        for f in fields(self):
+            getattr(self, f.name)[..., index] = getattr(other, f.name)
+
+    def time(self) -> Floats:
+        low, high, side = self.low.copy(), self.high.copy(), np.sign(self.level)
+        for _ in range(_HALVINGS):
+            middle = 0.5 * (low + high)
+            still = (_at(self.motion, middle) - self.level) * side > 0
+            low, high = np.where(still, middle, low), np.where(still, high, middle)
+        return self.start + 0.5 * (low + high) * self.duration
+
+
+def step_costs(loop: DeviceLoop, alpha: Floats, beta: Floats, asked: Asked) -> dict[str, Floats]:
+    """Return settling times and overshoot, named and defined as by `cost.transient.transient_costs`."""
+    found, everyone = _Found(asked, len(alpha)), Motion(loop, alpha, beta, between=asked.continuous)
+    for first in range(0, len(alpha), TOGETHER):
+        _follow(everyone.part(slice(first, first + TOGETHER)), found)
+    for band in asked.bands:
+        _enter(found, band)
+    return found.costs()
+
+
+def late_sample(loop: DeviceLoop, alpha: Floats, beta: Floats, first: int, longest: int, faded: float) -> Floats:
+    """Return the largest deviation of samples from ``first`` on, until all motion is below a share ``faded`` of it."""
+    run, largest, calm = Motion(loop, alpha, beta, between=False), np.zeros(len(alpha)), np.zeros(len(alpha))
+    for count in _rounds(first - 1, _BLOCK):
+        run.advance(count)
+    for count in _rounds(longest - first + 1, _BLOCK):
+        run.advance(count)
+        largest = np.maximum(largest, np.abs(run.sensed).max(axis=0))
+        calm = np.where(run.size() > faded * largest, 0.0, calm + 1)
+        if np.all(calm * _BLOCK > run.memory):
+            break
+    return largest
+
+
+def first_reached(
+    loop: DeviceLoop, alpha: Floats, beta: Floats, levels: Sequence[float], longest: int, between: bool
+) -> tuple[Floats, Floats]:
+    """Return when a step's motion first reaches deviations below zero, shape (levels, n); nan where it does not.
+
+    First of the exact motion (nan where that is not asked for, ``between``), then of its samples joined by lines.
+    """
+    run, n = Motion(loop, alpha, beta, between=between), len(alpha)
+    exact, sampled = [_Passing.empty(n) for _ in levels], np.full((len(levels), n), np.nan)
+    for count in _rounds(longest, _BLOCK):
+        place = run.position[None]
+        run.advance(count)
+        place = np.concatenate([place, run.sensed])
+        for level, passing, row in zip(levels, exact, sampled, strict=True):
+            over = place[1:] >= level
+            new = np.flatnonzero(np.isnan(row[run.index]) & over.any(axis=0))
+            k = over.argmax(axis=0)[new]
+            share = (level - place[k, new]) / (place[k + 1, new] - place[k, new])
+            row[run.index[new]] = run.sample[new] - count + k + share
+            if between:
+                _note_first(run, level, passing)
+        run = run.part(np.isnan(sampled[:, run.index]).any(axis=0))
+        if not len(run.index):
+            break
+    return np.array([passing.time() for passing in exact]), sampled
+
+
+def _rounds(samples: float, each: int) -> Iterator[int]:
+    """Yield numbers of at most ``each`` samples, so many in all."""
+    while samples > 0:  # falls
+        yield int(min(each, samples))
+        samples -= each
+
+
+class _Found:
+    """What is known of each point."""
+
+    def __init__(self, asked: Asked, n: int) -> None:
+        self.asked = asked
+        self.peak, self.sampled_peak = np.zeros(n), np.zeros(n)
+        self.settled = {band: np.zeros(n) for band in asked.bands}
+        self.entry = {band: _Passing.empty(n) for band in asked.bands}
+        self.quiet, self.calm = np.zeros(n), np.zeros(n)
+        self.ahead: dict[float, list[Motion]] = {band: [] for band in asked.bands}
+        self.restless: list[Integers] = []
+        self.unfinished: list[Integers] = []
+
+    def known_peak(self, run: Motion) -> Floats:
+        """Return the deviation of each point above which a later one counts."""
+        return np.asarray(np.maximum(self.sampled_peak[run.index], self.asked.quiet))
+
+    def costs(self) -> dict[str, Floats]:
+        result = {}
+        restless, unfinished = (
+            np.concatenate([np.zeros(0, np.intp), *parts]) for parts in (self.restless, self.unfinished)
+        )
+        for band in self.asked.bands:
+            name = f"settle_{100 * band:g}pct"
+            result[f"{name}_discrete"] = self.settled[band] + 1
+            if self.asked.continuous:
+                result[name] = self.entry[band].time()
+        for values in result.values():
+            values[restless] = np.nan
+        if self.asked.overshoot:
+            peaks = {"overshoot_discrete": self.sampled_peak}
+            if self.asked.continuous:
+                peaks["overshoot"] = np.maximum(self.peak, self.sampled_peak)
+            if not self.asked.unfinished_overshoot:
+                for values in peaks.values():
+                    values[unfinished] = np.nan
+            result |= peaks
+        return result
+
+
+def _follow(run: Motion, found: _Found) -> None:
+    """Follow points until all is known, or modes tell where they settle."""
+    asked, everyone, climbing = found.asked, run, [run.part(slice(0))]
+    for samples in _rounds(asked.longest, _FIRST):
+        run = _marched(run, found, asked.bands, samples)
+        if not len(run.index):
+            break
+        view = Outlook(run, everyone)
+        run = view.unknown
+        for band in asked.bands:
+            found.ahead[band].append(view.before_the_end(band))
+        if asked.overshoot:
+            climbing.append(view.before_a_peak(found.known_peak(view.run)))
+    found.restless.append(run.index[found.calm[run.index] * _BLOCK <= run.memory])
+    found.unfinished.append(run.index)
+    run = joined(climbing)
+    for samples in _rounds(asked.longest, _AGAIN):
+        found.quiet[run.index] = 0  # some were moved ahead
+        run = _marched(run, found, (), samples)
+        if not len(run.index):
+            break
+        view = Outlook(run, everyone)
+        run = joined([view.before_a_peak(found.known_peak(view.run)), view.unknown])
+    found.unfinished.append(run.index)
+
+
+def _enter(found: _Found, band: float) -> None:
+    """Follow points before they settle; from earlier where no sample outside the band was met."""
+    run = joined(found.ahead[band]) if found.ahead[band] else None
+    while run is not None and len(run.index):  # ends: each round starts earlier, at last where all before is known
+        out = np.abs(run.position) > band
+        found.settled[band][run.index[out]] = run.sample[out]
+        _marched(run, found, (band,), np.inf)
+        missed = (found.settled[band][run.index] < run.sample) & (run.sample > run.since)
+        run = earlier(run.part(missed))
+
+
+def _marched(run: Motion, found: _Found, bands: Sequence[float], samples: float) -> Motion:
+    """Advance points by so many samples, noting what they do; return those that still move."""
+    order = np.argsort(run.stop - run.sample)
+    parts = [run.part(order[first : first + _AT_ONCE]) for first in range(0, len(order), _AT_ONCE)]
+    return joined([_advanced(part, found, bands, samples) for part in parts]) if parts else run
+
+
+def _advanced(run: Motion, found: _Found, bands: Sequence[float], samples: float) -> Motion:
+    for count in _rounds(samples, _BLOCK):
+        run.advance(count)
+        if run.pieces:
+            _note(run, found, bands)
+        sensed, at = run.sensed, run.index
+        size = np.abs(sensed)
+        number = np.arange(1.0, count + 1)[:, None]
+        for band in bands:
+            last = ((size > band) * number).max(axis=0)
+            found.settled[band][at] = np.where(last > 0, run.sample - count + last, found.settled[band][at])
+        found.sampled_peak[at] = np.maximum(found.sampled_peak[at], sensed.max(axis=0))
+        done = (run.sample >= run.stop) | _finished(run, found, size[-1])
+        if done.any():
+            run = run.part(~done)
+        if not len(run.index):
+            break
+    return run
+
+
+def _finished(run: Motion, found: _Found, size: Floats) -> Booleans:
+    """Return which points have nothing more to show, or are of no interest."""
+    asked, at = found.asked, run.index
+    still = _SETTLED * min(asked.bands) if asked.bands else 1.0
+    motion, limit = run.size(), np.full(len(at), still)
+    if asked.overshoot:
+        limit = np.minimum(limit, np.maximum(_SETTLED * found.sampled_peak[at], asked.quiet))
+    found.quiet[at] = np.where(motion > limit, 0.0, found.quiet[at] + 1)
+    found.calm[at] = np.where(motion > still, 0.0, found.calm[at] + 1)
+    done = found.quiet[at] * _BLOCK > run.memory
+    if not asked.bands:
+        done |= np.maximum(found.peak, found.sampled_peak)[at] > asked.enough
+    elif not asked.overshoot:
+        late = (size > max(asked.bands)) & (run.sample > asked.cutoff) & np.isinf(run.stop)
+        found.unfinished.append(at[late])
+        found.restless.append(at[late])
+        done |= late
+    return np.asarray(done)
+
+
+def _note(run: Motion, found: _Found, bands: Sequence[float]) -> None:
+    """Note extrema inside pieces, and entries into the bands."""
+    before, after, start_speed, end_speed = run.ends()
+    size_before, size_after = np.abs(before), np.abs(after)
+    turned = start_speed * end_speed < 0
+    further = np.array([piece.duration for piece in run.pieces] * len(run.made))[:, None] * np.minimum(
+        np.abs(start_speed), np.abs(end_speed)
+    )
+    events = turned & (start_speed > 0) & (np.maximum(before, after) + further > found.peak[run.index])
+    if not found.asked.overshoot and bands:
+        events[:] = False
+    for band in bands:
+        # it enters the band, or leaves it for a moment
+        out = (size_before > band) | (turned & (np.maximum(size_before, size_after) + further > band))
+        events |= (size_after <= band) & out
+    passing = _Passing.of_pieces(run, events, turned)
+    extreme = np.where(turned[events], _at(passing.motion, passing.high), 0.0)
+    which, before, size_before, size_after = (
+        values[events] for values in (np.broadcast_to(run.index, events.shape), before, size_before, size_after)
+    )
+    np.maximum.at(found.peak, which, extreme)
+    for band in bands:
+        out = np.abs(extreme) > band
+        new = (size_after <= band) & (out | (size_before > band))
+        low, high = np.where(out, passing.high, 0.0), np.where(out, 1.0, passing.high)
+        level = np.sign(np.where(out, extreme, before)) * band
+        found.entry[band].set(which[new], replace(passing, low=low, high=high, level=level).part(new))
+
+
+def _note_first(run: Motion, level: float, first: _Passing) -> None:
+    """Note where the motion reaches a level for the first time: within a piece, at its end or at an extremum."""
+    _, after, start_speed, end_speed = run.ends()
+    turned = (start_speed > 0) & (end_speed < 0)
+    events = np.isnan(first.start[run.index]) & ((after >= level) | turned)
+    passing = _Passing.of_pieces(run, events, turned)
+    passing.level[:] = level
+    over = (after[events] >= level) | (_at(passing.motion, passing.high) >= level)
+    which, rows = np.unique(np.broadcast_to(run.index, events.shape)[events][over], return_index=True)
+    first.set(which, passing.part(np.flatnonzero(over)[rows]))
+
+
+def _at(motion: Floats, share: Floats) -> Floats:
+    """Return polynomials, shape (13, n), at shares of their piece."""
+    result: Floats = motion[-1].copy()
+    for coefficient in motion[-2::-1]:
+        result = result * share + coefficient
+    return result
+
+
+def _turning(motion: Floats, start: Floats, end: Floats) -> Floats:
+    """Return the shares at which motions that turn have no velocity."""
+    speed = motion[1:] * np.arange(1, len(motion))[:, None]
+    change = speed[1:] * np.arange(1, len(speed))[:, None]
+    share: Floats = start / (start - end)  # of different sign
+    for _ in range(_NEWTON):
+        bend = _at(change, share)
+        share = np.minimum(np.maximum(share - _at(speed, share) / np.where(bend == 0, np.inf, bend), 0.0), 1.0)
+    return share

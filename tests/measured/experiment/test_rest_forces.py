@@ -1,0 +1,99 @@
+"""Where settled devices rest, and the costs of a device that a spring holds, by the exact loop with that spring."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from labs import make_lab
+
+import pipeline
+from pipeline.device_data.devices import load_device
+from pipeline.measured.experiment.rest_forces import rest_forces
+from pipeline.records.loop_parts import LoopParts
+
+SPRING = 300.0
+LOOP = pipeline.Loop(0.8, 7.0, 0.001, 3, stiffness=SPRING)
+
+
+def stages(folder, seed, stiffness=0.0, **parts):
+    base = load_device("falcon")
+    held = {"mass": 0.8, "damping": 7.0, "stiffness": stiffness, "delay_samples": 3, "jitter_samples": ()}
+    first = base.experiments[0].model_copy(update=held)
+    device = base.model_copy(update={"name": "held", "experiments": (first,), "tables": (), **parts})
+    return make_lab(folder, device, ("1",), coarsen=12, seed=seed).stages("1")
+
+
+@pytest.fixture(scope="module")
+def held(tmp_path_factory):
+    return stages(tmp_path_factory.mktemp("held"), 4, SPRING)
+
+
+def test_a_spring_is_told_by_where_the_device_rests(held):
+    assert rest_forces(held).spring == pytest.approx(SPRING, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("stage", "column", "exact"),
+    [
+        ("overshoot", "overshoot", "overshoot"),
+        ("settling", "settle_2pct", "settle_2pct_discrete"),
+        ("energy", "energy_w0", "energy_step_w0_discrete"),
+    ],
+)
+def test_costs_of_a_held_device_are_those_about_its_own_rest(held, stage, column, exact):
+    truth = LOOP.points(held.column(stage, "stiffness"), held.column(stage, "damping"))[exact].to_numpy(float)
+    low, high = (held.column(stage, column + end) for end in ("_low", "_high"))
+    both = np.isfinite(low) & np.isfinite(high) & np.isfinite(truth)
+    # about x_0 + F_0/K no trial would settle, and each overshoot and energy be far off
+    assert both.sum() >= 15
+    assert np.mean((low <= truth) & (truth <= high), where=both) >= 0.9
+
+
+def test_friction_is_no_spring(tmp_path):
+    rest = rest_forces(stages(tmp_path, 6, loop=LoopParts.model_validate({"friction": {"coulomb": 0.3}})))
+    assert rest.tells
+    assert rest.spring == 0.0
+
+
+class Settled:
+    """Logs that have settled at x_0 + (F_0 + force)/(K + spring), as stored."""
+
+    sampling_period_s = 1e-3
+
+    def __init__(self, stiffness, spring=0.0, force=0.0):
+        n = len(stiffness)
+        self.verdicts = SimpleNamespace(verdict=np.full(n, "stable"))
+        self.trials = pa.table({"trial_id": [str(i) for i in range(n)], "rows": [400] * n})
+        self.columns = {
+            "stiffness": stiffness,
+            "position_start": np.zeros(n),
+            "position_final_expected": 8.0 / stiffness,
+            "position_final_measured": (8.0 + force) / (stiffness + spring),
+            "growth_per_s": np.full(n, -50.0),
+            "sensor_quantum": np.full(n, 1e-6),
+            "sensor_noise": np.zeros(n),
+        }
+
+    def column(self, stage, name):
+        return self.columns[name]
+
+    def texts(self, stage, name):
+        return self.trials.column(name).to_pylist()
+
+
+@pytest.mark.parametrize(
+    ("stiffness", "options", "spring"),
+    [
+        ([500.0, 1000.0, 2000.0, 4000.0, 8000.0], {"spring": 120.0}, 120.0),
+        ([500.0, 1000.0, 2000.0, 4000.0, 8000.0], {"force": -0.5}, 0.0),
+        ([500.0, 1000.0, 2000.0, 4000.0, 8000.0], {"spring": 120.0, "force": -0.5}, 0.0),
+        ([1000.0] * 5, {"spring": 120.0}, 0.0),  # one wall tells no spring from a force
+    ],
+)
+def test_a_spring_alone_is_told_from_a_constant_force(stiffness, options, spring):
+    rest = rest_forces(Settled(np.array(stiffness), **options))
+    assert rest.tells
+    assert rest.spring == pytest.approx(spring, rel=1e-9)

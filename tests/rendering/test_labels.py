@@ -1,0 +1,24 @@
+"""Numbers are printed with the digits that they have, and what is beyond all comparison in words."""
+
+from __future__ import annotations
+
+import pytest
+
+from pipeline.rendering.labels import damping_text, percent_text, stiffness_text
+
+
+@pytest.mark.parametrize(
+    ("value", "text"), [(7.5, "7.500"), (0.0431, "0.04310"), (99.96, "99.96"), (6800.4, "6800"), (-7.5, "−7.500")]
+)
+def test_a_small_stiffness_keeps_its_digits(value, text):
+    assert stiffness_text(value) == text
+
+
+@pytest.mark.parametrize(("value", "text"), [(7e-5, "7.00e−05"), (6.98e-4, "0.000698"), (18.256, "18.26")])
+def test_a_small_damping_keeps_its_digits(value, text):
+    assert damping_text(value) == text
+
+
+@pytest.mark.parametrize(("value", "text"), [(537261.9, "over +1000"), (-2.26, "−2.3"), (0.04, "0.0")])
+def test_a_deviation_beyond_all_comparison_is_told_in_words(value, text):
+    assert percent_text(value) == text
