@@ -53,6 +53,7 @@ def ingest(
     paths: Sequence[Path],
     processed: Path,
     profile: str | Path | None = None,
+    *,
     jobs: int | None = None,
     dry_run: bool = False,
     rehash: bool = False,
