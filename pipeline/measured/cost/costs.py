@@ -45,7 +45,6 @@ def settling(
     delay_samples: int,
     *,
     bands: Mapping[str, float] = SETTLING_BANDS,
-    settled_samples: int = SETTLED_SAMPLES,
 ) -> Settling:
     """Return the discrete settling time: the smallest k from which on all samples are inside the band.
 
@@ -58,8 +57,6 @@ def settling(
         Integer delay factor d of the experiment.
     bands : mapping of str to float
         Half width relative to the final displacement, by criterion.
-    settled_samples : int
-        Samples inside the band that the log must hold at least.
 
     Returns
     -------
@@ -89,7 +86,7 @@ def settling(
         outside = counted & ~(distance <= width[:, None])
         after = np.where(outside.any(axis=1), column.size - np.argmax(outside[:, ::-1], axis=1), first)
         resolved = width >= response.floor
-        settled = batch.rows - after >= settled_samples
+        settled = batch.rows - after >= SETTLED_SAMPLES
         good = usable & resolved & settled
         samples[name] = np.where(good, after - first, np.nan).astype(np.float64)
         for i in np.flatnonzero(usable & ~good):
