@@ -42,8 +42,6 @@ from pipeline.profiles.profile_model import Profile
 from pipeline.readers import Log
 from pipeline.store.storage import trials_folder
 
-__all__ = ["IngestReport", "LogWarning", "Refusal", "ingest"]
-
 PENDING_BYTES = 64 << 20
 """Samples that are collected before they become visible: a course of 2,300 logs with 1,000 rows makes one file, and an
 interruption costs about a second's work."""
