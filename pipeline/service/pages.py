@@ -197,7 +197,7 @@ def trials(service: Shared, request: Request, asked: Annotated[TrialForm, Query(
     kept = {*api.WORDS, *api.RANGES, "q", "sort"}
     state = {"sort": asked.sort} | {k: v for k, v in request.query_params.items() if v and k in kept}
     following = urlencode({**state, "cursor": found["next_cursor"]}) if found["next_cursor"] else None
-    more = {"state": state, "following": following, "query": urlencode(state), "sorts": SORTS}
+    more: dict[str, Any] = {"state": state, "following": following, "query": urlencode(state), "sorts": SORTS}
     return page_of(service, request, "trials.html.j2", **found, **more)
 
 
