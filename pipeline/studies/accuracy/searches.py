@@ -9,6 +9,7 @@ import numpy as np
 
 from pipeline.records.batch import Floats
 from pipeline.studies.accuracy.methods import Case, radius_by_roots
+from pipeline.theory.stability.stability import bisect
 
 _GRID = 11
 """Grid points along an axis in each round of an iterative gridding; the next round spans two cells around the best."""
@@ -31,10 +32,8 @@ def bisect_limit(radius: Cost, beta: Floats, high: float, tolerance: float) -> F
         Width at which to stop, relative to ``high``.
     """
     low, up = _brackets(radius, beta, high)
-    for _ in range(math.ceil(math.log2(1 / (tolerance * (_GRID - 1))))):
-        middle = 0.5 * (low + up)
-        stable = radius(middle, beta) < 1
-        low, up = np.where(stable, middle, low), np.where(stable, up, middle)
+    halvings = math.ceil(math.log2(1 / (tolerance * (_GRID - 1))))
+    low, up = bisect(lambda alpha: radius(alpha, beta) < 1, low, up, halvings)
     return 0.5 * (low + up)
 
 
