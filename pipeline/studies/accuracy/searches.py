@@ -95,36 +95,21 @@ def nelder_mead(cost: Cost, start: tuple[float, float], size: float, tolerance: 
     size : float
         Edge of the first simplex relative to the start.
     tolerance : float
-        Relative size of the simplex at which to stop; 400 steps at most.
+        Size of the simplex, relative to the start, at which to stop; 400 steps at most.
     """
 
-    def value(p: Floats) -> float:
-        return float(cost(p[:1], p[1:])[0])
+    from scipy.optimize import minimize
 
     origin = np.array(start)
-    simplex = [origin, origin * [1 + size, 1], origin * [1, 1 + size]]
-    values = [value(p) for p in simplex]
-    for _ in range(400):
-        order = np.argsort(values, kind="stable")
-        simplex, values = [simplex[i] for i in order], [values[i] for i in order]
-        if max(float(np.abs(p / simplex[0] - 1).max()) for p in simplex[1:]) < tolerance:
-            break
-        middle = 0.5 * (simplex[0] + simplex[1])
-        reflected = 2 * middle - simplex[2]
-        at = value(reflected)
-        if at < values[0]:
-            further = 3 * middle - 2 * simplex[2]
-            beyond = value(further)
-            simplex[2], values[2] = (further, beyond) if beyond < at else (reflected, at)
-        elif at < values[1]:
-            simplex[2], values[2] = reflected, at
-        else:
-            outer = reflected if at < values[2] else simplex[2]
-            inner = 0.5 * (middle + outer)
-            inside = value(inner)
-            if inside < min(at, values[2]):
-                simplex[2], values[2] = inner, inside
-            else:
-                simplex = [simplex[0], *(0.5 * (p + simplex[0]) for p in simplex[1:])]
-                values = [values[0], *(value(p) for p in simplex[1:])]
-    return float(simplex[0][0]), float(simplex[0][1])
+    found = minimize(
+        lambda p: float(cost(p[:1], p[1:])[0]),
+        origin,
+        method="Nelder-Mead",
+        options={
+            "initial_simplex": [origin, origin * [1 + size, 1], origin * [1, 1 + size]],
+            "xatol": tolerance * min(start),
+            "fatol": np.inf,
+            "maxiter": 400,
+        },
+    )
+    return float(found.x[0]), float(found.x[1])
