@@ -29,8 +29,8 @@ from pipeline.records.simulation_parts import SimulationParts
 from pipeline.simulation.setup import setup_of
 from pipeline.simulation.simulate import simulate
 from pipeline.theory.cost.energy import energy_costs
+from pipeline.theory.cost.settling_overshoot import transient_costs
 from pipeline.theory.cost.theory_map import CostMap
-from pipeline.theory.cost.transient import transient_costs
 from pipeline.theory.device.crossings import branches, on_circle
 from pipeline.theory.device.outline import limits, outline
 from pipeline.theory.stability.region import stiffness_limit

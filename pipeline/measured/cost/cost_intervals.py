@@ -9,8 +9,8 @@ from statistics import NormalDist
 import numpy as np
 
 from pipeline.base.errors import ParameterError
-from pipeline.measured.cost.costs import SETTLED_SAMPLES, Overshoot, Settling
 from pipeline.measured.cost.reading_error import ReadingError
+from pipeline.measured.cost.settling_overshoot import SETTLED_SAMPLES, Overshoot, Settling
 from pipeline.measured.intervals import CONFIDENCE, NORMAL_95
 from pipeline.measured.signal.response import Response
 from pipeline.records.batch import Floats, TrialBatch
@@ -88,7 +88,7 @@ def settling_interval(
     ----------
     batch : TrialBatch
     response, error, found : Response, ReadingError, Settling
-        Of the same trials; ``found`` by `costs.settling` with the same delay.
+        Of the same trials; ``found`` by `settling_overshoot.settling` with the same delay.
     delay_samples : int
         Integer delay factor d that ``found`` was computed with.
     delay_range : tuple of int, optional
@@ -151,7 +151,7 @@ def overshoot_interval(
     ----------
     batch : TrialBatch
     response, error, found : Response, ReadingError, Overshoot
-        Of the same trials; ``found`` by `costs.overshoot`.
+        Of the same trials; ``found`` by `settling_overshoot.overshoot`.
 
     Returns
     -------

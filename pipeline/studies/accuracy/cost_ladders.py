@@ -7,7 +7,7 @@ from functools import cache, partial
 
 import numpy as np
 
-from pipeline.measured.cost import costs, step_metrics
+from pipeline.measured.cost import settling_overshoot, step_metrics
 from pipeline.measured.cost.cost_intervals import overshoot_interval
 from pipeline.measured.cost.energy_intervals import energy_interval
 from pipeline.measured.cost.reading_error import reading_error
@@ -41,7 +41,9 @@ QUANTITIES = dict(zip(("settling time", "overshoot", *ENERGIES), NAMES, strict=T
 
 def settling(of: Trials) -> Values:
     """Return the settling time [samples], with the true delay."""
-    return {CRITERION: costs.settling(of.batch, of.response, of.verdicts, of.delay_samples).samples[CRITERION]}
+    return {
+        CRITERION: settling_overshoot.settling(of.batch, of.response, of.verdicts, of.delay_samples).samples[CRITERION]
+    }
 
 
 def _settling_about_last(of: Trials) -> Values:
@@ -51,11 +53,11 @@ def _settling_about_last(of: Trials) -> Values:
 
 
 def _overshoot(of: Trials) -> Values:
-    return {"overshoot": costs.overshoot(of.batch, of.response, of.verdicts).overshoot}
+    return {"overshoot": settling_overshoot.overshoot(of.batch, of.response, of.verdicts).overshoot}
 
 
 def _overshoot_less_bias(of: Trials) -> Values:
-    found = costs.overshoot(of.batch, of.response, of.verdicts)
+    found = settling_overshoot.overshoot(of.batch, of.response, of.verdicts)
     interval = overshoot_interval(of.batch, of.response, reading_error(of.batch, of.response), found)
     return {"overshoot": np.maximum(found.overshoot - interval.bias, 0.0)}
 

@@ -20,7 +20,7 @@ from pipeline.records.batch import Floats
 from pipeline.records.loop_parts import Butterworth
 from pipeline.studies.accuracy.rungs import Ladder, Method, Values
 from pipeline.studies.accuracy.searches import bisect_limit
-from pipeline.theory.cost.transient import transient_costs
+from pipeline.theory.cost.settling_overshoot import transient_costs
 from pipeline.theory.device.crossings import branches, on_circle, right_half
 from pipeline.theory.device.slowest_pole import characteristic, slowest_poles
 from pipeline.theory.device.state_sums import device_energy

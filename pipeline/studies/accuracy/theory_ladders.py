@@ -22,7 +22,7 @@ from pipeline.studies.accuracy.device_ladders import DEVICE_QUANTITIES, device_l
 from pipeline.studies.accuracy.rungs import Ladder, Method, Values
 from pipeline.theory.cost.energy import energy_costs
 from pipeline.theory.cost.maps import cost_maps
-from pipeline.theory.cost.transient import transient_costs
+from pipeline.theory.cost.settling_overshoot import transient_costs
 from pipeline.theory.optimum.optimum import optimal_point
 from pipeline.theory.stability.region import region, stiffness_limit
 from pipeline.theory.stability.stability import spectral_radius

@@ -8,7 +8,7 @@ from simulated import FALCON, LWR, simulate
 
 from pipeline.base.errors import ParameterError
 from pipeline.device_data.devices import load_device
-from pipeline.measured.cost import costs
+from pipeline.measured.cost import settling_overshoot
 from pipeline.measured.cost.energy_intervals import energy_interval
 from pipeline.measured.cost.reading_error import reading_error
 from pipeline.measured.experiment.aggregate import choose_optimum
@@ -26,8 +26,8 @@ def evaluate(batch, delay=4):
     response = find_response(batch)
     verdicts = judge(batch, response)
     return (
-        costs.settling(batch, response, verdicts, delay),
-        costs.overshoot(batch, response, verdicts),
+        settling_overshoot.settling(batch, response, verdicts, delay),
+        settling_overshoot.overshoot(batch, response, verdicts),
         energy_terms(batch, response, verdicts, delay),
     )
 
@@ -116,9 +116,9 @@ def test_sensor_does_not_swamp_the_energy(sensor, rows):
 def test_chatter_before_the_step_widens_the_floor_of_the_overshoot():
     batch = simulate([4000.0], [80.0], **FALCON, quantum=2e-6, noise=5e-7)
     response, verdicts = find_response(batch), judge(batch)
-    calm = costs.overshoot(batch, response, verdicts)
+    calm = settling_overshoot.overshoot(batch, response, verdicts)
     chatter = dataclasses.replace(response, baseline_motion=np.array([3e-5]))
-    found = costs.overshoot(batch, chatter, verdicts)
+    found = settling_overshoot.overshoot(batch, chatter, verdicts)
     assert found.floor[0] - calm.floor[0] == pytest.approx(3e-5 / (8 / 4000))
     assert found.overshoot[0] == calm.overshoot[0]
 
@@ -143,7 +143,7 @@ def test_optima_of_a_jittered_noisy_course_are_trustworthy():
         true = simulate_device(bare, K[[i]], B[[i]], seed=1, stream="falcon/1")
         # the horizon leaves out some percent, the sensor moves the device by some more
         assert chosen.cost == pytest.approx(direct(true, 0, 4, 0.58)[0][w], rel=0.1)
-    overshoot = costs.overshoot(batch, response, verdicts)
+    overshoot = settling_overshoot.overshoot(batch, response, verdicts)
     found = best(overshoot.overshoot, overshoot.floor)
     # theory without jitter: 5056 N/m; the thesis measured 6800 and 6600 N/m
     assert 4500 < found.stiffness < 7500
@@ -177,8 +177,8 @@ def test_trials_without_costs():
     response = dataclasses.replace(response, edge_row=np.array([20, 20, -1]))
     verdicts = judge(batch, response)
     for found in (
-        costs.settling(batch, response, verdicts, 4),
-        costs.overshoot(batch, response, verdicts),
+        settling_overshoot.settling(batch, response, verdicts, 4),
+        settling_overshoot.overshoot(batch, response, verdicts),
         energy_terms(batch, response, verdicts, 4),
     ):
         assert [text.split(":")[0] for text in found.reason] == [
@@ -187,7 +187,7 @@ def test_trials_without_costs():
             "no start of the response",
         ]
     assert np.isnan(energy_terms(batch, response, verdicts, 4).summed(0.58)).all()
-    assert np.isnan(costs.overshoot(batch, response, verdicts).overshoot).all()
+    assert np.isnan(settling_overshoot.overshoot(batch, response, verdicts).overshoot).all()
     short = simulate([4000.0], [70.0], **FALCON, rows=30)
     assert "ends before" in evaluate(short, 15)[2].reason[0]
     with pytest.raises(ParameterError):
