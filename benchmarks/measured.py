@@ -98,7 +98,6 @@ def compute(file: Path) -> dict[str, Any]:
     timed("settling interval", lambda: settling_interval(batch, found, error, settled, DELAY, delay_range=span))
     passed = timed("overshoot", lambda: costs.overshoot(batch, found, judged))
     timed("overshoot interval", lambda: overshoot_interval(batch, found, error, passed))
-    timed("energy", lambda: costs.energy(batch, found, judged, DELAY))
     timed(
         "energy interval",
         lambda: energy_interval(batch, found, judged, error, DELAY, MASS, mass_error=MASS_ERROR, delay_range=span),

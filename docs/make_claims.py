@@ -71,7 +71,7 @@ MOTOR = {
 }
 """Inertia [kg m^2] and damping [Nms/rad] of a small motor; Coulomb friction comes from the kinds."""
 
-BLIND = ("jitter_samples", "friction", "one_sided_wall", "force")
+BLIND = ("jitter_samples", "friction", "one_sided_wall", "force", "held_samples")
 """Keys of parts that move limits in a way that no eigenvalue tells."""
 
 Claims = tuple[str, tuple[str, ...], list[str]]

@@ -137,6 +137,22 @@ class Device(Record):
         return self
 
 
+class Deviation(Record):
+    """What the deviation of a measured optimal cost is made of: factors less 1 in percent, whose product is the whole.
+
+    ``range`` and ``grid`` are theory's, since trials have a range and a grid; ``model`` is what theory misses of the
+    measured cost freed from the noise of single trials, with its 95 % interval; ``selection`` is what the best single
+    trial differs from that.
+    """
+
+    range: float
+    grid: float
+    model: float
+    selection: float
+    model_low: float
+    model_high: float
+
+
 class ComparisonRow(Record):
     """One row of Tables D.1 to D.6: computed or measured beside the published value.
 
@@ -154,6 +170,7 @@ class ComparisonRow(Record):
     published_damping: float | None = None
     published_cost: float | None = None
     deviation_percent: float | None = None
+    deviation: Deviation | None = None
     censored: bool = False
     note: str | None = None
     experiment: str | None = None

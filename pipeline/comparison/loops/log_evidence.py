@@ -35,8 +35,11 @@ _SENTENCES = {
 }
 
 
-LIKE_STEPS = ("missing_rows", "repeated_rows", "velocity_filter")
-"""Departures by which single logs look like ones with several steps."""
+IMITATED = {
+    "several_steps": ("missing_rows", "repeated_rows", "velocity_filter", "saturation"),
+    "missing_rows": ("saturation",),
+}
+"""Departures, and others by which single logs look like them."""
 
 OF_THE_FORCE = ("step_not_a_step", "several_steps")
 """Departures of the external force: the wall is as it should be, and the model knows the command."""
@@ -69,15 +72,15 @@ def law_departures(stages: ExperimentStages) -> list[LawDeparture]:
     """
     unstable = stages.verdicts.verdict == "unstable"
     codes = [set(filter(None, text.split(","))) for text in stages.texts("wall_law", "law_codes")]
-    evidence = stages.texts("wall_law", "law_evidence")
-    held = int(np.isfinite(stages.column("wall_law", "law_residual")).sum())
+    evidence, residual = stages.texts("wall_law", "law_evidence"), stages.column("wall_law", "law_residual")
+    held = sum(seen or bool(of) for seen, of in zip(np.isfinite(residual), codes, strict=True))
     found = []
     for code in _SENTENCES:
         logs = [i for i, each in enumerate(codes) if code in each and not (code == "saturation" and unstable[i])]
         if len(logs) > SOME_LOGS * held:
             found.append(LawDeparture(code, len(logs), held, commonest(evidence[i] for i in logs)))
-    others = max((each.logs for each in found if each.code in LIKE_STEPS), default=0)
-    found = [each for each in found if each.code != "several_steps" or each.logs > others]
+    logs_of = {each.code: each.logs for each in found}
+    found = [e for e in found if all(e.logs > logs_of.get(other, 0) for other in IMITATED.get(e.code, ()))]
     return sorted(found, key=lambda each: -each.logs)
 
 

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.measured.device.friction import mean_direction
-from pipeline.measured.device.momentum import acting_force
 from pipeline.measured.intervals import student_95
 from pipeline.measured.signal.response import Response
 from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
@@ -130,7 +129,7 @@ def _columns(batch: TrialBatch, response: Response, delay_samples: int, pendulum
     after = batch.valid & (rows >= begin)
     step = np.where(after[:, 1:] & after[:, :-1], np.nan_to_num(np.diff(batch.time, axis=1)), 0.0)
     arrived = np.maximum(np.arange(rows.shape[1]) - delay_samples, 0)
-    force = np.where(after, np.nan_to_num(acting_force(batch, None))[:, arrived], 0.0)
+    force = np.where(after, np.nan_to_num(batch.command)[:, arrived], 0.0)
     x = np.where(after, np.nan_to_num(batch.displacement), 0.0)
     direction = mean_direction(batch, response.floor, after[:, :-1] & after[:, 1:])
     direction, initial, first = _surely(direction)
@@ -369,7 +368,9 @@ class _Model:
         with_it, left = (self.solve(self.all[None], some)[2][0] for some in (terms, without))
         value, error = (found[term] for found in self.fit(terms))
         missed = with_it < ASKED_FOR * left or not self.believable(without)
-        return bool(missed and abs(value) > max(NEGLIGIBLE * self.size(term), SIGNIFICANT * error))
+        # no friction helps the motion
+        size = value if term == "friction" else abs(value)
+        return bool(missed and size > max(NEGLIGIBLE * self.size(term), SIGNIFICANT * error))
 
     def believable(self, terms: list[str]) -> bool:
         """Whether the delay that the terms leave is one: what they lack, a long delay imitates."""

@@ -42,6 +42,10 @@ ROUNDS = 3
 """Fits of the growth rate, each around the zero of the one before; the verdicts' bracket, where the first one starts,
 can lie beside the limit by more than its width."""
 
+LINE_REACH = 3.0
+"""Distance of a zero from the middle of the verdicts' bracket, relative to that of the farthest trial, up to which a
+line through few rates may find it."""
+
 BEND = 1.0
 """Half of the largest second derivative of the growth rate over K, relative to its slope over K, by simulation up to
 0.6: by that times the distances of its trials from the zero a line through few rates is off."""
@@ -117,8 +121,8 @@ def boundary_band(
     softest unstable one above all stable ones, so that repeated trials that disagree widen it, and undecided ones do.
     Verdicts within `CONCLUSIVE` standard errors of zero growth, and those that the sign of the growth contradicts, are
     not counted. Where the scatter of the rates cannot be told, as with two of them, the allowed range is the interval
-    and the interpolation of two rates, or its middle, the value. The limit can therefore lie outside ``stable`` and
-    ``unstable``, which are plain counts of verdicts.
+    and the interpolation of two rates, or its middle, the value; a zero outside of it widens it. The limit can
+    therefore lie outside ``stable`` and ``unstable``, which are plain counts of verdicts.
 
     The limit is that of walls with K >= 0. With jitter of the delay it is the limit of the jittering loop, which is
     not that of its mean delay.
@@ -146,7 +150,12 @@ def boundary_band(
     # two rates leave nothing to tell an error from: the verdicts alone speak then (error is NaN)
     reach = np.hypot(np.hypot(student_95(found.freedom) * found.error, SHARED * single), found.bend)
     told = np.isfinite(reach) & (found.zero + reach >= low) & (found.zero - reach <= high)
+    # what may grow below the zero is another mode than the one that grows there
+    told &= ~(_may_grow(columns, scatter) & (columns.stiffness < (found.zero - reach)[:, None])).any(axis=1)
     interpolated = np.isnan(reach) & (found.zero >= low) & (found.zero <= high)
+    # rates that contradict the verdicts: a mode that grows below the sensor's floor beside one that dies away
+    apart = ~told & ~interpolated
+    low, high = (np.where(apart, end(limit, centre), limit) for end, limit in ((np.fmin, low), (np.fmax, high)))
     value = np.where(told | interpolated, np.clip(found.zero, low, high), 0.5 * (low + high))
     low, high = (
         np.where(told, np.fmax(found.zero - reach, low), low),
@@ -262,11 +271,30 @@ def _allowed(c: _Columns, scatter: Floats) -> tuple[Floats, Floats]:
     plain = np.isnan(c.growth) & np.isnan(scatter)[:, None]
     stable = c.stable & (plain | (c.growth < -doubt))
     unstable = c.unstable & (plain | (c.growth > doubt))
-    softest = np.where(unstable, c.stiffness, np.inf).min(axis=1)
+    softest = np.where(unstable | _may_grow(c, scatter), c.stiffness, np.inf).min(axis=1)
     stiffest = np.where(stable, c.stiffness, 0.0).max(axis=1)
     low = np.where(stable & (c.stiffness < softest[:, None]), c.stiffness, 0.0).max(axis=1)
     high = np.where(unstable & (c.stiffness > stiffest[:, None]), c.stiffness, np.inf).min(axis=1)
     return low, high
+
+
+def _may_grow(c: _Columns, scatter: Floats) -> Booleans:
+    """Trials that are not decided and rather grow, and stable ones behind a peak of the growth rate.
+
+    The slowest mode of a rigid loop first dies away faster with K and then slower. Where the rate falls again, the mode
+    that had been rising goes on, below the floor beside another one.
+    """
+    order = np.argsort(np.where(np.isfinite(c.growth), c.stiffness, np.inf), axis=1, kind="stable")
+    K, g = (np.take_along_axis(values, order, axis=1) for values in (c.stiffness, c.growth))
+    change, here, clear = np.diff(g, axis=1), g[:, 2:-1], CONCLUSIVE * scatter[:, None]
+    peak = np.zeros(g.shape, dtype=np.bool_)
+    # a rate that rises twice and then falls to twice itself at least; NaN compares as false
+    peak[:, 2:-1] = (here < 0) & (change[:, :-2] > 0) & (change[:, 1:-1] > clear)
+    peak[:, 2:-1] &= -change[:, 2:] > np.maximum(clear, np.abs(here))
+    first = np.where(peak, K, np.inf).min(axis=1, initial=np.inf)
+    undecided = ~c.stable & ~c.unstable & (np.nan_to_num(c.growth) > np.nan_to_num(clear))
+    result: Booleans = undecided | (c.stable & (c.stiffness > first[:, None]))
+    return result
 
 
 def _pooled(scatter: Floats) -> Floats:
@@ -315,18 +343,19 @@ def _zero_crossing(c: _Columns, centre: Floats) -> _Crossing:
     squares = (weight * (g - np.einsum("lmi,li->lm", design, a)) ** 2).sum(axis=1)
     scatter = np.sqrt(squares / np.where(freedom > 0, freedom, np.nan))
     root, step = np.zeros(len(g)), np.zeros(len(g))
+    farthest = np.where(curved, 1.0, LINE_REACH)
     for _ in range(20):  # Newton's method; a parabola that is nearly a line takes three or four steps
         slope = a[:, 1] + 2 * a[:, 2] * root
         step = (a[:, 0] + a[:, 1] * root + a[:, 2] * root**2) / np.where(slope > 0, slope, np.inf)
-        root = np.clip(root - step, -1.0, 1.0)
+        root = np.clip(root - step, -farthest, farthest)
     slope = a[:, 1] + 2 * a[:, 2] * root
     crosses = usable & (slope > 0) & (np.abs(step) < 1e-9)  # of the width: far below any interval
     at = np.stack([np.ones_like(root), root, root**2 * curved], axis=1)
     slope = np.where(crosses, slope, np.nan) / width
     error = scatter * np.sqrt(np.einsum("li,lij,lj->l", at, inverse, at)) / slope
     zero = np.where(crosses, centre + root * width, np.nan)
-    apart = np.abs(u - root[:, None])  # of the width, and so at most 2
-    bend = np.where(use, apart, 2.0).min(axis=1) * np.where(use, apart, 0.0).max(axis=1)
+    apart = np.abs(u - root[:, None])  # of the width
+    bend = np.where(use, apart, 1 + LINE_REACH).min(axis=1) * np.where(use, apart, 0.0).max(axis=1)
     bend = np.where(curved == 0, BEND * bend * width**2, 0.0) / np.where(crosses, zero, np.inf)
     return _Crossing(zero, error, np.where(crosses, scatter, np.nan), slope, freedom, bend)
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from pipeline.base.wording import commonest, percent
 from pipeline.measured.device import arm_stiffness, damping
-from pipeline.measured.device.forces import Forces, identify
+from pipeline.measured.device.forces import OPTIONAL, Forces, identify
 from pipeline.measured.experiment import aggregate
 from pipeline.measured.experiment.combine import with_sign_warning
 from pipeline.measured.experiment.known_delay import delay_estimate, whole_delay
@@ -91,14 +91,14 @@ def explaining_factor(of: Stored) -> tuple[int, int, int] | None:
 def jitter_estimate(of: Stored) -> Estimate:
     """Return the standard deviation of the delay within a trial by the model [samples].
 
-    It needs a model that explains most trials, and errors that friction does not explain as well: any force that the
-    model lacks looks like a jitter.
+    It needs a model that explains nearly all trials, and errors that friction does not explain as well: any force that
+    the model lacks looks like a jitter.
     """
     found = _by_model(of, "jitter", "samples")
     gain = of.column("model", "friction_gain")
     fall = float(np.nanmedian(gain)) if np.isfinite(gain).any() else 0.0
     explained = found.trials + len(found.outliers)
-    if found.value is None or (_explains(found) and fall <= FRICTION_GAIN):
+    if found.value is None or (_explains(found, EXPLAINED) and fall <= FRICTION_GAIN):
         return found
     reason = f"the model explains {explained} of {explained + found.refused} trials only"
     if fall > FRICTION_GAIN:
@@ -114,7 +114,8 @@ def damping_estimate(of: Stored) -> Estimate:
     mass, delay = model_mass(of), of.once(delay_estimate)
     unit = "Nms/rad" if of.rotation else "Ns/m"
     K, B, growth = (of.column("response", name) for name in ("stiffness", "damping", "growth_per_s"))
-    thesis = aggregate.estimate_damping(damping.by_limit(B, K, growth), of.column("damping", "viscous_damping"), unit)
+    limit = damping.by_limit(B, K, growth, unit)
+    thesis = aggregate.estimate_damping(limit, of.column("damping", "viscous_damping"), unit)
     model = with_sign_warning(_by_model(of, "damping", unit))
     joint = by_joint_balance(of, "damping")
     methods = {**thesis.by_method, "model": model, "joint_balance": joint}
@@ -177,6 +178,8 @@ def by_joint_balance(of: Stored, term: Term) -> Estimate:
         )
     half, warning = found.half_width[term], None
     low, high = value - half, value + half
+    if term in OPTIONAL and term not in found.asked_for:
+        low, high = min(low, 0.0), max(high, 0.0)  # the logs follow as well without it
     if found.one_way and term == "friction":
         # a constant force of o adds to the friction of c or takes from it
         low, high = low / (1 + CONSTANT_SHARE), high / (1 - CONSTANT_SHARE)
@@ -292,7 +295,7 @@ def _recommended(of: Stored, model: Estimate, thesis: Estimate, methods: dict[st
     return other.model_copy(update={"by_method": methods, "warning": warning})
 
 
-def _explains(model: Estimate) -> bool:
+def _explains(model: Estimate, share: float = MODEL_SHARE) -> bool:
     """Whether the model explains so many trials that it can be right."""
     explained = model.trials + len(model.outliers)
-    return explained >= MODEL_SHARE * (explained + model.refused)
+    return explained >= share * (explained + model.refused)

@@ -88,7 +88,7 @@ def find_edges(batch: TrialBatch, samples: int = EDGE_SAMPLES) -> Edges:
     for i, step in enumerate(batch.step.tolist()):
         reason = ""
         force = external[i, : batch.rows[i]]
-        steps = _steps(force, step, JUMP_WITH_DAMPING if batch.damping[i] else JUMP) if step else []
+        steps = _steps(force, step, batch.damping[i]) if step else []
         count[i] = len(steps)
         raised = _from_level(force, step, samples) if step else None
         if step == 0:
@@ -153,8 +153,15 @@ def _from_level(force: Floats, step: float, samples: int) -> tuple[int, float, s
     )
 
 
-def _steps(force: Floats, step: float, smallest: float) -> list[int]:
+def first_step_alone(batch: TrialBatch) -> TrialBatch:
+    """Return a trial with several steps up to its second one."""
+    force = external_force(batch)[0, : batch.rows[0]]
+    return batch.window(0, _steps(force, float(batch.step[0]), batch.damping[0])[1])
+
+
+def _steps(force: Floats, step: float, damping: float) -> list[int]:
     """Return the rows in which a force jumps from a level to another one."""
+    smallest = JUMP_WITH_DAMPING if damping else JUMP
     near = LEVEL * abs(step)
     rows = np.flatnonzero(np.abs(np.diff(force)) > smallest * abs(step)) + 1
     if len(rows) < 2:

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.measured.signal.course import LASTING, course_of, sizes
+from pipeline.measured.signal.edge import first_step_alone
 from pipeline.measured.signal.modes import FEWEST_SAMPLES, NARROW, WIDE, Growth, fastest_growth
 from pipeline.measured.signal.response import NOISE_FACTOR, Response, find_response
 from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
@@ -114,8 +115,9 @@ def judge(batch: TrialBatch, response: Response | None = None) -> Verdicts:
     unstable where the command stands at a limit in it, or where it has grown before; a motion that falls ever faster
     (friction) is stable; what has come down to the floor from far above it is stable, a limit cycle of quantum size
     included. What neither grows nor decays beyond the floor, a motion that hardly exceeds it, one shorter than
-    `FEWEST_SAMPLES`, and a trial without a step (F_0 = 0) cannot be judged. With K = 0 a vibration beside the motion of
-    a rigid device makes a trial unstable where it grows, and leaves it open where it lasts.
+    `FEWEST_SAMPLES`, and a trial without a step (F_0 = 0) cannot be judged; of several steps the response to the first
+    is. With K = 0 a vibration beside the motion of a rigid device makes a trial unstable where it grows, and leaves it
+    open where it lasts.
 
     Source: Hulin 2017, sec. 3.3 (stability), eq. 3.25 (K = 0) and sec. 6.1.1 (procedure).
     """
@@ -135,7 +137,10 @@ def judge(batch: TrialBatch, response: Response | None = None) -> Verdicts:
                 reason[i] = text
     # what moves a device without a step says nothing of the loop: a hand, a trajectory
     for i in np.flatnonzero(batch.step == 0):
-        verdict[i], growth[i], reason[i] = "undecided", np.nan, "no step was commanded (step is 0)"
+        verdict[i], growth[i], reason[i] = "undecided", np.nan, response.edge_reason[i]
+    for i in np.flatnonzero(response.steps > 1):
+        alone = judge(first_step_alone(batch.select(slice(i, i + 1))))
+        verdict[i], growth[i], reason[i] = alone.verdict[0], alone.growth_per_s[0], alone.reason[0]
     return Verdicts(verdict, growth, tuple(reason))
 
 

@@ -179,8 +179,7 @@ def _gaps(log: LogRows) -> Departure | None:
 
 def _hidden(log: LogRows) -> tuple[Departure, ...] | None:
     rows = hidden_rows(log)
-    # a filter that leaves nothing has all its rows
-    if not len(rows) or _filtered(log) is not None:
+    if not len(rows):
         return None
     return (
         Departure(
@@ -333,41 +332,46 @@ def _other_wall(log: LogRows) -> tuple[Departure, ...] | None:
     )
 
 
-def _filtered(log: LogRows) -> tuple[Departure, ...] | None:
-    """A filter of the velocity: over N samples, else recursive, of the lowest order; then with a clipped command."""
+def _filtered(log: LogRows, clipped: Booleans | None = None) -> tuple[Departure, ...] | None:
+    """A filter of the velocity: over N samples, else recursive, of the lowest order; some rows may be clipped."""
     if log.damping == 0:
         return None
     force = log.step * log.after - log.stiffness * (log.position - log.position[0])
     output = (force - log.command) * (log.period / log.damping)
     tolerance = log.rounding * log.period / abs(log.damping) + EXPLAINED * float(np.abs(log.change).max())
-    limits = is_equal(log.command, log.command.min()) | is_equal(log.command, log.command.max())
-    for clipped in (np.zeros_like(limits), limits):
-        found = find_filter(log.change, output, ~clipped, tolerance, log.period)
-        if found is None:
-            continue
-        how = (
-            f"is the mean over {found.difference} samples"
-            if found.difference
-            else f"has a filter of order {len(found.a) - 1}"
-        )
-        filtered = Departure("velocity_filter", f"the velocity of the wall law {how}", len(output), filter=found)
-        if not clipped.any():
-            return (filtered,)
-        limit, rows = float(np.abs(log.command).max()), int(clipped.sum())
-        return (
-            Departure("saturation", f"the logged command is clipped at {limit:.4g} in {rows} rows", rows, limit),
-            filtered,
-        )
-    return None
+    free = np.ones_like(log.after) if clipped is None else ~clipped
+    found = find_filter(log.change, output, free, tolerance, log.period)
+    if found is None:
+        return None
+    mean = f"is the mean over {found.difference} samples"
+    how = mean if found.difference else f"has a filter of order {len(found.a) - 1}"
+    return (Departure("velocity_filter", f"the velocity of the wall law {how}", len(output), filter=found),)
+
+
+def _filtered_and_clipped(log: LogRows) -> tuple[Departure, ...] | None:
+    """A filter of the velocity in the rows in which the command stands at no limit."""
+    # a command that never passes the step is not clipped there
+    clipped = is_equal(log.command, log.command.min()) | is_equal(log.command, log.command.max())
+    clipped &= ~is_equal(log.command, log.step)
+    limit, rows = float(np.abs(log.command).max()), int(clipped.sum())
+    found = _filtered(log, clipped) if rows >= PLATEAU else None
+    if found is None:
+        return None
+    return (
+        Departure("saturation", f"the logged command is clipped at {limit:.4g} in {rows} rows", rows, limit),
+        *found,
+    )
 
 
 _EXPLANATIONS: tuple[Callable[[LogRows], tuple[Departure, ...] | None], ...] = (
     _clipped,
     _one_sided,
     _offset,
-    _hidden,
-    _other_step,
     _other_wall,
     _filtered,
+    _hidden,
+    _other_step,
+    _filtered_and_clipped,
 )
-"""In order: what changes the fewest rows before what could imitate it by changing all."""
+"""In order: what leaves nothing in any row before what explains single ones, which a slow device and a coarse sensor
+make look like missing rows or steps."""

@@ -109,10 +109,31 @@ def test_what_logs_show_is_named_and_no_other_loop_bears_a_statement(compared, n
     assert "about" in result.summary[-1]
 
 
+@pytest.mark.parametrize(
+    ("name", "seed"), [("actuator lag", 604), ("filter and lag", 601), ("friction strong", SEED), ("actuator lag", 71)]
+)
+def test_lag_and_friction_are_no_jitter(compared, name, seed):
+    jitter = compared(name, seed)[1].experiments[0].estimates["jitter_samples"]
+    assert (jitter.low or 0.0) <= 0
+
+
 def test_an_ideal_loop_has_no_causes(compared):
     _, result = compared("ideal")
     assert result.experiments[0].causes == ()
     assert "is not adequate" not in " ".join(result.summary)
+
+
+def test_a_force_that_the_logs_do_not_ask_for_is_no_cause(compared):
+    _, result = compared("only unstable", 601)
+    (found,) = result.experiments
+    assert found.loop.adequate
+    assert {cause.code for cause in found.causes} == {"no_stable_trial"}
+    assert all(found.estimates[f].low <= 0 <= found.estimates[f].high for f in ("friction", "constant_force"))
+
+
+def test_clipping_imitates_no_missing_rows_and_no_steps(compared):
+    _, result = compared("clipping in the log", 603)
+    assert [cause.code for cause in result.experiments[0].causes] == ["saturation"]
 
 
 def test_theory_takes_the_delay_that_explains_the_logs(compared):

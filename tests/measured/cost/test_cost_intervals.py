@@ -14,6 +14,7 @@ from pipeline.measured.cost import costs
 from pipeline.measured.cost.cost_intervals import overshoot_interval, settling_interval
 from pipeline.measured.cost.energy_intervals import energy_interval
 from pipeline.measured.cost.reading_error import reading_error
+from pipeline.measured.signal.horizon import energy_terms
 from pipeline.measured.signal.response import find_response
 from pipeline.measured.signal.verdict import judge
 from pipeline.records.batch import TrialBatch
@@ -100,8 +101,8 @@ def test_a_mode_that_decays_slowly_is_no_rest():
     found = energy_interval(batch, find_response(batch), verdicts, error, 7, 0.19)
     assert (found.horizon_samples[-2:] > 120).all()
     ideal = simulate_device(Setup(plant_, 1e-3, 15.0, 2000, EDGE, 7.0, (), 0.0, 1.0), K, B, seed=1)
-    true = costs.energy(ideal, find_response(ideal), judge(ideal), 7)
-    np.testing.assert_allclose(found.value[-2:], (true.potential + 0.19 * true.kinetic)[-2:], rtol=0.01)
+    true = energy_terms(ideal, find_response(ideal), judge(ideal), 7).summed(0.19)
+    np.testing.assert_allclose(found.value[-2:], true[-2:], rtol=0.01)
 
 
 @pytest.mark.parametrize(("quantum", "noise"), SENSORS)

@@ -152,6 +152,27 @@ def test_undecided_trials_widen_the_interval():
     assert unknown([200.0, 400.0, 600.0], ["stable", "undecided", "unstable"]) == (400.0, 200.0, 600.0)
 
 
+def test_growth_that_begins_below_a_stable_trial_widens_the_interval():
+    # above the limit of 900 a weak mode grows below the sensor's floor, while the motion that is seen dies away
+    K, growth = np.array([300.0, 600, 950, 1050, 1150, 1280]), np.array([-3.0, -1.5, np.nan, np.nan, 1.0, 1.5])
+    said = np.array(["stable"] * 4 + ["unstable"] * 2)
+    (point,) = boundary_band(K, np.full(6, 20.0), said, growth)
+    assert (point.stable, point.unstable) == (1050, 1150)
+    assert point.low <= 900 < point.high == 1150
+
+
+def test_a_rate_that_falls_behind_a_peak_leaves_the_limit_open():
+    # a mode that would grow from 5870 on goes unseen beside the one that is seen to fall; neither is sure below 7360
+    K = np.array([1600.0, 3200, 4800, 6400, 6720, 7040, 7360, 8000])
+    growth = np.array([-3.30, -2.05, -0.82, -3.08, -1.61, -0.17, 1.24, 3.92])
+    (point,) = boundary_band(K, np.full(8, 32.0), np.where(growth < 0, "stable", "unstable"), growth)
+    assert (point.low, point.high) == (4800, 7360)
+    # one valley is that of every rigid loop
+    growth[:3] = [-3.0, -9.0, -15.0]
+    (point,) = boundary_band(K, np.full(8, 32.0), np.where(growth < 0, "stable", "unstable"), growth)
+    assert 7040 < point.low < point.estimate < point.high < 7360
+
+
 def test_trials_that_disagree_widen_the_interval():
     K = [200.0, 400.0, 400.0, 600.0]
     assert unknown(K, ["stable", "stable", "unstable", "unstable"]) == (400.0, 200.0, 600.0)

@@ -7,7 +7,12 @@ import pytest
 from not_ideal import decays, simulate
 from simulated import FALCON, spectral_radius
 
+from pipeline.device_data.devices import load_device
+from pipeline.measured.signal.response import find_response
 from pipeline.measured.signal.verdict import judge
+from pipeline.records.simulation_parts import SimulationParts
+from pipeline.simulation.setup import setup_of
+from pipeline.simulation.simulate import simulate as simulate_loop
 
 DAMPING = np.array([10.0, 45.0, 85.0, 110.0])
 SHARE = np.array([0.35, 0.6, 0.8, 0.92, 1.04, 1.09, 1.2, 1.4, 1.65])
@@ -56,6 +61,23 @@ def test_no_verdict_is_wrong(features, most_undecided):
     assert not ((found.verdict == "unstable") & rests).any()
     assert (found.verdict == "undecided").sum() <= most_undecided
     assert all(found.reason[i] for i in np.flatnonzero(found.verdict == "undecided"))
+
+
+def test_several_steps_are_judged_by_the_response_to_the_first():
+    later = SimulationParts.model_validate({"later_steps": [{"time_s": 0.2, "size": -4.0}]})
+    device = load_device("falcon")
+    setup = setup_of(device, device.experiments[0].model_copy(update={"simulation": later, "jitter_samples": ()}))
+    true = {**FALCON, "delay": int(setup.delay_samples), "mass": setup.plant.mass, "b": setup.plant.damping}
+    batch = simulate_loop(setup, K, B)
+    growth = np.log([spectral_radius(k, b, **true) for k, b in zip(K, B, strict=True)]) / setup.sampling_period_s
+    found = judge(batch)
+    assert (find_response(batch).steps > 1).any()
+    known = np.isfinite(found.growth_per_s)
+    assert known.sum() > 0.7 * len(K)
+    # the second step stirs the motion up again: over both, rates are off by 1 to 20 /s
+    assert np.abs(found.growth_per_s - growth)[known].max() < 1 + 0.1 * np.abs(growth[known]).max()
+    assert np.median(np.abs(found.growth_per_s - growth)[known]) < 0.3
+    assert not ((found.verdict == "stable") & (growth > 0)).any()
 
 
 def test_a_motion_that_friction_brakes_has_no_growth_rate():

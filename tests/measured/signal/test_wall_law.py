@@ -150,9 +150,8 @@ def test_a_slow_device_before_a_coarse_sensor_repeats_and_misses_no_rows(samples
 
     sensor = {"quantum": quantum, "noise": 0.1 * quantum, "seed": seed}
     _, departures = found(log(K=3000.0, B=80.0, filtered=filtered, **sensor), K=3000.0, B=80.0)
-    # many steps of a coarse sensor look like those of a force in single logs
-    assert {d.code for d in departures} <= {"velocity_filter", "several_steps"}
-    assert departures or quantum > 5e-6
+    # where the sensor is coarse, the edge itself is not found in every log
+    assert [d.code for d in departures] == ["velocity_filter"] or (quantum > 5e-6 and not departures), departures
 
 
 @pytest.mark.parametrize("samples", [2, 3, 8, 25])
