@@ -265,13 +265,15 @@ def _allowed(c: _Columns, scatter: Floats) -> tuple[Floats, Floats]:
     """Return the range of the limit that conclusive verdicts leave; 0 and infinity where they leave it open.
 
     Where no scatter of the growth rates is known (NaN), a verdict counts unless the sign of the growth contradicts it;
-    where it is, one without a growth rate does not count: its motion may have been too small to be seen growing.
+    where it is, or where a trial that is not decided rather grows, one without a growth rate does not count: its motion
+    may have been too small to be seen growing.
     """
     doubt = np.nan_to_num(CONCLUSIVE * scatter)[:, None]
-    plain = np.isnan(c.growth) & np.isnan(scatter)[:, None]
+    grows = _may_grow(c, scatter)
+    plain = np.isnan(c.growth) & (np.isnan(scatter) & ~grows.any(axis=1))[:, None]
     stable = c.stable & (plain | (c.growth < -doubt))
     unstable = c.unstable & (plain | (c.growth > doubt))
-    softest = np.where(unstable | _may_grow(c, scatter), c.stiffness, np.inf).min(axis=1)
+    softest = np.where(unstable | grows, c.stiffness, np.inf).min(axis=1)
     stiffest = np.where(stable, c.stiffness, 0.0).max(axis=1)
     low = np.where(stable & (c.stiffness < softest[:, None]), c.stiffness, 0.0).max(axis=1)
     high = np.where(unstable & (c.stiffness > stiffest[:, None]), c.stiffness, np.inf).min(axis=1)

@@ -161,6 +161,15 @@ def test_growth_that_begins_below_a_stable_trial_widens_the_interval():
     assert point.low <= 900 < point.high == 1150
 
 
+def test_what_is_too_small_to_be_seen_growing_is_not_stable_beside_what_may_grow():
+    # a loop unstable from 5000 on, whose motion sinks below the floor before the mode has grown
+    K = np.array([1600.0, 3200, 4800, 6400, 9600, 12800, 14400, 15040, 15680])
+    growth = np.array([-0.73, -0.64, -0.32, np.nan, np.nan, np.nan, 1.76, -1.84, 0.87])
+    said = ["stable"] * 6 + ["undecided", "stable", "unstable"]
+    (point,) = boundary_band(K, np.full(9, 128.0), said, growth)
+    assert point.low <= 5000 <= point.high
+
+
 def test_a_rate_that_falls_behind_a_peak_leaves_the_limit_open():
     # a mode that would grow from 5870 on goes unseen beside the one that is seen to fall; neither is sure below 7360
     K = np.array([1600.0, 3200, 4800, 6400, 6720, 7040, 7360, 8000])
