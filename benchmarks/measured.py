@@ -56,7 +56,7 @@ def simulate_trials(file: Path, trials: int, rows: int, jitter: bool) -> None:
 
 def compute(file: Path) -> dict[str, Any]:
     """Return processor time [s] of each function, wall time [s] of all, and peak memory [MiB] of this process."""
-    from pipeline.measured.cost import costs, step_metrics
+    from pipeline.measured.cost import settling_overshoot, step_metrics
     from pipeline.measured.cost.cost_intervals import overshoot_interval, settling_interval
     from pipeline.measured.cost.energy_intervals import energy_interval
     from pipeline.measured.cost.reading_error import reading_error
@@ -94,11 +94,10 @@ def compute(file: Path) -> dict[str, Any]:
     timed("mass by momentum", lambda: mass.by_momentum(batch, found, DELAY))
     timed("mass by balance", lambda: friction.fit_balance(batch, found, DELAY, terms=BALANCE_TERMS))
     error = timed("error of readings", lambda: reading_error(batch, found, DELAY))
-    settled = timed("settling", lambda: costs.settling(batch, found, judged, DELAY))
+    settled = timed("settling", lambda: settling_overshoot.settling(batch, found, judged, DELAY))
     timed("settling interval", lambda: settling_interval(batch, found, error, settled, DELAY, delay_range=span))
-    passed = timed("overshoot", lambda: costs.overshoot(batch, found, judged))
+    passed = timed("overshoot", lambda: settling_overshoot.overshoot(batch, found, judged))
     timed("overshoot interval", lambda: overshoot_interval(batch, found, error, passed))
-    timed("energy", lambda: costs.energy(batch, found, judged, DELAY))
     timed(
         "energy interval",
         lambda: energy_interval(batch, found, judged, error, DELAY, MASS, mass_error=MASS_ERROR, delay_range=span),

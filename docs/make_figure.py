@@ -9,12 +9,12 @@ import numpy as np
 
 from pipeline.comparison.figures.boundary_curves import theory_curve
 from pipeline.device_data.devices import load_device
-from pipeline.measured.cost.costs import WEIGHTS, energy
 from pipeline.measured.device.delay import first_change
 from pipeline.measured.device.onset import motion_onset, rounded
 from pipeline.measured.experiment.aggregate import choose_optimum
 from pipeline.measured.experiment.boundary import measured_boundary
 from pipeline.measured.experiment.known_delay import estimate_delay
+from pipeline.measured.signal.horizon import WEIGHTS, energy_terms
 from pipeline.measured.signal.response import find_response
 from pipeline.measured.signal.verdict import judge
 from pipeline.records.figure_records import CostMap, Curve, Figure
@@ -82,9 +82,8 @@ def measured_map(course: Course) -> CostMap:
     first = first_change(batch, response)
     delay = estimate_delay(rounded(first, motion_onset(batch, response, first)))
     assert delay.value is not None, delay.reason
-    parts = energy(batch, response, verdicts, int(delay.value))
-    column = WEIGHTS.index(WEIGHT)
-    cost = parts.potential[:, column] + course.experiment.mass * parts.kinetic[:, column]
+    terms = energy_terms(batch, response, verdicts, int(delay.value))
+    cost = terms.summed(course.experiment.mass)[:, WEIGHTS.index(WEIGHT)]
     unstable = verdicts.verdict == "unstable"
     points = measured_boundary(batch.stiffness, batch.damping, verdicts.verdict)
     limit = np.array([p.stable or 0.0 for p in points])

@@ -8,6 +8,7 @@ from math import hypot
 import numpy as np
 
 from pipeline.base.wording import counted
+from pipeline.measured.intervals import NORMAL_95
 from pipeline.records.against_records import (
     BoundaryDifference,
     CostDifference,
@@ -23,9 +24,6 @@ from pipeline.records.findings import BoundaryPoint, Estimate, Optimum
 from pipeline.records.models import Motion
 from pipeline.records.results import ExperimentResult
 from pipeline.rendering.labels import UNITS, criterion_name, percent_text, significant
-
-NORMAL = 1.959964
-"""97.5 % quantile of the normal distribution: half the width of a 95 % interval in standard errors."""
 
 FEWEST_POINTS = 6
 """Points that a median needs for an interval of 95 % by its ranks: with five, smallest to largest hold 94 %."""
@@ -261,7 +259,7 @@ def _cost_difference(
     if len(values) < FEWEST_POINTS:
         return result.model_copy(update={"reason": f"fewer than {FEWEST_POINTS} points allow no interval"})
     # ranks of the ends by the normal approximation of the binomial distribution, rounded outwards
-    half = NORMAL * np.sqrt(len(values)) / 2
+    half = NORMAL_95 * np.sqrt(len(values)) / 2
     low = values[max(int(np.floor(len(values) / 2 - half)) - 1, 0)]
     high = values[min(int(np.ceil(len(values) / 2 + half)), len(values) - 1)]
     equal = 0.0 if kind == "difference" else 1.0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from pydantic import ValidationError
@@ -32,9 +33,10 @@ from pipeline.comparison.summary.summary_warnings import warnings_of
 from pipeline.comparison.tables_d import TableBuilder
 from pipeline.device_data.published import published_files
 from pipeline.records import accuracy as measured_accuracy
-from pipeline.records.models import Shown
+from pipeline.records.models import ComparisonRow, Shown
 from pipeline.records.results import (
     ComparisonResult,
+    ExperimentResult,
     ReportData,
 )
 from pipeline.rendering.report.report import write as write_report
@@ -100,20 +102,16 @@ def compare(
     DeviceError, UsageError, StoreError
         Where the request does not fit what is stored; see `scene.open_scene`.
     """
-    say = progress or (lambda _: None)
     data = open_scene(device, processed, experiments, criteria, shown)
     plan = plan_measured(data)
     predictions = Predictions(processed / "theory")
-    known = data.device is not None
     early = nominal_theories(data)
     accuracy = measured_accuracy.stored(processed)
     key = _report_key(data, report, accuracy.measured if accuracy else "", full)
     stored = _stored_result(report, key)
     if stored is not None and all(p.action != RUN for p in plan):
-        plan += [
-            PlannedStage("theory", REUSE, "the report and all that it rests on are unchanged"),
-            PlannedStage("report", REUSE, "the report and all that it rests on are unchanged"),
-        ]
+        unchanged = "the report and all that it rests on are unchanged"
+        plan += [PlannedStage(name, REUSE, unchanged) for name in ("theory", "report")]
         return Outcome(None if dry_run else stored, _rows(plan), report)
     plan += _plan_theory(data, early, predictions)
     if report is not None:
@@ -122,66 +120,86 @@ def compare(
     if dry_run:
         return Outcome(None, _rows(plan), None)
 
-    builder = TableBuilder(data, early)
-    with predictions:
-        if known:
-            say("theory: optima (in the background)")
-            predictions.start(builder.requests() + requests_of_delay_figure(data, early))
-        compute_stages(data.experiments, needed_stages(data))
-        results = []
-        for stages in data.experiments:
-            say(f"experiment {stages.experiment}: estimates and costs")
-            results.append(experiment_result(data, stages, early.get(stages.experiment)))
-        if not known:
-            early = estimated_theories(results, data)
-            builder = TableBuilder(data, early)
-            say("theory: optima for the estimated parameters")
-            predictions.start(builder.requests() + requests_of_delay_figure(data, early))
-            results = [
-                r.model_copy(update={"theory": early[r.experiment].parameters if r.experiment in early else None})
-                for r in results
-            ]
-        predictions.finish()
-    rows = builder.rows(predictions, results)
-    results = add_scores(data, results, early, predictions)
-    sentences = summarise(data, results, rows)
+    say = progress or (lambda _: None)
+    found = _compute(data, early, predictions, say)
     output = [*(["--scene", str(scene_file)] if scene_file else []), *(["--full"] if full else [])]
-    logs = tuple(log_list(stages) for stages in data.experiments)
-    result = ComparisonResult(
-        device=device,
-        title=data.device.title if data.device else device,
-        motion=motion_of(data),
-        known_device=known,
-        simulated=data.simulated,
-        criteria=data.scene.criteria,
-        experiments=tuple(results),
-        tables=rows,
-        summary=tuple(sentence.text for sentence in sentences),
-        summary_sources=tuple(sentence.source for sentence in sentences),
-        warnings=warnings_of(data, results),
-        excluded=excluded_trials(data),
-        report=str(report) if report else None,
-        provenance=provenance(data, logs, processed, key=key, code=report_code(), output=output),
-        logs=logs,
-    )
+    result = _result(data, found, report, partial(provenance, processed=processed, key=key, output=output))
     if report is not None:
         say("report: figures and page")
         asked = data.scene.shown
+        trials = partial(trial_page, data, found.results, found.theories, full=full, responses=responses)
         page = ReportData(
             result,
-            figures=FigureBuilder(data, early, results).asked(rows, predictions),
+            figures=FigureBuilder(data, found.theories, found.results).asked(found.rows, predictions),
             stages=_rows(plan),
             accuracy=accuracy,
-            trials=trial_page(data, results, early, full=full, responses=responses)
-            if asked.has_figure("trials")
-            else None,
+            trials=trials() if asked.has_figure("trials") else None,
             tables=asked.tables,
-            request=request(data, logs, processed, report_code())
+            request=request(data, result.logs, processed, report_code())
             | {"full": full, "document": digest(result.numbers())},
         )
         write_report(page, report)
         write_text(report.with_suffix(".json"), result.model_dump_json(indent=1) + "\n")
     return Outcome(result, _rows(plan), report)
+
+
+@dataclass(frozen=True)
+class _Found:
+    """Results of the experiments with their scores, the theories beside them, and the rows of the tables."""
+
+    results: Sequence[ExperimentResult]
+    theories: dict[str, Theory]
+    rows: tuple[ComparisonRow, ...]
+
+
+def _compute(
+    data: SceneData, theories: dict[str, Theory], predictions: Predictions, say: Callable[[str], None]
+) -> _Found:
+    """Estimate and judge; theory is computed beside that, or behind it where the device is not known."""
+    builder = TableBuilder(data, theories)
+    with predictions:
+        if data.device is not None:
+            say("theory: optima (in the background)")
+            predictions.start(builder.requests() + requests_of_delay_figure(data, theories))
+        compute_stages(data.experiments, needed_stages(data))
+        results = []
+        for stages in data.experiments:
+            say(f"experiment {stages.experiment}: estimates and costs")
+            results.append(experiment_result(data, stages, theories.get(stages.experiment)))
+        if data.device is None:
+            theories = estimated_theories(results, data)
+            builder = TableBuilder(data, theories)
+            say("theory: optima for the estimated parameters")
+            predictions.start(builder.requests() + requests_of_delay_figure(data, theories))
+            own = {name: theory.parameters for name, theory in theories.items()}
+            results = [r.model_copy(update={"theory": own.get(r.experiment)}) for r in results]
+        predictions.finish()
+    rows = builder.rows(predictions, results)
+    return _Found(add_scores(data, results, theories, predictions), theories, rows)
+
+
+def _result(
+    data: SceneData, found: _Found, report: Path | None, origin: Callable[..., dict[str, str]]
+) -> ComparisonResult:
+    sentences = summarise(data, found.results, found.rows)
+    logs = tuple(log_list(stages) for stages in data.experiments)
+    return ComparisonResult(
+        device=data.scene.device,
+        title=data.device.title if data.device else data.scene.device,
+        motion=motion_of(data),
+        known_device=data.device is not None,
+        simulated=data.simulated,
+        criteria=data.scene.criteria,
+        experiments=tuple(found.results),
+        tables=found.rows,
+        summary=tuple(sentence.text for sentence in sentences),
+        summary_sources=tuple(sentence.source for sentence in sentences),
+        warnings=warnings_of(data, found.results),
+        excluded=excluded_trials(data),
+        report=str(report) if report else None,
+        provenance=origin(data, logs, code=report_code()),
+        logs=logs,
+    )
 
 
 def _rows(plan: Sequence[PlannedStage]) -> tuple[tuple[str, str, str], ...]:

@@ -6,11 +6,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from pipeline.comparison.scene.scene import SceneData
+from pipeline.comparison.scores.deviation import Deviations
 from pipeline.device_data.published import find
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.criteria import CRITERIA, REPORTED, criterion_of
 from pipeline.records.findings import Optimum
-from pipeline.records.models import ComparisonRow, Shown, TableLayout
+from pipeline.records.models import ComparisonRow, Deviation, Shown, TableLayout
 from pipeline.records.results import ExperimentResult
 from pipeline.theory.predictions import Prediction, Predictions, Request, Theory
 
@@ -100,17 +101,22 @@ class TableBuilder:
     def rows(self, predictions: Predictions, results: Sequence[ExperimentResult]) -> tuple[ComparisonRow, ...]:
         """Return all rows, table after table."""
         measured = {r.experiment: r for r in results}
+        parts = Deviations(self.data.experiments, {r.experiment: r.optimum for r in results}, predictions)
         rows: list[ComparisonRow] = []
         for table in layouts(self.data):
             # the figure over delay is drawn from the rows, also where the table is not shown
             if table.kind == "optima" and not self.data.scene.shown.has_table(table.name):
                 continue
             fill = self._delay_rows if table.kind == "delay" else self._optima_rows
-            rows += fill(table, predictions, measured)
+            rows += fill(table, predictions, measured, parts)
         return tuple(rows)
 
     def _optima_rows(
-        self, table: TableLayout, predictions: Predictions, measured: Mapping[str, ExperimentResult]
+        self,
+        table: TableLayout,
+        predictions: Predictions,
+        measured: Mapping[str, ExperimentResult],
+        parts: Deviations,
     ) -> list[ComparisonRow]:
         rows = []
         theory = self.theories.get(table.theory_from)
@@ -135,13 +141,18 @@ class TableBuilder:
                         experiment=experiment,
                         optimum=optimum,
                         reference=cost,
+                        parts=parts.of(experiment, theory, criterion) if theory else None,
                         missing=result.missing.get(criterion),
                     )
                 )
         return rows
 
     def _delay_rows(
-        self, table: TableLayout, predictions: Predictions, measured: Mapping[str, ExperimentResult]
+        self,
+        table: TableLayout,
+        predictions: Predictions,
+        measured: Mapping[str, ExperimentResult],
+        parts: Deviations,
     ) -> list[ComparisonRow]:
         rows = []
         for experiment in table.experiments:
@@ -159,6 +170,7 @@ class TableBuilder:
                         experiment=experiment,
                         optimum=result.optimum.get(criterion),
                         reference=discrete.cost if discrete else None,
+                        parts=parts.of(experiment, theory, criterion) if theory else None,
                         missing=result.missing.get(criterion),
                     )
                 )
@@ -180,6 +192,7 @@ class TableBuilder:
         prediction: Prediction | None = None,
         optimum: Optimum | None = None,
         reference: float | None = None,
+        parts: Deviation | None = None,
         missing: str | None = None,
     ) -> ComparisonRow:
         point = prediction or optimum
@@ -201,6 +214,7 @@ class TableBuilder:
             published_damping=published.damping if published else None,
             published_cost=published.cost if published else None,
             deviation_percent=_deviation(cost, reference),
+            deviation=parts,
             censored=bool(optimum and optimum.censored),
             note=" ".join(n for n in notes if n) or None,
             experiment=experiment,

@@ -42,8 +42,6 @@ from pipeline.profiles.profile_model import Profile
 from pipeline.readers import Log
 from pipeline.store.storage import trials_folder
 
-__all__ = ["IngestReport", "LogWarning", "Refusal", "ingest"]
-
 PENDING_BYTES = 64 << 20
 """Samples that are collected before they become visible: a course of 2,300 logs with 1,000 rows makes one file, and an
 interruption costs about a second's work."""
@@ -53,6 +51,7 @@ def ingest(
     paths: Sequence[Path],
     processed: Path,
     profile: str | Path | None = None,
+    *,
     jobs: int | None = None,
     dry_run: bool = False,
     rehash: bool = False,

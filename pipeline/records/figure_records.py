@@ -46,11 +46,11 @@ class Curve:
     """A line in the plane of stiffness (abscissa) and damping (ordinate), in physical units.
 
     ``kind`` is ``measured`` (solid), ``theory`` (dashed), ``linear`` and ``bound`` (dotted: condition (3.25), and
-    the straight upper bound of a measurement), ``passive`` (thin, filled), ``robust`` (thin), ``band`` (thin dots)
-    or ``envelope`` (filled between ``low`` and ``high``). A label that begins with an underscore is not shown.
-    ``censored`` marks the points of a measured curve where the tested range ended before an unstable trial. ``low``
-    and ``high`` are stiffnesses at the dampings of the curve: an envelope, or what a measured limit leaves open
-    (NaN where that is not known).
+    the straight upper bound of a measurement), ``friction`` (dash, dot, dot), ``passive`` (thin, filled), ``robust``
+    (thin), ``band`` (thin dots) or ``envelope`` (filled between ``low`` and ``high``). A label that begins with an
+    underscore is not shown. ``censored`` marks the points of a measured curve where the tested range ended before an
+    unstable trial. ``low`` and ``high`` are stiffnesses at the dampings of the curve: an envelope, or what a measured
+    limit leaves open (NaN where that is not known).
     """
 
     label: str

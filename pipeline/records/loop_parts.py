@@ -152,5 +152,5 @@ class LoopParts(Part):
 
 
 def named(parts: Part) -> dict[str, object]:
-    """Return the fields that a table names, as given."""
-    return {name: getattr(parts, name) for name in parts.model_fields_set}
+    """Return the fields that a table names, as given, in the order in which they are described."""
+    return {name: getattr(parts, name) for name in type(parts).model_fields if name in parts.model_fields_set}

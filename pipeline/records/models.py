@@ -137,6 +137,22 @@ class Device(Record):
         return self
 
 
+class Deviation(Record):
+    """What the deviation of a measured optimal cost is made of: factors less 1 in percent, whose product is the whole.
+
+    ``range`` and ``grid`` are theory's, since trials have a range and a grid; ``model`` is what theory misses of the
+    measured cost freed from the noise of single trials, with its 95 % interval; ``selection`` is what the best single
+    trial differs from that.
+    """
+
+    range: float
+    grid: float
+    model: float
+    selection: float
+    model_low: float
+    model_high: float
+
+
 class ComparisonRow(Record):
     """One row of Tables D.1 to D.6: computed or measured beside the published value.
 
@@ -154,6 +170,7 @@ class ComparisonRow(Record):
     published_damping: float | None = None
     published_cost: float | None = None
     deviation_percent: float | None = None
+    deviation: Deviation | None = None
     censored: bool = False
     note: str | None = None
     experiment: str | None = None
@@ -164,10 +181,10 @@ FigureKind = Literal["response", "boundaries", "plane", "maps", "residuals", "de
 """Figures of a report: first response (Fig. 6.2), boundaries (6.3, 6.4, 6.9), boundaries in the normalised plane, cost
 maps (6.5 to 6.7, 6.10, 6.11), measured minus theory, costs over delay (6.12), and the trials to look into."""
 
-Overlay = Literal["theory", "estimates", "band", "linear", "passive", "bound", "robust"]
+Overlay = Literal["theory", "estimates", "band", "linear", "passive", "bound", "friction", "robust"]
 """What is drawn over measured boundaries: theory by the device file, theory by the estimates, what their intervals
-leave open, the linear condition (3.25), the passive region (4.12), a linear upper bound as (6.5); the walls that are
-stable with every spring (4.3.3), drawn only where they are asked for."""
+leave open, the linear condition (3.25), the passive region (4.12), a linear upper bound as (6.5), limits with Coulomb
+friction; the walls that are stable with every spring (4.3.3), drawn only where they are asked for."""
 
 
 class Shown(Record):

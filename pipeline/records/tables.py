@@ -198,86 +198,36 @@ _BESIDE = {
 }
 """Columns of a cost stage beside those of the costs."""
 
-_MODEL = (
-    *("model_mass", "model_mass_error", "model_damping", "model_damping_error", "model_delay", "model_delay_error"),
-    *("model_jitter", "model_jitter_error", "model_start", "misfit", "whiteness", "friction_gain", "leaves_row"),
-    *("ghost_deviation", "ghost_relative", "ghost_row"),
-)
-_TRIAL = ("trial_id", "samples_sha256", "stiffness", "damping")
+_TRIAL = "trial_id samples_sha256 stiffness damping"
 
-TABLES: dict[str, tuple[str, ...]] = {
-    "samples": ("trial_id", "time_s", "command", "position", "force", "velocity", "raw_time", "raw_count"),
-    "trials": (
-        *("trial_id", "label", "device", "experiment", "motion", "stiffness", "damping", "step", "sampling_period_s"),
-        *("added_delay_samples", "grip", "simulated", "rows", "extra", "time_quality", "source_path"),
-        *(
-            "source_sha256",
-            "source_trials",
-            "source_size",
-            "source_mtime_ns",
-            "profile",
-            "profile_sha256",
-            "package_version",
-        ),
-        *("sample_file", "first_row"),
-    ),
-    "exclusions": (
-        *("trial_id", "label", "device", "experiment", "source_path", "source_sha256"),
-        *("exclusion_reason", "excluded_since"),
-    ),
-    "response": (
-        *(
-            *_TRIAL,
-            "verdict",
-            "reason",
-            "growth_per_s",
-            "edge_row",
-            "position_start",
-        ),
-        *("position_final_expected", "position_final_measured", "sensor_quantum", "sensor_noise"),
-    ),
-    "wall_law": (
-        *(*_TRIAL, "law_residual", "law_rounding", "law_codes", "law_evidence", "law_rows"),
-        *("velocity_filter", "velocity_lag", "velocity_lag_error"),
-    ),
-    "outcome": (
-        *_TRIAL,
-        "outcome",
-        "evidence",
-        "outcome_row",
-        "band",
-        "amplitude_end",
-    ),
-    "delay": (
-        *(
-            *_TRIAL,
-            "delay_samples",
-            "first_change_samples",
-            "onset_samples",
-            "onset_error",
-        ),
-        "reason",
-    ),
-    "model": (*_TRIAL, *_MODEL, "reason"),
-    "mass": (
-        *(
-            *_TRIAL,
-            "mass_momentum",
-            "damping_share",
-            "mass",
-            "balance_mass",
-            "balance_mass_error",
-        ),
-        *("force_mass", "force_mass_error", "reason"),
-    ),
-    "damping": (*_TRIAL, "viscous_damping", "balance_sums", "reason"),
+_NAMES = {
+    "samples": "trial_id time_s command position force velocity raw_time raw_count",
+    "trials": """
+        trial_id label device experiment motion stiffness damping step sampling_period_s added_delay_samples grip
+        simulated rows extra time_quality source_path source_sha256 source_trials source_size source_mtime_ns profile
+        profile_sha256 package_version sample_file first_row""",
+    "exclusions": "trial_id label device experiment source_path source_sha256 exclusion_reason excluded_since",
+    "response": f"""{_TRIAL} verdict reason growth_per_s edge_row position_start
+        position_final_expected position_final_measured sensor_quantum sensor_noise""",
+    "wall_law": f"""{_TRIAL} law_residual law_rounding law_codes law_evidence law_rows velocity_filter
+        velocity_lag velocity_lag_error""",
+    "outcome": f"{_TRIAL} outcome evidence outcome_row band amplitude_end",
+    "delay": f"{_TRIAL} delay_samples first_change_samples onset_samples onset_error reason",
+    "model": f"""{_TRIAL} model_mass model_mass_error model_damping model_damping_error model_delay
+        model_delay_error model_jitter model_jitter_error model_start misfit whiteness friction_gain leaves_row
+        ghost_deviation ghost_relative ghost_row reason""",
+    "mass": f"""{_TRIAL} mass_momentum damping_share mass balance_mass balance_mass_error
+        force_mass force_mass_error reason""",
+    "damping": f"{_TRIAL} viscous_damping balance_sums reason",
     **{
-        name: (*_TRIAL, *(c for m in members(family) for c in _cost(m)), *_BESIDE.get(name, ()), "reason")
+        name: " ".join((_TRIAL, *(c for m in members(family) for c in _cost(m)), *_BESIDE.get(name, ()), "reason"))
         for name, family in FAMILIES.items()
     },
-    "windows": ("window_s", "mass_median", "mass_scatter", "trials", "reason"),
-    "boundary": ("damping", "stable", "unstable", "censored", "estimate", "low", "high", "trials"),
+    "windows": "window_s mass_median mass_scatter trials reason",
+    "boundary": "damping stable unstable censored estimate low high trials",
 }
+
+TABLES: dict[str, tuple[str, ...]] = {table: tuple(names.split()) for table, names in _NAMES.items()}
 
 
 def arrow_schema(table: str, *, rotation: bool = False, metadata: Metadata | None = None) -> pa.Schema:

@@ -42,7 +42,12 @@ Cursor = Annotated[str | None, Query(max_length=2000, description="`next_cursor`
 Segment = Annotated[str, AfterValidator(name_of_folder)]
 """A name in an address: one with a slash or % is written as `names.folder_name` has it, and then quoted."""
 
-Finite = Annotated[float | None, Query(allow_inf_nan=False)]
+Word = Annotated[str, Field(max_length=500)]
+FiniteNumber = Annotated[float, Field(allow_inf_nan=False)]
+WORDS = ("device", "experiment", "verdict", "outcome")
+RANGES = ("stiffness_min", "stiffness_max", "damping_min", "damping_max")
+"""Parts of a `TrialQuery` that name properties, and that bound them."""
+
 Part = Literal["estimates", "boundary", "optima", "causes"]
 Coefficient = Annotated[float, Query(allow_inf_nan=False)]
 Delay = Annotated[float, Query(ge=0, le=theory.LONGEST_DELAY, description="Delay in samples.")]
@@ -81,24 +86,33 @@ def place(word: str | None, kinds: tuple[type, ...]) -> Any:
     return value
 
 
-def trial_list(
-    service: Service,
-    words: dict[str, str | None],
-    ranges: dict[str, float | None],
-    q: str,
-    sort: str,
-    limit: int,
-    word: str | None,
-) -> dict[str, Any]:
+class TrialQuery(BaseModel):
+    """Which trials are asked for, and in which order."""
+
+    device: Word | None = None
+    experiment: Word | None = None
+    verdict: Word | None = None
+    outcome: Word | None = None
+    stiffness_min: FiniteNumber | None = None
+    stiffness_max: FiniteNumber | None = None
+    damping_min: FiniteNumber | None = None
+    damping_max: FiniteNumber | None = None
+    q: Word = ""
+    sort: Word = "id"
+    limit: Annotated[int, Field(ge=1, le=MOST, description="Items of a page.")] = 100
+    cursor: Annotated[str, Field(max_length=2000, description="`next_cursor` of the page before.")] | None = None
+
+
+def trial_list(service: Service, query: TrialQuery) -> dict[str, Any]:
     """Return a page of trials with facets, as the API and the pages show it."""
-    name = sorting(sort).lstrip("-")
+    name = sorting(query.sort).lstrip("-")
     trials = service.catalogue.trials()
     kind = (type(None),) if name == "id" else (str,) if name in trials.texts else (float, int, type(None))
-    after = place(word, (kind, str))  # type: ignore[arg-type]
-    asked = {key: "" if value == "none yet" else value for key, value in words.items() if value}
-    limits = {key: value for key, value in ranges.items() if value is not None}
-    mask, facets = trials.selected(asked, limits, q)
-    rows, more = trials.page(mask, sort, limit, after)
+    after = place(query.cursor, (kind, str))  # type: ignore[arg-type]
+    given = {key: value for key, value in query if value not in ("", None)}
+    asked = {key: "" if given[key] == "none yet" else given[key] for key in WORDS if key in given}
+    mask, facets = trials.selected(asked, {key: given[key] for key in RANGES if key in given}, query.q)
+    rows, more = trials.page(mask, query.sort, query.limit, after)
     last = [trials.value(rows[-1], name), trials.ids[rows[-1]]] if more else None
     items = trials.items(rows)
     return {"items": items, "next_cursor": cursor(last), "total": int(mask.sum()), "facets": facets}
@@ -135,26 +149,9 @@ def experiments(
 
 
 @api.get("/trials")
-def trials(
-    service: Shared,
-    device: Name | None = None,
-    experiment: Name | None = None,
-    verdict: Name | None = None,
-    outcome: Name | None = None,
-    stiffness_min: Finite = None,
-    stiffness_max: Finite = None,
-    damping_min: Finite = None,
-    damping_max: Finite = None,
-    q: Name = "",
-    sort: Name = "id",
-    limit: Limit = 100,
-    cursor_: Annotated[Cursor, Query(alias="cursor")] = None,
-) -> JSONResponse:
+def trials(service: Shared, asked: Annotated[TrialQuery, Query()]) -> JSONResponse:
     """List trials by their properties, with how many there are of each."""
-    words = {"device": device, "experiment": experiment, "verdict": verdict, "outcome": outcome}
-    ranges = {"stiffness_min": stiffness_min, "stiffness_max": stiffness_max, "damping_min": damping_min,
-              "damping_max": damping_max}  # fmt: skip
-    return JSONResponse(trial_list(service, words, ranges, q, sort, limit, cursor_))
+    return JSONResponse(trial_list(service, asked))
 
 
 @api.get("/trials/{trial}")

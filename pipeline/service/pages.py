@@ -9,13 +9,14 @@ import time
 from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 from urllib.parse import quote, urlencode
 
 import numpy as np
 from fastapi import APIRouter, Query, Request
 from fastapi.responses import FileResponse, HTMLResponse, RedirectResponse, Response
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from pydantic import field_validator
 from starlette.concurrency import run_in_threadpool
 
 from pipeline.intake.quarantine import list_quarantine
@@ -24,7 +25,7 @@ from pipeline.records.criteria import REPORTED
 from pipeline.rendering.labels import UNITS, criterion_name, significant
 from pipeline.rendering.report.page_template import TEMPLATES
 from pipeline.service import api
-from pipeline.service.api import Finite, Name, Segment
+from pipeline.service.api import Segment
 from pipeline.service.catalogue import SORTS
 from pipeline.service.database import ENDED
 from pipeline.service.page_figures import limits, plane, units_of
@@ -176,33 +177,28 @@ def one_experiment(service: Shared, request: Request, device: Segment, experimen
     )  # fmt: skip
 
 
+class TrialForm(api.TrialQuery):
+    """The same as a form sends it: an empty field asks for nothing."""
+
+    format: Literal["", "csv"] = ""
+
+    @field_validator(*api.RANGES, "cursor", mode="before")
+    @classmethod
+    def _nothing(cls, value: Any) -> Any:
+        return value or None
+
+
 @pages.get("/trials")
-def trials(
-    service: Shared, request: Request,
-    device: Name = "", experiment: Name = "", verdict: Name = "", outcome: Name = "",
-    stiffness_min: Finite | str = None, stiffness_max: Finite | str = None, damping_min: Finite | str = None,
-    damping_max: Finite | str = None, q: Name = "", sort: Name = "id", cursor: str | None = None, format: Name = "",
-) -> Response:  # fmt: skip
+def trials(service: Shared, request: Request, asked: Annotated[TrialForm, Query()]) -> Response:
     """Show a list of trials, or its CSV."""
-    words = {"device": device, "experiment": experiment, "verdict": verdict, "outcome": outcome}
-    given = {"stiffness_min": stiffness_min, "stiffness_max": stiffness_max, "damping_min": damping_min,
-             "damping_max": damping_max}  # fmt: skip
-    ranges = {name: _limit(name, value) for name, value in given.items()}
-    found = api.trial_list(service, dict(words), ranges, q, sort, SHOWN, cursor)
-    if format == "csv":
+    found = api.trial_list(service, asked.model_copy(update={"limit": SHOWN}))
+    if asked.format == "csv":
         return _csv(found["items"])
-    state = {k: v for k, v in {**words, **given, "q": q, "sort": sort}.items() if v not in ("", None)}
+    kept = {*api.WORDS, *api.RANGES, "q", "sort"}
+    state = {"sort": asked.sort} | {k: v for k, v in request.query_params.items() if v and k in kept}
     following = urlencode({**state, "cursor": found["next_cursor"]}) if found["next_cursor"] else None
-    return page_of(
-        service,
-        request,
-        "trials.html.j2",
-        **found,
-        state=state,
-        following=following,
-        query=urlencode(state),
-        sorts=SORTS,
-    )
+    more: dict[str, Any] = {"state": state, "following": following, "query": urlencode(state), "sorts": SORTS}
+    return page_of(service, request, "trials.html.j2", **found, **more)
 
 
 @pages.get("/trials/{trial}")
@@ -386,19 +382,6 @@ def _busy(job: Mapping[str, Any] | None) -> bool:
 
 def _problem_of(job: Mapping[str, Any] | None) -> str | None:
     return job["problem"]["detail"] if job and job["problem"] else None
-
-
-def _limit(name: str, value: float | str | None) -> float | None:
-    """Return a limit of a range as a form sends it; an empty one is none."""
-    if value in ("", None):
-        return None
-    try:
-        number = float(value)
-    except ValueError:
-        number = np.nan
-    if not np.isfinite(number):
-        raise Problem(422, "A limit is a finite number.", where=name, found=value)
-    return number
 
 
 def _csv(items: Sequence[Mapping[str, Any]]) -> Response:

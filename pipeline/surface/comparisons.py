@@ -15,7 +15,7 @@ from pipeline.base.errors import UsageError
 from pipeline.base.outputs import check_output
 from pipeline.comparison.compare import compare as compare_stored
 from pipeline.records.findings import Record
-from pipeline.records.models import ComparisonRow
+from pipeline.records.models import ComparisonRow, Deviation
 from pipeline.records.results import ComparisonResult
 from pipeline.records.score_records import Scores
 from pipeline.surface.frames import frame_of, units_of
@@ -24,7 +24,7 @@ from pipeline.surface.stored import boundary_frame, estimates_frame, folder_of, 
 
 _SCORES = ("experiment", "basis", "score", "quantity", "criterion", "value", "low", "high", "reason")
 _SHOWN = ("experiment", "quantity", "value", "low", "high", "unit", "reason")
-_TEXTS = {"table", "criterion", "condition", "note", "experiment", "trial_id", "censored", "deviation"}
+_TEXTS = {"table", "criterion", "condition", "note", "experiment", "trial_id", "censored"}
 
 
 class Comparison:
@@ -71,12 +71,17 @@ class Comparison:
 
         ``table``, ``criterion``, ``condition``, ``delay_samples``, ``stiffness`` [N/m, Nm/rad], ``damping`` [Ns/m,
         Nms/rad], ``cost``, ``published_stiffness``, ``published_damping``, ``published_cost``, ``deviation_percent``
-        (of an experiment's cost from the discrete theory's), ``censored``, ``note``, ``experiment``, ``trial_id``.
+        (of an experiment's cost from the discrete theory's), ``range``, ``grid``, ``model``, ``selection``,
+        ``model_low``, ``model_high`` [%] (what the deviation is made of), ``censored``, ``note``, ``experiment``,
+        ``trial_id``.
         """
-        columns = tuple(ComparisonRow.model_fields)
+        parts = tuple(Deviation.model_fields)
+        names = list(ComparisonRow.model_fields)
+        at = names.index("deviation")
+        columns = (*names[:at], *parts, *names[at + 1 :])
         units = units_of(("stiffness", "damping"), {self.result.motion})
         units |= {f"published_{name}": unit for name, unit in units.items()}
-        rows = [row.model_dump() for row in self.result.tables]
+        rows = [row.model_dump() | dict(row.deviation or {}) for row in self.result.tables]
         return frame_of(columns, rows, set(columns) - _TEXTS, {**units, "delay_samples": "samples"})
 
     @property

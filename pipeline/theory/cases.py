@@ -20,8 +20,8 @@ from pipeline.loop.loop import Loop
 from pipeline.records.batch import Floats
 from pipeline.records.criteria import CRITERIA, DISCRETE, ENERGY, with_discrete
 from pipeline.theory.cost.pointcosts import point_costs_by_name
+from pipeline.theory.cost.settling_overshoot import LONGEST
 from pipeline.theory.cost.theory_map import check_criteria
-from pipeline.theory.cost.transient import LONGEST
 from pipeline.theory.optimum.optimum import optimal_point
 from pipeline.theory.optimum.rules import POINT_CRITERIA, marked_point
 from pipeline.theory.stability.robust import robust_outline

@@ -78,7 +78,7 @@ def test_a_declared_step_row_gives_a_late_first_change_and_no_onset(pendulum):
     response = declare_edge(batch, find_response(batch), 0)
     found = first_change(batch, response)
     # friction holds the pendulum, and 10 arc minutes take it long: 0.9 Nm/0.15 kg m^2 move them in 31 ms
-    assert found.latest_s[0] > 0.031
+    assert batch.time[0, found.first_row[0]] - batch.time[0, 0] > 0.031
     onset = motion_onset(batch, response, found)
     assert np.isnan(onset.delay_samples[0])
     assert "standard error" in onset.reason[0]
@@ -117,13 +117,6 @@ def test_the_balance_of_the_thesis_takes_gravity_and_friction_for_mass(pendulum)
     # over the first quarter of a second it comes out at twice the inertia ...
     plain = fit_balance(batch, response, 0, terms=(), window_s=(0.0, 0.25))
     assert 0.28 < plain.mass[0] < 0.36
-    scan = [
-        by_momentum(batch, response, 0, window_s=window, smallest_signal=0.0, logged_times=True).mass_momentum[0]
-        for window in (0.15, 0.2, 0.25, 0.3)
-    ]
-    # ... and grows with the window, as the torque goes on and the speed does not
-    assert (np.diff(scan) > 0).all()
-    assert 0.28 < scan[1] < 0.33
 
 
 def test_quantum_of_the_pendulum_is_10_arc_minutes(pendulum):

@@ -25,7 +25,7 @@ from pipeline.base.disk import write_text
 from pipeline.comparison.compare import compare
 from pipeline.device_data.devices import load_device
 from pipeline.intake.ingest import ingest
-from pipeline.measured.cost import costs, energy_intervals
+from pipeline.measured.cost import energy_intervals, settling_overshoot
 from pipeline.measured.experiment import known_delay
 from pipeline.measured.signal.verdict import judge
 from pipeline.measured.stages import stage_groups, stage_mass, stage_settling, stage_tables, stages
@@ -51,7 +51,7 @@ GIVEN = {
     "mass": 0.58,
     "mass_error": 0.01,
     "usual_rows": 400,
-    "device": {"mass": 0.58, "damping": 4.0, "stiffness": 0.0, "delay": 4, "jitter": 1, "span": 9, "typical": 0.4},
+    "device": {"mass": 0.58, "damping": 4.0, "stiffness": 0.0, "delay": 4, "jitter": 1, "span": 9, "least": 1.2},
 }
 """What every stage may take of an experiment: here it does not matter where it came from."""
 
@@ -184,7 +184,7 @@ def test_no_row_outlives_what_it_rests_on(lab, tmp_path, monkeypatch, edit, chan
     of = lab.stages("1", processed)
     monkeypatch.setattr(of, "is_stored", lambda stage: stage != "settling")
     if changed == "code":
-        edit(costs)
+        edit(settling_overshoot)
     elif changed == "given":
         other = of.delay_estimate.model_copy(update={"value": 5.0, "high": 7.0})
         for module in (known_delay, stage_settling):

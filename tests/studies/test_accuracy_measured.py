@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from pipeline.measured.cost.costs import settling
+from pipeline.measured.cost.settling_overshoot import settling
 from pipeline.records import accuracy
 from pipeline.records.accuracy import AccuracyReport, MeasuredAccuracy, Rung
 from pipeline.shell import cli

@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 
+from pipeline.loop.device_loop import general
 from pipeline.loop.loop import LARGEST_DELAY
 from pipeline.records.figure_records import Curve
 from pipeline.records.findings import Estimate
+from pipeline.records.models import Device
 from pipeline.records.results import ExperimentResult
+from pipeline.theory.device.overlays import quantum_limit, step_limits
 from pipeline.theory.predictions import Theory
 from pipeline.theory.stability.passivity import boundary_angle, passive_boundary
 from pipeline.theory.stability.robust import robust_outline
+
+FRICTION_POINTS = 48
+"""Dampings at which a limit with friction is computed."""
 
 PASSIVE_POINTS = 40
 """Points of the curved part of a passive region: no chord is off by a pixel."""
@@ -120,6 +129,52 @@ def bound_curve(result: ExperimentResult) -> Curve | None:
         return None
     damping = np.array([bound.damping_low, bound.damping_high])
     return Curve("linear upper bound", "bound", bound.stiffness - bound.slope * damping, damping)
+
+
+@dataclass(frozen=True)
+class FrictionFacts:
+    """What friction does to a loop: f_c and F_0 [N, Nm], quantum [m, rad] (0: unknown), and where f_c comes from."""
+
+    coulomb: float
+    step: float
+    quantum: float
+    source: str
+
+    def limit(self, gain: float) -> float | None:
+        """Return K [N/m, Nm/rad] up to which the quantum causes no limit cycle, None without one."""
+        return quantum_limit(self.coulomb, self.quantum) / gain if self.quantum > 0 else None
+
+
+def friction_facts(device: Device, results: Sequence[ExperimentResult]) -> FrictionFacts | None:
+    """Return the Coulomb friction of experiments by the device file, or where that has none by the first estimate."""
+    for result in results:
+        entry = next((e for e in device.experiments if e.name == result.experiment), None)
+        stated = device.loop_of(entry).friction if entry is not None else device.loop.friction
+        if stated is not None and stated.coulomb > 0:
+            return FrictionFacts(stated.coulomb, device.step, device.sensor.quantum, "device file")
+    for result in results:
+        found = result.estimates.get("friction")
+        if found is not None and found.value is not None and (found.low or 0.0) > 0:
+            return FrictionFacts(found.value, device.step, device.sensor.quantum, "estimated from the logs")
+    return None
+
+
+def friction_curves(theory: Theory, facts: FrictionFacts) -> list[Curve]:
+    """Return the limit of steps with Coulomb friction, and the line K = 2 f_c/quantum where it is in the picture.
+
+    Source: Slotine and Li 1991, ch. 5 (describing function); Diolaiti et al. 2006.
+    """
+    gain, units, border = theory.parameters.loop.force_gain, theory.units, theory.boundary
+    damping = np.linspace(border.beta.min(), border.beta_max, FRICTION_POINTS + 2)[1:-1]
+    stiffness = step_limits(general(theory.loop), damping, facts.coulomb / gain / facts.step) * units.stiffness
+    found = []
+    if np.isfinite(stiffness).any():
+        found.append(Curve("limit with Coulomb friction", "friction", stiffness, damping * units.damping))
+    quiet = facts.limit(gain)
+    if quiet is not None and quiet <= max(border.alpha_max * units.stiffness, np.nanmax(stiffness, initial=0.0)):
+        ends = np.array([max(damping[0], 0.0), damping[-1]]) * units.damping
+        found.append(Curve("2 f_c/Δ: no limit cycle below", "friction", np.full(2, quiet), ends))
+    return found
 
 
 def envelope_curve(result: ExperimentResult) -> Curve | None:

@@ -9,8 +9,11 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from pipeline.comparison.figures.boundary_curves import (
+    FrictionFacts,
     bound_curve,
     envelope_curve,
+    friction_curves,
+    friction_facts,
     linear_curve,
     measured_curve,
     normalised,
@@ -23,7 +26,7 @@ from pipeline.comparison.scene.scene import SceneData
 from pipeline.records.figure_records import Curve, Figure, Limits
 from pipeline.records.models import Experiment
 from pipeline.records.results import ExperimentResult, TheoryParameters
-from pipeline.rendering.labels import UNITS
+from pipeline.rendering.labels import UNITS, Units, stiffness_text
 from pipeline.theory.predictions import Theory
 
 
@@ -94,9 +97,13 @@ class _Builder:
             return None
         values = list(dict.fromkeys((p.mass, p.damping, p.stiffness) for p in (self._own(r) for r in free)))
         first = self.theories[free[0].experiment]
-        robust = robust_curve(first) if self.data.scene.shown.has_overlay("robust") else None
+        shown = self.data.scene.shown
+        robust = robust_curve(first) if shown.has_overlay("robust") else None
         conditions = (linear_curve(first), passive_curve(first), robust, _first(bound_curve(r) for r in free))
-        curves = (*(measured_curve(r) for r in free), *self._over_delays(free, values), *filter(None, conditions))
+        facts = friction_facts(self.data.device, free)
+        held = friction_curves(first, facts) if facts and shown.has_overlay("friction") else []
+        drawn = (*filter(None, conditions), *held)
+        curves = (*(measured_curve(r) for r in free), *self._over_delays(free, values), *drawn)
         m, b, k = values[0]
         units = UNITS["rotation" if self.data.experiments[0].rotation else "translation"]
         others = ", ".join(f"{other[1]:g}" for other in values[1:])
@@ -107,12 +114,13 @@ class _Builder:
             "and the delay factors at the curves"
             f"{f'; thin dots: the same with b = {others} {units.damping}' if others else ''}."
         )
+        told = _told(facts, first, units) if held and facts else ""
         return Figure(
             "boundaries",
             "boundaries-free",
             "Stability boundaries without operator",
-            f"Measured: last stable stiffness at each damping.{beside if self.predicted else ''} "
-            "In the manner of Fig. 6.3.",
+            f"Measured: last stable stiffness at each damping.{beside if self.predicted else ''}"
+            f"{told} In the manner of Fig. 6.3.",
             (("", curves),),
             theory_label=f"theory, b = {b:g}",
         )
@@ -207,6 +215,24 @@ class _Builder:
             "Theory with the estimated mass, damping and delay of each experiment." + "".join(told),
             tuple(panels),
         )
+
+
+def _told(facts: FrictionFacts, theory: Theory, units: Units) -> str:
+    """Return what the curves with friction are, and where they hold."""
+    force = "N" if units == UNITS["translation"] else "Nm"
+    text = (
+        f" Limit with Coulomb friction: f_c = {facts.coulomb:.3g} {force} ({facts.source}), for oscillations as large "
+        f"as the step's way F_0/(K + k), F_0 = {facts.step:g} {force}, by the describing function (Slotine and Li "
+        "1991); drawn where the motion slides all through, f_c ≤ m ω² A/2. Larger oscillations have the limit without "
+        "friction."
+    )
+    quiet = facts.limit(theory.parameters.loop.force_gain)
+    if quiet is None:
+        return text
+    return (
+        f"{text} Up to K = 2 f_c/Δ = {stiffness_text(quiet)} {units.stiffness} the sensor's quantum Δ causes no limit "
+        "cycle (Diolaiti et al. 2006; sufficient, not necessary: nothing is said of stiffer walls)."
+    )
 
 
 def _first(curves: Iterable[Curve | None]) -> Curve | None:

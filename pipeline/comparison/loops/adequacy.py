@@ -79,8 +79,10 @@ def doubts(
     ]
     if parts:
         found.append(Doubt(f"the device file declares {parts}, and the estimates know the ideal loop only"))
+    if "velocity filter" in parts:
+        found = [Doubt(doubt.text) if doubt.help == _HELP["velocity_filter"] else doubt for doubt in found]
     found += _unknown(result, loop)
-    found += _unexplained(result)
+    found += _unexplained(result, "" if parts else _PARTS)
     if rest.tells:
         found.append(Doubt(rest_words(rest, _force(units)), "a device file with the force or friction in it"))
     if loop is not None:
@@ -90,6 +92,7 @@ def doubts(
 
 
 _LAW = "log the command that the controller computes by the wall law, before filter and limit, with every row"
+_PARTS = "a device file whose [loop] table names what the device has beside mass, damping and delay"
 _HELP = {
     "saturation": "a smaller step, or the command before it is clipped in the log",
     "velocity_filter": "a device file that declares the filter",
@@ -109,7 +112,7 @@ def _unknown(result: ExperimentResult, loop: LoopRange | None) -> Iterator[Doubt
         yield Doubt("the mass is not positive, or the delay longer than theory is computed for")
 
 
-def _unexplained(result: ExperimentResult) -> Iterator[Doubt]:
+def _unexplained(result: ExperimentResult, would_help: str) -> Iterator[Doubt]:
     check = result.model_check
     if check is None:
         yield Doubt("no model was fitted to the logs, since nothing that was asked for needs one")
@@ -117,7 +120,7 @@ def _unexplained(result: ExperimentResult) -> Iterator[Doubt]:
     if check.explained < EXPLAINED * check.trials or not check.trials:
         yield Doubt(
             f"mass, damping and delay explain {check.explained} of {counted(check.trials, 'log')} only",
-            "a device file whose [loop] table names what the device has beside mass, damping and delay",
+            would_help,
         )
     elif (check.whiteness or 1.0) < WHITE and (check.ghost or 0.0) > EXACT:
         yield Doubt(f"what the model leaves of the logs is no noise (p = {significant(check.whiteness or 0.0, 2)})")

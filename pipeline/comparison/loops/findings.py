@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from pipeline.base.wording import listed
 from pipeline.comparison.loops.adequacy import Doubt, doubts
 from pipeline.comparison.loops.causes import direct_causes
 from pipeline.comparison.loops.log_evidence import found_filter, law_departures
@@ -65,12 +66,16 @@ def loop_findings(
     )
 
 
+_PART_WORDS = {"velocity": "velocity filter", "actuator_lag_s": "actuator lag", "mode": "vibration mode"}
+
+
 def _declared_parts(device: Device | None, entry: Experiment | None) -> str:
     """Return which parts of a loop that is not ideal a device file declares; theory by them replaces this doubt."""
     if device is None or entry is None:
         return ""
     ideal, parts = LoopParts(), device.loop_of(entry)
-    return " and ".join(name.replace("_", " ") for name, part in named(parts).items() if part != getattr(ideal, name))
+    names = [name for name, part in named(parts).items() if part != getattr(ideal, name)]
+    return listed([_PART_WORDS.get(name, name.replace("_", " ")) for name in names])
 
 
 def _loop_result(

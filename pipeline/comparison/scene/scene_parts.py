@@ -30,6 +30,7 @@ _KINDS: dict[str, Overlay] = {
     "linear": "linear",
     "passive": "passive",
     "bound": "bound",
+    "friction": "friction",
     "robust": "robust",
 }
 """Overlay that a kind of curve belongs to; measured curves are always drawn."""

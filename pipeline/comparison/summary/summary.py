@@ -21,6 +21,7 @@ from pipeline.rendering.labels import (
     estimate_texts,
     percent_text,
     share_text,
+    significant,
     stiffness_text,
 )
 
@@ -147,21 +148,23 @@ def _costs(results: Sequence[ExperimentResult], rows: Sequence[ComparisonRow]) -
     ranks = sorted(
         m.rank_correlation for r in results if r.scores for m in r.scores[0].maps if m.rank_correlation is not None
     )
-    deviations = [r for r in rows if r.deviation_percent is not None]
     parts = []
     if ranks:
         parts.append(
             f"Costs of the trials are ordered as in theory with a rank correlation of {median(ranks):.2f} in "
             f"the median of {counted(len(ranks), 'cost map')} (least {ranks[0]:.2f})"
         )
+    deviations = [r for r in rows if r.deviation]
     if deviations:
-        smallest, largest = min(deviations, key=_size), max(deviations, key=_size)
+        largest = max(deviations, key=_size)
+        assert largest.deviation is not None, "they are chosen by it"
+        found = largest.deviation
         middle = median(_size(r) for r in deviations)
-        least = f"{_named(smallest)} ({percent_text(smallest.deviation_percent or 0.0)} %)"
         parts.append(
-            f"{'optimal' if parts else 'Optimal'} costs differ from the discrete theory by {middle:.0f} % in the "
-            f"median of {counted(len(deviations), 'comparison')}: least for {least}, "
-            f"most for {_named(largest)} ({percent_text(largest.deviation_percent or 0.0)} %)"
+            f"{'optimal' if parts else 'Optimal'} costs differ from the discrete theory by {significant(middle, 2)} % "
+            f"in the median of {counted(len(deviations), 'comparison')}, once range and grid of the trials and luck "
+            f"of the best one are taken off: most for {_named(largest)} ({percent_text(found.model)} %, 95 %: "
+            f"{percent_text(found.model_low)} to {percent_text(found.model_high)})"
         )
     return "; ".join(parts) + "." if parts else ""
 
@@ -237,7 +240,8 @@ def _estimates(result: ExperimentResult) -> str:
 
 
 def _size(row: ComparisonRow) -> float:
-    return abs(row.deviation_percent or 0.0)
+    """Part of the model in the deviation of an optimal cost [%]."""
+    return abs(row.deviation.model) if row.deviation else 0.0
 
 
 def _named(row: ComparisonRow) -> str:

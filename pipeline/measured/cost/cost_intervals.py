@@ -9,9 +9,9 @@ from statistics import NormalDist
 import numpy as np
 
 from pipeline.base.errors import ParameterError
-from pipeline.measured.cost.costs import SETTLED_SAMPLES, Overshoot, Settling
 from pipeline.measured.cost.reading_error import ReadingError
-from pipeline.measured.intervals import CONFIDENCE
+from pipeline.measured.cost.settling_overshoot import SETTLED_SAMPLES, Overshoot, Settling
+from pipeline.measured.intervals import CONFIDENCE, NORMAL_95
 from pipeline.measured.signal.response import Response
 from pipeline.records.batch import Floats, TrialBatch
 from pipeline.records.criteria import SETTLING_BANDS
@@ -81,8 +81,6 @@ def settling_interval(
     delay_samples: int,
     *,
     delay_range: tuple[int, int] | None = None,
-    bands: Mapping[str, float] = SETTLING_BANDS,
-    confidence: float = CONFIDENCE,
 ) -> SettlingInterval:
     """Return the interval of the discrete settling time.
 
@@ -90,15 +88,11 @@ def settling_interval(
     ----------
     batch : TrialBatch
     response, error, found : Response, ReadingError, Settling
-        Of the same trials; ``found`` by `costs.settling` with the same delay and bands.
+        Of the same trials; ``found`` by `settling_overshoot.settling` with the same delay.
     delay_samples : int
         Integer delay factor d that ``found`` was computed with.
     delay_range : tuple of int, optional
         Smallest and largest integer delay factor that the experiment leaves open.
-    bands : mapping of str to float
-        Half width relative to the final displacement, by criterion.
-    confidence : float
-        Coverage for a reading at the edge of the band.
 
     Returns
     -------
@@ -122,11 +116,11 @@ def settling_interval(
     counted = batch.valid & (column >= first[:, None])
     known = np.array([not text for text in error.reason], dtype=np.bool_)
     distance = np.abs(batch.position - response.position_final_expected[:, None])
-    margin = NormalDist().inv_cdf(0.5 * (1 + confidence)) * np.nan_to_num(error.deviation)
+    margin = NORMAL_95 * np.nan_to_num(error.deviation)
     low: dict[str, Floats] = {}
     high: dict[str, Floats] = {}
     missing: list[list[str]] = [[] for _ in range(len(batch))]
-    for name, band in bands.items():
+    for name, band in SETTLING_BANDS.items():
         width = band * np.abs(batch.step / np.where(batch.stiffness != 0, batch.stiffness, np.nan))
         told = np.isfinite(found.samples[name])
         ends = []
@@ -150,8 +144,6 @@ def overshoot_interval(
     response: Response,
     error: ReadingError,
     found: Overshoot,
-    *,
-    confidence: float = CONFIDENCE,
 ) -> OvershootInterval:
     """Return the interval of the overshoot.
 
@@ -159,9 +151,7 @@ def overshoot_interval(
     ----------
     batch : TrialBatch
     response, error, found : Response, ReadingError, Overshoot
-        Of the same trials; ``found`` by `costs.overshoot`.
-    confidence : float
-        Coverage.
+        Of the same trials; ``found`` by `settling_overshoot.overshoot`.
 
     Returns
     -------
@@ -184,14 +174,14 @@ def overshoot_interval(
     peak = np.argmax(relative, axis=1)[:, None]
     largest = np.take_along_axis(relative, peak, axis=1)[:, 0]
     spread = np.take_along_axis(np.nan_to_num(error.deviation), peak, axis=1)[:, 0] / np.abs(travel)
-    tail = 0.5 * (1 - confidence)
+    tail = 0.5 * (1 - CONFIDENCE)
     everywhere = _quantile(tail / np.maximum(counted.sum(axis=1), 1))
     rivals = np.maximum((relative >= (largest - 2 * everywhere * spread)[:, None]).sum(axis=1), 1)
     low = np.maximum(largest - _quantile(tail / rivals) * spread, 0.0)
     late = counted & (column >= (batch.rows - (batch.rows - response.edge_row) // LAST_PART)[:, None])
     # the largest distance in the last part is the largest of many readings, too
     beyond = np.max(np.where(late, np.abs(relative), 0.0), axis=1, initial=0.0) - everywhere * spread
-    one_reading = NormalDist().inv_cdf(1 - tail) * spread
+    one_reading = NORMAL_95 * spread
     high = np.maximum(np.maximum(largest, beyond) + one_reading, NO_OVERSHOOT)
     # median of the largest of as many independent errors
     bias = np.maximum(_quantile(1 - 0.5 ** (1 / rivals)), 0.0) * spread

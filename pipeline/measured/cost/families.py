@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.measured.cost import costs
+from pipeline.measured.cost import settling_overshoot
 from pipeline.measured.cost.cost_intervals import overshoot_interval, settling_interval
 from pipeline.measured.cost.reading_error import ReadingError
 from pipeline.measured.cost.step_metrics import TOOLS, reconcile
@@ -30,7 +30,7 @@ def joined(*reasons: Iterable[str]) -> list[str | None]:
 
 
 def _overshoot(batch: TrialBatch, response: Response, verdicts: Verdicts, error: ReadingError, given: Given) -> Columns:
-    found = costs.overshoot(batch, response, verdicts)
+    found = settling_overshoot.overshoot(batch, response, verdicts)
     interval = overshoot_interval(batch, response, error, found)
     return {
         "overshoot": found.overshoot,
@@ -44,7 +44,7 @@ def _overshoot(batch: TrialBatch, response: Response, verdicts: Verdicts, error:
 
 def _settling(batch: TrialBatch, response: Response, verdicts: Verdicts, error: ReadingError, given: Given) -> Columns:
     samples, delays = given["delay"], tuple(given["delay_range"])
-    found = costs.settling(batch, response, verdicts, samples)
+    found = settling_overshoot.settling(batch, response, verdicts, samples)
     interval = settling_interval(batch, response, error, found, samples, delay_range=delays)
     others = reconcile(batch, response, verdicts, samples).settling
     return {

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.base.errors import ParameterError
-from pipeline.measured.cost import costs
+from pipeline.measured.cost import settling_overshoot
 from pipeline.measured.signal.horizon import cost_start
 from pipeline.measured.signal.response import Response
 from pipeline.measured.signal.verdict import Verdicts
@@ -110,8 +110,8 @@ def reconcile(
     """
     if not 0 < band < 1:
         raise ParameterError(f"settling band {band:g}: expected a fraction between 0 and 1.")
-    found = costs.settling(batch, response, verdicts, delay_samples, bands={"thesis": band})
-    over = costs.overshoot(batch, response, verdicts)
+    found = settling_overshoot.settling(batch, response, verdicts, delay_samples, bands={"thesis": band})
+    over = settling_overshoot.overshoot(batch, response, verdicts)
     settling = {"thesis": Metric(found.samples["thesis"], found.reason)}
     overshoot = {"thesis": Metric(over.overshoot, over.reason)}
 
@@ -176,7 +176,7 @@ def _settle(
     outside = counted & ((distance >= width[:, None]) if strict else (distance > width[:, None]))
     columns = error.shape[1]
     after = np.where(outside.any(axis=1), columns - np.argmax(outside[:, ::-1], axis=1), first)
-    at_rest = batch.rows - after >= np.maximum(batch.rows // AT_REST_PART, costs.SETTLED_SAMPLES)
+    at_rest = batch.rows - after >= np.maximum(batch.rows // AT_REST_PART, settling_overshoot.SETTLED_SAMPLES)
     value = (after - first).astype(np.float64)
     if not strict:
         rows = np.stack([np.maximum(after - 1, 0), np.minimum(after, columns - 1)], axis=1)

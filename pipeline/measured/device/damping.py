@@ -13,6 +13,7 @@ from pipeline.measured.device.momentum import balance
 from pipeline.measured.intervals import student_95
 from pipeline.measured.signal.response import Response
 from pipeline.records.batch import Floats, TrialBatch
+from pipeline.records.findings import Estimate
 
 FEWEST_INTERVALS = 20
 """Two unknowns with fewer samples follow the noise."""
@@ -25,27 +26,6 @@ ZERO_RATE = 1e-6
 
 ZERO_RATE_AT_END = 0.01
 """As `ZERO_RATE` for the largest B tested, with noise: an error of 1 % of the tested range of B."""
-
-
-@dataclass(frozen=True)
-class LimitDamping:
-    """Viscous damping by the stability limit [Ns/m, Nms/rad], with the bracket that the trials give.
-
-    Parameters
-    ----------
-    value : float or None
-        -B where the growth rate crosses zero.
-    low, high : float or None
-        -B of the last stable and of the first unstable trial.
-    trials : int
-    reason : str or None
-    """
-
-    value: float | None
-    low: float | None
-    high: float | None
-    trials: int
-    reason: str | None = None
 
 
 @dataclass(frozen=True)
@@ -81,7 +61,7 @@ class TrialDamping:
     reason: tuple[str, ...]
 
 
-def by_limit(damping: Floats, stiffness: Floats, growth_per_s: Floats) -> LimitDamping:
+def by_limit(damping: Floats, stiffness: Floats, growth_per_s: Floats, unit: str = "Ns/m") -> Estimate:
     """Return b = -B at the stability limit with K = 0.
 
     Parameters
@@ -90,10 +70,12 @@ def by_limit(damping: Floats, stiffness: Floats, growth_per_s: Floats) -> LimitD
         Virtual damping B [Ns/m, Nms/rad] and stiffness K of the trials; only those with K = 0 are used.
     growth_per_s : float64, shape (n,)
         Growth rate of the acceleration, as `verdict.judge` returns it [1/s]; NaN where it is not known.
+    unit : str
 
     Returns
     -------
-    LimitDamping
+    Estimate
+        Value where the growth rate crosses zero; its interval is -B of the last stable and of the first unstable trial.
 
     Notes
     -----
@@ -104,8 +86,13 @@ def by_limit(damping: Floats, stiffness: Floats, growth_per_s: Floats) -> LimitD
     """
     used = (stiffness == 0) & np.isfinite(growth_per_s)
     B, rate = damping[used], growth_per_s[used]
+
+    def told(value: float | None, low: float | None, high: float | None, reason: str | None = None) -> Estimate:
+        method = "stability limit at K = 0, interpolated between its neighbours"
+        return Estimate(value=value, low=low, high=high, unit=unit, method=method, reason=reason, trials=len(B))
+
     if not len(B):
-        return LimitDamping(None, None, None, 0, "no usable trial at K = 0: record some with B <= 0")
+        return told(None, None, None, "no usable trial at K = 0: record some with B <= 0")
     levels, member = np.unique(B, return_inverse=True)
     mean = np.bincount(member, weights=rate) / np.bincount(member)
     size = np.abs(mean) / (np.ptp(mean) or 1.0)
@@ -113,31 +100,20 @@ def by_limit(damping: Floats, stiffness: Floats, growth_per_s: Floats) -> LimitD
     at_limit = np.flatnonzero((size <= ZERO_RATE) | ((size <= ZERO_RATE_AT_END) & (levels == levels[-1])))
     if len(at_limit) and at_limit[-1] > 0:
         at = at_limit[-1]
-        return LimitDamping(0.0 - float(levels[at]), 0.0 - float(levels[at]), 0.0 - float(levels[at - 1]), len(B))
+        return told(0.0 - float(levels[at]), 0.0 - float(levels[at]), 0.0 - float(levels[at - 1]))
     stable, unstable = levels[mean < 0], levels[mean >= 0]
     if not len(stable) or not len(unstable):
-        side = "unstable" if not len(stable) else "stable"
-        return LimitDamping(
-            None,
-            None,
-            None,
-            len(B),
-            f"{counted(len(B), 'trial')} at K = 0, on the {side} side of the limit only; it needs trials on both sides",
-        )
+        trials, side = counted(len(B), "trial"), "stable" if len(stable) else "unstable"
+        reason = f"{trials} at K = 0, on the {side} side of the limit only; it needs trials on both sides"
+        return told(None, None, None, reason)
     first_unstable = unstable.max()
     above = stable[stable > first_unstable]
     if not len(above):
-        return LimitDamping(
-            None,
-            None,
-            None,
-            len(B),
-            "growth rates at K = 0 do not fall with B; the limit is not a single crossing",
-        )
+        return told(None, None, None, "growth rates at K = 0 do not fall with B; the limit is not a single crossing")
     last_stable = above.min()
     low, high = mean[levels == last_stable][0], mean[levels == first_unstable][0]
     crossing = last_stable + (first_unstable - last_stable) * low / (low - high)
-    return LimitDamping(0.0 - float(crossing), 0.0 - float(last_stable), 0.0 - float(first_unstable), len(B))
+    return told(0.0 - float(crossing), 0.0 - float(last_stable), 0.0 - float(first_unstable))
 
 
 def by_decay(

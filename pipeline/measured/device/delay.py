@@ -33,20 +33,15 @@ class Delays:
         Integer factor d = d_obs - 1 (6.2); -1 where there is a reason.
     first_row : int64
         Row of the first change, counted from 0; -1 where there is a reason.
-    earliest_s, latest_s : float64
-        Bracket of the delay (6.3) by the logged times: from the row before the first change to its own [s]; NaN
-        where there is a reason. A coarse sensor makes the whole bracket late.
     reason : tuple of str
     """
 
     delay_samples: Integers
     first_row: Integers
-    earliest_s: Floats
-    latest_s: Floats
     reason: tuple[str, ...]
 
 
-def first_change(batch: TrialBatch, response: Response, *, threshold: Floats | None = None) -> Delays:
+def first_change(batch: TrialBatch, response: Response) -> Delays:
     """Return the integer delay factor d = d_obs - 1 of each trial.
 
     Parameters
@@ -54,10 +49,6 @@ def first_change(batch: TrialBatch, response: Response, *, threshold: Floats | N
     batch : TrialBatch
     response : Response
         Of the same trials; one from `response.declare_edge` where the log has no baseline.
-    threshold : float64, shape (n,), optional
-        Distance from the position at the command edge [m, rad] beyond which the position has changed. By
-        default 1.5 quanta plus three standard deviations of the noise, half a quantum where the baseline is
-        constant, 0 for an ideal log.
 
     Returns
     -------
@@ -65,10 +56,12 @@ def first_change(batch: TrialBatch, response: Response, *, threshold: Floats | N
 
     Notes
     -----
-    d_obs is the number of rows from the command edge to the first position on the side of the step beyond the
-    threshold, so that t_obs - T <= t_d < t_obs. On an ideal log that is exact. A sensor sees the first change
-    late, by the time that the device needs to move as far as the threshold: 8 N on 0.58 kg need 1.2 ms for
-    10 um, 3 ms for 60 um. That stands as it was seen; `onset.motion_onset` takes it back.
+    The position has changed where it lies 1.5 quanta plus three standard deviations of the noise from that at the
+    command edge, half a quantum where the baseline is constant, 0 for an ideal log. d_obs is the number of rows
+    from the command edge to the first position on the side of the step beyond this threshold, so that t_obs - T <=
+    t_d < t_obs. On an ideal log that is exact. A sensor sees the first change late, by the time that the device
+    needs to move as far as the threshold: 8 N on 0.58 kg need 1.2 ms for 10 um, 3 ms for 60 um. That stands as it
+    was seen; `onset.motion_onset` takes it back.
 
     A device that moves before the step by more than the sensor explains (chatter at high B) gives no delay but
     a reason: its motion cannot be told from the answer to the step. So does one that first moves against the step: a
@@ -83,7 +76,7 @@ def first_change(batch: TrialBatch, response: Response, *, threshold: Floats | N
     noise = np.nan_to_num(response.sensor_noise)
     # without a baseline of some rows nothing says that it is constant
     quanta = np.where(response.sensor_noise == 0, QUANTA_AT_REST, QUANTA)
-    limit = quanta * response.sensor_quantum + SIGMAS * noise if threshold is None else threshold
+    limit = quanta * response.sensor_quantum + SIGMAS * noise
     after = column > edge[:, None]
     moved, opposite = _response(away, limit) & after, _response(-away, limit) & after
     seen = moved.any(axis=1) & response.has_edge
@@ -92,9 +85,6 @@ def first_change(batch: TrialBatch, response: Response, *, threshold: Floats | N
     against &= ~seen | (np.argmax(opposite, axis=1) < np.argmax(moved, axis=1))
     found = seen & ~against & (response.baseline_motion == 0)
     first = np.where(found, np.argmax(moved, axis=1), np.maximum(edge, 0) + 1)
-    trial = np.arange(len(batch))
-    row = np.minimum(first, batch.position.shape[1] - 1)
-    start = batch.time[trial, np.maximum(edge, 0)]
     reason = tuple(
         _reason(*trial)
         for trial in zip(
@@ -111,8 +101,6 @@ def first_change(batch: TrialBatch, response: Response, *, threshold: Floats | N
     return Delays(
         delay_samples=np.where(found, first - edge - 1, NO_DELAY).astype(np.int64),  # (6.2)
         first_row=np.where(found, first, NO_DELAY).astype(np.int64),
-        earliest_s=np.where(found, batch.time[trial, np.maximum(row - 1, 0)] - start, np.nan),  # (6.3)
-        latest_s=np.where(found, batch.time[trial, row] - start, np.nan),
         reason=reason,
     )
 

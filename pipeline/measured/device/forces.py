@@ -10,7 +10,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.measured.device.friction import mean_direction
-from pipeline.measured.device.momentum import acting_force
 from pipeline.measured.intervals import student_95
 from pipeline.measured.signal.response import Response
 from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
@@ -130,7 +129,7 @@ def _columns(batch: TrialBatch, response: Response, delay_samples: int, pendulum
     after = batch.valid & (rows >= begin)
     step = np.where(after[:, 1:] & after[:, :-1], np.nan_to_num(np.diff(batch.time, axis=1)), 0.0)
     arrived = np.maximum(np.arange(rows.shape[1]) - delay_samples, 0)
-    force = np.where(after, np.nan_to_num(acting_force(batch, None))[:, arrived], 0.0)
+    force = np.where(after, np.nan_to_num(batch.command)[:, arrived], 0.0)
     x = np.where(after, np.nan_to_num(batch.displacement), 0.0)
     direction = mean_direction(batch, response.floor, after[:, :-1] & after[:, 1:])
     direction, initial, first = _surely(direction)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -53,14 +54,10 @@ class BalanceFit:
         With its standard error, the attenuation included [kg, kg m^2].
     coefficients, errors : float64, shape (n, p)
         Of each term, in its unit (see `fit_balance`), with standard errors; NaN where it was dropped.
-    condition : float64, shape (n,)
-        Of the scaled normal equations of the terms that were kept.
     attenuation : float64, shape (n,)
         Share of the mass that the sensor's error of the velocity takes away, as a fraction.
     width_rows : int64, shape (n,)
         Rows over which the balance was averaged.
-    residual : float64, shape (n,)
-        Root mean square of what the balance leaves [Ns, Nms].
     dropped : tuple of str
         Terms that the trial does not carry, with why; empty where all were kept.
     reason : tuple of str
@@ -72,10 +69,8 @@ class BalanceFit:
     mass_error: Floats
     coefficients: Floats
     errors: Floats
-    condition: Floats
     attenuation: Floats
     width_rows: Integers
-    residual: Floats
     dropped: tuple[str, ...]
     reason: tuple[str, ...]
 
@@ -89,9 +84,7 @@ def fit_balance(
     force: Floats | None = None,
     held: bool = True,
     window_s: tuple[float, float] = (0.0, np.inf),
-    gravity_zero: float = 0.0,
     width_rows: int | None = None,
-    segments: int = SEGMENTS,
 ) -> BalanceFit:
     """Return the mass of each trial beside the damping, friction and other terms asked for.
 
@@ -109,7 +102,7 @@ def fit_balance(
         damping   b (x - x_0)                      viscous damping [Ns/m, Nms/rad]
         friction  c integral sign(v)               Coulomb friction [N, Nm]
         offset    o t                              constant force against the step [N, Nm]
-        gravity   G integral sin(x - x_g)          of a pendulum [Nm]
+        gravity   G integral sin(x)                of a pendulum that hangs at 0 [Nm]
         spring    k integral (x - x_0)             [N/m, Nm/rad]
         start     p                                momentum missing at the start [Ns, Nms]
         ========  ===============================  ======================================
@@ -119,13 +112,9 @@ def fit_balance(
         Whether the force is held between rows, as a command is, or a reading of something continuous.
     window_s : tuple of float
         First and last time from the command edge that is used [s].
-    gravity_zero : float
-        Position x_g at which the pendulum hangs [rad].
     width_rows : int, optional
         Rows over which the balance is averaged. By default the fewest (a power of two) with which the sensor
         makes at most `ATTENUATION` of the velocity's variance.
-    segments : int
-        Parts of the window that count as independent for the errors.
 
     Returns
     -------
@@ -151,7 +140,7 @@ def fit_balance(
     explain everything.
 
     A force that the log does not show is integrated too: the residual wanders, and its values are alike for long.
-    The standard errors add up two parts, a sandwich over `segments` parts of the window for errors that die
+    The standard errors add up two parts, a sandwich over `SEGMENTS` parts of the window for errors that die
     out, and that of a random walk, whose rate is read from how much farther apart the residuals of distant
     rows lie than those of near ones. Of 150 simulated trials the scatter was 0.9 to 1.7 standard errors. They
     know nothing of terms that were left out: a device that sticks at its turning points scattered by up to 2.8
@@ -173,10 +162,9 @@ def fit_balance(
             None if force is None else force[index],
             held,
             window_s,
-            gravity_zero,
         )
         averaged = averaged_balance(columns, impulse, weight, velocity_error, width_rows)
-        parts.append(_solve(averaged, terms, segments, response, index))
+        parts.append(_solve(averaged, terms, response, index))
     return _joined(parts)
 
 
@@ -197,7 +185,6 @@ def _columns(
     force: Floats | None,
     held: bool,
     window_s: tuple[float, float],
-    gravity_zero: float,
 ) -> tuple[Floats, Floats, Floats, Floats]:
     """Velocity and terms (n, N-1, p+1), impulse (n, N-1), durations inside the window, error of a velocity (n,)."""
     edge = response.edge_row[index]
@@ -223,7 +210,7 @@ def _columns(
         if term == "offset":
             return integral(np.ones_like(duration))
         if term == "gravity":
-            return integral(np.sin(middle - gravity_zero))
+            return integral(np.sin(middle))
         return integral(momentum.displacement)
 
     columns = np.stack([np.where(inside, part, 0.0) for part in (momentum.velocity, *map(made, terms))], axis=1)
@@ -286,9 +273,7 @@ def _length(column: Floats) -> Floats:
     return result
 
 
-def _solve(
-    averaged: AveragedBalance, terms: tuple[str, ...], segments: int, response: Response, index: Integers
-) -> BalanceFit:
+def _solve(averaged: AveragedBalance, terms: tuple[str, ...], response: Response, index: Integers) -> BalanceFit:
     """Least squares of one chunk of trials."""
     columns, impulse, valid = averaged.columns, averaged.impulse, averaged.valid
     attenuation, width = averaged.attenuation, averaged.width
@@ -306,7 +291,7 @@ def _solve(
     found = (inverse @ (np.swapaxes(scaled, 1, 2) @ impulse[:, :, None]))[:, :, 0]
     residual = impulse - (scaled @ found[:, :, None])[:, :, 0]
     count = valid.sum(axis=1)
-    meat = score_covariance(scaled, residual, valid, kept.sum(axis=1), width, segments)
+    meat = score_covariance(scaled, residual, valid, kept.sum(axis=1), width, SEGMENTS)
     variance = inverse @ meat @ inverse
     value = found / scale
     error = np.sqrt(np.maximum(np.einsum("nii->ni", variance), 0.0)) / scale
@@ -329,17 +314,14 @@ def _solve(
                 f"mass of {value[i, 0]:.3g} with a standard error of {error[i, 0]:.2g} is not above 0 with this delay"
             )
     shown = good[:, None] & kept
-    spread = eigenvalue[:, -1] / np.maximum(eigenvalue[:, 0], np.finfo(np.float64).tiny)
     return BalanceFit(
         terms=terms,
         mass=np.where(good, value[:, 0], np.nan),
         mass_error=np.where(good, error[:, 0], np.nan),
         coefficients=np.where(shown, value, np.nan)[:, 1:],
         errors=np.where(shown, error, np.nan)[:, 1:],
-        condition=np.where(good, spread, np.nan),
         attenuation=np.where(good, attenuation, np.nan),
         width_rows=width,
-        residual=np.where(good, np.sqrt((residual**2).sum(axis=1) / np.maximum(count, 1)), np.nan),
         dropped=tuple(dropped),
         reason=tuple(reasons),
     )
@@ -347,20 +329,9 @@ def _solve(
 
 def _joined(parts: list[BalanceFit]) -> BalanceFit:
     """Fits of all chunks one after the other."""
-
-    def column(name: str) -> Floats:
-        return np.concatenate([getattr(part, name) for part in parts])
-
-    return BalanceFit(
-        terms=parts[0].terms,
-        mass=column("mass"),
-        mass_error=column("mass_error"),
-        coefficients=column("coefficients"),
-        errors=column("errors"),
-        condition=column("condition"),
-        attenuation=column("attenuation"),
-        width_rows=np.concatenate([part.width_rows for part in parts]),
-        residual=column("residual"),
-        dropped=tuple(text for part in parts for text in part.dropped),
-        reason=tuple(text for part in parts for text in part.reason),
-    )
+    arrays = ("mass", "mass_error", "coefficients", "errors", "attenuation", "width_rows")
+    texts: dict[str, Any] = {
+        name: tuple(text for part in parts for text in getattr(part, name)) for name in ("dropped", "reason")
+    }
+    joined: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in arrays}
+    return BalanceFit(terms=parts[0].terms, **joined, **texts)

@@ -5,13 +5,12 @@ It knows the device as a mass alone; `friction.fit_balance` corrects for damping
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.base.wording import commonest, percent
-from pipeline.measured.device.momentum import acting_force, balance
+from pipeline.base.wording import percent
+from pipeline.measured.device.momentum import balance
 from pipeline.measured.signal.response import Response
 from pipeline.records.batch import Floats, Integers, TrialBatch
 
@@ -49,10 +48,6 @@ def by_momentum(
     delay_samples: int,
     *,
     window_s: float = WINDOW_S,
-    smallest_signal: float = SMALLEST_SIGNAL,
-    force: Floats | None = None,
-    held: bool = True,
-    logged_times: bool = False,
 ) -> Masses:
     """Return the mass of each trial from impulse over change of velocity.
 
@@ -65,11 +60,6 @@ def by_momentum(
         Integer delay factor by which the command is shifted.
     window_s : float
         Time from the command edge to t_2 [s]; t_1 is the rest before the first movement.
-    smallest_signal : float
-        Least velocity change, in standard errors of a velocity measured with this sensor.
-    force, held, logged_times
-        As in `momentum.balance`: another force than the command, whether it is held, and whether to integrate
-        with the logged times. Without those, rows that are not T apart give no mass.
 
     Returns
     -------
@@ -78,7 +68,7 @@ def by_momentum(
     Raises
     ------
     ParameterError
-        If the delay is negative, or the force has another shape than the command.
+        If the delay is negative.
 
     Notes
     -----
@@ -90,24 +80,18 @@ def by_momentum(
     """
     rows = np.arange(len(batch))
     window = np.round(window_s / batch.sampling_period_s).astype(np.int64)
-    if logged_times:
-        start = batch.time[rows, np.maximum(response.edge_row, 0)]
-        # a row less than a thousandth of T behind the end is the one that the window was meant to end with
-        limit = start + window_s + 1e-3 * batch.sampling_period_s
-        window = (np.nan_to_num(batch.time, nan=np.inf) <= limit[:, None]).sum(axis=1) - 1 - response.edge_row
     last = response.edge_row + window - 1
     fits = response.has_edge & (window > delay_samples + 1) & (last + 1 < batch.rows)
     pick = np.where(fits, last, 0)
     # what lies behind the last interval, and the two that its mean position needs, is not read
     columns = min(int(pick.max(initial=0)) + 4, batch.position.shape[1])
-    force = acting_force(batch, force)[:, :columns]
     batch = replace(batch, **{name: getattr(batch, name)[:, :columns] for name in ("time", "command", "position")})
-    momentum = balance(batch, response.edge_row, delay_samples, force=force, held=held, logged_times=logged_times)
+    momentum = balance(batch, response.edge_row, delay_samples)
     velocity = momentum.velocity[rows, pick]
     impulse, moved = momentum.impulse[rows, pick], momentum.displacement[rows, pick]
     noise = np.hypot(np.nan_to_num(response.sensor_noise), response.sensor_quantum / np.sqrt(12))
-    least = smallest_signal * np.sqrt(2) * noise / batch.sampling_period_s
-    irregular = np.zeros(len(batch)) if logged_times else _irregularity(batch, response.edge_row, window)
+    least = SMALLEST_SIGNAL * np.sqrt(2) * noise / batch.sampling_period_s
+    irregular = _irregularity(batch, response.edge_row, window)
     with np.errstate(invalid="ignore", divide="ignore"):
         visible = np.abs(velocity) > least
         mass = impulse / velocity
@@ -137,44 +121,6 @@ def by_momentum(
                 "impulse and velocity change have opposite signs: no mass explains the motion with this delay"
             )
     return Masses(np.where(good, mass, np.nan), np.where(good, share, np.nan), tuple(reasons))
-
-
-@dataclass(frozen=True, eq=False)
-class WindowScan:
-    """Mass by (6.4) for several windows: n trials, w windows.
-
-    Parameters
-    ----------
-    window_s : float64, shape (w,)
-        Time from the command edge to t_2 [s].
-    mass : float64, shape (n, w)
-        [kg, kg m^2]; NaN where a trial has none with that window.
-    median, scatter : float64, shape (w,)
-        Median of the trials and their scatter, the interquartile range over 1.349 (the standard deviation of a
-        normal distribution) [kg, kg m^2]; NaN where fewer than two trials have a mass.
-    trials : int64, shape (w,)
-        Trials with a mass.
-    reason : tuple of str, length w
-        Why most trials without a mass have none; empty where all have one.
-    """
-
-    window_s: Floats
-    mass: Floats
-    median: Floats
-    scatter: Floats
-    trials: Integers
-    reason: tuple[str, ...]
-
-
-def scan_of(windows_s: Floats, masses: Floats, reasons: Sequence[Sequence[str]]) -> WindowScan:
-    """Return what the masses of all trials show, shape (n, w); ``reasons`` say for each window why trials have none."""
-    trials = np.isfinite(masses).sum(axis=0)
-    median, scatter = np.full((2, len(windows_s)), np.nan)
-    for i in np.flatnonzero(trials > 1):
-        low, median[i], high = np.nanquantile(masses[:, i], (0.25, 0.5, 0.75))
-        scatter[i] = (high - low) / 1.349
-    most = tuple(commonest(why) for why in reasons)
-    return WindowScan(np.asarray(windows_s, dtype=np.float64), masses, median, scatter, trials, most)
 
 
 def correct(masses: Masses, viscous_damping: float | Floats) -> Floats:

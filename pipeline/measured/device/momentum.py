@@ -72,7 +72,9 @@ def balance(
     """
     if delay_samples < 0:
         raise ParameterError(f"delay of {delay_samples} samples: expected an integer >= 0.")
-    force = acting_force(batch, force)
+    if force is not None and force.shape != batch.command.shape:
+        raise ParameterError(f"force of shape {force.shape}: expected that of the command, {batch.command.shape}.")
+    force = batch.command if force is None else force
     period = np.broadcast_to(batch.sampling_period_s[:, None], (len(batch), batch.command.shape[1] - 1))
     if logged_times:
         period = np.where(batch.valid[:, 1:], np.diff(batch.time, axis=1), 1.0)
@@ -97,16 +99,3 @@ def balance(
         displacement=np.where(inside, mean, np.nan),
         inside=inside,
     )
-
-
-def acting_force(batch: TrialBatch, force: Floats | None) -> Floats:
-    """Return the force that moves the device, shape (n, N) [N, Nm]: the command where no other is given.
-
-    Raises
-    ------
-    ParameterError
-        If the force has another shape than the command.
-    """
-    if force is not None and force.shape != batch.command.shape:
-        raise ParameterError(f"force of shape {force.shape}: expected that of the command, {batch.command.shape}.")
-    return batch.command if force is None else force

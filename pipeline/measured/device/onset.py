@@ -44,17 +44,11 @@ class OnsetDelays:
         Delay in sampling periods, with a fraction.
     standard_error : float64
         Of rounding, noise and neglected damping [samples].
-    mobility : float64
-        1/m of the motion that was fitted [1/kg, 1/(kg m^2)].
-    window_rows : int64
-        Rows from the first change on that were used; 0 where there is no delay.
     reason : tuple of str
     """
 
     delay_samples: Floats
     standard_error: Floats
-    mobility: Floats
-    window_rows: Integers
     reason: tuple[str, ...]
 
 
@@ -64,8 +58,6 @@ def motion_onset(
     first: Delays,
     *,
     windows: tuple[int, ...] = WINDOWS,
-    decay_per_s: float = DECAY_PER_S,
-    largest_error: float = LARGEST_ERROR,
 ) -> OnsetDelays:
     """Return the delay of each trial by extrapolating its first motion back to the onset.
 
@@ -78,10 +70,6 @@ def motion_onset(
         What `delay.first_change` found in the same trials.
     windows : tuple of int
         Numbers of rows, from the first change on, to choose from: the one with the smallest error is taken.
-    decay_per_s : float
-        Damping rate b/m that the fit may have neglected [1/s]; it makes long windows uncertain.
-    largest_error : float
-        Standard error beyond which there is no result [samples].
 
     Returns
     -------
@@ -103,25 +91,19 @@ def motion_onset(
     Source: Hulin 2017, eqs. 6.2 and 6.3, whose lateness on a coarse sensor it takes back.
     """
     n = len(batch)
-    value, error, mobility = (np.full(n, np.nan) for _ in range(3))
-    rows = np.zeros(n, dtype=np.int64)
+    value, error = np.full(n, np.nan), np.full(n, np.nan)
     known = np.flatnonzero(first.delay_samples >= 0)
     # trials of like delay together: the longest one sets the rows of its chunk
     known = known[np.argsort(first.delay_samples[known], kind="stable")]
     for start in range(0, len(known), CHUNK):
         index = known[start : start + CHUNK]
-        onset = _fit(batch.select(index), response, index, first.first_row[index], windows, decay_per_s)
-        value[index], error[index], mobility[index], rows[index] = onset
+        value[index], error[index] = _fit(batch.select(index), response, index, first.first_row[index], windows)
     with np.errstate(invalid="ignore"):
-        good = error <= largest_error
-    reason = tuple(
-        "" if good[i] else first.reason[i] or _reason(error[i], largest_error, min(windows)) for i in range(n)
-    )
+        good = error <= LARGEST_ERROR
+    reason = tuple("" if good[i] else first.reason[i] or _reason(error[i], min(windows)) for i in range(n))
     return OnsetDelays(
         delay_samples=np.where(good, value, np.nan),
         standard_error=np.where(good, error, np.nan),
-        mobility=np.where(good, mobility, np.nan),
-        window_rows=np.where(good, rows, 0),
         reason=reason,
     )
 
@@ -149,9 +131,9 @@ def rounded(first: Delays, onset: OnsetDelays, *, largest_error: float = SURE_ER
 
 
 def _fit(
-    batch: TrialBatch, response: Response, index: Integers, first: Integers, windows: tuple[int, ...], decay: float
-) -> tuple[Floats, Floats, Floats, Integers]:
-    """Delay and its error in samples, 1/m, and window of some trials, NaN where no window fits."""
+    batch: TrialBatch, response: Response, index: Integers, first: Integers, windows: tuple[int, ...]
+) -> tuple[Floats, Floats]:
+    """Delay and its error in samples of some trials, NaN and infinite where no window fits."""
     edge, period = response.edge_row[index], batch.sampling_period_s
     longest = int((first - edge).max()) + max(windows)
     row = edge[:, None] + np.arange(longest + 1)[None, :]
@@ -173,8 +155,7 @@ def _fit(
     reading = np.maximum(np.hypot(noise, step), smallest)
     rest = np.maximum(np.hypot(noise / np.sqrt(edge + 1), step), smallest)
     seen = first - edge
-    best = [np.full(len(index), np.nan), np.full(len(index), np.inf), np.full(len(index), np.nan)]
-    used = np.zeros(len(index), dtype=np.int64)
+    delay, least = np.full(len(index), np.nan), np.full(len(index), np.inf)
     for window in windows:
         t = np.flatnonzero(first + window <= batch.rows)
         if not len(t):
@@ -190,12 +171,10 @@ def _fit(
             rest=rest[t],
         )
         guess = time[t, seen[t] - 1]
-        tau, error, mobility = _gauss_newton(motion, guess, (decay * period)[t])
-        better = np.isfinite(error) & (error < best[1][t]) & (mobility > 0)
-        for kept, new in zip(best, (tau, error, mobility), strict=True):
-            kept[t[better]] = new[better]
-        used[t[better]] = window
-    return best[0], best[1], best[2], used
+        tau, error, mobility = _gauss_newton(motion, guess, (DECAY_PER_S * period)[t])
+        better = np.isfinite(error) & (error < least[t]) & (mobility > 0)
+        delay[t[better]], least[t[better]] = tau[better], error[better]
+    return delay, least
 
 
 @dataclass(frozen=True, eq=False)
@@ -293,7 +272,7 @@ def _inverse(normal: Floats) -> tuple[Floats, Booleans]:
     return np.linalg.inv(scaled) / (size[:, :, None] * size[:, None, :]), regular
 
 
-def _reason(error: float, largest: float, fewest: int) -> str:
+def _reason(error: float, fewest: int) -> str:
     if not np.isfinite(error):
         return f"onset not identifiable: no window of {fewest} or more rows after the first change shows a motion"
-    return f"onset not identifiable: standard error of {error:.2g} samples, at most {largest:.2g} is of use"
+    return f"onset not identifiable: standard error of {error:.2g} samples, at most {LARGEST_ERROR:.2g} is of use"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.measured.device.damping import LimitDamping
 from pipeline.measured.experiment.combine import with_sign_warning
 from pipeline.measured.intervals import CONFIDENCE
 from pipeline.records.batch import Booleans, Floats
@@ -90,31 +89,21 @@ def estimate_mass(corrected: Floats, mass_momentum: Floats, unit: str = "kg") ->
     return best.model_copy(update={"by_method": {"thesis_momentum_balance": thesis}})
 
 
-def estimate_damping(limit: LimitDamping, from_trials: Floats, unit: str = "Ns/m") -> Estimate:
+def estimate_damping(limit: Estimate, from_trials: Floats, unit: str = "Ns/m") -> Estimate:
     """Return the viscous damping of an experiment: by the limit at K = 0, else the median of the trials.
 
     A value whose interval reaches zero or lies below it bears a ``warning``.
 
     Parameters
     ----------
-    limit : LimitDamping
-        Its bracket is the interval.
+    limit : Estimate
+        By `damping.by_limit`.
     from_trials : float64, shape (n,)
         Least squares of each trial [Ns/m, Nms/rad]; NaN where there is none.
 
     Source: Hulin 2017, eq. 3.25 and sec. 6.1.2.
     """
-    by_limit = with_sign_warning(
-        Estimate(
-            value=limit.value,
-            low=limit.low,
-            high=limit.high,
-            unit=unit,
-            method="stability limit at K = 0, interpolated between its neighbours",
-            reason=limit.reason,
-            trials=limit.trials,
-        )
-    )
+    by_limit = with_sign_warning(limit)
     by_trials = with_sign_warning(
         estimate_median(
             from_trials,

@@ -114,7 +114,8 @@ def damping_estimate(of: Stored) -> Estimate:
     mass, delay = model_mass(of), of.once(delay_estimate)
     unit = "Nms/rad" if of.rotation else "Ns/m"
     K, B, growth = (of.column("response", name) for name in ("stiffness", "damping", "growth_per_s"))
-    thesis = aggregate.estimate_damping(damping.by_limit(B, K, growth), of.column("damping", "viscous_damping"), unit)
+    limit = damping.by_limit(B, K, growth, unit)
+    thesis = aggregate.estimate_damping(limit, of.column("damping", "viscous_damping"), unit)
     model = with_sign_warning(_by_model(of, "damping", unit))
     joint = by_joint_balance(of, "damping")
     methods = {**thesis.by_method, "model": model, "joint_balance": joint}

@@ -22,19 +22,8 @@ LASTING = 0.7
 """Amplitude of the last fifth relative to the fifth before from which on an oscillation lasts."""
 
 
-@dataclass(frozen=True, eq=False)
-class EndOfLog:
-    """Motion at the end of the log, shape (n,).
-
-    ``since`` is the first row of the last fifth, ``amplitude`` that of the last fifth, ``before`` that of the
-    fifth before, ``lasts`` whether it hardly decays, ``rest`` what is left when the response is over.
-    """
-
-    since: Floats
-    before: Floats
-    amplitude: Floats
-    lasts: Booleans
-    rest: Floats
+WEIGHTS = (0, 1, 2)
+"""Exponents w of the weighting by time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +44,6 @@ class EnergyTerms:
         Change since the sample before [m, rad]; 0 at cost index 0 and outside the horizon.
     potential, kinetic : float64, shape (n, N)
         Potential energy [1] and kinetic energy per mass [1/kg, 1/(kg m^2)] of each sample.
-    end : EndOfLog
     reason : tuple of str
         Why a trial cannot have a cost.
     """
@@ -68,8 +56,14 @@ class EnergyTerms:
     change: Floats
     potential: Floats
     kinetic: Floats
-    end: EndOfLog
     reason: tuple[str, ...]
+
+    def summed(self, mass: float) -> Floats:
+        """Return the plain sums of k^w E_k/E_0 up to the horizon, shape (n, 3); NaN where a trial can have no cost."""
+        energy = self.potential + mass * self.kinetic
+        # 0^0 = 1 outside the horizon meets energies of 0
+        sums = np.stack([(self.index**w * energy).sum(axis=1) for w in WEIGHTS], axis=1)
+        return np.where(self.usable[:, None], sums, np.nan)
 
 
 def cost_start(
@@ -154,8 +148,7 @@ def energy_terms(
     stiffness = np.where(usable, batch.stiffness, 1.0)
     counted = batch.valid & (column >= first[:, None]) & usable[:, None]
     error = np.where(counted, batch.position - final[:, None], 0.0)
-    end = _end_of_log(batch, first, response.floor)
-    level = HORIZON_FACTOR * end.rest if level is None else level
+    level = HORIZON_FACTOR * _rest(batch, first, response.floor) if level is None else level
     above = counted & (np.abs(error) > level[:, None])
     stop = np.where(above.any(axis=1), columns - np.argmax(above[:, ::-1], axis=1), first)
     stop = np.where(response.floor > 0, stop, batch.rows)
@@ -176,19 +169,15 @@ def energy_terms(
         change=change,
         potential=0.5 * stiffness[:, None] * error**2 / start_energy,
         kinetic=0.5 * (change / batch.sampling_period_s[:, None]) ** 2 / start_energy,
-        end=end,
         reason=why,
     )
 
 
-def _end_of_log(batch: TrialBatch, first: Integers, floor: Floats) -> EndOfLog:
-    since = first + 0.8 * (batch.rows - first)
+def _rest(batch: TrialBatch, first: Integers, floor: Floats) -> Floats:
+    """Return what is left when the response is over: the sensor floor, or the limit cycle that quanta keep up."""
     before, amplitude = _amplitude(batch, first, 0.6, 0.8), _amplitude(batch, first, 0.8, 1.0)
-    lasts = (amplitude >= LASTING * before) & (amplitude > 0)
-    # the sensor floor, or the limit cycle that quanta keep up
-    limit_cycle = lasts & (amplitude <= REST_FLOORS * floor)
-    rest = np.maximum(floor, np.where(limit_cycle, amplitude, 0.0))
-    return EndOfLog(since, before, amplitude, lasts, rest)
+    limit_cycle = (amplitude >= LASTING * before) & (amplitude > 0) & (amplitude <= REST_FLOORS * floor)
+    return np.maximum(floor, np.where(limit_cycle, amplitude, 0.0))
 
 
 def _amplitude(batch: TrialBatch, first: Integers, since: float, until: float) -> Floats:

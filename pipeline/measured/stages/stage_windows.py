@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.measured.device.mass import by_momentum, scan_of
+from pipeline.base.wording import commonest
+from pipeline.measured.device.mass import by_momentum
 from pipeline.measured.experiment.known_delay import with_delay
 from pipeline.measured.stages.stage_given import Experiment
 from pipeline.measured.stages.stage_groups import Columns, Given, TrialGroup
@@ -14,6 +15,9 @@ from pipeline.records.tables import TABLES
 WINDOWS_S = (0.005, 0.010, 0.015, 0.020, 0.030, 0.040, 0.060, 0.080)
 """Windows of the momentum balance [s] whose masses are compared; the thesis took 15 ms (6.1.2)."""
 
+QUARTILES = 1.349
+"""Distance of the quartiles of a normal distribution in standard deviations."""
+
 
 def columns(of: Experiment) -> Columns:
     """Return the columns of the stage."""
@@ -21,14 +25,18 @@ def columns(of: Experiment) -> Columns:
     if "missing" in given:
         return {name: [] for name in TABLES["windows"]}
     found = of.of_each(_window_masses, **given)
-    reasons = [[text for _, each in found for text in each[i]] for i in range(len(WINDOWS_S))]
-    scan = scan_of(np.array(WINDOWS_S), np.concatenate([masses for masses, _ in found]), reasons)
+    masses = np.concatenate([each for each, _ in found])
+    trials = np.isfinite(masses).sum(axis=0)
+    median, scatter = np.full((2, len(WINDOWS_S)), np.nan)
+    for i in np.flatnonzero(trials > 1):
+        low, median[i], high = np.nanquantile(masses[:, i], (0.25, 0.5, 0.75))
+        scatter[i] = (high - low) / QUARTILES
     return {
-        "window_s": scan.window_s,
-        "mass_median": scan.median,
-        "mass_scatter": scan.scatter,
-        "trials": scan.trials,
-        "reason": [text or None for text in scan.reason],
+        "window_s": np.array(WINDOWS_S),
+        "mass_median": median,
+        "mass_scatter": scatter,
+        "trials": trials,
+        "reason": [commonest([t for _, each in found for t in each[i]]) or None for i in range(len(WINDOWS_S))],
     }
 
 

@@ -36,9 +36,9 @@ LABEL_SIZE = (0.12, 0.042)
 """Width and height of a direct label [fraction of the axes]; closer ones overlap and go into the legend."""
 SHORT_LABEL = 9
 """Longest text [characters] that is written at a curve."""
-KINDS = ("envelope", "passive", "robust", "measured", "theory", "linear", "bound", "band")
+KINDS = ("envelope", "passive", "robust", "measured", "theory", "linear", "bound", "friction", "band")
 """Kinds of curves in the order in which they are drawn: areas first."""
-LINE_WIDTHS = {"theory": 1.4, "linear": 1.6, "bound": 1.6, "band": 1.0, "passive": 0.8, "robust": 0.8}
+LINE_WIDTHS = {"theory": 1.4, "linear": 1.6, "bound": 1.6, "friction": 1.2, "band": 1.0, "passive": 0.8, "robust": 0.8}
 THIN = 0.9
 """Width of theory curves where there is one to each of many measured ones."""
 SHADES = {"envelope": 0.13, "passive": 0.22, "measured": 0.22}

@@ -50,6 +50,7 @@ LINES: dict[str, Any] = {
     "linear": (0, (1, 1.8)),
     "band": (0, (1, 2.5)),
     "bound": (0, (4, 1.5, 1, 1.5)),
+    "friction": (0, (3, 1, 1, 1, 1, 1)),
     "passive": "-",
     "robust": "-.",
     "envelope": "-",

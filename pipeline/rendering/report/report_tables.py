@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
 from pipeline.records.delay_rows import DelayPoint, delay_points, is_delay_table
 from pipeline.records.findings import BoundaryPoint
-from pipeline.records.models import ComparisonRow, Motion
+from pipeline.records.models import ComparisonRow, Deviation, Motion
 from pipeline.records.results import ComparisonResult, ExperimentResult
 from pipeline.records.trial_codec import NO_TRIALS, TrialPage
 from pipeline.rendering.labels import (
@@ -178,7 +179,15 @@ def _published_cost(criterion: str, cost: float) -> str:
 def _deviation_cell(row: ComparisonRow) -> Cell:
     theory = row.condition.startswith("theory")
     why = "no deviation: a cost is missing, or the cost of theory is zero"
-    return number(row.deviation_percent, percent_text, "theory is what the deviation refers to" if theory else why)
+    cell = number(row.deviation_percent, percent_text, "theory is what the deviation refers to" if theory else why)
+    return replace(cell, aside=_parts(row.deviation)) if row.deviation else cell
+
+
+def _parts(parts: Deviation) -> str:
+    """What a deviation is made of, in a line."""
+    model = f"model {percent_text(parts.model)} ({percent_text(parts.model_low)} to {percent_text(parts.model_high)})"
+    others = ", ".join(f"{name} {percent_text(getattr(parts, name))}" for name in ("range", "grid", "selection"))
+    return f"{model}, {others}"
 
 
 def _delay_table(name: str, rows: Sequence[ComparisonRow], trials: TrialPage) -> Table:

@@ -139,7 +139,15 @@ def _watch(
 
     with on_stop_signals(stop):
         watch_plan(
-            folders, device, processed, experiment, wish, profile, emit, console.note, stopped=lambda: bool(asked)
+            folders,
+            device,
+            processed,
+            experiment,
+            wish,
+            profile=profile,
+            emit=emit,
+            refused=console.note,
+            stopped=lambda: bool(asked),
         )
 
 

@@ -1,4 +1,5 @@
-"""What a profile would read of sample files: conditions and where each comes from, columns in SI, time, step, warnings.
+"""What a profile would read of sample files: conditions and where each comes from, columns in SI, time, step, warnings
+where a log reads without a fault and yet speaks against its profile.
 
 Nothing is stored. A file that would be refused is shown with the reason that `pipeline ingest` would give.
 """
@@ -6,17 +7,20 @@ Nothing is stored. A file that would be refused is shown with the reason that `p
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from pipeline.base.errors import LogError
-from pipeline.base.units import UNITS
+from pipeline.base.units import UNITS, find_unit
 from pipeline.device_data.devices import known_devices
 from pipeline.intake.reading import load_source, motion_of
 from pipeline.intake.sources import find_sources
-from pipeline.measured.signal.response import NO_ROW, find_response
+from pipeline.measured.intervals import NORMAL_95
+from pipeline.measured.signal.lag import lags_of
+from pipeline.measured.signal.response import NO_ROW, external_force, find_response
 from pipeline.profiles.profile_columns import QUANTITIES, ColumnSource, PositionSource, TimeSource
 from pipeline.profiles.profile_model import CONDITION_QUANTITIES, CONDITIONS, Profile
 from pipeline.readers import Log, RawLog, reader_of
@@ -27,7 +31,21 @@ from pipeline.readers.time_axis import step_flags
 from pipeline.records.batch import TrialBatch
 from pipeline.records.findings import Record
 from pipeline.records.models import Motion
-from pipeline.shell.profile.profile_warnings import late_velocity, other_step, other_units
+
+FIRST_MOTION = 0.05
+"""Part of the largest excursion from which on the first motion after the step counts: above the quantum of coarse
+sensors, below the first swing."""
+
+STEP_ROWS = 3
+"""Rows from the step on whose median is its size: one may flicker, and later ones may bear the filter of a velocity."""
+
+STEP_TOLERANCE = 0.1
+"""Part of the step by which its size may differ: a round number stands for what the controller commands."""
+
+LEAST_LAG = 0.5
+"""Lag of a velocity in sampling periods that any difference of two positions has."""
+
+_UNIT_IN_NAME = re.compile(r"[\[(]([^\[\]()]+)[\])]\s*$")
 
 
 class CheckedCondition(Record):
@@ -275,3 +293,68 @@ def check_document(profile: Profile, samples: Sequence[CheckedSample]) -> dict[s
     refused = sum(sample.reason is not None for sample in samples)
     dumped = [json.loads(sample.model_dump_json()) for sample in samples]
     return {"profile": profile.name, "samples": dumped, "refused": refused}
+
+
+def other_units(profile: Profile, said: Mapping[str, str]) -> list[str]:
+    """Return where a file states another unit than the profile.
+
+    Parameters
+    ----------
+    profile : Profile
+    said : mapping of str to str
+        Unit that the file states of each SI column; where it is empty, brackets behind the column's name are read.
+    """
+    found = []
+    for key, source in profile.column_sources().items():
+        if source.unit is None:
+            continue
+        brackets = _UNIT_IN_NAME.search(source.key)
+        stated = said.get(key) or (brackets[1] if brackets else "")
+        if (unit := find_unit(stated)) is not None and unit != find_unit(source.unit):
+            found.append(f"columns.{key}.unit is {source.unit!r}, but the file says {stated!r}: which is right?")
+    return found
+
+
+def other_step(log: Log, step_row: int | None, batch: TrialBatch) -> list[str]:
+    """Return where the command jumps by another step than the profile says, or the position goes against it.
+
+    Parameters
+    ----------
+    log : Log
+    step_row : int or None
+        Row of the step, counted from 0; None where it is not known.
+    batch : TrialBatch
+        The same log.
+    """
+    step = log.header.step
+    if step_row is None or step == 0:
+        return []
+    found = []
+    force = external_force(batch)[0]
+    before = force[:step_row] if step_row else np.zeros(1)
+    jump = float(np.median(force[step_row : step_row + STEP_ROWS]) - np.median(before))
+    # chatter before the step, fed through a filter of the velocity, shows how well the jump is known
+    if abs(jump - step) > STEP_TOLERANCE * abs(step) + float(np.ptp(before)):
+        found.append(f"the command jumps by {jump:.4g} in row {step_row}, but the step is {step:.4g}: which is right?")
+    moved = (log.position[step_row:] - log.position[step_row]) * np.sign(step)
+    # noise is seen before the step; a first motion that stands out of it tells the direction
+    noise = float(np.ptp(log.position[: step_row + 1]))
+    clear = np.flatnonzero(np.abs(moved) > max(2 * noise, FIRST_MOTION * float(np.abs(moved).max(initial=0.0))))
+    if len(clear) and moved[clear[0]] < 0:
+        found.append(
+            "the position moves against the step at first: check the signs of columns.command, columns.position and of "
+            "the step"
+        )
+    return found
+
+
+def late_velocity(batch: TrialBatch) -> list[str]:
+    """Return by how much the logged velocity of a sample is later than its position, where that is seen."""
+    (found,) = lags_of(batch)
+    lag, error = found.lag_s or 0.0, found.standard_error_s or 0.0
+    if abs(lag) <= NORMAL_95 * error or abs(lag) <= LEAST_LAG * batch.sampling_period_s[0]:
+        return []
+    return [
+        f"the logged velocity is {1e3 * lag:.3g} ms later than the position (± "
+        f"{1e3 * NORMAL_95 * error:.2g}): a filter, or a reading of another time; no cost or estimate uses it"
+    ]

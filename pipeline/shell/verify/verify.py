@@ -116,22 +116,7 @@ def verify(
             shutil.copy(folder / "accuracy.json", store / "accuracy.json")
         say(f"computing anew: {fresh.read} trials from logs, {fresh.kept} from stored samples")
         again = Path(temporary) / "report.html"
-        try:
-            outcome = compare(
-                request.scene.device,
-                store,
-                experiments=request.scene.experiments,
-                criteria=request.scene.criteria,
-                report=again,
-                full=request.full,
-                responses=embedded_responses(found, len(request.scene.experiments)),
-                shown=request.scene.shown,
-                progress=progress,
-            )
-        except (UsageError, StoreError):
-            raise
-        except PipelineError as error:
-            raise StoreError(f"{report}: its numbers cannot be computed anew: {error}") from error
+        result = _compare_anew(report, request, found, store, again, progress)
         expected = take_apart(again.read_text(encoding="utf-8"))
     stored = found.digests
     untouched = stored is not None and stored.page == report_parts.page_digest(page)
@@ -139,15 +124,11 @@ def verify(
     as_made = untouched and not fresh.problems
     parts = Comparison(rounding=as_made)
     differences = [*part_differences(expected, found, parts), *free_differences(found)]
-    checked = {
-        "cells": len(found.cells),
-        "figures": len(found.figures),
-        "sentences": len(found.texts),
-        "data": len(found.data),
-    }
-    if document and outcome.result:
+    kinds = {"cells": found.cells, "figures": found.figures, "sentences": found.texts, "data": found.data}
+    checked = {kind: len(held) for kind, held in kinds.items()}
+    if document and result:
         values = Comparison(rounding=as_made and request.document == digest(document.numbers()))
-        differences += value_differences(outcome.result, document, values)
+        differences += value_differences(result, document, values)
         checked["values"] = sum(1 for _ in leaves(document.numbers()))
         parts.rounded += values.rounded
     if parts.rounded:
@@ -166,6 +147,28 @@ def verify(
         logs=tuple(fresh.problems),
         notes=(*notes, *fresh.notes),
     )
+
+
+def _compare_anew(
+    report: Path, request: _Request, found: Parts, store: Path, page: Path, progress: Callable[[str], None] | None
+) -> ComparisonResult | None:
+    """Write a page from logs that were read just now, as large as the one that is checked, and return its document."""
+    try:
+        return compare(
+            request.scene.device,
+            store,
+            experiments=request.scene.experiments,
+            criteria=request.scene.criteria,
+            report=page,
+            full=request.full,
+            responses=embedded_responses(found, len(request.scene.experiments)),
+            shown=request.scene.shown,
+            progress=progress,
+        ).result
+    except (UsageError, StoreError):
+        raise
+    except PipelineError as error:
+        raise StoreError(f"{report}: its numbers cannot be computed anew: {error}") from error
 
 
 def lines_of(verification: Verification) -> list[str]:

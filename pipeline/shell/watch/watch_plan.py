@@ -23,6 +23,7 @@ def watch_plan(
     processed: Path,
     experiment: str | None,
     wish: Wish,
+    *,
     profile: str | None,
     emit: Callable[[Plan], None],
     refused: Callable[[str], None],

@@ -7,10 +7,11 @@ from functools import cache, partial
 
 import numpy as np
 
-from pipeline.measured.cost import costs, step_metrics
+from pipeline.measured.cost import settling_overshoot, step_metrics
 from pipeline.measured.cost.cost_intervals import overshoot_interval
 from pipeline.measured.cost.energy_intervals import energy_interval
 from pipeline.measured.cost.reading_error import reading_error
+from pipeline.measured.signal.horizon import WEIGHTS, energy_terms
 from pipeline.studies.accuracy.names import COMPLETE, LARGEST, SETTLE, WHOLE, nth
 from pipeline.studies.accuracy.rungs import Ladder, Method, Values, mean
 from pipeline.studies.accuracy.truth import SLOWEST_COST, USUAL_ROWS, Trials, draw_trials, truth_of
@@ -18,7 +19,7 @@ from pipeline.studies.accuracy.truth import SLOWEST_COST, USUAL_ROWS, Trials, dr
 CRITERION = "settle_2pct"
 """Settling band of the ladder."""
 
-NAMES = (CRITERION, "overshoot", *(f"energy_step_w{w}" for w in costs.WEIGHTS))
+NAMES = (CRITERION, "overshoot", *(f"energy_step_w{w}" for w in WEIGHTS))
 """Criteria whose exact values the measured ones are held against."""
 
 ROWS = (80, 120, 160, 200, 400, 1000)
@@ -33,14 +34,16 @@ NOISE_SHARE = 0.25
 THIN = (2, 4)
 """Every how many rows there is one in a thinned log; both divide the delay."""
 
-ENERGIES = tuple(f"energy, w = {w}" for w in costs.WEIGHTS)
+ENERGIES = tuple(f"energy, w = {w}" for w in WEIGHTS)
 QUANTITIES = dict(zip(("settling time", "overshoot", *ENERGIES), NAMES, strict=True))
 """Quantity of a rung, and the criterion that it stands for."""
 
 
 def settling(of: Trials) -> Values:
     """Return the settling time [samples], with the true delay."""
-    return {CRITERION: costs.settling(of.batch, of.response, of.verdicts, of.delay_samples).samples[CRITERION]}
+    return {
+        CRITERION: settling_overshoot.settling(of.batch, of.response, of.verdicts, of.delay_samples).samples[CRITERION]
+    }
 
 
 def _settling_about_last(of: Trials) -> Values:
@@ -50,11 +53,11 @@ def _settling_about_last(of: Trials) -> Values:
 
 
 def _overshoot(of: Trials) -> Values:
-    return {"overshoot": costs.overshoot(of.batch, of.response, of.verdicts).overshoot}
+    return {"overshoot": settling_overshoot.overshoot(of.batch, of.response, of.verdicts).overshoot}
 
 
 def _overshoot_less_bias(of: Trials) -> Values:
-    found = costs.overshoot(of.batch, of.response, of.verdicts)
+    found = settling_overshoot.overshoot(of.batch, of.response, of.verdicts)
     interval = overshoot_interval(of.batch, of.response, reading_error(of.batch, of.response), found)
     return {"overshoot": np.maximum(found.overshoot - interval.bias, 0.0)}
 
@@ -77,26 +80,26 @@ def whole_sum(of: Trials) -> Values:
     speed = np.diff(position, axis=1, prepend=position[:, :1]) / b.sampling_period_s[:, None]
     stiffness, step = b.stiffness[:, None], b.step[:, None]
     energy = (stiffness / step * error) ** 2 + stiffness * of.truth.experiment.mass * (speed / step) ** 2
-    return {f"energy_step_w{w}": np.nansum(k**w * energy, axis=1) for w in costs.WEIGHTS}
+    return {f"energy_step_w{w}": np.nansum(k**w * energy, axis=1) for w in WEIGHTS}
 
 
 def _floor(of: Trials) -> Values:
-    found = costs.energy(of.batch, of.response, of.verdicts, of.delay_samples)
-    values = found.potential + of.truth.experiment.mass * found.kinetic
-    return {f"energy_step_w{w}": values[:, w] for w in costs.WEIGHTS}
+    terms = energy_terms(of.batch, of.response, of.verdicts, of.delay_samples)
+    values = terms.summed(of.truth.experiment.mass)
+    return {f"energy_step_w{w}": values[:, w] for w in WEIGHTS}
 
 
 def complete_energy(of: Trials) -> Values:
     """Return the energies less the bias of noise, with the tail beyond the log, with the true delay and mass."""
     error = reading_error(of.batch, of.response, of.delay_samples)
     found = energy_interval(of.batch, of.response, of.verdicts, error, of.delay_samples, of.truth.experiment.mass)
-    return {f"energy_step_w{w}": found.value[:, w] for w in costs.WEIGHTS}
+    return {f"energy_step_w{w}": found.value[:, w] for w in WEIGHTS}
 
 
 def _thinned(of: Trials) -> Values:
     """All costs of a thinned log, in samples of the controller."""
     found = settling(of) | _overshoot(of) | complete_energy(of)
-    powers = {CRITERION: 1, "overshoot": 0} | {f"energy_step_w{w}": w + 1 for w in costs.WEIGHTS}
+    powers = {CRITERION: 1, "overshoot": 0} | {f"energy_step_w{w}": w + 1 for w in WEIGHTS}
     return {name: values * float(of.step) ** powers[name] for name, values in found.items()}
 
 

@@ -1,4 +1,4 @@
-"""Methods of scipy and python-control, measured where they are installed; this package needs neither."""
+"""Methods of scipy and python-control, measured where they are installed; nothing else of the theory uses them."""
 
 from __future__ import annotations
 

@@ -14,9 +14,7 @@ import numpy as np
 from numpy.polynomial.legendre import leggauss
 
 from pipeline.records.batch import Booleans, Floats
-
-_TAYLOR = 18
-"""Terms of the Taylor series of a matrix exponential, after scaling to a norm below 1/2: 0.5^19/19! = 2e-23."""
+from pipeline.simulation.exponential import exponential
 
 _NODES = 24
 """Gauss points over a sample for the energy; exact to rounding for the plants of the ladder."""
@@ -49,20 +47,6 @@ class Case:
         return plant_by_expm(self.gamma, self.delta)
 
 
-def expm(matrix: Floats) -> Floats:
-    """Return the exponential of a matrix by scaling, Taylor series and squaring."""
-    norm = float(np.abs(matrix).sum(axis=0).max())
-    squarings = max(0, int(np.ceil(np.log2(norm))) + 1) if norm > 0 else 0
-    scaled = matrix / 2.0**squarings
-    term = result = np.eye(len(matrix))
-    for n in range(1, _TAYLOR + 1):
-        term = term @ scaled / n
-        result = result + term
-    for _ in range(squarings):
-        result = result @ result
-    return result
-
-
 def generator(gamma: float, delta: float) -> Floats:
     """Return the matrix of the equation of motion of (x, v, u)."""
     return np.array([[0.0, 1.0, 0.0], [-gamma, -delta, 1.0], [0.0, 0.0, 0.0]])
@@ -70,7 +54,7 @@ def generator(gamma: float, delta: float) -> Floats:
 
 def plant_by_expm(gamma: float, delta: float) -> Sampled:
     """Return the sampled plant from a matrix exponential."""
-    return Sampled.of(expm(generator(gamma, delta)))
+    return Sampled.of(exponential(generator(gamma, delta), 1.0))
 
 
 def plant_by_runge_kutta(gamma: float, delta: float, steps: int) -> Sampled:
@@ -223,7 +207,7 @@ def response(case: Case, alpha: Floats, beta: Floats, samples: int) -> Floats:
 def dense(case: Case, alpha: Floats, beta: Floats, samples: int, fine: int) -> tuple[Floats, Floats]:
     """Return position and velocity of a step at ``fine`` points a sample, each of shape (samples fine, n)."""
     states = response(case, alpha, beta, samples)
-    one, row = expm(generator(case.gamma, case.delta) / fine), np.eye(3)
+    one, row = exponential(generator(case.gamma, case.delta), 1 / fine), np.eye(3)
     rows = []
     for _ in range(fine):
         rows.append(row[:2])
@@ -260,7 +244,7 @@ def forms(case: Case, w: int) -> tuple[Floats, Floats]:
     """Return the integrals of tau^w p p' over a sample, for position and velocity, by Gauss quadrature."""
     nodes, weights = leggauss(_NODES)
     time = 0.5 * (nodes + 1)
-    rows = np.array([expm(generator(case.gamma, case.delta) * t)[:2] for t in time])
+    rows = np.array([exponential(generator(case.gamma, case.delta), t)[:2] for t in time])
     weight = 0.5 * weights * time**w
     place, speed = (np.einsum("t,ti,tj->ij", weight, rows[:, i], rows[:, i]) for i in (0, 1))
     return place, speed

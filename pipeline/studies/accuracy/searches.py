@@ -9,6 +9,7 @@ import numpy as np
 
 from pipeline.records.batch import Floats
 from pipeline.studies.accuracy.methods import Case, radius_by_roots
+from pipeline.theory.stability.stability import bisect
 
 _GRID = 11
 """Grid points along an axis in each round of an iterative gridding; the next round spans two cells around the best."""
@@ -31,10 +32,8 @@ def bisect_limit(radius: Cost, beta: Floats, high: float, tolerance: float) -> F
         Width at which to stop, relative to ``high``.
     """
     low, up = _brackets(radius, beta, high)
-    for _ in range(math.ceil(math.log2(1 / (tolerance * (_GRID - 1))))):
-        middle = 0.5 * (low + up)
-        stable = radius(middle, beta) < 1
-        low, up = np.where(stable, middle, low), np.where(stable, up, middle)
+    halvings = math.ceil(math.log2(1 / (tolerance * (_GRID - 1))))
+    low, up = bisect(lambda alpha: radius(alpha, beta) < 1, low, up, halvings)
     return 0.5 * (low + up)
 
 
@@ -96,36 +95,21 @@ def nelder_mead(cost: Cost, start: tuple[float, float], size: float, tolerance: 
     size : float
         Edge of the first simplex relative to the start.
     tolerance : float
-        Relative size of the simplex at which to stop; 400 steps at most.
+        Size of the simplex, relative to the start, at which to stop; 400 steps at most.
     """
 
-    def value(p: Floats) -> float:
-        return float(cost(p[:1], p[1:])[0])
+    from scipy.optimize import minimize
 
     origin = np.array(start)
-    simplex = [origin, origin * [1 + size, 1], origin * [1, 1 + size]]
-    values = [value(p) for p in simplex]
-    for _ in range(400):
-        order = np.argsort(values, kind="stable")
-        simplex, values = [simplex[i] for i in order], [values[i] for i in order]
-        if max(float(np.abs(p / simplex[0] - 1).max()) for p in simplex[1:]) < tolerance:
-            break
-        middle = 0.5 * (simplex[0] + simplex[1])
-        reflected = 2 * middle - simplex[2]
-        at = value(reflected)
-        if at < values[0]:
-            further = 3 * middle - 2 * simplex[2]
-            beyond = value(further)
-            simplex[2], values[2] = (further, beyond) if beyond < at else (reflected, at)
-        elif at < values[1]:
-            simplex[2], values[2] = reflected, at
-        else:
-            outer = reflected if at < values[2] else simplex[2]
-            inner = 0.5 * (middle + outer)
-            inside = value(inner)
-            if inside < min(at, values[2]):
-                simplex[2], values[2] = inner, inside
-            else:
-                simplex = [simplex[0], *(0.5 * (p + simplex[0]) for p in simplex[1:])]
-                values = [values[0], *(value(p) for p in simplex[1:])]
-    return float(simplex[0][0]), float(simplex[0][1])
+    found = minimize(
+        lambda p: float(cost(p[:1], p[1:])[0]),
+        origin,
+        method="Nelder-Mead",
+        options={
+            "initial_simplex": [origin, origin * [1 + size, 1], origin * [1, 1 + size]],
+            "xatol": tolerance * min(start),
+            "fatol": np.inf,
+            "maxiter": 400,
+        },
+    )
+    return float(found.x[0]), float(found.x[1])

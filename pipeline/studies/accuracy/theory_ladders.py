@@ -18,10 +18,11 @@ from pipeline.loop.plant import flow
 from pipeline.records.accuracy import OURS, reference_file
 from pipeline.records.batch import Floats
 from pipeline.studies.accuracy import libraries, methods, searches
+from pipeline.studies.accuracy.device_ladders import DEVICE_QUANTITIES, device_ladders
 from pipeline.studies.accuracy.rungs import Ladder, Method, Values
 from pipeline.theory.cost.energy import energy_costs
 from pipeline.theory.cost.maps import cost_maps
-from pipeline.theory.cost.transient import transient_costs
+from pipeline.theory.cost.settling_overshoot import transient_costs
 from pipeline.theory.optimum.optimum import optimal_point
 from pipeline.theory.stability.region import region, stiffness_limit
 from pipeline.theory.stability.stability import spectral_radius
@@ -47,7 +48,8 @@ ENERGIES = ("energy, w = 0", "energy, w = 1", "energy, w = 2")
 OPTIMA = {"optimum of energy": "energy_step_w0", "optimum of settling time": "settle_2pct"}
 """Criterion of each optimum that is looked for."""
 
-QUANTITIES = ("plant", "boundary", "spectral radius", "settling time", "overshoot", *ENERGIES, *OPTIMA, "map")
+IDEAL = ("plant", "boundary", "spectral radius", "settling time", "overshoot", *ENERGIES, *OPTIMA, "map")
+QUANTITIES = (*IDEAL, *DEVICE_QUANTITIES)
 
 _TOLERANCE = "tolerance {:.0e}"
 _SAMPLES = "{} samples"
@@ -71,6 +73,7 @@ def theory_ladders() -> Iterator[Ladder]:
     yield _energies()
     yield from (_optimum(quantity, criterion) for quantity, criterion in OPTIMA.items())
     yield _map()
+    yield from device_ladders()
 
 
 def case_of(entry: dict[str, Any]) -> methods.Case:

@@ -13,7 +13,7 @@ from pipeline.records.criteria import DISCRETE, OVERSHOOT, SETTLING, criterion_o
 from pipeline.studies.figure import Area, Panel, Trace
 from pipeline.studies.thesis.outline import outline
 from pipeline.theory.cost.pointcosts import point_costs_by_name
-from pipeline.theory.cost.transient import transient_costs
+from pipeline.theory.cost.settling_overshoot import transient_costs
 from pipeline.theory.optimum.curves import Curve, best_damping, best_stiffness
 from pipeline.theory.stability.extent import damping_range, stiffest_point
 from pipeline.theory.stability.region import is_inside

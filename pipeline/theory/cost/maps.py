@@ -10,7 +10,7 @@ from pipeline.loop.loop import Loop
 from pipeline.records.batch import Floats
 from pipeline.records.criteria import DISCRETE, OVERSHOOT, SETTLING, criterion_of, members
 from pipeline.theory.cost.pointcosts import point_costs_by_name
-from pipeline.theory.cost.transient import transient_costs
+from pipeline.theory.cost.settling_overshoot import transient_costs
 from pipeline.theory.stability.region import is_well_inside
 
 MAP_SAMPLES = 1000

@@ -1,4 +1,4 @@
-"""Settling time and overshoot of very many points: the motion of `theory.transient` in blocks that fit the cache.
+"""Settling time and overshoot of very many points: the motion of `settling_overshoot` in blocks that fit the cache.
 
 Points go in chunks through a buffer of samples; the forces of d + 1 samples are known at once, and what is read from
 the motion (last sample outside the band, extrema between samples) is read from whole buffers. When all but three
@@ -18,8 +18,8 @@ from pipeline.loop.plant import turning_time
 from pipeline.records.batch import Booleans, Floats, Integers
 from pipeline.theory.cost.envelope import envelope_end, excess, untouched
 from pipeline.theory.cost.march_buffer import Buffer, joined
+from pipeline.theory.cost.settling_overshoot import Crossing, entry_times, lever
 from pipeline.theory.cost.slowmodes import SlowModes, slow_modes, velocity_factor
-from pipeline.theory.cost.transient import Crossing, entry_times, lever
 
 _CHUNK = 2048
 """Points at a time: three buffers of some 20 samples then stay in a cache of 1 MiB."""
@@ -46,7 +46,7 @@ _BEFORE = 8.0
 """Samples before a later overshoot at which the march goes on."""
 
 _SETTLED = 0.1
-"""As in `pipeline.theory.cost.transient`: finished below this share of the band or of the overshoot found."""
+"""As in `pipeline.theory.cost.settling_overshoot`: finished below this share of the band or of the overshoot found."""
 
 
 @dataclass
@@ -72,7 +72,7 @@ def step_transients(
     alpha, beta : float64, shape (n,)
         Stable points with alpha + gamma > 0.
     band, longest, quiet
-        As of `transient.transient_costs`.
+        As of `settling_overshoot.transient_costs`.
 
     Returns
     -------

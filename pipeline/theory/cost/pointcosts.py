@@ -15,7 +15,7 @@ from pipeline.records.criteria import DISCRETE, RISE_LEVELS, criterion_of
 from pipeline.theory.cost.energy import energy_costs
 from pipeline.theory.cost.march import step_transients
 from pipeline.theory.cost.poles import damping_ratio
-from pipeline.theory.cost.transient import QUIET, Active, Crossing, Move, entry_times, transient_costs
+from pipeline.theory.cost.settling_overshoot import QUIET, Active, Crossing, Move, entry_times, transient_costs
 from pipeline.theory.device.modes import TOGETHER
 from pipeline.theory.device.step_response import first_reached
 from pipeline.theory.stability.stability import spectral_radius

@@ -12,7 +12,7 @@ from pipeline.base.errors import ParameterError
 from pipeline.loop.device_loop import DeviceLoop
 from pipeline.loop.loop import Loop, as_points
 from pipeline.records.batch import Booleans, Floats
-from pipeline.theory.cost.transient import transient_costs
+from pipeline.theory.cost.settling_overshoot import transient_costs
 from pipeline.theory.stability.stability import poles, sampled_plant
 
 _TIME_CONSTANTS = 4.0

@@ -36,6 +36,9 @@ BLOCK = 1 << 16
 MARGIN = 1e-9
 """Distance from the boundary, as a share of alpha + gamma, within which costs would be rounding errors."""
 
+_FEWEST = 8
+"""Points of a boundary whose extremes alone are asked for."""
+
 _NEAR_ZERO = 1e-5
 """Angle that stands for theta -> 0: the boundary is off its limit by O(theta^2), rounding by 1e-16/theta."""
 
@@ -55,9 +58,10 @@ def bounding_box(loop: Loop) -> tuple[float, float, float, float]:
 
     The region's lowest beta is often the limit of the boundary for theta -> 0, on the line alpha = -gamma.
     """
-    border = boundary(loop)
     if isinstance(loop, DeviceLoop):
+        border = boundary(loop, _FEWEST)  # its extremes are searched for whatever the points between
         return -loop.gamma, border.alpha_max, float(border.beta[0]), border.beta_max
+    border = boundary(loop)
     start = float(boundary_points(loop, np.array([_NEAR_ZERO]))[1][0])
     return -loop.gamma, border.alpha_max, min(start, float(border.beta.min())), border.beta_max
 

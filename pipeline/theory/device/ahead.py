@@ -13,7 +13,7 @@ from math import comb
 import numpy as np
 
 from pipeline.loop.device_loop import DeviceLoop
-from pipeline.records.batch import Floats
+from pipeline.records.batch import Floats, Integers
 from pipeline.theory.cost.envelope import envelope_end, untouched
 from pipeline.theory.cost.slowmodes import SlowModes
 from pipeline.theory.device.modes import TOGETHER, Modes, modes
@@ -78,10 +78,11 @@ class Outlook:
     def before_a_peak(self, peak: Floats) -> Motion:
         """Return the points whose motion may exceed a peak, shape (n,), at a sample before it does."""
         with np.errstate(all="ignore"):  # of no motion at all nothing is finite
-            free = np.maximum(self._below(peak), self._leap(peak))
-        may = np.isfinite(free)
-        sample = self.run.sample + np.where(free >= _SHORTEST, np.floor(free), 0.0)
-        return _placed(self.run.part(may), self.past.part(may), sample[may])
+            free = self._below(peak)
+            may = np.flatnonzero(np.isfinite(free))
+            free = np.maximum(free[may], self._leap(may, peak[may]))
+        sample = self.run.sample[may] + np.where(free >= _SHORTEST, np.floor(free), 0.0)
+        return _placed(self.run.part(may), self.past.part(may), sample)
 
     def _below(self, peak: Floats) -> Floats:
         """Return samples in which the envelopes keep the motion below a peak; infinity where they always do."""
@@ -91,16 +92,16 @@ class Outlook:
         share = ((self.size - least) / (self.size + least)).T
         return np.nan_to_num(untouched(slow, self.size.T, self.rate.T, share, peak), nan=0.0, posinf=np.inf)
 
-    def _leap(self, peak: Floats) -> Floats:
+    def _leap(self, which: Integers, peak: Floats) -> Floats:
         """Return samples in which the motion stays below a peak, or rises in each interval above the one before.
 
         Its coefficients change by sum_i sensed_i (pole_i^h - 1) in h samples, which is h times their first step up to
         h^2/2 sum_i size_i |pole_i - 1|^2; a later step differs from the first by at most h times that sum.
         """
-        turn = self.pole - 1
-        bend = (self.size * np.abs(turn) ** 2).sum(axis=1)
-        step = (self.sensed @ turn[:, :, None])[..., 0].real
-        room, fastest = np.maximum(peak - self.sensed.sum(axis=2).real.max(axis=1), 0.0), step.max(axis=1)
+        turn, sensed = self.pole[which] - 1, self.sensed[which]
+        bend = (self.size[which] * np.abs(turn) ** 2).sum(axis=1)
+        step = (sensed @ turn[:, :, None])[..., 0].real
+        room, fastest = np.maximum(peak - sensed.sum(axis=2).real.max(axis=1), 0.0), step.max(axis=1)
         below = (np.sqrt(fastest**2 + 2 * bend * room) - fastest) / bend
         return np.asarray(np.maximum(below, step.min(axis=1) / bend))
 

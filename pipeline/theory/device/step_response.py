@@ -1,8 +1,8 @@
 """Settling time, overshoot and rise time of a general loop's step response, from the exact motion between samples.
 
-As `cost.transient`, for devices with more states: all points are advanced sample by sample, and leave as soon as
-nothing that is asked for can change any more, which is mostly known ahead from their modes (`ahead`). A device's motion
-is small only where all its states are, so that a beat's silence is not taken for its end.
+As `cost.settling_overshoot`, for devices with more states: all points are advanced sample by sample, and leave as soon
+as nothing that is asked for can change any more, which is mostly known ahead from their modes (`ahead`). A device's
+motion is small only where all its states are, so that a beat's silence is not taken for its end.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _HALVINGS = 54
 
 @dataclass(frozen=True)
 class Asked:
-    """What is asked for, as of `cost.transient.transient_costs`."""
+    """What is asked for, as of `settling_overshoot.transient_costs`."""
 
     bands: Sequence[float]
     overshoot: bool
@@ -104,7 +104,7 @@ class _Passing:
 
 
 def step_costs(loop: DeviceLoop, alpha: Floats, beta: Floats, asked: Asked) -> dict[str, Floats]:
-    """Return settling times and overshoot, named and defined as by `cost.transient.transient_costs`."""
+    """Return settling times and overshoot, named and defined as by `settling_overshoot.transient_costs`."""
     found, everyone = _Found(asked, len(alpha)), Motion(loop, alpha, beta, between=asked.continuous)
     for first in range(0, len(alpha), TOGETHER):
         _follow(everyone.part(slice(first, first + TOGETHER)), found)

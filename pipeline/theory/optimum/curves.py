@@ -16,7 +16,7 @@ from pipeline.records.batch import Booleans, Floats, Integers
 from pipeline.records.criteria import CRITERIA, DISCRETE, SETTLING_BANDS, criterion_of, with_discrete
 from pipeline.theory.cost.energy import energy_costs
 from pipeline.theory.cost.poles import damping_ratio
-from pipeline.theory.cost.transient import NO_OVERSHOOT, transient_costs
+from pipeline.theory.cost.settling_overshoot import NO_OVERSHOOT, transient_costs
 from pipeline.theory.optimum.lines import LEVELS, LineCost, LineOptima, extents, search_lines
 from pipeline.theory.optimum.optimum import (
     UNDAMPED_LOSS,
@@ -318,7 +318,8 @@ def _steps(lines: _Lines, band: float, criterion: str) -> Floats:
 def _late_deviation(loop: Loop, alpha: Floats, beta: Floats, first: Floats) -> Floats:
     """Largest deviation of the samples from ``first`` on, a number of its own for each point.
 
-    `transient.late_deviation` has one number for all points; with one call for each number the curves would take 10 s.
+    `settling_overshoot.late_deviation` has one number for all points; called for each number, the curves would take
+    10 s.
     """
     largest = np.zeros(len(alpha))
     octave = np.floor(np.log2(first))

@@ -19,6 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.records.batch import Floats, Integers
+from pipeline.theory.stability.stability import bisect
 
 LineCost = Callable[[Integers, Floats, float], Floats]
 """Cost of points given by the index of their line and their place on it; infinity where there is none. Points
@@ -159,9 +160,6 @@ def extents(
         first_bad = np.where(good.all(axis=1), coarse, good.argmin(axis=1))
         inside = places[lines, first_bad - 1]
         outside = places[lines, np.minimum(first_bad, coarse - 1)]
-        for _ in range(halvings):
-            middle = 0.5 * (inside + outside)
-            keep = cost(lines, middle, np.inf) <= limit
-            inside, outside = np.where(keep, middle, inside), np.where(keep, outside, middle)
+        inside, _ = bisect(lambda places: cost(lines, places, np.inf) <= limit, inside, outside, halvings)
         ends.append(np.where(np.isnan(found.place), np.nan, inside))
     return ends[0], ends[1]

@@ -20,7 +20,7 @@ from pipeline.records.criteria import CRITERIA, DISCRETE, SETTLING_BANDS, criter
 from pipeline.theory.cost.energy import energy_costs
 from pipeline.theory.cost.pointcosts import point_costs_by_name
 from pipeline.theory.cost.poles import damping_ratio, threefold_pole
-from pipeline.theory.cost.transient import late_deviation, transient_costs
+from pipeline.theory.cost.settling_overshoot import late_deviation, transient_costs
 from pipeline.theory.optimum.lines import search_lines, search_plane
 from pipeline.theory.optimum.overshoot import stiffest_without_overshoot
 from pipeline.theory.optimum.search import (

@@ -13,7 +13,7 @@ from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop
 from pipeline.records.batch import Floats
 from pipeline.theory.cost.poles import never_overshoots
-from pipeline.theory.cost.transient import NO_OVERSHOOT, transient_costs
+from pipeline.theory.cost.settling_overshoot import NO_OVERSHOOT, transient_costs
 from pipeline.theory.optimum.search import OptimalPoint, region, where_stable
 
 _FLOORS = (0.2, 0.05, 0.01)

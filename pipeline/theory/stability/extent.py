@@ -8,7 +8,6 @@ Source: Hulin 2017, secs. 3.4, 3.5 and 4.3.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
 
 import numpy as np
@@ -19,12 +18,10 @@ from pipeline.loop.loop import Loop, as_points
 from pipeline.records.batch import Booleans, Floats
 from pipeline.theory.stability.branches import curve_points
 from pipeline.theory.stability.region import Cells, Region, region, solve, stable_intervals, stiffness_limit
+from pipeline.theory.stability.stability import bisect
 
 _SWEEP = 400
 """Dampings of a sweep through a region that several branches bound; parts below 1/400 of its height are not seen."""
-
-_BISECTIONS = 60
-"""Halves a step of a sweep to the last bit of a double."""
 
 _ZOOMS = 24
 """Rounds of a search that narrows to a fifth each time: to rounding, for corners; a flat maximum needs half of them."""
@@ -52,7 +49,7 @@ def damping_range(loop: Loop) -> tuple[float, float]:
         )
     inner = levels[found[[0, -1]]]
     outer = levels[[max(found[0] - 1, 0), min(found[-1] + 1, len(levels) - 1)]]
-    ends = _bisect(lambda b: _any_stable(loop, b), inner, outer)
+    ends, _ = bisect(lambda b: _any_stable(loop, b), inner, outer)
     return float(ends[0]), float(ends[1])
 
 
@@ -133,22 +130,13 @@ def linear_error_crossings(loop: Loop, level: float) -> tuple[Floats, Floats]:
         at = np.flatnonzero(above[1:] != above[:-1])
         good = np.where(above[at], levels[at], levels[at + 1])
         bad = np.where(above[at], levels[at + 1], levels[at])
-        roots.append(_bisect(partial(_exceeds, loop, sign * level), good, bad))
+        roots.append(bisect(partial(_exceeds, loop, sign * level), good, bad)[0])
     b = np.sort(np.concatenate(roots))
     return stiffness_limit(loop, b), b
 
 
 def _exceeds(loop: Loop, level: float, beta: Floats) -> Booleans:
     return np.asarray(linear_error(loop, beta) > level)
-
-
-def _bisect(holds: Callable[[Floats], Booleans], good: Floats, bad: Floats) -> Floats:
-    """Last values, from ``good`` towards ``bad``, at which a condition holds."""
-    for _ in range(_BISECTIONS):
-        middle = 0.5 * (good + bad)
-        fine = holds(middle)
-        good, bad = np.where(fine, middle, good), np.where(fine, bad, middle)
-    return good
 
 
 def _any_stable(loop: Loop, beta: Floats) -> Booleans:
@@ -189,6 +177,10 @@ def _outline(loop: Loop, beta: Floats) -> NDArray[np.intp]:
     return result
 
 
+def _has_outline(loop: Loop, expected: NDArray[np.intp], beta: Floats) -> Booleans:
+    return np.asarray(_outline(loop, beta) == expected)
+
+
 def _corners(loop: Loop, r: Region) -> Floats:
     """Values of beta between which the length of stable alpha is smooth."""
     bottom, top = damping_range(loop)
@@ -206,11 +198,7 @@ def _corners(loop: Loop, r: Region) -> Floats:
         if not differ.any():
             break
         low, high, left, right = (v[differ] for v in (low, high, left, right))
-        first, after = low, high
-        for _ in range(_BISECTIONS):
-            middle = 0.5 * (first + after)
-            same = _outline(loop, middle) == left
-            first, after = np.where(same, middle, first), np.where(same, after, middle)
+        first, after = bisect(partial(_has_outline, loop, left), low, high)
         corners += [first, after]
         low, left = after, _outline(loop, after)
     return np.unique(np.concatenate(corners))
@@ -219,12 +207,9 @@ def _corners(loop: Loop, r: Region) -> Floats:
 def _peak(r: Region, first: Cells) -> tuple[int, float]:
     """Cell and angle of the stiffest point of the first branch."""
     cell = int(np.flatnonzero(~first.rises)[0])
-    low, high = first.low[cell], first.high[cell]
-    for _ in range(_BISECTIONS):
-        middle = 0.5 * (low + high)
-        rises = curve_points(r.curve, np.array([middle])).alpha_slope[0] > 0
-        low, high = (middle, high) if rises else (low, middle)
-    return cell, float(0.5 * (low + high))
+    ends = first.low[[cell]], first.high[[cell]]
+    low, high = bisect(lambda angle: curve_points(r.curve, angle).alpha_slope > 0, *ends)
+    return cell, float(0.5 * (low + high)[0])
 
 
 def _first_end(r: Region, first: Cells) -> float:

@@ -21,7 +21,7 @@ from pipeline.loop.loop import Loop, as_points
 from pipeline.records.batch import Booleans, Floats
 from pipeline.theory.device.crossings import stretches
 from pipeline.theory.stability.branches import FOLD, Curve, beta_above_start, curve, curve_points, folded
-from pipeline.theory.stability.stability import is_stable
+from pipeline.theory.stability.stability import bisect, is_stable
 
 _PER_TURN = 48
 """Samples of each turn of the delayed plant; the branches are smooth on that scale."""
@@ -181,10 +181,7 @@ def _with_extrema(c: Curve, angle: Floats, slope: Floats) -> Floats:
     at = np.flatnonzero(turns)
     low, high = angle[at], angle[at + 1]
     rising = slope[at] > 0
-    for _ in range(55):  # halves a step of the sweep to the last bit
-        middle = 0.5 * (low + high)
-        same = (curve_points(c, middle).beta_slope > 0) == rising
-        low, high = np.where(same, middle, low), np.where(same, high, middle)
+    low, high = bisect(lambda t: (curve_points(c, t).beta_slope > 0) == rising, low, high)
     return np.insert(angle, at + 1, 0.5 * (low + high))
 
 

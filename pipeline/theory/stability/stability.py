@@ -242,6 +242,23 @@ def _distinct(values: Floats) -> Floats:
     return np.asarray(ordered[np.append(True, ordered[1:] != ordered[:-1])])
 
 
+def bisect(holds: Callable[[Floats], Booleans], good: Floats, bad: Floats, halvings: int = 60) -> tuple[Floats, Floats]:
+    """Return the last values towards ``bad`` at which a condition holds, and the next ones, to the last bit.
+
+    Parameters
+    ----------
+    holds : callable
+    good, bad : float64, shape (n,)
+        Where it holds, and where it does not.
+    halvings : int
+    """
+    for _ in range(halvings):
+        middle = 0.5 * (good + bad)
+        fine = holds(middle)
+        good, bad = np.where(fine, middle, good), np.where(fine, bad, middle)
+    return good, bad
+
+
 def _branch_end(loop: Loop) -> float:
     """Angle at which the first branch meets alpha = -gamma again."""
     # the branch ends before the delayed plant has turned by pi once more, about pi/(d + 1/2); 64 samples of each turn
@@ -255,15 +272,9 @@ def _branch_end(loop: Loop) -> float:
     after = np.flatnonzero(rise[inside[0] :] <= 0)
     if not len(after):
         return _last_angle(loop, theta[-1])
-    high = theta[inside[0] + after[0]]
-    low = theta[inside[0] + after[0] - 1]
-    for _ in range(60):  # bisection to the last bit of a double
-        middle = 0.5 * (low + high)
-        if boundary_points(loop, np.array([middle]))[0][0] + loop.gamma > 0:
-            low = middle
-        else:
-            high = middle
-    return float(0.5 * (low + high))
+    low, high = (theta[[inside[0] + after[0] + side]] for side in (-1, 0))
+    low, high = bisect(lambda angle: boundary_points(loop, angle)[0] + loop.gamma > 0, low, high)
+    return float(0.5 * (low + high)[0])
 
 
 def _encloses(loop: Loop, end: float) -> bool:
@@ -331,10 +342,7 @@ def _kept_parts(loop: Loop, curve: _Curve, place: Floats) -> list[_Part]:
     status = kept(place)
     flips = np.flatnonzero(status[1:] != status[:-1])
     good, bad = (np.where(status[flips] == want, place[flips], place[flips + 1]) for want in (True, False))
-    for _ in range(50):  # halves a step of the sweep to the last bit of a double
-        middle = 0.5 * (good + bad)
-        fine = kept(middle)
-        good, bad = np.where(fine, middle, good), np.where(fine, bad, middle)
+    good, _ = bisect(kept, good, bad)
     parts = []
     edges = np.concatenate([[0], flips + 1, [len(place)]])
     for first, last in pairwise(edges):

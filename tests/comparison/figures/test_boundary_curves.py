@@ -9,19 +9,25 @@ import pytest
 from report_data import experiment
 
 from pipeline.comparison.figures.boundary_curves import (
+    FrictionFacts,
     bound_curve,
     envelope_curve,
+    friction_curves,
+    friction_facts,
     measured_curve,
     normalised,
     passive_curve,
     robust_curve,
 )
 from pipeline.comparison.figures.figure_boundaries import plane_figure
-from pipeline.records.findings import BoundaryPoint
+from pipeline.device_data.devices import load_device
+from pipeline.records.findings import BoundaryPoint, Estimate
+from pipeline.records.loop_parts import Friction, LoopParts
 from pipeline.records.models import Shown
 from pipeline.records.results import TheoryParameters
 from pipeline.records.score_records import BandScore, BoundScore, Scores
 from pipeline.theory.predictions import Theory
+from pipeline.theory.stability.region import stiffness_limit
 
 
 def theory(mass: float = 0.58, damping: float = 4.0, delay: float = 4.0, period: float = 1e-3) -> Theory:
@@ -105,6 +111,31 @@ def test_bound_and_band_are_those_of_the_scores() -> None:
     assert envelope.high is not None
     assert (envelope.low.tolist(), envelope.high.tolist()) == ([90, 400], [200, 800])
     assert bound_curve(experiment("1")) is envelope_curve(experiment("1")) is None
+
+
+def test_friction_of_one_newton_makes_four_samples_look_like_three() -> None:
+    """Limits of 8 N steps on the Falcon, simulated: 7.5, 11.5 and 14 kN/m; an ideal loop with d = 4 has less."""
+    ideal, (curve, line) = theory(), friction_curves(theory(), FrictionFacts(1.0, 8.0, 200e-6, "device file"))
+    found = np.interp([20.0, 40.0, 60.0], curve.damping, curve.stiffness)
+    assert found == pytest.approx([7500, 11500, 14000], rel=0.06)
+    without = stiffness_limit(ideal.loop, np.array([20.0]) / ideal.units.damping)[0] * ideal.units.stiffness
+    assert found[0] > 1.2 * without
+    assert line.stiffness.tolist() == [1e4, 1e4]  # 2 f_c/quantum
+    assert [c.label for c in friction_curves(theory(), FrictionFacts(1.0, 8.0, 10e-6, ""))] == [curve.label]
+
+
+def test_friction_is_that_of_the_device_file_then_that_of_the_logs() -> None:
+    falcon = load_device("falcon")
+    assert friction_facts(falcon, [experiment("1")]) is None
+    estimate = Estimate(value=0.5, low=0.3, high=0.7, unit="N", method="model", reason="")
+    result = experiment("1").model_copy(update={"estimates": {"friction": estimate}})
+    assert friction_facts(falcon, [result]) == FrictionFacts(0.5, 8.0, falcon.sensor.quantum, "estimated from the logs")
+    none = {"friction": estimate.model_copy(update={"low": 0.0})}
+    assert friction_facts(falcon, [result.model_copy(update={"estimates": none})]) is None, "its interval holds 0"
+    stated = falcon.model_copy(update={"loop": LoopParts(friction=Friction(coulomb=0.2))})
+    facts = friction_facts(stated, [result])
+    assert facts is not None
+    assert (facts.coulomb, facts.source) == (0.2, "device file")
 
 
 def test_normalised_plane_holds_several_devices_each_with_its_theory() -> None:

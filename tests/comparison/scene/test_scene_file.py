@@ -193,7 +193,7 @@ def test_dry_run_tells_of_figures_and_tables(falcon, tmp_path):
 
 
 def test_overlays_are_dropped_by_kind_and_measured_curves_stay():
-    kinds = ("measured", "theory", "band", "envelope", "linear", "passive", "bound")
+    kinds = ("measured", "theory", "band", "envelope", "linear", "passive", "bound", "friction")
     curves = tuple(Curve(kind, kind, None, None) for kind in kinds)
     figures = [
         Figure(kind, name, "", "", (("", curves),))

@@ -57,16 +57,18 @@ def test_summary_tells_the_numbers_of_the_result(result):
 
 def test_deviations_of_the_summary_are_those_of_the_tables(result):
     text = result.summary[1]
-    sizes = sorted(abs(r.deviation_percent) for r in result.tables if r.deviation_percent is not None)
-    assert f"in the median of {len(sizes)} comparisons" in text
-    found = [float(x.replace("−", "-")) for x in re.findall(r"\(([+−][\d.]+) %\)", text)]
-    assert [round(abs(x), 1) for x in found] == [round(sizes[0], 1), round(sizes[-1], 1)]
+    parts = sorted((r.deviation for r in result.tables if r.deviation), key=lambda part: abs(part.model))
+    assert f"in the median of {len(parts)} comparisons" in text
+    found = [float(x.replace("−", "-")) for x in re.search(r"\((\S+) %, 95 %: (\S+) to (\S+)\)", text).groups()]
+    last = parts[-1]
+    assert found == pytest.approx([last.model, last.model_low, last.model_high], abs=0.06)
 
 
-@pytest.mark.parametrize(("sizes", "middle"), [((1.0, 2.0, 10.0), 2), ((1.0, 2.0, 10.0, 40.0), 6)])
+@pytest.mark.parametrize(("sizes", "middle"), [((1.0, 2.0, 10.0), "2"), ((1.0, 2.0, 10.0, 40.0), "6")])
 def test_median_of_an_even_number_lies_between_both_middle_ones(data, result, sizes, middle):
-    row = next(r for r in result.tables if r.deviation_percent is not None)
-    rows = [row.model_copy(update={"deviation_percent": -size}) for size in sizes]
+    row = next(r for r in result.tables if r.deviation)
+    parts = [row.deviation.model_copy(update={"model": -size}) for size in sizes]
+    rows = [row.model_copy(update={"deviation": part}) for part in parts]
     costs = next(s.text for s in summarise(data, result.experiments, rows) if s.source == "sec-costs")
     assert f"by {middle} % in the median of {len(sizes)} comparisons" in costs
 

@@ -10,10 +10,11 @@ from sensor_trials import DELAY, EDGE, FEWEST, FREE, SENSORS, measured, trials, 
 from simulated import FALCON, plant, simulate
 
 from pipeline.base.errors import ParameterError
-from pipeline.measured.cost import costs
 from pipeline.measured.cost.cost_intervals import overshoot_interval, settling_interval
 from pipeline.measured.cost.energy_intervals import energy_interval
 from pipeline.measured.cost.reading_error import reading_error
+from pipeline.measured.cost.settling_overshoot import overshoot, settling
+from pipeline.measured.signal.horizon import energy_terms
 from pipeline.measured.signal.response import find_response
 from pipeline.measured.signal.verdict import judge
 from pipeline.records.batch import TrialBatch
@@ -100,8 +101,8 @@ def test_a_mode_that_decays_slowly_is_no_rest():
     found = energy_interval(batch, find_response(batch), verdicts, error, 7, 0.19)
     assert (found.horizon_samples[-2:] > 120).all()
     ideal = simulate_device(Setup(plant_, 1e-3, 15.0, 2000, EDGE, 7.0, (), 0.0, 1.0), K, B, seed=1)
-    true = costs.energy(ideal, find_response(ideal), judge(ideal), 7)
-    np.testing.assert_allclose(found.value[-2:], (true.potential + 0.19 * true.kinetic)[-2:], rtol=0.01)
+    true = energy_terms(ideal, find_response(ideal), judge(ideal), 7).summed(0.19)
+    np.testing.assert_allclose(found.value[-2:], true[-2:], rtol=0.01)
 
 
 @pytest.mark.parametrize(("quantum", "noise"), SENSORS)
@@ -109,7 +110,7 @@ def test_intervals_hold_the_truth(quantum, noise):
     batch, response, verdicts, error = measured(quantum, noise)
     K, _ = trials()
     _, off = truth()
-    found = costs.settling(batch, response, verdicts, DELAY)
+    found = settling(batch, response, verdicts, DELAY)
     interval = settling_interval(batch, response, error, found, DELAY)
     for name, band in SETTLING_BANDS.items():
         true = last_outside(off, band * 8 / K)
@@ -123,7 +124,7 @@ def test_intervals_hold_the_truth(quantum, noise):
     width = interval.high["settle_5pct"] - interval.low["settle_5pct"]
     assert np.nanmedian(width) <= 10
 
-    over = costs.overshoot(batch, response, verdicts)
+    over = overshoot(batch, response, verdicts)
     bounds = overshoot_interval(batch, response, error, over)
     true = np.maximum(off.max(axis=1) / (8 / K), 0.0)
     assert ((bounds.low <= true) & (true <= bounds.high)).mean() >= FEWEST
@@ -141,13 +142,13 @@ def test_intervals_hold_the_truth_of_500_trials(quantum, noise):
     batch, response, verdicts, error = measured(quantum, noise, 500)
     K, _ = trials(500)
     _, off = truth(500)
-    found = costs.settling(batch, response, verdicts, DELAY)
+    found = settling(batch, response, verdicts, DELAY)
     interval = settling_interval(batch, response, error, found, DELAY)
     for name, band in SETTLING_BANDS.items():
         true = last_outside(off, band * 8 / K)
         told = np.isfinite(interval.high[name])
         assert ((interval.low[name] <= true) & (true <= interval.high[name]))[told].mean() >= 0.95
-    bounds = overshoot_interval(batch, response, error, costs.overshoot(batch, response, verdicts))
+    bounds = overshoot_interval(batch, response, error, overshoot(batch, response, verdicts))
     true = np.maximum(off.max(axis=1) / (8 / K), 0.0)
     assert ((bounds.low <= true) & (true <= bounds.high)).mean() >= 0.95
 
@@ -158,7 +159,10 @@ def test_ideal_logs_leave_nothing_open():
     response = find_response(batch)
     error, verdicts = reading_error(batch, response, DELAY), judge(batch, response)
     assert (error.sensor == 0).all()
-    found, over = costs.settling(batch, response, verdicts, DELAY), costs.overshoot(batch, response, verdicts)
+    found, over = (
+        settling(batch, response, verdicts, DELAY),
+        overshoot(batch, response, verdicts),
+    )
     interval = settling_interval(batch, response, error, found, DELAY)
     for name, value in found.samples.items():
         assert (interval.low[name] == value).all()
@@ -170,7 +174,7 @@ def test_ideal_logs_leave_nothing_open():
 
 def test_the_delay_moves_the_start():
     batch, response, verdicts, error = measured(2e-6, 5e-7)
-    found = costs.settling(batch, response, verdicts, DELAY)
+    found = settling(batch, response, verdicts, DELAY)
     exact = settling_interval(batch, response, error, found, DELAY)
     loose = settling_interval(batch, response, error, found, DELAY, delay_range=(3, 6))
     for name in SETTLING_BANDS:
@@ -188,7 +192,7 @@ def test_an_overshoot_after_the_end_of_the_log_is_not_excluded():
     ideal = simulate([920.0], [184.0], **FREE, rows=8000)
     true = (ideal.displacement[0].max() - 8 / 920) / (8 / 920)
     response = find_response(batch)
-    over = costs.overshoot(batch, response, judge(batch, response))
+    over = overshoot(batch, response, judge(batch, response))
     bounds = overshoot_interval(batch, response, reading_error(batch, response), over)
     assert over.overshoot[0] == 0
     assert true > 1e-3
@@ -198,7 +202,7 @@ def test_an_overshoot_after_the_end_of_the_log_is_not_excluded():
 
 def test_a_late_reading_at_the_edge_leaves_the_upper_end_open():
     batch, response, verdicts, error = measured(1e-5, 1e-6)
-    found = costs.settling(batch, response, verdicts, DELAY)
+    found = settling(batch, response, verdicts, DELAY)
     interval = settling_interval(batch, response, error, found, DELAY)
     open_ends = [i for i in range(len(batch)) if any(np.isnan(interval.high[n][i]) for n in SETTLING_BANDS)]
     assert open_ends
@@ -214,8 +218,8 @@ def test_a_mirrored_log_has_the_same_intervals():
     np.testing.assert_allclose(other.deviation, error.deviation, rtol=1e-9)
     pairs = []
     for one, seen, errors in ((batch, response, error), (mirror, turned, other)):
-        over = overshoot_interval(one, seen, errors, costs.overshoot(one, seen, verdicts))
-        settle = settling_interval(one, seen, errors, costs.settling(one, seen, verdicts, DELAY), DELAY)
+        over = overshoot_interval(one, seen, errors, overshoot(one, seen, verdicts))
+        settle = settling_interval(one, seen, errors, settling(one, seen, verdicts, DELAY), DELAY)
         pairs.append((over.low, over.high, settle.low["settle_2pct"], settle.high["settle_2pct"]))
     for here, there in zip(*pairs, strict=True):
         np.testing.assert_allclose(here, there, rtol=1e-9, atol=1e-12)
@@ -227,7 +231,7 @@ def test_no_trials():
     response = find_response(nobody)
     error, verdicts = reading_error(nobody, response, DELAY), judge(nobody, response)
     assert error.reason == ()
-    assert overshoot_interval(nobody, response, error, costs.overshoot(nobody, response, verdicts)).low.shape == (0,)
+    assert overshoot_interval(nobody, response, error, overshoot(nobody, response, verdicts)).low.shape == (0,)
     energy = energy_interval(nobody, response, verdicts, error, DELAY, 0.58)
     assert energy.value.shape == (0, 3)
 
@@ -236,8 +240,8 @@ def test_reasons():
     batch = simulate([4000.0, 0.0, 20000.0], [70.0, 0.0, 60.0], **FALCON, quantum=2e-6, noise=5e-7)
     response, error = find_response(batch), reading_error(batch, find_response(batch), DELAY)
     verdicts = judge(batch, response)
-    over = overshoot_interval(batch, response, error, costs.overshoot(batch, response, verdicts))
-    settle = settling_interval(batch, response, error, costs.settling(batch, response, verdicts, DELAY), DELAY)
+    over = overshoot_interval(batch, response, error, overshoot(batch, response, verdicts))
+    settle = settling_interval(batch, response, error, settling(batch, response, verdicts, DELAY), DELAY)
     for found in (over, settle):
         assert found.reason[0] == ""
         assert found.reason[1].startswith(("no final position", "unstable"))

@@ -8,7 +8,7 @@ from scipy import signal
 from simulated import FALCON, simulate
 
 from pipeline.base.errors import ParameterError
-from pipeline.measured.cost import costs
+from pipeline.measured.cost import settling_overshoot
 from pipeline.measured.cost.step_metrics import DEFINITIONS, TOOLS, reconcile
 from pipeline.measured.signal.response import find_response
 from pipeline.measured.signal.verdict import Verdicts, judge
@@ -79,7 +79,7 @@ def test_a_plain_evaluation_gives_the_same():
     batch = simulate(K, B, **FALCON, rows=900)
     response = find_response(batch)
     found = reconcile(batch, response, judge(batch, response), 4)
-    thesis = costs.settling(batch, response, judge(batch, response), 4).samples["settle_2pct"]
+    thesis = settling_overshoot.settling(batch, response, judge(batch, response), 4).samples["settle_2pct"]
     np.testing.assert_array_equal(found.settling["thesis"].value, thesis)
     for i in range(len(K)):
         y = batch.displacement[i, EDGE:].tolist()

@@ -41,18 +41,6 @@ def test_noise_makes_a_fine_quantum_late():
     assert set(found[has].tolist()) == {4, 5}
 
 
-@pytest.mark.parametrize(("quantum", "late"), [(1e-5, (1,)), (6e-5, (1, 2))])
-def test_a_threshold_is_late_by_the_time_to_move_as_far(quantum, late):
-    # 8 N on 0.58 kg: 6.9 um after 1 ms, 28 um after 2 ms, 62 um after 3 ms; rounding shows half a quantum
-    batch = simulate(K, B, **FALCON, quantum=quantum)
-    threshold = np.full(len(K), 0.5 * quantum)
-    found = first_change(batch, find_response(batch), threshold=threshold).delay_samples
-    needed = np.sqrt(2 * 0.5 * quantum * 0.58 / 8) * 1e3
-    assert (found >= 4).all()
-    assert (found <= 4 + max(late)).all()
-    assert np.median(found) in {4 + int(np.ceil(needed)) - 1, 4 + max(late)}
-
-
 def test_a_coarse_quantum_is_late():
     batch = simulate(K, B, **FALCON, quantum=6e-5)
     found = first_change(batch, find_response(batch)).delay_samples
@@ -73,17 +61,6 @@ def test_a_trial_that_moves_before_the_step_has_no_delay():
     found = first_change(moving, response)
     assert found.delay_samples.tolist() == [-1]
     assert found.reason[0].startswith("moving before the step: 8e-06 peak to peak")
-
-
-def test_the_bracket_counts_in_logged_times():
-    batch = simulate([3000.0], [50.0], **FALCON)
-    found = first_change(batch, find_response(batch))
-    assert found.first_row.tolist() == [25]
-    np.testing.assert_allclose([found.earliest_s[0], found.latest_s[0]], [4e-3, 5e-3], rtol=1e-12)
-    time = batch.time.copy()
-    time[0, 24:] += 7e-4
-    found = first_change(dataclasses.replace(batch, time=time), find_response(batch))
-    np.testing.assert_allclose([found.earliest_s[0], found.latest_s[0]], [4.7e-3, 5.7e-3], rtol=1e-12)
 
 
 def test_a_declared_step_row_replaces_the_baseline():
@@ -128,7 +105,7 @@ def test_reasons():
     found = first_change(batch, find_response(batch))
     assert found.delay_samples.tolist() == [-1]
     assert "no baseline" in found.reason[0]
-    assert np.isnan(found.latest_s[0])
+    assert found.first_row.tolist() == [-1]
     moving = simulate([3000.0], [50.0], **FALCON)
     response = find_response(moving)
     still = dataclasses.replace(moving, position=np.full_like(moving.position, 0.1))

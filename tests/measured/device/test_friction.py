@@ -133,9 +133,6 @@ def test_gravity_of_a_pendulum():
     found = fitted(batch, ("damping", "gravity"))
     np.testing.assert_allclose(found.mass, 0.15, rtol=0.02)
     np.testing.assert_allclose(found.coefficients[:, 1], 3.3, rtol=0.02)
-    # the same swing said to hang elsewhere is another pendulum
-    turned = fitted(dataclasses.replace(batch, position=batch.position + 1.0), ("damping", "gravity"), gravity_zero=1.0)
-    np.testing.assert_allclose(turned.coefficients, found.coefficients, rtol=1e-9)
 
 
 def test_a_coarse_quantum_needs_an_average():

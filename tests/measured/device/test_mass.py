@@ -55,28 +55,6 @@ def test_sensor_and_jitter_leave_the_median(jitter):
     assert np.nanmedian(mass) == pytest.approx(0.58, rel=0.03 if jitter else 0.01)
 
 
-def test_logged_times_are_integrated():
-    batch = simulate([3000.0], [50.0], **FALCON)
-    response = find_response(batch)
-    even = by_momentum(batch, response, 4)
-    logged = by_momentum(batch, response, 4, logged_times=True)
-    np.testing.assert_allclose(logged.mass_momentum, even.mass_momentum, rtol=1e-9)
-    # all time steps 2 % longer: the same impulse per step, 2 % more of it, and velocities 2 % smaller
-    slow = dataclasses.replace(batch, time=1.02 * batch.time)
-    assert np.isnan(by_momentum(slow, response, 4).mass_momentum[0])
-    stretched = by_momentum(slow, response, 4, window_s=0.0153, logged_times=True)
-    np.testing.assert_allclose(stretched.mass_momentum, 1.02**2 * even.mass_momentum, rtol=1e-9)
-
-
-def test_a_measured_force_stands_in_for_the_command():
-    batch = simulate([3000.0], [50.0], **FALCON)
-    response = find_response(batch)
-    one = by_momentum(batch, response, 4).mass_momentum
-    np.testing.assert_allclose(by_momentum(batch, response, 4, force=0.5 * batch.command).mass_momentum, 0.5 * one)
-    with pytest.raises(ParameterError, match="shape"):
-        by_momentum(batch, response, 4, force=batch.command[:, 1:])
-
-
 def test_scales_with_force():
     light = simulate([3000.0], [50.0], **FALCON)
     heavy = dataclasses.replace(

@@ -46,7 +46,6 @@ def test_neglected_damping_is_inside_the_standard_error():
     error = onset.delay_samples - 4
     # b/m = 6.9/s, where the standard error allows 10/s
     np.testing.assert_allclose(error / onset.standard_error, -0.66, atol=0.1)
-    assert (onset.window_rows == 3).all()
 
 
 @pytest.mark.parametrize(("quantum", "noise", "late", "bias", "scatter"), [
@@ -74,11 +73,8 @@ def test_bias_and_scatter_over_1000_trials(quantum, noise, late, bias, scatter):
 def test_a_firm_grip_costs_a_fraction_of_a_sample():
     # b/m = 34/s, beyond the 10/s that the standard error allows: early, by up to 0.3 sample at 10 um
     batch = simulate(*spread(300), **FIRM, rows=80, quantum=1e-5, noise=1e-6)
-    first, onset = found_in(batch)
+    onset = found_in(batch)[1]
     assert -0.4 < np.nanmean(onset.delay_samples - 4) < 0
-    allowed = motion_onset(batch, find_response(batch), first, decay_per_s=34.0)
-    assert np.nanmedian(allowed.standard_error) > np.nanmedian(onset.standard_error)
-    assert np.sqrt(np.nanmean(((allowed.delay_samples - 4) / allowed.standard_error) ** 2)) < 1.25
 
 
 def fractional(delay, fine=10, rows=60, edge=20, K=2000.0, B=20.0, mass=0.58, T=1e-3):
@@ -111,8 +107,6 @@ def test_irregular_stamps_count():
     # the same samples said to be twice as far apart are the motion of another mass with the same delay in samples
     slow = dataclasses.replace(batch, time=2 * batch.time, sampling_period_s=2 * batch.sampling_period_s)
     assert found_in(slow)[1].delay_samples[0] == pytest.approx(4.0, abs=1e-6)
-    assert found_in(slow)[1].mobility[0] == pytest.approx(1 / 0.58 / 4, rel=1e-6)
-    assert found_in(batch)[1].mobility[0] == pytest.approx(1 / 0.58, rel=1e-6)
     gap = batch.time.copy()
     gap[0, 21:] += 3e-4  # a pause behind the command edge: the delay is longer by it
     late = found_in(dataclasses.replace(batch, time=gap))[1].delay_samples[0]

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from pipeline.measured.device.damping import LimitDamping
 from pipeline.measured.experiment.aggregate import (
     choose_optimum,
     estimate_damping,
@@ -12,6 +11,7 @@ from pipeline.measured.experiment.aggregate import (
     estimate_median,
 )
 from pipeline.measured.experiment.known_delay import estimate_delay
+from pipeline.records.findings import Estimate
 
 NONE = np.array([np.nan, np.nan])
 
@@ -77,11 +77,11 @@ def test_mass_keeps_the_method_of_the_thesis_beside():
 
 
 def test_damping_prefers_the_limit():
-    limit = LimitDamping(4.0, 3.2, 4.8, 8)
+    limit = Estimate(value=4.0, low=3.2, high=4.8, unit="Ns/m", method="limit", trials=8)
     found = estimate_damping(limit, np.full(9, 4.4))
     assert (found.value, found.low, found.high) == (4.0, 3.2, 4.8)
     assert found.by_method["momentum_balance"].value == 4.4
-    missing = LimitDamping(None, None, None, 0, "no usable trial at K = 0")
+    missing = Estimate(value=None, unit="Ns/m", method="limit", reason="no usable trial at K = 0")
     assert estimate_damping(missing, np.full(9, 4.4)).value == 4.4
     neither = estimate_damping(missing, NONE)
     assert neither.value is None

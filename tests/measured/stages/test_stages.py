@@ -12,7 +12,7 @@ from stored import batch_of
 
 from pipeline.base.errors import StoreError
 from pipeline.loop.loop import Normalised
-from pipeline.measured.cost import costs
+from pipeline.measured.cost import settling_overshoot
 from pipeline.measured.device import damping, delay, mass
 from pipeline.measured.experiment import boundary
 from pipeline.measured.signal import response, verdict
@@ -22,7 +22,7 @@ from pipeline.measured.stages.stages import STAGES, ExperimentStages, required
 from pipeline.records.table_files import read_table, write_table
 from pipeline.store.storage import stage_file
 from pipeline.theory.cost.energy import energy_costs
-from pipeline.theory.cost.transient import transient_costs
+from pipeline.theory.cost.settling_overshoot import transient_costs
 from pipeline.theory.stability.region import stiffness_limit
 
 TRUE_MASS, TRUE_DAMPING, DELAY, T = 0.58, 4.0, 4, 1e-3
@@ -223,7 +223,7 @@ def forbid(monkeypatch):
         raise AssertionError("was computed again")
 
     monkeypatch.setattr(StageTables, "_computed", refuse)
-    for module in (boundary, costs, damping, delay, mass, response, verdict):
+    for module in (boundary, settling_overshoot, damping, delay, mass, response, verdict):
         for name in ("measured_boundary", "settling", "overshoot", "energy", "from_trials", "first_change"):
             if hasattr(module, name):
                 monkeypatch.setattr(module, name, refuse)

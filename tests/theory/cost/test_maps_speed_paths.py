@@ -7,9 +7,9 @@ from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop
 from pipeline.theory.cost import energy
 from pipeline.theory.cost.march import step_transients
+from pipeline.theory.cost.settling_overshoot import transient_costs
 from pipeline.theory.cost.slowmodes import slow_modes
 from pipeline.theory.cost.theory_map import bounding_box
-from pipeline.theory.cost.transient import transient_costs
 from pipeline.theory.stability.region import is_well_inside
 from pipeline.theory.stability.stability import spectral_radius
 

@@ -12,8 +12,8 @@ from pipeline.loop.loop import Loop
 from pipeline.theory import cases as theory
 from pipeline.theory.cost import map_file, theory_map
 from pipeline.theory.cost.energy import _energy_by_doubling
+from pipeline.theory.cost.settling_overshoot import transient_costs
 from pipeline.theory.cost.theory_map import CostMap
-from pipeline.theory.cost.transient import transient_costs
 from pipeline.theory.stability import stability
 
 

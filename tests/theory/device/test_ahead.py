@@ -5,7 +5,7 @@ import pytest
 from general_devices import EXTREMES, random_device
 
 from pipeline.loop.device_loop import DeviceLoop, general, loop_of
-from pipeline.theory.cost.transient import transient_costs
+from pipeline.theory.cost.settling_overshoot import transient_costs
 from pipeline.theory.device import ahead
 from pipeline.theory.device.outline import limits, outline
 

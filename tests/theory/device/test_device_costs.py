@@ -11,7 +11,7 @@ from pipeline.loop.loop import Loop
 from pipeline.records.loop_parts import Butterworth
 from pipeline.theory.cost.energy import energy_costs
 from pipeline.theory.cost.pointcosts import point_costs_by_name
-from pipeline.theory.cost.transient import transient_costs
+from pipeline.theory.cost.settling_overshoot import transient_costs
 from pipeline.theory.device.outline import outline
 from pipeline.theory.device.slowest_pole import slowest_poles
 from pipeline.theory.optimum.optimum import optimal_point

@@ -5,7 +5,7 @@ import pytest
 
 from pipeline.loop.device_loop import DeviceLoop
 from pipeline.theory.device.outline import limits
-from pipeline.theory.device.overlays import friction_limits, quantum_limit
+from pipeline.theory.device.overlays import friction_limits, quantum_limit, step_limits
 
 DELAY, DELTA, FRICTION, FINE = 2, 0.005, 1e-3, 100
 LOOP = DeviceLoop(0.0, DELTA, float(DELAY))
@@ -65,3 +65,19 @@ def test_quantum_with_friction_ends_at_rest_below_its_limit():
     for start in (3.3e-3, 7.7e-3, 1.21e-2):
         x = motion(alpha, 0.2, start, samples=1200, friction=friction, quantum=quantum)
         assert np.ptp(x[-300:]) == 0
+
+
+@pytest.mark.parametrize(("share", "beta"), [(0.02, 0.11), (0.1, 0.19), (0.15, 0.25)])
+def test_a_step_fades_below_the_limit_of_its_own_size_only(share, beta):
+    limit = step_limits(LOOP, np.array([beta]), share)[0]
+    assert limit > 1.02 * limits(LOOP, np.array([beta])).alpha[0]
+    for alpha in (0.9 * limit, 1.12 * limit):
+        way = FRICTION / share / alpha
+        x = motion(alpha, beta, way)
+        assert (np.abs(x[-200:]).max() < 0.5 * way) == (alpha < limit), (alpha, limit)
+
+
+def test_no_limit_is_told_where_a_step_does_not_slide_all_through():
+    beta = np.array([0.1, 0.2])
+    assert np.isfinite(step_limits(LOOP, beta, 0.05)).all()
+    assert np.isnan(step_limits(LOOP, beta, 2.0)).all()

@@ -10,7 +10,7 @@ from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop
 from pipeline.theory.cost.energy import energy_costs
 from pipeline.theory.cost.poles import damping_ratio
-from pipeline.theory.cost.transient import transient_costs
+from pipeline.theory.cost.settling_overshoot import transient_costs
 from pipeline.theory.optimum.curves import CURVE_CRITERIA, best_damping, best_stiffness
 from pipeline.theory.optimum.optimum import optimal_point
 from pipeline.theory.optimum.search import where_stable

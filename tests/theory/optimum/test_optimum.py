@@ -14,7 +14,7 @@ from pipeline.base.errors import ParameterError
 from pipeline.device_data.published import PublishedRow, published_rows
 from pipeline.loop.loop import Loop, Normalised
 from pipeline.theory.cost.energy import energy_costs
-from pipeline.theory.cost.transient import transient_costs
+from pipeline.theory.cost.settling_overshoot import transient_costs
 from pipeline.theory.optimum.optimum import optimal_point
 from pipeline.theory.optimum.rules import POINT_CRITERIA, marked_point
 from pipeline.theory.optimum.search import OptimalPoint

@@ -11,7 +11,7 @@ from pipeline.loop.loop import Loop
 from pipeline.records.criteria import CRITERIA, criterion_of, with_discrete
 from pipeline.theory.cost.energy import energy_costs
 from pipeline.theory.cost.poles import damping_ratio
-from pipeline.theory.cost.transient import transient_costs
+from pipeline.theory.cost.settling_overshoot import transient_costs
 from pipeline.theory.optimum.optimum import SEARCHES, optimal_point
 from pipeline.theory.stability.stability import boundary, is_stable, spectral_radius
 

@@ -8,8 +8,11 @@ from simulated import FALCON, LWR, simulate
 
 from pipeline.base.errors import ParameterError
 from pipeline.device_data.devices import load_device
-from pipeline.measured.cost import costs
+from pipeline.measured.cost import settling_overshoot
+from pipeline.measured.cost.energy_intervals import energy_interval
+from pipeline.measured.cost.reading_error import reading_error
 from pipeline.measured.experiment.aggregate import choose_optimum
+from pipeline.measured.signal.horizon import energy_terms
 from pipeline.measured.signal.response import find_response
 from pipeline.measured.signal.verdict import judge
 from pipeline.simulation.course import run_course
@@ -23,9 +26,9 @@ def evaluate(batch, delay=4):
     response = find_response(batch)
     verdicts = judge(batch, response)
     return (
-        costs.settling(batch, response, verdicts, delay),
-        costs.overshoot(batch, response, verdicts),
-        costs.energy(batch, response, verdicts, delay),
+        settling_overshoot.settling(batch, response, verdicts, delay),
+        settling_overshoot.overshoot(batch, response, verdicts),
+        energy_terms(batch, response, verdicts, delay),
     )
 
 
@@ -57,16 +60,12 @@ def test_ideal_costs_equal_a_direct_evaluation(dev, delay):
     settling, overshoot, energy = evaluate(batch, delay)
     for i in range(len(K)):
         expected, settled, over = direct(batch, i, delay, 0.58)
-        cost = energy.potential[i] + 0.58 * energy.kinetic[i]
-        # 12000 N/m, 90 Ns/m has not decayed within 400 samples (d = 4): what it lacks is tested below
-        known = np.isfinite(cost)
-        assert known.tolist() == ([True, False, False] if i == 1 and delay == 4 else [True] * 3)
-        np.testing.assert_allclose(cost[known], np.array(expected)[known], rtol=1e-12)
+        np.testing.assert_allclose(energy.summed(0.58)[i], expected, rtol=1e-12)
         assert overshoot.overshoot[i] == pytest.approx(over, rel=1e-12, abs=1e-15)
         for name, band in (("settle_1pct", 0.01), ("settle_2pct", 0.02), ("settle_5pct", 0.05)):
             value = settling.samples[name][i]
             assert (None if np.isnan(value) else value) == settled[band]
-    assert energy.horizon_samples.tolist() == [400 - 20 - delay] * len(K)
+    assert (energy.stop - energy.first).tolist() == [400 - 20 - delay] * len(K)
 
 
 @pytest.mark.parametrize(("dev", "delay", "cost", "box"), [
@@ -90,7 +89,7 @@ def test_region_of_the_published_settling_optimum(dev, delay, cost, box):
 def test_energy_near_the_published_optimum():
     grid = np.meshgrid(np.linspace(3000, 6500, 15), np.linspace(40, 62, 15))
     _, _, energy = evaluate(simulate(*(a.ravel() for a in grid), **LWR), 2)
-    cost = energy.potential + 0.19 * energy.kinetic
+    cost = energy.summed(0.19)
     # the minimum over a grid lies above the published one by little, as the optimum is flat
     np.testing.assert_allclose(cost.min(axis=0), [8.690, 40.881, 320.081], rtol=5e-3)
     assert (cost.min(axis=0) >= [8.6895, 40.8805, 320.0805]).all()
@@ -108,70 +107,18 @@ def test_no_overshoot_region():
 def test_sensor_does_not_swamp_the_energy(sensor, rows):
     good = [0, 2, 3, 4, 6]  # trials that die out well inside the log
     ideal, seen = (evaluate(simulate(K[good], B[good], **FALCON, rows=rows, **s))[2] for s in ({}, sensor))
-    cost, noisy = (e.potential + 0.58 * e.kinetic for e in (ideal, seen))
+    cost, noisy = (terms.summed(0.58) for terms in (ideal, seen))
     # uncut, a quantum of 10 um turns w = 2 into many times its value over 1,000 rows
     np.testing.assert_allclose(noisy, cost, rtol=0.06)
-    assert (seen.horizon_samples < 300).all()
-
-
-def test_a_sum_with_a_large_tail_is_no_cost():
-    """Logs that end before the response has decayed, against a longer one that tells what is lost."""
-    rows = np.array([340, 460, 620, 900])
-    whole = evaluate(simulate([12000.0], [90.0], **FALCON, rows=3000))[2]
-    assert whole.reason == ("",)
-    full = (whole.potential + 0.58 * whole.kinetic)[0]
-    parts = [evaluate(simulate([12000.0], [90.0], **FALCON, rows=int(r)))[2] for r in rows]
-    cost = np.array([(part.potential + 0.58 * part.kinetic)[0] for part in parts])
-    assert np.isfinite(cost).tolist() == [
-        [True, False, False],
-        [True, True, False],
-        [True, True, True],
-        [True, True, True],
-    ]
-    assert "no value (w = 2): record longer" in parts[1].reason[0]
-    assert parts[3].reason == ("",)
-    for at, w in ((0, 0), (1, 1), (2, 2)):
-        told = float(parts[at].reason[0].split(f"w = {w}: ")[1].split(" %")[0]) / 100
-        lost = full[w] / cost[at, w] - 1
-        # twice for the kinetic energy, which it leaves out, twice for the mean below the envelope, some for a beat
-        assert lost < told < 8 * lost
-
-
-def lasting(amplitude):
-    """A good trial on whose response an oscillation of the given share of the displacement lasts."""
-    batch = simulate([4000.0], [80.0], **FALCON, quantum=2e-6, noise=5e-7)
-    row = np.arange(400)
-    motion = amplitude * 8 / 4000 * np.sin(2 * np.pi * (row - 20) / 25) * (row >= 20)
-    return dataclasses.replace(batch, position=batch.position + motion)
-
-
-def test_a_response_that_never_settles_has_no_energy_cost():
-    batch = lasting(0.2)
-    response = dataclasses.replace(find_response(lasting(0.0)), floor=np.array([6e-6]))
-    found = costs.energy(batch, response, judge(lasting(0.0)), 4)
-    assert np.isnan(found.potential).all()
-    assert np.isnan(found.kinetic).all()
-    assert found.reason[0] == "never settles: 20 % of the final displacement lasts to the end of the log"
-
-
-def test_a_wide_floor_may_not_hide_a_lasting_motion():
-    """Chatter before the step widened the floor, which cut the sum and made the cost the smallest of all."""
-    quiet, swinging = lasting(0.0), lasting(0.2)
-    response = dataclasses.replace(find_response(quiet), floor=np.array([3e-5]))
-    verdicts = judge(quiet)
-    # 20 % of 2 mm are 400 um: 8 floors of 60 um, not of 30 um, let that pass for a limit cycle of the sensor
-    wide = dataclasses.replace(response, floor=np.array([6e-5]))
-    assert np.isfinite(costs.energy(quiet, response, verdicts, 4).potential[0, :2]).all()
-    for one in (response, wide):
-        assert np.isnan(costs.energy(swinging, one, verdicts, 4).potential).all()
+    assert (seen.stop - seen.first < 300).all()
 
 
 def test_chatter_before_the_step_widens_the_floor_of_the_overshoot():
     batch = simulate([4000.0], [80.0], **FALCON, quantum=2e-6, noise=5e-7)
     response, verdicts = find_response(batch), judge(batch)
-    calm = costs.overshoot(batch, response, verdicts)
+    calm = settling_overshoot.overshoot(batch, response, verdicts)
     chatter = dataclasses.replace(response, baseline_motion=np.array([3e-5]))
-    found = costs.overshoot(batch, chatter, verdicts)
+    found = settling_overshoot.overshoot(batch, chatter, verdicts)
     assert found.floor[0] - calm.floor[0] == pytest.approx(3e-5 / (8 / 4000))
     assert found.overshoot[0] == calm.overshoot[0]
 
@@ -189,14 +136,14 @@ def test_optima_of_a_jittered_noisy_course_are_trustworthy():
     def best(cost, floor=None):
         return choose_optimum(cost, K, B, batch.trial_id, unstable=unstable, floor=floor)
 
-    energy = costs.energy(batch, response, verdicts, 4)
+    energy = energy_interval(batch, response, verdicts, reading_error(batch, response, 4), 4, 0.58)
     for w in (0, 1, 2):
-        chosen = best(energy.potential[:, w] + 0.58 * energy.kinetic[:, w])
+        chosen = best(energy.value[:, w])
         i = batch.trial_id.index(chosen.trial_id)
         true = simulate_device(bare, K[[i]], B[[i]], seed=1, stream="falcon/1")
         # the horizon leaves out some percent, the sensor moves the device by some more
         assert chosen.cost == pytest.approx(direct(true, 0, 4, 0.58)[0][w], rel=0.1)
-    overshoot = costs.overshoot(batch, response, verdicts)
+    overshoot = settling_overshoot.overshoot(batch, response, verdicts)
     found = best(overshoot.overshoot, overshoot.floor)
     # theory without jitter: 5056 N/m; the thesis measured 6800 and 6600 N/m
     assert 4500 < found.stiffness < 7500
@@ -230,17 +177,17 @@ def test_trials_without_costs():
     response = dataclasses.replace(response, edge_row=np.array([20, 20, -1]))
     verdicts = judge(batch, response)
     for found in (
-        costs.settling(batch, response, verdicts, 4),
-        costs.overshoot(batch, response, verdicts),
-        costs.energy(batch, response, verdicts, 4),
+        settling_overshoot.settling(batch, response, verdicts, 4),
+        settling_overshoot.overshoot(batch, response, verdicts),
+        energy_terms(batch, response, verdicts, 4),
     ):
         assert [text.split(":")[0] for text in found.reason] == [
             "unstable",
             "no final position",
             "no start of the response",
         ]
-    assert np.isnan(costs.energy(batch, response, verdicts, 4).potential).all()
-    assert np.isnan(costs.overshoot(batch, response, verdicts).overshoot).all()
+    assert np.isnan(energy_terms(batch, response, verdicts, 4).summed(0.58)).all()
+    assert np.isnan(settling_overshoot.overshoot(batch, response, verdicts).overshoot).all()
     short = simulate([4000.0], [70.0], **FALCON, rows=30)
     assert "ends before" in evaluate(short, 15)[2].reason[0]
     with pytest.raises(ParameterError):

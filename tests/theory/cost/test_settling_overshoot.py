@@ -24,10 +24,10 @@ from independent import (
     stable_walls,
 )
 
-import pipeline.theory.cost.transient
+import pipeline.theory.cost.settling_overshoot
 from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop, Normalised
-from pipeline.theory.cost.transient import transient_costs
+from pipeline.theory.cost.settling_overshoot import transient_costs
 from pipeline.theory.stability.stability import boundary, is_stable, spectral_radius
 
 BANDS = (0.01, 0.02, 0.05)
@@ -170,7 +170,7 @@ def test_ending_a_response_early_changes_nothing(
     alpha, beta = alpha[keep], beta[keep]
     assert len(alpha) > 20
     early = transient_costs(loop, alpha, beta)
-    monkeypatch.setattr(pipeline.theory.cost.transient, "_SETTLED", 1e-6)
+    monkeypatch.setattr(pipeline.theory.cost.settling_overshoot, "_SETTLED", 1e-6)
     late = transient_costs(loop, alpha, beta, quiet=1e-15)
     for name, values_ in early.items():
         np.testing.assert_allclose(values_, late[name], rtol=1e-12, atol=1e-12, err_msg=name)

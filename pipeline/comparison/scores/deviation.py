@@ -1,0 +1,225 @@
+"""What the deviation of a measured optimal cost from theory is made of: range, grid, model and selection of a trial.
+
+The least measured cost is that of one noisy trial on a grid in a range, the theoretical one free of all that. With
+theory's cost C, its best point freely p*, over the tested range p_r and on the tested points p_g, the measured cost s
+freed from the noise of single trials, its best tested point p_s, and the best single trial p_m of cost M, the whole is
+
+    M(p_m)/C(p*) = C(p_r)/C(p*) . C(p_g)/C(p_r) . s(p_s)/C(p_g) . M(p_m)/s(p_s)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.loop.loop import Loop
+from pipeline.measured.stages.stages import ExperimentStages
+from pipeline.records.batch import Booleans, Floats, Integers
+from pipeline.records.criteria import DISCRETE, criterion_of
+from pipeline.records.findings import Optimum
+from pipeline.records.models import Deviation
+from pipeline.theory.cost.maps import costs_at
+from pipeline.theory.predictions import Predictions, Theory
+
+NEIGHBOURS = 40
+"""Trials by which the ratio of measured and theoretical cost is smoothed at a point: a plane is fitted to them."""
+
+ROBUST = 3
+"""Rounds in which outliers lose weight."""
+
+NO_ERROR = 1e-12
+"""Error of the logarithm of a cost below which there is none."""
+
+FEWEST = 12
+"""Trials with both costs below which nothing tells noise from deviation."""
+
+RESAMPLED = 200
+"""Courses drawn for the interval of the model's part."""
+
+LIKELY = 100
+"""Points of least smoothed cost, one of which is the best in each of these courses."""
+
+SEARCH, SEARCH_WHOLE, ZOOM, ROUNDS = 41, 201, 15, 4
+"""Grid points along an axis of the tested range (also for costs that are whole numbers, whose best region is small),
+and of a part around the best one, which is narrowed so often."""
+
+Rectangle = tuple[tuple[float, float], tuple[float, float]]
+
+
+@dataclass(frozen=True)
+class Smooth:
+    """Planes fitted around n points: that of a point weighs ``values[nearest]`` by ``weight``, both of shape (n, k)."""
+
+    nearest: Integers
+    weight: Floats
+
+    def of(self, values: Floats) -> Floats:
+        """Return the smoothed values, shape (n,)."""
+        result: Floats = np.einsum("nk,nk->n", self.weight, values[self.nearest])
+        return result
+
+
+def smooth_of(stiffness: Floats, damping: Floats, values: Floats) -> Smooth:
+    """Return local planes over some points, by which values are smoothed; outliers among these count little.
+
+    Parameters
+    ----------
+    stiffness, damping, values : float64, shape (n,)
+
+    Notes
+    -----
+    Weights are tricubes of the distance in standard deviations, times bisquares of the error over six of the median
+    errors nearby: close to the limit of stability, costs of single trials scatter by many times the usual.
+
+    Source: Cleveland, Robust locally weighted regression (1979), in two dimensions.
+    """
+    from scipy.spatial import cKDTree
+
+    points = np.stack([stiffness, damping], axis=1)
+    spread = points.std(axis=0)
+    points = points / np.where(spread > 0, spread, 1.0)
+    distance, nearest = cKDTree(points).query(points, k=min(NEIGHBOURS, len(points)))
+    reach = np.maximum(distance[:, -1:], np.finfo(np.float64).tiny) * (1 + 1e-9)
+    near = (1 - (distance / reach) ** 3) ** 3
+    offset = points[nearest] - points[:, None]
+    design = np.concatenate([np.ones((*offset.shape[:2], 1)), offset], axis=2)
+    sure = np.ones(len(points))
+    for _ in range(ROBUST):
+        smooth = Smooth(nearest, _plane(design, near * sure[nearest]))
+        error = np.abs(values - smooth.of(values))
+        usual = np.maximum(6 * np.median(error[nearest], axis=1), NO_ERROR)
+        sure = (1 - np.minimum(error / usual, 1.0) ** 2) ** 2
+    return Smooth(nearest, _plane(design, near * sure[nearest]))
+
+
+def _plane(design: Floats, weight: Floats) -> Floats:
+    """Return what each neighbour counts in the value of the plane at the point, shape (n, k)."""
+    weighted = design * weight[:, :, None]
+    # the inverse of least norm: points on a line have no slope across it
+    inverse = np.linalg.pinv(np.einsum("nki,nkj->nij", weighted, design), rcond=1e-9, hermitian=True)
+    result: Floats = np.einsum("nj,nkj->nk", inverse[:, 0], weighted)
+    return result
+
+
+class Deviations:
+    """What the deviations of all experiments are made of, computed once an experiment and theory.
+
+    Parameters
+    ----------
+    experiments : iterable of ExperimentStages
+    optima : mapping of experiment to mapping of criterion to Optimum
+        The best trials.
+    predictions : Predictions
+        Must hold theory's discrete optima of the criteria that are asked for.
+    """
+
+    def __init__(
+        self,
+        experiments: Iterable[ExperimentStages],
+        optima: Mapping[str, Mapping[str, Optimum]],
+        predictions: Predictions,
+    ) -> None:
+        self._stages = {stages.experiment: stages for stages in experiments}
+        self._optima, self._predictions = optima, predictions
+        self._found: dict[tuple[str, Loop, str], Deviation | None] = {}
+
+    def of(self, experiment: str, theory: Theory, criterion: str) -> Deviation | None:
+        """Return the parts of the deviation from a theory; None where a cost is zero or missing, or trials are few."""
+        key = experiment, theory.loop, criterion
+        if key not in self._found:
+            self._found[key] = self._computed(experiment, theory, criterion)
+        return self._found[key]
+
+    def _computed(self, experiment: str, theory: Theory, criterion: str) -> Deviation | None:
+        best, optimum = self._predictions.get(theory, f"{criterion}{DISCRETE}"), self._optima[experiment].get(criterion)
+        if best is None or optimum is None or criterion_of(criterion).family.levels or not best.cost * optimum.cost > 0:
+            return None
+        stages = self._stages[experiment]
+        alpha = stages.column("response", "stiffness") / theory.units.stiffness
+        beta = stages.column("response", "damping") / theory.units.damping
+        expected, measured = costs_at(theory.loop, alpha, beta, [criterion])[criterion], stages.sure_cost(criterion)
+        use = (stages.verdicts.verdict == "stable") & (measured > 0) & (expected > 0)
+        if use.sum() < FEWEST:
+            return None
+        point = best.stiffness / theory.units.stiffness, best.damping / theory.units.damping
+        inside = all(axis.min() <= at <= axis.max() for axis, at in zip((alpha, beta), point, strict=True))
+        ranged = best.cost if inside else _least_in_range(theory.loop, alpha, beta, criterion)
+        return deviation(alpha, beta, expected, measured, use, (best.cost, ranged, optimum.cost))
+
+
+def deviation(
+    alpha: Floats,
+    beta: Floats,
+    expected: Floats,
+    measured: Floats,
+    use: Booleans,
+    least: tuple[float, float, float],
+) -> Deviation:
+    """Return the four parts, in percent, with the 95 % interval of the model's.
+
+    Parameters
+    ----------
+    alpha, beta : float64, shape (n,)
+        Tested points.
+    expected, measured : float64, shape (n,)
+        Costs C and M of the tested points; NaN where there is none.
+    use : bool, shape (n,)
+        Points with both, `FEWEST` at least.
+    least : tuple of float
+        C(p*), C(p_r) and M(p_m).
+
+    Notes
+    -----
+    Smoothed is the logarithm of M/C, which varies little where C itself is curved. For the interval the errors of
+    single trials about the smooth one change their signs at random, and the least cost is searched for anew; what that
+    gains from such errors widens the interval to both sides.
+    """
+    free, ranged, trial = least
+    grid = float(np.nanmin(expected))
+    ranged = min(max(ranged, free), grid)
+    theory, ratio = np.log(expected[use]), np.log(measured[use] / expected[use])
+    smooth = smooth_of(alpha[use], beta[use], ratio)
+    level = smooth.of(ratio)
+    best = float((theory + level).min())
+    error = ratio - level
+    draws = np.random.default_rng(0).choice([-1.0, 1.0], size=(RESAMPLED, len(error)))
+    likely = np.argsort(theory + level)[:LIKELY]
+    near = Smooth(smooth.nearest[likely], smooth.weight[likely])
+    drawn = np.array([(theory[likely] + near.of(level + error * signs)).min() for signs in draws])
+    half = float(np.abs(np.percentile(drawn, [2.5, 97.5]) - best).max())
+    logs = {
+        "range": np.log(ranged / free),
+        "grid": np.log(grid / ranged),
+        "model": best - np.log(grid),
+        "selection": np.log(trial) - best,
+        "model_low": best - half - np.log(grid),
+        "model_high": best + half - np.log(grid),
+    }
+    return Deviation(**{name: 100 * float(np.expm1(value)) for name, value in logs.items()})
+
+
+def _least_in_range(loop: Loop, alpha: Floats, beta: Floats, criterion: str) -> float:
+    """Return theory's least cost within the smallest rectangle that holds the tested points, inf where it has none."""
+    ends = (float(alpha.min()), float(alpha.max())), (float(beta.min()), float(beta.max()))
+    least, window = np.inf, ends
+    points = SEARCH_WHOLE if criterion_of(criterion).family.whole else SEARCH
+    for _ in range(ROUNDS):
+        a, b = _grid(window, ends, points)
+        found = costs_at(loop, a, b, [criterion])[criterion]
+        if not np.isfinite(found).any():
+            break
+        at = int(np.nanargmin(found))
+        least = min(least, float(found[at]))
+        half = [1.5 * (high - low) / (points - 1) for low, high in window]
+        window = (a[at] - half[0], a[at] + half[0]), (b[at] - half[1], b[at] + half[1])
+        points = ZOOM
+    return least
+
+
+def _grid(window: Rectangle, ends: Rectangle, size: int) -> tuple[Floats, Floats]:
+    """Return the points of a grid over a window, moved into the tested range."""
+    axes = (np.clip(np.linspace(*side, size), *end) for side, end in zip(window, ends, strict=True))
+    a, b = np.meshgrid(*axes)
+    return a.ravel(), b.ravel()
