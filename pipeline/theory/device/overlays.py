@@ -5,12 +5,12 @@ Both are normalised like the loop: a force is one of m (position unit)/T^2. Neit
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from pipeline.loop.device_loop import DeviceLoop
-from pipeline.records.batch import Booleans, Floats
+from pipeline.records.batch import Floats
 from pipeline.theory.device.outline import limits
 
 _SLIDING = 0.5
@@ -21,56 +21,6 @@ _EQUIVALENTS = 12
 
 _SEEN = 0.1
 """Limit, as a share of the largest, of the dampings that say which equivalent dampings to try."""
-
-
-@dataclass(frozen=True, eq=False)
-class FrictionLimits:
-    """Walls on which an oscillation neither grows nor fades, by its amplitude, shape (n,) each.
-
-    Parameters
-    ----------
-    amplitude : float64
-        Of the motor's side, in units of friction over stiffness one (f_c T^2/m).
-    alpha : float64
-        Limit: softer walls let an oscillation of this amplitude fade, stiffer ones let it grow. nan without one.
-    angle : float64
-        Its frequency [rad/sample].
-    valid : bool
-        Whether the motion slides all through: friction at most half of the mass's own force where it turns.
-    """
-
-    amplitude: Floats
-    alpha: Floats
-    angle: Floats
-    valid: Booleans
-
-
-def friction_limits(loop: DeviceLoop, beta: float, equivalent: Floats) -> FrictionLimits:
-    """Return limit, frequency and amplitude of oscillations that Coulomb friction damps by ``equivalent``.
-
-    Parameters
-    ----------
-    loop : DeviceLoop
-    beta : float
-        Normalised damping of the wall.
-    equivalent : float64, shape (n,)
-        Normalised viscous damping that takes as much energy from the oscillation as the friction: 4 f_c/(pi omega A).
-        Falls with the amplitude, which is what it is asked for by; towards 0 the limit is the linear one.
-
-    Notes
-    -----
-    The describing function replaces the square wave of the friction by its first harmonic. The wall is the less
-    stable the larger the oscillation, so the linear limit is what remains for large ones: a limit that friction
-    raises holds for steps up to the amplitude, not beyond.
-
-    Source: Slotine and Li 1991, Applied Nonlinear Control, ch. 5 (describing function of a relay).
-    """
-    alpha, angle = np.full(len(equivalent), np.nan), np.full(len(equivalent), np.nan)
-    for i, more in enumerate(equivalent):
-        found = limits(replace(loop, delta=loop.delta + float(more)), np.array([beta]))
-        alpha[i], angle[i] = found.alpha[0], found.angle[0]
-    amplitude = 4 / (np.pi * angle * equivalent)
-    return FrictionLimits(amplitude, alpha, angle, np.asarray(_SLIDING * amplitude * angle**2 >= 1))
 
 
 def step_limits(loop: DeviceLoop, beta: Floats, share: float) -> Floats:
@@ -87,7 +37,12 @@ def step_limits(loop: DeviceLoop, beta: Floats, share: float) -> Floats:
     -----
     The equivalent damping 4 f_c/(pi omega A) depends on the limit and its frequency themselves. So limits at several
     equivalent dampings are found, with the friction that each belongs to, and joined by lines: to about a hundredth of
-    what the friction adds. Valid as `FrictionLimits`: f_c <= m omega^2 A/2.
+    what the friction adds. Valid where motion slides all through: f_c <= m omega^2 A/2.
+
+    The describing function replaces the square wave of the friction by its first harmonic. The wall is the less
+    stable the larger the oscillation, so the linear limit is what remains for large ones.
+
+    Source: Slotine and Li 1991, Applied Nonlinear Control, ch. 5 (describing function of a relay).
     """
     first = limits(loop, beta, exact=False)
     typical = 4 * share * (first.alpha + loop.gamma) / (np.pi * first.angle)

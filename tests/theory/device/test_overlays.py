@@ -5,7 +5,7 @@ import pytest
 
 from pipeline.loop.device_loop import DeviceLoop
 from pipeline.theory.device.outline import limits
-from pipeline.theory.device.overlays import friction_limits, quantum_limit, step_limits
+from pipeline.theory.device.overlays import quantum_limit, step_limits
 
 DELAY, DELTA, FRICTION, FINE = 2, 0.005, 1e-3, 100
 LOOP = DeviceLoop(0.0, DELTA, float(DELAY))
@@ -29,33 +29,6 @@ def motion(alpha, beta, start, samples=900, friction=FRICTION, quantum=0.0):
         if abs(x) > 100 * abs(start):
             break
     return np.array(result)
-
-
-@pytest.mark.parametrize("beta", [0.1, 0.2])
-def test_oscillations_grow_above_the_amplitude_of_the_describing_function_only(beta):
-    equivalent = np.array([0.01, 0.02])
-    found = friction_limits(LOOP, beta, equivalent)
-    linear = limits(LOOP, np.array([beta])).alpha[0]
-    assert (found.alpha > linear).all()
-    assert found.valid.all()
-    for alpha, amplitude in zip(found.alpha, found.amplitude * FRICTION, strict=True):
-        assert np.abs(motion(alpha, beta, 0.4 * amplitude)).max() < 1.01 * 0.4 * amplitude
-        assert np.abs(motion(alpha, beta, 2.5 * amplitude)).max() > 100 * amplitude
-
-
-def test_frequency_is_that_of_the_oscillation():
-    beta = 0.2
-    found = friction_limits(LOOP, beta, np.array([0.01]))
-    x = motion(found.alpha[0], beta, found.amplitude[0] * FRICTION, samples=300)[20:]
-    crossings = np.flatnonzero((x[:-1] < 0) & (x[1:] >= 0))
-    places = crossings - x[crossings] / (x[crossings + 1] - x[crossings])
-    assert 2 * np.pi / np.diff(places)[:4].mean() == pytest.approx(found.angle[0], rel=0.03)
-
-
-def test_little_friction_leaves_the_linear_limit_and_much_is_not_valid():
-    found = friction_limits(LOOP, 0.2, np.array([1e-6, 3.0]))
-    assert found.alpha[0] == pytest.approx(limits(LOOP, np.array([0.2])).alpha[0], rel=1e-4)
-    assert found.valid.tolist() == [True, False]
 
 
 def test_quantum_with_friction_ends_at_rest_below_its_limit():
