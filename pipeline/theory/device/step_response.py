@@ -22,6 +22,9 @@ from pipeline.theory.device.pieces import DEGREE
 _BLOCK = 16
 """Samples between two checks of which points are finished."""
 
+_FARTHEST = 1 << 18
+"""Samples before the end of an envelope that are followed: next to the limit it may lie far above the motion."""
+
 _AT_ONCE = 512
 """Points that are advanced together: products of their matrices stay in a cache, and on one processor."""
 
@@ -171,23 +174,34 @@ class _Found:
         self.entry = {band: _Passing.empty(n) for band in asked.bands}
         self.quiet, self.calm = np.zeros(n), np.zeros(n)
         self.ahead: dict[float, list[Motion]] = {band: [] for band in asked.bands}
+        self.late: dict[float, list[Integers]] = {band: [] for band in asked.bands}
         self.restless: list[Integers] = []
         self.unfinished: list[Integers] = []
+
+    def in_reach(self, ahead: Motion, band: float) -> Motion:
+        """Return the points that settle soon enough after a sample to follow them there; of the others note no time."""
+        late = ahead.stop - ahead.sample > _FARTHEST
+        self.late[band].append(ahead.index[late])
+        return ahead.part(~late)
 
     def known_peak(self, run: Motion) -> Floats:
         """Return the deviation of each point above which a later one counts."""
         return np.asarray(np.maximum(self.sampled_peak[run.index], self.asked.quiet))
 
     def costs(self) -> dict[str, Floats]:
-        result = {}
+        result: dict[str, Floats] = {}
         restless, unfinished = (
             np.concatenate([np.zeros(0, np.intp), *parts]) for parts in (self.restless, self.unfinished)
         )
         for band in self.asked.bands:
             name = f"settle_{100 * band:g}pct"
-            result[f"{name}_discrete"] = self.settled[band] + 1
+            told = {f"{name}_discrete": self.settled[band] + 1}
             if self.asked.continuous:
-                result[name] = self.entry[band].time()
+                told[name] = self.entry[band].time()
+            for at in self.late[band]:
+                for values in told.values():
+                    values[at] = np.nan
+            result |= told
         for values in result.values():
             values[restless] = np.nan
         if self.asked.overshoot:
@@ -211,7 +225,8 @@ def _follow(run: Motion, found: _Found) -> None:
         view = Outlook(run, everyone)
         run = view.unknown
         for band in asked.bands:
-            found.ahead[band].append(view.before_the_end(band))
+            ahead = view.before_the_end(band)
+            found.ahead[band].append(found.in_reach(ahead, band))
         if asked.overshoot:
             climbing.append(view.before_a_peak(found.known_peak(view.run)))
     found.restless.append(run.index[found.calm[run.index] * _BLOCK <= run.memory])
@@ -235,7 +250,7 @@ def _enter(found: _Found, band: float) -> None:
         found.settled[band][run.index[out]] = run.sample[out]
         _marched(run, found, (band,), np.inf)
         missed = (found.settled[band][run.index] < run.sample) & (run.sample > run.since)
-        run = earlier(run.part(missed))
+        run = found.in_reach(earlier(run.part(missed)), band)
 
 
 def _marched(run: Motion, found: _Found, bands: Sequence[float], samples: float) -> Motion:

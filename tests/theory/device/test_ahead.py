@@ -68,3 +68,15 @@ def test_a_wall_next_to_its_limit_settles_when_its_slowest_pole_says():
     time = np.log(0.05 / 0.02) / -np.log(pole)
     assert time > 1e6
     assert found["settle_2pct"] - found["settle_5pct"] == pytest.approx(time, abs=40)
+
+
+@pytest.mark.parametrize("seed", [8, 9, 10])
+def test_walls_next_to_the_limit_end(seed):
+    """The envelope may lie so far above the slow motion that the window before its end is too long to follow."""
+    loop = general(loop_of(*random_device(np.random.default_rng(seed), "").arguments))
+    beta = np.linspace(*outline(loop, 8).beta[[1, -2]], 5)
+    alpha = limits(loop, beta, exact=True).alpha
+    near = np.concatenate([alpha * (1 - 1e-9), alpha * 0.3])
+    found = transient_costs(loop, near, np.tile(beta, 2), (0.02,), longest=1 << 14)
+    assert not (found["settle_2pct"][:5] < 1e6).any()
+    assert np.isfinite(found["settle_2pct"][5:]).all()
