@@ -52,6 +52,7 @@ def largest(page, label):
     return float(re.search(rf"{re.escape(label)} \(\w+\): up to ([\d.]+) N/m", page)[1])
 
 
+@pytest.mark.slow
 def test_a_report_rests_on_the_loop_of_its_device_file(call, tmp_path, monkeypatch):  # noqa: F811
     (tmp_path / "devices").mkdir()
     file = tmp_path / "devices" / "arm.toml"

@@ -107,6 +107,7 @@ def verified(report: Path, processed: Path, kernel: str) -> None:
     assert "all equal" in run.stdout
 
 
+@pytest.mark.slow
 def test_a_small_report_holds_on_a_processor_of_2008(tmp_path, one_process):
     write_course(run_course(load_device("lwr"), "delay-8", seed=5, coarsen=8), tmp_path / "raw")
     processed, report = tmp_path / "processed", tmp_path / "lwr.html"

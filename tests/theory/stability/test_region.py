@@ -70,6 +70,7 @@ def shares_of_damping(loops: list[Loop], seed: int) -> list[float]:
     return result
 
 
+@pytest.mark.slow
 def test_limits_are_met_to_1e_10_by_polynomials_in_many_digits(record_property) -> None:
     random = [Loop(g, delta, p / q) for g, delta, p, q in random_loops(300, seed=14)]
     loops, checked = random + EXTREME, 0
