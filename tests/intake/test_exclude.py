@@ -282,6 +282,7 @@ def test_an_experiment_without_a_used_trial_is_left_out_and_named(store):
     assert sorted(one.trial_id for one in result.excluded) == sorted(ids(store)[n] for n in ("0.csv", "2.csv"))
 
 
+@pytest.mark.slow
 def test_verify_covers_exclusions(lab, tmp_path):
     page = tmp_path / "falcon.html"
     columns = ("trial_id", "source_path")

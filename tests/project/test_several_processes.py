@@ -136,6 +136,7 @@ def kill_often(tmp_path: Path, count: int, kills: int, pending: int, rows: int) 
     assert stored_rows(processed).total() == count
 
 
+@pytest.mark.slow
 def test_kills_at_any_moment_lose_and_double_nothing(tmp_path):
     kill_often(tmp_path, count=200, kills=10, pending=2_000, rows=5)
 

@@ -215,6 +215,7 @@ def test_masses_are_corrected_with_the_damping_of_now(lab, tmp_path, monkeypatch
     np.testing.assert_allclose(found, masses.column("mass").to_numpy() - share, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_one_long_log_costs_as_much_as_itself(lab, tmp_path, monkeypatch):
     """Padded to the longest, the experiment would take seven times the long log."""
     longest = 1 << 11

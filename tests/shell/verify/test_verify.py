@@ -157,6 +157,7 @@ def test_a_fresh_report_holds(original):
     assert any("all equal" in line for line in verify.lines_of(found))
 
 
+@pytest.mark.slow
 def test_a_report_from_a_machine_that_packs_otherwise_holds(original, tmp_path, monkeypatch):
     """The same content packs to other bytes by another build of zlib, and another number of responses fits in."""
 

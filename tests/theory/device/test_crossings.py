@@ -61,6 +61,7 @@ def test_limits_of_300_random_and_60_extreme_devices():
     assert sum(checked(random_device(rng, extreme), rng) for extreme in EXTREMES for _ in range(10)) > 40
 
 
+@pytest.mark.slow
 def test_stable_stretches_are_those_of_the_poles():
     """Verdicts over the plane, islands included, against eigenvalues."""
     rng, islands = np.random.default_rng(3), 0

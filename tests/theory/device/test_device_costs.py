@@ -111,6 +111,7 @@ def energies_in_many_digits(example, K, B, samples):
     return [float(s) for s in total], float(max(abs(z[i]) for i in truth.kept))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 4])
 def test_discrete_energies_equal_long_sums_in_many_digits(seed):
     rng = np.random.default_rng(seed)
@@ -180,6 +181,7 @@ def test_slowest_pole_in_many_digits(extreme):
     assert found.separation > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("criterion", ["energy_step_w0", "settle_2pct_discrete", "pole_radius"])
 def test_no_random_wall_beats_the_optimum(criterion):
     loop = DeviceLoop(0.0, 0.02, 1.5, lag=0.7, velocity=Butterworth(kind="butterworth", order=1, cutoff_hz=0.1))
