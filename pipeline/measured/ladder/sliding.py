@@ -1,8 +1,7 @@
 """The motion of a device with Coulomb friction under known commands: several devices and all trials together.
 
 Between two changes of its command the device moves as a linear one on which friction is a constant force, exactly. In
-the sample in which the motor's side stops, lag, mode, damper and spring count as constant: what that misses is of third
-order in the sample.
+the sample in which the motor's side stops, what drives it counts as straight over the sample.
 """
 
 from __future__ import annotations
@@ -14,7 +13,10 @@ import numpy as np
 
 from pipeline.loop.device_loop import DeviceLoop
 from pipeline.measured.ladder.plant import moved
-from pipeline.records.batch import Floats, Integers
+from pipeline.records.batch import Booleans, Floats, Integers
+
+_ROOT_STEPS = 2
+"""Newton's steps to the time of a stop, which is a straight line's to a percent."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,23 +83,47 @@ def _ahead(
         after = np.where(stuck[:, None], held, after)
     turns = ~stuck & (after[:, 1] * direction < 0)
     if turns.any():
-        _stopped(after, state, turns, direction, holds, part.duration)
+        forces = _Forces(free, holds, rates[:, 0, 1], part.duration)
+        _stopped(after, state, turns, direction, forces)
     result: Floats = after
     return result
 
 
-def _stopped(
-    after: Floats, state: Floats, turns: np.ndarray, direction: Floats, holds: Floats, duration: Floats
-) -> None:
-    """Set position and velocity of the motor's side where it stops within a part: it sticks, or turns back."""
+@dataclass(frozen=True, eq=False)
+class _Forces:
+    """Accelerations of the motor's side without friction (V, n), by friction (V, 1), and by a unit of speed (V,).
+
+    ``duration`` (V,) is that of the part.
+    """
+
+    free: Floats
+    holds: Floats
+    by_speed: Floats
+    duration: Floats
+
+
+def _stopped(after: Floats, state: Floats, turns: Booleans, direction: Floats, forces: _Forces) -> None:
+    """Set position and velocity of the motor's side where it stops within a part: it sticks, or turns back.
+
+    What drives it counts as straight over the part.
+    """
     device, trial = np.nonzero(turns)
     x, v, end = state[device, 0, trial], state[device, 1, trial], after[device, 1, trial]
-    sign, hold, h = direction[turns], holds[device, 0], duration[device]
-    free = (end - v) / h + sign * hold
+    sign, hold, h = direction[turns], forces.holds[device, 0], forces.duration[device]
+    free = forces.free[turns]
+    slows = free - sign * hold
+    jerk = 2 * (end - v - slows * h) / h**2
     until = h * v / (v - end)
-    left, back = h - until, np.where(np.abs(free) <= hold, 0.0, free + sign * hold)
-    after[device, 0, trial] = x + 0.5 * v * until + 0.5 * back * left**2
-    after[device, 1, trial] = back * left
+    for _ in range(_ROOT_STEPS):
+        until -= (v + until * (slows + 0.5 * jerk * until)) / (slows + jerk * until)
+    until = np.clip(np.nan_to_num(until), 0.0, h)
+    left, pull = h - until, free + jerk * until
+    back = pull + sign * hold
+    bend = jerk + forces.by_speed[device] * (back - slows)
+    back, bend = (np.where(np.abs(pull) <= hold, 0.0, each) for each in (back, bend))
+    stop = x + until * (v + until * (0.5 * slows + jerk * until / 6))
+    after[device, 0, trial] = stop + left**2 * (0.5 * back + bend * left / 6)
+    after[device, 1, trial] = left * (back + 0.5 * bend * left)
 
 
 def _parts(loops: list[DeviceLoop], fractions: list[float]) -> tuple[_Part | None, _Part]:

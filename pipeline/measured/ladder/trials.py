@@ -80,6 +80,12 @@ class LadderTrials:
         """Return the trials picked by a mask or by indices."""
         return LadderTrials(*(getattr(self, name)[which] for name in self.__dataclass_fields__))
 
+    def head(self, rows: int) -> LadderTrials:
+        """Return the first rows of all trials."""
+        cut = {name: value[:, :rows] for name, value in vars(self).items() if getattr(value, "ndim", 0) == 2}
+        share = (cut["weight"] > 0).sum(axis=1) / np.maximum((self.weight > 0).sum(axis=1), 1)
+        return replace(self, **cut, information=self.information * share)
+
     @cached_property
     def commands(self) -> Commands:
         """The commands in the form that responses are made from."""
