@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.measured.ladder.device import Device
-from pipeline.measured.ladder.parts import CHEAP, PARTS, likeliest, parts_of, without
+from pipeline.measured.ladder.parts import GROUPS, PARTS, likeliest, parts_of, without
 from pipeline.measured.ladder.search import cost_of, covariance_of, explained, judged, search
 from pipeline.measured.ladder.trials import LadderTrials
 from pipeline.records.batch import Floats
@@ -38,6 +38,15 @@ MOST_PARTS = 5
 
 LOST = 0.5
 """Share of the trials that must be explained for the others to be left out of the last fit."""
+
+
+def holds(explained: int, of: int) -> bool:
+    """Return whether so many of the held-out trials are nearly all; of few one may be left to chance.
+
+    >>> holds(9, 10), holds(5, 6), holds(4, 6), holds(17, 20)
+    (True, True, False, False)
+    """
+    return of - explained <= max((1 - EXPLAINED) * of, 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +75,7 @@ class Rung:
     @property
     def holds(self) -> bool:
         """Whether the device explains nearly all of the held-out trials."""
-        return self.explained >= EXPLAINED * self.of
+        return holds(self.explained, self.of)
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,13 +150,21 @@ def _rung(fitted: LadderTrials, held: LadderTrials, starts: list[Device]) -> Run
 
 
 def _more(fitted: LadderTrials, held: LadderTrials, now: Rung, bases: list[Device]) -> list[Rung]:
-    """Return the device with each part that it lacks, likeliest first; only with cheap ones where it explains."""
-    has, found = now.parts, []
-    for part, (_, starts) in PARTS.items():
-        second_mode = part.startswith("mode") and now.device.sensor
-        if part in has or second_mode or (now.holds and part not in CHEAP):
-            continue
-        found.append(_rung(fitted, held, likeliest(fitted, [s for base in bases for s in starts(fitted, base)])))
+    """Return the device with each part that it lacks, likeliest first.
+
+    Parts that take longer to look for are left out where another one explains the trials.
+    """
+    found: list[Rung] = []
+    for group in GROUPS:
+        if now.holds and group is not GROUPS[0]:
+            break
+        for part in group:
+            if part in now.parts or (part.startswith("mode") and now.device.sensor):
+                continue
+            starts = [start for base in bases for start in PARTS[part][1](fitted, base)]
+            found.append(_rung(fitted, held, likeliest(fitted, starts)))
+        if any(rung.holds for rung in found):
+            break
     return sorted(found, key=lambda rung: -rung.score)
 
 

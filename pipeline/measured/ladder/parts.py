@@ -10,20 +10,17 @@ from pipeline.measured.ladder.device import Device, Sensor
 from pipeline.measured.ladder.search import cost_of, search
 from pipeline.measured.ladder.trials import LadderTrials
 
-FEW_STEPS = 4
+FEW_STEPS = 3
 """Steps of a search that only shows whether a start is worth more."""
 
 LAGS = (0.3, 2.0)
 """Lags to start from [samples]: within a sample it looks like a delay, beyond it does not."""
 
-TURNS = np.geomspace(0.02, 1.5, 48)
-"""Angles of a mode to start from [rad a sample], 10 % apart: 3 to 240 Hz at 1 kHz."""
+TURNS = np.geomspace(0.02, 1.5, 24)
+"""Angles of a mode to start from [rad a sample], 20 % apart, which a step may bridge: 3 to 240 Hz at 1 kHz."""
 
-START_TRIALS, STARTS = 16, 3
+START_TRIALS, STARTS = 10, 3
 """Trials by which starts are compared, and how many are followed to their end; one where friction takes time."""
-
-CHEAP = ("spring", "force", "lag")
-"""Parts that are looked for in a device that explains the trials, too."""
 
 
 def _spring(trials: LadderTrials, device: Device) -> list[Device]:
@@ -74,6 +71,9 @@ PARTS: dict[str, tuple[tuple[str, ...], Callable[[LadderTrials, Device], list[De
     "mode at the load": (("turn", "ratio", "share"), _mode("load")),
 }
 """Names of the numbers of each part, and the starts of a search for it."""
+
+GROUPS = (("spring", "force", "lag"), ("mode at the motor", "mode at the load"), ("friction",))
+"""Parts by the time that they take to look for."""
 
 
 def parts_of(device: Device) -> tuple[str, ...]:

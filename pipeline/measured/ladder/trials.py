@@ -9,7 +9,7 @@ from typing import Self
 import numpy as np
 
 from pipeline.measured.fit.fit_window import Window
-from pipeline.measured.ladder.plant import Commands
+from pipeline.measured.ladder.open_loop import Commands
 from pipeline.records.batch import Booleans, Floats, Integers
 
 MOST_TRIALS = 400
