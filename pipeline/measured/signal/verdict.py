@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.measured.signal.course import LASTING, course_of, sizes
+from pipeline.measured.signal.course import LASTING, Course, course_of, sizes
 from pipeline.measured.signal.edge import first_step_alone
 from pipeline.measured.signal.modes import FEWEST_SAMPLES, NARROW, WIDE, Growth, fastest_growth
 from pipeline.measured.signal.response import NOISE_FACTOR, Response, find_response
@@ -58,7 +58,7 @@ LEFT = 0.5
 """Part of the motion that may be left of it at its end for a limit cycle that only the sensor causes."""
 
 LIMIT_SIGMAS = 3.0
-"""Rates within this many standard errors of zero are not decided where K = 0."""
+"""Rates within this many standard errors of zero decide nothing: where K = 0, and of a motion near the floor."""
 
 FEWEST_TURNS = 8
 """Changes of sign, of what no rigid device explains with K = 0, that show a vibration: a smooth error has three."""
@@ -114,8 +114,9 @@ def judge(batch: TrialBatch, response: Response | None = None) -> Verdicts:
     decay over the log must exceed the floor to decide. An oscillation that lasts above `REST_FLOORS` floors is
     unstable where the command stands at a limit in it, or where it has grown before; a motion that falls ever faster
     (friction) is stable; what has come down to the floor from far above it is stable, a limit cycle of quantum size
-    included. What neither grows nor decays beyond the floor, a motion that hardly exceeds it, one shorter than
-    `FEWEST_SAMPLES`, and a trial without a step (F_0 = 0) cannot be judged; of several steps the response to the first
+    included, unless a mode grows in what is left. What neither grows nor decays beyond the floor, a motion that hardly
+    exceeds it, one shorter than `FEWEST_SAMPLES`, and a trial without a step (F_0 = 0) cannot be judged; of several
+    steps the response to the first
     is. With K = 0 a vibration beside the motion of a rigid device makes a trial unstable where it grows, and leaves it
     open where it lasts.
 
@@ -182,14 +183,7 @@ def _judge_wall(batch: TrialBatch, edge: Integers, floor: Floats) -> Verdicts:
     grows = _adds(grown, floor) & ~at_rest
     course = course_of(batch, start, count)
     told = _told(rate, grown, course.end, floor)
-    # in a noisy motion a mode may grow by chance: a true one also grows in windows of another width
-    doubtful = np.flatnonzero((grows | (told & (rate * grown.span > -SURE_DECAY))) & ~grown.clean)
-    if len(doubtful):
-        again = fastest_growth(signal[doubtful], length[doubtful], grown.noise[doubtful], NARROW)
-        agree = _told(again.per_sample, again, course.end[doubtful], floor[doubtful])
-        told[doubtful] &= agree & (np.sign(again.per_sample) == np.sign(rate[doubtful]))
-        rate[doubtful] = np.where(rate[doubtful] > 0, np.fmin(rate[doubtful], again.per_sample), rate[doubtful])
-        grows[doubtful] &= _adds(again, floor[doubtful])
+    _look_again(signal, length, course, floor, grown, grows, told)
     # motion that no mode explains to its end: it has died away in the noise, or it has risen out of it
     unexplained = np.isnan(rate)
     grows = np.where(grown.clean, grows, (grows | (told & (rate > 0))) & ~course.falls)
@@ -203,19 +197,70 @@ def _judge_wall(batch: TrialBatch, edge: Integers, floor: Floats) -> Verdicts:
     falls |= ~grows & (course.end <= np.minimum(REST_FLOORS * floor, LEFT * course.begin))
     falls |= ~grown.clean & (course.brakes | (course.falls & (rate < 0)))
     high = course.begin >= LEAST_FALL * np.minimum(course.end, floor)
+    # a mode that the step hardly excites begins below the floor, whatever has died away above it
+    small = at_rest | (course.end <= REST_FLOORS * floor)
+    rising = _rising(signal, count, floor, ~ideal & (falls | at_rest), small)
+    sunk = np.isnan(rising)
+    rate = np.where(sunk, rate, rising)
     enough = (count >= FEWEST_SAMPLES) & (peak > 0)
-    grows &= enough & ~at_rest
-    falls = enough & (at_rest | falls) & ~grows & high
+    grows &= enough & ~at_rest & sunk
+    falls = enough & (at_rest | falls) & ~grows & high & sunk
     verdict = np.where(grows, "unstable", np.where(falls, "stable", "undecided"))
     rate = np.where(falls & (rate > 0), np.nan, rate)
     reason = [
         _undecided(*each) if text == "undecided" else NOT_TOLD if np.isnan(r) else ""
-        for text, r, *each in zip(verdict, rate, enough, high, count, course.end, strict=True)
+        for text, r, *each in zip(
+            verdict, rate, enough, high, count, course.end, rising / batch.sampling_period_s, strict=True
+        )
     ]
     return Verdicts(verdict, rate / batch.sampling_period_s, tuple(reason))
 
 
-def _undecided(visible: bool, high: bool, samples: int, left: float) -> str:
+def _look_again(
+    signal: Floats, length: Integers, course: Course, floor: Floats, grown: Growth, grows: Booleans, told: Booleans
+) -> None:
+    """Keep of the growth and of what is told of a noisy motion that which windows of another width show, too.
+
+    There a mode may grow by chance. Changes ``grows``, ``told`` and the rates of ``grown``.
+    """
+    rate = grown.per_sample
+    doubtful = np.flatnonzero((grows | (told & (rate * grown.span > -SURE_DECAY))) & ~grown.clean)
+    if len(doubtful):
+        again = fastest_growth(signal[doubtful], length[doubtful], grown.noise[doubtful], NARROW)
+        agree = _told(again.per_sample, again, course.end[doubtful], floor[doubtful])
+        told[doubtful] &= agree & (np.sign(again.per_sample) == np.sign(rate[doubtful]))
+        rate[doubtful] = np.where(rate[doubtful] > 0, np.fmin(rate[doubtful], again.per_sample), rate[doubtful])
+        grows[doubtful] &= _adds(again, floor[doubtful])
+
+
+def _rising(signal: Floats, count: Integers, floor: Floats, falls: Booleans, small: Booleans) -> Floats:
+    """Growth per sample of what grows beside or below a motion that falls, NaN where none is told.
+
+    The signal shows it where what is left is small, differences of it where a slow motion hides a vibration. The
+    standard error of the growth of one mode over n samples is sqrt(6) noise/(amplitude n^1.5) at least, with the root
+    mean square of the mode in the middle; the mode must grow by `LIMIT_SIGMAS` of it in both views. A limit cycle that
+    the sensor keeps up lasts and does not grow.
+    """
+    growth = np.full(len(signal), np.nan)
+    noise = floor / NOISE_FACTOR
+    for motion, length, noisy, some in (
+        (signal, count, noise, falls & small),
+        (np.diff(signal, axis=1), count - 1, 2 * noise, falls),
+    ):
+        index = np.flatnonzero(some)
+        if not len(index):
+            continue
+        views = [fastest_growth(motion[index], length[index], noisy[index], part) for part in (WIDE, NARROW)]
+        least = np.minimum(*(view.per_sample for view in views))
+        amplitude = views[0].amplitude * np.exp(-least * length[index] / 2)
+        error = np.sqrt(6) * views[0].noise / (amplitude * length[index] ** 1.5)
+        growth[index] = np.fmax(growth[index], np.where(least > LIMIT_SIGMAS * error, least, np.nan))
+    return growth
+
+
+def _undecided(visible: bool, high: bool, samples: int, left: float, rate: float) -> str:
+    if rate > 0:
+        return f"what is left, an amplitude of {left:.3g}, grows at {rate:.3g} 1/s, near what the sensor hides"
     if not visible:
         return (
             f"no visible motion to judge: {samples} samples after the step, of which {FEWEST_SAMPLES} must stand above "
