@@ -132,7 +132,7 @@ def judge(batch: TrialBatch, response: Response | None = None) -> Verdicts:
             index = chunk[(batch.stiffness[chunk] == 0) == free]
             if not len(index):
                 continue
-            found = judged(batch.select(index), response.edge_row[index], response.floor[index])
+            found = judged(batch.select(index), response.select(index))
             verdict[index], growth[index] = found.verdict, found.growth_per_s
             for i, text in zip(index, found.reason, strict=True):
                 reason[i] = text
@@ -158,8 +158,9 @@ def _free_motion(batch: TrialBatch, edge: Integers, floor: Floats) -> Integers:
     return (2 * onset - start).astype(np.int64)
 
 
-def _judge_wall(batch: TrialBatch, edge: Integers, floor: Floats) -> Verdicts:
-    start = _free_motion(batch, edge, floor)
+def _judge_wall(batch: TrialBatch, response: Response) -> Verdicts:
+    floor = response.floor
+    start = _free_motion(batch, response.edge_row, floor)
     change = np.nan_to_num(np.diff(batch.position, axis=1))
     column = np.arange(change.shape[1])[None, :]
     count = np.maximum(batch.rows - 1 - start, 0)
@@ -197,12 +198,12 @@ def _judge_wall(batch: TrialBatch, edge: Integers, floor: Floats) -> Verdicts:
     falls |= ~grows & (course.end <= np.minimum(REST_FLOORS * floor, LEFT * course.begin))
     falls |= ~grown.clean & (course.brakes | (course.falls & (rate < 0)))
     high = course.begin >= LEAST_FALL * np.minimum(course.end, floor)
+    enough = (count >= FEWEST_SAMPLES) & (peak > 0)
     # a mode that the step hardly excites begins below the floor, whatever has died away above it
-    small = at_rest | (course.end <= REST_FLOORS * floor)
-    rising = _rising(signal, count, floor, ~ideal & (falls | at_rest), small)
+    left = enough & ~ideal & (falls | at_rest)
+    rising = _rising(signal, count, response, left, left & (at_rest | (course.end <= REST_FLOORS * floor)))
     sunk = np.isnan(rising)
     rate = np.where(sunk, rate, rising)
-    enough = (count >= FEWEST_SAMPLES) & (peak > 0)
     grows &= enough & ~at_rest & sunk
     falls = enough & (at_rest | falls) & ~grows & high & sunk
     verdict = np.where(grows, "unstable", np.where(falls, "stable", "undecided"))
@@ -233,28 +234,31 @@ def _look_again(
         grows[doubtful] &= _adds(again, floor[doubtful])
 
 
-def _rising(signal: Floats, count: Integers, floor: Floats, falls: Booleans, small: Booleans) -> Floats:
+def _rising(signal: Floats, count: Integers, response: Response, falls: Booleans, small: Booleans) -> Floats:
     """Growth per sample of what grows beside or below a motion that falls, NaN where none is told.
 
     The signal shows it where what is left is small, differences of it where a slow motion hides a vibration. The
     standard error of the growth of one mode over n samples is sqrt(6) noise/(amplitude n^1.5) at least, with the root
-    mean square of the mode in the middle; the mode must grow by `LIMIT_SIGMAS` of it in both views. A limit cycle that
-    the sensor keeps up lasts and does not grow.
+    mean square of the mode in the middle; the mode must grow by `LIMIT_SIGMAS` of it in both views. A quantum errs by a
+    pattern and not by chance, as far as noise does not blur it: growth must add more than it can, as a limit cycle that
+    it keeps up seems to grow a bit.
     """
     growth = np.full(len(signal), np.nan)
-    noise = floor / NOISE_FACTOR
-    for motion, length, noisy, some in (
-        (signal, count, noise, falls & small),
-        (np.diff(signal, axis=1), count - 1, 2 * noise, falls),
-    ):
+    noise = response.floor / NOISE_FACTOR
+    pattern = np.maximum(SENSOR_SHARE * response.sensor_quantum - np.nan_to_num(response.sensor_noise), 0.0)
+    # a difference of differences bears more of the errors: sqrt(3) times where they are white
+    for motion, length, more, some in ((signal, count, 1, small), (np.diff(signal, axis=1), count - 1, 2, falls)):
         index = np.flatnonzero(some)
         if not len(index):
             continue
-        views = [fastest_growth(motion[index], length[index], noisy[index], part) for part in (WIDE, NARROW)]
-        least = np.minimum(*(view.per_sample for view in views))
-        amplitude = views[0].amplitude * np.exp(-least * length[index] / 2)
-        error = np.sqrt(6) * views[0].noise / (amplitude * length[index] ** 1.5)
-        growth[index] = np.fmax(growth[index], np.where(least > LIMIT_SIGMAS * error, least, np.nan))
+        n, views = length[index], []
+        for part in (WIDE, NARROW):
+            view = fastest_growth(motion[index], n, more * noise[index], part)
+            least = view.per_sample
+            error = np.sqrt(6) * view.noise / (view.amplitude * np.exp(-least * n / 2) * n**1.5)
+            told = (least > LIMIT_SIGMAS * error) & (-view.amplitude * np.expm1(-least * n) > more * pattern[index])
+            views.append(np.where(told, least, np.nan))
+        growth[index] = np.fmax(growth[index], np.minimum(*views))
     return growth
 
 
@@ -299,12 +303,13 @@ def _end_spread(batch: TrialBatch, start: Integers, count: Integers) -> Floats:
     return spread
 
 
-def _judge_free(batch: TrialBatch, edge: Integers, floor: Floats) -> Verdicts:
+def _judge_free(batch: TrialBatch, response: Response) -> Verdicts:
     """Judge trials with K = 0 by x = A + C t + E exp(rate t), fitted without knowing A, C, E.
 
     For samples of this form x_k is linear in 1, k, k^2 and the running sum of x, and the factor of the sum is
     exp(rate T) - 1, exactly. Sums average the noise, where differences would amplify it.
     """
+    edge, floor = response.edge_row, response.floor
     start = _free_motion(batch, edge, floor)
     # fast modes of the delay line are forgotten after some more delays; a third of the log is left at least
     extra = np.minimum(3 * np.maximum(start - np.maximum(edge, 0), 2), (batch.rows - start) // 4)
