@@ -200,8 +200,7 @@ def _judge_wall(batch: TrialBatch, response: Response) -> Verdicts:
     high = course.begin >= LEAST_FALL * np.minimum(course.end, floor)
     enough = (count >= FEWEST_SAMPLES) & (peak > 0)
     # a mode that the step hardly excites begins below the floor, whatever has died away above it
-    left = enough & ~ideal & (falls | at_rest)
-    rising = _rising(signal, count, response, left, left & (at_rest | (course.end <= REST_FLOORS * floor)))
+    rising = _rising(signal, count, response, enough & ~ideal & (falls | at_rest))
     sunk = np.isnan(rising)
     rate = np.where(sunk, rate, rising)
     grows &= enough & ~at_rest & sunk
@@ -234,10 +233,10 @@ def _look_again(
         grows[doubtful] &= _adds(again, floor[doubtful])
 
 
-def _rising(signal: Floats, count: Integers, response: Response, falls: Booleans, small: Booleans) -> Floats:
+def _rising(signal: Floats, count: Integers, response: Response, falls: Booleans) -> Floats:
     """Growth per sample of what grows beside or below a motion that falls, NaN where none is told.
 
-    The signal shows it where what is left is small, differences of it where a slow motion hides a vibration. The
+    Differences show it where a slow motion hides a vibration. However small the mode, its standard error tells it: the
     standard error of the growth of one mode over n samples is sqrt(6) noise/(amplitude n^1.5) at least, with the root
     mean square of the mode in the middle; the mode must grow by `LIMIT_SIGMAS` of it in both views. A quantum errs by a
     pattern and not by chance, as far as noise does not blur it: growth must add more than it can, as a limit cycle that
@@ -247,13 +246,11 @@ def _rising(signal: Floats, count: Integers, response: Response, falls: Booleans
     noise = response.floor / NOISE_FACTOR
     pattern = np.maximum(SENSOR_SHARE * response.sensor_quantum - np.nan_to_num(response.sensor_noise), 0.0)
     # a difference of differences bears more of the errors: sqrt(3) times where they are white
-    for motion, length, more, some in ((signal, count, 1, small), (np.diff(signal, axis=1), count - 1, 2, falls)):
-        index = np.flatnonzero(some)
-        if not len(index):
-            continue
+    index = np.flatnonzero(falls)
+    for motion, length, more in ((signal, count, 1), (np.diff(signal, axis=1), count - 1, 2)) if len(index) else ():
         n, views = length[index], []
         for part in (WIDE, NARROW):
-            view = fastest_growth(motion[index], n, more * noise[index], part)
+            view = fastest_growth(motion[index], n, more * noise[index], part, 0.0)
             least = view.per_sample
             error = np.sqrt(6) * view.noise / (view.amplitude * np.exp(-least * n / 2) * n**1.5)
             told = (least > LIMIT_SIGMAS * error) & (-view.amplitude * np.expm1(-least * n) > more * pattern[index])
@@ -264,7 +261,7 @@ def _rising(signal: Floats, count: Integers, response: Response, falls: Booleans
 
 def _undecided(visible: bool, high: bool, samples: int, left: float, rate: float) -> str:
     if rate > 0:
-        return f"what is left, an amplitude of {left:.3g}, grows at {rate:.3g} 1/s, near what the sensor hides"
+        return f"a mode grows at {rate:.3g} 1/s in a motion that falls to an amplitude of {left:.3g}"
     if not visible:
         return (
             f"no visible motion to judge: {samples} samples after the step, of which {FEWEST_SAMPLES} must stand above "
