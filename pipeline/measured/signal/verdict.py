@@ -200,7 +200,7 @@ def _judge_wall(batch: TrialBatch, response: Response) -> Verdicts:
     high = course.begin >= LEAST_FALL * np.minimum(course.end, floor)
     enough = (count >= FEWEST_SAMPLES) & (peak > 0)
     # a mode that the step hardly excites begins below the floor, whatever has died away above it
-    rising = _rising(signal, count, response, enough & ~ideal & (falls | at_rest))
+    rising = _rising(signal, count, response, enough & ~ideal & (falls | at_rest) & ~course.brakes)
     sunk = np.isnan(rising)
     rate = np.where(sunk, rate, rising)
     grows &= enough & ~at_rest & sunk
