@@ -132,7 +132,8 @@ def climb(trials: LadderTrials, ideal: Device, groups: Sequence[Sequence[str]] =
     others = [rung for rung in (*tried, *less) if not set(now.parts) <= set(rung.parts)]
     others.sort(key=lambda rung: -rung.score)
     alike = [r for r in others if r.holds and len(r.parts) == len(now.parts) and now.score - r.score <= MISSED]
-    best, covariance = _refined(trials, now.device)
+    # of what does not hold with few trials more of them tell nothing
+    best, covariance = _refined(trials if now.holds else few, now.device)
     return Ladder(best, covariance, tried[0], others[0] if others else None, tuple(alike))
 
 
