@@ -28,6 +28,7 @@ from pipeline.comparison.scene.scene import (
 from pipeline.comparison.scene.scene_parts import plan_parts
 from pipeline.comparison.scores.scores import add_scores
 from pipeline.comparison.stage_pool import compute_stages
+from pipeline.comparison.summary.answer import answer
 from pipeline.comparison.summary.summary import summarise
 from pipeline.comparison.summary.summary_warnings import warnings_of
 from pipeline.comparison.tables_d import TableBuilder
@@ -39,6 +40,7 @@ from pipeline.records.results import (
     ExperimentResult,
     ReportData,
 )
+from pipeline.rendering.labels import UNITS
 from pipeline.rendering.report.report import write as write_report
 from pipeline.rendering.report.report_scripts import page_files
 from pipeline.theory.predictions import Predictions, Theory
@@ -130,7 +132,7 @@ def compare(
         trials = partial(trial_page, data, found.results, found.theories, full=full, responses=responses)
         page = ReportData(
             result,
-            figures=FigureBuilder(data, found.theories, found.results).asked(found.rows, predictions),
+            figures=FigureBuilder(data, found.theories, found.results, result.answer).asked(found.rows, predictions),
             stages=_rows(plan),
             accuracy=accuracy,
             trials=trials() if asked.has_figure("trials") else None,
@@ -181,7 +183,9 @@ def _compute(
 def _result(
     data: SceneData, found: _Found, report: Path | None, origin: Callable[..., dict[str, str]]
 ) -> ComparisonResult:
-    sentences = summarise(data, found.results, found.rows)
+    units = UNITS[motion_of(data)]
+    told = answer(data, found.results, found.rows, units)
+    sentences = summarise(told, found.results, found.rows, units)
     logs = tuple(log_list(stages) for stages in data.experiments)
     return ComparisonResult(
         device=data.scene.device,
@@ -192,6 +196,7 @@ def _result(
         criteria=data.scene.criteria,
         experiments=tuple(found.results),
         tables=found.rows,
+        answer=told,
         summary=tuple(sentence.text for sentence in sentences),
         summary_sources=tuple(sentence.source for sentence in sentences),
         warnings=warnings_of(data, found.results),

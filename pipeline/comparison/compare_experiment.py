@@ -10,6 +10,7 @@ from pipeline.comparison.loops.loop_range import adequate_theory, estimated_rang
 from pipeline.comparison.scene.scene import SceneData, needed_stages
 from pipeline.comparison.scores.implied_delay import implied_delay
 from pipeline.comparison.scores.implied_slope import DeviceParameters
+from pipeline.comparison.summary.advice import region_to_use
 from pipeline.loop.loop import LARGEST_DELAY
 from pipeline.measured.experiment.boundary_band import boundary_area
 from pipeline.measured.experiment.estimates import (
@@ -105,6 +106,8 @@ def experiment_result(data: SceneData, stages: ExperimentStages, theory: Theory 
         missing=missing,
         theory=theory.parameters if theory else None,
     )
+    use, why = region_to_use(result, stages)
+    result = result.model_copy(update={"use": use, "use_reason": why or None})
     return _with_loop(data, stages, result, units) if "wall_law" in needed else result
 
 

@@ -47,7 +47,8 @@ class Curve:
 
     ``kind`` is ``measured`` (solid), ``theory`` (dashed), ``linear`` and ``bound`` (dotted: condition (3.25), and
     the straight upper bound of a measurement), ``friction`` (dash, dot, dot), ``passive`` (thin, filled), ``robust``
-    (thin), ``band`` (thin dots) or ``envelope`` (filled between ``low`` and ``high``). A label that begins with an
+    (thin), ``band`` (thin dots), ``envelope`` (filled between ``low`` and ``high``), ``use`` (a filled outline), or
+    ``stable`` and ``unstable`` (dots and crosses, one a trial). A label that begins with an
     underscore is not shown. ``censored`` marks the points of a measured curve where the tested range ended before an
     unstable trial. ``low`` and ``high`` are stiffnesses at the dampings of the curve: an envelope, or what a measured
     limit leaves open (NaN where that is not known).

@@ -6,7 +6,7 @@ Records (pydantic) are the JSON document; `ReportData` adds the arrays of the fi
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 from pydantic import Field
 
@@ -44,8 +44,57 @@ class OtherDefinitions(Record):
     overshoot_last_sample: float | None
 
 
+class CostRange(Record):
+    """Costs of some trials: their median, the least and the largest."""
+
+    median: float
+    low: float
+    high: float
+
+
+class UseRegion(Record):
+    """Walls to use: a rectangle of stiffness [N/m, Nm/rad] and damping [Ns/m, Nms/rad] of nothing but stable trials.
+
+    ``costs`` are those of its ``trials``, by criterion: a further trial there lies between ``low`` and ``high`` with a
+    chance of (trials - 1)/(trials + 1). ``margin`` is the lower end of the measured limit over the largest stiffness
+    of the region, the least over its dampings, itself a lower bound where ``bound``. ``criterion`` is what it was
+    chosen by.
+    """
+
+    criterion: str
+    stiffness_low: float
+    stiffness_high: float
+    damping_low: float
+    damping_high: float
+    trials: int
+    costs: dict[str, CostRange]
+    margin: float
+    bound: bool
+
+
+class Mark(Record):
+    """Whether something that the numbers rest on holds, and the sentence that says so."""
+
+    name: Literal["wall_law", "loop", "limits"]
+    state: Literal["yes", "partly", "no", "unknown"]
+    text: str
+
+
+class Answer(Record):
+    """What a reader of one screen is told: verdict, walls to use, what to trust, and causes in order.
+
+    ``experiment`` is the one that is spoken of, and drawn beside; ``use`` is empty where no wall can be named.
+    """
+
+    experiment: str
+    verdict: str
+    use: str = ""
+    marks: tuple[Mark, ...] = ()
+    causes: tuple[str, ...] = ()
+
+
 class ExperimentResult(Record):
-    """All that was found for one experiment."""
+    """All that was found for one experiment; ``use_reason`` says why there is no region to use."""
 
     experiment: str
     configuration: str
@@ -68,6 +117,8 @@ class ExperimentResult(Record):
     passive: PassiveWall | None = None
     passive_reason: str | None = None
     causes: tuple[Cause, ...] = ()
+    use: UseRegion | None = None
+    use_reason: str | None = None
 
 
 class LogList(Record):
@@ -95,6 +146,7 @@ class ComparisonResult(Record):
     criteria: tuple[str, ...]
     experiments: tuple[ExperimentResult, ...]
     tables: tuple[ComparisonRow, ...]
+    answer: Answer | None = None
     summary: tuple[str, ...]
     summary_sources: tuple[str, ...] = ()
     """Anchor of the figure or table that each sentence of the summary rests on; empty where there is none."""

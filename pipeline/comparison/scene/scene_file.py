@@ -22,6 +22,7 @@ from pipeline.store.names import report_of
 REPORT_TABLES = {
     "scores": "measured against theory",
     "estimate_scores": "measured against theory by the estimates",
+    "use": "walls to use",
     "optima": "trials with the least cost",
     "boundary": "stability limits over damping",
     "experiments": "trials, verdicts, estimates",

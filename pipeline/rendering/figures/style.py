@@ -54,7 +54,15 @@ LINES: dict[str, Any] = {
     "passive": "-",
     "robust": "-.",
     "envelope": "-",
+    "use": "-",
+    "stable": "none",
+    "unstable": "none",
 }
+DOTS: dict[str, Any] = {
+    "stable": {"marker": "o", "ms": 1.6, "mew": 0},
+    "unstable": {"marker": "x", "ms": 3.4, "mew": 0.9},
+}
+"""Marks of single trials."""
 
 RC: Any = {
     "text.parse_math": False,  # a dollar sign in a name is no formula

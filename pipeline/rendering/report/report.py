@@ -19,7 +19,9 @@ from pipeline.records.accuracy import AccuracyReport, own_rungs
 from pipeline.records.criteria import criterion_of
 from pipeline.records.results import ComparisonResult, ReportData
 from pipeline.records.trial_codec import NO_TRIALS, TrialPage
+from pipeline.rendering.labels import UNITS
 from pipeline.rendering.report import (
+    report_answer,
     report_estimates,
     report_figures,
     report_parts,
@@ -44,6 +46,7 @@ TABLES: dict[str, Callable[[ComparisonResult, TrialPage], Table | list[Table] | 
     "model": report_estimates.model_table,
     "outcomes": report_estimates.outcome_table,
     "windows": report_estimates.window_table,
+    "use": report_answer.use_table,
     "definitions": report_estimates.definition_table,
     "missing": report_tables.missing_table,
     "excluded": report_tables.excluded_table,
@@ -98,6 +101,7 @@ def render(data: ReportData) -> str:
         footnote=footnote,
         families=list(dict.fromkeys(criterion_of(name).family for name in result.criteria)),
         figures=report_figures.drawings(data),
+        use_facts=_use_facts(result),
         **_tables(data),
     )
     page = unbroken(page)
@@ -123,6 +127,12 @@ def tables_of(name: str, result: ComparisonResult, trials: TrialPage = NO_TRIALS
     """Return the tables of `TABLES` by a name; none where there is nothing to say."""
     found = TABLES[name](result, trials)
     return found if isinstance(found, list) else [found] if found else []
+
+
+def _use_facts(result: ComparisonResult) -> dict[str, str]:
+    told = result.answer.experiment if result.answer else None
+    use = next((e.use for e in result.experiments if e.experiment == told), None)
+    return report_answer.use_facts(use, UNITS[result.motion]) if use else {}
 
 
 def _tables(data: ReportData) -> dict[str, Any]:
