@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -32,6 +32,7 @@ from pipeline.comparison.summary.answer import answer
 from pipeline.comparison.summary.summary import summarise
 from pipeline.comparison.summary.summary_warnings import warnings_of
 from pipeline.comparison.tables_d import TableBuilder
+from pipeline.comparison.truths import truths, with_truth
 from pipeline.device_data.published import published_files
 from pipeline.records import accuracy as measured_accuracy
 from pipeline.records.models import ComparisonRow, Shown
@@ -39,6 +40,7 @@ from pipeline.records.results import (
     ComparisonResult,
     ExperimentResult,
     ReportData,
+    Truth,
 )
 from pipeline.rendering.labels import UNITS
 from pipeline.rendering.report.report import write as write_report
@@ -67,6 +69,7 @@ def compare(
     responses: Sequence[int] | None = None,
     shown: Shown | None = None,
     scene_file: Path | None = None,
+    truth: Mapping[str, Truth] | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Outcome:
     """Compare the stored experiments of a device with theory, and write the report.
@@ -92,6 +95,8 @@ def compare(
         Which figures, tables and overlays the report has; by default all that there is data for.
     scene_file : Path, optional
         Where that was read from; the report names it in the command that repeats the comparison.
+    truth : mapping of experiment to Truth, optional
+        What was true of simulated experiments whose ``truth.json`` is gone.
     progress : callable, optional
         Gets the name of each step when it begins.
 
@@ -105,6 +110,7 @@ def compare(
         Where the request does not fit what is stored; see `scene.open_scene`.
     """
     data = open_scene(device, processed, experiments, criteria, shown)
+    data = replace(data, truth=truths(data.experiments, truth or {}))
     plan = plan_measured(data)
     predictions = Predictions(processed / "theory")
     early = nominal_theories(data)
@@ -177,7 +183,8 @@ def _compute(
             results = [r.model_copy(update={"theory": own.get(r.experiment)}) for r in results]
         predictions.finish()
     rows = builder.rows(predictions, results)
-    return _Found(add_scores(data, results, theories, predictions), theories, rows)
+    scored = add_scores(data, results, theories, predictions)
+    return _Found([with_truth(result, data.truth.get(result.experiment)) for result in scored], theories, rows)
 
 
 def _result(
@@ -245,7 +252,9 @@ def _report_key(data: SceneData, path: Path | None, accuracy: str, full: bool) -
     stages = [[e.experiment, *(e.key(s) for s in needed)] for e in data.experiments]
     device = data.device.model_dump_json() if data.device else ""
     excluded = [one.model_dump() for one in data.excluded]
-    return digest([data.scene.model_dump_json(), stages, device, report_code(), str(path), accuracy, full, excluded])
+    truth = {name: one.model_dump(mode="json") for name, one in data.truth.items()}
+    shown = [data.scene.model_dump_json(), stages, device, report_code(), str(path), accuracy, full, excluded, truth]
+    return digest(shown)
 
 
 def _stored_result(path: Path | None, key: str) -> ComparisonResult | None:

@@ -28,8 +28,12 @@ class Figure(Generic[P]):
     panels : tuple
     criterion : str
         Whose costs are shown, where they are of one.
+    group : str
+        What figures of all criteria show: costs of a table's experiments, or departures from theory.
     theory_label : str
         Names the dashed curves in the legend where their own labels stand beside them or are not shown.
+    simulated : bool
+        Whether it shows simulated logs, which each panel then bears on it.
     """
 
     kind: FigureKind
@@ -38,7 +42,9 @@ class Figure(Generic[P]):
     caption: str
     panels: tuple[P, ...]
     criterion: str = ""
+    group: str = ""
     theory_label: str = ""
+    simulated: bool = False
 
 
 @dataclass(frozen=True, eq=False)

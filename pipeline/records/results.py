@@ -44,6 +44,48 @@ class OtherDefinitions(Record):
     overshoot_last_sample: float | None
 
 
+class Truth(Record):
+    """What was true of a simulated experiment: its loop, and beside that jitter [samples] and constant force [N, Nm].
+
+    The delay of ``loop`` is the mean of a jittering one, ``jitter_samples`` its standard deviation. ``limit_reason``
+    says why the limits of the loop are not known.
+    """
+
+    loop: TheoryParameters
+    jitter_samples: float
+    constant_force: float
+    limit_reason: str | None = None
+
+    @property
+    def values(self) -> dict[str, float | None]:
+        """True values by the names of estimates, which are those that the wall feels, per unit of command.
+
+        With an actuator's lag there is no true delay: logs show both as one.
+        """
+        p, parts = self.loop, self.loop.loop
+        held, gain = parts.operator, parts.force_gain
+        delay = None if parts.actuator_lag_s else p.delay_samples
+        return {
+            "delay_samples": delay,
+            "mass": (p.mass + (held.mass if held else 0.0)) / gain,
+            "damping": (p.damping + (held.damping if held else 0.0)) / gain,
+            "implied_delay": delay,
+            "jitter_samples": self.jitter_samples,
+            "friction": (parts.friction.coulomb if parts.friction else 0.0) / gain,
+            "device_stiffness": (p.stiffness + (held.stiffness if held else 0.0)) / gain,
+            "constant_force": self.constant_force / gain,
+        }
+
+
+class TruthHeld(Record):
+    """How many 95 % intervals there are for what is known of a simulation, and how many of them hold the truth."""
+
+    estimates: int
+    estimates_held: int
+    limits: int
+    limits_held: int
+
+
 class CostRange(Record):
     """Costs of some trials: their median, the least and the largest."""
 
@@ -119,6 +161,8 @@ class ExperimentResult(Record):
     causes: tuple[Cause, ...] = ()
     use: UseRegion | None = None
     use_reason: str | None = None
+    truth: Truth | None = None
+    truth_held: TruthHeld | None = None
 
 
 class LogList(Record):

@@ -7,13 +7,14 @@ from typing import Any
 
 from pipeline.records.criteria import criterion_of
 from pipeline.records.findings import Record
+from pipeline.records.models import Deviation
 from pipeline.records.results import ComparisonResult
 from pipeline.rendering.labels import UNITS, Units
 from pipeline.rendering.table import Column, Table, Value
 
 Row = dict[str, Value]
 
-_LEFT_OUT = {"table", "by_method", "trend", "outliers"}
+_LEFT_OUT = {"table", "by_method", "trend", "outliers", "deviation"}
 """Fields that hold other records or lists; the JSON document has them."""
 
 
@@ -23,7 +24,7 @@ def value_tables(result: ComparisonResult) -> tuple[Table, ...]:
     Values are SI, costs as in the JSON document (overshoot as a fraction). Tables without rows are left out.
     """
     units = _units(UNITS[result.motion])
-    limits = dict.fromkeys(("stable", "unstable", "estimate", "low", "high"), UNITS[result.motion].stiffness)
+    limits = dict.fromkeys(("stable", "unstable", "estimate", "low", "high", "truth"), UNITS[result.motion].stiffness)
     names = dict.fromkeys(row.table for row in result.tables)
     found = [_table(name, units, _optimal_points(result, name)) for name in names]
     found += [
@@ -60,7 +61,7 @@ def _units(units: Units) -> dict[str, str]:
         **dict.fromkeys(("damping", "published_damping"), units.damping),
         **dict.fromkeys(("mass", "scatter"), units.mass),
         **dict.fromkeys(("delay_samples", *settling), "samples"),
-        "deviation_percent": "%",
+        **dict.fromkeys(("deviation_percent", *(f"deviation_{part}" for part in Deviation.model_fields)), "%"),
         "window_s": "s",
     }
 
@@ -83,7 +84,10 @@ def _cost_unit(criterion: str) -> Row:
 
 
 def _optimal_points(result: ComparisonResult, name: str) -> Iterator[Row]:
-    yield from (_fields(row) | _cost_unit(row.criterion) for row in result.tables if row.table == name)
+    for row in result.tables:
+        if row.table == name:
+            parts = {f"deviation_{part}": getattr(row.deviation, part, None) for part in Deviation.model_fields}
+            yield _fields(row) | parts | _cost_unit(row.criterion)
 
 
 def _estimates(result: ComparisonResult) -> Iterator[Row]:

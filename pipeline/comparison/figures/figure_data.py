@@ -84,7 +84,7 @@ class FigureBuilder:
         found = list[Figure[Any]](with_overlays((*self.answered(), *self.boundaries()), shown))
         for kind, build in builders.items():
             found += build() if shown.has_figure(kind) else ()
-        return tuple(found)
+        return tuple(replace(figure, simulated=self.data.simulated) for figure in found)
 
     def answered(self) -> Iterator[Figure[Limits]]:
         """Yield the picture beside the answer, where there is one and a limit to draw."""
@@ -234,4 +234,5 @@ def _cost_figure(
         f"for each stiffness and all trials.{optima} In the manner of Fig. {thesis}.",
         panels,
         criterion,
+        f"costs, {label}",
     )

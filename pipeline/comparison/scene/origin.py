@@ -107,7 +107,8 @@ def request(data: SceneData, lists: Sequence[LogList], processed: Path, code: st
     logs = {e.experiment: {"files": len(e.files), "sha256": e.sha256, "samples": e.samples} for e in lists}
     excluded = [one.model_dump() for one in data.excluded]
     asked = {"processed": str(processed), "scene": data.scene.model_dump(mode="json")}
-    return asked | {"logs": logs, "code": code, "excluded": excluded}
+    truth = {name: one.model_dump(mode="json") for name, one in data.truth.items()}
+    return asked | {"logs": logs, "code": code, "excluded": excluded, "truth": truth}
 
 
 def _command(data: SceneData, processed: Path, output: Sequence[str]) -> str:
