@@ -7,6 +7,7 @@ from collections.abc import Collection, Mapping, Sequence
 
 from pipeline.comparison.loops.findings import loop_findings
 from pipeline.comparison.loops.loop_range import adequate_theory, estimated_range
+from pipeline.comparison.scene.origin import header_lines
 from pipeline.comparison.scene.scene import SceneData, needed_stages
 from pipeline.comparison.scores.implied_delay import implied_delay
 from pipeline.comparison.scores.implied_slope import DeviceParameters
@@ -105,6 +106,7 @@ def experiment_result(data: SceneData, stages: ExperimentStages, theory: Theory 
         optimum=optimum,
         missing=missing,
         theory=theory.parameters if theory else None,
+        header=header_lines(stages),
     )
     use, why = region_to_use(result, stages)
     result = result.model_copy(update={"use": use, "use_reason": why or None})

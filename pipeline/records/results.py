@@ -135,6 +135,18 @@ class Answer(Record):
     causes: tuple[str, ...] = ()
 
 
+class HeaderLine(Record):
+    """A header line that only the lab knows, such as firmware or grease: in how many trials, and with which values.
+
+    ``values`` has at most a few of them with their trials, the commonest first; ``different`` counts all.
+    """
+
+    key: str
+    trials: int
+    different: int
+    values: dict[str, int]
+
+
 class ExperimentResult(Record):
     """All that was found for one experiment; ``use_reason`` says why there is no region to use."""
 
@@ -159,6 +171,7 @@ class ExperimentResult(Record):
     passive: PassiveWall | None = None
     passive_reason: str | None = None
     causes: tuple[Cause, ...] = ()
+    header: tuple[HeaderLine, ...] = ()
     use: UseRegion | None = None
     use_reason: str | None = None
     truth: Truth | None = None

@@ -36,6 +36,7 @@ def value_tables(result: ComparisonResult) -> tuple[Table, ...]:
         _table("scores", {}, _scores(result)),
         _table("loop_boundary", units, _limits(result)),
         _table("causes", {}, _listed(result, "causes")),
+        _table("header", {}, _header(result)),
         _table("trials", {}, _counts(result)),
         _table("missing", {}, _missing(result)),
     ]
@@ -95,6 +96,13 @@ def _estimates(result: ComparisonResult) -> Iterator[Row]:
         for quantity, best in e.estimates.items():
             for use, value in (("recommended", best), *best.by_method.items()):
                 yield {"experiment": e.experiment, "quantity": quantity, "use": use, **_fields(value)}
+
+
+def _header(result: ComparisonResult) -> Iterator[Row]:
+    for e in result.experiments:
+        for line in e.header:
+            for value, trials in line.values.items():
+                yield {"experiment": e.experiment, "key": line.key, "value": value, "trials": trials}
 
 
 def _listed(result: ComparisonResult, field: str) -> Iterator[Row]:

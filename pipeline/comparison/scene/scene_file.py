@@ -27,6 +27,7 @@ REPORT_TABLES = {
     "boundary": "stability limits over damping",
     "experiments": "trials, verdicts, estimates",
     "methods": "estimates by method",
+    "header": "header lines that only the lab knows",
     "model": "does the model explain the logs?",
     "outcomes": "what the logs show",
     "windows": "mass over its window",

@@ -52,6 +52,7 @@ TABLES: dict[str, Callable[[ComparisonResult, TrialPage], Table | list[Table] | 
     "definitions": report_estimates.definition_table,
     "missing": report_tables.missing_table,
     "excluded": report_tables.excluded_table,
+    "header": report_tables.header_table,
     "score_costs": report_scores.cost_score_table,
     "score_rules": report_scores.rule_score_table,
 }

@@ -118,6 +118,20 @@ def excluded_table(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> T
     return table.filled
 
 
+def header_table(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> Table | None:
+    """Return what logs say of themselves in header lines of the lab, or None where they say nothing more."""
+    columns = (words("line"), Column("trials"), words("values", "values (trials)"))
+    table = Table("header", "Header lines of the logs that only the lab knows; no number rests on them", columns)
+    for e in result.experiments:
+        for line in e.header:
+            told = [f"{value or 'empty'} ({count})" for value, count in line.values.items()]
+            more = line.different - len(told)
+            values = "; ".join([*told, *([f"{more} more"] if more else [])])
+            cells = {"line": line.key, "trials": line.trials, "values": values}
+            table.add(f"{e.experiment}/{line.key}", cells, f"experiment {e.experiment}")
+    return table.filled
+
+
 def _rows_by_table(result: ComparisonResult) -> dict[str, list[ComparisonRow]]:
     tables: dict[str, list[ComparisonRow]] = {}
     for row in result.tables:
