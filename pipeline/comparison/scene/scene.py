@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from pipeline.base.errors import DeviceError, StoreError, UsageError
-from pipeline.device_data.devices import known_devices
+from pipeline.device_data.devices import declared_spring, known_devices
 from pipeline.measured.stages.stages import STAGES, ExperimentStages, required
 from pipeline.records.criteria import FAMILIES, MEASURED, REPORTED, criterion_of, members
 from pipeline.records.models import Device, Scene, Shown
@@ -82,7 +82,7 @@ def open_scene(
         raise DeviceError(f"device {device!r} has no logs of experiment {missing[0]!r}; found {', '.join(stored)}.")
     chosen_names = tuple(e for e in stored if not experiments or e in experiments)
     known = known_devices().get(device)
-    every = [ExperimentStages.stored(processed, device, e) for e in chosen_names]
+    every = [ExperimentStages.stored(processed, device, e, declared_spring(known, e)) for e in chosen_names]
     data = tuple(d for d in every if d.trials.num_rows)
     left_out = [d.experiment for d in every if not d.trials.num_rows and (experiments or not data)]
     if left_out:

@@ -82,9 +82,8 @@ def warnings_of(data: SceneData, results: Sequence[ExperimentResult]) -> tuple[s
     if data.device is not None:
         warnings += _conflicts(data, data.device)
     else:
-        warnings.append(
-            f"The device {data.scene.device!r} has no device file: theory uses the parameters estimated from its logs."
-        )
+        by = "theory uses the parameters estimated from its logs" if any(map(_has_theory, results)) else "no theory"
+        warnings.append(f"The device {data.scene.device!r} has no device file: {by}.")
     warnings += _estimates(results)
     return tuple(warnings)
 
@@ -184,10 +183,15 @@ def _bad_fits(result: ExperimentResult) -> str:
     check = result.model_check
     if check is None or not check.trials or check.trials - check.explained < BAD_FITS * check.trials:
         return ""
+    other = "; theory may speak of another device" if _has_theory(result) else ""
     return (
         f"Experiment {result.experiment}: mass, damping and delay do not explain {check.trials - check.explained} of "
-        f"{check.trials} fitted logs; theory may speak of another device."
+        f"{counted(check.trials, 'log')}{other}."
     )
+
+
+def _has_theory(result: ExperimentResult) -> bool:
+    return result.theory is not None
 
 
 def _extrapolated(data: SceneData, results: Sequence[ExperimentResult]) -> list[str]:

@@ -79,7 +79,6 @@ def test_an_adequate_loop_is_the_true_one_and_its_passive_wall_is_stable(compare
         ("hidden rows", "missing_rows"),
         ("repeated rows", "repeated_rows"),
         ("several steps", "several_steps"),
-        ("ramp", "step_not_a_step"),
         ("jitter", "delay_jitter"),
         ("friction strong", "coulomb_friction"),
         ("mode at the motor", None),
@@ -107,6 +106,18 @@ def test_what_logs_show_is_named_and_no_other_loop_bears_a_statement(compared, n
     # no interval of 95 % where the loop that it rests on does not hold
     assert "95 %" not in result.summary[-1]
     assert "about" in result.summary[-1]
+
+
+@pytest.mark.parametrize("seed", [SEED, 810])
+def test_a_step_that_rises_slowly_leaves_the_loop_as_it_is(compared, seed):
+    course, result = compared("ramp", seed)
+    (found,) = result.experiments
+    assert found.loop.adequate, found.loop.reason
+    assert found.loop.delay_samples.value == pytest.approx(course.setup.delay_samples, abs=0.01)
+    assert found.loop.mass.value == pytest.approx(course.experiment.mass, rel=2e-3)
+    assert radius(course, found.passive.stiffness, found.passive.damping) < 1
+    assert [cause.code for cause in found.causes] == ["step_not_a_step"]
+    assert f"rises over {course.setup.hidden.ramp_samples} rows" in found.causes[0].evidence
 
 
 @pytest.mark.parametrize(
