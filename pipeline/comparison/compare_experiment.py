@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 
+from pipeline.base.wording import listed
 from pipeline.comparison.loops.findings import loop_findings
+from pipeline.comparison.loops.fitted_loop import fitted_device, fitted_estimates
 from pipeline.comparison.loops.loop_range import adequate_theory, estimated_range
 from pipeline.comparison.scene.scene import SceneData, needed_stages
 from pipeline.comparison.scores.implied_delay import implied_delay
@@ -117,6 +119,9 @@ def _with_loop(data: SceneData, stages: ExperimentStages, result: ExperimentResu
         found |= {name: _doubted(found[name]) for name in ("delay_samples", "mass", "damping")}
         reason = "needs a loop that is adequate; why this one is not stands with the loop"
         found["implied_delay"] = _without("samples", reason)
+    elif findings.loop.parts_beside:
+        reason = f"needs an ideal loop, and this one has {listed(findings.loop.parts_beside)}"
+        found["implied_delay"] = _without("samples", reason)
     elif loop is not None:
         mass, damping = found["mass"], found["damping"]
         device = DeviceParameters(
@@ -155,6 +160,8 @@ def _estimates(stages: ExperimentStages, needed: Collection[str], units: Units) 
     if "model" in needed:
         found["jitter_samples"] = stages.jitter_estimate
         found["delay_samples"] = with_model_delay(stages, found["delay_samples"])
+    if "ladder" in needed and (device := fitted_device(stages)) is not None and device.holds:
+        found |= fitted_estimates(found, device)
     return found
 
 

@@ -2,23 +2,27 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
+from pipeline.comparison.loops.loop_record import parts_of
 from pipeline.comparison.scores.theory_band import ParameterBox, theory_band
-from pipeline.loop.loop import LARGEST_DELAY, Normalised
+from pipeline.loop.device_loop import DeviceLoop, loop_of, wall_units
+from pipeline.loop.loop import LARGEST_DELAY, Loop
 from pipeline.measured.experiment.estimates import EXPLAINED
 from pipeline.measured.experiment.known_delay import whole_delay
 from pipeline.records.batch import Floats
 from pipeline.records.findings import Estimate
+from pipeline.records.loop_parts import LoopParts
 from pipeline.records.loop_records import Parameter
 from pipeline.records.models import Experiment
 from pipeline.records.results import ExperimentResult, TheoryParameters
 from pipeline.theory.predictions import Theory
 from pipeline.theory.stability.extent import stiffest_point
 from pipeline.theory.stability.region import stiffness_limit
+from pipeline.theory.stability.stability import boundary
 
 MATTERS = 0.02
 """Change of the stability limit, relative to it, that is worth a word: a course brackets a limit no closer."""
@@ -30,43 +34,91 @@ _ALONG = np.linspace(0.0, 1.0, 6)
 """Dampings, relative to that of the stiffest wall, at which a change of the limit is looked for: beyond it the limit
 falls so steeply that any change is large."""
 
+_OUTLINE = 60
+"""Points of an outline by which the stiffest wall is found: the limit is flat there."""
+
+IDEAL = LoopParts()
+
 _LOW = 0.25
 """Limit relative to the largest one below which no change is divided by it: at its ends a boundary tends to zero."""
 
 
 @dataclass(frozen=True)
+class LoopPoint:
+    """One loop: m [kg, kg m^2], b [Ns/m, Nms/rad], delay [samples], k [N/m, Nm/rad], T [s], and its other parts."""
+
+    mass: float
+    damping: float
+    delay_samples: float
+    stiffness: float
+    sampling_period_s: float
+    parts: LoopParts = IDEAL
+
+    @property
+    def loop(self) -> Loop:
+        """Normalised; a damping, delay or stiffness below zero counts as zero."""
+        damping, stiffness = max(self.damping, 0.0), max(self.stiffness, 0.0)
+        delay = min(max(self.delay_samples, 0.0), LARGEST_DELAY)
+        return loop_of(self.mass, damping, stiffness, delay, self.sampling_period_s, self.parts)
+
+    def limit(self, wall_damping: Floats) -> Floats:
+        """Return the largest stable stiffness [N/m, Nm/rad] at dampings B, 0 where none is."""
+        scale = wall_units(self.mass, self.sampling_period_s, self.parts)
+        return np.maximum(stiffness_limit(self.loop, wall_damping / scale.damping), 0.0) * scale.stiffness
+
+    @property
+    def stiffest(self) -> float:
+        """Damping B [Ns/m, Nms/rad] of the stiffest stable wall."""
+        loop = self.loop
+        ideal = not isinstance(loop, DeviceLoop)
+        damping = stiffest_point(loop)[1] if ideal else boundary(loop, _OUTLINE).beta_at_alpha_max
+        return max(damping, 0.0) * wall_units(self.mass, self.sampling_period_s, self.parts).damping
+
+
+@dataclass(frozen=True)
 class LoopRange:
-    """Mass [kg, kg m^2], damping [Ns/m, Nms/rad] and delay [samples] with intervals; k [N/m, Nm/rad] and T [s]."""
+    """Mass [kg, kg m^2], damping [Ns/m, Nms/rad] and delay [samples] with intervals; k [N/m, Nm/rad] and T [s].
+
+    ``parts`` are what else it has. Where all of its numbers were fitted together, ``apart`` holds the loops at both
+    ends of each principal axis of their 95 % range.
+    """
 
     mass: Parameter
     damping: Parameter
     delay_samples: Parameter
     stiffness: float
     sampling_period_s: float
+    parts: LoopParts = IDEAL
+    apart: tuple[tuple[LoopPoint, LoopPoint], ...] = ()
 
-    def limit(self, wall_damping: Floats, mass: float, damping: float, delay: float) -> Floats:
-        """Return the largest stable stiffness [N/m, Nm/rad] at dampings B, 0 where none is, for some parameters."""
-        scale = Normalised(mass, self.sampling_period_s)
-        loop = scale.loop(self.stiffness, max(damping, 0.0), min(max(delay, 0.0), LARGEST_DELAY))
-        return np.maximum(stiffness_limit(loop, wall_damping / scale.damping), 0.0) * scale.stiffness
+    @property
+    def point(self) -> LoopPoint:
+        """The loop itself."""
+        values = (self.mass.value, self.damping.value, self.delay_samples.value)
+        return LoopPoint(*values, self.stiffness, self.sampling_period_s, self.parts)
 
     def at_values(self, wall_damping: Floats) -> Floats:
         """Return the largest stable stiffness of the loop itself."""
-        return self.limit(wall_damping, self.mass.value, self.damping.value, self.delay_samples.value)
+        return self.point.limit(wall_damping)
 
     def band(self, wall_damping: Floats) -> tuple[Floats, Floats]:
         """Return the least and the largest limit over all intervals."""
+        if self.apart:
+            middle = self.at_values(wall_damping)
+            off = [[end.limit(wall_damping) - middle for end in both] for both in self.apart]
+            largest = [np.maximum(*np.abs(both)) for both in off]
+            reach = np.sqrt(np.sum(np.square(largest), axis=0))
+            return np.maximum(middle - reach, 0.0), middle + reach
         least = LEAST_MASS * self.mass.value
         mass = max(self.mass.low, least), max(self.mass.high, least)
         damping, delay = ((max(p.low, 0.0), max(p.high, 0.0)) for p in (self.damping, self.delay_samples))
-        return theory_band(ParameterBox(mass, damping, delay, self.sampling_period_s, self.stiffness), wall_damping)
+        box = ParameterBox(mass, damping, delay, self.sampling_period_s, self.stiffness, self.parts)
+        return theory_band(box, wall_damping)
 
     @cached_property
     def _typical(self) -> tuple[Floats, Floats]:
         """Dampings B at which changes are looked at, and the limits there."""
-        scale = Normalised(self.mass.value, self.sampling_period_s)
-        loop = scale.loop(self.stiffness, max(self.damping.value, 0.0), self.delay_samples.value)
-        damping = _ALONG * max(stiffest_point(loop)[1], 0.0) * scale.damping
+        damping = _ALONG * self.point.stiffest
         limit = self.at_values(damping)
         some = limit > _LOW * limit.max(initial=0.0)
         return damping[some], limit[some]
@@ -74,22 +126,36 @@ class LoopRange:
     def effect(self, *, mass: float = 0.0, damping: float = 0.0, delay: float = 0.0) -> float:
         """Return the largest relative change of the limit when parameters change by these amounts."""
         where, limit = self._typical
-        least = LEAST_MASS * self.mass.value
-        changed = self.limit(
-            where,
-            max(self.mass.value + mass, least),
-            self.damping.value + damping,
-            self.delay_samples.value + delay,
+        here, least = self.point, LEAST_MASS * self.mass.value
+        changed = replace(
+            here,
+            mass=max(here.mass + mass, least),
+            damping=here.damping + damping,
+            delay_samples=here.delay_samples + delay,
         )
-        return float(np.abs(changed / limit - 1).max(initial=0.0))
+        return float(np.abs(changed.limit(where) / limit - 1).max(initial=0.0))
+
+    def beside(self, other: LoopPoint) -> tuple[float, float, float]:
+        """Return damping B and limits of this and of another loop where they differ most for their size."""
+        where = np.concatenate([_ALONG * self.point.stiffest, _ALONG * other.stiffest])
+        own, others = self.at_values(where), other.limit(where)
+        larger = np.maximum(own, others)
+        some = larger > _LOW * larger.max(initial=0.0)
+        if not some.any():
+            return 0.0, 0.0, 0.0
+        place = int(np.argmax(np.where(some, np.abs(own - others) / np.where(some, larger, 1.0), 0.0)))
+        return float(where[place]), float(own[place]), float(others[place])
 
 
 def loop_delay(result: ExperimentResult) -> Estimate:
     """Return the delay that theory takes: the model's where it explains the logs, else the integer factor.
 
-    The model's is the whole number next to it where its interval holds that; see `known_delay.whole_delay`.
+    The model's is the whole number next to it where its interval holds that; see `known_delay.whole_delay`. Where a
+    device is fitted to all trials, it is that one's.
     """
     delay, check = result.estimates["delay_samples"], result.model_check
+    if "ladder" in delay.by_method:
+        return delay.by_method["ladder"]
     model = delay.by_method.get("model")
     if model is None or model.value is None or check is None or not explains(result):
         return delay
@@ -115,20 +181,24 @@ def estimated_range(result: ExperimentResult, sampling_period_s: float) -> LoopR
 def adequate_theory(result: ExperimentResult, sampling_period_s: float, stiffness: float = 0.0) -> Theory | None:
     """Return the theory by the estimates of an experiment whose loop is adequate; None for all others.
 
-    A damping below zero counts as zero: the theory asks for b >= 0. The stiffness k is not estimated.
+    A damping below zero counts as zero: the theory asks for b >= 0. ``stiffness`` is that of the device where the
+    estimates have none.
     """
     if result.loop is None or not result.loop.adequate:
         return None
     loop = estimated_range(result, sampling_period_s)
     if loop is None:
         return None
+    fitted = "ladder" in result.estimates["delay_samples"].by_method
+    spring = result.estimates.get("device_stiffness") if fitted else None
     return Theory(
         TheoryParameters(
             mass=loop.mass.value,
             damping=max(loop.damping.value, 0.0),
-            stiffness=stiffness,
+            stiffness=max(spring.value or 0.0, 0.0) if spring is not None else stiffness,
             sampling_period_s=sampling_period_s,
-            delay_samples=loop.delay_samples.value,
+            delay_samples=max(loop.delay_samples.value, 0.0),
+            loop=parts_of(result.loop) if result.loop.source == "estimated" else IDEAL,
             source="estimated from the logs",
         )
     )
