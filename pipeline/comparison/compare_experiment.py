@@ -39,12 +39,13 @@ def motion_of(data: SceneData) -> Motion:
 def nominal_theories(data: SceneData) -> dict[str, Theory]:
     """Theory by the device file, for all of its experiments (a table may take the parameters of another one).
 
-    A delay that is longer than theory is computed for leaves an experiment without.
+    A delay that is longer than theory is computed for leaves an experiment without, and so does a loop that no wall
+    stabilises.
     """
     if data.device is None:
         return {}
     device = data.device
-    return {
+    found = {
         e.name: Theory(
             TheoryParameters(
                 mass=e.mass,
@@ -59,6 +60,7 @@ def nominal_theories(data: SceneData) -> dict[str, Theory]:
         for e in device.experiments
         if e.delay_samples <= LARGEST_DELAY
     }
+    return {name: theory for name, theory in found.items() if theory.stabilised}
 
 
 def _with(parts: LoopParts) -> str:

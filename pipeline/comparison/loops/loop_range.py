@@ -19,10 +19,10 @@ from pipeline.records.loop_parts import LoopParts
 from pipeline.records.loop_records import Parameter
 from pipeline.records.models import Experiment
 from pipeline.records.results import ExperimentResult, TheoryParameters
+from pipeline.theory.device.outline import outline
 from pipeline.theory.predictions import Theory
 from pipeline.theory.stability.extent import stiffest_point
 from pipeline.theory.stability.region import stiffness_limit
-from pipeline.theory.stability.stability import boundary
 
 MATTERS = 0.02
 """Change of the stability limit, relative to it, that is worth a word: a course brackets a limit no closer."""
@@ -68,11 +68,14 @@ class LoopPoint:
 
     @property
     def stiffest(self) -> float:
-        """Damping B [Ns/m, Nms/rad] of the stiffest stable wall."""
+        """Damping B [Ns/m, Nms/rad] of the stiffest stable wall; 0 where there is none."""
         loop = self.loop
-        ideal = not isinstance(loop, DeviceLoop)
-        damping = stiffest_point(loop)[1] if ideal else boundary(loop, _OUTLINE).beta_at_alpha_max
-        return max(damping, 0.0) * wall_units(self.mass, self.sampling_period_s, self.parts).damping
+        if isinstance(loop, DeviceLoop):
+            # nan where no damping stabilises a soft wall
+            damping = max(0.0, outline(loop, _OUTLINE).beta_at_alpha_max)
+        else:
+            damping = max(0.0, stiffest_point(loop)[1])
+        return damping * wall_units(self.mass, self.sampling_period_s, self.parts).damping
 
 
 @dataclass(frozen=True)
@@ -199,7 +202,7 @@ def estimated_range(result: ExperimentResult, sampling_period_s: float) -> LoopR
 
 
 def adequate_theory(result: ExperimentResult, sampling_period_s: float) -> Theory | None:
-    """Return the theory by the estimates of an experiment whose loop is adequate; None for all others.
+    """Return the theory by the estimates of an experiment whose loop is adequate and has stable walls, else None.
 
     A damping below zero counts as zero: the theory asks for b >= 0. Parts that a device file declares are in it, and
     its stiffness where the estimates have none.
@@ -216,7 +219,7 @@ def adequate_theory(result: ExperimentResult, sampling_period_s: float) -> Theor
         # to a model that has none a lag is a delay
         delay -= 0.0 if fitted else parts.actuator_lag_s / sampling_period_s
     spring = result.estimates.get("device_stiffness") if fitted else None
-    return Theory(
+    theory = Theory(
         TheoryParameters(
             mass=loop.mass.value,
             damping=max(loop.damping.value, 0.0),
@@ -227,6 +230,7 @@ def adequate_theory(result: ExperimentResult, sampling_period_s: float) -> Theor
             source="estimated from the logs",
         )
     )
+    return theory if theory.stabilised else None
 
 
 def stated_range(
