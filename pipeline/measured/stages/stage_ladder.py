@@ -16,7 +16,6 @@ from pipeline.measured.ladder.physical import in_si
 from pipeline.measured.ladder.trials import LadderTrials, spread_over_plane
 from pipeline.measured.stages.stage_given import Experiment
 from pipeline.measured.stages.stage_groups import Columns, Given, TrialGroup
-from pipeline.records.batch import Booleans
 from pipeline.records.tables import TABLES
 
 OF_NO_MATTER = {"velocity_filter", "constant_force", "step_not_a_step", "several_steps"}
@@ -65,23 +64,22 @@ def _chosen(of: Experiment) -> frozenset[str]:
     codes = [set(filter(None, text.split(","))) for text in of.texts("wall_law", "law_codes")]
     usable = np.array([each <= OF_NO_MATTER for each in codes])
     stiffness, damping = of.column("response", "stiffness"), of.column("response", "damping")
-    walls: Booleans = usable & (stiffness > 0)
-    # without a wall a device does not rest under a force beside the command
-    usable = walls if walls.sum() >= FEWEST_TRIALS else usable
+    # without a wall a device does not rest under a force beside the command, and friction looks like one
+    usable &= stiffness > 0
     ids = of.texts("response", "trial_id")
     return frozenset(ids[i] for i in spread_over_plane(stiffness, damping, usable))
 
 
 def _trials(of: Experiment, chosen: frozenset[str]) -> LadderTrials | None:
     """Return the chosen trials, in the order of damping and stiffness; None where none can be fitted."""
-    parts = [part for part in of.of_each(_cut, chosen=sorted(chosen)) if part is not None]
+    parts = [part for part in of.of_each(windows, chosen=sorted(chosen)) if part is not None]
     if not parts:
         return None
     stiffness, damping = (np.concatenate([part[i] for part in parts]) for i in (0, 1))
     return LadderTrials.joined([part[2] for part in parts]).select(np.lexsort((stiffness, damping)))
 
 
-def _cut(group: TrialGroup, given: Given) -> tuple[Any, Any, LadderTrials] | None:
+def windows(group: TrialGroup, given: Given) -> tuple[Any, Any, LadderTrials] | None:
     """Return stiffness, damping and windows of the chosen trials of a group that can be fitted."""
     of, _ = group.beginning()
     some = np.array([name in set(given["chosen"]) for name in of.batch.trial_id])
