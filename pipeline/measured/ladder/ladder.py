@@ -7,7 +7,7 @@ from it.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -88,6 +88,8 @@ class Ladder:
         The simplest device that explains, or the likeliest where none does, by all trials.
     covariance : float64, shape (P, P)
         Of its numbers.
+    ideal : Rung
+        The device with mass, damper and delay alone.
     next_best : Rung or None
         The likeliest device with as many parts, or with one more or less.
     alike : tuple of Rung
@@ -96,11 +98,12 @@ class Ladder:
 
     best: Rung
     covariance: Floats
+    ideal: Rung
     next_best: Rung | None
     alike: tuple[Rung, ...]
 
 
-def climb(trials: LadderTrials, ideal: Device, say: Callable[[str], None] = lambda _: None) -> Ladder:
+def climb(trials: LadderTrials, ideal: Device, groups: Sequence[Sequence[str]] = GROUPS) -> Ladder:
     """Return the simplest device that explains the trials, from the ideal one upwards.
 
     Parameters
@@ -109,16 +112,15 @@ def climb(trials: LadderTrials, ideal: Device, say: Callable[[str], None] = lamb
         At least `FEWEST_TRIALS`, in the order of their place in the plane.
     ideal : Device
         With the mass, damper and delay to start from.
-    say : callable, optional
-        Gets what is done next.
+    groups : sequence of sequences of str, optional
+        Parts that are looked for, those of a later group only where no earlier part explains the trials.
     """
     few = trials.select(np.unique(np.linspace(0, len(trials) - 1, CHOICE_TRIALS).astype(np.int64))).head(CHOICE_ROWS)
     fitted, held = _halves(few)
     now = _rung(fitted, held, [ideal])
     tried, bases = [now], [now.device, ideal]
     for _ in range(MOST_PARTS):
-        say(f"{' and '.join(now.parts) or 'mass, damper and delay'}: {now.explained} of {now.of} trials explained")
-        more = _more(fitted, held, now, bases)
+        more = _more(fitted, held, now, bases, groups)
         tried += more
         # what explains the trials may still be the likeness of a part that costs little to look for
         least = MISSED if now.holds else max(MISSED, -WORTH * now.score)
@@ -131,7 +133,7 @@ def climb(trials: LadderTrials, ideal: Device, say: Callable[[str], None] = lamb
     others.sort(key=lambda rung: -rung.score)
     alike = [r for r in others if r.holds and len(r.parts) == len(now.parts) and now.score - r.score <= MISSED]
     best, covariance = _refined(trials, now.device)
-    return Ladder(best, covariance, others[0] if others else None, tuple(alike))
+    return Ladder(best, covariance, tried[0], others[0] if others else None, tuple(alike))
 
 
 def _halves(trials: LadderTrials) -> tuple[LadderTrials, LadderTrials]:
@@ -149,14 +151,16 @@ def _rung(fitted: LadderTrials, held: LadderTrials, starts: list[Device]) -> Run
     return Rung(device, int(good.sum()), len(good), score)
 
 
-def _more(fitted: LadderTrials, held: LadderTrials, now: Rung, bases: list[Device]) -> list[Rung]:
+def _more(
+    fitted: LadderTrials, held: LadderTrials, now: Rung, bases: list[Device], groups: Sequence[Sequence[str]]
+) -> list[Rung]:
     """Return the device with each part that it lacks, likeliest first.
 
     Parts that take longer to look for are left out where another one explains the trials.
     """
     found: list[Rung] = []
-    for group in GROUPS:
-        if now.holds and group is not GROUPS[0]:
+    for group in groups:
+        if now.holds and group is not groups[0]:
             break
         for part in group:
             if part in now.parts or (part.startswith("mode") and now.device.sensor):

@@ -42,7 +42,10 @@ def soft_course(parts: dict, folder, **experiment) -> tuple[ExperimentStages, Co
     device = Device.model_validate(known | {"loop": parts, "experiment": [entry], "duration_s": 0.35})
     (one,) = device.experiments
     setup = setup_of(device, one)
-    damping = np.linspace(2.0, 40.0, 5)
+    # as far as softer walls are stable at all
+    every = np.linspace(0.5, 40.0, 80)
+    highest = every[true_limits(setup, every) > 1.0].max()
+    damping = np.linspace(0.05, 0.8, 5) * highest
     limit = true_limits(setup, damping)
     K, B = np.outer(SHARES, limit).ravel(), np.tile(damping, len(SHARES))
     batch = simulate(setup, K, B, seed=91)
