@@ -20,7 +20,7 @@ from pipeline.measured.experiment.estimates import EXPLAINED
 from pipeline.measured.experiment.rest_forces import RestForces
 from pipeline.records.batch import Floats
 from pipeline.records.findings import Estimate
-from pipeline.records.loop_parts import VelocityFilter
+from pipeline.records.loop_parts import LoopParts, VelocityFilter
 from pipeline.records.results import ExperimentResult
 from pipeline.rendering.labels import Units, percent_text, share_text, significant
 
@@ -68,6 +68,15 @@ class Shown:
         found |= {"velocity_filter"} if self.velocity is not None else set()
         return found | ({"constant_force"} if self.explained else set())
 
+    def named(self, loop: LoopRange | None) -> bool:
+        """Whether a loop has all the parts of the device that explains the logs."""
+        if self.fitted is None or loop is None:
+            return False
+        mode = loop.parts.mode
+        has = {"spring": loop.stiffness > 0, "lag": loop.parts.actuator_lag_s > 0}
+        has |= {f"mode at the {mode.sensor}": True} if mode else {}
+        return all(has.get(part, False) for part in self.fitted.parts)
+
     @property
     def explained(self) -> bool:
         """Whether one device explains the logs."""
@@ -75,7 +84,7 @@ class Shown:
 
 
 def doubts(
-    result: ExperimentResult, loop: LoopRange | None, shown: Shown, parts: str, units: Units, *, known: bool
+    result: ExperimentResult, loop: LoopRange | None, shown: Shown, parts: LoopParts | None, units: Units
 ) -> list[Doubt]:
     """Return what speaks against the loop of an experiment, gravest first; nothing where it is adequate.
 
@@ -86,27 +95,33 @@ def doubts(
     loop : LoopRange or None
         What the statements would rest on.
     shown : Shown
-    parts : str
-        Parts of a loop that is not ideal, which the device file declares; empty where it declares none.
+    parts : LoopParts or None
+        What the device file of the experiment declares: parts that it does not name speak against it. None without one.
     units : Units
-    known : bool
-        Whether a device file describes the experiment: parts that it does not name speak against it.
     """
-    held = shown.known - ({"velocity_filter", "constant_force"} if known else set())
+    held = shown.known
+    if parts is not None:
+        held -= {"constant_force"} | (set() if parts.velocity else {"velocity_filter"})
     found = [
         Doubt(f"{each.sentence.rstrip('.')} ({each.shown})", _HELP.get(each.code, _LAW))
         for each in shown.departures
         if each.code not in held
     ]
-    if parts:
-        found.append(Doubt(f"the device file declares {parts}, and the estimates know the ideal loop only"))
-    if "velocity filter" in parts:
-        found = [Doubt(doubt.text) if doubt.help == _HELP["velocity_filter"] else doubt for doubt in found]
     found += _unknown(result, loop)
-    if shown.fitted is None or known or not shown.explained:
-        found += _unexplained(result, shown.fitted, "" if parts else _PARTS)
+    if not shown.explained or (parts is not None and not shown.named(loop)):
+        found += _unexplained(result, shown.fitted, _PARTS)
         if shown.rest.tells:
             found.append(Doubt(rest_words(shown.rest, _force(units)), "a device file with the force or friction in it"))
+    if loop is not None and (off := loop.off) is not None:
+        damping, limit, share = off
+        found.append(
+            Doubt(
+                f"the loop that the logs show is another than that of the device file: its limit at B = "
+                f"{significant(damping, 3)} {units.damping} is {percent_text(100 * share)} % off K = "
+                f"{significant(limit, 3)} {units.stiffness} beyond its interval",
+                "a device file with the parts and numbers that the logs show",
+            )
+        )
     if loop is not None:
         found += _changing(result, loop, units)
         found += _disagreeing(result, loop, units)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from pipeline.base.wording import listed
@@ -10,13 +12,13 @@ from pipeline.comparison.loops.causes import direct_causes
 from pipeline.comparison.loops.fitted_loop import fitted_device, mode_parameters, with_filter
 from pipeline.comparison.loops.log_evidence import LawDeparture, found_filter, law_departures
 from pipeline.comparison.loops.loop_range import LoopRange, estimated_range, stated_range
-from pipeline.comparison.loops.loop_record import exact, filter_of, filter_parameters
+from pipeline.comparison.loops.loop_record import exact, filter_of, filter_parameters, stated_parameters
 from pipeline.comparison.loops.passive_wall import passive_wall
 from pipeline.measured.experiment.rest_forces import rest_forces
 from pipeline.measured.stages.stages import ExperimentStages
-from pipeline.records.loop_parts import LoopParts, VelocityFilter, named
+from pipeline.records.loop_parts import LoopParts, VelocityFilter
 from pipeline.records.loop_records import LoopFindings, LoopLimit, LoopResult, Parameter
-from pipeline.records.models import Device, Experiment
+from pipeline.records.models import Device
 from pipeline.records.results import ExperimentResult
 from pipeline.rendering.labels import Units
 
@@ -49,11 +51,11 @@ def loop_findings(
     shown = Shown(departures, rest, fitted, velocity)
     estimated = _estimated(result, stages, shown)
     period = device.sampling_period_s if device else stages.sampling_period_s
-    loop = estimated if entry is None else stated_range(entry, estimated, period)
-    parts = _declared_parts(device, entry)
-    against = doubts(result, loop, shown, parts, units, known=entry is not None)
-    record = _loop_result(result, loop, against, shown, stated=entry is not None)
-    stated = entry.mass if entry else None
+    parts = device.loop_of(entry) if device and entry else None
+    loop = estimated if entry is None or parts is None else stated_range(entry, parts, estimated, period)
+    against = doubts(result, loop, shown, parts, units)
+    record = _loop_result(result, loop, against, shown, parts)
+    stated = loop.mass.value if parts and loop else None
     causes = direct_causes(result, stages, estimated, shown, stated, units, adequate=not against)
     if loop is None or against:
         why = f"needs an adequate loop, and this one is not: {record.reason}"
@@ -84,47 +86,41 @@ def _estimated(result: ExperimentResult, stages: ExperimentStages, shown: Shown)
     return with_filter(estimated_range(result, stages.sampling_period_s), shown.velocity)
 
 
-_PART_WORDS = {"velocity": "velocity filter", "actuator_lag_s": "actuator lag", "mode": "vibration mode"}
-
-
-def _declared_parts(device: Device | None, entry: Experiment | None) -> str:
-    """Return which parts of a loop that is not ideal a device file declares; theory by them replaces this doubt."""
-    if device is None or entry is None:
-        return ""
-    ideal, parts = LoopParts(), device.loop_of(entry)
-    names = [name for name, part in named(parts).items() if part != getattr(ideal, name)]
-    return listed([_PART_WORDS.get(name, name.replace("_", " ")) for name in names])
-
-
 def _loop_result(
-    result: ExperimentResult, loop: LoopRange | None, against: list[Doubt], shown: Shown, *, stated: bool
+    result: ExperimentResult, loop: LoopRange | None, against: list[Doubt], shown: Shown, parts: LoopParts | None
 ) -> LoopResult:
     check, fitted = result.model_check, shown.fitted
     explained = check.explained / check.trials if check and check.trials else None
-    friction, numbers, mode = result.estimates.get("friction"), {}, None
+    friction = result.estimates.get("friction")
+    numbers: dict[str, Any] = {"velocity": filter_parameters(shown.velocity) if shown.velocity else None}
     told = friction is not None and None not in (friction.value, friction.low, friction.high)
     if fitted is not None and fitted.holds:
         explained = fitted.explained / fitted.held_out
-        numbers = {name: fitted.parameter(name) for name in ("stiffness", "actuator_lag_s")}
-        mode = mode_parameters(fitted)
+        numbers |= {name: fitted.parameter(name) for name in ("stiffness", "actuator_lag_s")}
+        numbers["mode"] = mode_parameters(fitted)
+    if parts is not None:
+        numbers = stated_parameters(parts) | {"stiffness": exact(loop.stiffness) if loop else None}
     return LoopResult(
-        source="device file" if stated else "estimated",
+        source="estimated" if parts is None else "device file",
         adequate=not against,
-        reason=_reason(result, against, shown),
+        reason=_reason(result, against, shown, parts),
         explained=explained,
         mass=loop.mass if loop else None,
         damping=loop.damping if loop else None,
-        stiffness=exact(loop.stiffness) if loop and stated else numbers.get("stiffness"),
         delay_samples=loop.delay_samples if loop else None,
-        actuator_lag_s=numbers.get("actuator_lag_s"),
-        velocity=filter_parameters(shown.velocity) if shown.velocity else None,
-        mode=mode,
+        **numbers,
         friction=Parameter(value=friction.value, low=friction.low, high=friction.high) if friction and told else None,
     )
 
 
-def _reason(result: ExperimentResult, against: list[Doubt], shown: Shown) -> str:
-    fitted = shown.fitted
+def _reason(result: ExperimentResult, against: list[Doubt], shown: Shown, parts: LoopParts | None) -> str:
+    fitted, stated = shown.fitted, parts.words() if parts else ""
+    if not against and stated:
+        held_out = f"{fitted.explained} of {fitted.held_out} logs that it was not fitted to" if fitted else ""
+        return (
+            f"the loop of the device file ({stated}) has the measured limits and those of the loop that the logs show, "
+            f"which explains {held_out or _explained(result)}"
+        )
     if not against and fitted is not None:
         alike = f"; {' or '.join(fitted.alike)} cannot be told apart from it" if fitted.alike else ""
         return (
@@ -133,13 +129,17 @@ def _reason(result: ExperimentResult, against: list[Doubt], shown: Shown) -> str
             f"{fitted.next_best}){alike}. What changes force per command alone shows in the mass"
         )
     if not against:
-        check = result.model_check
-        logs = f"{check.explained} of {check.trials} logs" if check else "the logs"
         law = "with a filtered velocity, " if shown.velocity else ""
+        logs = _explained(result)
         return f"the logs obey the wall law, {law}and mass, damping and delay explain {logs} and the measured limits"
     told = "; ".join(doubt.text for doubt in against[:MOST_REASONS])
     helps = list(dict.fromkeys(doubt.help for doubt in against[:MOST_REASONS] if doubt.help))
     return told + (f"; what would help: {'; '.join(helps)}" if helps else "")
+
+
+def _explained(result: ExperimentResult) -> str:
+    check = result.model_check
+    return f"{check.explained} of {check.trials} logs" if check else "the logs"
 
 
 def _limits(loop: LoopRange, result: ExperimentResult) -> tuple[LoopLimit, ...]:

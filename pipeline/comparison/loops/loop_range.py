@@ -19,10 +19,10 @@ from pipeline.records.loop_parts import LoopParts
 from pipeline.records.loop_records import Parameter
 from pipeline.records.models import Experiment
 from pipeline.records.results import ExperimentResult, TheoryParameters
+from pipeline.theory.device.outline import outline
 from pipeline.theory.predictions import Theory
 from pipeline.theory.stability.extent import stiffest_point
 from pipeline.theory.stability.region import stiffness_limit
-from pipeline.theory.stability.stability import boundary
 
 MATTERS = 0.02
 """Change of the stability limit, relative to it, that is worth a word: a course brackets a limit no closer."""
@@ -68,11 +68,14 @@ class LoopPoint:
 
     @property
     def stiffest(self) -> float:
-        """Damping B [Ns/m, Nms/rad] of the stiffest stable wall."""
+        """Damping B [Ns/m, Nms/rad] of the stiffest stable wall; 0 where there is none."""
         loop = self.loop
-        ideal = not isinstance(loop, DeviceLoop)
-        damping = stiffest_point(loop)[1] if ideal else boundary(loop, _OUTLINE).beta_at_alpha_max
-        return max(damping, 0.0) * wall_units(self.mass, self.sampling_period_s, self.parts).damping
+        if isinstance(loop, DeviceLoop):
+            # nan where no damping stabilises a soft wall
+            damping = max(0.0, outline(loop, _OUTLINE).beta_at_alpha_max)
+        else:
+            damping = max(0.0, stiffest_point(loop)[1])
+        return damping * wall_units(self.mass, self.sampling_period_s, self.parts).damping
 
 
 @dataclass(frozen=True)
@@ -80,7 +83,8 @@ class LoopRange:
     """Mass [kg, kg m^2], damping [Ns/m, Nms/rad] and delay [samples] with intervals; k [N/m, Nm/rad] and T [s].
 
     ``parts`` are what else it has. Where all of its numbers were fitted together, ``apart`` holds the loops at both
-    ends of each principal axis of their 95 % range.
+    ends of each principal axis of their 95 % range. Where they are ``stated`` by a device file, its limits reach to
+    those of the loop that the logs have ``shown``. ``held`` is the part of the damping that an operator has.
     """
 
     mass: Parameter
@@ -90,6 +94,9 @@ class LoopRange:
     sampling_period_s: float
     parts: LoopParts = IDEAL
     apart: tuple[tuple[LoopPoint, LoopPoint], ...] = ()
+    stated: bool = False
+    shown: LoopRange | None = None
+    held: float = 0.0
 
     @property
     def point(self) -> LoopPoint:
@@ -103,8 +110,11 @@ class LoopRange:
 
     def band(self, wall_damping: Floats) -> tuple[Floats, Floats]:
         """Return the least and the largest limit over all intervals."""
+        middle = self.at_values(wall_damping)
+        if self.stated:
+            low, high = (middle, middle) if self.shown is None else self.shown.band(wall_damping)
+            return np.minimum(low, middle), np.maximum(high, middle)
         if self.apart:
-            middle = self.at_values(wall_damping)
             off = [[end.limit(wall_damping) - middle for end in both] for both in self.apart]
             largest = [np.maximum(*np.abs(both)) for both in off]
             reach = np.sqrt(np.sum(np.square(largest), axis=0))
@@ -146,6 +156,19 @@ class LoopRange:
         place = int(np.argmax(np.where(some, np.abs(own - others) / np.where(some, larger, 1.0), 0.0)))
         return float(where[place]), float(own[place]), float(others[place])
 
+    @property
+    def off(self) -> tuple[float, float, float] | None:
+        """Damping B, limit there, and share of it by which it is off all that the logs leave open; None where near."""
+        if self.shown is None:
+            return None
+        where, limit = self._typical
+        low, high = self.shown.band(where)
+        share = np.maximum(np.maximum(low / limit - 1, 1 - high / limit), 0.0)
+        place = int(np.argmax(share)) if len(share) else 0
+        if not len(share) or share[place] <= MATTERS:
+            return None
+        return float(where[place]), float(limit[place]), float(np.copysign(share[place], high[place] - limit[place]))
+
 
 def loop_delay(result: ExperimentResult) -> Estimate:
     """Return the delay that theory takes: the model's where it explains the logs, else the integer factor.
@@ -178,11 +201,11 @@ def estimated_range(result: ExperimentResult, sampling_period_s: float) -> LoopR
     return LoopRange(_parameter(mass), _parameter(damping), _parameter(delay), 0.0, sampling_period_s)
 
 
-def adequate_theory(result: ExperimentResult, sampling_period_s: float, stiffness: float = 0.0) -> Theory | None:
-    """Return the theory by the estimates of an experiment whose loop is adequate; None for all others.
+def adequate_theory(result: ExperimentResult, sampling_period_s: float) -> Theory | None:
+    """Return the theory by the estimates of an experiment whose loop is adequate and has stable walls, else None.
 
-    A damping below zero counts as zero: the theory asks for b >= 0. ``stiffness`` is that of the device where the
-    estimates have none.
+    A damping below zero counts as zero: the theory asks for b >= 0. Parts that a device file declares are in it, and
+    its stiffness where the estimates have none.
     """
     if result.loop is None or not result.loop.adequate:
         return None
@@ -190,32 +213,56 @@ def adequate_theory(result: ExperimentResult, sampling_period_s: float, stiffnes
     if loop is None:
         return None
     fitted = "ladder" in result.estimates["delay_samples"].by_method
+    delay, stiffness, parts = loop.delay_samples.value, 0.0, parts_of(result.loop)
+    if result.loop.source == "device file" and (p := result.theory) is not None:
+        _, _, stiffness, parts = p.loop.felt(p.mass, p.damping, p.stiffness)
+        # to a model that has none a lag is a delay
+        delay -= 0.0 if fitted else parts.actuator_lag_s / sampling_period_s
     spring = result.estimates.get("device_stiffness") if fitted else None
-    return Theory(
+    theory = Theory(
         TheoryParameters(
             mass=loop.mass.value,
             damping=max(loop.damping.value, 0.0),
             stiffness=max(spring.value or 0.0, 0.0) if spring is not None else stiffness,
             sampling_period_s=sampling_period_s,
-            delay_samples=max(loop.delay_samples.value, 0.0),
-            loop=parts_of(result.loop) if result.loop.source == "estimated" else IDEAL,
+            delay_samples=max(delay, 0.0),
+            loop=parts,
             source="estimated from the logs",
         )
     )
+    return theory if theory.stabilised else None
 
 
-def stated_range(entry: Experiment, estimated: LoopRange | None, sampling_period_s: float) -> LoopRange | None:
-    """Return the loop that a device file states, its intervals as wide as the estimates leave it in doubt."""
+def stated_range(
+    entry: Experiment, parts: LoopParts, estimated: LoopRange | None, sampling_period_s: float
+) -> LoopRange | None:
+    """Return the loop that a device file states, its intervals as wide as the estimates leave it in doubt.
+
+    A filter, a lag or a mode is as stated; the limits then reach to those of the loop that the logs show.
+    """
     if entry.delay_samples > LARGEST_DELAY:
         return None
+    mass, damping, stiffness, left = parts.felt(entry.mass, entry.damping, entry.stiffness)
+    left = left.model_copy(update={"friction": None})
+    # to a loop that has no lag it is a delay
+    lags = [each.actuator_lag_s / sampling_period_s for each in (left, estimated.parts if estimated else left)]
 
-    def hull(name: str) -> Parameter:
-        value = float(getattr(entry, name))
+    def hull(value: float, name: str, off: float = 0.0) -> Parameter:
         found = [] if estimated is None else [getattr(estimated, name)]
-        low, high = min([value, *(p.low for p in found)]), max([value, *(p.high for p in found)])
+        low, high = min([value, *(p.low - off for p in found)]), max([value, *(p.high - off for p in found)])
         return Parameter(value=value, low=low, high=high)
 
-    return LoopRange(hull("mass"), hull("damping"), hull("delay_samples"), entry.stiffness, sampling_period_s)
+    return LoopRange(
+        hull(mass, "mass"),
+        hull(damping, "damping"),
+        hull(entry.delay_samples, "delay_samples", lags[0] - lags[1]),
+        stiffness,
+        sampling_period_s,
+        left,
+        shown=None if left == IDEAL else estimated,
+        held=parts.operator.damping / parts.force_gain if parts.operator else 0.0,
+        stated=left != IDEAL,
+    )
 
 
 def _parameter(estimate: Estimate) -> Parameter:

@@ -46,6 +46,19 @@ def filter_parameters(velocity: VelocityFilter) -> dict[str, Parameter]:
     return {f"{name}{i}": exact(value) for name, values in sides for i, value in enumerate(values)}
 
 
+def stated_parameters(parts: LoopParts) -> dict[str, Parameter | dict[str, Parameter] | None]:
+    """Return the parts that a device file declares as fields of a result, with the numbers of the file."""
+    mode, operator = parts.mode, parts.operator
+    numbers = mode.model_dump(exclude={"sensor"}) | {"sensor_at_load": mode.sensor == "load"} if mode else {}
+    held = operator.model_dump() if operator else {}
+    return {
+        "actuator_lag_s": exact(parts.actuator_lag_s) if parts.actuator_lag_s else None,
+        "velocity": filter_parameters(parts.velocity) if parts.velocity else None,
+        "mode": {name: exact(float(value)) for name, value in numbers.items()} or None,
+        "operator": {name: exact(float(value)) for name, value in held.items()} or None,
+    }
+
+
 def exact(value: float) -> Parameter:
     """Return a parameter that is its own interval."""
     return Parameter(value=value, low=value, high=value)

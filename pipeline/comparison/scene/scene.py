@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from pipeline.base.errors import DeviceError, StoreError, UsageError
@@ -11,6 +11,7 @@ from pipeline.device_data.devices import declared_spring, known_devices
 from pipeline.measured.stages.stages import STAGES, ExperimentStages, required
 from pipeline.records.criteria import FAMILIES, MEASURED, REPORTED, criterion_of, members
 from pipeline.records.models import Device, Scene, Shown
+from pipeline.records.results import Truth
 from pipeline.store.exclusions import Exclusion
 from pipeline.store.storage import list_devices, list_experiments
 
@@ -40,6 +41,8 @@ class SceneData:
     simulated: bool
     overlay: bool
     """Whether theory is also drawn from the estimates, which needs delay, mass and damping."""
+    truth: Mapping[str, Truth] = field(default_factory=dict)
+    """What was true of simulated experiments, as far as it is known."""
     excluded: tuple[Exclusion, ...] = ()
     """Trials of these experiments that are excluded by hand, and those of experiments of which no other is left."""
 
