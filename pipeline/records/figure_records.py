@@ -182,3 +182,32 @@ class ResidualMap:
     boundary: Curve
     trials: int
     median: float
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedColumn:
+    """A column of a log as it was recorded, over time [s] or the number of the row.
+
+    Parameters
+    ----------
+    name, unit : str
+        ``unit`` is empty where it is not known.
+    place, values : float64, shape (rows,)
+    jumps : tuple of int
+        Rows at which it jumps.
+    rests : tuple of (int, int)
+        First row of each rest, and the one behind its last.
+    gaps : tuple of int
+        Rows before which rows are missing.
+    step_row : int or None
+        Row of the step, where it is known.
+    """
+
+    name: str
+    unit: str
+    place: Floats
+    values: Floats
+    jumps: tuple[int, ...]
+    rests: tuple[tuple[int, int], ...]
+    gaps: tuple[int, ...]
+    step_row: int | None = None

@@ -33,6 +33,7 @@ COMMANDS = {
     "token": ("cli_serve", "token_app"),
     "push": ("cli_serve", "push"),
     "theory": ("cli_theory", "app"),
+    "look": ("cli_profiles", "look"),
     "profile": ("cli_profiles", "profile_app"),
     "quarantine": ("cli_profiles", "quarantine_app"),
     "plan": ("cli_plan", "plan"),

@@ -92,10 +92,12 @@ def test_a_report_rests_on_the_loop_of_its_device_file(call, tmp_path, monkeypat
     assert trial["cost"] == pytest.approx(wall["settle_2pct_discrete"], abs=2)
     assert trial["cost"] >= rows["settle_2pct", "theory_discrete"]["cost"]
 
-    # what the file tells is not asked for again
-    reason = found["experiments"][0]["loop"]["reason"]
-    assert "the device file declares velocity filter, actuator lag, vibration mode and friction" in reason
-    assert "what would help" not in reason
+    # the loop is that of the file; with friction the logs are not explained, and what the file tells is not asked for
+    loop = found["experiments"][0]["loop"]
+    assert loop["source"] == "device file"
+    assert (loop["actuator_lag_s"]["value"], loop["mode"]["frequency_hz"]["value"]) == (0.001, 60.0)
+    assert not loop["adequate"]
+    assert "what would help" not in loop["reason"]
     # the passive region knows lag and filter; captions and sources name all parts, and what is left out
     assert 0 < largest(page, "passive region (of this loop)") < drawn
     assert largest(page, "limit with Coulomb friction") == pytest.approx(drawn, rel=0.05)

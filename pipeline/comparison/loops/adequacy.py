@@ -109,7 +109,8 @@ def doubts(
     ]
     found += _unknown(result, loop)
     if not shown.explained or (parts is not None and not shown.named(loop)):
-        found += _unexplained(result, shown.fitted, _PARTS)
+        declared = parts is not None and (parts.words() or parts.friction)
+        found += _unexplained(result, shown.fitted, "" if declared else _PARTS)
         if shown.rest.tells:
             found.append(Doubt(rest_words(shown.rest, _force(units)), "a device file with the force or friction in it"))
     if loop is not None and (off := loop.off) is not None:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -12,6 +13,10 @@ from pipeline.base.errors import EXIT_QUARANTINED, UsageError
 from pipeline.base.outputs import check_output
 from pipeline.shell import console
 from pipeline.shell.commands.options import Json, Processed, ProfileFile
+
+if TYPE_CHECKING:
+    from pipeline.profiles.profile_model import Profile
+    from pipeline.shell.profile.log_picture import Picture
 
 profile_app = typer.Typer(
     no_args_is_help=True,
@@ -27,6 +32,10 @@ quarantine_app = typer.Typer(
 def check(
     profile: Annotated[str, typer.Argument(help="Profile file (.toml), or name of a shipped profile.")],
     samples: Annotated[list[Path], typer.Argument(help="Sample logs, or folders with some.")],
+    look_at: Annotated[
+        Path | None,
+        typer.Option("--look", help="HTML file that gets a picture of what is read, as of pipeline look."),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Show what a profile would read of samples: conditions, columns in SI, quality of time, step, warnings.
@@ -39,8 +48,12 @@ def check(
     from pipeline.profiles.profile_files import load_profile
     from pipeline.shell.profile.profile_check import check_document, check_lines, check_samples
 
+    if look_at is not None:
+        check_output(look_at, "--look")
     loaded = load_profile(profile)
     checked = check_samples(loaded, samples)
+    if look_at is not None:
+        _draw([Path(sample.path) for sample in checked if sample.reason is None], loaded, look_at)
     if as_json:
         console.print_json(check_document(loaded, checked))
     else:
@@ -49,6 +62,44 @@ def check(
                 console.say(line)
     if any(sample.reason is not None for sample in checked):
         raise typer.Exit(EXIT_QUARANTINED)
+
+
+def look(
+    log: Annotated[Path, typer.Argument(help="A log in any format, or the folder of a bag.")],
+    profile: ProfileFile = None,
+    out: Annotated[Path, typer.Option("--out", help="HTML file.")] = Path("look.html"),
+    as_json: Json = False,
+) -> None:
+    """Draw a log as it was recorded, before anything is said of it: columns, step, jumps, rests, missing rows.
+
+    By a profile, or where a shipped one fits, columns are in SI over time; all others stand as they are in the file,
+    over the number of the row. Nothing is stored.
+
+    Example: pipeline look run_01.csv
+    """
+    from pipeline.profiles.profile_files import load_profile
+    from pipeline.shell.profile.log_picture import document
+
+    check_output(out, "--out")
+    (picture,) = _draw([log], None if profile is None else load_profile(profile), out)
+    if as_json:
+        console.print_json({**document(picture), "page": str(out)})
+        return
+    for line in picture.notes:
+        console.say(line)
+    console.say(f"picture: {out}")
+
+
+def _draw(logs: Sequence[Path], profile: Profile | None, out: Path) -> list[Picture]:
+    """Write the page of some logs, and return their pictures."""
+    from pipeline.base.disk import write_text
+    from pipeline.shell.profile.log_picture import look as look_at
+    from pipeline.shell.profile.log_picture import page
+
+    pictures = [look_at(log, profile) for log in logs]
+    out.parent.mkdir(parents=True, exist_ok=True)
+    write_text(out, page(pictures))
+    return pictures
 
 
 @profile_app.command("draft")

@@ -238,6 +238,11 @@ def _batch(log: Log) -> TrialBatch:
     )
 
 
+def step_of(log: Log) -> tuple[int | None, str]:
+    """Return the row of the step of a log, None where it is not known, and how it is known or why not."""
+    return _step(log, _batch(log))
+
+
 def _step(log: Log, batch: TrialBatch) -> tuple[int | None, str]:
     """Return the row of the step, and how it is known."""
     if "step_row" in log.header.extra:

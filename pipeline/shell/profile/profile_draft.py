@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -47,7 +47,62 @@ _SIGN_QUESTIONS = {
 _UNIT_BEHIND = re.compile(r"(.*?)\s*(?:[\[(]([^\])]*)[\])]|_(s|ms|us|ns|m|mm|um|rad|deg|n|nm))?\s*", re.IGNORECASE)
 
 
-def draft_profile(sample: Path) -> str:
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """A log of which nothing is known: its bytes, format, how its text is laid out, and its columns."""
+
+    name: str
+    data: bytes
+    kind: Format
+    layout: Layout
+    infos: list[ColumnInfo]
+
+    def frame(self, wanted: tuple[str, ...]) -> Frame:
+        """Return columns by name as they stand in the file; raises LogError where they do not go together."""
+        result: Frame = format_module(self.profile).read_frame(self.profile, self.name, self.data, wanted)
+        return result
+
+    @property
+    def profile(self) -> Profile:
+        """What reads the file as it is."""
+        return Profile.model_construct(name="draft", format=self.kind, files=("*",), **self.layout.to_read())
+
+
+def open_sample(path: Path) -> Sample:
+    """Return a log of which nothing is known.
+
+    Raises
+    ------
+    UsageError
+        If the file cannot be read.
+    LogError
+        If no columns of numbers are found in it.
+    """
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be read ({error.strerror}). Give a log.") from error
+    kind = format_of(path.name, data)
+    if kind == "delimited" and is_packed(data):
+        kind = format_of(path.name, unpacked(path.name, data))
+    layout = text_layout(path.name, data) if kind == "delimited" else Layout()
+    sample = Sample(path.name, data, kind, layout, [])
+    if kind == "native":
+        return sample
+    infos: list[ColumnInfo] = format_module(sample.profile).list_columns(path.name, data, sample.profile)
+    infos = [info for info in infos if info.rows > 1 and info.name]
+    if kind == "json" and infos and infos[0].hint:
+        layout.keys["records"] = json.loads(infos[0].hint.removeprefix("records = "))
+        infos = [replace(info, hint="") for info in infos]
+    if all(info.dtype == "text" for info in infos):
+        raise LogError(
+            "it holds no columns of numbers with several rows. Export the recorded signals as plain columns.",
+            code="empty",
+        )
+    return replace(sample, infos=infos)
+
+
+def draft_profile(path: Path) -> str:
     """Return a first profile for a sample as TOML text.
 
     Raises
@@ -58,34 +113,17 @@ def draft_profile(sample: Path) -> str:
         If it is a native log, which needs none, or no columns are found in it.
     """
     try:
-        data = sample.read_bytes()
-    except OSError as error:
-        raise UsageError(f"{sample}: cannot be read ({error.strerror}). Give a log.") from error
-    kind = format_of(sample.name, data)
-    if kind == "delimited" and is_packed(data):
-        kind = format_of(sample.name, unpacked(sample.name, data))
-    if kind == "native":
-        raise ProfileError(f"{sample} is a native log, which needs no profile: `pipeline ingest {sample}` reads it.")
-    try:
-        return "".join(f"{_printable(line)}\n" for line in _lines(sample.name, data, kind))
+        sample = open_sample(path)
+        if sample.kind == "native":
+            raise ProfileError(f"{path} is a native log, which needs no profile: `pipeline ingest {path}` reads it.")
+        return "".join(f"{_printable(line)}\n" for line in _lines(sample))
     except LogError as error:
-        raise ProfileError(f"{sample}: no profile can be drafted: {error.reason}") from error
+        raise ProfileError(f"{path}: no profile can be drafted: {error.reason}") from error
 
 
-def _lines(name: str, data: bytes, kind: Format) -> Iterator[str]:
+def _lines(sample: Sample) -> Iterator[str]:
     """Yield the lines of the draft."""
-    layout = text_layout(name, data) if kind == "delimited" else Layout()
-    profile = Profile.model_construct(name="draft", format=kind, files=("*",), **layout.to_read())
-    infos: list[ColumnInfo] = format_module(profile).list_columns(name, data, profile)
-    infos = [info for info in infos if info.rows > 1 and info.name]
-    if kind == "json" and infos and infos[0].hint:
-        layout.keys["records"] = json.loads(infos[0].hint.removeprefix("records = "))
-        infos = [replace(info, hint="") for info in infos]
-    if all(info.dtype == "text" for info in infos):
-        raise LogError(
-            "it holds no columns of numbers with several rows. Export the recorded signals as plain columns.",
-            code="empty",
-        )
+    name, kind, layout, infos = sample.name, sample.kind, sample.layout, sample.infos
     packed = name.lower().endswith((".gz", ".zst"))
     suffix = "".join(Path(name).suffixes[-2 if packed else -1 :])
     short = re.sub(r"[^a-z0-9]+", "_", Path(name).stem.lower()).strip("_")
@@ -108,7 +146,7 @@ def _lines(name: str, data: bytes, kind: Format) -> Iterator[str]:
     if len(infos) > LISTED_COLUMNS:
         yield f"#   and {len(infos) - LISTED_COLUMNS} more"
     roles = {} if by_position else _roles(infos)
-    frame = _frame(name, data, layout, roles, kind)
+    frame = _frame(sample, roles)
     for key in QUANTITIES:
         if key in ("time", "command", "position"):
             yield from _column(key, roles.get(key), infos, by_position, frame)
@@ -156,16 +194,14 @@ def _roles(infos: list[ColumnInfo]) -> dict[str, ColumnInfo]:
     return found
 
 
-def _frame(name: str, data: bytes, layout: Layout, roles: dict[str, ColumnInfo], kind: Format) -> Frame | None:
+def _frame(sample: Sample, roles: dict[str, ColumnInfo]) -> Frame | None:
     """Return the columns whose role is known, to look at their numbers; None where they do not go together."""
     if not roles:
         return None
-    profile = Profile.model_construct(name="draft", format=kind, files=("*",), **layout.to_read())
     try:
-        frame: Frame = format_module(profile).read_frame(profile, name, data, tuple(i.name for i in roles.values()))
+        return sample.frame(tuple(info.name for info in roles.values()))
     except LogError:
         return None
-    return frame
 
 
 def _column(
