@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.measured.ladder.device import Device
-from pipeline.measured.ladder.parts import GROUPS, PARTS, likeliest, parts_of, without
+from pipeline.measured.ladder.parts import GROUPS, LIGHT, PARTS, likeliest, parts_of, without
 from pipeline.measured.ladder.search import cost_of, covariance_of, explained, judged, search
 from pipeline.measured.ladder.trials import LadderTrials
 from pipeline.records.batch import Floats
@@ -145,6 +145,8 @@ def _halves(trials: LadderTrials) -> tuple[LadderTrials, LadderTrials]:
 def _rung(fitted: LadderTrials, held: LadderTrials, starts: list[Device]) -> Rung:
     """Return the best device of searches from some starts."""
     found = [search(fitted, start) for start in starts]
+    # while frequency and delay are far off, the far mass runs away from where it is when they are right
+    found += [search(fitted, device.having(**LIGHT)) for device in found if device.sensor]
     device = min(found, key=lambda each: cost_of(fitted, each))
     misfit, _ = judged(held, device)
     good = explained(held, device)
