@@ -11,9 +11,9 @@ from pipeline.measured.stages.stages import STAGES
 ALWAYS = {"response", "outcome", "boundary"}
 NEEDED = {
     ("overshoot",): ALWAYS | {"overshoot"},
-    ("settle_2pct",): ALWAYS | {"wall_law", "delay", "model", "settling"},
-    ("settle_1pct", "overshoot"): ALWAYS | {"wall_law", "delay", "model", "settling", "overshoot"},
-    ("energy_step_w1",): ALWAYS | {"wall_law", "delay", "model", "energy", "mass", "damping", "windows"},
+    ("settle_2pct",): ALWAYS | {"wall_law", "delay", "model", "ladder", "settling"},
+    ("settle_1pct", "overshoot"): ALWAYS | {"wall_law", "delay", "model", "ladder", "settling", "overshoot"},
+    ("energy_step_w1",): ALWAYS | {"wall_law", "delay", "model", "ladder", "energy", "mass", "damping", "windows"},
 }
 
 
@@ -31,12 +31,12 @@ def test_unknown_device_needs_its_estimates_for_any_theory(unknown):
     data = open_scene("mydevice", unknown.processed, None, ("overshoot",))
     assert data.device is None
     assert data.overlay
-    assert needed_stages(data) == ALWAYS | {"wall_law", "overshoot", "delay", "model", "mass", "damping"}
+    assert needed_stages(data) == ALWAYS | {"wall_law", "overshoot", "delay", "model", "ladder", "mass", "damping"}
 
 
 def test_all_criteria_need_all_stages(falcon):
     data = open_scene("falcon", falcon.processed, None, None)
-    assert len(needed_stages(data)) == 12
+    assert len(needed_stages(data)) == 13
     assert data.overlay
     assert len(data.scene.criteria) == 7
 
@@ -90,6 +90,7 @@ def test_plan_goes_from_run_to_reuse_and_follows_changes(falcon, noisy, tmp_path
         "wall_law",
         "delay",
         "model",
+        "ladder",
         "settling",
     }
     assert {s for s, (action, _) in plan.items() if action == RUN} == {"overshoot"}
