@@ -9,9 +9,11 @@ from pipeline.base.wording import listed
 from pipeline.comparison.loops.findings import loop_findings
 from pipeline.comparison.loops.fitted_loop import fitted_device, fitted_estimates
 from pipeline.comparison.loops.loop_range import adequate_theory, estimated_range
+from pipeline.comparison.scene.origin import header_lines
 from pipeline.comparison.scene.scene import SceneData, needed_stages
 from pipeline.comparison.scores.implied_delay import implied_delay
 from pipeline.comparison.scores.implied_slope import DeviceParameters
+from pipeline.comparison.summary.advice import region_to_use
 from pipeline.loop.loop import LARGEST_DELAY
 from pipeline.measured.experiment.boundary_band import boundary_area
 from pipeline.measured.experiment.estimates import (
@@ -108,7 +110,10 @@ def experiment_result(data: SceneData, stages: ExperimentStages, theory: Theory 
         optimum=optimum,
         missing=missing,
         theory=theory.parameters if theory else None,
+        header=header_lines(stages),
     )
+    use, why = region_to_use(result, stages)
+    result = result.model_copy(update={"use": use, "use_reason": why or None})
     return _with_loop(data, stages, result, units) if "wall_law" in needed else result
 
 

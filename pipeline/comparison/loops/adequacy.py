@@ -142,8 +142,9 @@ def _force(units: Units) -> str:
 
 
 def _unknown(result: ExperimentResult, loop: LoopRange | None) -> Iterator[Doubt]:
-    names = {"mass": "mass", "damping": "viscous damping", "delay_samples": "delay"}
-    missing = [(name, result.estimates[key]) for key, name in names.items() if result.estimates[key].value is None]
+    mass, damping = result.estimates["mass"], result.estimates["damping"]
+    known = {"mass": mass, "viscous damping": damping, "delay": loop_delay(result)}
+    missing = [(name, estimate) for name, estimate in known.items() if estimate.value is None]
     for name, estimate in missing:
         yield Doubt(f"the {name} is not known ({estimate.reason})")
     if loop is None and not missing:

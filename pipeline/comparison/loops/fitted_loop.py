@@ -11,7 +11,7 @@ import numpy as np
 from pipeline.comparison.loops.loop_range import LoopPoint, LoopRange
 from pipeline.comparison.loops.loop_record import exact
 from pipeline.measured.intervals import NORMAL_95
-from pipeline.measured.ladder.ladder import EXPLAINED
+from pipeline.measured.ladder.ladder import holds
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.batch import Floats
 from pipeline.records.findings import Estimate
@@ -19,7 +19,6 @@ from pipeline.records.loop_parts import LoopParts, Mode, VelocityFilter
 from pipeline.records.loop_records import Parameter
 
 LOAD = "mode at the load"
-MODES = ("mode at the motor", LOAD)
 
 TOLD = 0.5
 """Share of the held-out trials that a device must explain for its parts to be named as causes."""
@@ -56,17 +55,12 @@ class FittedDevice:
     @property
     def holds(self) -> bool:
         """Whether it explains nearly all trials that it was not fitted to."""
-        return self.explained >= EXPLAINED * self.held_out
+        return holds(self.explained, self.held_out)
 
     @property
     def tells(self) -> bool:
         """Whether it explains enough of them for its parts to be real."""
         return self.explained >= TOLD * self.held_out
-
-    @property
-    def slides(self) -> bool:
-        """Whether it has Coulomb friction."""
-        return "coulomb" in self.values
 
     def parameter(self, name: str) -> Parameter | None:
         """Return one of its numbers with its 95 % interval; None where it has none."""

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from pipeline.base.errors import DeviceError, StoreError, UsageError
-from pipeline.device_data.devices import known_devices
+from pipeline.device_data.devices import declared_spring, known_devices
 from pipeline.measured.stages.stages import STAGES, ExperimentStages, required
 from pipeline.records.criteria import FAMILIES, MEASURED, REPORTED, criterion_of, members
 from pipeline.records.models import Device, Scene, Shown
+from pipeline.records.results import Truth
 from pipeline.store.exclusions import Exclusion
 from pipeline.store.storage import list_devices, list_experiments
 
@@ -40,6 +41,8 @@ class SceneData:
     simulated: bool
     overlay: bool
     """Whether theory is also drawn from the estimates, which needs delay, mass and damping."""
+    truth: Mapping[str, Truth] = field(default_factory=dict)
+    """What was true of simulated experiments, as far as it is known."""
     excluded: tuple[Exclusion, ...] = ()
     """Trials of these experiments that are excluded by hand, and those of experiments of which no other is left."""
 
@@ -79,7 +82,7 @@ def open_scene(
         raise DeviceError(f"device {device!r} has no logs of experiment {missing[0]!r}; found {', '.join(stored)}.")
     chosen_names = tuple(e for e in stored if not experiments or e in experiments)
     known = known_devices().get(device)
-    every = [ExperimentStages.stored(processed, device, e) for e in chosen_names]
+    every = [ExperimentStages.stored(processed, device, e, declared_spring(known, e)) for e in chosen_names]
     data = tuple(d for d in every if d.trials.num_rows)
     left_out = [d.experiment for d in every if not d.trials.num_rows and (experiments or not data)]
     if left_out:

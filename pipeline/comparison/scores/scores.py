@@ -86,8 +86,7 @@ def _scores(
         unknown = "no trial is stable, so that no limit is known"
         none = "theory has no stable wall at the tested dampings" if limits.known.any() else unknown
         missing["region"] = few if len(limits.damping) < 2 else none
-    use = limits.known
-    distance = boundary_distance(limits.damping[use], limits.limit[use], predicted[use], limits.censored[use])
+    distance = boundary_distance(limits, predicted)
     if distance is None:
         missing["distance"] = "no damping with a measured limit and a stable wall in theory"
     K, B = stages.column("response", "stiffness"), stages.column("response", "damping")

@@ -7,13 +7,13 @@ from it.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from pipeline.measured.ladder.device import Device
-from pipeline.measured.ladder.parts import PARTS, parts_of, without
+from pipeline.measured.ladder.parts import GROUPS, PARTS, likeliest, parts_of, without
 from pipeline.measured.ladder.search import cost_of, covariance_of, explained, judged, search
 from pipeline.measured.ladder.trials import LadderTrials
 from pipeline.records.batch import Floats
@@ -24,16 +24,29 @@ EXPLAINED = 0.9
 MISSED = 6.0
 """Fall of the held-out logarithm of the likelihood by which a part is missed: odds of 400 to 1."""
 
-CHOICE_TRIALS = 48
-"""Trials by which parts are chosen, half of them held out; more choose the same and take longer."""
+WORTH = 0.1
+"""Share of what a device lacks to explain the trials that another part must bring: less is but its likeness."""
+
+CHOICE_TRIALS, CHOICE_ROWS = 48, 500
+"""Trials and rows by which parts are chosen, half of the trials held out; more choose the same and take longer."""
 
 FEWEST_TRIALS = 6
 """Trials below which none can be held out."""
 
 MOST_PARTS = 5
+"""Parts beside mass, damper and delay."""
 
 LOST = 0.5
 """Share of the trials that must be explained for the others to be left out of the last fit."""
+
+
+def holds(explained: int, of: int) -> bool:
+    """Return whether so many of the held-out trials are nearly all; of few one may be left to chance.
+
+    >>> holds(9, 10), holds(5, 6), holds(4, 6), holds(17, 20)
+    (True, True, False, False)
+    """
+    return of - explained <= max((1 - EXPLAINED) * of, 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +75,7 @@ class Rung:
     @property
     def holds(self) -> bool:
         """Whether the device explains nearly all of the held-out trials."""
-        return self.explained >= EXPLAINED * self.of
+        return holds(self.explained, self.of)
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +88,8 @@ class Ladder:
         The simplest device that explains, or the likeliest where none does, by all trials.
     covariance : float64, shape (P, P)
         Of its numbers.
+    ideal : Rung
+        The device with mass, damper and delay alone.
     next_best : Rung or None
         The likeliest device with as many parts, or with one more or less.
     alike : tuple of Rung
@@ -83,11 +98,12 @@ class Ladder:
 
     best: Rung
     covariance: Floats
+    ideal: Rung
     next_best: Rung | None
     alike: tuple[Rung, ...]
 
 
-def climb(trials: LadderTrials, ideal: Device, say: Callable[[str], None] = lambda _: None) -> Ladder:
+def climb(trials: LadderTrials, ideal: Device, groups: Sequence[Sequence[str]] = GROUPS) -> Ladder:
     """Return the simplest device that explains the trials, from the ideal one upwards.
 
     Parameters
@@ -96,26 +112,28 @@ def climb(trials: LadderTrials, ideal: Device, say: Callable[[str], None] = lamb
         At least `FEWEST_TRIALS`, in the order of their place in the plane.
     ideal : Device
         With the mass, damper and delay to start from.
-    say : callable, optional
-        Gets what is done next.
+    groups : sequence of sequences of str, optional
+        Parts that are looked for, those of a later group only where no earlier part explains the trials.
     """
-    few = trials.select(np.unique(np.linspace(0, len(trials) - 1, CHOICE_TRIALS).astype(np.int64)))
+    few = trials.select(np.unique(np.linspace(0, len(trials) - 1, CHOICE_TRIALS).astype(np.int64))).head(CHOICE_ROWS)
     fitted, held = _halves(few)
-    now, last = _rung(fitted, held, [ideal]), []
+    now = _rung(fitted, held, [ideal])
+    tried, bases = [now], [now.device, ideal]
     for _ in range(MOST_PARTS):
-        if now.holds:
+        more = _more(fitted, held, now, bases, groups)
+        tried += more
+        # what explains the trials may still be the likeness of a part that costs little to look for
+        least = MISSED if now.holds else max(MISSED, -WORTH * now.score)
+        if not more or more[0].score - now.score <= least:
             break
-        say(f"device with {' and '.join(now.parts) or 'mass, damper and delay'}: {now.explained} of {now.of} trials")
-        last = _more(fitted, held, now)
-        if not last or last[0].score - now.score <= MISSED:
-            break
-        now = last[0]
-    now, pruned = _pruned(fitted, held, now)
-    others = [rung for rung in (*last, *pruned) if rung.parts != now.parts]
+        now = more[0]
+        bases = [now.device]
+    now, less = _pruned(fitted, held, now)
+    others = [rung for rung in (*tried, *less) if not set(now.parts) <= set(rung.parts)]
     others.sort(key=lambda rung: -rung.score)
     alike = [r for r in others if r.holds and len(r.parts) == len(now.parts) and now.score - r.score <= MISSED]
     best, covariance = _refined(trials, now.device)
-    return Ladder(best, covariance, others[0] if others else None, tuple(alike))
+    return Ladder(best, covariance, tried[0], others[0] if others else None, tuple(alike))
 
 
 def _halves(trials: LadderTrials) -> tuple[LadderTrials, LadderTrials]:
@@ -133,11 +151,24 @@ def _rung(fitted: LadderTrials, held: LadderTrials, starts: list[Device]) -> Run
     return Rung(device, int(good.sum()), len(good), score)
 
 
-def _more(fitted: LadderTrials, held: LadderTrials, now: Rung) -> list[Rung]:
-    """Return the device with each part that it lacks, likeliest first."""
-    has = now.parts
-    open_parts = [part for part in PARTS if part not in has and not (part.startswith("mode") and now.device.sensor)]
-    found = [_rung(fitted, held, PARTS[part][1](fitted, now.device)) for part in open_parts]
+def _more(
+    fitted: LadderTrials, held: LadderTrials, now: Rung, bases: list[Device], groups: Sequence[Sequence[str]]
+) -> list[Rung]:
+    """Return the device with each part that it lacks, likeliest first.
+
+    Parts that take longer to look for are left out where another one explains the trials.
+    """
+    found: list[Rung] = []
+    for group in groups:
+        if now.holds and group is not groups[0]:
+            break
+        for part in group:
+            if part in now.parts or (part.startswith("mode") and now.device.sensor):
+                continue
+            starts = [start for base in bases for start in PARTS[part][1](fitted, base)]
+            found.append(_rung(fitted, held, likeliest(fitted, starts)))
+        if any(rung.holds for rung in found):
+            break
     return sorted(found, key=lambda rung: -rung.score)
 
 

@@ -10,17 +10,17 @@ from pipeline.measured.ladder.device import Device, Sensor
 from pipeline.measured.ladder.search import cost_of, search
 from pipeline.measured.ladder.trials import LadderTrials
 
-FEW_STEPS = 4
+FEW_STEPS = 3
 """Steps of a search that only shows whether a start is worth more."""
 
 LAGS = (0.3, 2.0)
 """Lags to start from [samples]: within a sample it looks like a delay, beyond it does not."""
 
-TURNS = np.geomspace(0.02, 1.5, 48)
-"""Angles of a mode to start from [rad a sample], 10 % apart: 3 to 240 Hz at 1 kHz."""
+TURNS = np.geomspace(0.02, 1.5, 24)
+"""Angles of a mode to start from [rad a sample], 20 % apart, which a step may bridge: 3 to 240 Hz at 1 kHz."""
 
-MODE_TRIALS, MODE_STARTS = 16, 3
-"""Trials by which the starts of a mode are compared, and how many of them are followed to their end."""
+START_TRIALS, STARTS = 10, 3
+"""Trials by which starts are compared, and how many are followed to their end; one where friction takes time."""
 
 
 def _spring(trials: LadderTrials, device: Device) -> list[Device]:
@@ -43,16 +43,23 @@ def _friction(trials: LadderTrials, device: Device) -> list[Device]:
 
 def _mode(sensor: Sensor) -> Callable[[LadderTrials, Device], list[Device]]:
     def starts(trials: LadderTrials, device: Device) -> list[Device]:
-        """Return the likeliest of many starts, by few trials and without the friction that takes time."""
-        some = trials.select(np.unique(np.linspace(0, len(trials) - 1, MODE_TRIALS).astype(np.int64)))
-        found = []
-        for turn in TURNS:
-            start = Device(device.numbers | {"turn": float(np.log(turn)), "ratio": -3.5, "share": -1.7}, sensor)
-            quick = search(some, start.without("coulomb"), FEW_STEPS)
-            found.append((cost_of(some, quick), Device(device.numbers | quick.numbers, sensor)))
-        return [quick for _, quick in sorted(found, key=lambda pair: pair[0])[:MODE_STARTS]]
+        """Return the likeliest of many starts, found without the friction that takes time."""
+        mode = {"ratio": -3.5, "share": -1.7}
+        numbers = device.without("coulomb").numbers
+        tried = [Device(numbers | {"turn": float(np.log(turn)), **mode}, sensor) for turn in TURNS]
+        return [Device(device.numbers | quick.numbers, sensor) for quick in likeliest(trials, tried)]
 
     return starts
+
+
+def likeliest(trials: LadderTrials, starts: list[Device]) -> list[Device]:
+    """Return the best of some starts, after a few steps of their search with few trials."""
+    most = 1 if any("coulomb" in start.numbers for start in starts) else STARTS
+    if len(starts) <= most:
+        return starts
+    some = trials.select(np.unique(np.linspace(0, len(trials) - 1, START_TRIALS).astype(np.int64)))
+    quick = [search(some, start, FEW_STEPS) for start in starts]
+    return sorted(quick, key=lambda each: cost_of(some, each))[:most]
 
 
 PARTS: dict[str, tuple[tuple[str, ...], Callable[[LadderTrials, Device], list[Device]]]] = {
@@ -64,6 +71,9 @@ PARTS: dict[str, tuple[tuple[str, ...], Callable[[LadderTrials, Device], list[De
     "mode at the load": (("turn", "ratio", "share"), _mode("load")),
 }
 """Names of the numbers of each part, and the starts of a search for it."""
+
+GROUPS = (("spring", "force", "lag"), ("mode at the motor", "mode at the load"), ("friction",))
+"""Parts by the time that they take to look for."""
 
 
 def parts_of(device: Device) -> tuple[str, ...]:

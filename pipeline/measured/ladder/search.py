@@ -62,16 +62,15 @@ def _about_start(trials: LadderTrials, values: Floats) -> Floats:
 
 def slopes_of(trials: LadderTrials, device: Device) -> Floats:
     """Return the derivatives of the weighted motion by each number, shape (P, n, N)."""
-    others, spans = [], []
+    others, spans = [device], []
     for i, name in enumerate(device.names):
-        least, most = LIMITS[name]
         step = DIFFERENCE * (0.1 if name in ("delta", "gamma") else 1.0)
-        up, down = device.values, device.values
-        up[i], down[i] = min(up[i] + step, most), max(down[i] - step, least)
-        others += [device.at(up), device.at(down)]
-        spans.append(up[i] - down[i])
-    motions = _motions(trials, others)
-    return np.stack([_about_start(trials, (next(motions) - next(motions)) / span) for span in spans])
+        changed = device.values
+        changed[i] += step if changed[i] + step <= LIMITS[name][1] else -step
+        others.append(device.at(changed))
+        spans.append(changed[i] - device.values[i])
+    here, *motions = _motions(trials, others)
+    return np.stack([_about_start(trials, (each - here) / span) for each, span in zip(motions, spans, strict=True)])
 
 
 def search(trials: LadderTrials, start: Device, most_steps: int = MOST_STEPS) -> Device:

@@ -9,7 +9,7 @@ from typing import Self
 import numpy as np
 
 from pipeline.measured.fit.fit_window import Window
-from pipeline.measured.ladder.plant import Commands
+from pipeline.measured.ladder.open_loop import Commands
 from pipeline.records.batch import Booleans, Floats, Integers
 
 MOST_TRIALS = 400
@@ -79,6 +79,12 @@ class LadderTrials:
     def select(self, which: Booleans | Integers) -> LadderTrials:
         """Return the trials picked by a mask or by indices."""
         return LadderTrials(*(getattr(self, name)[which] for name in self.__dataclass_fields__))
+
+    def head(self, rows: int) -> LadderTrials:
+        """Return the first rows of all trials."""
+        cut = {name: value[:, :rows] for name, value in vars(self).items() if getattr(value, "ndim", 0) == 2}
+        share = (cut["weight"] > 0).sum(axis=1) / np.maximum((self.weight > 0).sum(axis=1), 1)
+        return replace(self, **cut, information=self.information * share)
 
     @cached_property
     def commands(self) -> Commands:

@@ -39,7 +39,7 @@ def _cost_stage(family: Family) -> Stage:
     needs = stage_energy if "mass" in family.needs else stage_settling if "delay" in family.needs else stage_overshoot
     timed = tuple(c.column for c in members(family)) if family.unit == "samples" or family is ENERGY else ()
     rows = partial(stage_overshoot.columns, measure=MEASURES[family.name], names=timed)
-    return Stage(family.needs, rows, needs.given_of)
+    return Stage(family.needs, rows, needs.given_of, sprung=True)
 
 
 STAGES: dict[str, Stage] = {

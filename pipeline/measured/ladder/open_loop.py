@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.fft import irfft, next_fast_len, rfft
 from scipy.linalg import expm
 
 from pipeline.loop.device_loop import DeviceLoop
@@ -30,17 +31,17 @@ class Commands:
     def of(cls, force: Floats) -> Commands:
         """Return the commands [N, Nm] of trials, shape (n, N)."""
         rows = force.shape[1]
-        size = 1 << (2 * rows - 1).bit_length()
+        size = next_fast_len(2 * rows, real=True)
         both = np.concatenate([force, np.ones((1, rows))])
-        return cls(np.fft.rfft(both, size, axis=1), rows, size)
+        return cls(rfft(both, size, axis=1), rows, size)
 
     def response(self, loop: DeviceLoop) -> Floats:
         """Return the sensed position of a device of unit mass that rests before the first row, shape (n + 1, N).
 
         Unit: that of the command times T^2, per mass. The last row is the answer to a constant force of 1.
         """
-        answer = np.fft.rfft(pulse_response(loop, self.rows), self.size)
-        return np.asarray(np.fft.irfft(self.spectrum * answer, self.size, axis=1)[:, : self.rows])
+        answer = rfft(pulse_response(loop, self.rows), self.size)
+        return np.asarray(irfft(self.spectrum * answer, self.size, axis=1)[:, : self.rows])
 
 
 def pulse_response(loop: DeviceLoop, rows: int) -> Floats:
