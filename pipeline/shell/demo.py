@@ -34,10 +34,11 @@ class Part:
     coarsen: int = 1
 
 
-REDUCED = (Part("falcon", ("1", "2", "6"), coarsen=2), Part("lwr", coarsen=2))
-"""Half the dampings and half the stiffness steps: a fourth of the trials, and maps that look like the full ones."""
+REDUCED = (Part("falcon-real", ("1",), coarsen=4), Part("falcon", ("1", "2", "6"), coarsen=2), Part("lwr", coarsen=2))
+"""Half the dampings and half the stiffness steps: a fourth of the trials, and maps that look like the full ones. First
+comes a device that deviates as the real one may (docs/falcon.md)."""
 
-FULL = (Part("falcon"), Part("lwr"))
+FULL = (Part("falcon-real"), Part("falcon"), Part("lwr"))
 
 
 @dataclass(frozen=True)

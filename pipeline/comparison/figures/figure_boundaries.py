@@ -218,8 +218,7 @@ class _Builder:
         panels = []
         for result in self.results:
             name = result.experiment
-            nominal = self.theories.get(name)
-            theory = adequate_theory(result, periods[name], nominal.parameters.stiffness if nominal else 0.0)
+            theory = adequate_theory(result, periods[name])
             if theory is None:
                 continue
             more = (envelope_curve(result), bound_curve(result), linear_curve(theory), passive_curve(theory))

@@ -209,10 +209,10 @@ def passive_choice(result: ExperimentResult, units: Units) -> str:
     reach = ""
     if loop is not None and loop.damping is not None and loop.delay_samples is not None:
         b, d = loop.damping, loop.delay_samples
-        reach = (
-            f" (4.6, for all of b = {significant(b.low, 4)} to {significant(b.high, 4)} {units.damping} and "
-            f"d = {significant(d.low, 4)} to {significant(d.high, 4)})"
-        )
+        # a hand that lets go takes its damping along
+        least = f"b = {significant(b.low, 4)} to {significant(b.high, 4)} {units.damping}"
+        own = "the device's own damping" if loop.operator else f"all of {least}"
+        reach = f" (4.6, for {own} and d = {significant(d.low, 4)} to {significant(d.high, 4)})"
     return (
         f"A wall that is passive, and so stable with every passive hand, has at most K = {wall.stiffness:.4g} "
         f"{units.stiffness} at B = {wall.damping:.4g} {units.damping}{reach}."

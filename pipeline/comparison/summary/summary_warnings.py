@@ -80,11 +80,10 @@ def warnings_of(data: SceneData, results: Sequence[ExperimentResult]) -> tuple[s
             "boundary there is a lower bound."
         )
     if data.device is not None:
-        warnings += _conflicts(data, data.device)
+        warnings += _conflicts(data, data.device, results)
     else:
-        warnings.append(
-            f"The device {data.scene.device!r} has no device file: theory uses the parameters estimated from its logs."
-        )
+        by = "theory uses the parameters estimated from its logs" if any(map(_has_theory, results)) else "no theory"
+        warnings.append(f"The device {data.scene.device!r} has no device file: {by}.")
     warnings += _estimates(results)
     return tuple(warnings)
 
@@ -184,10 +183,15 @@ def _bad_fits(result: ExperimentResult) -> str:
     check = result.model_check
     if check is None or not check.trials or check.trials - check.explained < BAD_FITS * check.trials:
         return ""
+    other = "; theory may speak of another device" if _has_theory(result) else ""
     return (
         f"Experiment {result.experiment}: mass, damping and delay do not explain {check.trials - check.explained} of "
-        f"{check.trials} fitted logs; theory may speak of another device."
+        f"{counted(check.trials, 'log')}{other}."
     )
+
+
+def _has_theory(result: ExperimentResult) -> bool:
+    return result.theory is not None
 
 
 def _extrapolated(data: SceneData, results: Sequence[ExperimentResult]) -> list[str]:
@@ -209,7 +213,7 @@ def _extrapolated(data: SceneData, results: Sequence[ExperimentResult]) -> list[
     return [f"Optimal energy costs that are partly extrapolated beyond the logs: {'; '.join(found)}."]
 
 
-def _conflicts(data: SceneData, device: Device) -> list[str]:
+def _conflicts(data: SceneData, device: Device, results: Sequence[ExperimentResult]) -> list[str]:
     """Where the logs of a known device do not fit its device file, so that theory speaks of something else."""
     texts = []
     known = {e.name for e in device.experiments}
@@ -224,6 +228,12 @@ def _conflicts(data: SceneData, device: Device) -> list[str]:
         texts.append(
             f"The device file of {device.name!r} has a delay of more than the {LARGEST_DELAY} samples that theory is "
             f"computed for in {_named(late)}: there is no theory by it."
+        )
+    idle = [r.experiment for r in results if r.theory is None and r.experiment in known and r.experiment not in late]
+    if idle:
+        texts.append(
+            f"No stiffness and damping stabilise the loop that the device file of {device.name!r} describes in "
+            f"{_named(idle)}: there is no theory by it. Check its delay, lag and velocity filter."
         )
     for stages in data.experiments:
         periods = set(stages.trials.column("sampling_period_s").to_pylist())

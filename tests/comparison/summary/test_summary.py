@@ -195,7 +195,7 @@ def test_drifts_of_all_experiments_are_one_short_warning(data, result):
 def test_bad_fits_and_extrapolated_costs_are_named(data, result):
     experiment = result.experiments[0]
     check = experiment.model_check.model_copy(update={"trials": 100, "explained": 60})
-    assert "do not explain 40 of 100 fitted logs" in warned(data, result, model_check=check)
+    assert "do not explain 40 of 100 logs" in warned(data, result, model_check=check)
     check = check.model_copy(update={"explained": 90})
     assert warned(data, result, model_check=check) == ""
     stages = data.experiments[0]
