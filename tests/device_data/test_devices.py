@@ -74,7 +74,7 @@ def test_delay_in_samples_contains_the_added_delay() -> None:
 
 
 def test_an_unknown_device_or_experiment_lists_the_known_ones() -> None:
-    with pytest.raises(DeviceError, match=r"'omega' is not known; known are falcon, lwr"):
+    with pytest.raises(DeviceError, match=r"'omega' is not known; known are falcon, falcon-real, lwr"):
         load_device("omega")
     with pytest.raises(DeviceError, match=r"no experiment '8'; it has 1, 2, 3, 4, 5, 6, 7"):
         find_experiment(load_device("falcon"), "8")
@@ -84,7 +84,7 @@ def test_a_users_device_joins_and_wins(tmp_path: Path, monkeypatch: pytest.Monke
     altered(tmp_path, ('name = "falcon"', 'name = "mine"'), name="mine.toml")
     altered(tmp_path, ("step = 8.0", "step = 5.0"))
     monkeypatch.setenv(USER_FOLDER_VARIABLE, str(tmp_path))
-    assert list(known_devices()) == ["falcon", "lwr", "mine"]
+    assert list(known_devices()) == ["falcon", "falcon-real", "lwr", "mine"]
     assert load_device("falcon").step == 5.0
     monkeypatch.setenv(USER_FOLDER_VARIABLE, str(tmp_path / "missing"))
     with pytest.raises(DeviceError, match=rf"missing: {USER_FOLDER_VARIABLE} must name a folder"):

@@ -222,7 +222,7 @@ def test_simulate_takes_a_device_file_and_a_damping_range(call, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "status", "message"),
     [
-        (["hammer"], 1, "device 'hammer' is not known; known are falcon, lwr"),
+        (["hammer"], 1, "device 'hammer' is not known; known are falcon, falcon-real, lwr"),
         (["none.toml"], 1, "none.toml: device file cannot be read"),
         (["falcon", "-e", "9"], 1, "no experiment '9'"),
         (["falcon", "--jitter", "3;4"], 2, "--jitter '3;4': expected whole numbers"),
