@@ -238,7 +238,7 @@ def test_an_error_that_all_trials_share_and_half_of_a_drift_are_in_the_interval(
             estimate = combine(values, error, names, "kg", "m", "none", **how, **options)
             found.append(estimate.low <= TRUE <= estimate.high)
     # 80 trials that are off together tell a mean to a ninth of what they are off by
-    assert np.mean(alone) < 0.7
+    assert np.mean(alone) < 0.8
     assert np.mean(shared) > 0.9
     # a mass that seems to grow by 10 % with the wall is that of the softest or of the stiffest, and not the middle one
     assert np.mean(drifting) > 0.9
