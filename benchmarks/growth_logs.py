@@ -16,9 +16,8 @@ from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 
-import numpy as np
 from growth import PIPELINE, Work, cost, table
-from ingest import BARE, text_of
+from ingest import BARE, write_logs
 
 LOGS, REFUSED = (2220, 22_200, 101_000, 202_000), (200, 2000, 6000)
 ROWS, LONG_ROWS, LONG_LOGS, EXPERIMENTS = 10, 900, 2220, 20
@@ -30,22 +29,6 @@ REFUSED_LIMIT_S, REFUSED_LIMIT_BYTES = 2e-3, 2000
 """Of quarantine for each log, beside the copy."""
 
 REPEATS = 3
-
-
-def write_logs(folder: Path, logs: int, rows: int, experiments: int) -> None:
-    """Write logs that all differ by their stiffness."""
-    folder.mkdir(parents=True)
-    random = np.random.default_rng(3)
-    time_s = np.arange(rows) * 1e-3
-    bodies = []
-    for _ in range(min(logs, 200)):
-        x = 0.12 - 1e-3 * np.exp(-random.uniform(3, 30) * time_s) * np.cos(random.uniform(20, 200) * time_s)
-        values = zip(time_s.tolist(), (8 + 1e3 * (x[0] - x)).tolist(), x.tolist(), strict=True)
-        bodies.append("".join(["%.17g,%.17g,%.17g\n" % row for row in values]))  # noqa: UP031  three times faster
-    for number in range(logs):
-        text = text_of(100.0 + number, float(number % 180), bodies[number % len(bodies)])
-        text = text.replace("# experiment: 1\n", f"# experiment: {number % experiments}\n")
-        (folder / f"{number:06d}.csv").write_text(text, encoding="utf-8")
 
 
 def ingests(folder: Path, sizes: Sequence[int]) -> None:
@@ -71,7 +54,7 @@ def quarantine(folder: Path, sizes: Sequence[int]) -> None:
     """Print what refused logs cost."""
     for refused in sizes:
         raw = folder / f"refused{refused}" / "raw"
-        write_logs(raw, refused, LONG_ROWS, 1)
+        write_logs(raw, refused, LONG_ROWS)
         for file in raw.iterdir():
             file.write_text(file.read_text(encoding="utf-8").replace("stiffness: ", "stiffness: x"), encoding="utf-8")
     command = [*PIPELINE, "ingest", "raw", "--json"]

@@ -117,10 +117,10 @@ def run(command: list[str], cwd: Path) -> Run:
     return Run(seconds, max(sampler.peak, usage.ru_maxrss * scale) / MIB)
 
 
-def text_of(stiffness: float, damping: float, body: str) -> str:
+def text_of(stiffness: float, damping: float, body: str, experiment: int = 1) -> str:
     header = {
         "device": "falcon",
-        "experiment": "1",
+        "experiment": f"{experiment}",
         "stiffness": f"{stiffness:g} [N/m]",
         "damping": f"{damping:g} [Ns/m]",
         "step": "8 [N]",
@@ -133,8 +133,11 @@ def text_of(stiffness: float, damping: float, body: str) -> str:
     return "".join(f"# {key}: {value}\n" for key, value in header.items()) + "time_s,command,position\n" + body
 
 
-def write_logs(folder: Path, logs: int, rows: int) -> list[str]:
-    """Write logs of decaying oscillations with the quantum of a sensor; returns their samples as text."""
+def write_logs(folder: Path, logs: int, rows: int, experiments: int = 1) -> list[str]:
+    """Write logs of decaying oscillations with the quantum of a sensor; returns their samples as text.
+
+    All differ by their stiffness; their experiments take turns.
+    """
     folder.mkdir(parents=True)
     random = np.random.default_rng(0)
     time_s = np.arange(rows) * 1e-3
@@ -146,8 +149,8 @@ def write_logs(folder: Path, logs: int, rows: int) -> list[str]:
         values = zip(time_s.tolist(), (8 + stiffness * (x[0] - x)).tolist(), x.tolist(), strict=True)
         bodies.append("".join(["%.17g,%.17g,%.17g\n" % row for row in values]))  # noqa: UP031  three times faster
     for number in range(logs):
-        text = text_of(100.0 + number, float(number % 180), bodies[number % BODIES])
-        (folder / f"{number:05d}.csv").write_text(text, encoding="utf-8")
+        text = text_of(100.0 + number, float(number % 180), bodies[number % BODIES], 1 + number % experiments)
+        (folder / f"{number:06d}.csv").write_text(text, encoding="utf-8")
     return bodies
 
 

@@ -18,11 +18,12 @@ from pipeline.base.errors import DeviceError
 from pipeline.base.provenance import USER_FOLDER_VARIABLE, schema_folder, user_device_folder
 from pipeline.records.models import Device, Experiment
 
-FORMER_KEYS = {
-    "controller": "velocity_filter_s has been replaced: write the filter into [loop], as velocity = "
+_FORMER_FILTER = (
+    "velocity_filter_s has been replaced: write the filter into [loop], as velocity = "
     '{ kind = "butterworth", order = 1, cutoff_hz = ... }, with cutoff_hz = 1/(2 pi velocity_filter_s); '
     "leave [controller] out, and without a filter [loop] too"
-}
+)
+FORMER_KEYS = dict.fromkeys(("controller", "velocity_filter_s"), _FORMER_FILTER)
 """What stands in place of keys that device files had in earlier versions."""
 
 
@@ -160,8 +161,8 @@ def _describe(detail: dict[str, Any], data: dict[str, Any]) -> str:
     location = detail["loc"]
     field = "".join(f"[{part + 1}]" if isinstance(part, int) else f".{part}" for part in location).lstrip(".")
     message = detail["msg"].removeprefix("Value error, ")
-    if detail["type"] == "extra_forbidden" and field in FORMER_KEYS:
-        return f"  {field}: {FORMER_KEYS[field]}"
+    if detail["type"] == "extra_forbidden" and location[-1] in FORMER_KEYS:
+        return f"  {field}: {FORMER_KEYS[location[-1]]}"
     if detail["type"] == "missing":
         return f"  {field}{_owner(location, data)}: found nothing; field required"
     if not isinstance(detail["input"], dict | list):

@@ -15,15 +15,13 @@ from pipeline.base.file_names import storable
 from pipeline.base.regular_files import open_regular
 from pipeline.intake.sources import Source
 from pipeline.readers import Log, RawLog, reader_of
+from pipeline.readers.limits import LARGEST_LOG
 from pipeline.records.models import Motion
 from pipeline.store.names import folder_name
 
 BATCH_LOGS = 256
 BATCH_BYTES = 6 << 20
 """Logs and bytes of text parsed at once: enough to hide the cost per call, little memory."""
-
-LARGEST_LOG = 256 << 20
-"""Bytes above which a file is not read: 10^6 times a usual log, so it is something else."""
 
 LONGEST_FOLDER = 200
 """Longest folder name made of a device or experiment; file systems allow 255 bytes."""

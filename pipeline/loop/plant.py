@@ -117,10 +117,25 @@ def motion_series(gamma: float, delta: float) -> tuple[list[float], list[float]]
 
 
 def turning_time(gamma: float, delta: float, e: Floats, v: Floats, u: Floats, duration: float) -> Floats:
-    """Time at which the velocity changes sign inside a segment, in closed form.
+    """Return when the velocity changes sign inside a segment, in closed form; 0 or the duration where it does not.
 
     v(t) exp(delta t/2) = v c(t) + (a + delta v/2) s(t), with a the acceleration at the start, c and s the (hyperbolic)
     cosine and sine of the plant's own motion.
+
+    Parameters
+    ----------
+    gamma, delta : float
+        Normalised stiffness and damping of the plant.
+    e, v, u : float64, shape (n,)
+        Position, velocity and force at the segment's start, normalised (thesis table 3.2).
+    duration : float
+        Length of the segment [samples].
+
+    Returns
+    -------
+    float64, shape (n,)
+        Time from the segment's start [samples].
+
     """
     slope = u - gamma * e - 0.5 * delta * v
     square = 0.25 * delta * delta - gamma

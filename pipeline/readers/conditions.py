@@ -15,14 +15,12 @@ from pipeline.base.units import factor_to_si
 from pipeline.profiles.patterns import find_groups
 from pipeline.profiles.profile_model import CONDITION_QUANTITIES, REQUIRED_CONDITIONS, FileEntry, Profile, StepEntry
 from pipeline.readers.frame import Frame, Scalar
+from pipeline.readers.limits import LONGEST_QUANTITY
 from pipeline.records.batch import Integers
 from pipeline.records.native import NativeHeader, parse_header
 
 _QUANTITY = re.compile(r"([^\s\[\]()]+)\s*[\[(]?\s*([^\d\s\[\]()][^\[\]()]*?)?\s*[\])]?")
 """A number and, behind it, a unit, which may stand in brackets."""
-
-LONGEST_QUANTITY = 200
-"""Characters of a number with its unit."""
 
 
 def entry_of(profile: Profile, name: str) -> FileEntry | None:

@@ -26,28 +26,8 @@ from typing import IO, Any
 from pipeline.base.errors import LogError
 from pipeline.base.process import end_when, ended_through, leave_out_pandas
 from pipeline.readers.frame import ColumnInfo, Frame
-from pipeline.readers.safety import LARGEST_FRAME, allowed_bytes, reading
-
-CPU_SECONDS = 0.6
-"""Processor time for any file: a hundred times what reading a log of 1 MB takes."""
-
-CPU_SECONDS_PER_BYTE = 2e-7
-"""More for larger files: reading takes 3e-9, unpacking ten times the size 3e-8; other machines are six times slower."""
-
-WALL_FACTOR = 30
-"""Longest wait in multiples of the processor time, for machines that are busy with other things."""
-
-MEMORY = 4 * LARGEST_FRAME
-"""Address space of a worker [byte]: file, unpacked arrays, their columns and the libraries themselves."""
-
-COPIES = 3
-"""Times that a call may hold what its file may unpack to, and the file itself: as read, as numbers, as columns."""
-
-GRACE_SECONDS = 2.0
-"""Wait for a worker to end by itself once its pipes are closed; ending takes some milliseconds."""
-
-SLACK = 32 << 20
-"""Memory that a library takes for itself [byte]: caches, buffers, pieces that its allocator asks for."""
+from pipeline.readers.limits import COPIES, CPU_SECONDS, CPU_SECONDS_PER_BYTE, GRACE_SECONDS, MEMORY, SLACK, WALL_FACTOR
+from pipeline.readers.safety import allowed_bytes, reading
 
 _SERVE = "from pipeline.readers.isolation import serve; serve()"
 

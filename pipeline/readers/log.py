@@ -8,14 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pipeline.base.errors import LogError
+from pipeline.readers.limits import LONGEST_S, MOST_PERIODS
 from pipeline.records.batch import Floats, Integers
 from pipeline.records.native import NativeHeader
-
-MOST_PERIODS = 2.0**53
-"""Periods that a log may last, and logs that a period may: rows beyond cannot be told apart by a float64."""
-
-LONGEST_S = 1e100
-"""Largest time, and sampling period [s]: sums and squares of it are finite, and no clock shows more."""
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,7 @@ from pipeline.profiles.profile_model import REQUIRED_CONDITIONS, Profile, StepTi
 from pipeline.readers.conditions import conditions_of, entry_of, header_of
 from pipeline.readers.file_kind import refuse_other_kind
 from pipeline.readers.frame import Frame
+from pipeline.readers.limits import KEPT_ATTRIBUTES, LONGEST_ATTRIBUTE
 from pipeline.readers.log import Log, RawLog, check_samples
 from pipeline.readers.rows import Rows, rows_of
 from pipeline.records.batch import Booleans, Floats, Integers
@@ -43,12 +44,6 @@ of time differ by 60 at least, a log that drops half of its samples has a ratio 
 
 LONGEST_STEP = 1.5
 """Time between rows in sampling periods from which on a row is missing: a velocity says nothing of it."""
-
-KEPT_ATTRIBUTES = 100
-"""Attributes of a file that are kept beside each of its trials; a workspace dump may hold thousands."""
-
-LONGEST_ATTRIBUTE = 10_000
-"""Characters of an attribute that are kept; a remark or a cut row is far shorter, an attribute may be a whole file."""
 
 LISTED_NAMES = 40
 """Names of columns that a message lists."""

@@ -14,18 +14,7 @@ from importlib import import_module
 from typing import Any
 
 from pipeline.base.errors import LogError
-
-SMALL_FRAME = 64 << 20
-"""Bytes that any file may unpack to: 10^6 rows of eight columns; a constant column packs 1000 times and more."""
-
-EXPANSION = 100
-"""Times its own size that a larger file may unpack to; recorded samples pack 1 to 20 times."""
-
-LARGEST_FRAME = 1 << 30
-"""Bytes that no file may exceed when unpacked, four times the largest file that is read at all."""
-
-MOST_COLUMNS = 10_000
-"""Columns of a file that are told apart; motion capture has some thousands, a list on one line has more."""
+from pipeline.readers.limits import EXPANSION, LARGEST_FRAME, MOST_COLUMNS, SMALL_FRAME
 
 _BLOCK = 1 << 20
 

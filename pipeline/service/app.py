@@ -17,17 +17,18 @@ from starlette.types import ASGIApp
 
 from pipeline import __version__
 from pipeline.base.errors import PipelineError, UsageError
-from pipeline.service import api, pages
 from pipeline.service.catalogue import Catalogue
 from pipeline.service.database import Database
+from pipeline.service.jobs.workers import Workers
+from pipeline.service.pages import pages
 from pipeline.service.problems import TITLES, Problem, problem_of
 from pipeline.service.problems import answer as answer_of
+from pipeline.service.rest import api
+from pipeline.service.rest.theory import Theory
 from pipeline.service.security import Guard
 from pipeline.service.settings import Settings
 from pipeline.service.shared import Service
-from pipeline.service.theory import Theory
 from pipeline.service.uploads import remove_unacknowledged
-from pipeline.service.workers import Workers
 
 THREADS = 12
 """That answer requests: more take memory, and the interpreter from each other."""

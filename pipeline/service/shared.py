@@ -12,12 +12,13 @@ from fastapi import Depends, Request
 from pydantic import BaseModel, ConfigDict, Field
 
 from pipeline.records.criteria import REPORTED
-from pipeline.service import results, theory
 from pipeline.service.catalogue import Catalogue, Trials
 from pipeline.service.database import Database
+from pipeline.service.jobs import results
+from pipeline.service.jobs.workers import Workers
 from pipeline.service.problems import Problem
+from pipeline.service.rest import theory
 from pipeline.service.settings import Settings
-from pipeline.service.workers import Workers
 from pipeline.store.samples import load_batch
 from pipeline.store.storage import list_devices, list_experiments, read_trials
 

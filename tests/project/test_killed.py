@@ -169,7 +169,8 @@ class Run:
 
     def had_not_begun(self) -> bool:
         """Whether Python itself was stopped while it began, which ends it with status 1."""
-        return "init_import_site" in (self.folder / "errors.txt").read_text()
+        told = (self.folder / "errors.txt").read_text()
+        return "init_import_site" in told or "Could not import runpy module" in told
 
     def left(self) -> dict[int, str]:
         """Processes that came of it and still run, with their command lines."""

@@ -13,8 +13,8 @@ from stored import stored_rows
 
 from pipeline.intake.ingest import ingest
 from pipeline.service.database import Database
+from pipeline.service.jobs.worker import work
 from pipeline.service.settings import Settings
-from pipeline.service.worker import work
 
 
 def test_an_upload_is_what_an_ingest_is(empty, logs, tmp_path):

@@ -15,6 +15,7 @@ from pipeline.measured.stages import (
     stage_damping,
     stage_delay,
     stage_energy,
+    stage_ladder,
     stage_mass,
     stage_model,
     stage_outcome,
@@ -48,6 +49,7 @@ STAGES: dict[str, Stage] = {
     "boundary": Stage(("response",), whole=stage_boundary.columns),
     "delay": Stage(("response",), stage_delay.columns),
     "model": Stage(("response",), stage_model.columns),
+    "ladder": Stage(("response", "wall_law", "model"), whole=stage_ladder.columns),
     "damping": Stage(("response", "delay", "model"), stage_damping.columns, stage_damping.given_of),
     "mass": Stage(
         ("response", "delay", "model", "damping"),

@@ -17,14 +17,12 @@ from pipeline.base.errors import LogError
 from pipeline.readers.formats.arrays import LISTED_ELEMENTS, Array, plain_column, unknown_column
 from pipeline.readers.frame import ColumnInfo, Frame, Scalar
 from pipeline.readers.isolation import isolated_reader
+from pipeline.readers.limits import EXACT
 from pipeline.readers.safety import check_claim, check_columns
 
 _PARQUET, _ARROW, _FEATHER_1 = b"PAR1", b"ARROW1", b"FEA1"
 _LONGEST_TEXT = 1000
 """Characters of a metadata entry that are kept: longer ones are schemas of other tools."""
-
-_EXACT = 1 << 53
-"""Whole numbers up to this one are floats without loss."""
 
 read_frame, list_columns = isolated_reader(__name__, "a Parquet or Feather file", ("pyarrow.parquet",))
 """Time stamps and durations are integers in nanoseconds, stated as attribute ``<column>@unit``; a null is NaN, or an
@@ -191,7 +189,7 @@ def _values(name: str, key: str, column: Any) -> Array | None:
         return plain_column(column.to_numpy(zero_copy_only=False))
     if pa.types.is_integer(column.type):
         bounds = pc.min_max(column)
-        if max(abs(bounds["min"].as_py() or 0), abs(bounds["max"].as_py() or 0)) > _EXACT:
+        if max(abs(bounds["min"].as_py() or 0), abs(bounds["max"].as_py() or 0)) > EXACT:
             at = int(np.argmax(column.is_null().to_numpy(zero_copy_only=False))) + 1
             raise LogError(
                 f"{name}: column {key!r} has whole numbers of more than 15 digits and missing ones; expected a value "

@@ -21,11 +21,9 @@ from pipeline.profiles.profile_text import BLANKS, TextLayout
 from pipeline.readers.dates import whole_dates
 from pipeline.readers.formats.plain_text import plain_text
 from pipeline.readers.frame import ColumnInfo, Frame, Scalar
+from pipeline.readers.limits import LONGEST_BANNER
 from pipeline.readers.safety import check_columns
 from pipeline.records.batch import Integers
-
-LONGEST_BANNER = 10_000
-"""Lines that are searched for the beginning of the table; terminal banners have some dozens."""
 
 SHOWN_VALUES = 3
 """First values of a column that `list_columns` gives."""

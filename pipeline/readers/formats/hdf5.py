@@ -19,12 +19,10 @@ from pipeline.base.errors import LogError
 from pipeline.readers.formats.arrays import Array, Contents, StoredArray
 from pipeline.readers.frame import ColumnInfo, Frame, Scalar
 from pipeline.readers.isolation import isolated_reader, memory_for
+from pipeline.readers.limits import MOST_DATASETS
 from pipeline.readers.safety import check_claim, library
 
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
-
-MOST_DATASETS = 2_000
-"""Datasets and groups that are looked at; a log has some dozen."""
 
 _HINTS = ("unit", "units", "Unit", "Units", "description", "long_name")
 _LONGEST_TEXT = 1000

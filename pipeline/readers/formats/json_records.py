@@ -19,14 +19,9 @@ from pipeline.readers.dates import whole_dates
 from pipeline.readers.formats.arrays import Array, StoredArray, frame_of_arrays, list_arrays, stored, unknown_column
 from pipeline.readers.formats.json_text import LongNumber, Place, parse_json
 from pipeline.readers.frame import ColumnInfo, Frame, Scalar
+from pipeline.readers.limits import DEEPEST, EXACT
 from pipeline.readers.safety import check_claim, check_columns, reading
 from pipeline.records.batch import Integers
-
-DEEPEST = 32
-"""Lists and objects inside each other: what robots log has two to five."""
-
-_EXACT = 1 << 53
-"""Whole numbers up to this one are floats without loss."""
 
 
 @dataclass
@@ -300,7 +295,7 @@ def _column(place: Place, key: str, values: list[Any], mixed: bool) -> Array:
     if kinds <= {int, bool} and None not in values:
         whole = [int(value) for value in values]
         return np.array(whole, dtype=np.int64 if not whole or max(whole) < 1 << 63 else np.uint64)
-    big = next((i for i, value in enumerate(values) if isinstance(value, int) and abs(value) > _EXACT), None)
+    big = next((i for i, value in enumerate(values) if isinstance(value, int) and abs(value) > EXACT), None)
     if big is not None:
         raise LogError(
             f"{place.name}: column {key!r} mixes whole numbers of more than 15 digits, such as {values[big]}, with "

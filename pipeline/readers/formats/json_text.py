@@ -9,9 +9,7 @@ from typing import Any
 
 from pipeline.base.errors import LogError
 from pipeline.readers.formats.plain_text import unpacked
-
-LARGEST_JSON = 64 << 20
-"""Bytes of a JSON file: 10^5 records of 600 characters; numbers as objects take forty times their text."""
+from pipeline.readers.limits import LARGEST_JSON
 
 _LONGEST = 16
 """Characters of a number, its decimal point among them, that a float always keeps."""

@@ -14,12 +14,7 @@ import numpy as np
 
 from pipeline.base.errors import LogError
 from pipeline.readers.formats.arrays import Contents, stored
-
-MOST_ELEMENTS = 100_000
-"""Arrays in one file, fields of structs counted one by one: a damaged file may claim millions of empty ones."""
-
-DEEPEST = 32
-"""Structs inside structs."""
+from pipeline.readers.limits import DEEPEST, MOST_ELEMENTS
 
 COMPLEX = "holds complex numbers. Save real and imaginary part: re = real(x); im = imag(x)."
 SPARSE = "is a sparse matrix; save full(x)."

@@ -17,7 +17,7 @@ import pyarrow.csv as pacsv
 from pipeline.base.errors import LogError
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers.file_kind import refuse_other_kind
-from pipeline.readers.formats.plain_text import LONGEST_LINE
+from pipeline.readers.limits import LONGEST_HEADER, LONGEST_HEADER_LINE, LONGEST_LINE
 from pipeline.readers.log import Log, RawLog, check_samples
 from pipeline.records.batch import Floats
 from pipeline.records.native import COLUMN_LINE, NativeHeader, parse_header
@@ -26,12 +26,6 @@ _NAMES = COLUMN_LINE.split(",")
 # float() would take digits of every script, which the common parse does not; no digit may belong to two parts, or a
 # million of them would be divided in every way
 _NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
-_LONGEST_HEADER = 1 << 16
-"""Bytes searched for the column line; a header is some hundred bytes, a file without one may be huge."""
-
-LONGEST_HEADER_LINE = 1 << 14
-"""Bytes of a header line; remarks are some hundred."""
-
 _SEARCHED = 1 << 20
 """Bytes of a body that are searched at once for the row at fault: lines as objects take ten times their bytes."""
 
@@ -110,7 +104,7 @@ def _copied(log: Log) -> Log:
 
 def _split(data: bytes) -> tuple[NativeHeader, int, int]:
     """Return the header, the offset of the first sample and its line number."""
-    head = data[:_LONGEST_HEADER]
+    head = data[:LONGEST_HEADER]
     if not head.strip(b"\xef\xbb\xbf \t\r\n"):
         raise LogError(
             "file is empty; expected a header, the column line and samples. Record the log again.", 1, code="empty"

@@ -9,13 +9,8 @@ import pyarrow as pa
 
 from pipeline.base.errors import LogError
 from pipeline.profiles.profile_text import TextLayout
+from pipeline.readers.limits import LARGEST_TEXT, LONGEST_LINE
 from pipeline.readers.safety import check_claim
-
-LARGEST_TEXT = 256 << 20
-"""Bytes of text after unpacking, as many as a file may have that is not packed."""
-
-LONGEST_LINE = 1 << 20
-"""Bytes of a line: 10^4 columns of 17 digits take a fifth of it; a file without line ends has one line."""
 
 _BLOCK = 1 << 22
 """Bytes that are searched for line ends at once."""

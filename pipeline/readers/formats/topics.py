@@ -20,6 +20,7 @@ from pipeline.readers.formats.recording import LISTED_MESSAGES, Parts, Recording
 from pipeline.readers.formats.ros_types import Decoder
 from pipeline.readers.frame import ColumnInfo, Frame
 from pipeline.readers.isolation import isolated_reader
+from pipeline.readers.limits import EXACT
 from pipeline.readers.safety import check_claim
 
 IMPORTS = ("rosbags.typesys", "lz4.frame")
@@ -31,9 +32,6 @@ six times slower."""
 
 STAMP, RECEIVED = "@stamp", "@received"
 _HEADER = "header.stamp"
-_EXACT = 1 << 53
-"""Whole numbers up to this one are floats without loss."""
-
 _DEEPEST = 16
 """Messages inside messages that are listed."""
 
@@ -312,7 +310,7 @@ def _spread(name: str, key: str, values: Array, place: NDArray[np.intp], rows: i
         result = np.empty_like(values)
     elif values.dtype.kind == "U":
         result = np.zeros(rows, dtype=values.dtype)
-    elif values.dtype.kind in "iu" and len(values) and max(int(values.max()), -int(values.min())) > _EXACT:
+    elif values.dtype.kind in "iu" and len(values) and max(int(values.max()), -int(values.min())) > EXACT:
         raise LogError(
             f"{name}: {key!r} has whole numbers of more than 15 digits, and the other topics have rows without it; "
             f"expected one time for all rows. Take time from {axis!r} or, for stamps of headers, {STAMP!r}.",

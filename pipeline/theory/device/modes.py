@@ -65,6 +65,11 @@ def modes(loop: DeviceLoop, alpha: Floats, beta: Floats, signal: str) -> Modes:
     alpha, beta : float64, shape (n,)
     signal : {"step", "impulse"}
 
+    Returns
+    -------
+    Modes
+        Of n points; the states are those of `loop.matrix` (position error, its history, delayed commands, device).
+
     """
     return _modes(loop, alpha.tobytes(), beta.tobytes(), signal)
 

@@ -9,7 +9,7 @@ import numpy as np
 from markupsafe import Markup
 
 from pipeline.rendering.labels import UNITS
-from pipeline.service.plots import Layer, figure
+from pipeline.service.pages.plots import Layer, figure
 
 
 def units_of(trials: Sequence[Mapping[str, Any]]) -> Any:

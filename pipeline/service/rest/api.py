@@ -14,11 +14,12 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 from starlette.concurrency import run_in_threadpool
 
 from pipeline import __version__
-from pipeline.service import results, theory
 from pipeline.service.catalogue import page_of, sorting
 from pipeline.service.database import ENDED
+from pipeline.service.jobs import results
 from pipeline.service.problems import RESPONSES, Problem
-from pipeline.service.sample_forms import form_of
+from pipeline.service.rest import theory
+from pipeline.service.rest.sample_forms import form_of
 from pipeline.service.shared import ComparisonRequest, Service, Shared
 from pipeline.service.uploads import Upload
 from pipeline.store.names import name_of_folder

@@ -24,15 +24,15 @@ from pipeline.profiles.profile_files import shipped_profiles
 from pipeline.records.criteria import REPORTED
 from pipeline.rendering.labels import UNITS, criterion_name, significant
 from pipeline.rendering.report.page_template import TEMPLATES
-from pipeline.service import api
-from pipeline.service.api import Segment
 from pipeline.service.catalogue import SORTS
 from pipeline.service.database import ENDED
-from pipeline.service.page_figures import limits, plane, units_of
-from pipeline.service.plots import Layer, figure
+from pipeline.service.jobs.results import uploaded_name
+from pipeline.service.pages.page_figures import limits, plane, units_of
+from pipeline.service.pages.plots import Layer, figure
 from pipeline.service.problems import Problem
-from pipeline.service.results import uploaded_name
-from pipeline.service.sample_forms import FORMS
+from pipeline.service.rest import api
+from pipeline.service.rest.api import Segment
+from pipeline.service.rest.sample_forms import FORMS
 from pipeline.service.security import FORM, SESSION, cookie, cookies_of, form_token, is_form
 from pipeline.service.shared import ComparisonRequest, Service, Shared
 from pipeline.store.names import folder_name, name_of_folder

@@ -40,7 +40,7 @@ class Workers:
 
     def _keep(self) -> None:
         folders = [str(self.settings.processed), str(self.settings.reports)]
-        command = [sys.executable, "-m", "pipeline.service.worker", *folders]
+        command = [sys.executable, "-m", "pipeline.service.jobs.worker", *folders]
         while not self._ended.is_set():
             # a session of its own: Ctrl-C ends the server, and the server its workers
             with subprocess.Popen(

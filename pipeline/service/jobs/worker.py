@@ -1,8 +1,8 @@
 """A process that works at jobs, one after the other, while its server lives.
 
-Run as ``python -m pipeline.service.worker PROCESSED REPORTS``. A byte on standard input says that a job waits, its end
-that the server ended: then this process ends, too, and another one takes the job when its lease has run out. What the
-functions of jobs write is whole at any moment, and they can be run again.
+Run as ``python -m pipeline.service.jobs.worker PROCESSED REPORTS``. A byte on standard input says that a job waits, its
+end that the server ended: then this process ends, too, and another one takes the job when its lease has run out. What
+the functions of jobs write is whole at any moment, and they can be run again.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ def work(settings: Settings, database: Database, owner: str) -> bool:
     job = database.claim(owner)
     if job is None:
         return False
-    from pipeline.service.results import KINDS
+    from pipeline.service.jobs.results import KINDS
 
     shown = database.job(job["id"])
     assert shown is not None, "jobs are never removed"

@@ -1,0 +1,1 @@
+"""Jobs: what they compute, and the processes that do."""
