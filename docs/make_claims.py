@@ -151,8 +151,10 @@ def wrong_claims(course: Course, found: ExperimentResult, *, limits_are_known: b
         claimed += [("measured_limit", p.damping, p.estimate or 0.0, p.low or 0.0, p.high or np.inf) for p in named]
     if claimed:
         true_limit = true_limits(course, np.array([damping for _, damping, *_ in claimed]))
+        # what halving leaves of no limit at all
+        none = 1e-9 * course.experiment.mass / setup.sampling_period_s**2
         for (what, damping, *limit), true in zip(claimed, true_limit, strict=True):
-            if true > LOW * true_limit.max() and is_wrong(*limit, true, OFF * true):
+            if true > max(LOW * true_limit.max(), none) and is_wrong(*limit, true, OFF * true):
                 wrong.append(f"{what} {limit} for {true} at B = {damping}")
     return wrong
 

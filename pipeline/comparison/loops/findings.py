@@ -60,7 +60,9 @@ def loop_findings(
     if loop is None or against:
         why = f"needs an adequate loop, and this one is not: {record.reason}"
         return LoopFindings(loop=record, passive_reason=why, causes=causes)
-    wall, why_none = passive_wall(loop, result)
+    held = entry is None and fitted is not None and "spring" in fitted.parts
+    # a hand that is let go of takes its damping with it
+    wall, why_none = (None, _HELD) if held else passive_wall(loop, result)
     return LoopFindings(
         loop=record,
         loop_boundary=_limits(loop, result),
@@ -68,6 +70,12 @@ def loop_findings(
         passive_reason=why_none,
         causes=causes,
     )
+
+
+_HELD = (
+    "a spring holds the device, perhaps a hand: how much of the damping is the device's own is not known, and a wall "
+    "is passive by that alone; a device file, or trials without it, would tell"
+)
 
 
 def _filter(stages: ExperimentStages, departures: list[LawDeparture]) -> VelocityFilter | None:

@@ -24,7 +24,7 @@ LIMITS = {
     "force": (-np.inf, np.inf),
     "turn": (-6.0, 0.9),
     "ratio": (-9.0, 0.0),
-    "share": (-6.0, 6.0),
+    "share": (-3.5, 3.5),
     "coulomb": (0.0, np.inf),
 }
 """Least and largest value of each number. ``gain``, ``turn`` (of the mode [rad] a sample) and ``ratio`` (its damping

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.measured.ladder.device import Device
-from pipeline.measured.ladder.parts import GROUPS, PARTS, likeliest, parts_of, without
+from pipeline.measured.ladder.parts import GROUPS, LIGHT, PARTS, likeliest, parts_of, without
 from pipeline.measured.ladder.search import cost_of, covariance_of, explained, judged, search
 from pipeline.measured.ladder.trials import LadderTrials
 from pipeline.records.batch import Floats
@@ -132,7 +132,8 @@ def climb(trials: LadderTrials, ideal: Device, groups: Sequence[Sequence[str]] =
     others = [rung for rung in (*tried, *less) if not set(now.parts) <= set(rung.parts)]
     others.sort(key=lambda rung: -rung.score)
     alike = [r for r in others if r.holds and len(r.parts) == len(now.parts) and now.score - r.score <= MISSED]
-    best, covariance = _refined(trials, now.device)
+    # of what does not hold with few trials more of them tell nothing
+    best, covariance = _refined(trials if now.holds else few, now.device)
     return Ladder(best, covariance, tried[0], others[0] if others else None, tuple(alike))
 
 
@@ -144,6 +145,8 @@ def _halves(trials: LadderTrials) -> tuple[LadderTrials, LadderTrials]:
 def _rung(fitted: LadderTrials, held: LadderTrials, starts: list[Device]) -> Rung:
     """Return the best device of searches from some starts."""
     found = [search(fitted, start) for start in starts]
+    # while frequency and delay are far off, the far mass runs away from where it is when they are right
+    found += [search(fitted, device.having(**LIGHT)) for device in found if device.sensor]
     device = min(found, key=lambda each: cost_of(fitted, each))
     misfit, _ = judged(held, device)
     good = explained(held, device)

@@ -19,6 +19,9 @@ LAGS = (0.3, 2.0)
 TURNS = np.geomspace(0.02, 1.5, 24)
 """Angles of a mode to start from [rad a sample], 20 % apart, which a step may bridge: 3 to 240 Hz at 1 kHz."""
 
+LIGHT, HEAVY = {"share": -1.7}, {"share": 0.0}
+"""A far mass to start from, a seventh of all, or a half: what is heavy delays, and the delay is less."""
+
 START_TRIALS, STARTS = 10, 3
 """Trials by which starts are compared, and how many are followed to their end; one where friction takes time."""
 
@@ -44,9 +47,14 @@ def _friction(trials: LadderTrials, device: Device) -> list[Device]:
 def _mode(sensor: Sensor) -> Callable[[LadderTrials, Device], list[Device]]:
     def starts(trials: LadderTrials, device: Device) -> list[Device]:
         """Return the likeliest of many starts, found without the friction that takes time."""
-        mode = {"ratio": -3.5, "share": -1.7}
         numbers = device.without("coulomb").numbers
-        tried = [Device(numbers | {"turn": float(np.log(turn)), **mode}, sensor) for turn in TURNS]
+        tried = [
+            Device(
+                numbers | {"turn": float(np.log(turn)), "ratio": -3.5, **far, "delay": late * numbers["delay"]}, sensor
+            )
+            for turn in TURNS
+            for far, late in ((LIGHT, 1.0), (HEAVY, 0.5))
+        ]
         return [Device(device.numbers | quick.numbers, sensor) for quick in likeliest(trials, tried)]
 
     return starts
