@@ -13,6 +13,7 @@ from fastapi.exceptions import RequestValidationError
 from pydantic import ValidationError
 from starlette.exceptions import HTTPException
 from starlette.responses import Response
+from starlette.routing import Match
 from starlette.types import ASGIApp
 
 from pipeline import __version__
@@ -24,6 +25,7 @@ from pipeline.service.pages import pages
 from pipeline.service.problems import TITLES, Problem, problem_of
 from pipeline.service.problems import answer as answer_of
 from pipeline.service.rest import api
+from pipeline.service.rest.answers import describe
 from pipeline.service.rest.theory import Theory
 from pipeline.service.security import Guard
 from pipeline.service.settings import Settings
@@ -66,6 +68,7 @@ def create_app(settings: Settings) -> ASGIApp:
         title="pipeline", version=__version__, lifespan=life, docs_url=None, redoc_url=None,
         openapi_url="/api/v1/openapi.json",
     )  # fmt: skip
+    app.openapi = lambda: describe(app)  # type: ignore[method-assign]
     app.state.service = service
     app.include_router(api.api)
     app.include_router(pages.pages)
@@ -97,7 +100,16 @@ def _answer_errors(app: FastAPI, service: Service) -> None:
     async def other(request: Request, error: HTTPException) -> Response:
         if error.status_code not in TITLES:
             return Response(status_code=error.status_code, headers=error.headers)
-        return answer(request, Problem(error.status_code, str(error.detail)))
+        headers = {"Allow": ", ".join(sorted(_methods(request)))} if error.status_code == 405 else None
+        return answer(request, Problem(error.status_code, str(error.detail), headers))
+
+
+def _methods(request: Request) -> set[str]:
+    """Return the methods that an address has; each is a route of its own."""
+    found = (
+        route for route in (*api.api.routes, *pages.pages.routes) if route.matches(request.scope)[0] is not Match.NONE
+    )
+    return set[str]().union(*(getattr(route, "methods", ()) for route in found))
 
 
 def serve(settings: Settings) -> None:

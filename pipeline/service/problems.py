@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Mapping
 
 from fastapi.responses import JSONResponse
 
@@ -34,13 +34,16 @@ class Problem(Exception):  # noqa: N818 (RFC 9457 calls it so)
     status : int
     detail : str
         What is wrong and what to do.
+    headers : mapping of str to str, optional
+        Of the answer.
     **more : object
         Such as ``where``, ``expected``, ``found``.
     """
 
-    def __init__(self, status: int, detail: str, **more: object) -> None:
+    def __init__(self, status: int, detail: str, headers: Mapping[str, str] | None = None, **more: object) -> None:
         super().__init__(detail)
         self.status = status
+        self.headers = {"WWW-Authenticate": "Bearer", **(headers or {})} if status == 401 else headers
         self.document = {"type": "about:blank", "title": TITLES[status], "status": status, "detail": detail, **more}
 
 
@@ -52,12 +55,4 @@ def problem_of(error: PipelineError) -> Problem:
 
 def answer(problem: Problem) -> JSONResponse:
     """Return the document of a problem."""
-    headers = {"WWW-Authenticate": "Bearer"} if problem.status == 401 else None
-    return JSONResponse(problem.document, problem.status, headers, MEDIA)
-
-
-RESPONSES: dict[int | str, dict[str, Any]] = {
-    status: {"description": TITLES[status], "content": {MEDIA: {"schema": {"type": "object"}}}}
-    for status in (400, 401, 403, 404, 413, 422, 503)
-}
-"""Answers that every route of the API may give, for its schema."""
+    return JSONResponse(problem.document, problem.status, problem.headers, MEDIA)

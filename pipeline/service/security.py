@@ -183,7 +183,8 @@ async def _refuse(problem: Problem, scope: Scope, receive: Receive, send: Send) 
     """Send a problem; a client that is still sending gets to read it."""
     response = answer(problem)
     accept = Headers(scope=scope).get("accept", "")
-    if problem.status == 401 and scope["method"] == "GET" and "text/html" in accept:
+    page = scope["method"] == "GET" and not scope["path"].startswith("/api/")
+    if problem.status == 401 and page and "text/html" in accept:
         response.status_code = 303
         response.headers["location"] = "/login"
     await send({"type": "http.response.start", "status": response.status_code, "headers": response.raw_headers})

@@ -28,3 +28,13 @@ def logs(falcon):
     """Names and contents of eight logs."""
     files = sorted(falcon.raw.rglob("*.csv"))[::20][:8]
     return [(file.name, file.read_bytes()) for file in files]
+
+
+@pytest.fixture(scope="session")
+def compared(served):
+    """What was asked for, what was answered, and the key of a comparison that is there now."""
+    asked = {"device": "falcon", "criteria": ["overshoot"]}
+    first = served.ask("POST", "comparisons", document=asked)
+    job = served.done(first.content["job"])
+    assert (job["state"], job["problem"]) == ("done", None)
+    return asked, first, job["result"]["key"]

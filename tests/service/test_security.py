@@ -26,7 +26,7 @@ def guarded(tmp_path):
     database = Database(settings.data)
     tokens = {role: database.create_token(role, "test") for role in ("viewer", "contributor", "admin")}
     with serving(settings) as client:
-        client.tokens, client.settings, client.database = tokens, settings, database
+        client.tokens, client.database = tokens, database
         yield client
 
 

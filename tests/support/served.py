@@ -87,6 +87,8 @@ def serving(settings):
         while not server.started:
             assert thread.is_alive(), "the server did not start"
             time.sleep(0.01)
-        yield Client(listener.getsockname()[1])
+        client = Client(listener.getsockname()[1])
+        client.settings = settings
+        yield client
         server.should_exit = True
         thread.join()

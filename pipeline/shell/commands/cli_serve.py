@@ -19,6 +19,9 @@ token_app = typer.Typer(no_args_is_help=True, help="Tokens for other computers: 
 TOKEN_VARIABLE = "PIPELINE_TOKEN"
 
 
+Reports = Annotated[Path, typer.Option("--reports", help="Folder of the reports.")]
+
+
 class RoleName(StrEnum):
     """What the holder of a token may do."""
 
@@ -29,7 +32,7 @@ class RoleName(StrEnum):
 
 def serve(
     processed: Processed = Path("processed"),
-    reports: Annotated[Path, typer.Option("--reports", help="Folder of the reports.")] = Path("reports"),
+    reports: Reports = Path("reports"),
     host: Annotated[str, typer.Option("--host", help="Address to listen at; other computers need a token.")] = (
         "127.0.0.1"
     ),
@@ -134,6 +137,45 @@ def push(
             console.say(f"{refusal['path']}{row}: {refusal['reason']}")
     if report["damaged"] or report["quarantined"]:
         raise typer.Exit(EXIT_ERROR if report["damaged"] else EXIT_QUARANTINED)
+
+
+def backup(
+    file: Annotated[Path, typer.Argument(help="File to write.")],
+    processed: Processed = Path("processed"),
+    reports: Reports = Path("reports"),
+    as_json: Json = False,
+) -> None:
+    """Write all that is stored (tables, uploads, notes, tokens, reports) into one file, beside a running server.
+
+    Example: pipeline backup lab.zip
+    """
+    from pipeline.service.backup import backup as write
+    from pipeline.service.settings import Settings
+
+    _tell(write(Settings(processed, reports), file), as_json)
+
+
+def restore(
+    file: Annotated[Path, typer.Argument(help="File that `pipeline backup` wrote.")],
+    processed: Processed = Path("processed"),
+    reports: Reports = Path("reports"),
+    as_json: Json = False,
+) -> None:
+    """Put a backup into folders that are empty or not there yet; nothing is overwritten.
+
+    Example: pipeline restore lab.zip --processed processed
+    """
+    from pipeline.service.backup import restore as put_back
+    from pipeline.service.settings import Settings
+
+    _tell(put_back(Settings(processed, reports), file), as_json)
+
+
+def _tell(report: dict[str, int], as_json: bool) -> None:
+    if as_json:
+        console.print_json(report)
+    else:
+        console.say(f"{report['files']} files, {report['bytes'] / 2**20:.1f} MiB")
 
 
 def _check_installed() -> None:
