@@ -20,7 +20,7 @@ from pipeline.service.catalogue import SORTED, page_of
 from pipeline.service.database import ENDED
 from pipeline.service.jobs import results
 from pipeline.service.problems import Problem
-from pipeline.service.rest import answers, theory
+from pipeline.service.rest import answers
 from pipeline.service.rest.sample_forms import FORMS, form_of
 from pipeline.service.shared import ComparisonRequest, Service, Shared
 from pipeline.service.uploads import Upload
@@ -54,10 +54,6 @@ FiniteNumber = Annotated[float, Field(allow_inf_nan=False)]
 WORDS = ("device", "experiment", "verdict", "outcome")
 RANGES = ("stiffness_min", "stiffness_max", "damping_min", "damping_max")
 """Parts of a `TrialQuery` that name properties, and that bound them."""
-
-Coefficient = Annotated[float, Query(allow_inf_nan=False)]
-Coordinates = Annotated[list[FiniteNumber], Query(max_length=theory.MOST_POINTS)]
-Delay = Annotated[float, Query(ge=0, le=theory.LONGEST_DELAY, description="Delay in samples.")]
 
 
 LOGS = {
@@ -146,8 +142,7 @@ def trial_list(service: Service, query: TrialQuery) -> dict[str, Any]:
 @api.get("/health", response_model=answers.Health)
 def health(service: Shared) -> dict[str, Any]:
     """Tell that the server answers, and how many jobs are in which state."""
-    states = service.database.run("SELECT state, count(*) AS n FROM jobs GROUP BY state")
-    jobs = {row["state"]: row["n"] for row in states}
+    jobs = service.database.job_counts()
     return {"state": "ok", "version": __version__, "read_only": service.settings.read_only, "jobs": jobs}
 
 
@@ -282,46 +277,6 @@ def report(service: Shared, key: Annotated[str, Path(pattern="^[0-9a-f]{16}$")])
     return _file(service, key, ".html", "text/html; charset=utf-8")
 
 
-@api.get("/theory/boundary", response_model=answers.Boundary, responses=answers.problems(504))
-def boundary(service: Shared, delay: Delay, gamma: Coefficient = 0.0, delta: Coefficient = 0.0) -> Any:
-    """Return the stability boundary of the ideal loop, normalised."""
-    return service.theory.compute(theory.boundary, gamma, delta, delay)
-
-
-@api.get(
-    "/theory/optimum",
-    response_model=answers.BestPoint,
-    response_model_exclude_unset=True,
-    responses=answers.problems(504),
-)
-def optimum(
-    service: Shared,
-    criterion: Literal[theory.OPTIMA],  # type: ignore[valid-type]
-    delay: Delay,
-    gamma: Coefficient = 0.0,
-    delta: Coefficient = 0.0,
-    signal: Literal["continuous", "discrete"] | None = None,
-) -> Any:
-    """Return the point of least cost by a criterion, normalised."""
-    return service.theory.compute(theory.optimum, gamma, delta, delay, criterion, signal)
-
-
-@api.get("/theory/points", response_model=list[answers.Point], responses=answers.problems(504))
-def points(
-    service: Shared,
-    alpha: Coordinates,
-    beta: Coordinates,
-    delay: Delay,
-    gamma: Coefficient = 0.0,
-    delta: Coefficient = 0.0,
-) -> Any:
-    """Return stability and costs of points, normalised."""
-    if len(alpha) != len(beta):
-        raise Problem(422, "Each point needs an alpha and a beta.", where="alpha, beta")
-    rows = [(a, b, gamma, delta, delay) for a, b in zip(alpha, beta, strict=True)]
-    return service.theory.compute(theory.points, rows)
-
-
 def of_trial(service: Shared, trial: str) -> list[str]:
     """Return what notes of a trial belong to."""
     service.found(trial)
@@ -410,6 +365,7 @@ async def receive(service: Service, request: Request, check: Any = lambda _: Non
         upload.discard()
         raise
     service.workers.wake()
+    service.metrics.uploaded(accepted["files"])
     return accepted
 
 

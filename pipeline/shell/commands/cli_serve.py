@@ -40,6 +40,13 @@ def serve(
     read_only: Annotated[bool, typer.Option("--read-only", help="Refuse every change.")] = False,
     max_file_mib: Annotated[int, typer.Option("--max-file", min=1, help="Largest log [MiB].")] = 64,
     max_request_mib: Annotated[int, typer.Option("--max-request", min=1, help="Largest upload [MiB].")] = 1024,
+    rate: Annotated[
+        int | None,
+        typer.Option("--rate", min=0, help="Requests a minute of a token or address; 0: any. 3000, on 127.0.0.1 any."),
+    ] = None,
+    unix_socket: Annotated[
+        Path | None, typer.Option("--unix-socket", help="Listen at this path, for its owner alone, and at no address.")
+    ] = None,
 ) -> None:
     """Serve what is stored in the browser and by REST, take uploads, compare. Ctrl-C ends it.
 
@@ -57,8 +64,11 @@ def serve(
         read_only=read_only,
         max_file=max_file_mib << 20,
         max_request=max_request_mib << 20,
+        rate=rate,
+        unix_socket=unix_socket,
     )
-    console.note(f"http://{f'[{host}]' if ':' in host else host}:{port}/ (Ctrl-C ends it)")
+    place = unix_socket or f"http://{f'[{host}]' if ':' in host else host}:{port}/"
+    console.note(f"{place} (Ctrl-C ends it)")
     run(settings)
 
 
@@ -179,7 +189,8 @@ def _tell(report: dict[str, int], as_json: bool) -> None:
 
 
 def _check_installed() -> None:
-    missing = [name for name in ("fastapi", "uvicorn", "python_multipart") if find_spec(name) is None]
+    needed = ("fastapi", "uvicorn", "python_multipart", "prometheus_client")
+    missing = [name for name in needed if find_spec(name) is None]
     if missing:
         raise UsageError(
             f"the service needs {', '.join(missing)}, which a plain installation leaves out. "
