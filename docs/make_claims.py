@@ -1,21 +1,25 @@
 """Write the last section of `coverage.md`: what is said of devices that are not ideal, and how much of it is right.
 
-    python docs/make_claims.py [seeds [first seed]]
+    python docs/make_claims.py [seeds [first seed]] [--kept FILE] [--base NAME ...] [--kind NAME ...] [--again]
 
 simulates a small course of each kind of device in `pipeline.studies.coverage.kinds` for each seed, compares it as the
 logs of a device that nobody described, and holds the document against the truth (a minute a seed and base on a free
 core). The light-weight robot and a small motor take a quarter of the seeds; the motor turns without a wall, too.
+What is found of each course is a line of the file that ``--kept`` names, and is not found again in a second run but by
+``--again``; the table is made from that file, of a run that was broken off too.
 """
 
 from __future__ import annotations
 
-import sys
+import argparse
+import json
 import tempfile
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -74,8 +78,11 @@ MOTOR = {
 BLIND = ("jitter_samples", "friction", "one_sided_wall", "force", "held_samples")
 """Keys of parts that move limits in a way that no eigenvalue tells."""
 
-Claims = tuple[str, tuple[str, ...], list[str]]
-"""Right, withheld or wrong; the causes named that are none; what is wrong."""
+UNSEEN = {"force_gain", "sampling_period"}
+"""Causes that show against a device file alone, and none describes these devices."""
+
+Claims = tuple[str, tuple[str, ...], list[str], bool | None]
+"""Right, withheld or wrong; the causes named that are none; what is wrong; whether a true cause is named first."""
 
 
 def true_limits(course: Course, damping: Floats) -> Floats:
@@ -161,13 +168,14 @@ def claims(course: Course, expected: set[str], *, limits_are_known: bool) -> tup
         raise RuntimeError("a comparison that is no dry run has a result")
     (found,) = outcome.result.experiments
     wrong = wrong_claims(course, found, limits_are_known=limits_are_known)
+    first = bool(found.causes) and found.causes[0].code in expected if expected - UNSEEN else None
     setup, wall = course.setup, course.batch.stiffness > 0
     stable = spectral_radius(setup.plant, setup, course.batch.stiffness[wall], course.batch.damping[wall]) < 1
     expected |= {"coarse_sensor", "few_trials"}
     expected |= {code for code, none in (("no_stable_trial", ~stable), ("no_unstable_trial", stable)) if none.all()}
     false = tuple(cause.code for cause in found.causes if cause.code not in expected)
     adequate = found.loop is not None and found.loop.adequate
-    return ("wrong" if wrong else "right" if adequate else "withheld", false, wrong), found
+    return ("wrong" if wrong else "right" if adequate else "withheld", false, wrong, first), found
 
 
 def cases(base: Device, experiment: str) -> dict[str, Callable[[int], tuple[Claims, ExperimentResult]]]:
@@ -215,37 +223,83 @@ def every_case() -> Iterator[tuple[str, int, dict[str, Callable[[int], tuple[Cla
     yield "Small motor", PER_BASE, motor
 
 
-def main(seeds: int, first: int) -> None:
-    """Write the section."""
+def lines_of(kept: Path) -> dict[tuple[str, str, int], dict[str, Any]]:
+    """Return what was found of each base, kind and seed; of what was found twice the last."""
+    text = kept.read_text(encoding="utf-8") if kept.exists() else ""
+    found = [json.loads(line) for line in text.splitlines() if line.endswith("}")]
+    return {(each["base"], each["kind"], each["seed"]): each for each in found}
+
+
+def find(options: argparse.Namespace) -> None:
+    """Judge what was not judged yet, seed by seed, and append it to the file."""
+    known = {} if options.again else lines_of(options.kept)
+    for base, part, of in every_case():
+        if options.base and base not in options.base:
+            continue
+        for seed in range(options.first, options.first + -(-options.seeds // part)):
+            for kind, judged in of.items():
+                if (base, kind, seed) in known or (options.kind and kind not in options.kind):
+                    continue
+                (said, causes, wrong, first), _ = judged(seed)
+                found = {"base": base, "kind": kind, "seed": seed, "said": said, "causes": causes, "wrong": wrong}
+                found["first"] = first
+                with options.kept.open("a", encoding="utf-8") as file:
+                    file.write(json.dumps(found) + "\n")
+                print(base, seed, kind, said, *causes, *wrong, sep="; ", flush=True)
+
+
+def table(found: Mapping[tuple[str, str, int], dict[str, Any]]) -> list[str]:
+    """Return the lines of the section."""
+    bases = list(dict.fromkeys(base for base, _, _ in found))
+    seeds = {base: sorted({seed for name, _, seed in found if name == base}) for base in bases}
     lines = [
         SECTION,
         "",
-        f"Made by `python docs/make_claims.py {seeds} {first}`: seeds of each kind from {first}, base devices varied "
-        "by 30 %, every eighth damping. Right: the loop is called adequate and all that is said of it holds; withheld: "
-        "the loop is called not adequate, and estimates bear a warning; confidently wrong: no warning, an error above "
-        "5 % (0.5 samples of delay, 1 % of the step for forces) and above 3 half widths, or a passive wall that is "
-        "unstable.",
+        "Made by `python docs/make_claims.py`: base devices varied by 30 %, every eighth damping; "
+        + ", ".join(f"{base} with {len(of)} seeds from {of[0]}" for base, of in seeds.items())
+        + ". Right: the loop is called adequate and all that is said of it holds; withheld: the loop is called not "
+        "adequate, and estimates bear a warning; wrong, and confidently so: no warning, an error above 5 % (0.5 "
+        "samples of delay, 1 % of the step for forces) and above 3 half widths, or a passive wall that is unstable. "
+        "Last come the share of courses of which a true cause is named first, and the causes that are none, with the "
+        "number of courses.",
+        "",
+        "| kind of device | "
+        + " | ".join(f"{base}: right | withheld | wrong" for base in bases)
+        + " | true cause first | false causes |",
+        "|---" * (3 * len(bases) + 3) + "|",
     ]
-    for base, part, of in every_case():
-        count = max(seeds // part, 1)
-        lines += ["", f"### {base}, {count} seeds of each kind", ""]
-        lines += ["| kind of device | right | withheld | confidently wrong | causes named that are none |"]
-        lines += ["|---|---|---|---|---|"]
-        for name, judged in of.items():
-            found = [judged(seed)[0] for seed in range(first, first + count)]
-            number = Counter(said for said, _, _ in found)
-            false = ", ".join(sorted({code for _, codes, _ in found for code in codes})) or "none"
-            what = "; ".join(sorted({each.partition(" ")[0] for _, _, wrong in found for each in wrong}))
+    for kind in dict.fromkeys(kind for _, kind, _ in found):
+        cells, of_kind = [], [each for (_, name, _), each in found.items() if name == kind]
+        for base in bases:
+            here = [each for each in of_kind if each["base"] == base]
+            number = Counter(each["said"] for each in here)
+            what = ", ".join(sorted({wrong.partition(" ")[0] for each in here for wrong in each["wrong"]}))
             wrong = f"{number['wrong']}" + (f" ({what})" if what else "")
-            lines.append(f"| {name} | {number['right']} | {number['withheld']} | {wrong} | {false} |")
-            print(base, lines[-1], flush=True)
-            for seed, (_, codes, wrongs) in enumerate(found, start=first):
-                for each in (*codes, *wrongs):
-                    print("   ", seed, each, file=sys.stderr, flush=True)
+            cells += [str(number["right"]), str(number["withheld"]), wrong] if here else ["", "", ""]
+        first = [each["first"] for each in of_kind if each.get("first") is not None]
+        cells.append(f"{sum(first)} of {len(first)}" if first else "")
+        false = Counter(code for each in of_kind for code in each["causes"])
+        cells.append(", ".join(f"{code} {n}" for code, n in sorted(false.items())))
+        lines.append(f"| {kind} | " + " | ".join(cells) + " |")
+    return lines
+
+
+def main(options: argparse.Namespace) -> None:
+    """Write the section."""
+    with tempfile.TemporaryDirectory() as folder:
+        options.kept = options.kept or Path(folder, "kept")
+        find(options)
+        lines = table(lines_of(options.kept))
     before = FILE.read_text(encoding="utf-8").partition(SECTION)[0].rstrip()
     FILE.write_text("\n".join([before, "", *lines, ""]), encoding="utf-8")
 
 
 if __name__ == "__main__":
-    given = [int(word) for word in sys.argv[1:]]
-    main(given[0] if given else 4, given[1] if len(given) > 1 else FIRST_SEED)
+    parser = argparse.ArgumentParser()
+    parser.add_argument("seeds", type=int, nargs="?", default=4)
+    parser.add_argument("first", type=int, nargs="?", default=FIRST_SEED)
+    parser.add_argument("--kept", type=Path, help="file of what was found, which is read and added to")
+    parser.add_argument("--base", action="append", help="one of the base devices, as the table names it")
+    parser.add_argument("--kind", action="append", help="one of the kinds, as the table names it")
+    parser.add_argument("--again", action="store_true", help="find again what the file holds")
+    main(parser.parse_args())

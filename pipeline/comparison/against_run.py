@@ -62,7 +62,14 @@ def against_experiments(
     (a, a_theory, a_data), (b, b_theory, b_data) = found
     code = code_digest(experiment_result.__module__, compare_pair.__module__)
     one, other = (
-        Side(device=d, experiment=e, version=__version__, code=code, excluded=excluded_trials(data))
+        Side(
+            device=d,
+            experiment=e,
+            version=__version__,
+            code=code,
+            excluded=excluded_trials(data),
+            simulated=data.simulated,
+        )
         for (d, e), data in ((first, a_data), (second, b_data))
     )
     motions = (motion_of(a_data), motion_of(b_data))
@@ -93,7 +100,7 @@ def against_document(new: ComparisonResult, old: Document) -> AgainstPage:
     pairs: list[PairDifference] = []
     figures: list[Figure[Limits]] = []
     for name in (n for n in before if n in after):
-        sides = (_side(old, name), _side(new, name))
+        sides = (_side(old, before[name]), _side(new, after[name]))
         pairs.append(compare_pair(*sides, (before[name], after[name]), None, (new.motion, new.motion)))
         figures.append(_overlay([f"{name}, before", f"{name}, now"], (before[name], after[name]), f"-{len(figures)}"))
     return AgainstPage(
@@ -149,7 +156,7 @@ def _experiment(values: Mapping[str, Any]) -> ExperimentResult:
         experiment=values["experiment"],
         configuration="",
         grip="none",
-        simulated=False,
+        simulated=values.get("simulated", False),
         trials=values.get("trials", 0),
         verdicts={},
         estimates={name: _estimate(e) for name, e in values["estimates"].items()},
@@ -171,11 +178,15 @@ def _known(record: type[Record], values: Mapping[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in values.items() if name in record.model_fields}
 
 
-def _side(of: Document | ComparisonResult, experiment: str) -> Side:
-    code = of.provenance.get("code", of.provenance.get("key", "?"))
-    excluded = tuple(one for one in of.excluded if one.experiment == experiment)
-    version = of.provenance.get("version", "?")
-    return Side(device=of.device, experiment=experiment, version=version, code=code, excluded=excluded)
+def _side(of: Document | ComparisonResult, result: ExperimentResult) -> Side:
+    return Side(
+        device=of.device,
+        experiment=result.experiment,
+        version=of.provenance.get("version", "?"),
+        code=of.provenance.get("code", of.provenance.get("key", "?")),
+        excluded=tuple(one for one in of.excluded if one.experiment == result.experiment),
+        simulated=result.simulated,
+    )
 
 
 def _version(origin: Mapping[str, str]) -> str:

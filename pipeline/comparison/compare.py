@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -28,9 +28,11 @@ from pipeline.comparison.scene.scene import (
 from pipeline.comparison.scene.scene_parts import plan_parts
 from pipeline.comparison.scores.scores import add_scores
 from pipeline.comparison.stage_pool import compute_stages
+from pipeline.comparison.summary.answer import answer
 from pipeline.comparison.summary.summary import summarise
 from pipeline.comparison.summary.summary_warnings import warnings_of
 from pipeline.comparison.tables_d import TableBuilder
+from pipeline.comparison.truths import truths, with_truth
 from pipeline.device_data.published import published_files
 from pipeline.records import accuracy as measured_accuracy
 from pipeline.records.models import ComparisonRow, Shown
@@ -38,7 +40,9 @@ from pipeline.records.results import (
     ComparisonResult,
     ExperimentResult,
     ReportData,
+    Truth,
 )
+from pipeline.rendering.labels import UNITS
 from pipeline.rendering.report.report import write as write_report
 from pipeline.rendering.report.report_scripts import page_files
 from pipeline.theory.predictions import Predictions, Theory
@@ -65,6 +69,7 @@ def compare(
     responses: Sequence[int] | None = None,
     shown: Shown | None = None,
     scene_file: Path | None = None,
+    truth: Mapping[str, Truth] | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Outcome:
     """Compare the stored experiments of a device with theory, and write the report.
@@ -90,6 +95,8 @@ def compare(
         Which figures, tables and overlays the report has; by default all that there is data for.
     scene_file : Path, optional
         Where that was read from; the report names it in the command that repeats the comparison.
+    truth : mapping of experiment to Truth, optional
+        What was true of simulated experiments whose ``truth.json`` is gone.
     progress : callable, optional
         Gets the name of each step when it begins.
 
@@ -103,6 +110,7 @@ def compare(
         Where the request does not fit what is stored; see `scene.open_scene`.
     """
     data = open_scene(device, processed, experiments, criteria, shown)
+    data = replace(data, truth=truths(data.experiments, truth or {}))
     plan = plan_measured(data)
     predictions = Predictions(processed / "theory")
     early = nominal_theories(data)
@@ -130,7 +138,7 @@ def compare(
         trials = partial(trial_page, data, found.results, found.theories, full=full, responses=responses)
         page = ReportData(
             result,
-            figures=FigureBuilder(data, found.theories, found.results).asked(found.rows, predictions),
+            figures=FigureBuilder(data, found.theories, found.results, result.answer).asked(found.rows, predictions),
             stages=_rows(plan),
             accuracy=accuracy,
             trials=trials() if asked.has_figure("trials") else None,
@@ -175,13 +183,16 @@ def _compute(
             results = [r.model_copy(update={"theory": own.get(r.experiment)}) for r in results]
         predictions.finish()
     rows = builder.rows(predictions, results)
-    return _Found(add_scores(data, results, theories, predictions), theories, rows)
+    scored = add_scores(data, results, theories, predictions)
+    return _Found([with_truth(result, data.truth.get(result.experiment)) for result in scored], theories, rows)
 
 
 def _result(
     data: SceneData, found: _Found, report: Path | None, origin: Callable[..., dict[str, str]]
 ) -> ComparisonResult:
-    sentences = summarise(data, found.results, found.rows)
+    units = UNITS[motion_of(data)]
+    told = answer(data, found.results, found.rows, units)
+    sentences = summarise(told, found.results, found.rows, units)
     logs = tuple(log_list(stages) for stages in data.experiments)
     return ComparisonResult(
         device=data.scene.device,
@@ -192,6 +203,7 @@ def _result(
         criteria=data.scene.criteria,
         experiments=tuple(found.results),
         tables=found.rows,
+        answer=told,
         summary=tuple(sentence.text for sentence in sentences),
         summary_sources=tuple(sentence.source for sentence in sentences),
         warnings=warnings_of(data, found.results),
@@ -240,7 +252,9 @@ def _report_key(data: SceneData, path: Path | None, accuracy: str, full: bool) -
     stages = [[e.experiment, *(e.key(s) for s in needed)] for e in data.experiments]
     device = data.device.model_dump_json() if data.device else ""
     excluded = [one.model_dump() for one in data.excluded]
-    return digest([data.scene.model_dump_json(), stages, device, report_code(), str(path), accuracy, full, excluded])
+    truth = {name: one.model_dump(mode="json") for name, one in data.truth.items()}
+    shown = [data.scene.model_dump_json(), stages, device, report_code(), str(path), accuracy, full, excluded, truth]
+    return digest(shown)
 
 
 def _stored_result(path: Path | None, key: str) -> ComparisonResult | None:

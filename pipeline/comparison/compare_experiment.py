@@ -5,11 +5,15 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 
+from pipeline.base.wording import listed
 from pipeline.comparison.loops.findings import loop_findings
+from pipeline.comparison.loops.fitted_loop import fitted_device, fitted_estimates
 from pipeline.comparison.loops.loop_range import adequate_theory, estimated_range
+from pipeline.comparison.scene.origin import header_lines
 from pipeline.comparison.scene.scene import SceneData, needed_stages
 from pipeline.comparison.scores.implied_delay import implied_delay
 from pipeline.comparison.scores.implied_slope import DeviceParameters
+from pipeline.comparison.summary.advice import region_to_use
 from pipeline.loop.loop import LARGEST_DELAY
 from pipeline.measured.experiment.boundary_band import boundary_area
 from pipeline.measured.experiment.estimates import (
@@ -37,12 +41,13 @@ def motion_of(data: SceneData) -> Motion:
 def nominal_theories(data: SceneData) -> dict[str, Theory]:
     """Theory by the device file, for all of its experiments (a table may take the parameters of another one).
 
-    A delay that is longer than theory is computed for leaves an experiment without.
+    A delay that is longer than theory is computed for leaves an experiment without, and so does a loop that no wall
+    stabilises.
     """
     if data.device is None:
         return {}
     device = data.device
-    return {
+    found = {
         e.name: Theory(
             TheoryParameters(
                 mass=e.mass,
@@ -57,6 +62,7 @@ def nominal_theories(data: SceneData) -> dict[str, Theory]:
         for e in device.experiments
         if e.delay_samples <= LARGEST_DELAY
     }
+    return {name: theory for name, theory in found.items() if theory.stabilised}
 
 
 def _with(parts: LoopParts) -> str:
@@ -104,7 +110,10 @@ def experiment_result(data: SceneData, stages: ExperimentStages, theory: Theory 
         optimum=optimum,
         missing=missing,
         theory=theory.parameters if theory else None,
+        header=header_lines(stages),
     )
+    use, why = region_to_use(result, stages)
+    result = result.model_copy(update={"use": use, "use_reason": why or None})
     return _with_loop(data, stages, result, units) if "wall_law" in needed else result
 
 
@@ -116,6 +125,9 @@ def _with_loop(data: SceneData, stages: ExperimentStages, result: ExperimentResu
     if not findings.loop.adequate:
         found |= {name: _doubted(found[name]) for name in ("delay_samples", "mass", "damping")}
         reason = "needs a loop that is adequate; why this one is not stands with the loop"
+        found["implied_delay"] = _without("samples", reason)
+    elif findings.loop.parts_beside:
+        reason = f"needs an ideal loop, and this one has {listed(findings.loop.parts_beside)}"
         found["implied_delay"] = _without("samples", reason)
     elif loop is not None:
         mass, damping = found["mass"], found["damping"]
@@ -155,6 +167,8 @@ def _estimates(stages: ExperimentStages, needed: Collection[str], units: Units) 
     if "model" in needed:
         found["jitter_samples"] = stages.jitter_estimate
         found["delay_samples"] = with_model_delay(stages, found["delay_samples"])
+    if "ladder" in needed and (device := fitted_device(stages)) is not None and device.holds:
+        found |= fitted_estimates(found, device)
     return found
 
 

@@ -42,7 +42,7 @@ def compute_stages(experiments: Collection[ExperimentStages], needed: Collection
     small.sort(key=lambda e: -e.trials.num_rows)
     wanted = tuple(sorted(needed, key=list(STAGES).index))
     with shared_groups(processors if large else min(len(small), processors)) as shared:
-        jobs = [shared.pool.submit(_compute, e.processed, e.device, e.experiment, wanted) for e in small]
+        jobs = [shared.pool.submit(_compute, e.processed, e.device, e.experiment, e.spring, wanted) for e in small]
         try:
             for experiment in large:
                 experiment.compute(wanted, shared.map)
@@ -54,6 +54,8 @@ def compute_stages(experiments: Collection[ExperimentStages], needed: Collection
             return
 
 
-def _compute(processed: Path, device: str, experiment: str, wanted: tuple[str, ...]) -> dict[str, pa.Table]:
-    stages = ExperimentStages.stored(processed, device, experiment)
+def _compute(
+    processed: Path, device: str, experiment: str, spring: float, wanted: tuple[str, ...]
+) -> dict[str, pa.Table]:
+    stages = ExperimentStages.stored(processed, device, experiment, spring)
     return {stage: stages.table(stage) for stage in wanted}

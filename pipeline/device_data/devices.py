@@ -18,11 +18,12 @@ from pipeline.base.errors import DeviceError
 from pipeline.base.provenance import USER_FOLDER_VARIABLE, schema_folder, user_device_folder
 from pipeline.records.models import Device, Experiment
 
-FORMER_KEYS = {
-    "controller": "velocity_filter_s has been replaced: write the filter into [loop], as velocity = "
+_FORMER_FILTER = (
+    "velocity_filter_s has been replaced: write the filter into [loop], as velocity = "
     '{ kind = "butterworth", order = 1, cutoff_hz = ... }, with cutoff_hz = 1/(2 pi velocity_filter_s); '
     "leave [controller] out, and without a filter [loop] too"
-}
+)
+FORMER_KEYS = dict.fromkeys(("controller", "velocity_filter_s"), _FORMER_FILTER)
 """What stands in place of keys that device files had in earlier versions."""
 
 
@@ -46,6 +47,18 @@ def known_devices() -> dict[str, Device]:
             )
         devices |= _read_folder(folder)
     return dict(sorted(devices.items()))
+
+
+def declared_spring(device: Device | None, experiment: str) -> float:
+    """Return the stiffness k [N/m, Nm/rad] that a device file gives an experiment, an operator's included; 0 for none.
+
+    It is what shifts the final position to x_0 + F_0/(K + k). A device or an experiment without a file has none.
+    """
+    found = next((e for e in device.experiments if e.name == experiment), None) if device else None
+    if device is None or found is None:
+        return 0.0
+    operator = device.loop_of(found).operator
+    return found.stiffness + (operator.stiffness if operator else 0.0)
 
 
 def load_device(name: str) -> Device:
@@ -148,8 +161,8 @@ def _describe(detail: dict[str, Any], data: dict[str, Any]) -> str:
     location = detail["loc"]
     field = "".join(f"[{part + 1}]" if isinstance(part, int) else f".{part}" for part in location).lstrip(".")
     message = detail["msg"].removeprefix("Value error, ")
-    if detail["type"] == "extra_forbidden" and field in FORMER_KEYS:
-        return f"  {field}: {FORMER_KEYS[field]}"
+    if detail["type"] == "extra_forbidden" and location[-1] in FORMER_KEYS:
+        return f"  {field}: {FORMER_KEYS[location[-1]]}"
     if detail["type"] == "missing":
         return f"  {field}{_owner(location, data)}: found nothing; field required"
     if not isinstance(detail["input"], dict | list):

@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 
 from pipeline.base.errors import DeviceError, UsageError
-from pipeline.device_data.devices import find_experiment, known_devices, read_device
+from pipeline.device_data.devices import declared_spring, find_experiment, known_devices, read_device
 from pipeline.loop.loop import Normalised
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.plan.answer import Limit, Next, Plan
@@ -162,7 +162,7 @@ def open_course(name: str, processed: Path, experiment: str | None, wish: Wish) 
         about = device.sampling_period_s, device.duration_s - device.baseline_s, device.step
         return Course(name, chosen, tried, device, of_file, *about, device.motion == "rotation")
     trials = read_trials(processed, name, chosen)
-    stages = ExperimentStages(processed, name, chosen, trials)
+    stages = ExperimentStages(processed, name, chosen, trials, spring=declared_spring(device, chosen))
     columns = {key: stages.column("response", key) for key in ("stiffness", "damping", "growth_per_s")}
     cost = stages.cost(wish.criterion)[0] if wish.goal == "optimum" else np.full(len(columns["stiffness"]), np.nan)
     force = np.full(len(cost), np.nan)

@@ -17,6 +17,7 @@ class Side(Record):
     version: str
     code: str
     excluded: tuple[ExcludedTrial, ...] = ()
+    simulated: bool = False
 
     @property
     def label(self) -> str:
@@ -102,6 +103,11 @@ class PairDifference(Record):
         """Names of both sides, also where they are one experiment before and now."""
         a, b = self.first.label, self.second.label
         return (a, b) if a != b else (f"{a} before", f"{a} now")
+
+    @property
+    def simulated(self) -> bool:
+        """Whether the logs of a side are simulated."""
+        return self.first.simulated or self.second.simulated
 
 
 class AgainstResult(Record):

@@ -28,8 +28,12 @@ class Figure(Generic[P]):
     panels : tuple
     criterion : str
         Whose costs are shown, where they are of one.
+    group : str
+        What figures of all criteria show: costs of a table's experiments, or departures from theory.
     theory_label : str
         Names the dashed curves in the legend where their own labels stand beside them or are not shown.
+    simulated : bool
+        Whether it shows simulated logs, which each panel then bears on it.
     """
 
     kind: FigureKind
@@ -38,7 +42,9 @@ class Figure(Generic[P]):
     caption: str
     panels: tuple[P, ...]
     criterion: str = ""
+    group: str = ""
     theory_label: str = ""
+    simulated: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +53,8 @@ class Curve:
 
     ``kind`` is ``measured`` (solid), ``theory`` (dashed), ``linear`` and ``bound`` (dotted: condition (3.25), and
     the straight upper bound of a measurement), ``friction`` (dash, dot, dot), ``passive`` (thin, filled), ``robust``
-    (thin), ``band`` (thin dots) or ``envelope`` (filled between ``low`` and ``high``). A label that begins with an
+    (thin), ``band`` (thin dots), ``envelope`` (filled between ``low`` and ``high``), ``use`` (a filled outline), or
+    ``stable`` and ``unstable`` (dots and crosses, one a trial). A label that begins with an
     underscore is not shown. ``censored`` marks the points of a measured curve where the tested range ended before an
     unstable trial. ``low`` and ``high`` are stiffnesses at the dampings of the curve: an envelope, or what a measured
     limit leaves open (NaN where that is not known).

@@ -43,7 +43,8 @@ class Estimate(Record):
 
     ``spread`` is the standard deviation between trials beyond their own errors, ``within`` the median standard error of
     one trial. ``trials`` were used; ``outliers`` are the ids of those that were not because they lie apart, ``refused``
-    is the number of those without an interval. ``warning`` says in words what is wrong with the value.
+    is the number of those without an interval. ``warning`` says in words what is wrong with the value. ``truth`` is
+    that of a simulation, set by no estimator.
     """
 
     value: float | None
@@ -60,6 +61,7 @@ class Estimate(Record):
     refused: Annotated[int, Field(ge=0)] = 0
     trend: tuple[Trend, ...] = ()
     warning: str | None = None
+    truth: float | None = None
 
     @model_validator(mode="after")
     def _a_missing_value_has_a_reason(self) -> Self:
@@ -88,7 +90,8 @@ class BoundaryPoint(Record):
     """Stability limit at one damping: largest stable stiffness below the smallest unstable one.
 
     ``estimate`` is the limit by the growth rates with its 95 % interval; a censored point has ``low`` alone,
-    one without a stable trial an upper end ``high`` above a ``low`` of 0, and no estimate.
+    one without a stable trial an upper end ``high`` above a ``low`` of 0, and no estimate. ``truth`` is the limit of a
+    simulated loop.
     """
 
     damping: float
@@ -99,6 +102,7 @@ class BoundaryPoint(Record):
     low: float | None = None
     high: float | None = None
     trials: int = 0
+    truth: float | None = None
 
 
 class Optimum(Record):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import sqrt
 from typing import Annotated, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
@@ -106,12 +107,26 @@ class LoopParts(Part):
         """Return these parts, with those of another where this one does not name them."""
         return LoopParts(**{**named(lower), **named(self)})
 
-    def felt(self) -> LoopParts:
-        """Return what is left of the parts where mass, damping and stiffness are those that the wall feels.
+    def felt(self, mass: float, damping: float, stiffness: float) -> tuple[float, float, float, LoopParts]:
+        """Return mass, damping and stiffness that the wall feels, per unit of command, and the parts beside them.
 
-        Operator and gain are in such numbers already.
+        Operator and gain are in the numbers. With an operator's mass on the motor's side a mode vibrates more slowly.
         """
-        return self.model_copy(update={"operator": None, "force_gain": 1.0})
+        held, mode = self.operator, self.mode
+        everything = mass + (held.mass if held else 0.0)
+        if mode is not None:
+            free, loaded = (mode.mass * (each - mode.mass) / each for each in (mass, everything))
+            slower, gain = sqrt(free / loaded), self.force_gain
+            mode = Mode(
+                frequency_hz=mode.frequency_hz * slower,
+                damping_ratio=mode.damping_ratio * slower,
+                mass=mode.mass / gain,
+                sensor=mode.sensor,
+            )
+        if held is not None:
+            damping, stiffness = damping + held.damping, stiffness + held.stiffness
+        left = self.model_copy(update={"operator": None, "force_gain": 1.0, "mode": mode})
+        return everything / self.force_gain, damping / self.force_gain, stiffness / self.force_gain, left
 
     def words(self) -> str:
         """Return the linear parts in words, for captions; empty for an ideal loop."""

@@ -62,6 +62,12 @@ class LoopResult(Record):
     operator: dict[str, Parameter] | None = None
     friction: Parameter | None = None
 
+    @property
+    def parts_beside(self) -> list[str]:
+        """Linear parts that it has beside mass, damping, stiffness and delay, in words."""
+        found = {"velocity filter": self.velocity, "actuator lag": self.actuator_lag_s, "vibration mode": self.mode}
+        return [name for name, part in found.items() if part is not None]
+
 
 class LoopLimit(Record):
     """Stiffness [N/m, Nm/rad] up to which a loop is stable at one damping, with the range of its 95 % intervals."""

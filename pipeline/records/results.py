@@ -6,7 +6,7 @@ Records (pydantic) are the JSON document; `ReportData` adds the arrays of the fi
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 from pydantic import Field
 
@@ -44,8 +44,111 @@ class OtherDefinitions(Record):
     overshoot_last_sample: float | None
 
 
+class Truth(Record):
+    """What was true of a simulated experiment: its loop, and beside that jitter [samples] and constant force [N, Nm].
+
+    The delay of ``loop`` is the mean of a jittering one, ``jitter_samples`` its standard deviation. ``limit_reason``
+    says why the limits of the loop are not known.
+    """
+
+    loop: TheoryParameters
+    jitter_samples: float
+    constant_force: float
+    limit_reason: str | None = None
+
+    @property
+    def values(self) -> dict[str, float | None]:
+        """True values by the names of estimates, which are those that the wall feels, per unit of command.
+
+        With an actuator's lag there is no true delay: logs show both as one.
+        """
+        p, parts = self.loop, self.loop.loop
+        held, gain = parts.operator, parts.force_gain
+        delay = None if parts.actuator_lag_s else p.delay_samples
+        return {
+            "delay_samples": delay,
+            "mass": (p.mass + (held.mass if held else 0.0)) / gain,
+            "damping": (p.damping + (held.damping if held else 0.0)) / gain,
+            "implied_delay": delay,
+            "jitter_samples": self.jitter_samples,
+            "friction": (parts.friction.coulomb if parts.friction else 0.0) / gain,
+            "device_stiffness": (p.stiffness + (held.stiffness if held else 0.0)) / gain,
+            "constant_force": self.constant_force / gain,
+        }
+
+
+class TruthHeld(Record):
+    """How many 95 % intervals there are for what is known of a simulation, and how many of them hold the truth."""
+
+    estimates: int
+    estimates_held: int
+    limits: int
+    limits_held: int
+
+
+class CostRange(Record):
+    """Costs of some trials: their median, the least and the largest."""
+
+    median: float
+    low: float
+    high: float
+
+
+class UseRegion(Record):
+    """Walls to use: a rectangle of stiffness [N/m, Nm/rad] and damping [Ns/m, Nms/rad] of nothing but stable trials.
+
+    ``costs`` are those of its ``trials``, by criterion: a further trial there lies between ``low`` and ``high`` with a
+    chance of (trials - 1)/(trials + 1). ``margin`` is the lower end of the measured limit over the largest stiffness
+    of the region, the least over its dampings, itself a lower bound where ``bound``. ``criterion`` is what it was
+    chosen by.
+    """
+
+    criterion: str
+    stiffness_low: float
+    stiffness_high: float
+    damping_low: float
+    damping_high: float
+    trials: int
+    costs: dict[str, CostRange]
+    margin: float
+    bound: bool
+
+
+class Mark(Record):
+    """Whether something that the numbers rest on holds, and the sentence that says so."""
+
+    name: Literal["wall_law", "loop", "limits"]
+    state: Literal["yes", "partly", "no", "unknown"]
+    text: str
+
+
+class Answer(Record):
+    """What a reader of one screen is told: verdict, walls to use, what to trust, and causes in order.
+
+    ``experiment`` is the one that is spoken of, and drawn beside; ``use`` is empty where no wall can be named.
+    """
+
+    experiment: str
+    verdict: str
+    use: str = ""
+    marks: tuple[Mark, ...] = ()
+    causes: tuple[str, ...] = ()
+
+
+class HeaderLine(Record):
+    """A header line that only the lab knows, such as firmware or grease: in how many trials, and with which values.
+
+    ``values`` has at most a few of them with their trials, the commonest first; ``different`` counts all.
+    """
+
+    key: str
+    trials: int
+    different: int
+    values: dict[str, int]
+
+
 class ExperimentResult(Record):
-    """All that was found for one experiment."""
+    """All that was found for one experiment; ``use_reason`` says why there is no region to use."""
 
     experiment: str
     configuration: str
@@ -68,6 +171,11 @@ class ExperimentResult(Record):
     passive: PassiveWall | None = None
     passive_reason: str | None = None
     causes: tuple[Cause, ...] = ()
+    header: tuple[HeaderLine, ...] = ()
+    use: UseRegion | None = None
+    use_reason: str | None = None
+    truth: Truth | None = None
+    truth_held: TruthHeld | None = None
 
 
 class LogList(Record):
@@ -95,6 +203,7 @@ class ComparisonResult(Record):
     criteria: tuple[str, ...]
     experiments: tuple[ExperimentResult, ...]
     tables: tuple[ComparisonRow, ...]
+    answer: Answer | None = None
     summary: tuple[str, ...]
     summary_sources: tuple[str, ...] = ()
     """Anchor of the figure or table that each sentence of the summary rests on; empty where there is none."""

@@ -178,6 +178,13 @@ COLUMNS: dict[str, Column] = {
     "window_s": _same(_F, "s", "time from the command edge to the end of the momentum balance"),
     "mass_median": Column(_F, "kg", "kg m^2", "median mass by (6.4) with that window", True),
     "mass_scatter": Column(_F, "kg", "kg m^2", "scatter of the trials: interquartile range over 1.349", True),
+    # ladder stage
+    "role": _same(_S, "", "best, next best, or alike: as many parts and not to be told apart from the best"),
+    "parts": _same(_S, "", "what the device has beside mass, damper and delay, comma separated"),
+    "explained": _same(_I, "", "number of held-out trials that it explains within what the sensor leaves open"),
+    "held_out": _same(_I, "", "number of held-out trials"),
+    "score": _same(_F, "1", "logarithm of the likelihood of the held-out trials"),
+    "numbers": _same(_S, "", "names, values in SI and covariance of its numbers, as JSON", True),
     # boundary stage
     "stable": Column(_F, "N/m", "Nm/rad", "largest stable stiffness below the smallest unstable one", True),
     "unstable": Column(_F, "N/m", "Nm/rad", "smallest unstable stiffness", True),
@@ -223,6 +230,7 @@ _NAMES = {
         name: " ".join((_TRIAL, *(c for m in members(family) for c in _cost(m)), *_BESIDE.get(name, ()), "reason"))
         for name, family in FAMILIES.items()
     },
+    "ladder": "role parts explained held_out score numbers",
     "windows": "window_s mass_median mass_scatter trials reason",
     "boundary": "damping stable unstable censored estimate low high trials",
 }

@@ -85,6 +85,21 @@ def span(show: Callable[[float], str], low: float | None, high: float | None) ->
     return "" if low is None or high is None else f"{show(low)} to {show(high)}"
 
 
+def range_text(show: Callable[[float], str], low: float, high: float) -> str:
+    """Return a range as ``low to high``, one number where both ends print alike."""
+    return show(low) if show(low) == show(high) else f"{show(low)} to {show(high)}"
+
+
+def size_text(percent: float) -> str:
+    """Return the size of a deviation in percent with two digits; what is below 0.1 % in words.
+
+    >>> size_text(-4.83), size_text(0.004), size_text(120.4)
+    ('4.8 %', 'less than 0.1 %', '120 %')
+    """
+    size = abs(percent)
+    return "less than 0.1 %" if size < 0.1 else f"{decimal(size, 0) if size >= 10 else significant(size, 2)} %"
+
+
 def fixed(value: float, places: int) -> str:
     """Return a number with all its decimals, so that those of a row have equally many."""
     return true_minus(f"{value:.{places}f}")
@@ -122,6 +137,14 @@ def cost_text(criterion: str, value: float) -> str:
     """Return a cost as printed in Tables D.1 to D.6: two decimals, one from 1000 on; overshoot in %."""
     printed = value * printed_scale(criterion)
     return decimal(printed, 2 if abs(printed) < 1000 else 1)
+
+
+def cost_range_text(criterion: str, median: float, low: float, high: float) -> str:
+    """Return costs of some trials as ``median (low to high) unit``, three digits each."""
+    unit = criterion_of(criterion).family.printed_unit
+    middle, *ends = (significant(x * printed_scale(criterion), 3) for x in (median, low, high))
+    beside = "" if ends == [middle, middle] else f" ({' to '.join(ends)})"
+    return f"{middle}{beside}{f' {unit}' if unit else ''}"
 
 
 def published_text(value: float) -> str:

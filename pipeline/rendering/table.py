@@ -181,6 +181,11 @@ def word_table(name: str, caption: str, heads: Sequence[str], rows: Iterable[Seq
     return table.filled
 
 
+def marked(table: Table, *, simulated: bool) -> Table:
+    """Return a table whose caption says that its numbers are those of simulated logs, where they are."""
+    return replace(table, caption=f"{table.caption} (simulated)") if simulated else table
+
+
 def footnote(index: int) -> str:
     """Return the mark of a footnote: a to z, then a1, b1 and so on."""
     return chr(ord("a") + index % 26) + (str(index // 26) if index >= 26 else "")

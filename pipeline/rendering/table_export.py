@@ -9,7 +9,6 @@ import csv
 import io
 import json
 import re
-import unicodedata
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal, get_args
@@ -20,6 +19,7 @@ from pipeline.base.errors import UsageError
 from pipeline.records.results import ComparisonResult
 from pipeline.rendering.report.report import PRINTED, tables_of
 from pipeline.rendering.table import Cell, Table, Value, footnote
+from pipeline.rendering.table_latex import latex_text
 from pipeline.rendering.table_values import as_document, value_tables
 
 Format = Literal["csv", "json", "markdown", "latex"]
@@ -28,36 +28,7 @@ FORMATS: tuple[Format, ...] = get_args(Format)
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 """First characters by which a spreadsheet takes a cell for a formula."""
 
-_LATEX = str.maketrans(
-    {
-        **{character: rf"\{character}" for character in "&%$#_{}"},
-        **{character: rf"{{{character}}}" for character in "[]*"},  # behind a line's end they would belong to its \\
-        **{letter: rf"$\{unicodedata.name(letter).split()[-1].lower()}$" for letter in "αβγδζω"},
-        "\\": r"\textbackslash{}",
-        "~": r"\textasciitilde{}",
-        "^": r"\textasciicircum{}",
-        "<": r"\textless{}",
-        ">": r"\textgreater{}",
-        '"': r"\textquotedbl{}",
-        "\N{MINUS SIGN}": "$-$",
-        "\N{EN DASH}": "--",
-        "\N{NO-BREAK SPACE}": "~",
-        "\N{PLUS-MINUS SIGN}": r"$\pm$",
-        "\N{SUPERSCRIPT TWO}": r"\textsuperscript{2}",
-        "\N{GREATER-THAN OR EQUAL TO}": r"$\geq$",
-        "\N{LESS-THAN OR EQUAL TO}": r"$\leq$",
-        "\N{MULTIPLICATION SIGN}": r"$\times$",
-        "\N{DEGREE SIGN}": r"\textdegree{}",
-        "“": "``",
-        "”": "''",
-    }
-)
-"""What stands for a character in LaTeX; other letters are UTF-8, which LaTeX reads since 2018."""
-
 _MARKDOWN = re.compile(r"[\\`*_{}\[\]<>|#~$!]")
-
-_HEAD = r"""% Written by pipeline compare. In the preamble: \usepackage{booktabs,longtable}
-"""
 
 
 def parse_formats(words: Sequence[str]) -> tuple[Format, ...]:
@@ -88,7 +59,7 @@ def export_tables(result: ComparisonResult, folder: Path, formats: Sequence[Form
     ----------
     result : ComparisonResult
     folder : Path
-        Made if needed: one ``.csv`` a table, ``tables.json``, ``tables.md``, ``tables.tex``.
+        Made if needed: one ``.csv`` and one ``.tex`` a table, ``tables.json``, ``tables.md``.
     formats : sequence of {"csv", "json", "markdown", "latex"}
 
     Returns
@@ -106,7 +77,7 @@ def export_tables(result: ComparisonResult, folder: Path, formats: Sequence[Form
     if "markdown" in formats:
         files["tables.md"] = f"# {_markdown(result.title)}\n\n" + "\n".join(markdown_text(t) for t in printed)
     if "latex" in formats:
-        files["tables.tex"] = _HEAD + "\n".join(latex_text(t) for t in printed)
+        files |= {f"{_file_name(t.name)}.tex": latex_text(t, f"{result.device}-{t.name}") for t in printed}
     for name, text in files.items():
         write_text(folder / name, text)
     return tuple(folder / name for name in files)
@@ -175,48 +146,6 @@ def _markdown_cell(cell: Cell) -> str:
 
 def _markdown(text: str) -> str:
     return _MARKDOWN.sub(r"\\\g<0>", " ".join(text.split()))
-
-
-def latex_text(table: Table) -> str:
-    """Return a table as a ``longtable`` with the rules of ``booktabs``; notes stand below it."""
-    count = len(table.columns)
-    heads = " & ".join(_latex(column.head) for column in table.columns) + r" \\"
-    lines = [rf"\begin{{longtable}}{{{''.join('r' if column.numeric else 'l' for column in table.columns)}}}"]
-    lines += [rf"\caption{{{_latex(table.caption)}}}\\", r"\toprule", *_latex_groups(table), heads, r"\midrule"]
-    lines += [r"\endfirsthead", r"\toprule", heads, r"\midrule", r"\endhead", r"\bottomrule", r"\endfoot"]
-    for number, (block, rows) in enumerate(table.blocks):
-        if block:
-            lines += [r"\addlinespace"] if number else []
-            lines.append(rf"\multicolumn{{{count}}}{{l}}{{\emph{{{_latex(block)}}}}} \\")
-        lines += [" & ".join(_latex_cell(cell) for cell in row) + r" \\" for row in rows]
-    lines.append(r"\end{longtable}")
-    for number, note in enumerate(table.notes):
-        lines.append(rf"\noindent{{\footnotesize\textsuperscript{{{footnote(number)}}}{_latex(note)}\par}}")
-    return "\n".join(lines) + "\n"
-
-
-def _latex_groups(table: Table) -> list[str]:
-    """Headings above the column heads, each with a rule below."""
-    if not table.groups:
-        return []
-    cells, rules, first = [], [], 1
-    for text, span in table.groups:
-        cells.append(rf"\multicolumn{{{span}}}{{c}}{{{_latex(text)}}}")
-        if text:
-            rules.append(rf"\cmidrule(lr){{{first}-{first + span - 1}}}")
-        first += span
-    return [" & ".join(cells) + r" \\", "".join(rules)]
-
-
-def _latex_cell(cell: Cell) -> str:
-    marks = rf"\textsuperscript{{{','.join(cell.marks)}}}" if cell.marks else ""
-    return _latex(cell.text) + marks + (f" ({_latex(cell.aside)})" if cell.aside else "")
-
-
-def _latex(text: str) -> str:
-    # a no-break space is white space to split(), and stays one
-    plain = re.sub(r"[^\S\N{NO-BREAK SPACE}]+", " ", text).strip()
-    return plain.translate(_LATEX)
 
 
 def _file_name(name: str) -> str:

@@ -7,13 +7,14 @@ from typing import Any
 
 from pipeline.records.criteria import criterion_of
 from pipeline.records.findings import Record
+from pipeline.records.models import Deviation
 from pipeline.records.results import ComparisonResult
 from pipeline.rendering.labels import UNITS, Units
 from pipeline.rendering.table import Column, Table, Value
 
 Row = dict[str, Value]
 
-_LEFT_OUT = {"table", "by_method", "trend", "outliers"}
+_LEFT_OUT = {"table", "by_method", "trend", "outliers", "deviation"}
 """Fields that hold other records or lists; the JSON document has them."""
 
 
@@ -23,7 +24,7 @@ def value_tables(result: ComparisonResult) -> tuple[Table, ...]:
     Values are SI, costs as in the JSON document (overshoot as a fraction). Tables without rows are left out.
     """
     units = _units(UNITS[result.motion])
-    limits = dict.fromkeys(("stable", "unstable", "estimate", "low", "high"), UNITS[result.motion].stiffness)
+    limits = dict.fromkeys(("stable", "unstable", "estimate", "low", "high", "truth"), UNITS[result.motion].stiffness)
     names = dict.fromkeys(row.table for row in result.tables)
     found = [_table(name, units, _optimal_points(result, name)) for name in names]
     found += [
@@ -35,6 +36,7 @@ def value_tables(result: ComparisonResult) -> tuple[Table, ...]:
         _table("scores", {}, _scores(result)),
         _table("loop_boundary", units, _limits(result)),
         _table("causes", {}, _listed(result, "causes")),
+        _table("header", {}, _header(result)),
         _table("trials", {}, _counts(result)),
         _table("missing", {}, _missing(result)),
     ]
@@ -60,7 +62,7 @@ def _units(units: Units) -> dict[str, str]:
         **dict.fromkeys(("damping", "published_damping"), units.damping),
         **dict.fromkeys(("mass", "scatter"), units.mass),
         **dict.fromkeys(("delay_samples", *settling), "samples"),
-        "deviation_percent": "%",
+        **dict.fromkeys(("deviation_percent", *(f"deviation_{part}" for part in Deviation.model_fields)), "%"),
         "window_s": "s",
     }
 
@@ -83,7 +85,10 @@ def _cost_unit(criterion: str) -> Row:
 
 
 def _optimal_points(result: ComparisonResult, name: str) -> Iterator[Row]:
-    yield from (_fields(row) | _cost_unit(row.criterion) for row in result.tables if row.table == name)
+    for row in result.tables:
+        if row.table == name:
+            parts = {f"deviation_{part}": getattr(row.deviation, part, None) for part in Deviation.model_fields}
+            yield _fields(row) | parts | _cost_unit(row.criterion)
 
 
 def _estimates(result: ComparisonResult) -> Iterator[Row]:
@@ -91,6 +96,13 @@ def _estimates(result: ComparisonResult) -> Iterator[Row]:
         for quantity, best in e.estimates.items():
             for use, value in (("recommended", best), *best.by_method.items()):
                 yield {"experiment": e.experiment, "quantity": quantity, "use": use, **_fields(value)}
+
+
+def _header(result: ComparisonResult) -> Iterator[Row]:
+    for e in result.experiments:
+        for line in e.header:
+            for value, trials in line.values.items():
+                yield {"experiment": e.experiment, "key": line.key, "value": value, "trials": trials}
 
 
 def _listed(result: ComparisonResult, field: str) -> Iterator[Row]:

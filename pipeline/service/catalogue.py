@@ -21,6 +21,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from pipeline.base.errors import StoreError
+from pipeline.device_data.devices import declared_spring, known_devices
 from pipeline.measured.stages.stages import ExperimentStages, cost_column
 from pipeline.records.batch import Floats, Integers
 from pipeline.records.criteria import REPORTED
@@ -260,7 +261,8 @@ class Catalogue:
         """Return the trials of an experiment with what is stored of their verdicts and costs, or why not."""
         try:
             stored = read_trials(self.processed, device, experiment, [*_STORED, *_KEYED])
-            stages = ExperimentStages(self.processed, device, experiment, stored)
+            spring = declared_spring(known_devices().get(device), experiment)
+            stages = ExperimentStages(self.processed, device, experiment, stored, spring=spring)
             found = {stage: stages.table(stage) for stage in STAGES if stages.is_stored(stage)}
         except StoreError as error:
             return None, str(error)

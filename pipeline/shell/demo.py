@@ -10,12 +10,13 @@ from pathlib import Path
 from statistics import median
 
 from pipeline.base.errors import PipelineError
+from pipeline.base.wording import counted
 from pipeline.comparison.compare import compare
 from pipeline.device_data.devices import load_device
 from pipeline.intake.ingest import ingest
 from pipeline.loop.loop import Normalised
 from pipeline.records.results import ComparisonResult
-from pipeline.rendering.labels import UNITS
+from pipeline.rendering.labels import UNITS, size_text
 from pipeline.shell.report_index import INDEX_FILE, write_index
 from pipeline.simulation.course import run_course, write_course
 from pipeline.theory.stability.stability import boundary
@@ -33,10 +34,11 @@ class Part:
     coarsen: int = 1
 
 
-REDUCED = (Part("falcon", ("1", "2", "6"), coarsen=2), Part("lwr", coarsen=2))
-"""Half the dampings and half the stiffness steps: a fourth of the trials, and maps that look like the full ones."""
+REDUCED = (Part("falcon-real", ("1",), coarsen=4), Part("falcon", ("1", "2", "6"), coarsen=2), Part("lwr", coarsen=2))
+"""Half the dampings and half the stiffness steps: a fourth of the trials, and maps that look like the full ones. First
+comes a device that deviates as the real one may (docs/falcon.md)."""
 
-FULL = (Part("falcon"), Part("lwr"))
+FULL = (Part("falcon-real"), Part("falcon"), Part("lwr"))
 
 
 @dataclass(frozen=True)
@@ -107,8 +109,7 @@ def run_demo(
         f"{logs} simulated logs in {raw}, compared in {seconds:.0f} s; open in a browser:",
         *(f"  {path}" for path in reports),
         f"  {folder / 'reports' / INDEX_FILE}",
-        *(_stiffness_line(result) for result in results),
-        _deviation_line(results),
+        *(line(result) for result in results for line in (_stiffness_line, _deviation_line)),
     ]
     return DemoOutcome(tuple(reports), tuple(results), tuple(line for line in lines if line))
 
@@ -155,12 +156,12 @@ def _digits(value: float) -> str:
     return f"{float(f'{value:.4g}'):g}"
 
 
-def _deviation_line(results: Sequence[ComparisonResult]) -> str:
+def _deviation_line(result: ComparisonResult) -> str:
     """Median deviation of the measured optimal costs from the discrete theory."""
-    sizes = [abs(row.deviation.model) for result in results for row in result.tables if row.deviation]
+    sizes = [abs(row.deviation.model) for row in result.tables if row.deviation]
     if not sizes:
         return ""
     return (
-        f"Optimal costs of the simulated courses differ from the discrete theory by {median(sizes):.2g} % in the "
-        f"median of {len(sizes)} table rows, once range and grid of the trials and luck of the best one are taken off."
+        f"{result.title}: optimal costs differ from the discrete theory by {size_text(median(sizes))} (median of "
+        f"{counted(len(sizes), 'comparison')}, without range and grid of the trials and luck of the best one)."
     )

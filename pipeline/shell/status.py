@@ -19,6 +19,7 @@ from pipeline.base.lock import holder
 from pipeline.base.regular_files import is_gone
 from pipeline.comparison.compare import compare
 from pipeline.comparison.scene.scene import RUN
+from pipeline.device_data.devices import declared_spring, known_devices
 from pipeline.intake.compaction import find_orphans
 from pipeline.intake.quarantine import list_quarantine
 from pipeline.measured.stages.stages import STAGES, ExperimentStages
@@ -198,6 +199,7 @@ def _experiments(
 ) -> tuple[ExperimentStatus, ...]:
     pairs = set(zip(trials.column("device").to_pylist(), trials.column("experiment").to_pylist(), strict=True))
     found = []
+    known = known_devices()
     # in one piece: else each selection goes through as many pieces as there are batches
     trials = trials.combine_chunks()
     for device, experiment in sorted(pairs, key=lambda pair: (pair[0], natural_key(pair[1]))):
@@ -205,7 +207,8 @@ def _experiments(
             pc.and_(pc.equal(trials.column("device"), device), pc.equal(trials.column("experiment"), experiment))
         )
         groups, size = _samples((processed / name for name in own.column("sample_file").unique().to_pylist()), damaged)
-        stages = ExperimentStages(processed, device, experiment, *split_trials(own, exclusions))
+        spring = declared_spring(known.get(device), experiment)
+        stages = ExperimentStages(processed, device, experiment, *split_trials(own, exclusions), spring)
         stale = [
             stage
             for stage in STAGES

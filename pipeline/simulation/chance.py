@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from pipeline.records.batch import Booleans, Floats, Integers
 from pipeline.simulation.setup import Setup
 
+_WORD = 2**32 - 1
+
 
 @dataclass(frozen=True, eq=False)
 class Chance:
@@ -44,10 +46,20 @@ class Streams:
         name = int.from_bytes(hashlib.sha256(self.stream.encode()).digest()[:8])
         # + 0.0: -0.0 is the same trial as 0.0
         bits = np.stack((self.stiffness + 0.0, self.damping + 0.0), axis=1).view(np.uint64).tolist()
-        entropy = ([self.seed, name, *pair, self.repetition] for pair in bits)
+        entropy = (_words(self.seed, name, *pair, self.repetition) for pair in bits)
         sequences = (np.random.SeedSequence(words, spawn_key=(what,)) for words in entropy)
         drawn = [values(np.random.Generator(np.random.PCG64(sequence))) for sequence in sequences]
         return np.ascontiguousarray(np.stack(drawn, axis=1))
+
+
+def _words(*numbers: int) -> NDArray[np.uint32]:
+    """Return whole numbers as numpy's seeds take them, lowest word first: plain numbers take twice as long."""
+    words = []
+    for number in numbers:
+        words.append(number & _WORD)
+        while number := number >> _WORD.bit_length():
+            words.append(number & _WORD)
+    return np.array(words, dtype=np.uint32)
 
 
 def draw(setup: Setup, streams: Streams) -> Chance:

@@ -1,16 +1,19 @@
-"""First root of many polynomials at once: when a motion written as a power series leaves its region."""
+"""When many motions, each a power series in time, first leave their bounds."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from pipeline.records.batch import Floats
+from pipeline.records.batch import Booleans, Floats
+
+STEPS = 2
+"""Newton steps from the root of a parabola that are made before anything is tested: most are settled then."""
 
 MOST_STEPS = 60
-"""Steps of the search: Newton needs about four, bisection alone 53 for a double."""
+"""Steps of the search with bisection: alone it needs 53 for a double."""
 
 ROUNDING = 2.0**-51
-"""What is rounding: of a value relative to the sum of its terms' sizes, of a step in time relative to the span."""
+"""What is rounding: of a value relative to the sum of its terms' sizes, of a time relative to the span."""
 
 
 def powers(time: Floats, terms: int) -> Floats:
@@ -21,64 +24,82 @@ def powers(time: Floats, terms: int) -> Floats:
     return np.multiply.accumulate(result, axis=1, out=result)
 
 
-def derivative(series: Floats) -> Floats:
-    """Return the coefficients of the derivatives, with the same number of terms."""
-    result = np.zeros_like(series)
-    result[:, :-1] = series[:, 1:] * np.arange(1, series.shape[1])
-    return result
+def root(series: Floats) -> Floats:
+    """Return where polynomials that are not negative at 0 and negative at 1 change their sign; shape (n,).
 
-
-def root(series: Floats, slope: Floats, span: Floats, end: Floats) -> Floats:
-    """Return when polynomials, not negative at 0 and negative at ``span``, change their sign; shape (n,).
-
-    Newton's method, with a bisection wherever a step would leave the bracket.
+    Newton's method from the parabola through value and slope at 0 and value at 1, then, while anything is not settled,
+    with a bisection wherever a step would leave the bracket.
 
     Parameters
     ----------
-    series, slope : float64, shape (n, terms)
-        Coefficients, lowest power first, and those of the derivatives.
-    span, end : float64, shape (n,)
-        End of the search and value there.
+    series : float64, shape (n, terms)
+        Coefficients, lowest power first.
     """
-    size = np.abs(series)
-    low, high = np.zeros_like(span), span
-    time = span * (series[:, 0] / (series[:, 0] - end))
-    for _ in range(MOST_STEPS):
-        terms = powers(time, series.shape[1])
-        found, rate = np.vecdot(series, terms), np.vecdot(slope, terms)
-        inside = found >= 0
-        low, high = np.where(inside, time, low), np.where(inside, high, time)
-        unsettled = (np.abs(found) > ROUNDING * np.vecdot(size, terms)) & (high - low > ROUNDING * span)
+    count = series.shape[1]
+    slopes, size = series[:, 1:] * np.arange(1, count), ROUNDING * np.abs(series).sum(axis=1)
+    first, rate = series[:, 0], series[:, 1]
+    bend = np.minimum(series.sum(axis=1), 0.0) - first - rate
+    divisor = np.sqrt(np.maximum(rate * rate - 4 * bend * first, 0.0)) - rate
+    time: Floats = np.divide(2 * first, divisor, out=np.zeros_like(first), where=divisor > 0)
+    low, high = np.zeros_like(time), np.ones_like(time)
+    for step in range(MOST_STEPS):
+        terms = powers(time, count)
+        found, rate = np.vecdot(series, terms), np.vecdot(slopes, terms[:, :-1])
+        newton = time - np.divide(found, rate, out=np.full_like(rate, np.inf), where=rate < 0)
+        if step < STEPS:
+            time = np.minimum(np.maximum(newton, 0.0), 1.0)
+            continue
+        unsettled = (np.abs(found) > size) & (high - low > ROUNDING)
         if not unsettled.any():
             break
-        newton = time - found / np.where(rate == 0, 1.0, rate)
-        ahead = np.where((rate != 0) & (newton > low) & (newton < high), newton, 0.5 * (low + high))
+        inside = found >= 0
+        low, high = np.where(inside, time, low), np.where(inside, high, time)
+        ahead = np.where((newton > low) & (newton < high), newton, 0.5 * (low + high))
         time = np.where(unsettled, ahead, time)
     return time
 
 
-def first_exit(series: Floats, span: Floats) -> Floats:
-    """Return when polynomials first fall below zero within [0, span], infinity where they do not; all of shape (n,).
+def first_exit(series: Floats, low: Floats, high: Floats, span: Floats) -> tuple[Floats, Booleans, Booleans]:
+    """Return when polynomials first leave their bounds within [0, span], whether they do, and whether upwards.
 
-    One that starts at zero exactly is judged by how it goes on. Within the span a polynomial may have one minimum: the
-    span is to be short against the fastest oscillation.
+    One that does not leave has the span as its time. One that starts on a bound is judged by how it goes on. Within the
+    span a polynomial may turn once: the span is to be short against the fastest oscillation.
+
+    Parameters
+    ----------
+    series : float64, shape (n, terms)
+        Coefficients, lowest power first.
+    low, high, span : float64, shape (n,)
     """
-    on_edge = series[:, 0] == 0
-    if on_edge.any():
-        series = series.copy()
-        series[on_edge, :-1], series[on_edge, -1] = series[on_edge, 1:], 0.0
-    slope, terms = derivative(series), powers(span, series.shape[1])
-    end, end_slope = np.vecdot(series, terms), np.vecdot(slope, terms)
-    result = np.where(series[:, 0] < 0, 0.0, np.inf)
-    out = end < 0
-    dips = ~out & (slope[:, 0] < 0) & (end_slope > 0)
-    if dips.any():
-        down = -slope[dips]
-        span = span.copy()
-        span[dips] = root(down, derivative(down), span[dips], -end_slope[dips])
-        end[dips] = np.vecdot(series[dips], powers(span[dips], series.shape[1]))
-        out = end < 0
-    out &= result > 0
-    if out.any():
-        result[out] = root(series[out], slope[out], span[out], end[out])
+    count = series.shape[1]
+    scaled = series * powers(span, count)
+    start, slope, end = scaled[:, 0], scaled[:, 1], scaled.sum(axis=1)
+    slope_end, until = np.vecdot(scaled, np.arange(count, dtype=np.float64)), np.ones_like(span)
+    turns = (slope * slope_end < 0) & outside(start + slope - slope_end, low, high)
+    if turns.any():
+        falling = np.sign(slope[turns])[:, None] * np.pad(scaled[turns, 1:] * np.arange(1, count), ((0, 0), (0, 1)))
+        turn = root(falling)
+        there = np.vecdot(scaled[turns], powers(turn, count))
+        beyond = outside(there, low[turns], high[turns])
+        until[turns], end[turns] = np.where(beyond, turn, 1.0), np.where(beyond, there, end[turns])
+    up = (start > high) | ((start == high) & (slope > 0))
+    at_once = up | (start < low) | ((start == low) & (slope < 0))
+    above = np.where(at_once, up, end > high)
+    exits: Booleans = at_once | above | (end < low)
+    time = np.where(at_once, 0.0, span)
+    search = (exits & ~at_once).nonzero()[0]
+    if len(search):
+        sign, share = np.where(above[search], -1.0, 1.0), until[search]
+        inward = scaled[search] * (sign[:, None] * powers(share, count))
+        inward[:, 0] -= sign * np.where(above, high, low)[search]
+        on_edge = inward[:, 0] == 0
+        if on_edge.any():
+            inward[on_edge, :-1], inward[on_edge, -1] = inward[on_edge, 1:], 0.0
+        time[search] *= share * root(inward)
+    return time, exits, above
+
+
+def outside(value: Floats, low: Floats | float, high: Floats | float) -> Booleans:
+    """Return which values lie beyond a bound."""
+    result: Booleans = (value < low) | (value > high)
     return result

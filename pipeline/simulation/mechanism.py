@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from math import ceil, pi
+from math import ceil, inf, pi
 
 import numpy as np
 
@@ -33,6 +33,9 @@ LEFT_OUT = 1e-17
 
 QUARTER = pi / 4
 """Largest phase [rad] of the fastest oscillation within a piece: an end must not hide two minima before it."""
+
+BLOCK = 64
+"""Trials that a matrix product takes together."""
 
 MOST_EVENTS = 64
 """Changes of region within a piece, after which the rest of it passes in the region reached: an end to any chatter."""
@@ -154,38 +157,37 @@ class Mechanism:
             region += np.abs(velocity) >= self.friction.stribeck_velocity
         return region
 
-    def edges(self) -> list[Floats]:
-        """Return for each region two rows C: C z times the direction is not negative inside."""
+    def guards(self) -> list[tuple[Floats, float, float]]:
+        """Return for each region a row C and two bounds: C z times the direction lies between them inside."""
         assert self.friction is not None
-        n, force = self.states, self.motor_force()
+        velocity = np.zeros(self.states + 3)
+        velocity[1] = 1.0
         _, stiction, slope = self.levels
-        moving, held, slower = np.zeros((2, n + 3)), np.zeros((2, n + 3)), np.zeros((2, n + 3))
-        held[:, -1] = stiction * (1 + BREAKAWAY)
-        held += np.stack((-force, force))
-        moving[0, 1] = slower[0, 1] = 1.0
-        slower[1, 1], slower[1, -1] = -1.0, self.friction.stribeck_velocity
-        faster = moving.copy()
-        faster[0, -1] = -self.friction.stribeck_velocity
-        return [held, slower, faster] if slope else [held, moving]
+        hold, joint = stiction * (1 + BREAKAWAY), self.friction.stribeck_velocity
+        stick = self.motor_force(), -hold, hold
+        if not slope:
+            return [stick, (velocity, 0.0, inf)]
+        return [stick, (velocity, 0.0, joint), (velocity, joint, inf)]
 
 
 @dataclass(frozen=True, eq=False)
 class _Motion:
     """Exact motion of a mechanism over a piece of time, and what is needed to stop it inside.
 
-    ``steps`` (regions, levels, rows, states + 3) moves the state by the piece halved 0, 1, ... times, and gives edges
-    and their slopes before and after; ``terms`` (regions, rows * terms, states + 3) is the power series over the last.
-    ``force`` gives that on the motor's side from z; ``hold`` is the largest that friction holds, ``joint`` the velocity
-    at which it is down to Coulomb friction.
+    ``steps`` (regions, levels, rows, states + 3) moves the state by the piece halved 0, 1, ... times, and gives what
+    guards the region, before and after, and its slopes; ``terms`` (regions, rows * terms, states + 3) is the power
+    series of state and guard over the last part. ``low`` and ``high`` (regions) bound the guard. ``force`` gives that
+    on the motor's side from z.
     """
 
     mechanism: Mechanism
     pieces: int
+    piece_s: float
     steps: Floats
     terms: Floats
+    low: Floats
+    high: Floats
     force: Floats
-    hold: float
-    joint: float
 
     def advance(self, z: Floats) -> Floats:
         """Return the state after a piece of time, shape (states, n)."""
@@ -193,17 +195,20 @@ class _Motion:
             return _product(self.steps[0, 0], z)
         region = self.mechanism.regions(z)
         ahead, out = self._step(z, region, 0)
-        hard = np.flatnonzero(out)
+        hard = out.nonzero()[0]
         if len(hard):
             ahead[:, hard] = self._with_events(z[:, hard], region[hard])
         return ahead
 
     def _step(self, z: Floats, region: Integers, level: int) -> tuple[Floats, Booleans]:
-        """Return the state after a halved piece, and whether an edge may have been passed on the way."""
-        n = self.mechanism.states
+        """Return the state after a halved piece, and whether a bound may have been passed on the way."""
+        n, span = self.mechanism.states, self.piece_s * 0.5**level
         found = _by_region(self.steps[:, level], z, region)
-        before, after, slope, slope_after = (found[n:] * z[-1]).reshape(4, 2, -1)
-        out: Booleans = ((before < 0) | (after < 0) | ((slope < 0) & (slope_after > 0))).any(axis=0)
+        before, after, slope, slope_after = found[n:] * z[-1]
+        # between its ends a guard that turns is nowhere steeper than at both together
+        reach = np.where(slope * slope_after < 0, span * (np.abs(slope) + np.abs(slope_after)), 0.0)
+        least, most = np.minimum(before, after) - reach, np.maximum(before, after) + reach
+        out: Booleans = (least < self.low[region]) | (most > self.high[region])
         return found[:n], out
 
     def _with_events(self, z: Floats, region: Integers) -> Floats:
@@ -221,47 +226,48 @@ class _Motion:
                 left[busy[fits]] -= part
             span = np.minimum(left[busy], 1.0)
             # a product a trial: one of all of them would round by how many there are
-            found = (self.terms[kind] @ here.T[:, :, None]).reshape(len(busy), n + 2, -1)
-            edges = (found[:, n:] * here[-1, :, None, None]).reshape(-1, found.shape[2])
-            first, second = first_exit(edges, np.repeat(span, 2)).reshape(-1, 2).T
-            exit = np.minimum(first, second) if events < MOST_EVENTS else np.full(len(busy), np.inf)
-            time = np.minimum(exit, span)
-            here[:n] = np.vecdot(found[:, :n], powers(time, found.shape[2])[:, None]).T
+            series = (self.terms[kind] @ here.T[:, :, None]).reshape(len(busy), n + 1, -1)
+            time, exits, above = first_exit(series[:, n] * here[-1][:, None], self.low[kind], self.high[kind], span)
+            if events >= MOST_EVENTS:
+                time, exits = span, np.zeros_like(exits)
+            here[:n] = np.vecdot(series[:, :n], powers(time, series.shape[2])[:, None]).T
             left[busy] -= time
-            gone = np.flatnonzero(exit < np.inf)
-            here[:, gone], kind[gone] = self._beyond(here[:, gone], kind[gone], second[gone] < first[gone])
+            gone = exits.nonzero()[0]
+            if len(gone):
+                here[:, gone], kind[gone] = self._beyond(here[:, gone], kind[gone], above[gone])
             z[:, busy], region[busy] = here, kind
-            busy = np.flatnonzero(left > 0)
+            busy = (left > 0).nonzero()[0]
             if not len(busy):
                 break
         return z[:n]
 
-    def _beyond(self, z: Floats, region: Integers, second: Booleans) -> tuple[Floats, Integers]:
-        """Return state and region of trials that have reached the first edge of their region, or its second."""
+    def _beyond(self, z: Floats, region: Integers, above: Booleans) -> tuple[Floats, Integers]:
+        """Return state and region of trials whose guard has reached its lower bound, or its upper one."""
         creeps = region == CREEP
-        stops, speeds_up = creeps & ~second, creeps & second
+        stops, speeds_up = creeps & ~above, creeps & above
         slow = stops | (region == STICK)
-        z[1] = np.where(slow, np.where(stops, 0.0, z[1]), self.joint * z[-1])
+        z[1] = np.where(slow, np.where(stops, 0.0, z[1]), self.high[CREEP] * z[-1])
         force = np.vecdot(z.T, self.force)
         z[-1] = np.where(slow, np.where(force < 0, -1.0, 1.0), z[-1])
-        held = stops & (np.abs(force) <= self.hold)
+        held = stops & (np.abs(force) <= self.high[STICK])
         return z, np.where(held, STICK, np.where(speeds_up, SLIDE, CREEP))
 
 
 def _product(matrix: Floats, z: Floats) -> Floats:
-    """Return matrix @ z, added column by column: a product of all trials would round by how many there are."""
-    total: Floats = matrix[:, :1] * z[0]
-    part = np.empty_like(total)
-    for column, row in zip(matrix.T[1:, :, None], z[1:], strict=True):
-        total += np.multiply(column, row, out=part)
-    return total
+    """Return matrix @ z in blocks of one shape: a product of all trials would round by how many there are."""
+    blocks = -(-z.shape[1] // BLOCK)
+    padded, result = np.zeros((len(z), blocks * BLOCK)), np.empty((len(matrix), blocks * BLOCK))
+    padded[:, : z.shape[1]] = z
+    one, other = (columns.reshape(-1, blocks, BLOCK).swapaxes(0, 1) for columns in (padded, result))
+    np.matmul(matrix, one, out=other)
+    return result[:, : z.shape[1]]
 
 
 def _by_region(matrices: Floats, z: Floats, region: Integers) -> Floats:
     """Return the product of each trial's z with the matrix of its region, shape (rows, n)."""
     result = np.empty((matrices.shape[1], z.shape[1]))
     for number, matrix in enumerate(matrices):
-        here = np.flatnonzero(region == number)
+        here = (region == number).nonzero()[0]
         if len(here) == z.shape[1]:
             return _product(matrix, z)
         if len(here):
@@ -285,20 +291,20 @@ def _motion(mechanism: Mechanism, time_s: float) -> _Motion:
     piece = time_s / pieces
     if mechanism.friction is None:
         whole = (exponential(scaled[0], time_s) * back)[None, None, :n]
-        return _Motion(mechanism, 1, whole, np.empty(0), np.empty(0), 0.0, 0.0)
+        return _Motion(mechanism, 1, time_s, whole, *[np.empty(0)] * 4)
     levels = 0
     while (count := _most_terms(scaled, piece * 0.5**levels)) is None:
         levels += 1
-    steps, terms = [], []
-    for rate, edges, one in zip(rates, mechanism.edges(), scaled, strict=True):
-        slopes = edges @ rate
+    steps, terms, guards = [], [], mechanism.guards()
+    for rate, (guard, _, _), one in zip(rates, guards, scaled, strict=True):
+        slope = guard @ rate
         moves = [exponential(one, piece * 0.5**level) * back for level in range(levels + 1)]
-        steps.append([np.vstack((m[:n], edges, edges @ m, slopes, slopes @ m)) for m in moves])
+        steps.append([np.vstack((m[:n], guard, guard @ m, slope, slope @ m)) for m in moves])
         powers_of = series(one, piece * 0.5**levels, count) * back
-        rows = np.concatenate((powers_of[:, :n], edges @ powers_of), axis=1)
+        rows = np.concatenate((powers_of[:, :n], (guard @ powers_of)[:, None]), axis=1)
         terms.append(rows.swapaxes(0, 1).reshape(-1, n + 3))
-    hold, joint = mechanism.levels[1] * (1 + BREAKAWAY), mechanism.friction.stribeck_velocity
-    return _Motion(mechanism, pieces, np.array(steps), np.array(terms), mechanism.motor_force(), hold, joint)
+    low, high = np.array([bounds for _, *bounds in guards]).T
+    return _Motion(mechanism, pieces, piece, np.array(steps), np.array(terms), low, high, mechanism.motor_force())
 
 
 def _most_terms(rates: list[Floats], time_s: float) -> int | None:

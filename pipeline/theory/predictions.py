@@ -19,11 +19,12 @@ from pipeline.base.disk import if_writable, write_text
 from pipeline.base.json_seal import sealed_json, unsealed_json
 from pipeline.base.process_pool import process_pool
 from pipeline.base.provenance import code_digest, digest
-from pipeline.loop.device_loop import general, loop_of, wall_units
+from pipeline.loop.device_loop import DeviceLoop, general, loop_of, wall_units
 from pipeline.loop.loop import Loop, Normalised
 from pipeline.records.batch import Floats
 from pipeline.records.criteria import criterion_of
 from pipeline.records.results import TheoryParameters
+from pipeline.theory.device.outline import outline
 from pipeline.theory.device.passive_walls import passive_outline
 from pipeline.theory.optimum import optimum
 from pipeline.theory.optimum.optimum import optimal_point
@@ -35,6 +36,9 @@ _TURN = {"overshoot": 0, "energy": 2}
 
 BOUNDARY_POINTS = 160
 """Points of a boundary that is drawn."""
+
+_FEWEST = 8
+"""Points of one that is only looked for."""
 
 
 @dataclass(frozen=True)
@@ -64,6 +68,11 @@ class Theory:
         """Normalised loop; a general one where the parts ask for it."""
         p = self.parameters
         return loop_of(p.mass, p.damping, p.stiffness, p.delay_samples, p.sampling_period_s, p.loop)
+
+    @cached_property
+    def stabilised(self) -> bool:
+        """Whether any damping stabilises a soft wall; there is neither boundary nor optimum otherwise."""
+        return not isinstance(self.loop, DeviceLoop) or len(outline(self.loop, _FEWEST).beta) > 0
 
     @property
     def wall_damping(self) -> float:

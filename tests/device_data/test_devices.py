@@ -28,10 +28,11 @@ def altered(tmp_path: Path, *changes: tuple[str, str], name: str = "falcon.toml"
 
 def test_the_shipped_devices_are_known() -> None:
     devices = known_devices()
-    assert list(devices) == ["falcon", "lwr"]
+    assert list(devices) == ["falcon", "falcon-real", "lwr"]
     assert [e.name for e in devices["falcon"].experiments] == list("1234567")
     assert [e.name for e in devices["lwr"].experiments] == [f"delay-{d}" for d in range(2, 9)]
     assert devices["lwr"].motion == "rotation"
+    assert "hypothesis" in devices["falcon-real"].title
 
 
 @pytest.mark.skipif(not TABLES.is_dir(), reason="published tables (../shared) are not here")

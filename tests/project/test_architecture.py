@@ -20,7 +20,7 @@ DIRECTLY: dict[str, tuple[str, ...]] = {
     "intake": ("readers", "store", "device_data"),
     "repair": ("intake",),
     "loop": ("records",),
-    "measured": ("records", "store"),
+    "measured": ("loop", "store"),
     "theory": ("loop",),
     "simulation": ("device_data", "store", "loop"),
     "rendering": ("records",),

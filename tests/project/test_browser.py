@@ -295,15 +295,14 @@ def test_without_scripts_all_results_are_there(browser: Any, measured: Path) -> 
 
 
 @pytest.mark.parametrize("scripts", [True, False], ids=["scripts", "no-scripts"])
-def test_print_shows_every_figure_and_every_table(browser: Any, measured: Path, scripts: bool) -> None:
+def test_print_shows_what_is_open_with_heads_on_each_page(browser: Any, measured: Path, scripts: bool) -> None:
     with Opened(browser, measured, wait=scripts, java_script_enabled=scripts) as page:
         page.emulate_media(media="print")
         page.set_viewport_size({"width": 680, "height": 960})  # what the margins leave of A4
-        if scripts:
-            page.evaluate("dispatchEvent(new Event('beforeprint'))")
         # one part wider than the paper, and the browser shrinks the whole report
         assert page.evaluate("document.documentElement.scrollWidth") <= 680
-        figures, tables = page.locator("figure svg").all(), page.locator("table:not(.u-legend)").all()
+        opened = ":not(details:not([open]) *):not([hidden] *)"
+        figures, tables = page.locator(f"figure svg{opened}").all(), page.locator(f"table.cells{opened}").all()
         assert len(figures) > 5
         assert len(tables) > 5
         for part in (*figures, *tables):
@@ -313,13 +312,53 @@ def test_print_shows_every_figure_and_every_table(browser: Any, measured: Path, 
             assert box["width"] > 20
         for hidden in ("#sec-trials", "nav", ".skip"):
             assert page.locator(hidden).first.is_hidden()
-        if scripts:
-            page.evaluate("dispatchEvent(new Event('afterprint'))")
-            assert page.locator("details:not([open])").count() > 0
+        for closed in page.locator("details:not([open])").all():
+            assert closed.is_hidden()
+        repeated = (
+            "[...document.querySelectorAll('thead')].every((e) => getComputedStyle(e).display === 'table-header-group')"
+        )
+        assert page.evaluate(repeated)
         pdf = page.pdf(prefer_css_page_size=True)
     sizes = set(re.findall(rb"/MediaBox \[0 0 ([\d.]+) ([\d.]+)\]", pdf))
     assert {(round(float(w)), round(float(h))) for w, h in sizes} == {(595, 842)}  # A4 in points
-    assert len(re.findall(rb"/Type /Page\b", pdf)) > 4
+    assert 4 < len(re.findall(rb"/Type /Page\b", pdf)) <= 12
+
+
+def test_one_figure_of_costs_is_shown_and_chosen_by_lists_and_address(browser: Any, measured: Path) -> None:
+    with Opened(browser, measured) as page:
+        shown = page.locator(".viewer figure:visible")
+        assert shown.count() == 1
+        first = shown.get_attribute("id")
+        page.select_option("#viewer-criterion", "overshoot")
+        assert shown.count() == 1
+        assert shown.get_attribute("data-criterion") == "overshoot"
+        assert page.url.endswith(f"#{shown.get_attribute('id')}")
+        page.select_option("#viewer-show", "measured against theory, all experiments")
+        assert shown.get_attribute("id") == "residual-overshoot"
+        page.evaluate(f"location.hash = '#{first}'")
+        until(page, f"!document.getElementById('{first}').hidden")
+        assert page.locator("#viewer-criterion").input_value() == shown.get_attribute("data-criterion")
+    with Opened(browser, measured, wait=False, java_script_enabled=False) as page:
+        assert page.locator(".viewer figure:visible").count() == 1
+        page.locator(".viewer summary").click()
+        assert page.locator(".viewer figure:visible").count() > 5
+
+
+def test_contents_stay_in_sight_on_a_wide_screen(browser: Any, measured: Path) -> None:
+    with Opened(browser, measured) as page:
+        page.locator("#sec-experiments").scroll_into_view_if_needed()
+        box = page.locator("nav.contents").bounding_box()
+        assert 0 <= box["y"] < 100
+
+
+def test_nothing_moves_while_the_page_opens(browser: Any, measured: Path) -> None:
+    with Opened(browser, measured) as page:
+        seen = "new Promise((done) => new PerformanceObserver((list) => done(list.getEntries().map((e) => e.value)))"
+        shifts = page.evaluate(
+            f"Promise.race([{seen}.observe({{type: 'layout-shift', buffered: true}})), "
+            "new Promise((done) => setTimeout(() => done([]), 500))])"
+        )
+        assert sum(shifts) < 0.1
 
 
 @pytest.mark.parametrize("width", WIDTHS)

@@ -79,5 +79,9 @@ def test_demo_leaves_foreign_files_alone_and_says_so(first):
 
 
 def test_the_two_demos_cover_what_they_promise():
-    assert {p.device: p.experiments for p in demo.REDUCED} == {"falcon": ("1", "2", "6"), "lwr": ()}
+    assert {p.device: p.experiments for p in demo.REDUCED} == {
+        "falcon-real": ("1",),
+        "falcon": ("1", "2", "6"),
+        "lwr": (),
+    }
     assert all(p.coarsen == 1 and p.experiments == () for p in demo.FULL)

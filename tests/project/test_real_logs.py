@@ -265,3 +265,12 @@ def test_a_log_without_a_step_is_compared_with_reasons_only(stored, device, tmp_
         (rows,) = (pq.read_table(path).to_pylist() for path in folder.glob(f"*/{stage}.parquet"))
         assert [row[column] for row in rows] == [None]
         assert rows[0]["reason"]
+
+
+def test_a_heater_shows_no_force_beside_its_command(stored):
+    (experiment,) = compare("tclab", stored).result.experiments
+    assert experiment.outcomes == {"moving": 1}
+    # no theory rests on a loop that is not adequate, and the page does not say that one does
+    warned = " ".join(compare("tclab", stored).result.warnings)
+    assert "has no device file: no theory." in warned
+    assert "speak of another" not in warned

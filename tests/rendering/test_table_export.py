@@ -18,11 +18,11 @@ from pipeline.rendering.table_export import (
     csv_text,
     export_tables,
     guarded,
-    latex_text,
     markdown_text,
     parse_formats,
     tables_folder,
 )
+from pipeline.rendering.table_latex import latex_text
 from pipeline.rendering.table_values import value_tables
 
 
@@ -136,10 +136,14 @@ def test_markdown_rows_have_as_many_cells_as_heads(hostile):
 def test_latex_rows_have_as_many_columns_as_the_table(hostile):
     for table in printed_tables(report_data(full=False, hostile=hostile).result):
         text = latex_text(table)
-        columns = re.search(r"\\begin\{longtable\}\{([lr]+)\}", text)
+        columns = re.search(r"\\begin\{(?:longtable|tabular)\}\{@\{\}(.+)@\{\}\}", text)
         assert columns is not None
-        assert len(columns[1]) == len(table.columns)
-        body = text[text.index(r"\endfoot") : text.index(r"\end{longtable}")]
+        kinds = re.sub(r">\{[^{}]*\}p\{\d+pt\}", "p", columns[1])
+        assert re.fullmatch("[lrp]+", kinds)
+        assert len(kinds) == len(table.columns)
+        long = "longtable}{" in text
+        body = text[text.index(r"\endfoot" if long else r"\midrule") : text.rindex(r"\bottomrule")]
+        body = body if not long else text[text.index(r"\endfoot") : text.index(r"\end{longtable}")]
         for line in body.splitlines()[1:]:
             if line == r"\addlinespace":
                 continue
@@ -156,7 +160,7 @@ def test_latex_specials_are_escaped_each_in_its_own_way():
     table = Table("t", "50 % of $x_1$ & more", (Column("a", "a_b"), words("b", "#")))
     table.add("r", {"a": Cell(-1.5, "−1.5", marks=table.mark("note {1}")), "b": r"\input{x}^~"})
     text = latex_text(table)
-    assert r"\caption{50 \% of \$x\_1\$ \& more}" in text
+    assert r"\caption{50 \% of \$x\_1\$ \& more}\label{tab:t}" in text
     assert r"a\_b & \# \\" in text
     assert r"$-$1.5\textsuperscript{a} & \textbackslash{}input\{x\}\textasciicircum{}\textasciitilde{} \\" in text
     assert r"\textsuperscript{a}note \{1\}" in text
@@ -166,8 +170,29 @@ def test_no_row_of_latex_begins_with_what_a_line_end_would_take():
     table = Table("t", "x", (words("a"),))
     for row, name in enumerate(("*x", "[1pt]", "* y")):
         table.add(str(row), {"a": name})
-    body = latex_text(table).split(r"\endfoot")[1].splitlines()[1:4]
+    body = latex_text(table).split(r"\midrule")[1].splitlines()[1:4]
     assert body == [r"{*}x \\", r"{[}1pt{]} \\", r"{*} y \\"]
+
+
+def test_latex_says_whether_it_fits_one_column_and_wraps_words_so_that_it_does():
+    narrow = Table("t", "x", (words("name"), Column("a"), Column("b")))
+    narrow.add("r", {"name": "short", "a": 1.5, "b": 2})
+    assert "one column" in latex_text(narrow).splitlines()[0]
+    assert r"\begin{table}[t]" in latex_text(narrow)
+    wrapped = Table("t", "x", (words("name"), Column("a"), words("reason")))
+    wrapped.add("r", {"name": "short", "a": 1.5, "reason": "many words " * 12})
+    text = latex_text(wrapped)
+    assert "one column" in text.splitlines()[0]
+    assert "p{" in text
+    numbers = Table("t", "x", [Column(f"quantity {n}") for n in range(5)])
+    numbers.add("r", {f"quantity {n}": Cell(n, str(n), aside="from 0.1 to 0.2 and 4") for n in range(5)})
+    assert "two columns" in latex_text(numbers).splitlines()[0]
+    assert r"\begin{table*}[t]" in latex_text(numbers)
+    assert r"\shortstack[r]{3 \\ (from 0.1 to 0.2 and \\ 4)}" in latex_text(numbers)
+    long = Table("t", "x", (Column("a"),))
+    for n in range(60):
+        long.add(str(n), {"a": n})
+    assert r"\begin{longtable}" in latex_text(long)
 
 
 def test_hostile_names_become_file_names_and_the_files_can_be_read(tmp_path):

@@ -12,7 +12,7 @@ from pipeline.loop.loop import LARGEST_DELAY
 from pipeline.records.figure_records import Curve
 from pipeline.records.findings import Estimate
 from pipeline.records.models import Device
-from pipeline.records.results import ExperimentResult
+from pipeline.records.results import ExperimentResult, UseRegion
 from pipeline.theory.device.overlays import quantum_limit, step_limits
 from pipeline.theory.predictions import Theory
 from pipeline.theory.stability.passivity import boundary_angle, passive_boundary
@@ -62,6 +62,13 @@ def measured_curve(result: ExperimentResult, label: str = "", *, open_ends: bool
         low if open_ends else None,
         high if open_ends else None,
     )
+
+
+def use_curve(use: UseRegion) -> Curve:
+    """Return the outline of the walls to use."""
+    K, B = (use.stiffness_low, use.stiffness_high), (use.damping_low, use.damping_high)
+    corners = np.array([(K[0], B[0]), (K[1], B[0]), (K[1], B[1]), (K[0], B[1]), (K[0], B[0])])
+    return Curve("walls to use", "use", corners[:, 0], corners[:, 1])
 
 
 def linear_curve(theory: Theory) -> Curve:

@@ -20,14 +20,18 @@ from pipeline.comparison.figures.boundary_curves import (
     passive_curve,
     robust_curve,
     theory_curve,
+    use_curve,
 )
 from pipeline.comparison.loops.loop_range import adequate_theory
 from pipeline.comparison.scene.scene import SceneData
 from pipeline.records.figure_records import Curve, Figure, Limits
 from pipeline.records.models import Experiment
-from pipeline.records.results import ExperimentResult, TheoryParameters
+from pipeline.records.results import Answer, ExperimentResult, TheoryParameters
 from pipeline.rendering.labels import UNITS, Units, stiffness_text
 from pipeline.theory.predictions import Theory
+
+ANSWER = "boundaries-answer"
+"""Identifier of the figure beside the answer."""
 
 
 def boundary_figures(
@@ -46,6 +50,31 @@ def boundary_figures(
     if len(shown) > 1:
         figures.append(plane_figure(shown, predicted=data.scene.shown.has_overlay("theory")))
     return tuple(figure for figure in figures if figure is not None)
+
+
+def answer_figure(data: SceneData, told: Answer, theory: Theory | None, result: ExperimentResult) -> Figure[Limits]:
+    """Return the picture beside the answer: measured limits with intervals, theory, walls to use, and all trials."""
+    stages = next(each for each in data.experiments if each.experiment == told.experiment)
+    K, B = stages.column("response", "stiffness"), stages.column("response", "damping")
+    wall, verdict = K > 0, stages.verdicts.verdict
+    trials = [
+        Curve(f"{kind} trial", kind, K[at], B[at])
+        for kind in ("stable", "unstable")
+        if (at := wall & (verdict == kind)).any()
+    ]
+    curves = [measured_curve(result, "measured limit", open_ends=True)]
+    if theory is not None and data.scene.shown.has_overlay("theory"):
+        curves.append(theory_curve(theory, "theory"))
+    if result.use is not None:
+        curves.append(use_curve(result.use))
+    shaded = "; shaded, their 95 % intervals" if any(point.low is not None for point in result.boundary) else ""
+    return Figure(
+        "boundaries",
+        ANSWER,
+        f"Where experiment {told.experiment} is stable",
+        f"Every trial, and the largest stable stiffness at each damping{shaded}.",
+        (("", (*curves, *trials)),),
+    )
 
 
 def plane_figure(entries: Sequence[tuple[str, ExperimentResult, Theory]], *, predicted: bool = True) -> Figure[Limits]:
@@ -189,8 +218,7 @@ class _Builder:
         panels = []
         for result in self.results:
             name = result.experiment
-            nominal = self.theories.get(name)
-            theory = adequate_theory(result, periods[name], nominal.parameters.stiffness if nominal else 0.0)
+            theory = adequate_theory(result, periods[name])
             if theory is None:
                 continue
             more = (envelope_curve(result), bound_curve(result), linear_curve(theory), passive_curve(theory))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import count
 from typing import Any
@@ -12,7 +12,7 @@ import numpy as np
 
 from pipeline.comparison.compare_experiment import motion_of
 from pipeline.comparison.figures.boundary_curves import measured_curve, theory_curve
-from pipeline.comparison.figures.figure_boundaries import boundary_figures
+from pipeline.comparison.figures.figure_boundaries import answer_figure, boundary_figures
 from pipeline.comparison.figures.figure_optima import optimal_curve
 from pipeline.comparison.figures.figure_residuals import residual_figures
 from pipeline.comparison.figures.figure_response import response_figures
@@ -27,7 +27,7 @@ from pipeline.records.delay_rows import delay_points
 from pipeline.records.figure_records import CostMap, Curve, DelayPanel, Figure, Limits
 from pipeline.records.findings import Optimum
 from pipeline.records.models import ComparisonRow, FigureKind, TableLayout
-from pipeline.records.results import ExperimentResult, TheoryParameters
+from pipeline.records.results import Answer, ExperimentResult, TheoryParameters
 from pipeline.rendering.labels import criterion_label, table_label
 from pipeline.theory.cost.maps import cost_maps
 from pipeline.theory.predictions import Predictions, Request, Theory
@@ -70,6 +70,7 @@ class FigureBuilder:
     data: SceneData
     theories: Mapping[str, Theory]
     results: Sequence[ExperimentResult]
+    told: Answer | None = None
 
     def asked(self, rows: Sequence[ComparisonRow], predictions: Predictions) -> tuple[Figure[Any], ...]:
         """Return all figures that the scene asks for, as far as there is data for them."""
@@ -80,10 +81,17 @@ class FigureBuilder:
             "response": lambda: response_figures(self.data, motion_of(self.data)),
             "residuals": lambda: residual_figures(self.data, self.theories),
         }
-        found = list[Figure[Any]](with_overlays(self.boundaries(), shown))
+        found = list[Figure[Any]](with_overlays((*self.answered(), *self.boundaries()), shown))
         for kind, build in builders.items():
             found += build() if shown.has_figure(kind) else ()
-        return tuple(found)
+        return tuple(replace(figure, simulated=self.data.simulated) for figure in found)
+
+    def answered(self) -> Iterator[Figure[Limits]]:
+        """Yield the picture beside the answer, where there is one and a limit to draw."""
+        name = self.told.experiment if self.told else ""
+        for result in self.results:
+            if self.told and result.experiment == name and result.boundary:
+                yield answer_figure(self.data, self.told, self.theories.get(name), result)
 
     def boundaries(self) -> tuple[Figure[Limits], ...]:
         """Return boundary figures: without and with operator, over delay, from the estimates, and normalised."""
@@ -226,4 +234,5 @@ def _cost_figure(
         f"for each stiffness and all trials.{optima} In the manner of Fig. {thesis}.",
         panels,
         criterion,
+        f"costs, {label}",
     )

@@ -144,4 +144,5 @@ def _figure(criterion: str, maps: tuple[ResidualMap, ...]) -> Figure[ResidualMap
         "trials' own stiffness and damping with each experiment's own parameters.",
         maps,
         criterion,
+        "measured against theory, all experiments",
     )

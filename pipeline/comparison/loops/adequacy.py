@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.base.wording import counted
+from pipeline.base.wording import counted, listed
+from pipeline.comparison.loops.fitted_loop import FittedDevice
 from pipeline.comparison.loops.log_evidence import OF_THE_FORCE, LawDeparture, rest_words
 from pipeline.comparison.loops.loop_range import MATTERS, LoopRange, loop_delay
 from pipeline.comparison.scores.overlap import measured_limits
@@ -19,6 +20,7 @@ from pipeline.measured.experiment.estimates import EXPLAINED
 from pipeline.measured.experiment.rest_forces import RestForces
 from pipeline.records.batch import Floats
 from pipeline.records.findings import Estimate
+from pipeline.records.loop_parts import LoopParts, VelocityFilter
 from pipeline.records.results import ExperimentResult
 from pipeline.rendering.labels import Units, percent_text, share_text, significant
 
@@ -50,13 +52,39 @@ class Doubt:
     help: str = ""
 
 
+@dataclass(frozen=True)
+class Shown:
+    """What the logs show of a loop: departures from the wall law, rest, the device that explains them, the filter."""
+
+    departures: list[LawDeparture]
+    rest: RestForces
+    fitted: FittedDevice | None
+    velocity: VelocityFilter | None
+
+    @property
+    def known(self) -> set[str]:
+        """Departures that the loop holds, or that concern the external force alone."""
+        found = set(OF_THE_FORCE)
+        found |= {"velocity_filter"} if self.velocity is not None else set()
+        return found | ({"constant_force"} if self.explained else set())
+
+    def named(self, loop: LoopRange | None) -> bool:
+        """Whether a loop has all the parts of the device that explains the logs."""
+        if self.fitted is None or loop is None:
+            return False
+        mode = loop.parts.mode
+        has = {"spring": loop.stiffness > 0, "lag": loop.parts.actuator_lag_s > 0}
+        has |= {f"mode at the {mode.sensor}": True} if mode else {}
+        return all(has.get(part, False) for part in self.fitted.parts)
+
+    @property
+    def explained(self) -> bool:
+        """Whether one device explains the logs."""
+        return self.fitted is not None and self.fitted.holds
+
+
 def doubts(
-    result: ExperimentResult,
-    loop: LoopRange | None,
-    departures: list[LawDeparture],
-    rest: RestForces,
-    parts: str,
-    units: Units,
+    result: ExperimentResult, loop: LoopRange | None, shown: Shown, parts: LoopParts | None, units: Units
 ) -> list[Doubt]:
     """Return what speaks against the loop of an experiment, gravest first; nothing where it is adequate.
 
@@ -66,25 +94,34 @@ def doubts(
         Without its loop.
     loop : LoopRange or None
         What the statements would rest on.
-    departures : list of LawDeparture
-    rest : RestForces
-    parts : str
-        Parts of a loop that is not ideal, which the device file declares; empty where it declares none.
+    shown : Shown
+    parts : LoopParts or None
+        What the device file of the experiment declares: parts that it does not name speak against it. None without one.
     units : Units
     """
+    held = shown.known
+    if parts is not None:
+        held -= {"constant_force"} | (set() if parts.velocity else {"velocity_filter"})
     found = [
         Doubt(f"{each.sentence.rstrip('.')} ({each.shown})", _HELP.get(each.code, _LAW))
-        for each in departures
-        if each.code not in OF_THE_FORCE
+        for each in shown.departures
+        if each.code not in held
     ]
-    if parts:
-        found.append(Doubt(f"the device file declares {parts}, and the estimates know the ideal loop only"))
-    if "velocity filter" in parts:
-        found = [Doubt(doubt.text) if doubt.help == _HELP["velocity_filter"] else doubt for doubt in found]
     found += _unknown(result, loop)
-    found += _unexplained(result, "" if parts else _PARTS)
-    if rest.tells:
-        found.append(Doubt(rest_words(rest, _force(units)), "a device file with the force or friction in it"))
+    if not shown.explained or (parts is not None and not shown.named(loop)):
+        found += _unexplained(result, shown.fitted, _PARTS)
+        if shown.rest.tells:
+            found.append(Doubt(rest_words(shown.rest, _force(units)), "a device file with the force or friction in it"))
+    if loop is not None and (off := loop.off) is not None:
+        damping, limit, share = off
+        found.append(
+            Doubt(
+                f"the loop that the logs show is another than that of the device file: its limit at B = "
+                f"{significant(damping, 3)} {units.damping} is {percent_text(100 * share)} % off K = "
+                f"{significant(limit, 3)} {units.stiffness} beyond its interval",
+                "a device file with the parts and numbers that the logs show",
+            )
+        )
     if loop is not None:
         found += _changing(result, loop, units)
         found += _disagreeing(result, loop, units)
@@ -104,22 +141,27 @@ def _force(units: Units) -> str:
 
 
 def _unknown(result: ExperimentResult, loop: LoopRange | None) -> Iterator[Doubt]:
-    names = {"mass": "mass", "damping": "viscous damping", "delay_samples": "delay"}
-    missing = [(name, result.estimates[key]) for key, name in names.items() if result.estimates[key].value is None]
+    mass, damping = result.estimates["mass"], result.estimates["damping"]
+    known = {"mass": mass, "viscous damping": damping, "delay": loop_delay(result)}
+    missing = [(name, estimate) for name, estimate in known.items() if estimate.value is None]
     for name, estimate in missing:
         yield Doubt(f"the {name} is not known ({estimate.reason})")
     if loop is None and not missing:
         yield Doubt("the mass is not positive, or the delay longer than theory is computed for")
 
 
-def _unexplained(result: ExperimentResult, would_help: str) -> Iterator[Doubt]:
+def _unexplained(result: ExperimentResult, fitted: FittedDevice | None, would_help: str) -> Iterator[Doubt]:
     check = result.model_check
     if check is None:
         yield Doubt("no model was fitted to the logs, since nothing that was asked for needs one")
         return
     if check.explained < EXPLAINED * check.trials or not check.trials:
+        more = ""
+        if fitted is not None and fitted.parts:
+            what = f"{listed(list(fitted.parts))} {fitted.explained} of {fitted.held_out}"
+            more = f", and with {what} that were held out"
         yield Doubt(
-            f"mass, damping and delay explain {check.explained} of {counted(check.trials, 'log')} only",
+            f"mass, damping and delay explain {check.explained} of {counted(check.trials, 'log')} only{more}",
             would_help,
         )
     elif (check.whiteness or 1.0) < WHITE and (check.ghost or 0.0) > EXACT:
@@ -158,7 +200,10 @@ def _changing(result: ExperimentResult, loop: LoopRange, units: Units) -> Iterat
             )
     friction = result.estimates.get("friction")
     if friction is not None and (friction.low or 0.0) > 0:
-        yield Doubt(f"there is Coulomb friction of {significant(friction.value or 0.0, 2)} {friction.unit}")
+        yield Doubt(
+            f"there is Coulomb friction of {significant(friction.value or 0.0, 2)} {friction.unit}, which linear "
+            "theory cannot hold"
+        )
 
 
 def _unit(estimate: Estimate) -> str:
@@ -184,7 +229,7 @@ def _disagreeing(result: ExperimentResult, loop: LoopRange, units: Units) -> Ite
         return
     worst = int(np.argmax(np.abs(off)))
     yield Doubt(
-        f"{int(far.sum())} of {counted(int(some.sum()), 'measured limit')} lie off those of mass, damping and delay, "
+        f"{int(far.sum())} of {counted(int(some.sum()), 'measured limit')} lie off those of the loop, "
         f"at B = {significant(float(damping[worst]), 3)} {units.damping} by {percent_text(100 * float(off[worst]))} % "
         "beyond all intervals"
     )

@@ -7,8 +7,10 @@ from collections.abc import Iterator
 import numpy as np
 
 from pipeline.base.wording import counted
-from pipeline.comparison.loops.log_evidence import LawDeparture, coarse, law_causes, rest_words
+from pipeline.comparison.loops.adequacy import Shown
+from pipeline.comparison.loops.log_evidence import coarse, law_causes, rest_words
 from pipeline.comparison.loops.loop_range import MATTERS, LoopRange, explains, loop_delay
+from pipeline.comparison.loops.part_causes import part_causes
 from pipeline.measured.experiment.rest_forces import RestForces
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.findings import Estimate
@@ -33,8 +35,7 @@ def direct_causes(
     result: ExperimentResult,
     stages: ExperimentStages,
     loop: LoopRange | None,
-    departures: list[LawDeparture],
-    rest: RestForces,
+    shown: Shown,
     stated_mass: float | None,
     units: Units,
     *,
@@ -48,8 +49,8 @@ def direct_causes(
     stages : ExperimentStages
     loop : LoopRange or None
         By the estimates.
-    departures, rest
-        What single logs show.
+    shown : Shown
+        What single logs and all together show.
     stated_mass : float or None
         Mass by the device file.
     units : Units
@@ -60,12 +61,16 @@ def direct_causes(
     -----
     A cause whose effect on the limit is known and below `MATTERS` is not told.
     """
+    departures, fitted = shown.departures, shown.fitted
     found = law_causes(departures, stages)[:MOST]
-    # a command that is not the wall law's tells of no force beside it
-    found += [] if departures else [*_force(result, rest, units)]
+    if fitted is not None and fitted.tells:
+        parts = part_causes(stages, fitted, shown.velocity, units)
+        found += [cause for cause in parts if all(cause.code != other.code for other in found)]
+    elif not departures:  # a command that is not the wall law's tells of no force beside it
+        found += _force(result, shown.rest, units)
     if loop is not None:
         found += _jitter(result, loop)
-        found += [] if not adequate else [*_part_of_a_sample(result, loop)]
+        found += [] if not adequate or loop.parts.actuator_lag_s else [*_part_of_a_sample(result, loop)]
         found += _gain(result, loop, stated_mass)
     found += _sensor(stages)
     found += _trials(result, stages)

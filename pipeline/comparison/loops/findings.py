@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from pipeline.base.wording import listed
-from pipeline.comparison.loops.adequacy import Doubt, doubts
+from pipeline.comparison.loops.adequacy import Doubt, Shown, doubts
 from pipeline.comparison.loops.causes import direct_causes
-from pipeline.comparison.loops.log_evidence import found_filter, law_departures
+from pipeline.comparison.loops.fitted_loop import fitted_device, mode_parameters, with_filter
+from pipeline.comparison.loops.log_evidence import LawDeparture, found_filter, law_departures
 from pipeline.comparison.loops.loop_range import LoopRange, estimated_range, stated_range
+from pipeline.comparison.loops.loop_record import exact, filter_of, filter_parameters, stated_parameters
 from pipeline.comparison.loops.passive_wall import passive_wall
 from pipeline.measured.experiment.rest_forces import rest_forces
-from pipeline.measured.signal.velocity_filter import VelocityFilterFound
 from pipeline.measured.stages.stages import ExperimentStages
-from pipeline.records.loop_parts import LoopParts, named
+from pipeline.records.loop_parts import LoopParts, VelocityFilter
 from pipeline.records.loop_records import LoopFindings, LoopLimit, LoopResult, Parameter
-from pipeline.records.models import Device, Experiment
+from pipeline.records.models import Device
 from pipeline.records.results import ExperimentResult
 from pipeline.rendering.labels import Units
 
@@ -43,22 +46,23 @@ def loop_findings(
     the estimates.
     """
     entry = next((e for e in device.experiments if e.name == stages.experiment), None) if device else None
-    estimated = estimated_range(result, stages.sampling_period_s)
-    period = device.sampling_period_s if device else stages.sampling_period_s
-    loop = estimated if entry is None else stated_range(entry, estimated, period)
     departures, rest = law_departures(stages), stages.once(rest_forces)
-    parts = _declared_parts(device, entry)
-    against = doubts(result, loop, departures, rest, parts, units)
-    velocity = found_filter(stages) if any(each.code == "velocity_filter" for each in departures) else None
-    shown = _loop_result(result, loop, against, stated=entry is not None, velocity=velocity)
-    stated = entry.mass if entry else None
-    causes = direct_causes(result, stages, estimated, departures, rest, stated, units, adequate=not against)
+    fitted, velocity = fitted_device(stages), _filter(stages, departures)
+    shown = Shown(departures, rest, fitted, velocity)
+    estimated = _estimated(result, stages, shown)
+    period = device.sampling_period_s if device else stages.sampling_period_s
+    parts = device.loop_of(entry) if device and entry else None
+    loop = estimated if entry is None or parts is None else stated_range(entry, parts, estimated, period)
+    against = doubts(result, loop, shown, parts, units)
+    record = _loop_result(result, loop, against, shown, parts)
+    stated = loop.mass.value if parts and loop else None
+    causes = direct_causes(result, stages, estimated, shown, stated, units, adequate=not against)
     if loop is None or against:
-        why = f"needs an adequate loop, and this one is not: {shown.reason}"
-        return LoopFindings(loop=shown, passive_reason=why, causes=causes)
+        why = f"needs an adequate loop, and this one is not: {record.reason}"
+        return LoopFindings(loop=record, passive_reason=why, causes=causes)
     wall, why_none = passive_wall(loop, result)
     return LoopFindings(
-        loop=shown,
+        loop=record,
         loop_boundary=_limits(loop, result),
         passive=wall,
         passive_reason=why_none,
@@ -66,66 +70,76 @@ def loop_findings(
     )
 
 
-_PART_WORDS = {"velocity": "velocity filter", "actuator_lag_s": "actuator lag", "mode": "vibration mode"}
+def _filter(stages: ExperimentStages, departures: list[LawDeparture]) -> VelocityFilter | None:
+    """Return the velocity filter of the wall law; one that few logs show is none."""
+    # a controller filters the velocity in all trials or in none; single logs can imitate it
+    if not any(each.code == "velocity_filter" and each.logs > 0.5 * each.of for each in departures):
+        return None
+    found = found_filter(stages)
+    return filter_of(found) if found is not None else None
 
 
-def _declared_parts(device: Device | None, entry: Experiment | None) -> str:
-    """Return which parts of a loop that is not ideal a device file declares; theory by them replaces this doubt."""
-    if device is None or entry is None:
-        return ""
-    ideal, parts = LoopParts(), device.loop_of(entry)
-    names = [name for name, part in named(parts).items() if part != getattr(ideal, name)]
-    return listed([_PART_WORDS.get(name, name.replace("_", " ")) for name in names])
+def _estimated(result: ExperimentResult, stages: ExperimentStages, shown: Shown) -> LoopRange | None:
+    """Return the loop of the device that explains the logs, with their filter; else that of the estimates."""
+    if shown.fitted is not None and shown.fitted.holds:
+        return shown.fitted.loop(stages.sampling_period_s, shown.velocity)
+    return with_filter(estimated_range(result, stages.sampling_period_s), shown.velocity)
 
 
 def _loop_result(
-    result: ExperimentResult,
-    loop: LoopRange | None,
-    against: list[Doubt],
-    *,
-    stated: bool,
-    velocity: VelocityFilterFound | None,
+    result: ExperimentResult, loop: LoopRange | None, against: list[Doubt], shown: Shown, parts: LoopParts | None
 ) -> LoopResult:
-    check = result.model_check
+    check, fitted = result.model_check, shown.fitted
     explained = check.explained / check.trials if check and check.trials else None
     friction = result.estimates.get("friction")
+    numbers: dict[str, Any] = {"velocity": filter_parameters(shown.velocity) if shown.velocity else None}
     told = friction is not None and None not in (friction.value, friction.low, friction.high)
+    if fitted is not None and fitted.holds:
+        explained = fitted.explained / fitted.held_out
+        numbers |= {name: fitted.parameter(name) for name in ("stiffness", "actuator_lag_s")}
+        numbers["mode"] = mode_parameters(fitted)
+    if parts is not None:
+        numbers = stated_parameters(parts) | {"stiffness": exact(loop.stiffness) if loop else None}
     return LoopResult(
-        source="device file" if stated else "estimated",
+        source="estimated" if parts is None else "device file",
         adequate=not against,
-        reason=_reason(result, against),
+        reason=_reason(result, against, shown, parts),
         explained=explained,
         mass=loop.mass if loop else None,
         damping=loop.damping if loop else None,
-        stiffness=_exact(loop.stiffness) if loop and stated else None,
         delay_samples=loop.delay_samples if loop else None,
-        velocity=_filter_parameters(velocity) if velocity else None,
+        **numbers,
         friction=Parameter(value=friction.value, low=friction.low, high=friction.high) if friction and told else None,
     )
 
 
-def _reason(result: ExperimentResult, against: list[Doubt]) -> str:
+def _reason(result: ExperimentResult, against: list[Doubt], shown: Shown, parts: LoopParts | None) -> str:
+    fitted, stated = shown.fitted, parts.words() if parts else ""
+    if not against and stated:
+        held_out = f"{fitted.explained} of {fitted.held_out} logs that it was not fitted to" if fitted else ""
+        return (
+            f"the loop of the device file ({stated}) has the measured limits and those of the loop that the logs show, "
+            f"which explains {held_out or _explained(result)}"
+        )
+    if not against and fitted is not None:
+        alike = f"; {' or '.join(fitted.alike)} cannot be told apart from it" if fitted.alike else ""
+        return (
+            f"one device with mass, damping, delay and {listed(list(fitted.parts))} explains {fitted.explained} of "
+            f"{fitted.held_out} logs that it was not fitted to, and the measured limits (next best: "
+            f"{fitted.next_best}){alike}. What changes force per command alone shows in the mass"
+        )
     if not against:
-        check = result.model_check
-        logs = f"{check.explained} of {check.trials} logs" if check else "the logs"
-        return f"the logs obey the wall law, and mass, damping and delay explain {logs} and the measured limits"
+        law = "with a filtered velocity, " if shown.velocity else ""
+        logs = _explained(result)
+        return f"the logs obey the wall law, {law}and mass, damping and delay explain {logs} and the measured limits"
     told = "; ".join(doubt.text for doubt in against[:MOST_REASONS])
     helps = list(dict.fromkeys(doubt.help for doubt in against[:MOST_REASONS] if doubt.help))
     return told + (f"; what would help: {'; '.join(helps)}" if helps else "")
 
 
-def _exact(value: float) -> Parameter:
-    return Parameter(value=value, low=value, high=value)
-
-
-def _filter_parameters(found: VelocityFilterFound) -> dict[str, Parameter]:
-    """Return a filter that logs show exactly, by the names of a device file."""
-    if found.difference:
-        return {"samples": _exact(float(found.difference))}
-    if found.cutoff_hz:
-        return {"order": _exact(float(len(found.a) - 1)), "cutoff_hz": _exact(found.cutoff_hz)}
-    numbers = {f"b{i}": value for i, value in enumerate(found.b)} | {f"a{i}": value for i, value in enumerate(found.a)}
-    return {name: _exact(value) for name, value in numbers.items()}
+def _explained(result: ExperimentResult) -> str:
+    check = result.model_check
+    return f"{check.explained} of {check.trials} logs" if check else "the logs"
 
 
 def _limits(loop: LoopRange, result: ExperimentResult) -> tuple[LoopLimit, ...]:

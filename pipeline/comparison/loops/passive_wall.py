@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import floor, log10
 
 import numpy as np
 
-from pipeline.comparison.loops.loop_range import LoopRange
+from pipeline.comparison.loops.loop_range import IDEAL, LoopPoint, LoopRange
 from pipeline.comparison.scores.overlap import measured_limits
+from pipeline.loop.device_loop import general, wall_units
 from pipeline.loop.loop import LARGEST_DELAY
 from pipeline.records.loop_records import PassiveWall
 from pipeline.records.results import ExperimentResult
+from pipeline.theory.device.passive_walls import passive_outline, required_damping
 from pipeline.theory.stability.fractional_passivity import needed_damping, stiffest_passive
 
 DIGITS = 4
@@ -34,30 +37,27 @@ def passive_wall(loop: LoopRange, result: ExperimentResult) -> tuple[PassiveWall
 
     Notes
     -----
-    Passivity needs most damping at one end of the delay's interval or at a whole number inside it, and the device has
-    the least at the lower end of b. The stiffness is rounded down and the rounded pair is held against passivity, the
-    limits of theory over all intervals, and the measured limits, interpolated between the dampings: the stable region
-    is convex there, so that a chord of it lies inside.
+    The device has the least damping at the lower end of b, less what an operator has of it. The stiffness is rounded
+    down and the rounded pair is held against passivity, the limits of theory over all intervals, and the measured
+    limits, interpolated between the dampings: the stable region is convex there, so that a chord of it lies inside.
     """
-    damping = loop.damping.low
+    damping = loop.damping.low - loop.held
     if damping <= 0:
         return None, (
             "no wall is passive for the whole range of the device's damping, which may be 0: stability with every hand "
             "cannot be promised (4.6)"
         )
-    delays = _delays(loop)
-    if not delays:
+    if loop.parts.mode is not None and loop.parts.mode.sensor == "load":
+        return None, "the position is sensed beyond the vibration mode: no wall is passive for every hand"
+    loops = _loops(loop)
+    if not loops:
         return None, "the delay may be longer than theory is computed for"
-    period = loop.sampling_period_s
-    ratios = [stiffest_passive(delay) for delay in delays]
-    kappa, ratio = min(ratios)
-    wall_damping = _rounded(ratio * damping)
-    stiffness = _rounded_down(
-        min(kappa * damping / period, _stable_everywhere(loop, wall_damping), _measured(result, wall_damping))
-    )
+    highest, wall_damping = _stiffest(loop, loops, damping)
+    wall_damping = _rounded(wall_damping)
+    stiffness = _rounded_down(min(highest, _stable_everywhere(loop, wall_damping), _measured(result, wall_damping)))
     # a smaller stiffness at the same damping needs less, down to none but that for B itself
     for _ in range(_TRIES):
-        if stiffness <= 0 or _holds(loop, delays, stiffness, wall_damping):
+        if stiffness <= 0 or _holds(loop, loops, stiffness, wall_damping):
             break
         stiffness = _rounded_down(stiffness * (1 - 2 * 10.0**-DIGITS))
     else:
@@ -65,6 +65,32 @@ def passive_wall(loop: LoopRange, result: ExperimentResult) -> tuple[PassiveWall
     if stiffness <= 0:
         return None, "the logs show no stable wall at the damping of the stiffest passive one"
     return PassiveWall(stiffness=stiffness, damping=wall_damping), None
+
+
+def _stiffest(loop: LoopRange, loops: list[LoopPoint], damping: float) -> tuple[float, float]:
+    """Return stiffness and damping of the stiffest wall that is passive with all of some loops."""
+    if loop.parts == IDEAL:
+        kappa, ratio = min(stiffest_passive(each.delay_samples) for each in loops)
+        return kappa * damping / loop.sampling_period_s, ratio * damping
+    found = []
+    for each in loops:
+        units = wall_units(each.mass, each.sampling_period_s, each.parts)
+        alpha, beta = passive_outline(general(each.loop), damping / units.damping)
+        best = int(np.argmax(alpha))
+        found.append((float(alpha[best]) * units.stiffness, float(beta[best]) * units.damping))
+    return min(found)
+
+
+def _loops(loop: LoopRange) -> list[LoopPoint]:
+    """Return the loops in the range of one with which a wall must be passive; none where a delay is too long.
+
+    Without other parts the delay alone matters: passivity needs most at one end of its interval or at a whole number
+    inside it.
+    """
+    if loop.apart:
+        return [loop.point, *(end for both in loop.apart for end in both)]
+    found = [replace(loop.point, delay_samples=delay) for delay in _delays(loop)]
+    return found + (_loops(loop.shown) if found and loop.shown else [])
 
 
 def _delays(loop: LoopRange) -> list[float]:
@@ -105,7 +131,16 @@ def _measured(result: ExperimentResult, damping: float) -> float:
     return float(np.interp(damping, where, least))
 
 
-def _holds(loop: LoopRange, delays: list[float], stiffness: float, damping: float) -> bool:
-    period, least = loop.sampling_period_s, loop.damping.low * (1 - SPARE)
-    passive = all(float(needed_damping(delay, [stiffness * period], [damping])[0]) <= least for delay in delays)
+def _holds(loop: LoopRange, loops: list[LoopPoint], stiffness: float, damping: float) -> bool:
+    least = (loop.damping.low - loop.held) * (1 - SPARE)
+    passive = all(_needed(each, stiffness, damping) <= least for each in loops)
     return passive and stiffness <= _stable_everywhere(loop, damping)
+
+
+def _needed(point: LoopPoint, stiffness: float, damping: float) -> float:
+    """Return the damping [Ns/m, Nms/rad] that a wall needs of the device."""
+    if point.parts == IDEAL:
+        return float(needed_damping(point.delay_samples, [stiffness * point.sampling_period_s], [damping])[0])
+    units = wall_units(point.mass, point.sampling_period_s, point.parts)
+    wall = np.array([stiffness / units.stiffness]), np.array([damping / units.damping])
+    return float(required_damping(general(point.loop), *wall)[0]) * units.damping

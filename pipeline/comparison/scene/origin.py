@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import os
 import platform
 import shlex
+from collections import Counter
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -18,7 +20,15 @@ from pipeline.measured.stages.stage_windows import WINDOWS_S
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.criteria import REPORTED
 from pipeline.records.findings import ExcludedTrial
-from pipeline.records.results import LogList
+from pipeline.records.results import HeaderLine, LogList
+from pipeline.rendering.labels import shortened
+from pipeline.store.storage import natural_key
+
+MOST_VALUES, LONGEST_VALUE = 4, 60
+"""Values of a header line that are told, and their letters: a line with the time of recording has one a trial."""
+
+_OWN_LINES, _OWN_KINDS = ("step_row", "integrated", "raw_count_decimals", "warnings"), ("provenance.", "stands_for.")
+"""What readers keep beside a trial for the pipeline itself."""
 
 LIBRARIES = ("numpy", "pyarrow", "matplotlib")
 """Libraries whose version can change a digit or a drawing."""
@@ -37,6 +47,24 @@ def log_list(stages: ExperimentStages) -> LogList:
         files=names,
         sha256=joint_sha256(hashes),
         samples=stages.samples_digest,
+    )
+
+
+def header_lines(stages: ExperimentStages) -> tuple[HeaderLine, ...]:
+    """Return the header lines of an experiment's logs that mean nothing to the pipeline, by their names."""
+    found: dict[str, Counter[str]] = {}
+    for text in stages.trials.column("extra").to_pylist():
+        for key, value in json.loads(text or "{}").items():
+            if key not in _OWN_LINES and not key.startswith(_OWN_KINDS):
+                found.setdefault(key, Counter())[shortened(str(value), LONGEST_VALUE)] += 1
+    return tuple(
+        HeaderLine(
+            key=key,
+            trials=values.total(),
+            different=len(values),
+            values=dict(sorted(values.items(), key=lambda item: (-item[1], natural_key(item[0])))[:MOST_VALUES]),
+        )
+        for key, values in sorted(found.items())
     )
 
 
@@ -107,7 +135,8 @@ def request(data: SceneData, lists: Sequence[LogList], processed: Path, code: st
     logs = {e.experiment: {"files": len(e.files), "sha256": e.sha256, "samples": e.samples} for e in lists}
     excluded = [one.model_dump() for one in data.excluded]
     asked = {"processed": str(processed), "scene": data.scene.model_dump(mode="json")}
-    return asked | {"logs": logs, "code": code, "excluded": excluded}
+    truth = {name: one.model_dump(mode="json") for name, one in data.truth.items()}
+    return asked | {"logs": logs, "code": code, "excluded": excluded, "truth": truth}
 
 
 def _command(data: SceneData, processed: Path, output: Sequence[str]) -> str:

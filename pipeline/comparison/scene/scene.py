@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from pipeline.base.errors import DeviceError, StoreError, UsageError
-from pipeline.device_data.devices import known_devices
+from pipeline.device_data.devices import declared_spring, known_devices
 from pipeline.measured.stages.stages import STAGES, ExperimentStages, required
 from pipeline.records.criteria import FAMILIES, MEASURED, REPORTED, criterion_of, members
 from pipeline.records.models import Device, Scene, Shown
+from pipeline.records.results import Truth
 from pipeline.store.exclusions import Exclusion
 from pipeline.store.storage import list_devices, list_experiments
 
@@ -40,6 +41,8 @@ class SceneData:
     simulated: bool
     overlay: bool
     """Whether theory is also drawn from the estimates, which needs delay, mass and damping."""
+    truth: Mapping[str, Truth] = field(default_factory=dict)
+    """What was true of simulated experiments, as far as it is known."""
     excluded: tuple[Exclusion, ...] = ()
     """Trials of these experiments that are excluded by hand, and those of experiments of which no other is left."""
 
@@ -79,7 +82,7 @@ def open_scene(
         raise DeviceError(f"device {device!r} has no logs of experiment {missing[0]!r}; found {', '.join(stored)}.")
     chosen_names = tuple(e for e in stored if not experiments or e in experiments)
     known = known_devices().get(device)
-    every = [ExperimentStages.stored(processed, device, e) for e in chosen_names]
+    every = [ExperimentStages.stored(processed, device, e, declared_spring(known, e)) for e in chosen_names]
     data = tuple(d for d in every if d.trials.num_rows)
     left_out = [d.experiment for d in every if not d.trials.num_rows and (experiments or not data)]
     if left_out:
@@ -132,12 +135,15 @@ def needed_stages(data: SceneData) -> set[str]:
     if data.overlay:
         needed |= required(("delay", "mass", "damping"))
     # nothing is said of a device by its logs before they are held against the law that they were made by
-    return needed | {"wall_law"} if "delay" in needed else needed
+    needed |= {"wall_law"} if "delay" in needed else set()
+    # where the ideal loop explains the logs, the stage is an empty table
+    return needed | {"ladder"} if {"wall_law", "model"} <= needed else needed
 
 
 _LEFT_OUT = {  # but for what a report holds only by name
     "outcome": "neither the table of outcomes nor the trials are shown",
     "wall_law": "no estimate is shown",
+    "ladder": "no device is described: neither delay nor model is asked for",
     "delay": "neither the measured boundary nor a cost that is asked for needs the delay",
     "model": "neither mass nor damping nor settling time is asked for",
     "damping": "damping enters no measured cost, and no theory is drawn from estimates",

@@ -22,10 +22,12 @@ from pipeline.store.names import report_of
 REPORT_TABLES = {
     "scores": "measured against theory",
     "estimate_scores": "measured against theory by the estimates",
+    "use": "walls to use",
     "optima": "trials with the least cost",
     "boundary": "stability limits over damping",
     "experiments": "trials, verdicts, estimates",
     "methods": "estimates by method",
+    "header": "header lines that only the lab knows",
     "model": "does the model explain the logs?",
     "outcomes": "what the logs show",
     "windows": "mass over its window",

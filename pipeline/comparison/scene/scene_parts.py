@@ -74,6 +74,6 @@ def with_overlays(figures: Sequence[Figure[Limits]], shown: Shown) -> tuple[Figu
 
 
 def _is_asked(kind: str, figure: Figure[Limits], shown: Shown) -> bool:
-    if kind == "measured" or (kind == "theory" and figure.identifier == ESTIMATES):
+    if kind in ("measured", "use", "stable", "unstable") or (kind == "theory" and figure.identifier == ESTIMATES):
         return True
     return shown.has_overlay(_KINDS[kind])

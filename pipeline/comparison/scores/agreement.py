@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.wording import counted
+from pipeline.comparison.loops.loop_range import MATTERS
+from pipeline.comparison.scores.overlap import MeasuredLimits
 from pipeline.records.batch import Booleans, Floats
 from pipeline.records.score_records import DistanceScore, VerdictScore
 
@@ -32,24 +34,23 @@ class RankAgreement:
     reason: str | None
 
 
-def boundary_distance(damping: Floats, measured: Floats, theory: Floats, censored: Booleans) -> DistanceScore | None:
+def boundary_distance(limits: MeasuredLimits, theory: Floats) -> DistanceScore | None:
     """Return the signed distance of a measured boundary from theory, or None where no limit can be compared.
 
     Parameters
     ----------
-    damping : float64, shape (n,)
-        Tested dampings [Ns/m, Nms/rad].
-    measured, theory : float64, shape (n,)
-        Limits [N/m, Nm/rad]; a theoretical one below zero counts as zero.
-    censored : bool, shape (n,)
-        Measured limits that are lower bounds.
+    limits : MeasuredLimits
+        At n dampings.
+    theory : float64, shape (n,)
+        Limits [N/m, Nm/rad]; one below zero counts as zero.
 
     Notes
     -----
     A lower bound below theory tells nothing and is left out; one above it is a distance that is at least that
     large. Relative distances are taken where theory exceeds `NEAR_ZERO` of its largest limit.
     """
-    limit = np.maximum(theory, 0.0)
+    known = limits.known
+    limit, measured, censored = np.maximum(theory, 0.0)[known], limits.limit[known], limits.censored[known]
     open_ = censored & (measured < limit)
     use = ~open_
     relative = use & (limit > NEAR_ZERO * limit.max(initial=0.0))
@@ -57,15 +58,19 @@ def boundary_distance(damping: Floats, measured: Floats, theory: Floats, censore
         return None
     share = (measured[relative] - limit[relative]) / limit[relative]
     largest = int(np.argmax(np.abs(share)))
+    reach = MATTERS * limit[relative]
+    above = limits.low[known][relative] - limit[relative]
+    below = np.where(censored[relative], 0.0, limit[relative] - limits.high[known][relative])
     return DistanceScore(
         median=float(np.median(share)),
         largest=float(share[largest]),
-        largest_damping=float(damping[relative][largest]),
+        largest_damping=float(limits.damping[known][relative][largest]),
         rms=float(np.sqrt(np.mean((measured[use] - limit[use]) ** 2))),
         dampings=int(relative.sum()),
         near_zero=int((use & ~relative).sum()),
         lower_bounds=int((relative & censored).sum()),
         open=int(open_.sum()),
+        agreeing=int(((above <= reach) & (below <= reach)).sum()),
     )
 
 

@@ -118,13 +118,13 @@ def implied_by_slope(points: Sequence[BoundaryPoint], device: DeviceParameters) 
     reach = float(np.hypot(student_95(count - order) * error, NORMAL_95 * propagated(device, value, at)))
     shape = "parabola" if order == 3 else "line"
     best = _interval(value, reach, f"{method}: (b + B)/K extrapolated to the origin by a {shape}", count)
-    if value < 0:
-        reason = "the slope near the origin is steeper than without any delay: mass or damping do not fit"
-        best = Estimate(value=None, unit="samples", method=method, reason=reason, trials=count)
     return best.model_copy(update={"by_method": {"line_through_origin": plain}})
 
 
 def _interval(value: float, reach: float, method: str, count: int) -> Estimate:
+    if value < 0:
+        reason = "the slope near the origin is steeper than without any delay: mass or damping do not fit"
+        return Estimate(value=None, unit="samples", method=method, reason=reason, trials=count)
     return Estimate(value=value, low=value - reach, high=value + reach, unit="samples", method=method, trials=count)
 
 

@@ -62,10 +62,6 @@ def add_scores(
             basis = _scores(data, result, stages, nominal, first=True, known=data.device is not None)
             found.append(basis.model_copy(update={"optima": tuple(optima.get(name, ()))}))
         if data.device is not None and own is not None:
-            if nominal is not None and (nominal.parameters.stiffness or nominal.parameters.loop.words()):
-                # they are not estimated
-                changed = {"stiffness": nominal.parameters.stiffness, "loop": nominal.parameters.loop.felt()}
-                own = Theory(own.parameters.model_copy(update=changed))
             found.append(_scores(data, result, stages, own, first=nominal is None, known=False))
         scored.append(result.model_copy(update={"scores": tuple(found)}))
     return scored
@@ -90,8 +86,7 @@ def _scores(
         unknown = "no trial is stable, so that no limit is known"
         none = "theory has no stable wall at the tested dampings" if limits.known.any() else unknown
         missing["region"] = few if len(limits.damping) < 2 else none
-    use = limits.known
-    distance = boundary_distance(limits.damping[use], limits.limit[use], predicted[use], limits.censored[use])
+    distance = boundary_distance(limits, predicted)
     if distance is None:
         missing["distance"] = "no damping with a measured limit and a stable wall in theory"
     K, B = stages.column("response", "stiffness"), stages.column("response", "damping")

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from pipeline.base.wording import counted
+from pipeline.comparison.loops.loop_range import MATTERS
 from pipeline.records.results import ExperimentResult
 from pipeline.records.score_records import BandScore, BoundScore
 from pipeline.rendering.labels import Units, damping_text, decimal, significant
-
-SMALL = 0.02
-"""Median distance of the boundaries below which there is nothing to explain: a course brackets a limit no closer."""
 
 MOSTLY = 0.95
 """Share of limits inside the band from which on the intervals explain a deviation: so many lie inside by chance."""
@@ -31,7 +29,7 @@ def causes(result: ExperimentResult, units: Units) -> list[str]:
         texts.append(_bound(first.bound, units))
     band = next((s.band for s in result.scores if s.band is not None), None)
     distance = first.distance
-    if band is not None and distance is not None and abs(distance.median) >= SMALL:
+    if band is not None and distance is not None and abs(distance.median) >= MATTERS:
         texts.append(_band(band, units))
     return texts
 

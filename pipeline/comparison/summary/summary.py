@@ -7,30 +7,22 @@ from dataclasses import dataclass
 from statistics import median
 
 from pipeline.base.wording import counted
-from pipeline.comparison.scene.scene import SceneData
-from pipeline.comparison.summary.advice import choice, passive_choice
+from pipeline.comparison.summary.advice import passive_choice
+from pipeline.comparison.summary.answer import MOST_CAUSES
 from pipeline.comparison.summary.causes import causes
 from pipeline.records.models import ComparisonRow
-from pipeline.records.results import ExperimentResult
-from pipeline.records.score_records import RegionScore
+from pipeline.records.results import Answer, ExperimentResult
 from pipeline.rendering.labels import (
-    UNITS,
     Units,
     criterion_name,
     damping_text,
     estimate_texts,
     percent_text,
+    range_text,
     share_text,
-    significant,
+    size_text,
     stiffness_text,
 )
-
-MOST_CAUSES = 2
-"""Causes that are named: with more nobody reads on, and the table of scores holds all."""
-
-WELL, ROUGHLY = 0.9, 0.7
-"""Overlap of the regions from which on theory predicts a boundary well, and roughly: with equal shapes 0.9 is an error
-of 5 % in both K and B, 0.7 one of 16 %. Words only; the number stands beside."""
 
 SCORES, BOUNDARY, COSTS, EXPERIMENTS = "table-scores", "sec-boundaries", "sec-costs", "sec-experiments"
 """Anchors of the page that sentences rest on."""
@@ -45,39 +37,40 @@ class Sentence:
 
 
 def summarise(
-    data: SceneData, results: Sequence[ExperimentResult], rows: Sequence[ComparisonRow]
+    told: Answer | None, results: Sequence[ExperimentResult], rows: Sequence[ComparisonRow], units: Units
 ) -> tuple[Sentence, ...]:
     """Return what a comparison comes to.
 
     Parameters
     ----------
-    data : SceneData
+    told : Answer or None
+        Whose verdict and walls to use come first.
     results : sequence of ExperimentResult
         With their scores.
     rows : sequence of ComparisonRow
+    units : Units
 
     Notes
     -----
-    In this order: does theory predict the device, how far off is it and where, why might that be, which (K, B) to use,
-    and what the logs say of the device. Numbers are those of the first experiment that has them, with the range over
-    all where there are more.
+    In this order: does theory predict the device, which (K, B) to use, how far off is theory and where, why might
+    that be, and what the logs say of the device. Numbers are those of the first experiment that has them, with the
+    range over all where there are more.
     """
-    units = UNITS["rotation" if data.experiments[0].rotation else "translation"]
     scored = [r for r in results if r.scores and r.scores[0].region]
     lead = next((r for r in scored if not all(p.censored for p in r.boundary)), scored[0] if scored else None)
-    best = next((r for r in results if choice(r, units)), None)
     found = [
+        Sentence(told.verdict if told else "", SCORES if scored else BOUNDARY),
+        Sentence(told.use if told else "", COSTS),
         Sentence(_region(results), SCORES),
         Sentence(_costs(results, rows), COSTS),
-        Sentence(_distance(lead, units) if lead else _stiffest(results, units), BOUNDARY),
+        Sentence(_distance(lead, units) if lead else "", BOUNDARY),
         *(Sentence(text, SCORES) for text in (causes(lead, units)[:MOST_CAUSES] if lead else ())),
-        Sentence(choice(best, units) if best else "", COSTS),
         *_loops(results, units),
         Sentence(_device(results), EXPERIMENTS),
     ]
-    told = tuple(s for s in found if s.text)
-    if told:
-        return told
+    known = tuple(s for s in found if s.text)
+    if known:
+        return known
     trials = sum(r.trials for r in results)
     return (
         Sentence(
@@ -109,37 +102,26 @@ def _loops(results: Sequence[ExperimentResult], units: Units) -> list[Sentence]:
 
 
 def _region(results: Sequence[ExperimentResult]) -> str:
-    """Does theory predict where the device is stable: overlap of the regions."""
+    """How much of the measured and the theoretical stable region is the same."""
     found = [(r.experiment, r.scores[0].region) for r in results if r.scores]
-    scored = [(name, region) for name, region in found if region is not None]
     # without any unstable trial the compared window ends with the stable ones, and both regions fill it
-    known = [(name, region) for name, region in scored if region.censored < region.dampings]
+    known = [(name, region) for name, region in found if region is not None and region.censored < region.dampings]
     if not known:
-        return _no_limit(*scored[0]) if scored else ""
+        return ""
     name, first = known[0]
-    word = "well" if first.overlap >= WELL else "roughly" if first.overlap >= ROUGHLY else "poorly"
     text = (
-        f"Theory predicts {word} where this device is stable: the measured region of experiment {name} covers "
-        f"{share_text(first.covered, 0)} % of the theoretical one and is {first.area_ratio:.2f} times as large "
-        f"(overlap {share_text(first.overlap, 0)} %"
+        f"The measured region of experiment {name} covers {share_text(first.covered, 0)} % of the theoretical one and "
+        f"is {first.area_ratio:.2f} times as large (overlap {share_text(first.overlap, 0)} %"
     )
     if len(known) > 1:
         overlaps = sorted(region.overlap for _, region in known)
-        text += f"; {share_text(overlaps[0], 0)} to {share_text(overlaps[-1], 0)} % over {len(known)} experiments"
+        ends = range_text(lambda x: share_text(x, 0), overlaps[0], overlaps[-1])
+        text += f"; {ends} % over {len(known)} experiments"
     if not first.censored:
         return f"{text})."
     return (
         f"{text}); at {first.censored} of {first.dampings} dampings no trial was unstable, and only the tested "
         "stiffness is compared there."
-    )
-
-
-def _no_limit(name: str, region: RegionScore) -> str:
-    """What can be said of the stable region where no trial was unstable."""
-    return (
-        f"How well theory predicts where this device becomes unstable is not known: in experiment {name} no trial was "
-        f"unstable at any of {counted(region.dampings, 'tested damping')}; theory calls "
-        f"{share_text(region.overlap, 0)} % of the tested region stable."
     )
 
 
@@ -161,10 +143,10 @@ def _costs(results: Sequence[ExperimentResult], rows: Sequence[ComparisonRow]) -
         found = largest.deviation
         middle = median(_size(r) for r in deviations)
         parts.append(
-            f"{'optimal' if parts else 'Optimal'} costs differ from the discrete theory by {significant(middle, 2)} % "
+            f"{'optimal' if parts else 'Optimal'} costs differ from the discrete theory by {size_text(middle)} "
             f"in the median of {counted(len(deviations), 'comparison')}, once range and grid of the trials and luck "
-            f"of the best one are taken off: most for {_named(largest)} ({percent_text(found.model)} %, 95 %: "
-            f"{percent_text(found.model_low)} to {percent_text(found.model_high)})"
+            f"of the best one are taken off, most for {_named(largest)}: {percent_text(found.model)} % (95 %: "
+            f"{range_text(percent_text, found.model_low, found.model_high)})"
         )
     return "; ".join(parts) + "." if parts else ""
 
@@ -174,11 +156,17 @@ def _distance(result: ExperimentResult, units: Units) -> str:
     distance, stiffness = result.scores[0].distance, result.scores[0].stiffness
     parts = []
     if distance is not None:
-        where = f"B = {damping_text(distance.largest_damping)} {units.damping}"
+        most = (
+            ""
+            if 100 * abs(distance.largest) < 0.1
+            else (
+                f", most at B = {damping_text(distance.largest_damping)} {units.damping} "
+                f"({percent_text(100 * distance.largest)} %)"
+            )
+        )
         parts.append(
-            f"the measured boundary differs from theory by {percent_text(100 * distance.median)} % in stiffness in the "
-            f"median of {counted(distance.dampings, 'damping')}, most at {where} "
-            f"({percent_text(100 * distance.largest)} %)"
+            f"the measured boundary differs from theory by {size_text(100 * distance.median)} in stiffness in the "
+            f"median of {counted(distance.dampings, 'damping')}{most}"
         )
     if stiffness is not None:
         least = "at least " if stiffness.lower_bound else ""
@@ -191,20 +179,6 @@ def _distance(result: ExperimentResult, units: Units) -> str:
             + (f" ({percent_text(stiffness.deviation_percent)} %)" if told else "")
         )
     return f"Experiment {result.experiment}: {'; '.join(parts)}." if parts else ""
-
-
-def _stiffest(results: Sequence[ExperimentResult], units: Units) -> str:
-    """Largest stable stiffness of the first experiment with a boundary, where there is no theory to compare it with."""
-    for result in results:
-        stable = [(p.stable, p.damping) for p in result.boundary if p.stable is not None]
-        if stable:
-            stiffness, damping = max(stable)
-            least = "at least " if any(p.censored for p in result.boundary) else ""
-            return (
-                f"Experiment {result.experiment}: the largest stable stiffness measured is {least}"
-                f"{stiffness_text(stiffness)} {units.stiffness} (at B = {damping:g} {units.damping})."
-            )
-    return ""
 
 
 def _device(results: Sequence[ExperimentResult]) -> str:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from math import isclose
 
 import numpy as np
@@ -30,6 +31,9 @@ QUANTITIES = {
 
 NEEDED = ("mass", "damping", "delay")
 """Estimates that theory needs: what else is missing stands with its reason in the table of methods."""
+
+_ASIDE, _NUMBER = re.compile(r" \([^()]*\)"), re.compile(r"\d[\d.e+−-]*")
+"""What tells equal warnings of several experiments apart."""
 
 FEW_TRIALS = 30
 """Trials below which an optimum or a boundary says little."""
@@ -76,11 +80,10 @@ def warnings_of(data: SceneData, results: Sequence[ExperimentResult]) -> tuple[s
             "boundary there is a lower bound."
         )
     if data.device is not None:
-        warnings += _conflicts(data, data.device)
+        warnings += _conflicts(data, data.device, results)
     else:
-        warnings.append(
-            f"The device {data.scene.device!r} has no device file: theory uses the parameters estimated from its logs."
-        )
+        by = "theory uses the parameters estimated from its logs" if any(map(_has_theory, results)) else "no theory"
+        warnings.append(f"The device {data.scene.device!r} has no device file: {by}.")
     warnings += _estimates(results)
     return tuple(warnings)
 
@@ -91,7 +94,7 @@ def _estimates(results: Sequence[ExperimentResult]) -> list[str]:
     Single numbers stand as remarks in the table of methods.
     """
     missing: dict[tuple[str, str], list[str]] = {}
-    doubtful: dict[str, list[tuple[str, str]]] = {}
+    doubtful: dict[str, dict[str, list[tuple[str, str]]]] = {}
     drifts: dict[tuple[str, str], list[Drift]] = {}
     for result in results:
         for name, estimate in result.estimates.items():
@@ -103,7 +106,8 @@ def _estimates(results: Sequence[ExperimentResult]) -> list[str]:
                 clauses = estimate.warning.split("; ")
                 others = "; ".join(clause for clause in clauses if not clause.startswith(DRIFTS))
                 if others:
-                    doubtful.setdefault(quantity, []).append((result.experiment, others))
+                    cases = doubtful.setdefault(_NUMBER.sub("", _ASIDE.sub("", others)), {})
+                    cases.setdefault(QUANTITIES.get(quantity, quantity), []).append((result.experiment, others))
                 told = [clause for clause in clauses if clause.startswith(DRIFTS)]
                 for trend in estimate.trend:
                     if any(f"the tested {trend.over} " in clause for clause in told):
@@ -114,12 +118,23 @@ def _estimates(results: Sequence[ExperimentResult]) -> list[str]:
     found = [f"{_of(late, total)}: {beyond}; there is none from its estimates."] if late else []
     found += [f"{_of(names, total)}: no {quantity} estimate ({why})." for (quantity, why), names in missing.items()]
     found += _drifts(drifts, total)
-    for quantity, cases in doubtful.items():
-        first, warning = cases[0]
-        text = f"{_of([name for name, _ in cases], total)}, {QUANTITIES.get(quantity, quantity)}: "
-        text += f"in experiment {first} {warning}" if len(cases) > 1 else warning
-        found.append(f"{text}{'; the table of methods has the others' if len(cases) > 1 else ''}.")
-    return found
+    return found + [text for cases in doubtful.values() for text in _doubts(cases, total)]
+
+
+def _doubts(cases: Mapping[str, Sequence[tuple[str, str]]], experiments: int) -> Iterator[str]:
+    """Yield what makes estimates doubtful: a sentence for all quantities of the same experiments.
+
+    Of several experiments the numbers of the first are told; the others stand in the table of methods.
+    """
+    together: dict[tuple[str, ...], list[str]] = {}
+    for quantity, found in cases.items():
+        together.setdefault(tuple(name for name, _ in found), []).append(quantity)
+    for names, quantities in together.items():
+        told = [warning for quantity in quantities for _, warning in cases[quantity]]
+        same = len({_ASIDE.sub("", warning) for warning in told}) == 1
+        first = told[0] if len(told) == 1 else _ASIDE.sub("", told[0])
+        text = f"{listed(quantities)} of {_named(names, experiments)}: {first}{'' if same else ', or similar'}."
+        yield text[0].upper() + text[1:]
 
 
 def _drifts(found: Mapping[tuple[str, str], Sequence[Drift]], experiments: int) -> list[str]:
@@ -134,7 +149,7 @@ def _drifts(found: Mapping[tuple[str, str], Sequence[Drift]], experiments: int) 
         return []
     return [
         f"Estimates drift with the setting of the wall, so that the model does not hold for all trials: "
-        f"{'; '.join(parts)}. The table of methods has the intervals."
+        f"{'; '.join(parts)}."
     ]
 
 
@@ -168,10 +183,15 @@ def _bad_fits(result: ExperimentResult) -> str:
     check = result.model_check
     if check is None or not check.trials or check.trials - check.explained < BAD_FITS * check.trials:
         return ""
+    other = "; theory may speak of another device" if _has_theory(result) else ""
     return (
         f"Experiment {result.experiment}: mass, damping and delay do not explain {check.trials - check.explained} of "
-        f"{check.trials} fitted logs; theory may speak of another device."
+        f"{counted(check.trials, 'log')}{other}."
     )
+
+
+def _has_theory(result: ExperimentResult) -> bool:
+    return result.theory is not None
 
 
 def _extrapolated(data: SceneData, results: Sequence[ExperimentResult]) -> list[str]:
@@ -193,7 +213,7 @@ def _extrapolated(data: SceneData, results: Sequence[ExperimentResult]) -> list[
     return [f"Optimal energy costs that are partly extrapolated beyond the logs: {'; '.join(found)}."]
 
 
-def _conflicts(data: SceneData, device: Device) -> list[str]:
+def _conflicts(data: SceneData, device: Device, results: Sequence[ExperimentResult]) -> list[str]:
     """Where the logs of a known device do not fit its device file, so that theory speaks of something else."""
     texts = []
     known = {e.name for e in device.experiments}
@@ -208,6 +228,12 @@ def _conflicts(data: SceneData, device: Device) -> list[str]:
         texts.append(
             f"The device file of {device.name!r} has a delay of more than the {LARGEST_DELAY} samples that theory is "
             f"computed for in {_named(late)}: there is no theory by it."
+        )
+    idle = [r.experiment for r in results if r.theory is None and r.experiment in known and r.experiment not in late]
+    if idle:
+        texts.append(
+            f"No stiffness and damping stabilise the loop that the device file of {device.name!r} describes in "
+            f"{_named(idle)}: there is no theory by it. Check its delay, lag and velocity filter."
         )
     for stages in data.experiments:
         periods = set(stages.trials.column("sampling_period_s").to_pylist())

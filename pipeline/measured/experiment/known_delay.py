@@ -65,7 +65,7 @@ def estimate_delay(delay_samples: Integers, *, sampling_period_s: float | None =
             value=None,
             unit="samples",
             method=method,
-            reason=f"none of {len(delay_samples)} trials shows a command edge and a position change after it",
+            reason=f"no trial of {len(delay_samples)} shows a command edge and a position change after it",
         )
     cut = 0.5 * (1 - CONFIDENCE)
     low, median, high = (float(known[int(np.floor(q * (len(known) - 1)))]) for q in (cut, 0.5, 1 - cut))

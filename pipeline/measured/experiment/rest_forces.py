@@ -78,8 +78,8 @@ def rest_forces(of: Experiment) -> RestForces:
 
 
 def rest_spring(of: Experiment) -> float:
-    """Return the stiffness k [N/m, Nm/rad] of the spring that holds the device by where it rests, 0 for none."""
-    return of.once(rest_forces).spring
+    """Return the stiffness k [N/m, Nm/rad] of the device: as declared, else by where it rests; 0 for none."""
+    return of.spring or of.once(rest_forces).spring
 
 
 def _are_many(off: int, of: int) -> bool:

@@ -142,7 +142,7 @@ def fit_trials(batch: TrialBatch, response: Response) -> Fit:
     """
     edge = response.edge_row
     first, last = usable_rows(batch, response, edge)
-    problem = _problems(batch, response, edge, first, last)
+    problem = problems(batch, response, edge, first, last)
     usable = np.array([not text for text in problem], dtype=np.bool_)
     lag = first_change(batch, response).delay_samples
     lag = np.where(lag == NO_DELAY, 0, lag)
@@ -183,7 +183,7 @@ def _rows(values: dict[str, Floats]) -> dict[str, Integers]:
     return {name: np.where(np.isfinite(row), row, NO_ROW).astype(np.int64) for name, row in taken.items()}
 
 
-def _problems(batch: TrialBatch, response: Response, edge: Integers, first: Integers, last: Integers) -> list[str]:
+def problems(batch: TrialBatch, response: Response, edge: Integers, first: Integers, last: Integers) -> list[str]:
     """Say for each trial why it cannot be fitted; empty where it can."""
     moved = np.nanmax(np.abs(np.where(batch.valid, batch.displacement, 0.0)), axis=1, initial=0.0)
     step = np.diff(batch.time, axis=1)
@@ -210,6 +210,13 @@ def _problems(batch: TrialBatch, response: Response, edge: Integers, first: Inte
     return reasons
 
 
+def allowed_misfit(window: Window) -> Floats:
+    """Return the misfit of each trial from which on a model is wrong, shape (n,)."""
+    # the share of the variance that the quantum makes is known
+    allowed: Floats = LARGEST_MISFIT + window.quantum_share * (LARGEST_MISFIT_OF_QUANTUM - LARGEST_MISFIT)
+    return allowed
+
+
 def _describe(window: Window, fit: JitterFit, period: Floats) -> tuple[dict[str, Floats], list[str]]:
     """Return the fields of a fit in physical units, and for each trial what is wrong with it."""
     p = fit.solution.parameters
@@ -219,8 +226,7 @@ def _describe(window: Window, fit: JitterFit, period: Floats) -> tuple[dict[str,
     outside = size > NOISE_BAND
     leaves = np.where(outside.any(axis=0), window.first_row + np.argmax(outside, axis=0), NO_ROW)
     misfit = np.sqrt(fit.solution.scale)
-    # the share of the variance that the quantum makes is known
-    allowed = LARGEST_MISFIT + window.quantum_share * (LARGEST_MISFIT_OF_QUANTUM - LARGEST_MISFIT)
+    allowed = allowed_misfit(window)
     # of an ideal log only the rounding of numbers is left, which is nobody's noise
     exact = ~window.noise_known & (misfit <= 1)
     counted = np.where(fit.jitter > 0, window.inside, window.independent) & ~exact

@@ -64,6 +64,10 @@ MODEL_ERROR = 0.05
 TYPICAL_FACTOR = 3.0
 """A force must exceed that of the middle trial by this: what all trials show is the device (friction), no event."""
 
+FITS = 0.3
+"""Force that is left over in the middle row of the middle trial, in units of the smallest reported one, from which on
+the device fits nothing: 0.1 and less for one mass with all its sensors and pushes, 0.6 for a heater."""
+
 FEWEST_TRIALS = 8
 """Fewest trials of which the middle one says what is typical of the device."""
 
@@ -174,7 +178,7 @@ def find_disturbance(
         largest = largest_force(batch, response, device)
         device = with_least(device, largest.ratio)
     if not device.mass > 0:
-        unknown = "no motion in the experiment's trials from which to know the device"
+        unknown = "no device of one mass explains the motion in the experiment's trials"
         return Disturbance(first, first, 0, np.zeros(n), (unknown,) * n)
     largest = largest or largest_force(batch, response, device)
     broken = largest.ratio > device.least
@@ -240,7 +244,21 @@ def learn_device(
     sensor = SENSOR_FACTOR * np.percentile(floor[usable], UPPER) * device.mass
     smallest = SMALLEST_FORCE * float(np.median(np.abs(step[usable])))
     span = np.ceil(np.sqrt(sensor / smallest) / float(np.median(period_s)))
-    return replace(device, span=int(np.clip(span, SHORTEST_SPAN, LONGEST_SPAN)))
+    device = replace(device, span=int(np.clip(span, SHORTEST_SPAN, LONGEST_SPAN)))
+    return device if _fits(trials, edge_row[some] - first, floor[some], device) else nothing
+
+
+def _fits(trials: TrialBatch, edge: Integers, floor: Floats, device: Device) -> bool:
+    """Whether the device leaves no force over in most rows of most trials."""
+    if trials.position.shape[1] <= 2 * device.span:
+        return True
+    left, limit = _left_over(trials, device, device.span, floor)
+    column = np.arange(left.shape[1])[None, :] + device.span
+    inside = (column > edge[:, None]) & (column < (trials.rows - device.span)[:, None])
+    middle = [
+        float(np.median(ratio[rows])) for ratio, rows in zip(np.abs(left) / limit, inside, strict=True) if rows.any()
+    ]
+    return not middle or float(np.median(middle)) < FITS
 
 
 def _usable(edge_row: Integers, rows: Integers) -> Booleans:

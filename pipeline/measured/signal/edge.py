@@ -30,6 +30,10 @@ quantum; with as many rows it is too low to be a step."""
 JUMP, JUMP_WITH_DAMPING = 0.04, 0.1
 """Smallest jump between two levels that is a step, relative to the step of the log; with B, quanta jump, too."""
 
+MOVES = 0.1
+"""Size of a command, relative to the step, that moves: of a wall force in another unit, or of another signal, that much
+is left only where command plus wall force is off its level by more than `LEVEL`."""
+
 STEP_TOLERANCE = 0.1
 """Relative difference of the jump from an operating point and the step up to which they are the same."""
 
@@ -80,8 +84,13 @@ def find_edges(batch: TrialBatch, samples: int = EDGE_SAMPLES) -> Edges:
     against &= opposite < first
     # where the command has a wrong unit or is another signal, the wall force alone crosses half the step, only later;
     # a chatter before the step may be larger than it, of either sign
-    early = np.arange(external.shape[1])[None, :] < first[:, None] + samples
-    moves = np.any((np.nan_to_num(np.abs(batch.command)) > half) & early, axis=1, keepdims=True)[:, 0]
+    column, command = np.arange(external.shape[1])[None, :], np.nan_to_num(np.abs(batch.command))
+    early = column < first[:, None] + samples
+    # of a slow ramp the wall takes before it reaches half the step; what stays on its level while the command still
+    # moves is no wall force either
+    off = batch.valid & ~(np.abs(towards - 2 * half) <= 2 * LEVEL * half)
+    behind = batch.valid & (column > np.max(np.where(off, column, -1), axis=1, initial=-1)[:, None])
+    moves = np.any(((command > half) & early) | ((command > 2 * MOVES * half) & behind), axis=1, keepdims=True)[:, 0]
     row = np.where(found & (first > 0) & moves & ~against, first, NO_ROW).astype(np.int64)
     level, count = np.zeros(len(batch)), np.zeros(len(batch), dtype=np.int64)
     reasons = []

@@ -66,7 +66,9 @@ class Growth:
     clean: Booleans
 
 
-def fastest_growth(signal: Floats, length: Integers, noise: Floats, window_part: int = WIDE) -> Growth:
+def fastest_growth(
+    signal: Floats, length: Integers, noise: Floats, window_part: int = WIDE, least_part: float = NOISY_FRACTION
+) -> Growth:
     """Return the growth of the fastest growing mode that is visible at the end of a free motion.
 
     Parameters
@@ -79,6 +81,8 @@ def fastest_growth(signal: Floats, length: Integers, noise: Floats, window_part:
         Standard deviation of the noise of the signal, in its unit; rounding for an ideal log.
     window_part : int
         The window is spread over the motion divided by this.
+    least_part : float
+        Modes below this part of a noisy motion at its end are not looked at.
 
     Notes
     -----
@@ -96,13 +100,13 @@ def fastest_growth(signal: Floats, length: Integers, noise: Floats, window_part:
     ):
         index = np.flatnonzero(chosen)
         if len(index):
-            found = _grow(signal[index], length[index], noise[index], points, window_part)
+            found = _grow(signal[index], length[index], noise[index], points, window_part, least_part)
             per_sample[index], amplitude[index], left_over[index], clean[index] = found
     return Growth(per_sample, length, amplitude, left_over, clean)
 
 
 def _grow(
-    signal: Floats, length: Integers, noise: Floats, points: int, window_part: int
+    signal: Floats, length: Integers, noise: Floats, points: int, window_part: int, least_part: float
 ) -> tuple[Floats, Floats, Floats, Booleans]:
     stride = np.maximum(length // (window_part * points), 1)
     rows = length - stride * (points - 1)
@@ -126,7 +130,7 @@ def _grow(
         np.arange(signal.shape[1])[None, :] < length[:, None]
     )
     motion = np.sqrt(np.where(at_end, signal**2, 0.0).sum(axis=1) / np.maximum(at_end.sum(axis=1), 1))
-    visible = np.maximum(np.where(clean, CLEAN_FRACTION, NOISY_FRACTION) * motion, left_over)
+    visible = np.maximum(np.where(clean, CLEAN_FRACTION, least_part) * motion, left_over)
     rate, amplitude = np.full(len(signal), np.nan), np.full(len(signal), np.nan)
     last_quarter = inside & (row >= (0.75 * rows)[:, None])
     for r in np.unique(rank[rank > 0]):

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.measured.signal.course import LASTING, course_of, sizes
+from pipeline.measured.signal.course import LASTING, Course, course_of, sizes
 from pipeline.measured.signal.edge import first_step_alone
 from pipeline.measured.signal.modes import FEWEST_SAMPLES, NARROW, WIDE, Growth, fastest_growth
 from pipeline.measured.signal.response import NOISE_FACTOR, Response, find_response
@@ -58,7 +58,7 @@ LEFT = 0.5
 """Part of the motion that may be left of it at its end for a limit cycle that only the sensor causes."""
 
 LIMIT_SIGMAS = 3.0
-"""Rates within this many standard errors of zero are not decided where K = 0."""
+"""Rates within this many standard errors of zero decide nothing: where K = 0, and of a motion near the floor."""
 
 FEWEST_TURNS = 8
 """Changes of sign, of what no rigid device explains with K = 0, that show a vibration: a smooth error has three."""
@@ -114,8 +114,9 @@ def judge(batch: TrialBatch, response: Response | None = None) -> Verdicts:
     decay over the log must exceed the floor to decide. An oscillation that lasts above `REST_FLOORS` floors is
     unstable where the command stands at a limit in it, or where it has grown before; a motion that falls ever faster
     (friction) is stable; what has come down to the floor from far above it is stable, a limit cycle of quantum size
-    included. What neither grows nor decays beyond the floor, a motion that hardly exceeds it, one shorter than
-    `FEWEST_SAMPLES`, and a trial without a step (F_0 = 0) cannot be judged; of several steps the response to the first
+    included, unless a mode grows in what is left. What neither grows nor decays beyond the floor, a motion that hardly
+    exceeds it, one shorter than `FEWEST_SAMPLES`, and a trial without a step (F_0 = 0) cannot be judged; of several
+    steps the response to the first
     is. With K = 0 a vibration beside the motion of a rigid device makes a trial unstable where it grows, and leaves it
     open where it lasts.
 
@@ -131,7 +132,7 @@ def judge(batch: TrialBatch, response: Response | None = None) -> Verdicts:
             index = chunk[(batch.stiffness[chunk] == 0) == free]
             if not len(index):
                 continue
-            found = judged(batch.select(index), response.edge_row[index], response.floor[index])
+            found = judged(batch.select(index), response.select(index))
             verdict[index], growth[index] = found.verdict, found.growth_per_s
             for i, text in zip(index, found.reason, strict=True):
                 reason[i] = text
@@ -157,8 +158,9 @@ def _free_motion(batch: TrialBatch, edge: Integers, floor: Floats) -> Integers:
     return (2 * onset - start).astype(np.int64)
 
 
-def _judge_wall(batch: TrialBatch, edge: Integers, floor: Floats) -> Verdicts:
-    start = _free_motion(batch, edge, floor)
+def _judge_wall(batch: TrialBatch, response: Response) -> Verdicts:
+    floor = response.floor
+    start = _free_motion(batch, response.edge_row, floor)
     change = np.nan_to_num(np.diff(batch.position, axis=1))
     column = np.arange(change.shape[1])[None, :]
     count = np.maximum(batch.rows - 1 - start, 0)
@@ -182,14 +184,7 @@ def _judge_wall(batch: TrialBatch, edge: Integers, floor: Floats) -> Verdicts:
     grows = _adds(grown, floor) & ~at_rest
     course = course_of(batch, start, count)
     told = _told(rate, grown, course.end, floor)
-    # in a noisy motion a mode may grow by chance: a true one also grows in windows of another width
-    doubtful = np.flatnonzero((grows | (told & (rate * grown.span > -SURE_DECAY))) & ~grown.clean)
-    if len(doubtful):
-        again = fastest_growth(signal[doubtful], length[doubtful], grown.noise[doubtful], NARROW)
-        agree = _told(again.per_sample, again, course.end[doubtful], floor[doubtful])
-        told[doubtful] &= agree & (np.sign(again.per_sample) == np.sign(rate[doubtful]))
-        rate[doubtful] = np.where(rate[doubtful] > 0, np.fmin(rate[doubtful], again.per_sample), rate[doubtful])
-        grows[doubtful] &= _adds(again, floor[doubtful])
+    _look_again(signal, length, course, floor, grown, grows, told)
     # motion that no mode explains to its end: it has died away in the noise, or it has risen out of it
     unexplained = np.isnan(rate)
     grows = np.where(grown.clean, grows, (grows | (told & (rate > 0))) & ~course.falls)
@@ -204,18 +199,69 @@ def _judge_wall(batch: TrialBatch, edge: Integers, floor: Floats) -> Verdicts:
     falls |= ~grown.clean & (course.brakes | (course.falls & (rate < 0)))
     high = course.begin >= LEAST_FALL * np.minimum(course.end, floor)
     enough = (count >= FEWEST_SAMPLES) & (peak > 0)
-    grows &= enough & ~at_rest
-    falls = enough & (at_rest | falls) & ~grows & high
+    # a mode that the step hardly excites begins below the floor, whatever has died away above it
+    rising = _rising(signal, count, response, enough & ~ideal & (falls | at_rest) & ~course.brakes)
+    sunk = np.isnan(rising)
+    rate = np.where(sunk, rate, rising)
+    grows &= enough & ~at_rest & sunk
+    falls = enough & (at_rest | falls) & ~grows & high & sunk
     verdict = np.where(grows, "unstable", np.where(falls, "stable", "undecided"))
     rate = np.where(falls & (rate > 0), np.nan, rate)
     reason = [
         _undecided(*each) if text == "undecided" else NOT_TOLD if np.isnan(r) else ""
-        for text, r, *each in zip(verdict, rate, enough, high, count, course.end, strict=True)
+        for text, r, *each in zip(
+            verdict, rate, enough, high, count, course.end, rising / batch.sampling_period_s, strict=True
+        )
     ]
     return Verdicts(verdict, rate / batch.sampling_period_s, tuple(reason))
 
 
-def _undecided(visible: bool, high: bool, samples: int, left: float) -> str:
+def _look_again(
+    signal: Floats, length: Integers, course: Course, floor: Floats, grown: Growth, grows: Booleans, told: Booleans
+) -> None:
+    """Keep of the growth and of what is told of a noisy motion that which windows of another width show, too.
+
+    There a mode may grow by chance. Changes ``grows``, ``told`` and the rates of ``grown``.
+    """
+    rate = grown.per_sample
+    doubtful = np.flatnonzero((grows | (told & (rate * grown.span > -SURE_DECAY))) & ~grown.clean)
+    if len(doubtful):
+        again = fastest_growth(signal[doubtful], length[doubtful], grown.noise[doubtful], NARROW)
+        agree = _told(again.per_sample, again, course.end[doubtful], floor[doubtful])
+        told[doubtful] &= agree & (np.sign(again.per_sample) == np.sign(rate[doubtful]))
+        rate[doubtful] = np.where(rate[doubtful] > 0, np.fmin(rate[doubtful], again.per_sample), rate[doubtful])
+        grows[doubtful] &= _adds(again, floor[doubtful])
+
+
+def _rising(signal: Floats, count: Integers, response: Response, falls: Booleans) -> Floats:
+    """Growth per sample of what grows beside or below a motion that falls, NaN where none is told.
+
+    Differences show it where a slow motion hides a vibration. However small the mode, its standard error tells it: the
+    standard error of the growth of one mode over n samples is sqrt(6) noise/(amplitude n^1.5) at least, with the root
+    mean square of the mode in the middle; the mode must grow by `LIMIT_SIGMAS` of it in both views. A quantum errs by a
+    pattern and not by chance, as far as noise does not blur it: growth must add more than it can, as a limit cycle that
+    it keeps up seems to grow a bit.
+    """
+    growth = np.full(len(signal), np.nan)
+    noise = response.floor / NOISE_FACTOR
+    pattern = np.maximum(SENSOR_SHARE * response.sensor_quantum - np.nan_to_num(response.sensor_noise), 0.0)
+    # a difference of differences bears more of the errors: sqrt(3) times where they are white
+    index = np.flatnonzero(falls)
+    for motion, length, more in ((signal, count, 1), (np.diff(signal, axis=1), count - 1, 2)) if len(index) else ():
+        n, views = length[index], []
+        for part in (WIDE, NARROW):
+            view = fastest_growth(motion[index], n, more * noise[index], part, 0.0)
+            least = view.per_sample
+            error = np.sqrt(6) * view.noise / (view.amplitude * np.exp(-least * n / 2) * n**1.5)
+            told = (least > LIMIT_SIGMAS * error) & (-view.amplitude * np.expm1(-least * n) > more * pattern[index])
+            views.append(np.where(told, least, np.nan))
+        growth[index] = np.fmax(growth[index], np.minimum(*views))
+    return growth
+
+
+def _undecided(visible: bool, high: bool, samples: int, left: float, rate: float) -> str:
+    if rate > 0:
+        return f"a mode grows at {rate:.3g} 1/s in a motion that falls to an amplitude of {left:.3g}"
     if not visible:
         return (
             f"no visible motion to judge: {samples} samples after the step, of which {FEWEST_SAMPLES} must stand above "
@@ -254,12 +300,13 @@ def _end_spread(batch: TrialBatch, start: Integers, count: Integers) -> Floats:
     return spread
 
 
-def _judge_free(batch: TrialBatch, edge: Integers, floor: Floats) -> Verdicts:
+def _judge_free(batch: TrialBatch, response: Response) -> Verdicts:
     """Judge trials with K = 0 by x = A + C t + E exp(rate t), fitted without knowing A, C, E.
 
     For samples of this form x_k is linear in 1, k, k^2 and the running sum of x, and the factor of the sum is
     exp(rate T) - 1, exactly. Sums average the noise, where differences would amplify it.
     """
+    edge, floor = response.edge_row, response.floor
     start = _free_motion(batch, edge, floor)
     # fast modes of the delay line are forgotten after some more delays; a third of the log is left at least
     extra = np.minimum(3 * np.maximum(start - np.maximum(edge, 0), 2), (batch.rows - start) // 4)

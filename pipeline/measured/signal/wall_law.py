@@ -272,9 +272,19 @@ def _offset(log: LogRows) -> tuple[Departure, ...] | None:
 
 
 def _other_step(log: LogRows) -> tuple[Departure, ...] | None:
-    """An external force that rises over several rows, or in several steps."""
+    """An external force that rises over several rows, or in several steps.
+
+    A quantum, gains and a ramp that are decimals make numbers that look printed with few of them; the force at the end
+    of the log shows what its rounding is.
+    """
+    end = log.external[len(log.external) // 2 :]
+    seen = float(np.ptp(end)) + PRINTED_IN_FULL * float(np.abs(end).max())
+    return _levels(log, log.rounding) or (_levels(log, seen) if seen < log.rounding else None)
+
+
+def _levels(log: LogRows, rounding: float) -> tuple[Departure, ...] | None:
     e = log.external
-    turns = np.flatnonzero(np.abs(np.diff(e)) > 2 * log.rounding) + 1
+    turns = np.flatnonzero(np.abs(np.diff(e)) > 2 * rounding) + 1
     if not len(turns):
         return None
     starts = np.concatenate([[0], turns])

@@ -21,6 +21,10 @@ class Experiment(Stored, Protocol):
         """Rows of the trials table, in any order."""
 
     @property
+    def spring(self) -> float:
+        """Stiffness k of the device that its file declares [N/m, Nm/rad], 0 for none."""
+
+    @property
     def samples(self) -> TrialGroups:
         """All samples."""
 

@@ -58,6 +58,8 @@ class Stage:
         Makes the columns from the whole experiment, for a stage without a row a trial.
     derived : callable, optional
         Makes columns that follow from the others by a value of the whole experiment, anew with each.
+    sprung : bool
+        Whether the rows take the declared spring of the experiment.
     """
 
     needs: tuple[str, ...] = ()
@@ -65,6 +67,7 @@ class Stage:
     given: Callable[[Experiment], Given] = nothing
     whole: Callable[[Experiment], Columns] | None = None
     derived: Callable[[Experiment, pa.Table], Columns] | None = None
+    sprung: bool = False
 
     @property
     def code(self) -> str:
@@ -95,6 +98,8 @@ class StageTables:
         Rows of the trials table that belong to the experiment and are in use.
     excluded : tuple of Exclusion
         Its trials that are not.
+    spring : float
+        Stiffness k [N/m, Nm/rad] of the device that its file declares, 0 for none; see `declared_spring`.
     """
 
     stages: ClassVar[Mapping[str, Stage]]
@@ -104,15 +109,16 @@ class StageTables:
     experiment: str
     trials: pa.Table
     excluded: tuple[Exclusion, ...] = ()
+    spring: float = 0.0
     _tables: dict[str, pa.Table] = field(default_factory=dict)
     _found: dict[Callable[..., Any], Any] = field(default_factory=dict, init=False)
     _mapped: Callable[..., Iterable[Any]] = map
 
     @classmethod
-    def stored(cls, processed: Path, device: str, experiment: str) -> Self:
+    def stored(cls, processed: Path, device: str, experiment: str, spring: float = 0.0) -> Self:
         """Return the stages of a stored experiment; the table of trials has no row where all are excluded."""
         trials, excluded = split_trials(read_trials(processed, device, experiment), read_exclusions(processed))
-        return cls(processed, device, experiment, trials, excluded)
+        return cls(processed, device, experiment, trials, excluded, spring)
 
     @cached_property
     def rotation(self) -> bool:
@@ -169,7 +175,8 @@ class StageTables:
     def key(self, stage: str) -> str:
         """Return the key under which the result of a stage is valid."""
         made = self.stages[stage]
-        return digest([stage, self.inputs_digest, made.code, *(self.key(need) for need in made.needs)])
+        spring = [self.spring] if made.sprung else []
+        return digest([stage, self.inputs_digest, made.code, *spring, *(self.key(need) for need in made.needs)])
 
     def is_stored(self, stage: str) -> bool:
         """Return whether a result with the present key is stored."""

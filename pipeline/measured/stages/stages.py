@@ -15,6 +15,7 @@ from pipeline.measured.stages import (
     stage_damping,
     stage_delay,
     stage_energy,
+    stage_ladder,
     stage_mass,
     stage_model,
     stage_outcome,
@@ -38,7 +39,7 @@ def _cost_stage(family: Family) -> Stage:
     needs = stage_energy if "mass" in family.needs else stage_settling if "delay" in family.needs else stage_overshoot
     timed = tuple(c.column for c in members(family)) if family.unit == "samples" or family is ENERGY else ()
     rows = partial(stage_overshoot.columns, measure=MEASURES[family.name], names=timed)
-    return Stage(family.needs, rows, needs.given_of)
+    return Stage(family.needs, rows, needs.given_of, sprung=True)
 
 
 STAGES: dict[str, Stage] = {
@@ -48,6 +49,7 @@ STAGES: dict[str, Stage] = {
     "boundary": Stage(("response",), whole=stage_boundary.columns),
     "delay": Stage(("response",), stage_delay.columns),
     "model": Stage(("response",), stage_model.columns),
+    "ladder": Stage(("response", "wall_law", "model"), whole=stage_ladder.columns),
     "damping": Stage(("response", "delay", "model"), stage_damping.columns, stage_damping.given_of),
     "mass": Stage(
         ("response", "delay", "model", "damping"),

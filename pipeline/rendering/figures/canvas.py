@@ -80,7 +80,8 @@ def draw_panels(
         all_axes = [add_axes(drawing, *sides) for sides in margins]
         for index, panel in enumerate(figure.panels):
             name, text = paint(panel, *all_axes)
-            drawn.append(style.svg(drawing, f"{figure.identifier}-{index}", f"{figure.title}{name}", text))
+            names = f"{figure.identifier}-{index}", f"{figure.title}{name}", text
+            drawn.append(style.svg(drawing, *names, simulated=figure.simulated))
             _wipe(drawing)
     return tuple(drawn)
 

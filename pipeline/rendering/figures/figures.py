@@ -29,7 +29,20 @@ from pipeline.rendering.labels import (
     stiffness_text,
 )
 
-LEGEND_ORDER = ("measured", "theory", "band", "linear", "bound", "friction", "passive", "robust", "envelope")
+LEGEND_ORDER = (
+    "measured",
+    "theory",
+    "band",
+    "linear",
+    "bound",
+    "friction",
+    "passive",
+    "robust",
+    "envelope",
+    "use",
+    "stable",
+    "unstable",
+)
 """Kinds of curves in the order of a legend: what is compared first."""
 
 LETTER = 6.2

@@ -36,24 +36,47 @@ LABEL_SIZE = (0.12, 0.042)
 """Width and height of a direct label [fraction of the axes]; closer ones overlap and go into the legend."""
 SHORT_LABEL = 9
 """Longest text [characters] that is written at a curve."""
-KINDS = ("envelope", "passive", "robust", "measured", "theory", "linear", "bound", "friction", "band")
+KINDS = (
+    "use",
+    "stable",
+    "unstable",
+    "envelope",
+    "passive",
+    "robust",
+    "measured",
+    "theory",
+    "linear",
+    "bound",
+    "friction",
+    "band",
+)
 """Kinds of curves in the order in which they are drawn: areas first."""
-LINE_WIDTHS = {"theory": 1.4, "linear": 1.6, "bound": 1.6, "friction": 1.2, "band": 1.0, "passive": 0.8, "robust": 0.8}
+LINE_WIDTHS = {
+    "theory": 1.4,
+    "linear": 1.6,
+    "bound": 1.6,
+    "friction": 1.2,
+    "band": 1.0,
+    "passive": 0.8,
+    "robust": 0.8,
+    "use": 1.4,
+}
 THIN = 0.9
 """Width of theory curves where there is one to each of many measured ones."""
-SHADES = {"envelope": 0.13, "passive": 0.22, "measured": 0.22}
+SHADES = {"envelope": 0.13, "use": 0.3, "passive": 0.22, "measured": 0.22}
 """Opacity of filled areas: light enough for the lines and dots on them, apart from each other in grey."""
 LABELLED_KINDS = ("measured", "theory")
 """Kinds of curves whose tip may bear a label; linear conditions and bands have none of their own."""
 
 
 def theory_colour(curves: Sequence[Curve]) -> str:
-    """Return the colour of theory curves: one where they have no partners, empty where each has that of its partner.
+    """Return the colour of theory curves: that of text where they have no partners, empty where each has one.
 
-    One theory curve to each measured one share their colour; otherwise theory would borrow a wrong partner.
+    One theory curve to each of several measured ones share their colour; otherwise theory would borrow that of an
+    experiment which it does not belong to.
     """
     measured, theory = (sum(curve.kind == kind for curve in curves) for kind in ("measured", "theory"))
-    return "" if measured in (0, theory) else style.VERMILLION
+    return "" if measured == 0 or measured == theory > 1 else style.INK
 
 
 def draw_curves(axes: Axes, curves: Sequence[Curve], scale: float, *, thin: bool = False) -> dict[str, list[Artist]]:
@@ -66,7 +89,7 @@ def draw_curves(axes: Axes, curves: Sequence[Curve], scale: float, *, thin: bool
         places = _label_places(group, axes.get_xlim()[1] / scale, axes.get_ylim())
         for index, curve in enumerate(group):
             own = alone if kind == "theory" and alone else style.SERIES[index % len(style.SERIES)]
-            colour = own if kind in LABELLED_KINDS else style.INK
+            colour = own if kind in LABELLED_KINDS else style.GREEN if kind == "use" else style.INK
             artist = _draw_curve(axes, curve, scale, colour, style.MARKERS[index % len(style.MARKERS)], thin=thin)
             if places:
                 look: dict[str, Any] = {"color": colour, "va": "center", "fontsize": 9.5, "bbox": style.BEHIND_TEXT}
@@ -84,6 +107,10 @@ def _draw_curve(
     between = _fill_between(axes, curve, scale, colour)
     if between is not None and curve.kind == "envelope":
         return between
+    if curve.kind in style.DOTS:
+        return axes.plot(k, curve.damping, **look, **style.DOTS[curve.kind])[0]
+    if curve.kind == "use":
+        axes.fill(k, curve.damping, color=colour, alpha=SHADES["use"], lw=0)
     if curve.kind == "passive":
         axes.fill(k, curve.damping, color=colour, alpha=SHADES["passive"], lw=0)
     if curve.kind != "measured":

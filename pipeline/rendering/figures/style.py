@@ -54,7 +54,15 @@ LINES: dict[str, Any] = {
     "passive": "-",
     "robust": "-.",
     "envelope": "-",
+    "use": "-",
+    "stable": "none",
+    "unstable": "none",
 }
+DOTS: dict[str, Any] = {
+    "stable": {"marker": "o", "ms": 1.6, "mew": 0},
+    "unstable": {"marker": "x", "ms": 3.4, "mew": 0.9},
+}
+"""Marks of single trials."""
 
 RC: Any = {
     "text.parse_math": False,  # a dollar sign in a name is no formula
@@ -89,7 +97,11 @@ HEAD = (
 """What holds in a figure unless an element says otherwise."""
 
 
-def svg(figure: Figure, identifier: str, title: str, description: str) -> str:
+WATERMARK = 'font-size="110" text-anchor="end" fill="var(--note-line,#b87503)">simulated</text>'
+"""What a drawing of simulated logs bears, wherever it is taken to."""
+
+
+def svg(figure: Figure, identifier: str, title: str, description: str, *, simulated: bool = False) -> str:
     """Return a figure as an ``<svg>`` element for an HTML page.
 
     Parameters
@@ -100,13 +112,16 @@ def svg(figure: Figure, identifier: str, title: str, description: str) -> str:
         Prefix of every ``id`` in the element; must be unique in the page, letters, digits, ``-`` and ``_``.
     title, description : str
         Name and content for readers who cannot see the figure; escaped here.
+    simulated : bool
+        Whether it shows simulated logs.
     """
     width, height = figure.get_size_inches() * figure.dpi
     writer = Writer(width, height, identifier, PAGE_COLOURS)
     figure.draw(writer)
+    mark = f'<text x="{(width - 16) * UNIT:.0f}" y="{12 * UNIT}" {WATERMARK}' if simulated else ""
     return (
         f'<svg viewBox="0 0 {width * UNIT:.0f} {height * UNIT:.0f}" role="img" '
         f'aria-labelledby="{identifier}-title {identifier}-desc" {HEAD}>'
         f'<title id="{identifier}-title">{escape(title)}</title>'
-        f'<desc id="{identifier}-desc">{escape(description)}</desc>{writer.elements()}</svg>'
+        f'<desc id="{identifier}-desc">{escape(description)}</desc>{writer.elements()}{mark}</svg>'
     )

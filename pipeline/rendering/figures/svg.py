@@ -219,7 +219,7 @@ def _element(look: Look, marks: list[Mark]) -> str:
 
 
 def _opacity(name: str, value: float) -> dict[str, str]:
-    return {} if value == 1.0 else {name: f"{value:.2f}".rstrip("0").lstrip("0")}
+    return {} if value == 1.0 else {name: f"{value:.2f}".rstrip("0").lstrip("0").rstrip(".") or "0"}
 
 
 def _units(value: float) -> str:

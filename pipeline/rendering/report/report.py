@@ -19,16 +19,19 @@ from pipeline.records.accuracy import AccuracyReport, own_rungs
 from pipeline.records.criteria import criterion_of
 from pipeline.records.results import ComparisonResult, ReportData
 from pipeline.records.trial_codec import NO_TRIALS, TrialPage
+from pipeline.rendering.labels import UNITS
 from pipeline.rendering.report import (
+    report_answer,
     report_estimates,
     report_figures,
     report_parts,
     report_scores,
     report_scripts,
     report_tables,
+    report_truth,
 )
 from pipeline.rendering.report.page_template import fill_template
-from pipeline.rendering.table import Table, footnote, word_table
+from pipeline.rendering.table import Table, footnote, marked, word_table
 
 TABLES: dict[str, Callable[[ComparisonResult, TrialPage], Table | list[Table] | None]] = {
     "scores": report_scores.score_table,
@@ -44,9 +47,12 @@ TABLES: dict[str, Callable[[ComparisonResult, TrialPage], Table | list[Table] | 
     "model": report_estimates.model_table,
     "outcomes": report_estimates.outcome_table,
     "windows": report_estimates.window_table,
+    "truth": report_truth.truth_table,
+    "use": report_answer.use_table,
     "definitions": report_estimates.definition_table,
     "missing": report_tables.missing_table,
     "excluded": report_tables.excluded_table,
+    "header": report_tables.header_table,
     "score_costs": report_scores.cost_score_table,
     "score_rules": report_scores.rule_score_table,
 }
@@ -98,6 +104,8 @@ def render(data: ReportData) -> str:
         footnote=footnote,
         families=list(dict.fromkeys(criterion_of(name).family for name in result.criteria)),
         figures=report_figures.drawings(data),
+        held_sentence=report_truth.held_sentence(result),
+        use_facts=_use_facts(result),
         **_tables(data),
     )
     page = unbroken(page)
@@ -122,7 +130,14 @@ def write(data: ReportData, path: Path) -> None:
 def tables_of(name: str, result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> list[Table]:
     """Return the tables of `TABLES` by a name; none where there is nothing to say."""
     found = TABLES[name](result, trials)
-    return found if isinstance(found, list) else [found] if found else []
+    tables = found if isinstance(found, list) else [found] if found else []
+    return [marked(table, simulated=result.simulated) for table in tables]
+
+
+def _use_facts(result: ComparisonResult) -> dict[str, str]:
+    told = result.answer.experiment if result.answer else None
+    use = next((e.use for e in result.experiments if e.experiment == told), None)
+    return report_answer.use_facts(use, UNITS[result.motion]) if use else {}
 
 
 def _tables(data: ReportData) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ from pipeline.records.models import Motion
 from pipeline.rendering.labels import UNITS, criterion_name, percent_text, significant, span
 from pipeline.rendering.report.page_template import fill_template
 from pipeline.rendering.report.report_figures import Drawing
-from pipeline.rendering.table import Cell, Column, Table, footnote, missing, number, words
+from pipeline.rendering.table import Cell, Column, Table, footnote, marked, missing, number, words
 
 FOUR = partial(significant, digits=4)
 """Prints a value: differences of few per cent are told apart."""
@@ -44,10 +44,15 @@ def render(page: AgainstPage) -> str:
     from pipeline.rendering.figures import figures
 
     parts = []
-    for index, (pair, figure) in enumerate(zip(page.result.pairs, page.figures, strict=True)):
+    for index, (pair, drawn) in enumerate(zip(page.result.pairs, page.figures, strict=True)):
+        figure = replace(drawn, simulated=pair.simulated)
         drawing = Drawing(figure.identifier, figure.title, figure.caption, figures.boundaries(figure, page.motion), "")
         parts.append({"pair": pair, "figure": drawing, "tables": pair_tables(pair, page.motion, index)})
-    page_text = fill_template("report_against.html.j2", result=page.result, parts=parts, footnote=footnote)
+    sides = [side for pair in page.result.pairs for side in (pair.first, pair.second) if side.simulated]
+    simulated = list(dict.fromkeys(side.label for side in sides))
+    page_text = fill_template(
+        "report_against.html.j2", result=page.result, parts=parts, footnote=footnote, simulated=simulated
+    )
     return unbroken(page_text)
 
 
@@ -78,7 +83,7 @@ def pair_tables(pair: PairDifference, motion: Motion, index: int = 0) -> list[Ta
         _boundary_table(f"boundary-{index}", pair, stiffness, damping),
         _excluded_table(f"excluded-{index}", pair),
     ]
-    return [table for table in found if table.blocks]
+    return [marked(table, simulated=pair.simulated) for table in found if table.blocks]
 
 
 def _value_table(name: str, caption: str, pair: PairDifference, values: Sequence[ValueDifference]) -> Table:

@@ -10,6 +10,7 @@ from pipeline.records.criteria import OVERSHOOT, criterion_of
 from pipeline.records.figure_records import CostMap, Figure, Limits
 from pipeline.records.models import FigureKind, Motion
 from pipeline.records.results import ReportData
+from pipeline.rendering.labels import criterion_name
 
 _MARKS = (
     "Filled marks: the measured cost is larger; open marks: smaller; dots: less than the smallest step; their size is "
@@ -19,13 +20,18 @@ _MARKS = (
 
 @dataclass(frozen=True)
 class Drawing:
-    """A figure on the page: panels as ``<svg>`` elements, and the words around them."""
+    """A figure on the page: panels as ``<svg>`` elements, and the words around them.
+
+    ``show`` and ``criterion`` are what a figure of costs is chosen by among the others.
+    """
 
     identifier: str
     title: str
     caption: str
     panels: tuple[str, ...]
     key: str
+    show: str = ""
+    criterion: str = ""
 
 
 def drawings(data: ReportData) -> dict[FigureKind, list[Drawing]]:
@@ -49,7 +55,9 @@ def draw(figure: Figure[Any], motion: Motion) -> Drawing:
     }
     panels, key = kinds[figure.kind]
     title = (figure.title[:1].upper() + figure.title[1:]).rstrip(".")  # the page adds a full stop
-    return Drawing(figure.identifier, title, figure.caption, panels(figure, motion), key(figure))
+    criterion = criterion_name(figure.criterion) if figure.criterion else ""
+    drawn = panels(figure, motion)
+    return Drawing(figure.identifier, title, figure.caption, drawn, key(figure), figure.group, criterion)
 
 
 def _line_key(figure: Figure[Limits]) -> str:

@@ -14,7 +14,7 @@ from typing import Any
 
 from pipeline.rendering.report.page_template import TEMPLATES
 
-TABLES_SCRIPT = "report/tables.js"
+PAGE_SCRIPTS = ("report/tables.js", "report/viewer.js")
 TRIALS_SCRIPTS = ("report/plane.js", "report/response.js", "report/trials.js")
 PLOT = "vendor/uPlot.iife.min.js"
 PLOT_LICENCE = "vendor/uPlot.LICENSE"
@@ -29,7 +29,7 @@ def scripts(with_trials: bool) -> tuple[str, ...]:
     with_trials : bool
         Whether the page shows trials, which asks for the plot library and its licence.
     """
-    tables = _text(TABLES_SCRIPT)
+    tables = "".join(_text(name) for name in PAGE_SCRIPTS)
     if not with_trials:
         return (tables,)
     licence = f"/*! uPlot\n{_text(PLOT_LICENCE).strip()}\n*/\n"

@@ -82,6 +82,8 @@ def boundary_table(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> T
         column = partial(Column, group=f"experiment {e.experiment}", why="not tested at this damping")
         columns += [column(f"{e.experiment}/{name}", name) for name in ("stable", "unstable")]
         columns.append(column(f"{e.experiment}/limit", "limit, 95 %"))
+        if any(p.truth is not None for p in e.boundary):
+            columns.append(column(f"{e.experiment}/truth", "truth", show=stiffness_text))
     caption = (
         f"Largest stable and smallest unstable stiffness [{units.stiffness}] at each damping, and the limit by the "
         "growth rates of the trials around it"
@@ -113,6 +115,20 @@ def excluded_table(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> T
     for one in result.excluded:
         cells = {"experiment": one.experiment, "trial": one.trial_id, "log": one.log}
         table.add(one.trial_id, cells | {"reason": one.reason, "since": one.since})
+    return table.filled
+
+
+def header_table(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> Table | None:
+    """Return what logs say of themselves in header lines of the lab, or None where they say nothing more."""
+    columns = (words("line"), Column("trials"), words("values", "values (trials)"))
+    table = Table("header", "Header lines of the logs that only the lab knows; no number rests on them", columns)
+    for e in result.experiments:
+        for line in e.header:
+            told = [f"{value or 'empty'} ({count})" for value, count in line.values.items()]
+            more = line.different - len(told)
+            values = "; ".join([*told, *([f"{more} more"] if more else [])])
+            cells = {"line": line.key, "trials": line.trials, "values": values}
+            table.add(f"{e.experiment}/{line.key}", cells, f"experiment {e.experiment}")
     return table.filled
 
 
@@ -255,6 +271,7 @@ def _limit_cells(
         if point.unstable is None
         else Cell(point.unstable, stiffness_text(point.unstable), marks=marks, trial=unstable),
         f"{name}/limit": _limit_cell(point),
+        f"{name}/truth": point.truth,
     }
 
 

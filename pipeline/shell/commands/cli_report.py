@@ -41,6 +41,10 @@ def compare(
             "--tables-format", help="Write the tables beside the report, too: csv, json, markdown, latex, with commas."
         ),
     ] = None,
+    figures: Annotated[
+        Path | None,
+        typer.Option("--figures", help="Write the figures of the report as SVG and PDF files into this folder, too."),
+    ] = None,
     against: Annotated[
         str | None,
         typer.Option("--against", help="Compare one experiment against this one: EXPERIMENT, or DEVICE:EXPERIMENT."),
@@ -76,6 +80,7 @@ def compare(
         _refuse("--against", dry_run=dry_run, full=full, against_report=against_report is not None)
     if two or against_report is not None:
         _refuse("--against" if two else "--against-report", tables_format=tables_format is not None)
+        _refuse("--against" if two else "--against-report", figures=figures is not None)
     asked = None if scene is None else read_scene(scene)
     name = device or (asked.device if asked else None)
     if name is None:
@@ -121,6 +126,7 @@ def compare(
         page = against_document(outcome.result, earlier)
         _print_against(page, page_against_document(target, against_report), as_json)
         return
+    drawn_files = _write_figures(outcome.report, figures) if figures and outcome.report else ()
     written = export_tables(outcome.result, tables_folder(target), formats) if formats else ()
     if as_json:
         console.print_json(outcome.result.model_dump(mode="json"))
@@ -131,6 +137,16 @@ def compare(
         console.say(f"report: {outcome.report}")
     if written:
         console.say(f"tables: {len(written)} files in {tables_folder(target)}")
+    if drawn_files:
+        console.say(f"figures: {len(drawn_files)} files in {figures}")
+
+
+def _write_figures(report: Path, folder: Path) -> tuple[Path, ...]:
+    """Write the figures that stand on a page as files of their own."""
+    from pipeline.rendering.figures.figure_files import write_figures
+    from pipeline.rendering.report.report_parts import take_apart
+
+    return write_figures(take_apart(report.read_text(encoding="utf-8")).figures, folder)
 
 
 def _compare_against(

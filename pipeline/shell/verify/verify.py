@@ -15,7 +15,7 @@ from pipeline.base.wording import counted
 from pipeline.comparison.compare import compare, report_code
 from pipeline.records.findings import Record
 from pipeline.records.models import Scene
-from pipeline.records.results import ComparisonResult
+from pipeline.records.results import ComparisonResult, Truth
 from pipeline.rendering.report import report_parts
 from pipeline.rendering.report.report_parts import Parts, take_apart
 from pipeline.shell.verify.verify_differences import (
@@ -64,6 +64,7 @@ class _Request(BaseModel):
     full: bool = False
     document: str = ""
     excluded: tuple[Exclusion, ...] = ()
+    truth: dict[str, Truth] = {}
 
 
 def verify(
@@ -163,6 +164,7 @@ def _compare_anew(
             full=request.full,
             responses=embedded_responses(found, len(request.scene.experiments)),
             shown=request.scene.shown,
+            truth=request.truth,
             progress=progress,
         ).result
     except (UsageError, StoreError):

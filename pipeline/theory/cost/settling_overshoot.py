@@ -15,7 +15,7 @@ from pipeline.base.errors import ParameterError
 from pipeline.loop.device_loop import DeviceLoop
 from pipeline.loop.loop import Loop, as_points
 from pipeline.loop.plant import turning_time
-from pipeline.records.batch import Floats, Integers
+from pipeline.records.batch import Booleans, Floats, Integers
 from pipeline.theory.device.step_response import Asked, late_sample, step_costs
 
 LONGEST = 1 << 18
@@ -176,64 +176,72 @@ def transient_costs(
         raise ParameterError("a step response needs alpha + gamma > 0: without stiffness there is no final position.")
     if any(not 0 < band < 1 for band in bands):
         raise ParameterError(f"bands = {list(bands)}: expected fractions between 0 and 1, such as 0.02.")
-    if isinstance(loop, DeviceLoop):
-        asked = Asked(bands, overshoot, continuous, longest, quiet, cutoff, enough, unfinished_overshoot)
-        return step_costs(loop, a, b, asked)
-    n = len(a)
+    asked = Asked(bands, overshoot, continuous, longest, quiet, cutoff, enough, unfinished_overshoot)
+    return step_costs(loop, a, b, asked) if isinstance(loop, DeviceLoop) else _followed(loop, a, b, asked)
+
+
+def _followed(loop: Loop, a: Floats, b: Floats, asked: Asked) -> dict[str, Floats]:
+    """Return the costs of an ideal loop, each point followed until nothing that is asked for can change."""
+    n, bands = len(a), asked.bands
     peaks = {"overshoot": np.zeros(n), "overshoot_discrete": np.zeros(n)}
     settled = {band: np.zeros(n) for band in bands}
     crossings = {band: Crossing.empty(n) for band in bands}
     run = Active.start(loop, a, b)
     given_up: list[Integers] = []
-    calm = _SETTLED * min(bands) if bands else 1.0
-    for k in range(longest):
+    for k in range(asked.longest):
         if not len(run.index):
             break
         for move in run.moves(loop, k):
-            if continuous:
+            if asked.continuous:
                 _note(loop, run, move, peaks["overshoot"], crossings)
         size = np.abs(run.position)
         for band in bands:
             settled[band][run.index[size > band]] = k + 1
         peaks["overshoot_discrete"][run.index] = np.maximum(peaks["overshoot_discrete"][run.index], run.position)
-        if k > cutoff and not overshoot:
+        if k > asked.cutoff and not asked.overshoot:
             late = size > max(bands)
             if late.any():
                 given_up.append(run.index[late])
                 run.keep(~late)
-                size = size[~late]
         if k % _BLOCK == 0:
-            limit = np.full(len(size), calm)
-            if overshoot:
-                found = _SETTLED * peaks["overshoot_discrete"][run.index]
-                limit = np.minimum(limit, np.maximum(found, quiet))
-            motion = size + run.lever * np.abs(run.velocity)
-            run.quiet = np.where(motion > limit, 0.0, run.quiet + 1)
-            run.calm = np.where(motion > calm, 0.0, run.calm + 1)
-            done = run.quiet * _BLOCK > loop.oldest_force + 2
-            if not bands:
-                done |= np.maximum(peaks["overshoot"], peaks["overshoot_discrete"])[run.index] > enough
+            done = _are_done(loop, run, asked, peaks)
             if done.any():
                 run.keep(~done)
-    # a slow response may have settled long before it is known not to overshoot
-    restless = np.concatenate([run.index[run.calm * _BLOCK <= loop.oldest_force + 2], *given_up])
-    unfinished = np.concatenate([run.index, *given_up])
     result: dict[str, Floats] = {}
     for band in bands:
         name = f"settle_{100 * band:g}pct"
         result[f"{name}_discrete"] = settled[band] + 1
-        if continuous:
+        if asked.continuous:
             result[name] = entry_times(loop, crossings[band])
-    if overshoot:
+    if asked.overshoot:
         result["overshoot_discrete"] = peaks["overshoot_discrete"]
-        if continuous:
+        if asked.continuous:
             result["overshoot"] = np.maximum(peaks["overshoot"], peaks["overshoot_discrete"])
+    # a slow response may have settled long before it is known not to overshoot
+    restless = np.concatenate([run.index[run.calm * _BLOCK <= loop.oldest_force + 2], *given_up])
+    unfinished = np.concatenate([run.index, *given_up])
     for name, values in result.items():
         if name.startswith("settle"):
             values[restless] = np.nan
-        elif not unfinished_overshoot:
+        elif not asked.unfinished_overshoot:
             values[unfinished] = np.nan
     return result
+
+
+def _are_done(loop: Loop, run: Active, asked: Asked, peaks: dict[str, Floats]) -> Booleans:
+    """Count the blocks for which points have hardly moved, and return which need no longer be followed."""
+    size = np.abs(run.position)
+    calm = _SETTLED * min(asked.bands) if asked.bands else 1.0
+    limit = np.full(len(size), calm)
+    if asked.overshoot:
+        limit = np.minimum(limit, np.maximum(_SETTLED * peaks["overshoot_discrete"][run.index], asked.quiet))
+    motion = size + run.lever * np.abs(run.velocity)
+    run.quiet = np.where(motion > limit, 0.0, run.quiet + 1)
+    run.calm = np.where(motion > calm, 0.0, run.calm + 1)
+    done: Booleans = run.quiet * _BLOCK > loop.oldest_force + 2
+    if not asked.bands:
+        done |= np.maximum(peaks["overshoot"], peaks["overshoot_discrete"])[run.index] > asked.enough
+    return done
 
 
 def late_deviation(loop: Loop, alpha: object, beta: object, first: int, longest: int) -> Floats:

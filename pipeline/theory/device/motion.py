@@ -91,14 +91,13 @@ class Motion:
         """Positions at the end of each of the latest intervals, shape (count, n)."""
         return np.asarray(self.loop.open_loop[2] @ self.made[:, 2 : 2 + self.loop.states])
 
-    def ends(self) -> tuple[Floats, Floats, Floats, Floats]:
-        """Return positions at start and end of the latest intervals' pieces, and velocities; (count pieces, n) each."""
-        count, n = len(self.made), len(self.index)
-        after, start_speed, end_speed = np.moveaxis(
-            self.made[:, 2 + self.loop.states :].reshape(count, len(self.pieces), 3, n), 2, 0
-        )
-        before = np.concatenate([self.made[:, :1], after[:, :-1]], axis=1)
-        return tuple(values.reshape(-1, n) for values in (before, after, start_speed, end_speed))  # type: ignore[return-value]
+    def ends(self) -> Floats:
+        """Return the latest intervals' pieces: position at start and end, velocity at both; (4, count pieces, n)."""
+        count, each, n = len(self.made), len(self.pieces), len(self.index)
+        result = np.empty((4, count, each, n))
+        result[1:] = np.moveaxis(self.made[:, 2 + self.loop.states :].reshape(count, each, 3, n), 2, 0)
+        result[0, :, 0], result[0, :, 1:] = self.made[:, 0], result[1, :, :-1]
+        return result.reshape(4, count * each, n)
 
     def motion(self, row: Integers, point: Integers) -> Floats:
         """Return the coefficients of the sensed position over pieces, numbered as by `ends`; shape (13, events)."""

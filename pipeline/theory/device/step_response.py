@@ -34,11 +34,17 @@ _FIRST = 64
 _AGAIN = 32
 """Samples before those that may still overshoot are looked at again: about what a look costs."""
 
+_FEW, _LONGER = 256, 7
+"""Points below which a look costs more than so many samples, whatever their number, and how many more pass then."""
+
 _SETTLED = 0.1
 """Share of the band (or of the overshoot found) below which all motion has to stay for a block and a delay."""
 
 _NEWTON = 5
 """Steps to a turning point from a first guess within a piece of at most one radian: each doubles its digits."""
+
+_DIGITS = 1e-9
+"""Step after which the next would be rounding."""
 
 _HALVINGS = 54
 """Halves a piece to below 1e-16."""
@@ -75,14 +81,15 @@ class _Passing:
         return cls(unknown, unknown.copy(), np.zeros((DEGREE + 1, n)), zero, zero.copy(), zero.copy())
 
     @classmethod
-    def of_pieces(cls, run: Motion, events: Booleans, turned: Booleans) -> _Passing:
-        """Return the motion over pieces, marked as rows of `Motion.ends`, in order of time; up to where it turns."""
-        row, at = np.nonzero(events)
+    def of_pieces(cls, run: Motion, row: Integers, at: Integers, turned: Booleans, speed: Floats) -> _Passing:
+        """Return the motion over pieces in order of time, up to where it turns.
+
+        ``row`` and ``at`` are rows and columns of `Motion.ends`, ``speed`` (2, events) is that at both ends.
+        """
         motion, high = run.motion(row, at), np.ones(len(at))
-        some = np.flatnonzero(turned[events])
+        some = np.flatnonzero(turned)
         if len(some):
-            _, _, start_speed, end_speed = (speed[events][some] for speed in run.ends())
-            high[some] = _turning(motion[:, some], start_speed, end_speed)
+            high[some] = _turning(motion[:, some], *speed[:, some])
         interval, number = np.divmod(row, len(run.pieces))
         start, duration = (
             np.array([getattr(piece, name) for piece in run.pieces])[number] for name in ("start", "duration")
@@ -231,8 +238,10 @@ def _follow(run: Motion, found: _Found) -> None:
             climbing.append(view.before_a_peak(found.known_peak(view.run)))
     found.restless.append(run.index[found.calm[run.index] * _BLOCK <= run.memory])
     found.unfinished.append(run.index)
-    run = joined(climbing)
-    for samples in _rounds(asked.longest, _AGAIN):
+    run, left = joined(climbing), asked.longest
+    while left > 0:  # falls
+        samples = min(_AGAIN * (1 + min(_FEW // max(len(run.index), 1), _LONGER)), left)
+        left -= samples
         found.quiet[run.index] = 0  # some were moved ahead
         run = _marched(run, found, (), samples)
         if not len(run.index):
@@ -302,24 +311,29 @@ def _finished(run: Motion, found: _Found, size: Floats) -> Booleans:
 
 def _note(run: Motion, found: _Found, bands: Sequence[float]) -> None:
     """Note extrema inside pieces, and entries into the bands."""
-    before, after, start_speed, end_speed = run.ends()
+    ends = run.ends()
+    event = ends[2] * ends[3] < 0
+    outside = np.abs(ends[:2])
+    for band in bands:
+        event |= (outside[0] > band) & (outside[1] <= band)
+    row, at = np.nonzero(event)
+    before, after, *speed = ends[:, row, at]
     size_before, size_after = np.abs(before), np.abs(after)
-    turned = start_speed * end_speed < 0
-    further = np.array([piece.duration for piece in run.pieces] * len(run.made))[:, None] * np.minimum(
-        np.abs(start_speed), np.abs(end_speed)
-    )
-    events = turned & (start_speed > 0) & (np.maximum(before, after) + further > found.peak[run.index])
+    turned = speed[0] * speed[1] < 0
+    duration = np.array([piece.duration for piece in run.pieces])[row % len(run.pieces)]
+    further = duration * np.minimum(np.abs(speed[0]), np.abs(speed[1]))
+    event = turned & (speed[0] > 0) & (np.maximum(before, after) + further > found.peak[run.index[at]])
     if not found.asked.overshoot and bands:
-        events[:] = False
+        event[:] = False
     for band in bands:
         # it enters the band, or leaves it for a moment
         out = (size_before > band) | (turned & (np.maximum(size_before, size_after) + further > band))
-        events |= (size_after <= band) & out
-    passing = _Passing.of_pieces(run, events, turned)
-    extreme = np.where(turned[events], _at(passing.motion, passing.high), 0.0)
-    which, before, size_before, size_after = (
-        values[events] for values in (np.broadcast_to(run.index, events.shape), before, size_before, size_after)
+        event |= (size_after <= band) & out
+    row, at, turned, before, size_before, size_after = (
+        values[event] for values in (row, at, turned, before, size_before, size_after)
     )
+    passing = _Passing.of_pieces(run, row, at, turned, np.array(speed)[:, event])
+    extreme, which = np.where(turned, _at(passing.motion, passing.high), 0.0), run.index[at]
     np.maximum.at(found.peak, which, extreme)
     for band in bands:
         out = np.abs(extreme) > band
@@ -331,13 +345,13 @@ def _note(run: Motion, found: _Found, bands: Sequence[float]) -> None:
 
 def _note_first(run: Motion, level: float, first: _Passing) -> None:
     """Note where the motion reaches a level for the first time: within a piece, at its end or at an extremum."""
-    _, after, start_speed, end_speed = run.ends()
-    turned = (start_speed > 0) & (end_speed < 0)
-    events = np.isnan(first.start[run.index]) & ((after >= level) | turned)
-    passing = _Passing.of_pieces(run, events, turned)
+    _, after, *speed = run.ends()
+    turned = (speed[0] > 0) & (speed[1] < 0)
+    row, at = np.nonzero(np.isnan(first.start[run.index]) & ((after >= level) | turned))
+    passing = _Passing.of_pieces(run, row, at, turned[row, at], np.array(speed)[:, row, at])
     passing.level[:] = level
-    over = (after[events] >= level) | (_at(passing.motion, passing.high) >= level)
-    which, rows = np.unique(np.broadcast_to(run.index, events.shape)[events][over], return_index=True)
+    over = (after[row, at] >= level) | (_at(passing.motion, passing.high) >= level)
+    which, rows = np.unique(run.index[at][over], return_index=True)
     first.set(which, passing.part(np.flatnonzero(over)[rows]))
 
 
@@ -355,6 +369,8 @@ def _turning(motion: Floats, start: Floats, end: Floats) -> Floats:
     change = speed[1:] * np.arange(1, len(speed))[:, None]
     share: Floats = start / (start - end)  # of different sign
     for _ in range(_NEWTON):
-        bend = _at(change, share)
+        bend, before = _at(change, share), share
         share = np.minimum(np.maximum(share - _at(speed, share) / np.where(bend == 0, np.inf, bend), 0.0), 1.0)
+        if np.abs(share - before).max() < _DIGITS:
+            break
     return share

@@ -231,7 +231,7 @@ def _of_device(loop: DeviceLoop, points: int) -> Boundary:
     """Boundary of a general loop over beta; its angles are not given."""
     found = outline(loop, points)
     if not len(found.beta):
-        raise ParameterError(f"{loop}: no damping stabilises a soft wall.")
+        raise ParameterError("no damping stabilises a soft wall of this loop. Check delay, lag and velocity filter.")
     unknown, top = np.full(len(found.beta), np.nan), (float(found.beta[-1]), float(found.alpha[-1]))
     return Boundary(found.alpha, found.beta, unknown, found.alpha_max, found.beta_at_alpha_max, *top, found.islands)
 

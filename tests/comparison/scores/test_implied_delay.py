@@ -172,3 +172,20 @@ def test_stiffer_than_theory_without_delay():
     found = implied_delay(stiff, FALCON)
     assert found.value == 0.0
     assert "5 of 5 limits lie above theory even without delay" in found.warning
+
+
+def test_a_delay_below_none_is_no_delay():
+    # twice the slope that a device without delay has
+    B = np.linspace(0, 40, 21)
+    found = implied_by_slope(points(B, (B + 4.0) / 0.25e-3), FALCON)
+    for estimate in (found, found.by_method["line_through_origin"]):
+        assert estimate.value is None
+        assert "steeper than without any delay" in estimate.reason
+
+
+def test_limits_that_the_sensor_shifts_alike_leave_the_delay_of_an_ideal_loop_in_the_interval():
+    B = np.arange(0, 184, 4.0)
+    limit = limits(FALCON, 3.0, B)
+    # by 0.3 % of each: 2.994 +- 0.004 was said to show that something beside delay acts
+    found = implied_delay(points(B, 1.003 * limit, width=20.0), FALCON)
+    assert found.low <= 3.0 <= found.high

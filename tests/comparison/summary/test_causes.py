@@ -1,15 +1,12 @@
-"""Sentences on causes and on the point to use follow from the scores and limits given."""
+"""Sentences on causes follow from the scores and limits given."""
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 from report_data import BOUND
 
-from pipeline.comparison.scores.overlap import MeasuredLimits
-from pipeline.comparison.summary.advice import choice, margin, passive_choice, recommended
+from pipeline.comparison.summary.advice import passive_choice
 from pipeline.comparison.summary.causes import causes
-from pipeline.records.findings import BoundaryPoint, Optimum
 from pipeline.records.loop_records import PassiveWall
 from pipeline.records.score_records import BandScore, Departure
 from pipeline.rendering.labels import UNITS
@@ -61,50 +58,6 @@ def test_bound_is_named_first(result):
     assert texts[0].startswith("From B = 100 Ns/m on the boundary is a straight line, K ≤ 38000 N/m − 230 s⁻¹ B")
     assert "20 % of the region" in texts[0]
     assert len(texts) == 2
-
-
-def limits(*K, censored=()):
-    B = 10.0 * np.arange(len(K))
-    flags = np.isin(np.arange(len(K)), censored)
-    values = np.array(K, dtype=float)
-    return MeasuredLimits(B, values, values, values, flags, np.ones(len(K), dtype=bool))
-
-
-def test_margin_in_both_directions():
-    found = margin(limits(0, 2000, 4000, 4000, 2000, 0), 1500, 25)
-    assert (found.limit, found.damping_low, found.damping_high) == (4000, 10, 40)
-    gap = margin(limits(2000, 0, 4000, 4000), 1500, 20)  # not stable at B = 10: what lies beyond is no margin
-    assert (gap.damping_low, gap.damping_high) == (20, 30)
-    assert margin(limits(2000, 2000, censored=(1,)), 1000, 10).bound
-    assert margin(limits(2000, 2000), 1000, 11) is None
-
-
-def test_choice_tells_how_near_the_limit_is(result):
-    points = tuple(
-        BoundaryPoint(damping=10.0 * i, stable=k, unstable=k + 200, censored=False)
-        for i, k in enumerate((1000.0, 3000.0, 5000.0, 3000.0))
-    )
-    best = {"settle_2pct": Optimum(stiffness=2550, damping=20, cost=24)}
-    near = result.model_copy(update={"boundary": points, "optimum": best})
-    assert choice(near, FALCON).endswith(
-        "the limit there is 2 times as stiff, and this K is stable for B = 10 to 30 Ns/m."
-    )
-    alone = result.model_copy(update={"boundary": points[2:3], "optimum": best})
-    assert choice(alone, FALCON).endswith("and this K is stable for B = 20 Ns/m only.")
-    close = {"settle_2pct": Optimum(stiffness=4800, damping=20, cost=24)}
-    text = choice(result.model_copy(update={"boundary": points, "optimum": close}), FALCON)
-    assert "only 1.06 times as stiff" in text
-    assert "take a softer wall" in text
-    assert choice(result.model_copy(update={"optimum": {}}), FALCON) == ""
-    lost = result.model_copy(update={"boundary": (), "optimum": best})
-    assert choice(lost, FALCON).endswith("how far it is from the stability limit is not known.")
-
-
-def test_settling_time_comes_before_energy(result):
-    points = {c: Optimum(stiffness=1, damping=1, cost=1) for c in ("overshoot", "energy_step_w1", "settle_2pct")}
-    assert recommended(result.model_copy(update={"optimum": points}))[0] == "settle_2pct"
-    del points["settle_2pct"]
-    assert recommended(result.model_copy(update={"optimum": points}))[0] == "energy_step_w1"
 
 
 def test_the_passive_wall_is_named_as_it_was_checked_or_its_absence_explained(result):

@@ -218,3 +218,27 @@ def test_factor_of_few_degrees_of_freedom():
     assert student_95(freedom) == pytest.approx(exact, rel=3e-3)  # error of the series at 3.5
     assert student_95(np.inf) == pytest.approx(NORMAL_95, rel=1e-12)
     assert np.isnan(student_95(0))
+
+
+def test_an_error_that_all_trials_share_and_half_of_a_drift_are_in_the_interval():
+    random = np.random.default_rng(17)
+    alone, shared, drifting = [], [], []
+    for _ in range(60):
+        _, _, K, B, _ = trials(random, 80, 0.0)
+        error = np.full(80, ERROR)
+        value = TRUE + ERROR * random.standard_normal(80)
+        together = value + 0.3 * ERROR * random.standard_normal()
+        how = {"stiffness": K, "damping": B}
+        names = [str(i) for i in range(len(value))]
+        for found, values, options in (
+            (alone, together, {}),
+            (shared, together, {"shared": 0.3}),
+            (drifting, value + 0.06 * (K - 200) / 11800, {}),
+        ):
+            estimate = combine(values, error, names, "kg", "m", "none", **how, **options)
+            found.append(estimate.low <= TRUE <= estimate.high)
+    # 80 trials that are off together tell a mean to a ninth of what they are off by
+    assert np.mean(alone) < 0.7
+    assert np.mean(shared) > 0.9
+    # a mass that seems to grow by 10 % with the wall is that of the softest or of the stiffest, and not the middle one
+    assert np.mean(drifting) > 0.9

@@ -10,8 +10,10 @@ import pytest
 from labs import make_lab
 
 import pipeline
+from pipeline.comparison.scene.scene import open_scene
 from pipeline.device_data.devices import load_device
-from pipeline.measured.experiment.rest_forces import rest_forces
+from pipeline.measured.experiment.rest_forces import rest_forces, rest_spring
+from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.loop_parts import LoopParts
 
 SPRING = 300.0
@@ -50,6 +52,58 @@ def test_costs_of_a_held_device_are_those_about_its_own_rest(held, stage, column
     # about x_0 + F_0/K no trial would settle, and each overshoot and energy be far off
     assert both.sum() >= 15
     assert np.mean((low <= truth) & (truth <= high), where=both) >= 0.9
+
+
+def few(of, **options):
+    """The same experiment with two logs, too few to tell a spring from a force by."""
+    return ExperimentStages(of.processed, of.device, of.experiment, of.trials.slice(20, 2), **options)
+
+
+def test_a_declared_spring_is_that_of_the_costs(held, tmp_path, monkeypatch):
+    monkeypatch.setattr("pipeline.measured.stages.stage_tables.write_table", lambda *_: None)
+    told, untold = few(held, spring=SPRING), few(held)
+    assert rest_spring(untold) == 0.0
+    K, B = (told.column("overshoot", name) for name in ("stiffness", "damping"))
+    truth = LOOP.points(K, B)["overshoot"].to_numpy(float)
+    low, high = (told.column("overshoot", f"overshoot_{end}") for end in ("low", "high"))
+    np.testing.assert_array_equal((low <= truth) & (truth <= high), True)
+    assert told.key("settling") != untold.key("settling")
+    assert told.key("response") == untold.key("response")
+
+
+def test_a_comparison_takes_the_spring_of_the_device_file(held, tmp_path, monkeypatch):
+    (tmp_path / "held.toml").write_text(
+        """
+name = "held"
+title = "held by a spring"
+source = "made up"
+motion = "translation"
+sampling_period_s = 0.001
+step = 8.0
+duration_s = 1.0
+baseline_s = 0.02
+sensor = { quantum = 2e-6, noise = 5e-7 }
+limits = { travel = 0.05 }
+[[experiment]]
+name = "1"
+mass = 0.8
+damping = 7.0
+stiffness = 250.0
+delay_samples = 3
+damping_last = 100.0
+damping_step = 10.0
+stiffness_step = 100.0
+[experiment.loop]
+operator = { mass = 0.1, damping = 1.0, stiffness = 50.0 }
+"""
+    )
+    monkeypatch.setenv("PIPELINE_DEVICES", str(tmp_path))
+    (stages,) = open_scene("held", held.processed, None, None).experiments
+    assert rest_spring(stages) == SPRING
+    assert open_scene("held", held.processed, None, None).device is not None
+    monkeypatch.delenv("PIPELINE_DEVICES")
+    (stages,) = open_scene("held", held.processed, None, None).experiments
+    assert stages.spring == 0.0
 
 
 def test_friction_is_no_spring(tmp_path):

@@ -100,3 +100,27 @@ def test_a_vibration_that_grows_without_a_wall_is_not_stable(sensor):
     if sensor != {"quantum": 3.5e-5}:
         assert (found.verdict[-2:] == "unstable").all()
         np.testing.assert_allclose(found.growth_per_s[-2:], truth[-2:], rtol=0.05)
+
+
+@pytest.mark.parametrize(("B", "seed"), [(66.0, 11), (64.0, 12), (70.0, 13)])
+def test_a_mode_that_rises_from_below_the_floor_is_not_stable(B, seed):
+    stiffness = np.array([1600.0, 3200.0, 4800.0, 6400.0, 7200.0, 8000.0])
+    device = {"mass": 0.715, "b": 4.66, "mode": (86.6, 0.0228, 0.177)}
+    damping = np.full(len(stiffness), B)
+    found = judge(simulate(stiffness, damping, seed=seed, **device, **SENSOR))
+    ideal = judge(simulate(stiffness, damping, **device))
+    # a growth of less than 1.2 /s is not seen in 0.4 s of this sensor
+    grows = ideal.growth_per_s > 1.2
+    assert grows.sum() >= 5
+    assert (found.verdict[grows] != "stable").all()
+    assert np.abs(found.growth_per_s - ideal.growth_per_s)[grows].max() < 0.2
+
+
+def test_a_vibration_that_rises_beside_a_slow_motion_is_not_stable():
+    stiffness, damping = np.array([250.0, 320.0, 640.0]), np.full(3, 70.0)
+    device = {"mass": 0.715, "b": 4.66, "mode": (86.6, 0.0228, 0.177)}
+    found = judge(simulate(stiffness, damping, seed=4, **device, **SENSOR))
+    ideal = judge(simulate(stiffness, damping, **device))
+    assert (ideal.growth_per_s > 2).all()
+    assert (found.verdict != "stable").all()
+    np.testing.assert_allclose(found.growth_per_s, ideal.growth_per_s, atol=0.2)

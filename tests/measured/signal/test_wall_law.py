@@ -107,10 +107,23 @@ def test_step_of_another_size():
     assert only(log(step=7.5), "step_not_a_step").value == pytest.approx(7.5)
 
 
-@pytest.mark.parametrize("rows", [3, 5, 12])
-def test_ramp(rows):
+@pytest.mark.parametrize("rows", [3, 5, 12, 25])
+@pytest.mark.parametrize("wall", [{}, {"K": 3200.0, "B": 160.0}])  # a stiff wall, and numbers that are all decimals
+def test_ramp(rows, wall):
     force = 8.0 * np.clip((np.arange(500) - 19) / rows, 0, 1)
-    assert only(log(force=force), "step_not_a_step").value == rows
+    entry = log(force=force, quantum=2e-6 if wall else 0.0, **wall)
+    assert only(entry, "step_not_a_step", **wall).value == rows
+
+
+def test_a_slow_ramp_is_an_edge_and_a_command_in_another_unit_is_none():
+    wall = {"K": 6400.0, "B": 160.0}
+    time, command, position = log(force=8.0 * np.clip((np.arange(500) - 19) / 40, 0, 1), **wall)
+    assert find_response(batch_of([(time, command, position)], **wall)).edge_row[0] in (
+        39,
+        40,
+    )  # half of a ramp of 40 rows
+    for unit in (1e-3, 1e-2, 0.3):
+        assert find_response(batch_of([(time, unit * command, position)], **wall)).edge_row[0] < 0
 
 
 def test_staircase():

@@ -140,10 +140,11 @@ def test_hostile_names_are_harmless() -> None:
 def test_sections_without_data_are_left_out() -> None:
     page = report.render(bare(report_data(full=False)))
     headings = re.findall(r"<h2>(.*?)</h2>", page)
-    assert headings == ["Can these numbers be trusted?"]
+    assert headings == ["Appendix: definitions, accuracy, origin"]
     assert re.findall(r"<h3>(.*?)</h3>", page) == ["Definitions"]
     assert "<table" not in page
-    assert "simulated" not in page
+    assert ">simulated" not in page
+    assert "logs are simulated" not in page
     links = set(re.findall(r'href="#([^"]+)"', page))
     assert links == {"main", "sec-definitions"}
 
@@ -159,10 +160,11 @@ def test_questions_stand_in_the_order_in_which_a_reader_asks_them() -> None:
     page = report.render(replace(report_data(), trials=trial_page()))
     assert re.findall(r"<h2>(.*?)</h2>", page) == [
         "Does theory predict this device?",
-        "How far off, where, and why?",
+        "How far off, and where?",
         "Which stiffness and damping?",
         "Explore the trials",
         "Can these numbers be trusted?",
+        "Appendix: definitions, accuracy, origin",
     ]
 
 
@@ -200,7 +202,7 @@ def test_each_missing_value_is_marked_with_a_reason_below_its_table(numbers: str
 
 
 def test_simulated_logs_are_announced_before_any_number(numbers: str) -> None:
-    assert numbers.index("All logs of this report are simulated") < numbers.index("Does theory predict this device?")
+    assert numbers.index("All logs are simulated") < numbers.index("Does theory predict this device?")
 
 
 def test_rotation_has_rotational_units() -> None:

@@ -78,7 +78,7 @@ def test_page_without_trials_has_the_tables_script_only() -> None:
 
 def test_scripts_build_no_code_and_no_markup_from_data() -> None:
     own = "".join(
-        (TEMPLATES / name).read_text() for name in (report_scripts.TABLES_SCRIPT, *report_scripts.TRIALS_SCRIPTS)
+        (TEMPLATES / name).read_text() for name in (*report_scripts.PAGE_SCRIPTS, *report_scripts.TRIALS_SCRIPTS)
     )
     for word in (
         "eval",

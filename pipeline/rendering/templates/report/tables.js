@@ -1,5 +1,5 @@
 "use strict";
-// Tables sort by a button in each head and, where long, filter by a text; closed parts open for printing.
+// Tables sort by a button in each head and, where long, filter by a text.
 
 const LONG_TABLE = 25; // rows from which on a filter is quicker than looking
 
@@ -88,10 +88,3 @@ document.querySelectorAll("main table").forEach((table, number) => {
 for (const mark of document.querySelectorAll("abbr[data-why]")) {
   mark.title = mark.closest(".scroll").querySelectorAll(".whys li > span")[mark.dataset.why - 1].textContent;
 }
-
-let closed = [];
-addEventListener("beforeprint", () => {
-  closed = [...document.querySelectorAll("details:not([open])")];
-  closed.forEach((part) => { part.open = true; });
-});
-addEventListener("afterprint", () => closed.forEach((part) => { part.open = false; }));

@@ -1,0 +1,64 @@
+"""The parts of a loop beside mass, damping, stiffness and delay: as theory takes them, and as a result holds them."""
+
+from __future__ import annotations
+
+from pipeline.measured.signal.velocity_filter import VelocityFilterFound
+from pipeline.records.loop_parts import Butterworth, Coefficients, Difference, LoopParts, Mode, VelocityFilter
+from pipeline.records.loop_records import LoopResult, Parameter
+
+
+def filter_of(found: VelocityFilterFound) -> VelocityFilter:
+    """Return a filter that logs show as a part of a loop."""
+    if found.difference:
+        return Difference(kind="difference", samples=found.difference)
+    if found.cutoff_hz:
+        return Butterworth(kind="butterworth", order=len(found.a) - 1, cutoff_hz=found.cutoff_hz)
+    return Coefficients(kind="coefficients", b=found.b, a=found.a)
+
+
+def parts_of(loop: LoopResult) -> LoopParts:
+    """Return the parts of a loop beside mass, damping, stiffness and delay."""
+    velocity = mode = None
+    if loop.velocity is not None:
+        v = {name: each.value for name, each in loop.velocity.items()}
+        if "samples" in v:
+            velocity = filter_of(VelocityFilterFound((), difference=int(v["samples"])))
+        elif "cutoff_hz" in v:
+            velocity = filter_of(VelocityFilterFound((), (0.0,) * (int(v["order"]) + 1), cutoff_hz=v["cutoff_hz"]))
+        else:
+            b, a = (tuple(value for name, value in v.items() if name[0] == side) for side in "ba")
+            velocity = filter_of(VelocityFilterFound(b, a))
+    if loop.mode is not None:
+        m = {name: each.value for name, each in loop.mode.items()}
+        far = m.pop("sensor_at_load")
+        mode = Mode(**m, sensor="load" if far else "motor")
+    lag = loop.actuator_lag_s.value if loop.actuator_lag_s else 0.0
+    return LoopParts(velocity=velocity, actuator_lag_s=max(lag, 0.0), mode=mode)
+
+
+def filter_parameters(velocity: VelocityFilter) -> dict[str, Parameter]:
+    """Return a filter that logs show exactly, by the names of a device file."""
+    if isinstance(velocity, Difference):
+        return {"samples": exact(float(velocity.samples))}
+    if isinstance(velocity, Butterworth):
+        return {"order": exact(float(velocity.order)), "cutoff_hz": exact(velocity.cutoff_hz)}
+    sides = (("b", velocity.b), ("a", velocity.a))
+    return {f"{name}{i}": exact(value) for name, values in sides for i, value in enumerate(values)}
+
+
+def stated_parameters(parts: LoopParts) -> dict[str, Parameter | dict[str, Parameter] | None]:
+    """Return the parts that a device file declares as fields of a result, with the numbers of the file."""
+    mode, operator = parts.mode, parts.operator
+    numbers = mode.model_dump(exclude={"sensor"}) | {"sensor_at_load": mode.sensor == "load"} if mode else {}
+    held = operator.model_dump() if operator else {}
+    return {
+        "actuator_lag_s": exact(parts.actuator_lag_s) if parts.actuator_lag_s else None,
+        "velocity": filter_parameters(parts.velocity) if parts.velocity else None,
+        "mode": {name: exact(float(value)) for name, value in numbers.items()} or None,
+        "operator": {name: exact(float(value)) for name, value in held.items()} or None,
+    }
+
+
+def exact(value: float) -> Parameter:
+    """Return a parameter that is its own interval."""
+    return Parameter(value=value, low=value, high=value)

@@ -1,0 +1,153 @@
+"""The answer on one screen: does theory predict the device, which walls to use, and what that rests on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from statistics import median
+
+from pipeline.base.wording import counted
+from pipeline.comparison.loops.log_evidence import law_departures
+from pipeline.comparison.scene.scene import SceneData
+from pipeline.comparison.summary.advice import use_text
+from pipeline.comparison.summary.causes import causes
+from pipeline.measured.stages.stages import ExperimentStages
+from pipeline.records.models import ComparisonRow
+from pipeline.records.results import Answer, ExperimentResult, Mark
+from pipeline.records.score_records import DistanceScore
+from pipeline.rendering.labels import Units, damping_text, range_text, share_text, size_text, stiffness_text
+
+MOST_CAUSES = 2
+"""Causes that are named: with more nobody reads on, and the tables hold all."""
+
+WELL, ROUGHLY = 0.9, 0.7
+"""Overlap of the regions from which on theory predicts a boundary well, and roughly: with equal shapes 0.9 is an error
+of 5 % in both K and B, 0.7 one of 16 %. Words only; the numbers stand beside."""
+
+ALL, SOME = 0.9, 0.5
+"""Share of the limits that agree with theory from which on they are said to, and to do so in part: the intervals of
+one in twenty miss by chance, and a course has some twenty dampings."""
+
+
+def answer(
+    data: SceneData, results: Sequence[ExperimentResult], rows: Sequence[ComparisonRow], units: Units
+) -> Answer | None:
+    """Return the answer of a comparison, about the first experiment that has most of it; None where nothing is known.
+
+    Parameters
+    ----------
+    data : SceneData
+        Its experiments in the order of ``results``.
+    results : sequence of ExperimentResult
+        With their scores and regions to use.
+    rows : sequence of ComparisonRow
+    units : Units
+    """
+    lead = max(range(len(results)), key=lambda i: (_worth(results[i]), -i))
+    result, stages = results[lead], data.experiments[lead]
+    verdict = _verdict(results, result, rows, units)
+    if not verdict:
+        return None
+    shown = [cause.sentence for cause in result.causes] + causes(result, units)
+    return Answer(
+        experiment=result.experiment,
+        verdict=verdict,
+        use=use_text(result, units),
+        marks=tuple(_marks(result, stages)),
+        causes=tuple(shown[:MOST_CAUSES]),
+    )
+
+
+def _worth(result: ExperimentResult) -> tuple[bool, bool, bool]:
+    """What an experiment can tell: a limit beside theory, walls to use, any limit."""
+    return bool(result.scores and _known(result)), result.use is not None, bool(result.boundary)
+
+
+def _known(result: ExperimentResult) -> bool:
+    """Whether the region says where the device gets unstable: with stable trials only, any overlap is 1."""
+    region = result.scores[0].region if result.scores else None
+    return region is not None and region.censored < region.dampings
+
+
+def _verdict(
+    results: Sequence[ExperimentResult], lead: ExperimentResult, rows: Sequence[ComparisonRow], units: Units
+) -> str:
+    """Does theory predict the device: limits of the leading experiment, costs of all."""
+    region = lead.scores[0].region if lead.scores else None
+    if region is None:
+        return _stiffest(results, units)
+    if not _known(lead):
+        return (
+            f"How well theory predicts where this device becomes unstable is not known: in experiment "
+            f"{lead.experiment} no trial was unstable at any of {counted(region.dampings, 'tested damping')}; theory "
+            f"calls {share_text(region.overlap, 0)} % of the tested region stable."
+        )
+    word = "well" if region.overlap >= WELL else "roughly" if region.overlap >= ROUGHLY else "poorly"
+    distance = lead.scores[0].distance
+    off = f": {_limits(lead, distance)}" if distance else ""
+    costs = [abs(row.deviation.model) for row in rows if row.deviation]
+    cost = f"; optimal costs differ by {size_text(median(costs))}" if costs and off else ""
+    return f"Theory predicts {word} where this device is stable{off}{cost}."
+
+
+def _limits(lead: ExperimentResult, distance: DistanceScore) -> str:
+    side = "above" if distance.median > 0 else "below"
+    if 100 * abs(distance.median) < 0.1:
+        return f"limits of experiment {lead.experiment} differ by less than 0.1 %"
+    return f"limits of experiment {lead.experiment} lie {size_text(100 * distance.median)} {side} it"
+
+
+def _stiffest(results: Sequence[ExperimentResult], units: Units) -> str:
+    """Largest stable stiffness of the first experiment with a boundary, where there is no theory to compare it with."""
+    for result in results:
+        stable = [(p.stable, p.damping) for p in result.boundary if p.stable is not None]
+        if stable:
+            stiffness, damping = max(stable)
+            least = "at least " if any(p.censored for p in result.boundary) else ""
+            return (
+                f"Experiment {result.experiment}: the largest stable stiffness measured is {least}"
+                f"{stiffness_text(stiffness)} {units.stiffness} (at B = {damping_text(damping)} {units.damping})."
+            )
+    return ""
+
+
+def _marks(result: ExperimentResult, stages: ExperimentStages) -> list[Mark]:
+    """What the answer rests on: the wall law, the loop, and the limits."""
+    if result.loop is None:
+        return [_limit_mark(result)]
+    departures = law_departures(stages)
+    if departures:
+        law = Mark(
+            name="wall_law", state="no", text=f"Logs do not follow the wall law: {_clause(departures[0].sentence)}."
+        )
+    else:
+        law = Mark(name="wall_law", state="yes", text="The logs follow the wall law.")
+    loop, check = result.loop, result.model_check
+    share = f"{check.explained} of {counted(check.trials, 'log')}" if check else "the logs"
+    if loop.adequate:
+        model = Mark(name="loop", state="yes", text=f"Mass, damping and delay explain {share}.")
+    else:
+        reason = loop.reason.split("; ")[0]
+        model = Mark(name="loop", state="no", text=f"One mass, damping and delay do not explain all: {reason}.")
+    return [law, model, _limit_mark(result)]
+
+
+def _clause(sentence: str) -> str:
+    return sentence[:1].lower() + sentence[1:].rstrip(".")
+
+
+def _limit_mark(result: ExperimentResult) -> Mark:
+    distance = result.scores[0].distance if result.scores else None
+    if distance is None:
+        return Mark(name="limits", state="unknown", text="There is no theory to hold the limits against.")
+    share = distance.agreeing / distance.dampings
+    state = "yes" if share >= ALL else "partly" if share >= SOME else "no"
+    worst = (
+        ""
+        if state == "yes"
+        else (
+            f"; farthest off by {size_text(100 * distance.largest)}, at B = "
+            f"{range_text(damping_text, distance.largest_damping, distance.largest_damping)}"
+        )
+    )
+    text = f"{distance.agreeing} of {counted(distance.dampings, 'limit')} agree with theory{worst}."
+    return Mark.model_validate({"name": "limits", "state": state, "text": text})

@@ -1,0 +1,113 @@
+"""What was true of simulated experiments, beside what their logs said: for estimates and for limits.
+
+The simulator writes ``truth.json`` beside its logs. Nothing here enters a number that is estimated.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import ValidationError
+
+from pipeline.measured.stages.stages import ExperimentStages
+from pipeline.records.findings import BoundaryPoint, Estimate
+from pipeline.records.loop_parts import LoopParts
+from pipeline.records.results import ExperimentResult, TheoryParameters, Truth, TruthHeld
+from pipeline.theory.predictions import Theory
+from pipeline.theory.stability.region import stiffness_limit
+
+TRUTH_FILE = "truth.json"
+
+_MOVES_THE_LIMIT = ("one_sided_wall", "clock_error", "held_samples")
+"""Parts of a simulation with which the loop is not the linear one that its device file states."""
+
+
+def truths(stages: tuple[ExperimentStages, ...], given: Mapping[str, Truth]) -> dict[str, Truth]:
+    """Return what was true of each simulated experiment; by ``given`` where its file is gone."""
+    found = {each.experiment: _truth(each) or given.get(each.experiment) for each in stages}
+    return {name: truth for name, truth in found.items() if truth is not None}
+
+
+def _truth(stages: ExperimentStages) -> Truth | None:
+    """Return the truth beside the logs of an experiment; None where it does not list all of them."""
+    if not all(stages.trials.column("simulated").to_pylist()):
+        return None
+    paths = stages.trials.column("source_path").to_pylist()
+    folders = {os.path.dirname(path) for path in paths}
+    if len(folders) != 1:
+        return None
+    try:
+        document = json.loads(Path(folders.pop(), TRUTH_FILE).read_text(encoding="utf-8"))
+        known = {os.path.basename(path) for path in paths} <= set(document["logs"])
+        return truth_of(document) if known else None
+    except (OSError, ValueError, KeyError, TypeError, ValidationError):
+        return None  # another program's file, or one that was cut: nothing rests on it
+
+
+def truth_of(document: Mapping[str, Any]) -> Truth:
+    """Return the truth by a document of the simulator.
+
+    Raises
+    ------
+    KeyError, ValueError
+        If it is no such document.
+    """
+    hidden, jitter = document["simulation"], document["jitter_samples"]
+    parts = LoopParts.model_validate(document["loop"])
+    doubts = ["the delay jitters"] if jitter else []
+    doubts += ["there is friction"] if parts.friction else []
+    doubts += [f"the simulation has {name.replace('_', ' ')}" for name in _MOVES_THE_LIMIT if hidden[name]]
+    loop = TheoryParameters(
+        **document["plant"],
+        sampling_period_s=document["sampling_period_s"],
+        delay_samples=float(np.mean(jitter)) if jitter else document["delay_samples"],
+        loop=parts.model_copy(update={"force_gain": parts.force_gain * (1 + hidden["gain_error"])}),
+        source="simulator",
+    )
+    return Truth(
+        loop=loop,
+        jitter_samples=float(np.std(jitter)) if jitter else 0.0,
+        constant_force=hidden["constant_force"],
+        limit_reason=f"{' and '.join(doubts)}: linear theory has no limit for that" if doubts else None,
+    )
+
+
+def with_truth(result: ExperimentResult, truth: Truth | None) -> ExperimentResult:
+    """Return a result with the truth beside its estimates and limits, and how many of their intervals hold it."""
+    if truth is None:
+        return result
+    values = truth.values
+    estimates = {
+        name: one.model_copy(update={"truth": values[name]}) if name in values else one
+        for name, one in result.estimates.items()
+    }
+    limits = _limits(truth, [point.damping for point in result.boundary])
+    both = zip(result.boundary, limits, strict=True)
+    boundary = tuple(point.model_copy(update={"truth": limit}) for point, limit in both)
+    told = [held for held in map(_holds, estimates.values()) if held is not None]
+    seen = [held for held in map(_holds, boundary) if held is not None]
+    held = TruthHeld(estimates=len(told), estimates_held=sum(told), limits=len(seen), limits_held=sum(seen))
+    changed = {"estimates": estimates, "boundary": boundary, "truth": truth, "truth_held": held}
+    return result.model_copy(update=changed)
+
+
+def _limits(truth: Truth, damping: list[float]) -> list[float | None]:
+    """Return the largest stable stiffness of the true loop at each damping, 0 where none is."""
+    if truth.limit_reason or not damping:
+        return [None] * len(damping)
+    theory = Theory(truth.loop)
+    limit = stiffness_limit(theory.loop, np.array(damping) / theory.units.damping) * theory.units.stiffness
+    return [float(each) for each in np.maximum(limit, 0.0)]
+
+
+def _holds(found: Estimate | BoundaryPoint) -> bool | None:
+    """Tell whether a 95 % interval holds the truth; None where there is none, or no truth."""
+    value = found.estimate if isinstance(found, BoundaryPoint) else found.value
+    if value is None or found.truth is None or found.low is None or found.high is None:
+        return None
+    return found.low <= found.truth <= found.high

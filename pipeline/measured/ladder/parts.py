@@ -1,0 +1,90 @@
+"""The parts that a device may have beside mass, damper and delay, and where a search for each of them starts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from pipeline.measured.ladder.device import Device, Sensor
+from pipeline.measured.ladder.search import cost_of, search
+from pipeline.measured.ladder.trials import LadderTrials
+
+FEW_STEPS = 3
+"""Steps of a search that only shows whether a start is worth more."""
+
+LAGS = (0.3, 2.0)
+"""Lags to start from [samples]: within a sample it looks like a delay, beyond it does not."""
+
+TURNS = np.geomspace(0.02, 1.5, 24)
+"""Angles of a mode to start from [rad a sample], 20 % apart, which a step may bridge: 3 to 240 Hz at 1 kHz."""
+
+START_TRIALS, STARTS = 10, 3
+"""Trials by which starts are compared, and how many are followed to their end; one where friction takes time."""
+
+
+def _spring(trials: LadderTrials, device: Device) -> list[Device]:
+    return [device.having(gamma=1e-6)]
+
+
+def _force(trials: LadderTrials, device: Device) -> list[Device]:
+    return [device.having(force=-float(np.median(trials.level)))]
+
+
+def _lag(trials: LadderTrials, device: Device) -> list[Device]:
+    delay = device.numbers["delay"]
+    return [device.having(delay=max(delay - lag, 0.0), lag=lag) for lag in LAGS]
+
+
+def _friction(trials: LadderTrials, device: Device) -> list[Device]:
+    typical = float(np.median(np.abs(trials.command).max(axis=1)))
+    return [device.having(coulomb=0.02 * typical)]
+
+
+def _mode(sensor: Sensor) -> Callable[[LadderTrials, Device], list[Device]]:
+    def starts(trials: LadderTrials, device: Device) -> list[Device]:
+        """Return the likeliest of many starts, found without the friction that takes time."""
+        mode = {"ratio": -3.5, "share": -1.7}
+        numbers = device.without("coulomb").numbers
+        tried = [Device(numbers | {"turn": float(np.log(turn)), **mode}, sensor) for turn in TURNS]
+        return [Device(device.numbers | quick.numbers, sensor) for quick in likeliest(trials, tried)]
+
+    return starts
+
+
+def likeliest(trials: LadderTrials, starts: list[Device]) -> list[Device]:
+    """Return the best of some starts, after a few steps of their search with few trials."""
+    most = 1 if any("coulomb" in start.numbers for start in starts) else STARTS
+    if len(starts) <= most:
+        return starts
+    some = trials.select(np.unique(np.linspace(0, len(trials) - 1, START_TRIALS).astype(np.int64)))
+    quick = [search(some, start, FEW_STEPS) for start in starts]
+    return sorted(quick, key=lambda each: cost_of(some, each))[:most]
+
+
+PARTS: dict[str, tuple[tuple[str, ...], Callable[[LadderTrials, Device], list[Device]]]] = {
+    "spring": (("gamma",), _spring),
+    "force": (("force",), _force),
+    "lag": (("lag",), _lag),
+    "friction": (("coulomb",), _friction),
+    "mode at the motor": (("turn", "ratio", "share"), _mode("motor")),
+    "mode at the load": (("turn", "ratio", "share"), _mode("load")),
+}
+"""Names of the numbers of each part, and the starts of a search for it."""
+
+GROUPS = (("spring", "force", "lag"), ("mode at the motor", "mode at the load"), ("friction",))
+"""Parts by the time that they take to look for."""
+
+
+def parts_of(device: Device) -> tuple[str, ...]:
+    """Return the names of a device's parts."""
+    found = [name for name, (numbers, _) in PARTS.items() if set(numbers) <= set(device.names)]
+    return tuple(name for name in found if not name.startswith("mode") or name == f"mode at the {device.sensor}")
+
+
+def without(device: Device, part: str) -> Device:
+    """Return a device without one of its parts; a lag becomes a delay."""
+    left = device.without(*PARTS[part][0])
+    if part == "lag":
+        left = left.having(delay=device.numbers["delay"] + device.numbers["lag"])
+    return left

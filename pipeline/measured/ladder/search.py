@@ -1,0 +1,147 @@
+"""Least squares of one device over all trials, and what the trials leave open of its numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from pipeline.measured.fit.fit_noise import portmanteau
+from pipeline.measured.ladder.device import LARGEST_STEP, LIMITS, Device
+from pipeline.measured.ladder.sliding import sliding
+from pipeline.measured.ladder.trials import LadderTrials
+from pipeline.records.batch import Booleans, Floats
+
+MOST_STEPS = 30
+"""Steps of a search; from a sound start six to ten are needed."""
+
+CONVERGED = 1e-4
+"""Promised fall of the cost, relative to it, from which on a search has converged."""
+
+FIRST_FACTOR, LARGEST_FACTOR = 1e-3, 1e8
+"""Levenberg-Marquardt factor to begin with, and the one at which no step lowers the cost."""
+
+DIFFERENCE = 1e-5
+"""Change of a number by which a derivative is taken: between rounding of 1e-12 and a bend of the same."""
+
+LEAST_WHITENESS = 1e-6
+"""p-value below which a trial's errors are correlated beyond chance, as `fit.LEAST_WHITENESS`."""
+
+
+def errors_of(trials: LadderTrials, device: Device) -> Floats:
+    """Return the weighted errors of a device, shape (n, N); each trial's start is where it fits best."""
+    (motion,) = _motions(trials, [device])
+    return _about_start(trials, trials.position - motion)
+
+
+def cost_of(trials: LadderTrials, device: Device) -> float:
+    """Return the sum of squared weighted errors of a device."""
+    error = errors_of(trials, device)
+    return float(np.vdot(error, error))
+
+
+def _motions(trials: LadderTrials, devices: list[Device]) -> Iterator[Floats]:
+    """Yield the motion of each of some devices with the same parts, shape (n, N)."""
+    gains = [np.exp(device.numbers["gain"]) for device in devices]
+    if "coulomb" not in devices[0].numbers:
+        for device, gain in zip(devices, gains, strict=True):
+            answer = trials.commands.response(device.loop)
+            yield gain * (answer[:-1] + device.numbers.get("force", 0.0) * answer[-1])
+        return
+    coulomb, force = (np.array([device.numbers.get(name, 0.0) for device in devices]) for name in ("coulomb", "force"))
+    slid = sliding([device.loop for device in devices], coulomb, trials.command, force)
+    yield from (gain * motion for gain, motion in zip(gains, slid, strict=True))
+
+
+def _about_start(trials: LadderTrials, values: Floats) -> Floats:
+    """Return weighted values less the constant that fits each trial best."""
+    square = trials.weight**2
+    mean = (square * values).sum(axis=1) / np.maximum(square.sum(axis=1), 1e-300)
+    return np.asarray(trials.weight * (values - mean[:, None]))
+
+
+def slopes_of(trials: LadderTrials, device: Device) -> Floats:
+    """Return the derivatives of the weighted motion by each number, shape (P, n, N)."""
+    others, spans = [device], []
+    for i, name in enumerate(device.names):
+        step = DIFFERENCE * (0.1 if name in ("delta", "gamma") else 1.0)
+        changed = device.values
+        changed[i] += step if changed[i] + step <= LIMITS[name][1] else -step
+        others.append(device.at(changed))
+        spans.append(changed[i] - device.values[i])
+    here, *motions = _motions(trials, others)
+    return np.stack([_about_start(trials, (each - here) / span) for each, span in zip(motions, spans, strict=True)])
+
+
+def search(trials: LadderTrials, start: Device, most_steps: int = MOST_STEPS) -> Device:
+    """Return the device of least squares near a start (Levenberg and Marquardt, numbers within their limits)."""
+    device, error, factor = start, errors_of(trials, start), FIRST_FACTOR
+    cost = float(np.vdot(error, error))
+    normal, right = _normal(trials, device, error)
+    for _ in range(most_steps):
+        step = _step(device, normal, right, factor)
+        promised = float(2 * step @ right - step @ normal @ step)
+        if promised <= CONVERGED * cost / error.size**0.5 or factor > LARGEST_FACTOR:
+            break
+        tried = device.at(device.values + step)
+        tried_error = errors_of(trials, tried)
+        tried_cost = float(np.vdot(tried_error, tried_error))
+        if tried_cost < cost:
+            device, error, cost, factor = tried, tried_error, tried_cost, factor * 0.1
+            normal, right = _normal(trials, device, error)
+        else:
+            factor *= 10.0
+    return device
+
+
+def _normal(trials: LadderTrials, device: Device, error: Floats) -> tuple[Floats, Floats]:
+    """Return the normal equations of a step, shapes (P, P) and (P,)."""
+    slopes = slopes_of(trials, device).reshape(len(device.names), -1)
+    return np.asarray(slopes @ slopes.T), np.asarray(slopes @ error.ravel())
+
+
+def _step(device: Device, normal: Floats, right: Floats, factor: float) -> Floats:
+    """Return a step without what stands at a limit and would pass it, shortened to where the response is straight."""
+    limits = np.array([LIMITS[name] for name in device.names])
+    held = ((device.values <= limits[:, 0]) & (right < 0)) | ((device.values >= limits[:, 1]) & (right > 0))
+    step = np.zeros(len(right))
+    free = np.flatnonzero(~held)
+    size = np.sqrt(np.maximum(np.diag(normal)[free], 1e-300))
+    scaled = normal[np.ix_(free, free)] / np.outer(size, size) + (factor + 1e-13) * np.eye(len(free))
+    step[free] = np.linalg.solve(scaled, right[free] / size) / size
+    most = np.array([LARGEST_STEP.get(name, np.inf) for name in device.names])
+    return np.asarray(step * min(1.0, float((most / np.maximum(np.abs(step), 1e-300)).min())))
+
+
+def judged(trials: LadderTrials, device: Device) -> tuple[Floats, Floats]:
+    """Return misfit and whiteness of each trial under a device, shape (n,)."""
+    error = errors_of(trials, device)
+    misfit = np.sqrt((error**2).sum(axis=1) / np.maximum(trials.information - 1, 1.0))
+    return misfit, portmanteau(error.T, trials.independent.T)
+
+
+def explained(trials: LadderTrials, device: Device) -> Booleans:
+    """Return which trials a device explains within what the sensor leaves open."""
+    misfit, whiteness = judged(trials, device)
+    return np.asarray((misfit <= trials.misfit_allowed) & ~(whiteness < LEAST_WHITENESS))
+
+
+def covariance_of(trials: LadderTrials, device: Device) -> Floats:
+    """Return the covariance of a device's numbers at their least squares, shape (P, P).
+
+    Notes
+    -----
+    The larger, number by number, of what the readings leave open and of what the trials do: the sandwich of the
+    trials' scores, which holds what differs between them and what the model misses.
+    """
+    error, slopes = errors_of(trials, device), slopes_of(trials, device)
+    P, n = slopes.shape[:2]
+    normal = np.einsum("pnk,qnk->pq", slopes, slopes)
+    size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    inverse = np.linalg.pinv(normal / np.outer(size, size), rcond=1e-13, hermitian=True) / np.outer(size, size)
+    scores = np.einsum("pnk,nk->pn", slopes, error)
+    scale = max(float(np.vdot(error, error)) / max(float(trials.information.sum()) - P - n, 1.0), 1.0)
+    readings = inverse * scale
+    between = inverse @ (scores @ scores.T) @ inverse * n / max(n - P, 1)
+    wider = np.sqrt(np.maximum(np.diag(between), np.diag(readings)) / np.maximum(np.diag(readings), 1e-300))
+    return np.asarray(readings * np.outer(wider, wider))

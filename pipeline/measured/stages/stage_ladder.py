@@ -1,0 +1,103 @@
+"""Stage `ladder`: one device fitted to all trials of an experiment, where the ideal one does not explain them."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+
+from pipeline.measured.experiment.estimates import EXPLAINED, model_check
+from pipeline.measured.fit.fit import allowed_misfit, problems
+from pipeline.measured.fit.fit_window import cut, usable_rows
+from pipeline.measured.ladder.device import Device
+from pipeline.measured.ladder.ladder import FEWEST_TRIALS, Rung, climb
+from pipeline.measured.ladder.parts import GROUPS
+from pipeline.measured.ladder.physical import in_si
+from pipeline.measured.ladder.trials import LadderTrials, spread_over_plane
+from pipeline.measured.stages.stage_given import Experiment
+from pipeline.measured.stages.stage_groups import Columns, Given, TrialGroup
+from pipeline.records.tables import TABLES
+
+OF_NO_MATTER = {"velocity_filter", "constant_force", "step_not_a_step", "several_steps"}
+"""Departures from the wall law that leave command and readings what they are."""
+
+
+def columns(of: Experiment) -> Columns:
+    """Return the columns of the stage: a row for the best device, and for each like it; none where it is the ideal one.
+
+    Where the ideal device explains each trial by itself, it may be another one in each: a part that looks like mass,
+    damping or delay is looked for then, others are not.
+    """
+    chosen = _chosen(of)
+    trials = _trials(of, chosen) if len(chosen) >= FEWEST_TRIALS else None
+    if trials is None or len(trials) < FEWEST_TRIALS:
+        return {name: [] for name in TABLES["ladder"]}
+    T, check = of.sampling_period_s, model_check(of)
+    explained = check.explained >= EXPLAINED * check.trials
+    mass, damping, delay = (_typical(of, name) for name in ("mass", "damping", "delay"))
+    start = {"gain": float(np.log(T**2 / mass)), "delta": max(damping, 0.0) * T / mass, "delay": max(delay, 0.0)}
+    found = climb(trials, Device(start), GROUPS[:1] if explained else GROUPS)
+    if explained and (found.ideal.holds or not found.best.parts or not found.best.holds):
+        return {name: [] for name in TABLES["ladder"]}
+    numbers = in_si(found.best.device, found.covariance, T)
+    others = [("alike", rung) for rung in found.alike]
+    if found.next_best is not None:
+        others.append(("next best", found.next_best))
+    rungs = [("best", found.best), *others]
+    shown = [{"names": numbers.names, "values": numbers.values.tolist(), "covariance": numbers.covariance.tolist()}]
+    return {
+        "role": [role for role, _ in rungs],
+        "parts": [_named(rung) for _, rung in rungs],
+        "explained": [rung.explained for _, rung in rungs],
+        "held_out": [rung.of for _, rung in rungs],
+        "score": [rung.score for _, rung in rungs],
+        "numbers": [json.dumps(each) for each in shown] + [None] * len(others),
+    }
+
+
+def _named(rung: Rung) -> str:
+    return ",".join(rung.parts)
+
+
+def _typical(of: Experiment, name: str) -> float:
+    return float(np.nanmedian(of.column("model", f"model_{name}")))
+
+
+def _chosen(of: Experiment) -> frozenset[str]:
+    """Return the ids of the trials that are looked at; none where no trial tells a mass."""
+    if not np.isfinite(of.column("model", "model_mass")).any():
+        return frozenset()
+    codes = [set(filter(None, text.split(","))) for text in of.texts("wall_law", "law_codes")]
+    usable = np.array([each <= OF_NO_MATTER for each in codes])
+    stiffness, damping = of.column("response", "stiffness"), of.column("response", "damping")
+    # without a wall a device does not rest under a force beside the command, and friction looks like one
+    usable &= stiffness > 0
+    ids = of.texts("response", "trial_id")
+    return frozenset(ids[i] for i in spread_over_plane(stiffness, damping, usable))
+
+
+def _trials(of: Experiment, chosen: frozenset[str]) -> LadderTrials | None:
+    """Return the chosen trials, in the order of damping and stiffness; None where none can be fitted."""
+    parts = [part for part in of.of_each(windows, chosen=sorted(chosen)) if part is not None]
+    if not parts:
+        return None
+    stiffness, damping = (np.concatenate([part[i] for part in parts]) for i in (0, 1))
+    return LadderTrials.joined([part[2] for part in parts]).select(np.lexsort((stiffness, damping)))
+
+
+def windows(group: TrialGroup, given: Given) -> tuple[Any, Any, LadderTrials] | None:
+    """Return stiffness, damping and windows of the chosen trials of a group that can be fitted."""
+    of, _ = group.beginning()
+    some = np.array([name in set(given["chosen"]) for name in of.batch.trial_id])
+    if not some.any():
+        return None
+    batch, response = of.batch.select(np.flatnonzero(some)), of.found.select(np.flatnonzero(some))
+    edge = response.edge_row
+    first, last = usable_rows(batch, response, edge)
+    good = np.flatnonzero([not text for text in problems(batch, response, edge, first, last)])
+    if not len(good):
+        return None
+    batch = batch.select(good)
+    window = cut(batch, response.select(good), edge[good], first[good], last[good])
+    return batch.stiffness, batch.damping, LadderTrials.of(window, allowed_misfit(window))

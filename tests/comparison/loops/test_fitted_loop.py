@@ -1,0 +1,90 @@
+"""Limits of a loop that was fitted to soft walls, all well below them, against the true device's eigenvalues."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pipeline.comparison.loops.fitted_loop import fitted_device
+from pipeline.device_data.devices import load_device
+from pipeline.intake.ingest import ingest
+from pipeline.measured.stages.stages import ExperimentStages
+from pipeline.records.loop_parts import Butterworth
+from pipeline.records.models import Device
+from pipeline.simulation.course import Course, write_course
+from pipeline.simulation.radius import spectral_radius
+from pipeline.simulation.setup import setup_of
+from pipeline.simulation.simulate import simulate
+
+SHARES = (0.15, 0.3, 0.45, 0.58)
+"""Stiffness of the tested walls relative to the limit."""
+
+FILTER = {"kind": "butterworth", "order": 2, "cutoff_hz": 70.0}
+MODE = {"frequency_hz": 43.0, "damping_ratio": 0.04, "mass": 0.09, "sensor": "motor"}
+
+
+def true_limits(setup, damping):
+    low, high = np.zeros(len(damping)), np.full(len(damping), 1e5)
+    for _ in range(50):
+        middle = 0.5 * (low + high)
+        stable = spectral_radius(setup.plant, setup, middle, damping) < 1
+        low, high = np.where(stable, middle, low), np.where(stable, high, middle)
+    return low
+
+
+def soft_course(parts: dict, folder, **experiment) -> tuple[ExperimentStages, Course, np.ndarray]:
+    """Trials of a Falcon with other parts against walls below 60 % of the limit at five dampings, ingested."""
+    base = load_device("falcon").model_copy(update={"tables": (), "name": "soft"})
+    known = base.model_dump(mode="json", by_alias=True, exclude_unset=True)
+    entry = known["experiment"][0] | {"mass": 0.47, "damping": 3.1, "jitter_samples": []} | experiment
+    device = Device.model_validate(known | {"loop": parts, "experiment": [entry], "duration_s": 0.35})
+    (one,) = device.experiments
+    setup = setup_of(device, one)
+    # as far as softer walls are stable at all
+    every = np.linspace(0.5, 40.0, 80)
+    highest = every[true_limits(setup, every) > 1.0].max()
+    damping = np.linspace(0.05, 0.8, 5) * highest
+    limit = true_limits(setup, damping)
+    K, B = np.outer(SHARES, limit).ravel(), np.tile(damping, len(SHARES))
+    batch = simulate(setup, K, B, seed=91)
+    batch = replace(batch, trial_id=tuple(f"soft{i}" for i in range(len(batch))))
+    course = Course(device, one, setup, 91, batch, np.ones(len(K), int), np.full(len(K), "stable"))
+    write_course(course, folder / "raw")
+    ingest([folder / "raw"], folder / "processed", jobs=1)
+    return ExperimentStages.stored(folder / "processed", "soft", one.name), course, limit
+
+
+@pytest.mark.parametrize(
+    ("parts", "experiment", "expected"),
+    [
+        ({"actuator_lag_s": 0.0023}, {"delay_samples": 3.4}, {"lag"}),
+        ({"operator": {"mass": 0.2, "damping": 4.0, "stiffness": 260.0}}, {}, {"spring"}),
+        pytest.param({"actuator_lag_s": 0.0016, "velocity": FILTER}, {}, {"lag"}, marks=pytest.mark.slow),
+        pytest.param({"mode": MODE}, {}, {"mode at the motor"}, marks=pytest.mark.slow),
+        pytest.param({"mode": MODE | {"sensor": "load"}}, {}, {"mode at the load"}, marks=pytest.mark.slow),
+        pytest.param({"mode": MODE, "actuator_lag_s": 0.002}, {}, {"lag", "mode at the motor"}, marks=pytest.mark.slow),
+    ],
+)
+def test_limits_from_soft_walls_are_those_of_the_device(tmp_path, parts, experiment, expected):
+    stages, course, limit = soft_course(parts, tmp_path, **experiment)
+    device = fitted_device(stages)
+    assert set(device.parts) == expected
+    assert device.holds
+    velocity = Butterworth(**FILTER) if "velocity" in parts else None
+    loop = device.loop(course.setup.sampling_period_s, velocity)
+    damping = course.batch.damping[: len(limit)]
+    low, high = loop.band(damping)
+    found = loop.at_values(damping)
+    assert found == pytest.approx(limit, rel=0.05)
+    # three half widths, and what the course's bisection and the noise's stand-in leave
+    reach = 1.5 * (high - low) + 1e-3 * limit
+    assert (np.abs(found - limit) <= reach).all()
+    assert ((high - low) <= 0.05 * limit).all()
+
+
+def test_no_device_is_fitted_where_the_ideal_one_explains_the_logs(tmp_path):
+    stages, _, _ = soft_course({}, tmp_path)
+    assert stages.table("ladder").num_rows == 0
+    assert fitted_device(stages) is None

@@ -1,0 +1,62 @@
+"""The passive wall that may be named: held against loops over its whole range, and never above a measured limit."""
+
+from __future__ import annotations
+
+from itertools import product
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from pipeline.comparison.loops.loop_range import LoopRange
+from pipeline.comparison.loops.passive_wall import passive_wall
+from pipeline.records.findings import BoundaryPoint
+from pipeline.records.loop_records import Parameter
+from pipeline.simulation.plants import MassSpringDamper
+from pipeline.simulation.radius import spectral_radius
+from pipeline.simulation.setup import Setup
+
+T = 1e-3
+MOTOR, FALCON = (1.2e-4, 7e-5), (0.58, 4.0)  # a small device, whose B of two decimals would be none
+
+
+def loop(device, delay, share):
+    """A loop whose mass, damping and delay may be off by a share, the delay by ten shares of a sample."""
+    ends = [(value, value * (1 - share), value * (1 + share)) for value in device]
+    numbers = (*ends, (delay, delay - 10 * share, delay + 10 * share))
+    return LoopRange(*(Parameter(value=v, low=low, high=high) for v, low, high in numbers), 0.0, T)
+
+
+def needed_damping(stiffness, damping, delay):
+    """b that passivity needs at the frequencies up to Nyquist, from the folded sums themselves (integer or not)."""
+    omega = np.linspace(1e-3, 1, 400) * np.pi / T
+    waves = omega + 2 * np.pi / T * np.arange(-100, 101)[:, None]
+    y = (1 - np.exp(-1j * omega * T)) * (stiffness + damping * (1 - np.exp(-1j * omega * T)) / T)
+    late = np.exp(-1j * waves * delay * T)
+    alone, both = (1 / waves**2).sum(axis=0), (late / waves**2).sum(axis=0)
+    turned = y * both
+    return float(np.max(turned.real + np.sqrt(np.abs(y) ** 2 * alone**2 - turned.imag**2)) / (2 * T))
+
+
+@pytest.mark.parametrize(("device", "delay"), [(MOTOR, 2.0), (MOTOR, 1.4), (FALCON, 4.0), (FALCON, 2.37)])
+@pytest.mark.parametrize("share", [1e-3, 0.02])
+def test_the_named_wall_is_passive_and_stable_for_all_that_the_intervals_leave_open(device, delay, share):
+    found = loop(device, delay, share)
+    wall, reason = passive_wall(found, SimpleNamespace(boundary=()))
+    assert reason is None
+    corners = product(*((p.low, p.high) for p in (found.mass, found.damping, found.delay_samples)))
+    for mass, damping, late in corners:
+        assert needed_damping(wall.stiffness, wall.damping, late) <= damping
+        setup = Setup(MassSpringDamper(mass, damping), T, 1.0, 100, 10, late)
+        assert spectral_radius(setup.plant, setup, np.array([wall.stiffness]), np.array([wall.damping]))[0] < 1
+    if share < 0.01:  # and no softer than it need be: 3 % more is passive no longer
+        assert needed_damping(1.03 * wall.stiffness, wall.damping, delay) > device[1]
+
+
+def test_the_named_wall_is_never_above_a_measured_limit():
+    free, _ = passive_wall(loop(FALCON, 4.0, 1e-3), SimpleNamespace(boundary=()))
+    limit = 0.8 * free.stiffness
+    bracket = {"stable": limit, "unstable": limit + 2, "low": limit, "high": limit + 2, "estimate": limit + 1}
+    points = tuple(BoundaryPoint(damping=B, censored=False, **bracket) for B in (0.0, 40.0))
+    wall, _ = passive_wall(loop(FALCON, 4.0, 1e-3), SimpleNamespace(boundary=points))
+    assert limit * 0.999 < wall.stiffness <= limit

@@ -1,0 +1,97 @@
+"""The answer follows from the scores, the loop and the trials given, and fits on one screen."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from pipeline.comparison.scene.scene import open_scene
+from pipeline.comparison.summary.answer import answer
+from pipeline.rendering.labels import UNITS
+
+FALCON = UNITS["translation"]
+
+
+@pytest.fixture(scope="module")
+def data(falcon):
+    return open_scene("falcon", falcon.processed, None, None)
+
+
+@pytest.fixture(scope="module")
+def result(falcon_outcome):
+    return falcon_outcome.result
+
+
+def told(data, result, **changes):
+    """Answer where the scores of the only experiment are changed."""
+    experiment = result.experiments[0]
+    scores = experiment.scores[0].model_copy(update=changes)
+    found = answer(data, [experiment.model_copy(update={"scores": (scores,)})], result.tables, FALCON)
+    assert found is not None
+    return found
+
+
+def test_an_ideal_course_has_three_good_marks_and_no_cause(result):
+    found = result.answer
+    assert [mark.name for mark in found.marks] == ["wall_law", "loop", "limits"]
+    assert {mark.state for mark in found.marks} == {"yes"}
+    assert found.causes == ()
+    assert result.summary[:2] == (found.verdict, found.use)
+
+
+@pytest.mark.parametrize(("overlap", "word"), [(0.95, "well"), (0.75, "roughly"), (0.3, "poorly")])
+def test_words_follow_the_overlap(data, result, overlap, word):
+    region = result.experiments[0].scores[0].region.model_copy(update={"overlap": overlap})
+    assert told(data, result, region=region).verdict.startswith(f"Theory predicts {word} where this device is stable")
+
+
+@pytest.mark.parametrize(
+    ("median", "words"),
+    [(0.057, "lie 5.7 % above it"), (-0.2, "lie 20 % below it"), (0.0002, "differ by less than 0.1 %")],
+)
+def test_verdict_tells_how_far_the_limits_are_off(data, result, median, words):
+    distance = result.experiments[0].scores[0].distance.model_copy(update={"median": median})
+    assert f"limits of experiment 1 {words}" in told(data, result, distance=distance).verdict
+
+
+def test_without_an_unstable_trial_nothing_is_said_to_be_predicted(data, result):
+    """Where each damping is censored the compared window holds stable trials only, and any overlap is 1."""
+    region = result.experiments[0].scores[0].region
+    open_end = region.model_copy(update={"overlap": 1.0, "censored": 4, "dampings": 4})
+    verdict = told(data, result, region=open_end).verdict
+    assert verdict.startswith("How well theory predicts where this device becomes unstable is not known")
+    assert verdict.endswith("theory calls 100 % of the tested region stable.")
+
+
+@pytest.mark.parametrize(("agreeing", "state"), [(20, "yes"), (15, "partly"), (5, "no")])
+def test_the_mark_of_the_limits_counts_those_that_agree(data, result, agreeing, state):
+    changes = {"dampings": 20, "agreeing": agreeing, "largest": 0.3, "largest_damping": 40.0}
+    distance = result.experiments[0].scores[0].distance.model_copy(update=changes)
+    mark = told(data, result, distance=distance).marks[-1]
+    assert mark.state == state
+    assert mark.text.startswith(f"{agreeing} of 20 limits agree with theory")
+    assert ("farthest off by 30 %, at B = 40" in mark.text) == (state != "yes")
+
+
+def test_marks_say_what_speaks_against_the_loop(data, result):
+    experiment = result.experiments[0]
+    loop = experiment.loop.model_copy(update={"adequate": False, "reason": "the mass drifts; what would help: more"})
+    found = answer(data, [experiment.model_copy(update={"loop": loop})], result.tables, FALCON)
+    assert found.marks[1].state == "no"
+    assert found.marks[1].text == "One mass, damping and delay do not explain all: the mass drifts."
+    bare = answer(data, [experiment.model_copy(update={"loop": None, "scores": ()})], result.tables, FALCON)
+    assert [(mark.name, mark.state) for mark in bare.marks] == [("limits", "unknown")]
+    assert bare.verdict.startswith("Experiment 1: the largest stable stiffness measured is")
+
+
+def test_without_limits_there_is_no_answer(data, result):
+    nothing = {"scores": (), "boundary": (), "use": None}
+    assert answer(data, [result.experiments[0].model_copy(update=nothing)], (), FALCON) is None
+
+
+def test_the_first_screen_has_at_most_120_words(falcon_outcome):
+    page = falcon_outcome.report.read_text(encoding="utf-8")
+    block = re.search(r'<div class="answer">(.*?)<figure', page, re.DOTALL)
+    words = re.sub(r"<[^>]*>", " ", block[1]).split()
+    assert 40 <= len(words) <= 120

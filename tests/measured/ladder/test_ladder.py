@@ -1,0 +1,93 @@
+"""The ladder against devices that another simulator moves in small steps: the part that is there, with its numbers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from not_ideal import simulate
+
+from pipeline.measured.ladder.device import Device
+from pipeline.measured.ladder.ladder import climb
+from pipeline.measured.ladder.physical import in_si
+from pipeline.measured.ladder.trials import LadderTrials, spread_over_plane
+from pipeline.measured.stages.stage_groups import TrialGroup
+from pipeline.measured.stages.stage_ladder import windows
+
+MASS, DAMPING, DELAY, T = 0.5, 3.0, 3.0, 1e-3
+WALLS = [(K, B) for B in (5.0, 15.0, 25.0, 35.0) for K in (300.0, 700.0, 1500.0, 2500.0)]
+NOISE, QUANTUM = 3e-6, 1e-5
+MODE = (45.0, 0.03, 0.12)
+MODE_NUMBERS = {"frequency_hz": 45.0, "damping_ratio": 0.03, "far_mass": 0.12}
+
+
+def trials_of(**parts) -> LadderTrials:
+    K, B = np.array(WALLS).T
+    batch = simulate(K, B, mass=MASS, b=DAMPING, delay=DELAY, T=T, noise=NOISE, quantum=QUANTUM, rows=350, **parts)
+    found = windows(TrialGroup(batch), {"chosen": list(batch.trial_id)})
+    assert found is not None
+    return found[2]
+
+
+def start(mass: float = 1.2 * MASS, delay: float = DELAY + 1) -> Device:
+    return Device({"gain": float(np.log(T**2 / mass)), "delta": DAMPING * T / mass, "delay": delay})
+
+
+@pytest.mark.parametrize(
+    ("parts", "expected", "numbers"),
+    [
+        ({}, (), {}),
+        ({"lag": 0.0025}, ("lag",), {"actuator_lag_s": 0.0025}),
+        ({"mode": MODE}, ("mode at the motor",), MODE_NUMBERS),
+        pytest.param({"friction": 0.15}, ("friction",), {"coulomb": 0.15}, marks=pytest.mark.slow),
+        pytest.param(
+            {"mode": MODE, "lag": 0.003},
+            ("lag", "mode at the motor"),
+            MODE_NUMBERS | {"actuator_lag_s": 0.003},
+            marks=pytest.mark.slow,
+        ),
+    ],
+)
+def test_the_part_that_is_there_is_found_with_its_numbers(parts, expected, numbers):
+    trials = trials_of(seed=3, **parts)
+    found = climb(trials, start())
+    assert found.best.parts == expected
+    assert found.best.holds
+    told = in_si(found.best.device, found.covariance, T)
+    values = dict(zip(told.names, told.values, strict=True))
+    # the simulator's steps of T/20 make a lag, a stop and a mode late by a part of a step
+    for name, true in {"mass": MASS, **numbers}.items():
+        assert values[name] == pytest.approx(true, rel=0.02), name
+    assert values["delay_samples"] == pytest.approx(DELAY, abs=0.06)
+    assert values["damping"] == pytest.approx(DAMPING, rel=0.02)
+
+
+def test_a_command_that_is_clipped_as_logged_is_no_part_of_the_device():
+    found = climb(trials_of(seed=4, limit=8.05), start())
+    assert found.best.parts == ()
+    assert found.best.holds
+
+
+@pytest.mark.slow
+def test_friction_and_a_lag_together_do_not_hold_as_something_else():
+    found = climb(trials_of(seed=4, friction=0.1, lag=0.002), start())
+    assert not found.best.holds or set(found.best.parts) == {"lag", "friction"}
+
+
+def test_two_modes_are_not_one():
+    """A second vibration, added to the position of a device with one, is explained by no rung."""
+    trials = trials_of(seed=5, mode=MODE)
+    time = np.arange(trials.position.shape[1]) * T
+    ringing = 4e-4 * np.exp(-20 * time) * np.sin(2 * np.pi * 83 * time)
+    moved = trials.position + np.where(trials.weight > 0, np.roll(ringing, 24) * (time > 0.024), 0.0)
+    other = LadderTrials(**{**{n: getattr(trials, n) for n in trials.__dataclass_fields__}, "position": moved})
+    assert not climb(other, start()).best.holds
+
+
+def test_trials_are_taken_evenly_from_the_plane():
+    K, B = (axis.ravel() for axis in np.meshgrid(np.arange(40.0), np.arange(30.0)))
+    usable = K != 7
+    chosen = spread_over_plane(K, B, usable, most=100)
+    assert len(set(chosen.tolist())) == 100
+    assert usable[chosen].all()
+    assert set(B[chosen]) == set(B)
+    assert spread_over_plane(K[:5], B[:5], np.ones(5, bool)).tolist() == [0, 1, 2, 3, 4]
