@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import sqlite3
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, nullcontext
 from itertools import chain
@@ -25,7 +26,7 @@ from pipeline.service.jobs.workers import Workers
 from pipeline.service.metrics import Metrics
 from pipeline.service.pages import pages
 from pipeline.service.pages.login import doors
-from pipeline.service.problems import TITLES, Problem, problem_of
+from pipeline.service.problems import TITLES, Problem, full_disk, problem_of
 from pipeline.service.problems import answer as answer_of
 from pipeline.service.rest import api
 from pipeline.service.rest.answers import describe
@@ -97,6 +98,14 @@ def _answer_errors(app: FastAPI, service: Service) -> None:
     @app.exception_handler(PipelineError)
     async def named(request: Request, error: PipelineError) -> Response:
         return answer(request, problem_of(error))
+
+    @app.exception_handler(OSError)
+    @app.exception_handler(sqlite3.OperationalError)
+    async def failed(request: Request, error: OSError | sqlite3.OperationalError) -> Response:
+        problem = full_disk(error)
+        if problem is None:
+            raise error
+        return answer(request, problem)
 
     @app.exception_handler(ValidationError)
     @app.exception_handler(RequestValidationError)

@@ -102,7 +102,8 @@ class Database:
         try:
             yield
         except BaseException:
-            self.run("ROLLBACK")
+            if self._connection.in_transaction:  # SQLite has rolled back by itself where the disk is full
+                self.run("ROLLBACK")
             raise
         self.run("COMMIT")
 

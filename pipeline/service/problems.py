@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import sqlite3
 from collections.abc import Mapping
 
 from fastapi.responses import JSONResponse
@@ -23,6 +25,7 @@ TITLES = {
     429: "Too many requests",
     503: "Not available",
     504: "Took too long",
+    507: "The disk is full",
 }
 
 
@@ -51,6 +54,14 @@ def problem_of(error: PipelineError) -> Problem:
     """Return a named error as the answer to a request."""
     status = 404 if isinstance(error, DeviceError) else 503 if isinstance(error, StoreError) else 422
     return Problem(status, str(error))
+
+
+def full_disk(error: OSError | sqlite3.OperationalError) -> Problem | None:
+    """Return a failed write as the answer to a request, where there is no room left; None for other failures."""
+    room = getattr(error, "sqlite_errorcode", None) != sqlite3.SQLITE_FULL
+    if room and getattr(error, "errno", None) not in (errno.ENOSPC, errno.EDQUOT):
+        return None
+    return Problem(507, "The server has no room left; nothing of this request was stored. Free some and send it again.")
 
 
 def answer(problem: Problem) -> JSONResponse:

@@ -214,7 +214,7 @@ def problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
     return {status: {"description": TITLES[status], "content": {MEDIA: {"schema": schema}}} for status in statuses}
 
 
-EVERYWHERE = problems(400, 401, 403, 408, 413, 422, 429, 503)
+EVERYWHERE = problems(400, 401, 403, 408, 413, 422, 429, 503, 507)
 """Answers that every route may give."""
 
 NAMED = problems(404)
