@@ -158,13 +158,19 @@ def test_pages_in_a_browser(served, tmp_path):
     problems = []
     with sync.sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
-        for width, scheme in ((1280, "light"), (390, "dark")):
+        for width, scheme in ((1500, "light"), (390, "dark")):
             context = browser.new_context(viewport={"width": width, "height": 800}, color_scheme=scheme)
             tab = context.new_page()
             tab.on("pageerror", lambda error: problems.append(str(error)))
             for path in (*PAGES[:-1], f"/trials/{trial}"):
                 tab.goto(f"http://127.0.0.1:{served.port}{path}")
                 assert tab.evaluate("document.documentElement.scrollWidth") <= width, path
+                left = (
+                    "name => { const one = document.querySelector(name);"
+                    "return one.getBoundingClientRect().left + parseFloat(getComputedStyle(one).paddingLeft); }"
+                )
+                texts = [tab.evaluate(left, name) for name in ("h1", "main")]
+                assert texts[0] == texts[1] >= 10, path
                 found = axe.run(tab).response["violations"]
                 assert [(path, rule["id"], rule["nodes"][0]["html"]) for rule in found] == []
         browser.close()
