@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import logging
+import sqlite3
 from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, nullcontext
+from itertools import chain
 from typing import Any
 
 from anyio import to_thread
@@ -13,6 +15,7 @@ from fastapi.exceptions import RequestValidationError
 from pydantic import ValidationError
 from starlette.exceptions import HTTPException
 from starlette.responses import Response
+from starlette.routing import Match
 from starlette.types import ASGIApp
 
 from pipeline import __version__
@@ -20,16 +23,22 @@ from pipeline.base.errors import PipelineError, UsageError
 from pipeline.service.catalogue import Catalogue
 from pipeline.service.database import Database
 from pipeline.service.jobs.workers import Workers
+from pipeline.service.metrics import Metrics
 from pipeline.service.pages import pages
-from pipeline.service.problems import TITLES, Problem, problem_of
+from pipeline.service.pages.login import doors
+from pipeline.service.problems import TITLES, Problem, full_disk, problem_of
 from pipeline.service.problems import answer as answer_of
 from pipeline.service.rest import api
+from pipeline.service.rest.answers import describe
 from pipeline.service.rest.theory import Theory
+from pipeline.service.rest.theory_routes import theories
 from pipeline.service.security import Guard
 from pipeline.service.settings import Settings
 from pipeline.service.shared import Service
+from pipeline.service.unix_socket import listening
 from pipeline.service.uploads import remove_unacknowledged
 
+ROUTERS = (api.api, theories, pages.pages, doors)
 THREADS = 12
 """That answer requests: more take memory, and the interpreter from each other."""
 
@@ -49,7 +58,9 @@ def create_app(settings: Settings) -> ASGIApp:
             f"pipeline token create --role admin --processed {settings.processed}"
         )
     workers, theory = Workers(settings, database), Theory(settings.theory_s)
-    service = Service(settings, database, Catalogue(settings.processed, database), workers, theory)
+    catalogue = Catalogue(settings.processed, database)
+    metrics = Metrics(database.job_counts, lambda: catalogue.trials().rows)
+    service = Service(settings, database, catalogue, workers, theory, metrics)
 
     @asynccontextmanager
     async def life(_: FastAPI) -> AsyncIterator[None]:
@@ -66,11 +77,12 @@ def create_app(settings: Settings) -> ASGIApp:
         title="pipeline", version=__version__, lifespan=life, docs_url=None, redoc_url=None,
         openapi_url="/api/v1/openapi.json",
     )  # fmt: skip
+    app.openapi = lambda: describe(app)  # type: ignore[method-assign]
     app.state.service = service
-    app.include_router(api.api)
-    app.include_router(pages.pages)
+    for router in ROUTERS:
+        app.include_router(router)
     _answer_errors(app, service)
-    return Guard(app, settings, database)
+    return Guard(app, settings, database, metrics)
 
 
 def _answer_errors(app: FastAPI, service: Service) -> None:
@@ -87,6 +99,14 @@ def _answer_errors(app: FastAPI, service: Service) -> None:
     async def named(request: Request, error: PipelineError) -> Response:
         return answer(request, problem_of(error))
 
+    @app.exception_handler(OSError)
+    @app.exception_handler(sqlite3.OperationalError)
+    async def failed(request: Request, error: OSError | sqlite3.OperationalError) -> Response:
+        problem = full_disk(error)
+        if problem is None:
+            raise error
+        return answer(request, problem)
+
     @app.exception_handler(ValidationError)
     @app.exception_handler(RequestValidationError)
     async def wrong(request: Request, error: RequestValidationError | ValidationError) -> Response:
@@ -97,7 +117,15 @@ def _answer_errors(app: FastAPI, service: Service) -> None:
     async def other(request: Request, error: HTTPException) -> Response:
         if error.status_code not in TITLES:
             return Response(status_code=error.status_code, headers=error.headers)
-        return answer(request, Problem(error.status_code, str(error.detail)))
+        headers = {"Allow": ", ".join(sorted(_methods(request)))} if error.status_code == 405 else None
+        return answer(request, Problem(error.status_code, str(error.detail), headers))
+
+
+def _methods(request: Request) -> set[str]:
+    """Return the methods that an address has; each is a route of its own."""
+    routes = chain.from_iterable(router.routes for router in ROUTERS)
+    found = (route for route in routes if route.matches(request.scope)[0] is not Match.NONE)
+    return set[str]().union(*(getattr(route, "methods", ()) for route in found))
 
 
 def serve(settings: Settings) -> None:
@@ -107,7 +135,8 @@ def serve(settings: Settings) -> None:
     logging.getLogger("pipeline.service").setLevel(logging.INFO)
     logging.basicConfig(format="%(message)s")
     app = create_app(settings)
-    uvicorn.run(
-        app, host=settings.host, port=settings.port, log_config=None, access_log=False, server_header=False,
-        proxy_headers=False, timeout_graceful_shutdown=5,
-    )  # fmt: skip
+    with listening(settings.unix_socket) if settings.unix_socket else nullcontext() as listener:
+        uvicorn.run(
+            app, host=settings.host, port=settings.port, fd=listener.fileno() if listener else None, log_config=None,
+            access_log=False, server_header=False, proxy_headers=False, timeout_graceful_shutdown=5,
+        )  # fmt: skip

@@ -26,7 +26,6 @@ from pipeline.measured.stages.stages import ExperimentStages, cost_column
 from pipeline.records.batch import Floats, Integers
 from pipeline.records.criteria import REPORTED
 from pipeline.service.database import Database
-from pipeline.service.problems import Problem
 from pipeline.store.names import name_of_folder
 from pipeline.store.storage import natural_key, read_trials, stage_file, trials_files
 
@@ -44,6 +43,9 @@ COSTS = {
 }
 NUMBERS = ("stiffness", "damping", *COSTS)
 SORTS = ("id", "device", "experiment", "verdict", "outcome", "stiffness", "damping", *REPORTED)
+SORTED = (*SORTS, *(f"-{name}" for name in SORTS))
+"""Orders of trials: rising, and falling."""
+
 STAGES = ("response", "outcome", *sorted({stage for stage, _ in COSTS.values()}))
 
 
@@ -312,10 +314,3 @@ def page_of(items: Sequence[dict[str, Any]], names: tuple[str, ...], limit: int,
     left = [item for item, key in zip(items, keys, strict=True) if behind is None or key > behind]
     last = [left[limit - 1][name] for name in names] if len(left) > limit else None
     return left[:limit], last
-
-
-def sorting(sort: str) -> str:
-    """Return a sort that is known, with or without a minus."""
-    if sort.lstrip("-") not in SORTS or sort.startswith("--"):
-        raise Problem(422, "This cannot be sorted by.", where="sort", expected=[*SORTS, "-..."], found=sort)
-    return sort

@@ -31,6 +31,7 @@ SESSION_S = 12 * 3600.0
 """Life of a login [s]."""
 
 ENDED = ("done", "failed", "cancelled")
+STATES = ("queued", "running", *ENDED)
 
 _SCHEMA = """
 CREATE TABLE IF NOT EXISTS jobs (number INTEGER PRIMARY KEY AUTOINCREMENT, id TEXT UNIQUE NOT NULL, kind TEXT NOT NULL,
@@ -101,7 +102,8 @@ class Database:
         try:
             yield
         except BaseException:
-            self.run("ROLLBACK")
+            if self._connection.in_transaction:  # SQLite has rolled back by itself where the disk is full
+                self.run("ROLLBACK")
             raise
         self.run("COMMIT")
 
@@ -192,6 +194,11 @@ class Database:
             "SELECT id FROM jobs WHERE kind = ? AND key = ? AND state = 'failed' AND changed > ?", kind, key, since
         )
         return rows[0]["id"] if rows else None
+
+    def job_counts(self) -> dict[str, int]:
+        """Return how many jobs are in which state."""
+        rows = self.run("SELECT state, count(*) AS n FROM jobs GROUP BY state")
+        return {row["state"]: row["n"] for row in rows}
 
     def jobs(self, before: int, limit: int) -> list[dict[str, Any]]:
         """Return jobs, the newest first, below a number."""

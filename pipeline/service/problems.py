@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
+import errno
+import sqlite3
+from collections.abc import Mapping
 
 from fastapi.responses import JSONResponse
 
@@ -23,6 +25,7 @@ TITLES = {
     429: "Too many requests",
     503: "Not available",
     504: "Took too long",
+    507: "The disk is full",
 }
 
 
@@ -34,13 +37,16 @@ class Problem(Exception):  # noqa: N818 (RFC 9457 calls it so)
     status : int
     detail : str
         What is wrong and what to do.
+    headers : mapping of str to str, optional
+        Of the answer.
     **more : object
         Such as ``where``, ``expected``, ``found``.
     """
 
-    def __init__(self, status: int, detail: str, **more: object) -> None:
+    def __init__(self, status: int, detail: str, headers: Mapping[str, str] | None = None, **more: object) -> None:
         super().__init__(detail)
         self.status = status
+        self.headers = {"WWW-Authenticate": "Bearer", **(headers or {})} if status == 401 else headers
         self.document = {"type": "about:blank", "title": TITLES[status], "status": status, "detail": detail, **more}
 
 
@@ -50,14 +56,14 @@ def problem_of(error: PipelineError) -> Problem:
     return Problem(status, str(error))
 
 
+def full_disk(error: OSError | sqlite3.OperationalError) -> Problem | None:
+    """Return a failed write as the answer to a request, where there is no room left; None for other failures."""
+    room = getattr(error, "sqlite_errorcode", None) != sqlite3.SQLITE_FULL
+    if room and getattr(error, "errno", None) not in (errno.ENOSPC, errno.EDQUOT):
+        return None
+    return Problem(507, "The server has no room left; nothing of this request was stored. Free some and send it again.")
+
+
 def answer(problem: Problem) -> JSONResponse:
     """Return the document of a problem."""
-    headers = {"WWW-Authenticate": "Bearer"} if problem.status == 401 else None
-    return JSONResponse(problem.document, problem.status, headers, MEDIA)
-
-
-RESPONSES: dict[int | str, dict[str, Any]] = {
-    status: {"description": TITLES[status], "content": {MEDIA: {"schema": {"type": "object"}}}}
-    for status in (400, 401, 403, 404, 413, 422, 503)
-}
-"""Answers that every route of the API may give, for its schema."""
+    return JSONResponse(problem.document, problem.status, problem.headers, MEDIA)

@@ -10,6 +10,7 @@ import asyncio
 import hmac
 import json
 import logging
+import math
 import secrets
 import time
 from collections.abc import Mapping
@@ -20,7 +21,9 @@ from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from pipeline.service.database import ROLES, Database, Role
+from pipeline.service.metrics import Metrics
 from pipeline.service.problems import Problem, answer
+from pipeline.service.rates import Rates
 from pipeline.service.settings import Settings
 
 LOG = logging.getLogger("pipeline.service")
@@ -52,8 +55,9 @@ HEADERS = {
 class Guard:
     """The outermost part of the server."""
 
-    def __init__(self, app: ASGIApp, settings: Settings, database: Database) -> None:
-        self.app, self.settings, self.database = app, settings, database
+    def __init__(self, app: ASGIApp, settings: Settings, database: Database, metrics: Metrics) -> None:
+        self.app, self.settings, self.database, self.metrics = app, settings, database, metrics
+        self.rates = Rates(settings.per_minute)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer a request, or refuse it."""
@@ -86,8 +90,11 @@ class Guard:
             if status == 0:
                 await _refuse(problem, scope, receive, sending)
         finally:
+            seconds = time.monotonic() - began
+            route = getattr(scope.get("route"), "path", "none")
+            self.metrics.answered(scope["method"], route, status, seconds)
             line = {"id": request_id, "method": scope["method"], "path": scope["path"], "status": status}
-            LOG.info(json.dumps({**line, "ms": round(1e3 * (time.monotonic() - began), 1)}))
+            LOG.info(json.dumps({**line, "ms": round(1e3 * seconds, 1)}))
 
     def _most(self, scope: Scope) -> int:
         return self.settings.max_request if scope["path"] in UPLOADS else SMALL
@@ -103,7 +110,13 @@ class Guard:
             raise Problem(403, "Requests of pages of other sites are refused.", where="Origin", expected=host)
         if any(name.lower() in ("token", "access_token", "api_key") for name, _ in _query(scope)):
             raise Problem(400, "A token in an address ends in logs. Send it as `Authorization: Bearer`.", where="query")
-        role, bearer = self._known(headers, cookies_of(scope), scope["path"])
+        address = (scope.get("client") or ("",))[0]
+        try:
+            role, bearer = self._known(headers, cookies_of(scope), scope["path"])
+        except Problem:  # who guesses tokens has a new one each time, and one address
+            self._limit(address)
+            raise
+        self._limit(headers.get("authorization") or cookies_of(scope).get(SESSION) or address)
         if self.settings.read_only:
             role = "viewer"
         needed = _needed(scope)
@@ -113,6 +126,13 @@ class Guard:
         if scope["method"] not in SAFE and not bearer and scope["path"].startswith("/api/"):
             self._check_script(headers, cookies_of(scope))
         return role
+
+    def _limit(self, sender: str) -> None:
+        wait_s = self.rates.wait_s(sender)
+        if wait_s:
+            most = f"{self.settings.per_minute} requests a minute"
+            retry = {"Retry-After": str(math.ceil(wait_s))}
+            raise Problem(429, "These are too many requests. Ask again later.", retry, expected=most)
 
     def _known(self, headers: Headers, cookies: Mapping[str, str], path: str) -> tuple[Role, bool]:
         """Return the role, and whether a token was sent that no browser adds by itself."""
@@ -183,7 +203,8 @@ async def _refuse(problem: Problem, scope: Scope, receive: Receive, send: Send) 
     """Send a problem; a client that is still sending gets to read it."""
     response = answer(problem)
     accept = Headers(scope=scope).get("accept", "")
-    if problem.status == 401 and scope["method"] == "GET" and "text/html" in accept:
+    page = scope["method"] == "GET" and not scope["path"].startswith("/api/")
+    if problem.status == 401 and page and "text/html" in accept:
         response.status_code = 303
         response.headers["location"] = "/login"
     await send({"type": "http.response.start", "status": response.status_code, "headers": response.raw_headers})

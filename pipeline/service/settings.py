@@ -6,6 +6,9 @@ import ipaddress
 from dataclasses import dataclass
 from pathlib import Path
 
+RATE = 3000
+"""Requests a minute: 50 a second are more than a page or a program of a lab asks for."""
+
 
 @dataclass(frozen=True)
 class Settings:
@@ -23,6 +26,10 @@ class Settings:
         Bytes of a log, and of a whole request with logs.
     max_files : int
         Logs in a request.
+    rate : int, optional
+        Requests a minute of a token or address, 0 for any; by default any on loopback, `RATE` elsewhere.
+    unix_socket : Path, optional
+        Where is listened instead of at an address.
     body_s, theory_s, wait_s : float
         Longest silence of a client that sends, time for a theory, and wait of a request for a job [s].
     """
@@ -35,6 +42,8 @@ class Settings:
     max_file: int = 64 << 20
     max_request: int = 1 << 30
     max_files: int = 10_000
+    rate: int | None = None
+    unix_socket: Path | None = None
     body_s: float = 30.0
     theory_s: float = 20.0
     wait_s: float = 20.0
@@ -46,6 +55,11 @@ class Settings:
         return whole.with_name(f"{whole.name}-service")
 
     @property
+    def per_minute(self) -> int:
+        """Requests a minute that one sender may make; 0 for any."""
+        return self.rate if self.rate is not None else 0 if self.loopback else RATE
+
+    @property
     def comparisons(self) -> Path:
         """Folder of the reports that were asked for here, by key."""
         return self.reports / "comparisons"
@@ -53,7 +67,7 @@ class Settings:
     @property
     def loopback(self) -> bool:
         """Whether only programs on this computer reach the server."""
-        if self.host == "localhost":
+        if self.host == "localhost" or self.unix_socket:
             return True
         try:
             return ipaddress.ip_address(self.host).is_loopback

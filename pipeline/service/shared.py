@@ -16,6 +16,7 @@ from pipeline.service.catalogue import Catalogue, Trials
 from pipeline.service.database import Database
 from pipeline.service.jobs import results
 from pipeline.service.jobs.workers import Workers
+from pipeline.service.metrics import Metrics
 from pipeline.service.problems import Problem
 from pipeline.service.rest import theory
 from pipeline.service.settings import Settings
@@ -55,6 +56,7 @@ class Service:
     catalogue: Catalogue
     workers: Workers
     theory: theory.Theory
+    metrics: Metrics
 
     def job(self, kind: str, request: dict[str, Any], key: str = "") -> str:
         """Queue a job and wake a worker."""

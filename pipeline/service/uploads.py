@@ -127,11 +127,15 @@ class Upload:
 
     def _is_stored(self, database: Database, sha256: str, profile: str) -> bool:
         rows = database.run(
-            "SELECT path FROM uploads JOIN jobs ON jobs.id = uploads.job WHERE sha256 = ? AND profile = ? "
+            "SELECT path, job FROM uploads JOIN jobs ON jobs.id = uploads.job WHERE sha256 = ? AND profile = ? "
             "AND state NOT IN ('cancelled', 'failed')",
             *(sha256, profile),
         )
-        return any(os.path.isfile(row["path"]) for row in rows)
+        return any(self._path(row["job"], row["path"]).is_file() for row in rows)
+
+    def _path(self, job: str, path: str) -> Path:
+        """Return where an upload lies; its path is that of before, where a backup was restored elsewhere."""
+        return self.settings.data / "logs" / job / path.rpartition(f"{os.sep}{job}{os.sep}")[2]
 
     def _sync(self, files: list[Path]) -> None:
         """Return when content and names of files are on the disk."""

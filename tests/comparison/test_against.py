@@ -311,7 +311,9 @@ def test_command_prints_and_writes_what_differs(lwr, tmp_path):
     result = runner.invoke(app, arguments)
     assert result.exit_code == 0, result.output
     assert re.search(r"The boundary of lwr delay-4 lies −\d", result.stdout)
-    assert report.is_file()
+    page = report.read_text(encoding="utf-8")
+    assert "The logs of lwr delay-2 are simulated" in page
+    assert page.count(">simulated</text>") == page.count("<svg") > 0
     document = json.loads(runner.invoke(app, [*arguments, "--json"]).stdout)
     assert document == json.loads(report.with_suffix(".json").read_text(encoding="utf-8"))
     failed = runner.invoke(

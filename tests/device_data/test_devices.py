@@ -171,3 +171,17 @@ def test_a_copied_file_that_bears_the_old_name_is_named(tmp_path: Path, monkeypa
 def test_a_missing_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(DeviceError, match=r"none\.toml: device file cannot be read \(No such file"):
         read_device(tmp_path / "none.toml")
+
+
+@pytest.mark.parametrize(
+    ("place", "with_it"),
+    [
+        ("[limits]", "[controller]\nvelocity_filter_s = 0.004\n\n[limits]"),
+        ("[limits]", "[loop]\nvelocity_filter_s = 0.004\n\n[limits]"),
+        ("[[experiment]]", "[[experiment]]\nvelocity_filter_s = 0.004"),
+    ],
+)
+def test_the_former_filter_is_refused_with_what_replaced_it(tmp_path: Path, place: str, with_it: str) -> None:
+    path = altered(tmp_path, (place, with_it))
+    with pytest.raises(DeviceError, match=r"(?s)1 field\(s\).*velocity_filter_s has been replaced: .*butterworth"):
+        read_device(path)

@@ -344,6 +344,51 @@ def test_one_figure_of_costs_is_shown_and_chosen_by_lists_and_address(browser: A
         assert page.locator(".viewer figure:visible").count() > 5
 
 
+def test_table_of_trials_filters_sorts_and_compares_and_its_address_opens_it_again(
+    browser: Any, measured: Path
+) -> None:
+    with Opened(browser, measured) as page:
+        count = page.locator("#runs-count")
+        total = int(count.inner_text().split()[2])
+        page.select_option("#runs-verdict", "stable")
+        stable = int(count.inner_text().split()[0])
+        assert 0 < stable < total
+        page.fill("#runs-search", "settled")
+        assert int(count.inner_text().split()[0]) <= stable
+        page.locator("#runs-table button.sort").nth(5).click()
+        assert page.locator("#runs-table th[aria-sort=ascending]").count() == 1
+        costs = page.locator("#runs-table tbody td:nth-child(7)").all_inner_texts()
+        known = [float(text) for text in costs if text != "–"]
+        assert len(known) > 10
+        assert known == sorted(known)
+        boxes = page.locator("#runs-table input[type=checkbox]")
+        assert boxes.count() > 7
+        for number in range(6):
+            boxes.nth(number).press("Space")
+        assert boxes.nth(6).is_disabled(), "six at most"
+        assert page.locator("#runs-key li").count() == 6
+        assert page.locator("#runs-plot canvas").is_visible()
+        address, told = page.url, page.locator("#runs-key").inner_text()
+        page.goto("about:blank")
+        page.goto(address)
+        until(page, DRAWN)
+        until(page, "document.querySelectorAll('#runs-key li').length === 6")
+        assert page.locator("#runs-key").inner_text() == told
+        assert page.locator("#runs-verdict").input_value() == "stable"
+        page.click("#runs-clear")
+        assert page.locator("#runs-plot").is_hidden()
+
+
+def test_wrong_addresses_of_the_table_do_no_harm(browser: Any, measured: Path) -> None:
+    for wrong in ("#runs-99", "#runs-0-99999?sort=77&verdict=none", "#runs-0-1-1-1-1-1-1-1-1"):
+        opened = Opened(browser, measured)
+        with opened as page:
+            page.goto(measured.as_uri() + wrong)
+            page.reload()
+            until(page, DRAWN)
+            assert opened.complaints == []
+
+
 def test_contents_stay_in_sight_on_a_wide_screen(browser: Any, measured: Path) -> None:
     with Opened(browser, measured) as page:
         page.locator("#sec-experiments").scroll_into_view_if_needed()

@@ -90,7 +90,8 @@ def test_image_is_small_and_needs_no_network() -> None:
     assert images
     for image in images:
         assert image.stat().st_size <= LARGEST_IMAGE
-        assert not re.search(r'(?:href|src)="(?!#)|url\((?!#)|@import', read(image))
+        if image.suffix == ".svg":  # others hold no addresses
+            assert not re.search(r'(?:href|src)="(?!#)|url\((?!#)|@import', read(image))
 
 
 def test_readme_names_the_trials_that_the_figure_shows() -> None:

@@ -1,7 +1,10 @@
 """Who may, and attacks: each is refused with a problem document, and nothing of it stays."""
 
+import errno
+import io
 import socket
 import time
+import zipfile
 from http.client import HTTPConnection
 
 import pytest
@@ -26,7 +29,7 @@ def guarded(tmp_path):
     database = Database(settings.data)
     tokens = {role: database.create_token(role, "test") for role in ("viewer", "contributor", "admin")}
     with serving(settings) as client:
-        client.tokens, client.settings, client.database = tokens, settings, database
+        client.tokens, client.database = tokens, database
         yield client
 
 
@@ -247,3 +250,49 @@ def test_a_read_only_server_changes_nothing(tmp_path):
         answer = client.ask("POST", "logs", **form(LOG))
         assert (answer.status, "read-only" in answer.content["detail"]) == (403, True)
         assert client.get("jobs").content["items"] == []
+
+
+@pytest.mark.parametrize("full", ["disk", "database"])
+def test_a_full_disk_is_told_and_nothing_stays(empty, tmp_path, monkeypatch, full):
+    def no_room(*_):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    def limited(database):
+        database.run("PRAGMA max_page_count = 1")  # what is there already fits
+        return add(database)
+
+    add = Database.transaction
+    with monkeypatch.context() as patch:
+        if full == "disk":
+            patch.setattr("pipeline.service.uploads._sync_file", no_room)
+        else:
+            patch.setattr(Database, "transaction", limited)
+        sent = form([("a.csv", b"1"), *[(f"{'b' * 150}{i}.csv", f"{i}".encode()) for i in range(200)]])
+        answer = empty.ask("POST", "logs", **sent)
+        assert (answer.status, answer.content["title"]) == (507, "The disk is full")
+        assert stored(settings_of(tmp_path)) == []
+    assert empty.get("health").status == 200
+    assert [job for job in empty.get("jobs").content["items"] if job["kind"] == "upload"] == []
+
+
+def test_bombs_are_refused_beside_what_is_good(empty, logs):
+    """They claim or unpack to gigabytes; the others of the same request are stored."""
+    h5py = pytest.importorskip("h5py")
+
+    def claiming(*names):
+        packed = io.BytesIO()
+        with h5py.File(packed, "w") as file:
+            for name in names:
+                file.create_dataset(name, (1 << 33,), "f8", chunks=(1 << 20,), compression="gzip")
+        return packed.getvalue()
+
+    zipped = io.BytesIO()
+    with zipfile.ZipFile(zipped, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("a.csv", bytes(200 << 20))
+    bombs = [("bomb.h5", claiming("time_s", "command", "position")), ("bomb.zip", zipped.getvalue())]
+    bombs.append(("bomb.mat", claiming("t", "u", "x")))
+    assert all(len(data) < 1 << 20 for _, data in bombs)
+    _, job = empty.upload([*bombs, *logs[:2]])
+    assert (job["state"], job["result"]["ingested"]) == ("done", 2)
+    assert sorted(refused["path"] for refused in job["result"]["quarantined"]) == sorted(name for name, _ in bombs)
+    assert all(refused["reason"] for refused in job["result"]["quarantined"])

@@ -1,18 +1,22 @@
 """A server of this process on a free port, asked by what Python brings along."""
 
 import json
+import re
 import socket
 import threading
 import time
 from contextlib import contextmanager
 from http.client import HTTPConnection
+from http.cookies import SimpleCookie
 from types import SimpleNamespace
+from urllib.parse import urlencode
 
 import uvicorn
 
 from pipeline.service.app import create_app
 
 BOUNDARY = "a-boundary"
+HTML = {"Accept": "text/html"}
 
 
 def form(files, **fields):
@@ -75,6 +79,35 @@ class Client:
         return answer.content, self.done(answer.content["job"])
 
 
+def page(client, path, **headers):
+    answer = client.get(path, **{**HTML, **headers})
+    return answer.content.decode()
+
+
+class Browser:
+    """Keeps cookies, and sends the forms of pages."""
+
+    def __init__(self, client):
+        self.client, self.cookies = client, SimpleCookie()
+
+    def ask(self, method, path, body=None, headers=None):
+        cookie = "; ".join(f"{name}={morsel.value}" for name, morsel in self.cookies.items())
+        sent = {**HTML, **(headers or {}), **({"Cookie": cookie} if cookie else {})}
+        answer = self.client.ask(method, path, body, sent)
+        for line in answer.headers.get_all("set-cookie") or ():
+            assert "HttpOnly" in line
+            assert "SameSite=Strict" in line
+            self.cookies.load(line)
+        return answer
+
+    def token(self, path):
+        return re.search(r'name="form" value="(\w+)"', self.ask("GET", path).content.decode())[1]
+
+    def send(self, path, at, **fields):
+        body = urlencode({"form": self.token(at), **fields}, doseq=True)
+        return self.ask("POST", path, body, {"Content-Type": "application/x-www-form-urlencoded"})
+
+
 @contextmanager
 def serving(settings):
     """Serve while the block runs; yields a client."""
@@ -87,6 +120,8 @@ def serving(settings):
         while not server.started:
             assert thread.is_alive(), "the server did not start"
             time.sleep(0.01)
-        yield Client(listener.getsockname()[1])
+        client = Client(listener.getsockname()[1])
+        client.settings = settings
+        yield client
         server.should_exit = True
         thread.join()

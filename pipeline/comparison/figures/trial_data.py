@@ -34,7 +34,7 @@ from pipeline.rendering.labels import (
 )
 from pipeline.theory.predictions import Theory
 
-BUDGET = 370_000
+BUDGET = 290_000
 """Characters that the trials of a report may take: with script and figures a thesis-size report stays below 2 MB."""
 
 PORTION = 64

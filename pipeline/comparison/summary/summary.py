@@ -186,14 +186,16 @@ def _device(results: Sequence[ExperimentResult]) -> str:
     for result in results:
         text = _estimates(result)
         if text:
-            check = result.model_check
-            share = (
-                f"; the model explains {check.explained} of {counted(check.trials, 'log')}"
-                if check and check.trials
-                else ""
-            )
-            return f"Experiment {result.experiment} ({counted(result.trials, 'trial')}): {text}{share}."
+            return f"Experiment {result.experiment} ({counted(result.trials, 'trial')}): {text}{_explained(result)}."
     return ""
+
+
+def _explained(result: ExperimentResult) -> str:
+    """How many logs the device explains that the estimates are of."""
+    check, loop = result.model_check, result.loop
+    if loop is not None and loop.explained is not None and "ladder" in result.estimates["delay_samples"].by_method:
+        return f"; one device with these numbers explains {share_text(loop.explained)} % of the logs held out"
+    return f"; the model explains {check.explained} of {counted(check.trials, 'log')}" if check and check.trials else ""
 
 
 def _estimates(result: ExperimentResult) -> str:
@@ -202,7 +204,8 @@ def _estimates(result: ExperimentResult) -> str:
     doubted = result.loop is not None and not result.loop.adequate
     parts = []
     for key, name in names.items():
-        estimate = result.estimates[key]
+        # that of the device, where one is fitted to all trials; costs count from a whole number of samples
+        estimate = result.estimates[key].by_method.get("ladder", result.estimates[key])
         if estimate.value is None:
             continue
         value, low, high = estimate_texts(estimate)

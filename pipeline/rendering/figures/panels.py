@@ -116,9 +116,10 @@ def _draw_curve(
     if curve.kind != "measured":
         width = THIN if thin and curve.kind == "theory" else LINE_WIDTHS[curve.kind]
         return axes.plot(k, curve.damping, lw=width, **look)[0]
-    (line,) = axes.plot(k, curve.damping, lw=1.4, marker=marker, ms=3.4, mew=0, **look)
-    if curve.censored is not None and np.any(curve.censored):
-        where = np.asarray(curve.censored, dtype=bool)
+    where = np.zeros(len(k), dtype=bool) if curve.censored is None else np.asarray(curve.censored, dtype=bool)
+    # a lower bound is no limit: a line through it would claim one
+    (line,) = axes.plot(np.where(where, np.nan, k), curve.damping, lw=1.4, marker=marker, ms=3.4, mew=0, **look)
+    if where.any():
         hollow: dict[str, Any] = {"mfc": style.PAPER, "mec": colour, "mew": 1.1}
         axes.plot(k[where], curve.damping[where], ls="none", marker=marker, ms=5, **hollow)
     return line

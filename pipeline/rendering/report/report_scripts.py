@@ -15,7 +15,7 @@ from typing import Any
 from pipeline.rendering.report.page_template import TEMPLATES
 
 PAGE_SCRIPTS = ("report/tables.js", "report/viewer.js")
-TRIALS_SCRIPTS = ("report/plane.js", "report/response.js", "report/trials.js")
+TRIALS_SCRIPTS = ("report/plane.js", "report/response.js", "report/runs.js", "report/trials.js")
 PLOT = "vendor/uPlot.iife.min.js"
 PLOT_LICENCE = "vendor/uPlot.LICENSE"
 PLOT_STYLE = "vendor/uPlot.min.css"

@@ -27,13 +27,14 @@ from pipeline.rendering.report.page_template import TEMPLATES
 from pipeline.service.catalogue import SORTS
 from pipeline.service.database import ENDED
 from pipeline.service.jobs.results import uploaded_name
+from pipeline.service.metrics import MEDIA
 from pipeline.service.pages.page_figures import limits, plane, units_of
 from pipeline.service.pages.plots import Layer, figure
 from pipeline.service.problems import Problem
 from pipeline.service.rest import api
 from pipeline.service.rest.api import Segment
 from pipeline.service.rest.sample_forms import FORMS
-from pipeline.service.security import FORM, SESSION, cookie, cookies_of, form_token, is_form
+from pipeline.service.security import FORM, cookies_of, form_token, is_form
 from pipeline.service.shared import ComparisonRequest, Service, Shared
 from pipeline.store.names import folder_name, name_of_folder
 
@@ -351,29 +352,10 @@ def reports(service: Shared, request: Request) -> Response:
     return page_of(service, request, "reports.html.j2", jobs=jobs, files=files, folder=service.settings.reports)
 
 
-@pages.get("/login")
-def login(service: Shared, request: Request) -> Response:
-    """Show the form that asks for a token."""
-    return page_of(service, request, "login.html.j2", wrong=False)
-
-
-@pages.post("/login")
-async def enter(service: Shared, request: Request) -> Response:
-    """Begin a session by a token."""
-    fields = await fields_of(service, request)
-    session = await run_in_threadpool(service.database.login, fields.get("secret", [""])[0].strip())
-    if session is None:
-        return page_of(service, request, "login.html.j2", 401, wrong=True)
-    secure = request.headers.get("x-forwarded-proto") == "https"
-    return RedirectResponse("/", 303, {"set-cookie": cookie(SESSION, session, secure)})
-
-
-@pages.post("/logout")
-async def leave(service: Shared, request: Request) -> Response:
-    """End a session."""
-    await fields_of(service, request)
-    await run_in_threadpool(service.database.logout, cookies_of(request.scope).get(SESSION, ""))
-    return RedirectResponse("/login", 303)
+@pages.get("/metrics")
+def metrics(service: Shared) -> Response:
+    """Tell a monitor what was asked for and done."""
+    return Response(service.metrics.text(), media_type=MEDIA)
 
 
 def _busy(job: Mapping[str, Any] | None) -> bool:

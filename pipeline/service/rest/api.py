@@ -3,32 +3,36 @@
 import asyncio
 import base64
 import json
-import math
 import time
 from collections.abc import AsyncIterator, Callable
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Depends, Path, Query, Request
-from fastapi.responses import FileResponse, JSONResponse, Response, StreamingResponse
+from fastapi.responses import FileResponse, HTMLResponse, JSONResponse, Response, StreamingResponse
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 from starlette.concurrency import run_in_threadpool
 
 from pipeline import __version__
-from pipeline.service.catalogue import page_of, sorting
+from pipeline.profiles.profile_files import shipped_profiles
+from pipeline.records.against_records import AgainstResult
+from pipeline.records.results import ComparisonResult
+from pipeline.service.catalogue import SORTED, page_of
 from pipeline.service.database import ENDED
 from pipeline.service.jobs import results
-from pipeline.service.problems import RESPONSES, Problem
-from pipeline.service.rest import theory
-from pipeline.service.rest.sample_forms import form_of
+from pipeline.service.problems import Problem
+from pipeline.service.rest import answers
+from pipeline.service.rest.sample_forms import FORMS, form_of
 from pipeline.service.shared import ComparisonRequest, Service, Shared
 from pipeline.service.uploads import Upload
 from pipeline.store.names import name_of_folder
 
-api = APIRouter(prefix="/api/v1", responses=RESPONSES)
+api = APIRouter(prefix="/api/v1", responses=answers.EVERYWHERE)
 
 MOST = 1000
 """Items of a page."""
 
+EVENTS = "text/event-stream"
+EVENT = {"type": "object", "required": ["event", "data"], "properties": {"event": {}, "data": {"type": "string"}}}
 EVENT_S = 0.3
 """Time between two looks at a job that somebody watches [s]."""
 
@@ -39,7 +43,9 @@ REPORT_POLICY = (
 
 Limit = Annotated[int, Query(ge=1, le=MOST, description="Items of a page.")]
 Name = Annotated[str, Query(max_length=500)]
-Cursor = Annotated[str | None, Query(max_length=2000, description="`next_cursor` of the page before.")]
+CURSOR = "^[A-Za-z0-9_=-]+$"
+Place = Annotated[str, Field(max_length=2000, pattern=CURSOR, description="`next_cursor` of the page before.")]
+Cursor = Annotated[Place | None, Query(alias="cursor")]
 Segment = Annotated[str, AfterValidator(name_of_folder)]
 """A name in an address: one with a slash or % is written as `names.folder_name` has it, and then quoted."""
 
@@ -49,9 +55,23 @@ WORDS = ("device", "experiment", "verdict", "outcome")
 RANGES = ("stiffness_min", "stiffness_max", "damping_min", "damping_max")
 """Parts of a `TrialQuery` that name properties, and that bound them."""
 
-Part = Literal["estimates", "boundary", "optima", "causes"]
-Coefficient = Annotated[float, Query(allow_inf_nan=False)]
-Delay = Annotated[float, Query(ge=0, le=theory.LONGEST_DELAY, description="Delay in samples.")]
+
+LOGS = {
+    "required": True,
+    "content": {
+        "multipart/form-data": {
+            "schema": {
+                "type": "object",
+                "required": ["files"],
+                "properties": {
+                    "files": {"type": "array", "minItems": 1, "items": {"type": "string", "format": "binary"}},
+                    "profile": {"type": "string", "enum": ["", *(profile.name for profile in shipped_profiles())]},
+                },
+            }
+        }
+    },
+}
+"""Body of an upload; it is read part by part (`uploads`)."""
 
 
 class Notes(BaseModel):
@@ -99,14 +119,14 @@ class TrialQuery(BaseModel):
     damping_min: FiniteNumber | None = None
     damping_max: FiniteNumber | None = None
     q: Word = ""
-    sort: Word = "id"
+    sort: Literal[SORTED] = "id"  # type: ignore[valid-type]
     limit: Annotated[int, Field(ge=1, le=MOST, description="Items of a page.")] = 100
-    cursor: Annotated[str, Field(max_length=2000, description="`next_cursor` of the page before.")] | None = None
+    cursor: Place | None = None
 
 
 def trial_list(service: Service, query: TrialQuery) -> dict[str, Any]:
     """Return a page of trials with facets, as the API and the pages show it."""
-    name = sorting(query.sort).lstrip("-")
+    name = query.sort.lstrip("-")
     trials = service.catalogue.trials()
     kind = (type(None),) if name == "id" else (str,) if name in trials.texts else (float, int, type(None))
     after = place(query.cursor, (kind, str))  # type: ignore[arg-type]
@@ -119,29 +139,26 @@ def trial_list(service: Service, query: TrialQuery) -> dict[str, Any]:
     return {"items": items, "next_cursor": cursor(last), "total": int(mask.sum()), "facets": facets}
 
 
-@api.get("/health")
+@api.get("/health", response_model=answers.Health)
 def health(service: Shared) -> dict[str, Any]:
     """Tell that the server answers, and how many jobs are in which state."""
-    states = service.database.run("SELECT state, count(*) AS n FROM jobs GROUP BY state")
-    jobs = {row["state"]: row["n"] for row in states}
+    jobs = service.database.job_counts()
     return {"state": "ok", "version": __version__, "read_only": service.settings.read_only, "jobs": jobs}
 
 
-@api.get("/devices")
-def devices(
-    service: Shared, limit: Limit = 100, cursor_: Annotated[Cursor, Query(alias="cursor")] = None
-) -> dict[str, Any]:
+@api.get("/devices", response_model=answers.Page[answers.Device])
+def devices(service: Shared, limit: Limit = 100, cursor_: Cursor = None) -> dict[str, Any]:
     """List the devices that have trials."""
     items, last = page_of(service.catalogue.trials().devices, ("device",), limit, place(cursor_, (str,)))
     return {"items": items, "next_cursor": cursor(last)}
 
 
-@api.get("/experiments")
+@api.get("/experiments", response_model=answers.Page[answers.Experiment])
 def experiments(
     service: Shared,
     device: Name | None = None,
     limit: Limit = 100,
-    cursor_: Annotated[Cursor, Query(alias="cursor")] = None,
+    cursor_: Cursor = None,
 ) -> dict[str, Any]:
     """List the experiments, of one device where one is named."""
     all_ = [e for e in service.catalogue.trials().experiments if device in (None, e["device"])]
@@ -149,13 +166,13 @@ def experiments(
     return {"items": items, "next_cursor": cursor(last)}
 
 
-@api.get("/trials")
+@api.get("/trials", response_model=answers.TrialPage)
 def trials(service: Shared, asked: Annotated[TrialQuery, Query()]) -> JSONResponse:
     """List trials by their properties, with how many there are of each."""
     return JSONResponse(trial_list(service, asked))
 
 
-@api.get("/trials/{trial}")
+@api.get("/trials/{trial}", response_model=answers.NotedTrial, responses=answers.NAMED)
 def one_trial(service: Shared, trial: str) -> dict[str, Any]:
     """Return a trial: conditions, verdict, costs, notes and tags."""
     found, row = service.found(trial)
@@ -167,7 +184,11 @@ def one_trial(service: Shared, trial: str) -> dict[str, Any]:
     }
 
 
-@api.get("/trials/{trial}/samples", response_class=Response)
+@api.get(
+    "/trials/{trial}/samples",
+    response_model=answers.Samples,
+    responses={200: {"content": {kind: {} for kind in FORMS}}, **answers.problems(404, 406)},
+)
 def samples(service: Shared, trial: str, request: Request) -> Response:
     """Return the samples of a trial in the form that Accept names."""
     write = form_of(request.headers.get("accept", "*/*"))
@@ -176,16 +197,14 @@ def samples(service: Shared, trial: str, request: Request) -> Response:
     return response
 
 
-@api.post("/logs", status_code=202)
+@api.post("/logs", status_code=202, response_model=answers.Accepted, openapi_extra={"requestBody": LOGS})
 async def logs(service: Shared, request: Request) -> dict[str, Any]:
     """Store uploaded logs and queue their ingest."""
     return await receive(service, request)
 
 
-@api.get("/jobs")
-def jobs(
-    service: Shared, limit: Limit = 100, cursor_: Annotated[Cursor, Query(alias="cursor")] = None
-) -> dict[str, Any]:
+@api.get("/jobs", response_model=answers.Page[answers.Job])
+def jobs(service: Shared, limit: Limit = 100, cursor_: Cursor = None) -> dict[str, Any]:
     """List jobs, the latest first."""
     before = (place(cursor_, (int,)) or [2**62])[0]
     if not 0 <= before < 2**63:
@@ -195,7 +214,7 @@ def jobs(
     return {"items": found[:limit], "next_cursor": cursor(last)}
 
 
-@api.get("/jobs/{job}")
+@api.get("/jobs/{job}", response_model=answers.Job, responses=answers.NAMED)
 def one_job(service: Shared, job: str) -> dict[str, Any]:
     """Return a job: its state, progress and result."""
     shown = service.database.job(job)
@@ -204,7 +223,7 @@ def one_job(service: Shared, job: str) -> dict[str, Any]:
     return shown
 
 
-@api.delete("/jobs/{job}")
+@api.delete("/jobs/{job}", response_model=answers.Job, responses=answers.NAMED)
 def cancel(service: Shared, job: str) -> dict[str, Any]:
     """Cancel a job that has not ended."""
     one_job(service, job)
@@ -212,7 +231,11 @@ def cancel(service: Shared, job: str) -> dict[str, Any]:
     return one_job(service, job)
 
 
-@api.get("/jobs/{job}/events", response_class=StreamingResponse)
+@api.get(
+    "/jobs/{job}/events",
+    response_class=StreamingResponse,
+    responses={200: {"description": "Events.", "content": {EVENTS: {"schema": EVENT}}}, **answers.NAMED},
+)
 async def events(service: Shared, job: str, request: Request) -> StreamingResponse:
     """Tell each change of a job as a server-sent event, to its end."""
     await run_in_threadpool(one_job, service, job)
@@ -228,61 +251,30 @@ async def events(service: Shared, job: str, request: Request) -> StreamingRespon
                 return
             await asyncio.sleep(EVENT_S)
 
-    return StreamingResponse(told(), media_type="text/event-stream")
+    return StreamingResponse(told(), media_type=EVENTS)
 
 
-@api.post("/comparisons", responses={202: {"description": "A job makes it."}})
+@api.post(
+    "/comparisons",
+    response_model=answers.Made,
+    responses={202: {"description": "A job makes it.", "model": answers.QueuedComparison}, **answers.NAMED},
+)
 def compare(service: Shared, asked: ComparisonRequest) -> JSONResponse:
     """Ask for a comparison; one that is there is named at once."""
     key, job = service.comparison(asked)
     return JSONResponse({"key": key}) if job is None else JSONResponse({"job": job, "key": key}, 202)
 
 
-@api.get("/comparisons/{key}")
+@api.get("/comparisons/{key}", response_model=ComparisonResult | AgainstResult, responses=answers.NAMED)
 def comparison(service: Shared, key: Annotated[str, Path(pattern="^[0-9a-f]{16}$")]) -> Response:
     """Return the document of a comparison."""
     return _file(service, key, ".json", "application/json")
 
 
-@api.get("/comparisons/{key}/report", response_class=Response)
+@api.get("/comparisons/{key}/report", response_class=HTMLResponse, responses=answers.NAMED)
 def report(service: Shared, key: Annotated[str, Path(pattern="^[0-9a-f]{16}$")]) -> Response:
     """Return the page of a comparison."""
     return _file(service, key, ".html", "text/html; charset=utf-8")
-
-
-@api.get("/theory/boundary", responses={504: {"description": "It took too long."}})
-def boundary(service: Shared, delay: Delay, gamma: Coefficient = 0.0, delta: Coefficient = 0.0) -> Any:
-    """Return the stability boundary of the ideal loop, normalised."""
-    return service.theory.compute(theory.boundary, gamma, delta, delay)
-
-
-@api.get("/theory/optimum", responses={504: {"description": "It took too long."}})
-def optimum(
-    service: Shared,
-    criterion: Name,
-    delay: Delay,
-    gamma: Coefficient = 0.0,
-    delta: Coefficient = 0.0,
-    signal: Literal["continuous", "discrete"] | None = None,
-) -> Any:
-    """Return the point of least cost by a criterion, normalised."""
-    return service.theory.compute(theory.optimum, gamma, delta, delay, criterion, signal)
-
-
-@api.get("/theory/points", responses={504: {"description": "It took too long."}})
-def points(
-    service: Shared,
-    alpha: Annotated[list[float], Query(max_length=theory.MOST_POINTS)],
-    beta: Annotated[list[float], Query(max_length=theory.MOST_POINTS)],
-    delay: Delay,
-    gamma: Coefficient = 0.0,
-    delta: Coefficient = 0.0,
-) -> Any:
-    """Return stability and costs of points, normalised."""
-    if len(alpha) != len(beta) or not all(map(math.isfinite, (*alpha, *beta))):
-        raise Problem(422, "Each point needs a finite alpha and beta.", where="alpha, beta")
-    rows = [(a, b, gamma, delta, delay) for a, b in zip(alpha, beta, strict=True)]
-    return service.theory.compute(theory.points, rows)
 
 
 def of_trial(service: Shared, trial: str) -> list[str]:
@@ -301,20 +293,20 @@ def _add_words(owner: str, of: Callable[..., list[str]]) -> None:
     """Add the routes of notes and tags of trials or experiments."""
     owned = Annotated[list[str], Depends(of)]
 
-    @api.get(f"{owner}/notes")
+    @api.get(f"{owner}/notes", response_model=Notes, responses=answers.NAMED)
     def notes(service: Shared, of: owned) -> dict[str, Any]:
         return {"text": service.database.words("notes", of)}
 
-    @api.put(f"{owner}/notes")
+    @api.put(f"{owner}/notes", response_model=Notes, responses=answers.NAMED)
     def put_notes(service: Shared, of: owned, notes: Notes) -> dict[str, Any]:
         service.database.set_words("notes", of, notes.text)
         return notes.model_dump()
 
-    @api.get(f"{owner}/tags")
+    @api.get(f"{owner}/tags", response_model=Tags, responses=answers.NAMED)
     def tags(service: Shared, of: owned) -> dict[str, Any]:
         return {"tags": service.database.words("tags", of)}
 
-    @api.put(f"{owner}/tags")
+    @api.put(f"{owner}/tags", response_model=Tags, responses=answers.NAMED)
     def put_tags(service: Shared, of: owned, tags: Tags) -> dict[str, Any]:
         service.database.set_words("tags", of, tags.tags)
         return tags.model_dump()
@@ -324,9 +316,30 @@ for owner, of in (("/trials/{trial}", of_trial), ("/experiments/{device}/{experi
     _add_words(owner, of)
 
 
-@api.get("/experiments/{device}/{experiment}/{part}")
-async def experiment_part(service: Shared, device: Segment, experiment: Segment, part: Part) -> Response:
-    """Return a part of an experiment's results; 202 with a job where it is not computed in time."""
+def _add_part(part: str, shape: Any) -> None:
+    """Add the route of a part of an experiment's results."""
+
+    @api.get(
+        f"/experiments/{{device}}/{{experiment}}/{part}",
+        response_model=shape,
+        responses={202: {"description": "It takes longer.", "model": answers.Queued}, **answers.NAMED},
+        description=f"Return the {part} of an experiment; 202 with a job where it is not computed in time.",
+    )
+    async def experiment_part(service: Shared, device: Segment, experiment: Segment) -> Response:
+        document, job = await experiment_document(service, device, experiment)
+        if document is None:
+            return JSONResponse({"job": job}, 202, {"Retry-After": "5", "Location": f"/api/v1/jobs/{job}"})
+        return JSONResponse(part_of(document, part))
+
+
+for part, shape in answers.PARTS.items():
+    _add_part(part, shape)
+
+
+async def experiment_document(
+    service: Service, device: str, experiment: str
+) -> tuple[dict[str, Any] | None, str | None]:
+    """Return the document of an experiment, or the job that makes it where that takes long."""
     document, job = await run_in_threadpool(service.experiment, device, experiment)
     until = time.monotonic() + service.settings.wait_s
     while document is None and time.monotonic() < until:
@@ -338,9 +351,7 @@ async def experiment_part(service: Shared, device: Segment, experiment: Segment,
             document, job = await run_in_threadpool(service.experiment, device, experiment)
         else:
             await asyncio.sleep(0.1)
-    if document is None:
-        return JSONResponse({"job": job}, 202, {"Retry-After": "5", "Location": f"/api/v1/jobs/{job}"})
-    return JSONResponse(part_of(document, part))
+    return document, job
 
 
 async def receive(service: Service, request: Request, check: Any = lambda _: None) -> dict[str, Any]:
@@ -354,6 +365,7 @@ async def receive(service: Service, request: Request, check: Any = lambda _: Non
         upload.discard()
         raise
     service.workers.wake()
+    service.metrics.uploaded(accepted["files"])
     return accepted
 
 

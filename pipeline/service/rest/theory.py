@@ -13,8 +13,10 @@ from typing import Any
 import numpy as np
 
 from pipeline.loop.loop import Loop
+from pipeline.records.criteria import CRITERIA, with_discrete
 from pipeline.service.problems import Problem
 from pipeline.theory.cases import Cases, boundary_document, optimum_document, point_costs
+from pipeline.theory.optimum.rules import POINT_CRITERIA
 
 LONGEST_DELAY = 64.0
 """Samples; longer delays are for the command line."""
@@ -23,6 +25,9 @@ WAIT_S = 2.0
 """Time that a request waits for another one [s]: those that wait keep others from being answered."""
 
 MOST_POINTS = 500
+
+OPTIMA = (*POINT_CRITERIA, *with_discrete(CRITERIA))
+"""Criteria that have an optimum."""
 
 
 class Theory:

@@ -19,6 +19,9 @@ token_app = typer.Typer(no_args_is_help=True, help="Tokens for other computers: 
 TOKEN_VARIABLE = "PIPELINE_TOKEN"
 
 
+Reports = Annotated[Path, typer.Option("--reports", help="Folder of the reports.")]
+
+
 class RoleName(StrEnum):
     """What the holder of a token may do."""
 
@@ -29,7 +32,7 @@ class RoleName(StrEnum):
 
 def serve(
     processed: Processed = Path("processed"),
-    reports: Annotated[Path, typer.Option("--reports", help="Folder of the reports.")] = Path("reports"),
+    reports: Reports = Path("reports"),
     host: Annotated[str, typer.Option("--host", help="Address to listen at; other computers need a token.")] = (
         "127.0.0.1"
     ),
@@ -37,6 +40,13 @@ def serve(
     read_only: Annotated[bool, typer.Option("--read-only", help="Refuse every change.")] = False,
     max_file_mib: Annotated[int, typer.Option("--max-file", min=1, help="Largest log [MiB].")] = 64,
     max_request_mib: Annotated[int, typer.Option("--max-request", min=1, help="Largest upload [MiB].")] = 1024,
+    rate: Annotated[
+        int | None,
+        typer.Option("--rate", min=0, help="Requests a minute of a token or address; 0: any. 3000, on 127.0.0.1 any."),
+    ] = None,
+    unix_socket: Annotated[
+        Path | None, typer.Option("--unix-socket", help="Listen at this path, for its owner alone, and at no address.")
+    ] = None,
 ) -> None:
     """Serve what is stored in the browser and by REST, take uploads, compare. Ctrl-C ends it.
 
@@ -54,8 +64,11 @@ def serve(
         read_only=read_only,
         max_file=max_file_mib << 20,
         max_request=max_request_mib << 20,
+        rate=rate,
+        unix_socket=unix_socket,
     )
-    console.note(f"http://{f'[{host}]' if ':' in host else host}:{port}/ (Ctrl-C ends it)")
+    place = unix_socket or f"http://{f'[{host}]' if ':' in host else host}:{port}/"
+    console.note(f"{place} (Ctrl-C ends it)")
     run(settings)
 
 
@@ -136,8 +149,48 @@ def push(
         raise typer.Exit(EXIT_ERROR if report["damaged"] else EXIT_QUARANTINED)
 
 
+def backup(
+    file: Annotated[Path, typer.Argument(help="File to write.")],
+    processed: Processed = Path("processed"),
+    reports: Reports = Path("reports"),
+    as_json: Json = False,
+) -> None:
+    """Write all that is stored (tables, uploads, notes, tokens, reports) into one file, beside a running server.
+
+    Example: pipeline backup lab.zip
+    """
+    from pipeline.service.backup import backup as write
+    from pipeline.service.settings import Settings
+
+    _tell(write(Settings(processed, reports), file), as_json)
+
+
+def restore(
+    file: Annotated[Path, typer.Argument(help="File that `pipeline backup` wrote.")],
+    processed: Processed = Path("processed"),
+    reports: Reports = Path("reports"),
+    as_json: Json = False,
+) -> None:
+    """Put a backup into folders that are empty or not there yet; nothing is overwritten.
+
+    Example: pipeline restore lab.zip --processed processed
+    """
+    from pipeline.service.backup import restore as put_back
+    from pipeline.service.settings import Settings
+
+    _tell(put_back(Settings(processed, reports), file), as_json)
+
+
+def _tell(report: dict[str, int], as_json: bool) -> None:
+    if as_json:
+        console.print_json(report)
+    else:
+        console.say(f"{report['files']} files, {report['bytes'] / 2**20:.1f} MiB")
+
+
 def _check_installed() -> None:
-    missing = [name for name in ("fastapi", "uvicorn", "python_multipart") if find_spec(name) is None]
+    needed = ("fastapi", "uvicorn", "python_multipart", "prometheus_client")
+    missing = [name for name in needed if find_spec(name) is None]
     if missing:
         raise UsageError(
             f"the service needs {', '.join(missing)}, which a plain installation leaves out. "

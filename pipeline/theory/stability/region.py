@@ -29,6 +29,9 @@ _PER_TURN = 48
 _PER_DECADE = 8
 """Samples per decade of the distance from theta = pi, where zeros or poles of the plant may lie close together."""
 
+_NONE = 1e-90
+"""Scale of the curve [1] up to which it is none: products of three reciprocals of smaller numbers overflow."""
+
 _CLOSE = 1e-6
 """Smallest sampled distance from theta = pi, relative to that of the nearest zero or pole of the plant."""
 
@@ -90,7 +93,7 @@ def _angles(c: Curve) -> Floats:
     theta = np.linspace(0.0, np.pi, int(_PER_TURN * (c.delay + 1)) + 1)[:-1]
     scales = [1.0, c.chi, c.k / c.f, abs(c.last) / c.total if c.total else 0.0]
     scales += [scale**0.5 for scale in scales[3:]]
-    nearest = min(scale for scale in scales if scale > 0)  # nan compares false
+    nearest = min(scale for scale in scales if scale > _NONE)  # nan compares false
     step = np.pi - theta[-1]
     decades = np.log10(step / (nearest * _CLOSE))
     close = step * 10.0 ** -np.linspace(0, decades, int(_PER_DECADE * decades) + 2)[1:]

@@ -3,47 +3,15 @@
 import html
 import re
 import shutil
-from http.cookies import SimpleCookie
-from urllib.parse import urlencode
 
 import pytest
-from served import form, serving
+from served import HTML, Browser, form, page, serving
 
 from pipeline.service.database import Database
 from pipeline.service.settings import Settings
 
-HTML = {"Accept": "text/html"}
 PAGES = ("/", "/devices/falcon", "/devices/falcon/experiments/1", "/trials?sort=-stiffness", "/compare?runs=falcon/1",
          "/upload", "/jobs", "/quarantine", "/reports", "/login", "/nothing")  # fmt: skip
-
-
-def page(client, path, **headers):
-    answer = client.get(path, **{**HTML, **headers})
-    return answer.content.decode()
-
-
-class Browser:
-    """Keeps cookies, and sends the forms of pages."""
-
-    def __init__(self, client):
-        self.client, self.cookies = client, SimpleCookie()
-
-    def ask(self, method, path, body=None, headers=None):
-        cookie = "; ".join(f"{name}={morsel.value}" for name, morsel in self.cookies.items())
-        sent = {**HTML, **(headers or {}), **({"Cookie": cookie} if cookie else {})}
-        answer = self.client.ask(method, path, body, sent)
-        for line in answer.headers.get_all("set-cookie") or ():
-            assert "HttpOnly" in line
-            assert "SameSite=Strict" in line
-            self.cookies.load(line)
-        return answer
-
-    def token(self, path):
-        return re.search(r'name="form" value="(\w+)"', self.ask("GET", path).content.decode())[1]
-
-    def send(self, path, at, **fields):
-        body = urlencode({"form": self.token(at), **fields}, doseq=True)
-        return self.ask("POST", path, body, {"Content-Type": "application/x-www-form-urlencoded"})
 
 
 @pytest.mark.parametrize("path", PAGES)
@@ -190,13 +158,19 @@ def test_pages_in_a_browser(served, tmp_path):
     problems = []
     with sync.sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
-        for width, scheme in ((1280, "light"), (390, "dark")):
+        for width, scheme in ((1500, "light"), (390, "dark")):
             context = browser.new_context(viewport={"width": width, "height": 800}, color_scheme=scheme)
             tab = context.new_page()
             tab.on("pageerror", lambda error: problems.append(str(error)))
             for path in (*PAGES[:-1], f"/trials/{trial}"):
                 tab.goto(f"http://127.0.0.1:{served.port}{path}")
                 assert tab.evaluate("document.documentElement.scrollWidth") <= width, path
+                left = (
+                    "name => { const one = document.querySelector(name);"
+                    "return one.getBoundingClientRect().left + parseFloat(getComputedStyle(one).paddingLeft); }"
+                )
+                texts = [tab.evaluate(left, name) for name in ("h1", "main")]
+                assert texts[0] == texts[1] >= 10, path
                 found = axe.run(tab).response["violations"]
                 assert [(path, rule["id"], rule["nodes"][0]["html"]) for rule in found] == []
         browser.close()

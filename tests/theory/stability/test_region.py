@@ -224,3 +224,12 @@ def test_nothing_is_robust_without_damping() -> None:
     assert (robust_limits(0.0, 1, [0.0, 0.01, -0.01])[0] == -math.inf).all()
     with pytest.raises(ParameterError, match="delta"):
         robust_limits(-1.0, 1, 0.0)
+
+
+@pytest.mark.parametrize("delta", [5e-324, 1e-310, 1e-280, 1e-80])
+def test_a_damping_that_hardly_is_there_changes_nothing(delta):
+    """Reciprocals of small numbers overflow, and products of some sooner."""
+    alpha, beta = np.array([0.01, 0.1, 0.5]), np.array([0.2, 0.5, 0.8])
+    np.testing.assert_array_equal(
+        is_inside(Loop(0.0, delta, 1.0), alpha, beta), is_inside(Loop(0.0, 0.0, 1.0), alpha, beta)
+    )

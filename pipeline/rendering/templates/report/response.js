@@ -24,13 +24,13 @@ class ResponsePlot {
     this.holder = holder;
     this.plot = null;
     this.shown = null;
+    this.again = null;
     new ResizeObserver(() => { if (this.plot && holder.clientWidth !== this.plot.width) this.plot.setSize(this.size()); }).observe(holder);
-    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => { if (this.shown) this.show(this.shown); });
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.again?.());
   }
 
   /** First and last sample to show: the motion, or the whole record. */
-  range(whole) {
-    const { trial } = this.shown;
+  range(trial, whole) {
     const [samples, log] = [samplesFromEdge(trial), decode(trial.x, 1)];
     const [last, reach] = [log[log.length - 1], Math.max(...log) - Math.min(...log)];
     const calm = log.findLastIndex((value) => Math.abs(value - last) > 0.02 * reach);
@@ -39,7 +39,7 @@ class ResponsePlot {
   }
 
   zoom(whole) {
-    const [min, max] = this.range(whole);
+    const [min, max] = this.range(this.shown.trial, whole);
     this.plot?.setScale("x", { min, max });
   }
 
@@ -49,12 +49,46 @@ class ResponsePlot {
     this.plot?.destroy();
     this.plot = null;
     this.shown = null;
+    this.again = null;
+  }
+
+  /** Draw lines over samples: entries of `series` have a label and a look. */
+  draw(data, series, label, hooks = {}) {
+    const [ink, faint] = [colour("--ink"), colour("--fig-faint")];
+    const axis = { stroke: ink, grid: { stroke: faint, width: 1 }, ticks: { stroke: ink, width: 1, size: 4 }, font: `12px ${colour("--sans")}`, labelFont: `12px ${colour("--sans")}` };
+    const value = (_, found) => (found === null || found === undefined ? "–" : plain(Number(found.toPrecision(4))));
+    this.plot = new uPlot({
+      ...this.size(),
+      scales: { x: { time: false } },
+      axes: [
+        { ...axis, size: 30, labelSize: 22, labelGap: 0, label: "samples from the command edge" },
+        { ...axis, size: 48, labelSize: 20, labelGap: 0, label },
+      ],
+      series: [{ label: "sample", value }, ...series.map((entry) => ({ spanGaps: true, points: { show: false }, value, ...entry }))],
+      legend: { live: true },
+      cursor: { drag: { x: true, y: false } },
+      hooks,
+    }, data, this.holder);
+  }
+
+  /** Draw responses over each other, relative to their final positions where all have one. */
+  compare(trials, labels, unit) {
+    this.clear();
+    if (!trials.length) return;
+    const relative = trials.every((trial) => trial.f);
+    const tables = trials.map((trial) => [samplesFromEdge(trial), decode(trial.x, trial.q).map((value) => (relative ? value / trial.f : value * 1000))]);
+    const series = labels.map((label, n) => ({ label, stroke: colour(COMPARED[n][0]), dash: COMPARED[n][1], width: 1.6 }));
+    this.draw(uPlot.join(tables), series, relative ? "displacement / final one" : `displacement [m${unit}]`);
+    const ranges = trials.map((trial) => this.range(trial, false));
+    this.plot.setScale("x", { min: Math.min(...ranges.map(([from]) => from)), max: Math.max(...ranges.map(([, to]) => to)) });
+    this.again = () => this.compare(trials, labels, unit);
   }
 
   /** Draw `shown`: trial, delay [samples or null], band [relative], unit ("m" or "rad"). */
   show(shown) {
     this.clear();
     this.shown = shown;
+    this.again = () => this.show(shown);
     const { trial, delay, band, unit } = shown;
     const log = decode(trial.x, trial.q);
     const model = trial.g ? decode(trial.g, trial.gq) : null;
@@ -62,26 +96,14 @@ class ResponsePlot {
     const factor = largest < 0.3 ? 1000 : 1;
     const scaled = (values) => values.map((value) => value * factor);
     const final = trial.f === undefined ? null : trial.f * factor;
-    const [ink, faint] = [colour("--ink"), colour("--fig-faint")];
-    const axis = { stroke: ink, grid: { stroke: faint, width: 1 }, ticks: { stroke: ink, width: 1, size: 4 }, font: `12px ${colour("--sans")}`, labelFont: `12px ${colour("--sans")}` };
     const data = [samplesFromEdge(trial), scaled(log)];
-    const series = [{ label: "sample" }, { label: "log", stroke: colour("--fig-blue"), width: 1.6, points: { show: false } }];
+    const series = [{ label: "log", stroke: colour("--fig-blue"), width: 1.6 }];
     if (model) {
       data.push(scaled(model));
-      series.push({ label: "model", stroke: colour("--fig-vermillion"), width: 1.4, dash: [6, 4], points: { show: false } });
+      series.push({ label: "model", stroke: colour("--fig-vermillion"), width: 1.4, dash: [6, 4] });
     }
-    this.plot = new uPlot({
-      ...this.size(),
-      scales: { x: { time: false } },
-      axes: [
-        { ...axis, size: 30, labelSize: 22, labelGap: 0, label: "samples from the command edge" },
-        { ...axis, size: 48, labelSize: 20, labelGap: 0, label: `displacement [${factor === 1 ? "" : "m"}${unit}]` },
-      ],
-      series: series.map((entry) => ({ ...entry, value: (_, value) => value === null ? "–" : plain(Number(value.toPrecision(4))) })),
-      legend: { live: true },
-      cursor: { drag: { x: true, y: false } },
-      hooks: { drawClear: [(plot) => this.ground(plot, delay, final, band)] },
-    }, data, this.holder);
+    const ground = (plot) => this.ground(plot, delay, final, band);
+    this.draw(data, series, `displacement [${factor === 1 ? "" : "m"}${unit}]`, { drawClear: [ground] });
     this.zoom(false);
     return { largest: Math.max(...data[1]), last: data[1][data[1].length - 1], unit: `${factor === 1 ? "" : "m"}${unit}`, final };
   }

@@ -35,6 +35,7 @@ class Explorer {
     this.whole = at("trial-range");
     this.whole.addEventListener("click", () => this.response.zoom(true));
     addEventListener("hashchange", () => this.follow(true));
+    this.runs = new Runs(this);
   }
 
   /** Trials of an experiment: columns, and responses by row. */
@@ -49,7 +50,7 @@ class Explorer {
     return this.unpacked.get(number);
   }
 
-  async open(number, row = -1) {
+  async open(number, row = -1, runs = null) {
     this.number = number;
     this.experiment.value = String(number);
     const shown = await this.trials(number);
@@ -61,6 +62,7 @@ class Explorer {
     this.plane.draw();
     this.choose(this.plane.picked, false);
     this.tell(this.plane.picked);
+    this.runs.show(runs);
   }
 
   paint(again) {
@@ -133,8 +135,13 @@ class Explorer {
     fill(parts["trial-facts"], ...facts.flatMap(([name, text]) => [make("dt", "", name), make("dd", "", text)]));
   }
 
-  /** Show the trial that the address names, `#trial-0-12`; return whether it names one. */
+  /** Show what the address names, a trial by `#trial-0-12` or a state of the table; return whether it names one. */
   follow(scroll) {
+    const runs = Runs.named();
+    if (runs && this.content.experiments[runs.experiment]) {
+      this.open(runs.experiment, -1, runs).then(() => { if (scroll) document.getElementById("runs").scrollIntoView(); });
+      return true;
+    }
     const named = /^#trial-(\d+)-(\d+)$/.exec(location.hash);
     if (!named || !this.content.experiments[named[1]]) return false;
     this.open(Number(named[1]), Number(named[2])).then(() => {
@@ -158,7 +165,7 @@ function linkCells() {
 
 let explorer = null;
 if ("DecompressionStream" in window) {
-  document.getElementById("explorer").hidden = false;
+  for (const part of ["explorer", "runs"]) document.getElementById(part).hidden = false;
   document.querySelector(".unscripted").hidden = true;
   linkCells();
   explorer = new Explorer(JSON.parse(document.getElementById("trial-data").textContent));

@@ -1,0 +1,230 @@
+"""What the API answers, for its schema: a record of each document, and the problems that any route may answer with."""
+
+from __future__ import annotations
+
+from typing import Any, Generic, Literal, TypeVar
+
+from fastapi import FastAPI
+from fastapi.openapi.utils import get_openapi
+from pydantic import BaseModel, ConfigDict, create_model
+
+from pipeline.records.findings import BoundaryPoint, Estimate, Optimum
+from pipeline.records.loop_records import Cause
+from pipeline.service.problems import MEDIA, TITLES
+from pipeline.theory.cases import POINT_COSTS
+
+Item = TypeVar("Item")
+
+
+class Answer(BaseModel):
+    """Base of all; a field that is not named here is a defect."""
+
+    model_config = ConfigDict(extra="forbid")
+
+
+class Page(Answer, Generic[Item]):
+    """A part of a list; without `next_cursor` the last one."""
+
+    items: list[Item]
+    next_cursor: str | None
+
+
+class Health(Answer):
+    """State of the server, and numbers of jobs by state."""
+
+    state: Literal["ok"]
+    version: str
+    read_only: bool
+    jobs: dict[str, int]
+
+
+class Device(Answer):
+    """A device that has trials."""
+
+    device: str
+    experiments: int
+    trials: int
+
+
+class Experiment(Answer):
+    """An experiment, with numbers of its trials by verdict."""
+
+    device: str
+    experiment: str
+    motion: str
+    trials: int
+    verdicts: dict[str, int]
+
+
+class Cost(Answer):
+    """A cost with its 95 % interval."""
+
+    value: float
+    low: float | None
+    high: float | None
+
+
+class Trial(Answer):
+    """A trial; stiffness and damping in SI."""
+
+    id: str
+    device: str
+    experiment: str
+    verdict: str | None
+    outcome: str | None
+    motion: str
+    grip: str | None
+    stiffness: float | None
+    damping: float | None
+    costs: dict[str, Cost]
+    source: str
+
+
+class NotedTrial(Trial):
+    """A trial with what people wrote on it."""
+
+    notes: str
+    tags: list[str]
+
+
+class TrialPage(Page[Trial]):
+    """A part of a list of trials, with how many there are in all, and of each property."""
+
+    total: int
+    facets: dict[str, dict[str, int]]
+
+
+class Samples(Answer):
+    """Samples of a trial, columns in SI; null where a row has none."""
+
+    trial: Trial
+    units: dict[str, str]
+    columns: dict[str, list[float | None]]
+
+
+class ProblemDocument(BaseModel):
+    """Why a request was not answered (RFC 9457)."""
+
+    model_config = ConfigDict(extra="allow")
+    title: str
+    status: int
+    detail: str
+    type: str = "about:blank"
+    where: str | None = None
+    expected: Any = None
+    found: Any = None
+
+
+class Job(Answer):
+    """A job; `result` is null until it is done, `problem` until it failed."""
+
+    id: str
+    number: int
+    kind: Literal["upload", "stages", "experiment", "comparison"]
+    state: Literal["queued", "running", "done", "failed", "cancelled"]
+    created: float
+    changed: float
+    request: dict[str, Any]
+    progress: Any
+    result: Any
+    problem: ProblemDocument | None
+
+
+class UploadedFile(Answer):
+    """What became of a file of an upload."""
+
+    name: str
+    size: int
+    sha256: str
+    state: Literal["queued", "skipped"]
+
+
+class Accepted(Answer):
+    """An upload that is stored, and the job that ingests it."""
+
+    job: str
+    files: list[UploadedFile]
+
+
+class Queued(Answer):
+    """The job that makes what was asked for."""
+
+    job: str
+
+
+class QueuedComparison(Queued):
+    """The job that makes a comparison, and the key under which it will be found."""
+
+    key: str
+
+
+class Made(Answer):
+    """The key of a comparison that is there."""
+
+    key: str
+
+
+class Boundary(Answer):
+    """Stability boundary of the ideal loop, normalised."""
+
+    gamma: float
+    delta: float
+    delay: float
+    alpha_max: float
+    beta_at_alpha_max: float
+    beta_max: float
+    alpha_at_beta_max: float
+    alpha: list[float]
+    beta: list[float]
+
+
+class BestPoint(Answer):
+    """The point of least cost by a criterion, normalised."""
+
+    criterion: str
+    gamma: float
+    delta: float
+    delay: float
+    alpha: float
+    beta: float
+    cost: float | None
+    reason: str | None = None
+    box: dict[str, float] | None = None
+
+
+_costs: dict[str, Any] = dict.fromkeys(POINT_COSTS, (float | None, ...))
+Point = create_model(
+    "Point", __base__=Answer, __doc__="Stability and costs of a point, normalised; null where there is none.",
+    alpha=(float, ...), beta=(float, ...), gamma=(float, ...), delta=(float, ...), delay=(float, ...),
+    stable=(bool, ...), spectral_radius=(float, ...), reason=(str | None, ...), **_costs,
+)  # fmt: skip
+
+PARTS: dict[str, Any] = {
+    "estimates": dict[str, Estimate],
+    "boundary": list[BoundaryPoint],
+    "optima": dict[str, Optimum],
+    "causes": list[Cause],
+}
+"""Parts of an experiment's document, and what each is."""
+
+
+def problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
+    """Return answers by status that are problem documents, for the schema of a route."""
+    schema = {"$ref": f"#/components/schemas/{ProblemDocument.__name__}"}
+    return {status: {"description": TITLES[status], "content": {MEDIA: {"schema": schema}}} for status in statuses}
+
+
+EVERYWHERE = problems(400, 401, 403, 408, 413, 422, 429, 503, 507)
+"""Answers that every route may give."""
+
+NAMED = problems(404)
+"""Answer of a route that names something."""
+
+
+def describe(app: FastAPI) -> dict[str, Any]:
+    """Return the schema of the API; that of problems is no route's own, and added here."""
+    if app.openapi_schema is None:
+        schema = get_openapi(title=app.title, version=app.version, routes=app.routes)
+        schema["components"]["schemas"][ProblemDocument.__name__] = ProblemDocument.model_json_schema()
+        app.openapi_schema = schema
+    return app.openapi_schema
