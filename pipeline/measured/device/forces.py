@@ -69,6 +69,9 @@ NEARLY = 0.999
 LONGEST_TURN = 4
 """Intervals between sure directions up to which a turn is where the velocity, drawn straight, goes through 0."""
 
+UNTOLD = 1e-5
+"""Share of a term below which it is not told from the others in the fit of one trial."""
+
 _ROUNDS = 4
 """Repetitions with the delay and friction found before, which correct the force: the change falls tenfold in each."""
 
@@ -105,9 +108,7 @@ def balance_sums(batch: TrialBatch, response: Response, delay_samples: int, *, p
     columns = np.where(where, columns - mean[:, :, None], 0.0)
     size = np.sqrt(np.einsum("nck,nck->nc", columns, columns))
     scaled = columns / np.where(size > 0, size, 1.0)[:, :, None]
-    own = scaled[:, : len(TERMS)]
-    solved = np.linalg.pinv(own @ np.swapaxes(own, 1, 2), rcond=1e-10, hermitian=True) @ (own @ columns[:, -1, :, None])
-    left = columns[:, -1] - np.einsum("nck,nc->nk", own, solved[:, :, 0])
+    left = _left_over(scaled[:, : len(TERMS)], columns[:, -1])
     square = (left**2).sum(axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
         alike = np.clip((left[:, 1:] * left[:, :-1]).sum(axis=1) / square, 0.0, 1 - 2 / np.maximum(count, 3))
@@ -117,6 +118,17 @@ def balance_sums(batch: TrialBatch, response: Response, delay_samples: int, *, p
     products = columns @ np.swapaxes(columns, 1, 2) * weight[:, None, None]
     result: Floats = products[:, *np.triu_indices(_COLUMNS)]
     return result
+
+
+def _left_over(terms: Floats, force: Floats) -> Floats:
+    """Return what terms (n, p, N) of unit size leave of a force (n, N), each trial fitted by itself.
+
+    A sum of terms below `UNTOLD` is damped, not cut off, so that rounding decides nothing.
+    """
+    n, count, rows = terms.shape
+    damped = np.broadcast_to(UNTOLD * np.eye(count), (n, count, count))
+    basis = np.linalg.qr(np.concatenate([np.swapaxes(terms, 1, 2), damped], axis=1))[0][:, :rows]
+    return force - (basis @ (np.swapaxes(basis, 1, 2) @ force[:, :, None]))[:, :, 0]
 
 
 def _columns(batch: TrialBatch, response: Response, delay_samples: int, pendulum: bool) -> tuple[Floats, Booleans]:

@@ -120,7 +120,7 @@ def test_a_small_report_holds_on_a_processor_of_2008(tmp_path, one_process):
 @pytest.mark.parametrize("kernel", WITHOUT)
 def test_the_reports_of_the_demo_hold_with_each_kernel(demonstrated, kernel):
     folder, reports = demonstrated
-    assert len(reports) == 2
+    assert len(reports) == 3
     for report in reports:
         verified(report, folder / "processed" / "demo", kernel)
 
