@@ -41,6 +41,10 @@ MARGINAL = 1e-12
 and energy costs grow with the inverse distance to the power of w + 1, so hardly three digits would be left."""
 
 
+LARGEST = 1e200
+"""Largest alpha and beta, far above any limit; the matrices of larger ones overflow."""
+
+
 @dataclass(frozen=True, eq=False)
 class Cases:
     """Points of a CSV file: values, shape (n, columns), in the order of the columns, and the row of each."""
@@ -127,13 +131,20 @@ def point_costs(cases: Cases, criteria: Sequence[str] = POINT_COSTS) -> list[dic
     Raises
     ------
     ParameterError
-        For an unknown criterion, or if gamma, delta or delay of a row is outside its range.
+        For an unknown criterion, or if a value of a row is outside its range.
 
     Notes
     -----
     Points with alpha + gamma <= 0 have no final position, a real pole z >= 1, and are not stable.
     """
     check_criteria(criteria)
+    for name, values in zip(CASE_COLUMNS[:2], cases.values.T, strict=False):
+        too_large = np.flatnonzero(np.abs(values) > LARGEST)
+        if len(too_large):
+            raise ParameterError(
+                f"{cases.path}, row {cases.row[too_large[0]]}, column {name}: expected at most {LARGEST:g}, found "
+                f"{values[too_large[0]]:g}."
+            )
     documents: list[dict[str, Any]] = [{} for _ in cases.row]
     plants, group = np.unique(cases.values[:, 2:], axis=0, return_inverse=True)
     group = group.ravel()

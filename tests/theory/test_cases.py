@@ -1,0 +1,25 @@
+"""Points that theory is asked for: what overflows is refused by name."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.base.errors import ParameterError
+from pipeline.theory.cases import LARGEST, Cases, point_costs
+
+
+def cases(*rows):
+    return Cases(Path("points"), np.array(rows), tuple(range(1, len(rows) + 1)))
+
+
+@pytest.mark.parametrize(("alpha", "beta", "column"), [(1e308, 0.1, "alpha"), (0.1, -1e308, "beta")])
+def test_points_that_overflow_are_refused_by_name(alpha, beta, column):
+    with pytest.raises(ParameterError, match=f"row 2, column {column}"):
+        point_costs(cases((0.1, 0.1, 0.0, 0.0, 1.0), (alpha, beta, 0.0, 0.0, 1.0)))
+
+
+def test_points_far_outside_are_unstable():
+    signs = [(a, b, delta, d) for a in (-1, 1) for b in (-1, 1) for delta in (0.0, 1.0) for d in (0.0, 3.5)]
+    rows = [(a * LARGEST, b * LARGEST, 0.0, delta, d) for a, b, delta, d in signs]
+    assert {point["stable"] for point in point_costs(cases(*rows))} == {False}
