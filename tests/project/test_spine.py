@@ -121,13 +121,14 @@ def without_origin(result: ComparisonResult) -> ComparisonResult:
 
 
 def test_logs_that_come_in_two_parts_give_the_same_as_at_once(sweep, tmp_path):
-    for name in ("a", "b"):
+    for name in ("a", "b", "whole"):
         (tmp_path / name).mkdir()
     source = sorted((sweep.raw / "lwr/delay-6").glob("*.csv"))
     for i, log in enumerate(source):
         shutil.copy(log, tmp_path / "ba"[i % 2] / log.name)
+        shutil.copy(log, tmp_path / "whole")
     parts = [ingest([tmp_path / name], tmp_path / "parts").ingested for name in ("a", "b")]
-    assert sum(parts) == len(source) == ingest([sweep.raw / "lwr/delay-6"], tmp_path / "once").ingested
+    assert sum(parts) == len(source) == ingest([tmp_path / "whole"], tmp_path / "once").ingested
     results = [compare("lwr", tmp_path / name, criteria=QUICK).result for name in ("parts", "once")]
     assert without_origin(results[0]) == without_origin(results[1])
     first, second = (tables_of(tmp_path / name, ["delay-6"]) for name in ("parts", "once"))

@@ -69,7 +69,7 @@ NEARLY = 0.999
 LONGEST_TURN = 4
 """Intervals between sure directions up to which a turn is where the velocity, drawn straight, goes through 0."""
 
-UNTOLD = 1e-5
+UNTOLD = 3e-5
 """Share of a term below which it is not told from the others in the fit of one trial."""
 
 _ROUNDS = 4

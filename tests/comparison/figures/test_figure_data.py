@@ -170,7 +170,6 @@ def test_theory_by_estimates_needs_all_three_and_no_negative_damping(of_falcon, 
 
     assert adequate_theory(with_("mass", None), 1e-3) is None
     assert adequate_theory(with_("damping", -0.05), 1e-3).parameters.damping == 0.0
-    assert adequate_theory(result, 1e-3, 40.0).parameters.stiffness == 40.0
     doubtful = result.loop.model_copy(update={"adequate": False})
     assert adequate_theory(result.model_copy(update={"loop": doubtful}), 1e-3) is None
 

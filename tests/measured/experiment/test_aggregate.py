@@ -38,7 +38,7 @@ def test_delay_of_an_even_number_is_one_that_occurred():
 def test_no_delay():
     found = estimate_delay(np.array([-1, -1]))
     assert found.value is None
-    assert "none of 2 trials" in found.reason
+    assert "no trial of 2" in found.reason
 
 
 @pytest.mark.parametrize("n", [6, 7, 12, 25, 100, 2300])
