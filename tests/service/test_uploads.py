@@ -146,7 +146,7 @@ def started(folder, port):
 
 
 @pytest.mark.parametrize(
-    "after_s", [0.0, pytest.param(0.1, marks=pytest.mark.slow), 0.8, pytest.param(1.6, marks=pytest.mark.slow)]
+    "after_s", [0.0, *(pytest.param(after_s, marks=pytest.mark.slow) for after_s in (0.1, 0.8, 1.6))]
 )
 def test_kill_loses_nothing_and_doubles_nothing(tmp_path, logs, after_s):
     """Killed during uploads and their jobs; the next server finishes what was acknowledged."""

@@ -75,12 +75,12 @@ def test_an_adequate_loop_is_the_true_one_and_its_passive_wall_is_stable(compare
         ("clipping in the log", "saturation"),
         ("one-sided wall", "unilateral_wall"),
         ("lost rows", "missing_rows"),
-        ("hidden rows", "missing_rows"),
+        pytest.param("hidden rows", "missing_rows", marks=pytest.mark.slow),
         ("repeated rows", "repeated_rows"),
         ("several steps", "several_steps"),
         ("jitter", "delay_jitter"),
-        ("friction strong", "coulomb_friction"),
-        ("clipping", None),
+        pytest.param("friction strong", "coulomb_friction", marks=pytest.mark.slow),
+        pytest.param("clipping", None, marks=pytest.mark.slow),
     ],
 )
 def test_what_logs_show_is_named_and_no_other_loop_bears_a_statement(compared, name, code):
