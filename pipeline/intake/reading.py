@@ -14,6 +14,7 @@ from pipeline.base.errors import LogError
 from pipeline.base.file_names import storable
 from pipeline.base.regular_files import open_regular
 from pipeline.intake.sources import Source
+from pipeline.profiles.profile_model import Profile
 from pipeline.readers import Log, RawLog, reader_of
 from pipeline.readers.limits import LARGEST_LOG
 from pipeline.records.models import Motion
@@ -111,6 +112,22 @@ def read_and_check(
     rows = sum(len(log.time) for source_logs in logs for log in source_logs)
     seconds = time.perf_counter() - began
     return done, Metrics(len(done), len(logs), len(done) - len(logs) - refused, refused, size, rows, seconds)
+
+
+def logs_of(source: Source) -> tuple[Profile, RawLog, tuple[Log, ...]]:
+    """Read one source: the profile that claims it, the log as it stands, and the logs that the profile makes of it.
+
+    Raises
+    ------
+    LogError
+        If it is refused, with the row at fault.
+    """
+    raw, _, _ = load_source(source)
+    assert source.profile is not None, "a source that no profile claims is refused by load_source"
+    (outcome,) = reader_of(source.profile)(source.profile, [raw], False)
+    if isinstance(outcome, LogError):
+        raise outcome
+    return source.profile, raw, outcome
 
 
 def _forget_frames(error: BaseException) -> None:

@@ -12,10 +12,10 @@ from pipeline.base.errors import LogError, UsageError
 from pipeline.device_data.devices import known_devices, load_device
 from pipeline.intake.ingest import ingest as ingest_logs
 from pipeline.intake.ingest_report import IngestReport
-from pipeline.intake.reading import load_source, motion_of
+from pipeline.intake.reading import logs_of, motion_of
 from pipeline.intake.sources import find_sources
 from pipeline.profiles.profile_files import load_profile, shipped_profiles
-from pipeline.readers import Log, reader_of
+from pipeline.readers import Log
 from pipeline.simulation.course import Course, run_course, write_course
 from pipeline.surface.frames import SAMPLES, frame_of_response
 
@@ -96,12 +96,7 @@ def read_log(path: Place, profile: Place | None = None, label: str | None = None
         raise UsageError(f"{path}: expected one log, found {len(sources)}. Give a file, or store all with `ingest`.")
     (source,) = sources
     try:
-        raw, _, _ = load_source(source)
-        assert source.profile is not None, "a source that no profile claims is refused by load_source"
-        (outcome,) = reader_of(source.profile)(source.profile, [raw], False)
-        if isinstance(outcome, LogError):
-            raise outcome
-        log = _chosen(outcome, label, path)
+        log = _chosen(logs_of(source)[2], label, path)
         motion = motion_of(log, {name: device.motion for name, device in known_devices().items()})
     except LogError as error:
         row = "" if error.row is None else f", row {error.row}"

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from pipeline.measured.fit.fit import LEAST_WHITENESS
 from pipeline.measured.fit.fit_noise import portmanteau
 from pipeline.measured.ladder.device import LARGEST_STEP, LIMITS, Device
 from pipeline.measured.ladder.sliding import sliding
@@ -23,9 +24,6 @@ FIRST_FACTOR, LARGEST_FACTOR = 1e-3, 1e8
 
 DIFFERENCE = 1e-5
 """Change of a number by which a derivative is taken: between rounding of 1e-12 and a bend of the same."""
-
-LEAST_WHITENESS = 1e-6
-"""p-value below which a trial's errors are correlated beyond chance, as `fit.LEAST_WHITENESS`."""
 
 
 def errors_of(trials: LadderTrials, device: Device) -> Floats:

@@ -16,13 +16,13 @@ import numpy as np
 from pipeline import __version__
 from pipeline.base.errors import LogError, UsageError
 from pipeline.device_data.devices import known_devices
-from pipeline.intake.reading import load_source, motion_of
+from pipeline.intake.reading import logs_of, motion_of
 from pipeline.intake.sources import find_sources
 from pipeline.measured.signal.marks import gaps, jumps, rests
 from pipeline.profiles.profile_columns import QUANTITIES
 from pipeline.profiles.profile_files import shipped_profiles
 from pipeline.profiles.profile_model import Profile
-from pipeline.readers import Log, reader_of
+from pipeline.readers import Log
 from pipeline.records.batch import Floats
 from pipeline.records.figure_records import Figure, RecordedColumn
 from pipeline.records.models import Motion
@@ -72,18 +72,14 @@ def look(log: Path, profile: Profile | None = None) -> Picture:
         raise UsageError(f"{log}: expected one log, found {len(sources)}. Give a single file.")
     (source,) = sources
     try:
-        raw, _, _ = load_source(source)
-        assert source.profile is not None, "a source that no profile claims is refused by load_source"
-        (outcome,) = reader_of(source.profile)(source.profile, [raw], False)
-        if isinstance(outcome, LogError):
-            raise outcome
+        claimant, _, outcome = logs_of(source)
     except LogError as error:
         row = "" if error.row is None else f", row {error.row}"
         if profile is not None:
             raise LogError(f"{log}{row}: {error.reason}", error.row, code=error.code) from error
         note = f"Shown as it stands; `pipeline ingest` would refuse it{row}: {error.reason.split('. ')[0]}."
         return Picture(str(log), (_as_it_stands(log),), (note,), ROWS)
-    notes = [f"Read by profile {source.profile.name}, in SI."]
+    notes = [f"Read by profile {claimant.name}, in SI."]
     if len(outcome) > MOST_TRIALS:
         notes.append(f"The file holds {len(outcome)} trials; the first {MOST_TRIALS} are shown.")
     motions = {name: device.motion for name, device in known_devices().items()}

@@ -16,14 +16,14 @@ import numpy as np
 from pipeline.base.errors import LogError
 from pipeline.base.units import UNITS, find_unit
 from pipeline.device_data.devices import known_devices
-from pipeline.intake.reading import load_source, motion_of
+from pipeline.intake.reading import logs_of, motion_of
 from pipeline.intake.sources import find_sources
 from pipeline.measured.intervals import NORMAL_95
 from pipeline.measured.signal.lag import lags_of
 from pipeline.measured.signal.response import NO_ROW, external_force, find_response
 from pipeline.profiles.profile_columns import QUANTITIES, ColumnSource, PositionSource, TimeSource
 from pipeline.profiles.profile_model import CONDITION_QUANTITIES, CONDITIONS, Profile
-from pipeline.readers import Log, RawLog, reader_of
+from pipeline.readers import Log, RawLog
 from pipeline.readers.conditions import entry_of, places_of
 from pipeline.readers.frame import ColumnInfo
 from pipeline.readers.mapping import format_module
@@ -125,10 +125,7 @@ def check_samples(profile: Profile, samples: Sequence[Path]) -> list[CheckedSamp
                     "`pipeline ingest` would not read it so. Correct `files`, or rename the log.",
                     code="no-profile",
                 )
-            raw, _, _ = load_source(source)
-            (outcome,) = reader_of(profile)(profile, [raw], False)
-            if isinstance(outcome, LogError):
-                raise outcome
+            _, raw, outcome = logs_of(source)
             hints = _hints(profile, raw)
             trials = tuple(_trial(profile, raw.names[0], log, motion_of(log, motions), hints) for log in outcome)
             checked.append(CheckedSample(path=str(source.path), trials=trials))

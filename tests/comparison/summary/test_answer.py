@@ -6,21 +6,10 @@ import re
 
 import pytest
 
-from pipeline.comparison.scene.scene import open_scene
 from pipeline.comparison.summary.answer import answer
 from pipeline.rendering.labels import UNITS
 
 FALCON = UNITS["translation"]
-
-
-@pytest.fixture(scope="module")
-def data(falcon):
-    return open_scene("falcon", falcon.processed, None, None)
-
-
-@pytest.fixture(scope="module")
-def result(falcon_outcome):
-    return falcon_outcome.result
 
 
 def told(data, result, **changes):

@@ -5,23 +5,12 @@ import re
 import numpy as np
 import pytest
 
-from pipeline.comparison.scene.scene import open_scene
 from pipeline.comparison.summary.summary import summarise
 from pipeline.comparison.summary.summary_warnings import warnings_of
 from pipeline.records.findings import Estimate, Optimum, Trend
 from pipeline.rendering.labels import UNITS, share_text
 
 FALCON = UNITS["translation"]
-
-
-@pytest.fixture(scope="module")
-def data(falcon):
-    return open_scene("falcon", falcon.processed, None, None)
-
-
-@pytest.fixture(scope="module")
-def result(falcon_outcome):
-    return falcon_outcome.result
 
 
 def test_summary_answers_in_order(result):
