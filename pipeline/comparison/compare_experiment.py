@@ -7,7 +7,7 @@ from collections.abc import Collection, Mapping, Sequence
 
 from pipeline.base.wording import listed
 from pipeline.comparison.loops.findings import loop_findings
-from pipeline.comparison.loops.fitted_loop import fitted_device, fitted_estimates
+from pipeline.comparison.loops.fitted_loop import fitted_estimates
 from pipeline.comparison.loops.loop_range import adequate_theory, estimated_range
 from pipeline.comparison.scene.origin import header_lines
 from pipeline.comparison.scene.scene import SceneData, needed_stages
@@ -23,6 +23,7 @@ from pipeline.measured.experiment.estimates import (
     velocity_lag,
     with_model_delay,
 )
+from pipeline.measured.experiment.fitted_device import explaining_device
 from pipeline.measured.stages.stages import STAGES, ExperimentStages
 from pipeline.records.findings import Estimate, Optimum
 from pipeline.records.loop_parts import LoopParts
@@ -167,7 +168,7 @@ def _estimates(stages: ExperimentStages, needed: Collection[str], units: Units) 
     if "model" in needed:
         found["jitter_samples"] = stages.jitter_estimate
         found["delay_samples"] = with_model_delay(stages, found["delay_samples"])
-    if "ladder" in needed and (device := fitted_device(stages)) is not None and device.holds:
+    if "ladder" in needed and (device := stages.once(explaining_device)) is not None:
         found |= fitted_estimates(found, device)
     return found
 

@@ -12,12 +12,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.base.wording import counted, listed
-from pipeline.comparison.loops.fitted_loop import FittedDevice
 from pipeline.comparison.loops.log_evidence import OF_THE_FORCE, LawDeparture, rest_words
 from pipeline.comparison.loops.loop_range import MATTERS, LoopRange, loop_delay
 from pipeline.comparison.scores.overlap import measured_limits
-from pipeline.measured.experiment.estimates import EXPLAINED
+from pipeline.measured.experiment.fitted_device import FittedDevice
 from pipeline.measured.experiment.rest_forces import RestForces
+from pipeline.measured.explained import EXPLAINED
 from pipeline.records.batch import Floats
 from pipeline.records.findings import Estimate
 from pipeline.records.loop_parts import LoopParts, VelocityFilter

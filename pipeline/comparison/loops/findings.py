@@ -9,11 +9,12 @@ import numpy as np
 from pipeline.base.wording import listed
 from pipeline.comparison.loops.adequacy import Doubt, Shown, doubts
 from pipeline.comparison.loops.causes import direct_causes
-from pipeline.comparison.loops.fitted_loop import fitted_device, mode_parameters, with_filter
+from pipeline.comparison.loops.fitted_loop import loop_range, mode_parameters, with_filter
 from pipeline.comparison.loops.log_evidence import LawDeparture, found_filter, law_departures
 from pipeline.comparison.loops.loop_range import LoopRange, estimated_range, stated_range
 from pipeline.comparison.loops.loop_record import exact, filter_of, filter_parameters, stated_parameters
 from pipeline.comparison.loops.passive_wall import passive_wall
+from pipeline.measured.experiment.fitted_device import fitted_device
 from pipeline.measured.experiment.rest_forces import rest_forces
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.loop_parts import LoopParts, VelocityFilter
@@ -47,7 +48,7 @@ def loop_findings(
     """
     entry = next((e for e in device.experiments if e.name == stages.experiment), None) if device else None
     departures, rest = law_departures(stages), stages.once(rest_forces)
-    fitted, velocity = fitted_device(stages), _filter(stages, departures)
+    fitted, velocity = stages.once(fitted_device), _filter(stages, departures)
     shown = Shown(departures, rest, fitted, velocity)
     estimated = _estimated(result, stages, shown)
     period = device.sampling_period_s if device else stages.sampling_period_s
@@ -90,7 +91,7 @@ def _filter(stages: ExperimentStages, departures: list[LawDeparture]) -> Velocit
 def _estimated(result: ExperimentResult, stages: ExperimentStages, shown: Shown) -> LoopRange | None:
     """Return the loop of the device that explains the logs, with their filter; else that of the estimates."""
     if shown.fitted is not None and shown.fitted.holds:
-        return shown.fitted.loop(stages.sampling_period_s, shown.velocity)
+        return loop_range(shown.fitted, stages.sampling_period_s, shown.velocity)
     return with_filter(estimated_range(result, stages.sampling_period_s), shown.velocity)
 
 

@@ -11,8 +11,8 @@ from pipeline.comparison.loops.loop_record import parts_of
 from pipeline.comparison.scores.theory_band import ParameterBox, theory_band
 from pipeline.loop.device_loop import DeviceLoop, loop_of, wall_units
 from pipeline.loop.loop import LARGEST_DELAY, Loop
-from pipeline.measured.experiment.estimates import EXPLAINED
 from pipeline.measured.experiment.known_delay import whole_delay
+from pipeline.measured.explained import EXPLAINED
 from pipeline.records.batch import Floats
 from pipeline.records.findings import Estimate
 from pipeline.records.loop_parts import LoopParts

@@ -7,8 +7,9 @@ from math import pi, sqrt
 import numpy as np
 
 from pipeline.base.wording import counted
-from pipeline.comparison.loops.fitted_loop import LOAD, FittedDevice
+from pipeline.comparison.loops.fitted_loop import LOAD, loop_point, loop_range
 from pipeline.comparison.loops.loop_range import MATTERS, LoopPoint, LoopRange
+from pipeline.measured.experiment.fitted_device import FittedDevice
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.batch import Floats
 from pipeline.records.loop_parts import VelocityFilter
@@ -34,7 +35,7 @@ def part_causes(
     -----
     A part that moves neither the limit nor the rest positions by more than `MATTERS` is not told.
     """
-    loop = fitted.loop(stages.sampling_period_s, velocity)
+    loop = loop_range(fitted, stages.sampling_period_s, velocity)
     found = []
     for part in fitted.parts:
         effect, shown = _effect(part, stages, fitted, loop, units)
@@ -79,7 +80,7 @@ def _without(part: str, stages: ExperimentStages, fitted: FittedDevice, loop: Lo
         left.pop("far_mass")
     elif part == "friction":
         left["damping"] += _viscous(stages, fitted, loop)
-    return fitted.point(left, stages.sampling_period_s, loop.parts.velocity)
+    return loop_point(fitted, left, stages.sampling_period_s, loop.parts.velocity)
 
 
 def _viscous(stages: ExperimentStages, fitted: FittedDevice, loop: LoopRange) -> float:

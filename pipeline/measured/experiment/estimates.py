@@ -17,8 +17,10 @@ from pipeline.measured.device import arm_stiffness, damping
 from pipeline.measured.device.forces import OPTIONAL, Forces, identify
 from pipeline.measured.experiment import aggregate
 from pipeline.measured.experiment.combine import with_sign_warning
+from pipeline.measured.experiment.fitted_device import explaining_device
 from pipeline.measured.experiment.known_delay import delay_estimate, whole_delay
 from pipeline.measured.experiment.stored import Stored, combined
+from pipeline.measured.explained import EXPLAINED
 from pipeline.measured.intervals import NORMAL_95
 from pipeline.records.findings import Estimate, ModelCheck
 
@@ -46,20 +48,17 @@ FRICTION_GAIN = 8.0
 """Median fall of the deviance by friction beside a jitter from which on the jitter is not believed: of the trials of a
 loop with jitter alone one in four passes it, of those with friction enough to feign a jitter nearly all."""
 
-EXPLAINED = 0.9
-"""Share of the logs that a model explains which is right: chance leaves 5 % of them unexplained."""
-
 NOT_EXPLAINED = "the model explains no trial; the reasons stand with the trials"
 
 
 def with_model_delay(of: Stored, delay: Estimate) -> Estimate:
     """Return the delay factor with the delay by the model among its methods, and by the model where costs take that."""
     found: dict[str, Any] = {"by_method": {**delay.by_method, "model": model_delay(of)}}
-    factor = of.once(explaining_factor)
-    if factor is not None and delay.value is not None:
+    explaining, factor = of.once(explaining_delay), of.once(explaining_factor)
+    if explaining is not None and factor is not None and delay.value is not None:
         first, value, last = (float(whole) for whole in factor)
         # (6.3) leaves the position inside the period open
-        found |= {"value": value, "low": first, "high": last + 1, "method": "model fitted to the whole response, whole"}
+        found |= {"value": value, "low": first, "high": last + 1, "method": f"{explaining.method}, whole"}
     return delay.model_copy(update=found)
 
 
@@ -69,10 +68,14 @@ def model_delay(of: Stored) -> Estimate:
 
 
 def explaining_delay(of: Stored) -> Estimate | None:
-    """Return the delay by the model where that explains nearly all logs and the delay does not jitter, else None.
+    """Return the delay by what explains nearly all logs without jitter, else None.
 
-    By it costs are counted, too: the first motion that a coarse sensor shows comes too late, and scatters.
+    That is the device fitted to all trials, or the model of each. By it costs are counted, too: the first motion that a
+    coarse sensor shows comes too late, and scatters, and behind a drive that lags it comes later still.
     """
+    device = of.once(explaining_device)
+    if device is not None:
+        return device.estimate("delay_samples", "samples")
     check, jitter = model_check(of), jitter_estimate(of)
     if not check.trials or check.explained < EXPLAINED * check.trials or (jitter.low or 0.0) > 0:
         return None
@@ -81,7 +84,7 @@ def explaining_delay(of: Stored) -> Estimate | None:
 
 def explaining_factor(of: Stored) -> tuple[int, int, int] | None:
     """Return the least, the likely and the largest integer factor that `explaining_delay` leaves, None without it."""
-    model = explaining_delay(of)
+    model = of.once(explaining_delay)
     if model is None or model.value is None:
         return None
     value, low, high = (floor(whole_delay(model, end)) for end in (model.value, model.low, model.high))

@@ -12,14 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pipeline.measured.explained import holds
 from pipeline.measured.ladder.device import Device
 from pipeline.measured.ladder.parts import GROUPS, LIGHT, PARTS, likeliest, parts_of, without
 from pipeline.measured.ladder.search import cost_of, covariance_of, explained, judged, search
 from pipeline.measured.ladder.trials import LadderTrials
 from pipeline.records.batch import Floats
-
-EXPLAINED = 0.9
-"""Share of the held-out trials that a device explains which is right, as `estimates.EXPLAINED`."""
 
 MISSED = 6.0
 """Fall of the held-out logarithm of the likelihood by which a part is missed: odds of 400 to 1."""
@@ -38,15 +36,6 @@ MOST_PARTS = 5
 
 LOST = 0.5
 """Share of the trials that must be explained for the others to be left out of the last fit."""
-
-
-def holds(explained: int, of: int) -> bool:
-    """Return whether so many of the held-out trials are nearly all; of few one may be left to chance.
-
-    >>> holds(9, 10), holds(5, 6), holds(4, 6), holds(17, 20)
-    (True, True, False, False)
-    """
-    return of - explained <= max((1 - EXPLAINED) * of, 1)
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,6 +8,7 @@ from pipeline.measured.cost.energy_intervals import HORIZON_PARTS, energy_interv
 from pipeline.measured.cost.families import joined
 from pipeline.measured.cost.reading_error import ReadingError, as_known
 from pipeline.measured.experiment.estimates import mass_estimate, standard_error
+from pipeline.measured.experiment.fitted_device import explaining_device
 from pipeline.measured.signal.response import Response
 from pipeline.measured.signal.verdict import Verdicts
 from pipeline.measured.stages.stage_given import Experiment
@@ -19,7 +20,8 @@ from pipeline.records.criteria import ENERGY, members
 
 def given_of(of: Experiment) -> Given:
     """Return what the stage takes from the whole experiment."""
-    mass = of.once(mass_estimate)
+    device = of.once(explaining_device)
+    mass = (device and device.estimate("mass", "")) or of.once(mass_estimate)
     if mass.value is None:
         return {"missing": f"energy needs the mass: {mass.reason}"}
     error = as_known(standard_error(mass))

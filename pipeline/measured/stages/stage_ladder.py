@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.measured.explained import EXPLAINED
 from pipeline.measured.fit.fit import allowed_misfit, problems
 from pipeline.measured.fit.fit_window import cut, usable_rows
 from pipeline.measured.ladder.device import Device
-from pipeline.measured.ladder.ladder import EXPLAINED, FEWEST_TRIALS, Rung, climb
+from pipeline.measured.ladder.ladder import FEWEST_TRIALS, Rung, climb
 from pipeline.measured.ladder.parts import GROUPS
 from pipeline.measured.ladder.physical import in_si
 from pipeline.measured.ladder.trials import LadderTrials, spread_over_plane

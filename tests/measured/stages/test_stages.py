@@ -185,8 +185,8 @@ def test_estimates_of_noisy_logs_hold_the_truth(noisy):
 def test_needs_are_those_of_the_definitions():
     assert required(["boundary"]) == {"boundary", "response"}
     assert required(["overshoot"]) == {"overshoot", "response"}
-    assert required(["settling"]) == {"settling", "response", "delay", "model"}
-    assert required(["energy"]) == {"energy", "response", "delay", "model", "damping", "mass"}
+    assert required(["settling"]) == {"settling", "response", "wall_law", "delay", "model", "ladder"}
+    assert required(["energy"]) == {"energy", "damping", "mass", *required(["settling"])} - {"settling"}
     order = {stage: i for i, stage in enumerate(STAGES)}
     assert all(order[need] < order[stage] for stage, made in STAGES.items() for need in made.needs)
 

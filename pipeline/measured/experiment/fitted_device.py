@@ -1,0 +1,105 @@
+"""The device that was fitted to all trials of an experiment, as the stage `ladder` stores it."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.measured.experiment.stored import Stored
+from pipeline.measured.explained import holds
+from pipeline.measured.intervals import NORMAL_95
+from pipeline.records.batch import Floats
+from pipeline.records.findings import Estimate
+from pipeline.records.loop_records import Parameter
+
+METHOD = "one device fitted to all trials"
+
+TOLD = 0.5
+"""Share of the held-out trials that a device must explain for its parts to be named as causes."""
+
+
+@dataclass(frozen=True, eq=False)
+class FittedDevice:
+    """The best device of a ladder.
+
+    Parameters
+    ----------
+    parts : tuple of str
+        What it has beside mass, damper and delay, as in the stage `ladder`.
+    explained, held_out : int
+        Trials that it was not fitted to: how many it explains, and all of them.
+    values : dict of str to float
+        Its numbers in SI by name.
+    covariance : float64, shape (P, P)
+        Of these.
+    alike : tuple of str
+        Parts of devices that cannot be told apart from it.
+    next_best : tuple of str
+        Parts of the likeliest other device, and in how many trials it holds; empty where there is none.
+    """
+
+    parts: tuple[str, ...]
+    explained: int
+    held_out: int
+    values: dict[str, float]
+    covariance: Floats
+    alike: tuple[str, ...]
+    next_best: str
+
+    @property
+    def holds(self) -> bool:
+        """Whether it explains nearly all trials that it was not fitted to."""
+        return holds(self.explained, self.held_out)
+
+    @property
+    def tells(self) -> bool:
+        """Whether it explains enough of them for its parts to be real."""
+        return self.explained >= TOLD * self.held_out
+
+    def parameter(self, name: str) -> Parameter | None:
+        """Return one of its numbers with its 95 % interval; None where it has none."""
+        return self.known(name) if name in self.values else None
+
+    def known(self, name: str) -> Parameter:
+        """Return one of the numbers that it has with its 95 % interval."""
+        value = self.values[name]
+        reach = NORMAL_95 * float(np.sqrt(self.covariance[(place := list(self.values).index(name)), place]))
+        return Parameter(value=value, low=value - reach, high=value + reach)
+
+    def estimate(self, name: str, unit: str) -> Estimate | None:
+        """Return one of its numbers as an estimate; None where it has none."""
+        number = self.parameter(name)
+        if number is None:
+            return None
+        return Estimate(**number.model_dump(), unit=unit, method=METHOD, trials=self.held_out)
+
+
+def fitted_device(of: Stored) -> FittedDevice | None:
+    """Return the best device of the stage `ladder`, None where there is none."""
+    roles = of.texts("ladder", "role")
+    if not roles:
+        return None
+    parts, numbers = of.texts("ladder", "parts"), json.loads(of.texts("ladder", "numbers")[0])
+    explained, held_out = (of.column("ladder", name).astype(int).tolist() for name in ("explained", "held_out"))
+    after = roles.index("next best") if "next best" in roles else None
+    return FittedDevice(
+        tuple(filter(None, parts[0].split(","))),
+        explained[0],
+        held_out[0],
+        dict(zip(numbers["names"], numbers["values"], strict=True)),
+        np.array(numbers["covariance"]),
+        tuple(part for role, part in zip(roles, parts, strict=True) if role == "alike"),
+        "" if after is None else f"{_words(parts[after])}: {explained[after]} of {held_out[after]}",
+    )
+
+
+def explaining_device(of: Stored) -> FittedDevice | None:
+    """Return the device fitted to all trials where it explains nearly all that it was not fitted to, else None."""
+    device = of.once(fitted_device)
+    return device if device is not None and device.holds else None
+
+
+def _words(parts: str) -> str:
+    return parts.replace(",", ", ") or "mass, damping and delay alone"
