@@ -17,8 +17,12 @@ PARTS = 20
 def simulate(
     K, B, *, mass=0.58, b=4.0, delay=4.0, step=8.0, T=1e-3, rows=400, baseline=20, noise=0.0, quantum=0.0, limit=np.inf,
     one_sided=False, friction=0.0, mode=None, lag=0.0, force=0.0, seed=0, shift=None, travel=np.inf, truth=False,
+    most=np.inf,
 ):  # fmt: skip
-    """Step responses of every (K, B) pair; ``mode`` is (frequency in Hz, damping ratio, far mass) of two masses."""
+    """Step responses of every (K, B) pair; ``mode`` is (frequency in Hz, damping ratio, far mass) of two masses.
+
+    ``limit`` bounds the command that is logged, ``most`` the force that the drive makes of it.
+    """
     K, B = np.broadcast_arrays(np.atleast_1d(np.asarray(K, float)), np.atleast_1d(np.asarray(B, float)))
     n, h, random = len(K), T / PARTS, np.random.default_rng(seed)
     x, v, far, far_v, acting = (np.zeros(n) for _ in range(5))
@@ -39,7 +43,7 @@ def simulate(
         if one_sided:
             wall = np.where(depth * np.sign(step) > 0, wall, 0.0)
         command[:, k] = np.clip((step if k >= baseline else 0.0) - wall, -limit, limit)
-        sent[k] = command[:, k]
+        sent[k] = np.clip(command[:, k], -most, most)
         alive &= np.abs(x) <= travel
         lasted = np.where(alive, np.minimum(lasted, rows), np.minimum(lasted, k + 1))
         for part in range(PARTS):

@@ -73,7 +73,7 @@ class Shown:
         if self.fitted is None or loop is None:
             return False
         mode = loop.parts.mode
-        has = {"spring": loop.stiffness > 0, "lag": loop.parts.actuator_lag_s > 0}
+        has = {"spring": loop.stiffness > 0, "lag": loop.parts.actuator_lag_s > 0, "saturation": True}
         has |= {f"mode at the {mode.sensor}": True} if mode else {}
         return all(has.get(part, False) for part in self.fitted.parts)
 
@@ -113,6 +113,10 @@ def doubts(
         found += _unexplained(result, shown.fitted, "" if declared else _PARTS)
         if shown.rest.tells:
             found.append(Doubt(rest_words(shown.rest, _force(units)), "a device file with the force or friction in it"))
+    if shown.explained and shown.fitted is not None and shown.fitted.saturated > MATTERS:
+        many = share_text(shown.fitted.saturated, 0)
+        text = f"{many} % of the stable trials command more than the drive gives, which linear theory cannot hold"
+        found.append(Doubt(text, "a smaller step"))
     if loop is not None and (off := loop.off) is not None:
         damping, limit, share = off
         found.append(

@@ -48,6 +48,8 @@ def _effect(
     part: str, stages: ExperimentStages, fitted: FittedDevice, loop: LoopRange, units: Units
 ) -> tuple[float, str]:
     """Return how far a part moves a result, relative to it, and what it does in words."""
+    if part == "saturation":
+        return fitted.saturated, f"{significant(100 * fitted.saturated, 2)} % of the stable trials command more"
     other = _without(part, stages, fitted, loop)
     damping, limit, without = loop.beside(other)
     effect = abs(limit - without) / max(limit, without, 1e-300)
@@ -143,6 +145,9 @@ def _named(part: str, fitted: FittedDevice, units: Units) -> tuple[str, Paramete
     if part == "friction":
         value, text = number("coulomb")
         return "coulomb_friction", value, f"The device has Coulomb friction of {text} {force}."
+    if part == "saturation":
+        value, text = number("force_limit")
+        return "saturation", value, f"The drive gives no more than {text} {force}, whatever is commanded."
     value, text = number("frequency_hz")
     side = "load" if part == LOAD else "motor"
     sentence = f"The device vibrates at {text} Hz, a mass on a spring; the position is sensed at the {side}'s side."

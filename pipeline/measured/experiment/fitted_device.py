@@ -38,6 +38,8 @@ class FittedDevice:
         Parts of devices that cannot be told apart from it.
     next_best : tuple of str
         Parts of the likeliest other device, and in how many trials it holds; empty where there is none.
+    saturated : float
+        Share of the stable trials that command more force than it has.
     """
 
     parts: tuple[str, ...]
@@ -47,6 +49,7 @@ class FittedDevice:
     covariance: Floats
     alike: tuple[str, ...]
     next_best: str
+    saturated: float
 
     @property
     def holds(self) -> bool:
@@ -92,6 +95,7 @@ def fitted_device(of: Stored) -> FittedDevice | None:
         np.array(numbers["covariance"]),
         tuple(part for role, part in zip(roles, parts, strict=True) if role == "alike"),
         "" if after is None else f"{_words(parts[after])}: {explained[after]} of {held_out[after]}",
+        numbers["saturated"],
     )
 
 

@@ -26,11 +26,22 @@ LIMITS = {
     "ratio": (-9.0, 0.0),
     "share": (-3.5, 3.5),
     "coulomb": (0.0, np.inf),
+    "bound": (-np.inf, np.inf),
 }
-"""Least and largest value of each number. ``gain``, ``turn`` (of the mode [rad] a sample) and ``ratio`` (its damping
-ratio) are logarithms, ``share`` (of the far mass) that of its odds: a search then makes no step beyond what can be."""
+"""Least and largest value of each number. ``gain``, ``turn`` (of the mode [rad] a sample), ``ratio`` (its damping
+ratio) and ``bound`` (of the force) are logarithms, ``share`` (of the far mass) that of its odds: a search then makes no
+step beyond what can be."""
 
-LARGEST_STEP = {"gain": 0.5, "delay": 1.5, "lag": 1.5, "turn": 0.3, "ratio": 1.0, "share": 1.0, "delta": 0.1}
+LARGEST_STEP = {
+    "gain": 0.5,
+    "delay": 1.5,
+    "lag": 1.5,
+    "turn": 0.3,
+    "ratio": 1.0,
+    "share": 1.0,
+    "delta": 0.1,
+    "bound": 0.3,
+}
 """Change of a number in one step within which the response is near a straight line."""
 
 
@@ -68,9 +79,16 @@ class Device:
         """Its numbers."""
         return np.array(list(self.numbers.values()))
 
+    def obeyed(self, command: Floats) -> Floats:
+        """Return what its drive makes of commands [N, Nm]: no more than it can."""
+        if "bound" not in self.numbers:
+            return command
+        largest = float(np.exp(self.numbers["bound"]))
+        return np.clip(command, -largest, largest)
+
     @property
     def loop(self) -> DeviceLoop:
-        """Its loop without gain and force."""
+        """Its loop without gain, force and what is not linear."""
         n = self.numbers
         mode = None
         if self.sensor:

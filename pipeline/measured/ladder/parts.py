@@ -16,6 +16,9 @@ FEW_STEPS = 3
 LAGS = (0.3, 2.0)
 """Lags to start from [samples]: within a sample it looks like a delay, beyond it does not."""
 
+BOUNDS, BELOW = (0.0, 0.3, 0.6), 0.95
+"""Shares of the trials whose largest command gives a bound to start from, and how far below it that lies."""
+
 TURNS = np.geomspace(0.02, 1.5, 24)
 """Angles of a mode to start from [rad a sample], 20 % apart, which a step may bridge: 3 to 240 Hz at 1 kHz."""
 
@@ -42,6 +45,12 @@ def _lag(trials: LadderTrials, device: Device) -> list[Device]:
 def _friction(trials: LadderTrials, device: Device) -> list[Device]:
     typical = float(np.median(np.abs(trials.command).max(axis=1)))
     return [device.having(coulomb=0.02 * typical)]
+
+
+def _saturation(trials: LadderTrials, device: Device) -> list[Device]:
+    largest = np.abs(trials.command).max(axis=1)
+    bounds = BELOW * np.quantile(largest[largest > 0], BOUNDS)
+    return [device.having(bound=bound) for bound in np.log(bounds).tolist()]
 
 
 def _mode(sensor: Sensor) -> Callable[[LadderTrials, Device], list[Device]]:
@@ -75,12 +84,13 @@ PARTS: dict[str, tuple[tuple[str, ...], Callable[[LadderTrials, Device], list[De
     "force": (("force",), _force),
     "lag": (("lag",), _lag),
     "friction": (("coulomb",), _friction),
+    "saturation": (("bound",), _saturation),
     "mode at the motor": (("turn", "ratio", "share"), _mode("motor")),
     "mode at the load": (("turn", "ratio", "share"), _mode("load")),
 }
 """Names of the numbers of each part, and the starts of a search for it."""
 
-GROUPS = (("spring", "force", "lag"), ("mode at the motor", "mode at the load"), ("friction",))
+GROUPS = (("spring", "force", "lag"), ("saturation",), ("mode at the motor", "mode at the load"), ("friction",))
 """Parts by the time that they take to look for."""
 
 

@@ -37,7 +37,7 @@ def in_si(device: Device, covariance: Floats, sampling_period_s: float) -> Numbe
     -----
     Names are those of a device file, as far as they are in one: ``mass`` and ``damping`` of all that moves, per unit of
     command, ``stiffness``, ``delay_samples``, ``actuator_lag_s``, ``constant_force``, ``coulomb``; of a mode
-    ``frequency_hz`` (free-free), ``damping_ratio``, ``far_mass``.
+    ``frequency_hz`` (free-free), ``damping_ratio``, ``far_mass``; ``force_limit`` of the drive.
     """
     values = _in_si(device, sampling_period_s)
     slopes = np.zeros((len(values), len(device.names)))
@@ -62,6 +62,8 @@ def _in_si(device: Device, T: float) -> dict[str, float]:
         found["constant_force"] = n["force"]
     if "coulomb" in n:
         found["coulomb"] = n["coulomb"]
+    if "bound" in n:
+        found["force_limit"] = float(np.exp(n["bound"]))
     if device.sensor:
         found["frequency_hz"] = float(np.exp(n["turn"])) / (2 * np.pi * T)
         found["damping_ratio"] = float(np.exp(n["ratio"]))

@@ -9,6 +9,7 @@ import numpy as np
 from pipeline.measured.fit.fit import LEAST_WHITENESS
 from pipeline.measured.fit.fit_noise import portmanteau
 from pipeline.measured.ladder.device import LARGEST_STEP, LIMITS, Device
+from pipeline.measured.ladder.open_loop import Commands
 from pipeline.measured.ladder.sliding import sliding
 from pipeline.measured.ladder.trials import LadderTrials
 from pipeline.records.batch import Booleans, Floats
@@ -43,11 +44,13 @@ def _motions(trials: LadderTrials, devices: list[Device]) -> Iterator[Floats]:
     gains = [np.exp(device.numbers["gain"]) for device in devices]
     if "coulomb" not in devices[0].numbers:
         for device, gain in zip(devices, gains, strict=True):
-            answer = trials.commands.response(device.loop)
+            commands = Commands.of(device.obeyed(trials.command)) if "bound" in device.numbers else trials.commands
+            answer = commands.response(device.loop)
             yield gain * (answer[:-1] + device.numbers.get("force", 0.0) * answer[-1])
         return
     coulomb, force = (np.array([device.numbers.get(name, 0.0) for device in devices]) for name in ("coulomb", "force"))
-    slid = sliding([device.loop for device in devices], coulomb, trials.command, force)
+    obeyed = np.stack([device.obeyed(trials.command) for device in devices])
+    slid = sliding([device.loop for device in devices], coulomb, obeyed, force)
     yield from (gain * motion for gain, motion in zip(gains, slid, strict=True))
 
 

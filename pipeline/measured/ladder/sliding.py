@@ -40,10 +40,10 @@ def sliding(loops: list[DeviceLoop], coulomb: Floats, command: Floats, force: Fl
         With the same parts.
     coulomb, force : float64, shape (V,)
         Coulomb friction, and a constant force beside the command [N, Nm].
-    command : float64, shape (n, N)
-        [N, Nm].
+    command : float64, shape (V, n, N)
+        Of each device [N, Nm].
     """
-    n, rows = command.shape
+    _, n, rows = command.shape
     sensors = np.stack([loop.device[2] for loop in loops])
     rates = np.stack([loop.device[0][1] for loop in loops])[:, None, :]
     pushes = np.array([loop.device[1][1] for loop in loops])[:, None]
@@ -64,7 +64,7 @@ def sliding(loops: list[DeviceLoop], coulomb: Floats, command: Floats, force: Fl
 
 def _sent(command: Floats, row: Integers) -> Floats:
     """Return the commands of a row for each device, 0 before the log, shape (V, n)."""
-    return np.where((row >= 0)[:, None], command[:, np.maximum(row, 0)].T, 0.0)
+    return np.where((row >= 0)[:, None], command[np.arange(len(row)), :, np.maximum(row, 0)], 0.0)
 
 
 def _ahead(

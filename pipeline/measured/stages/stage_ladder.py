@@ -17,6 +17,7 @@ from pipeline.measured.ladder.physical import in_si
 from pipeline.measured.ladder.trials import LadderTrials, spread_over_plane
 from pipeline.measured.stages.stage_given import Experiment
 from pipeline.measured.stages.stage_groups import Columns, Given, TrialGroup
+from pipeline.records.batch import Booleans
 from pipeline.records.tables import TABLES
 
 OF_NO_MATTER = {"velocity_filter", "constant_force", "step_not_a_step", "several_steps"}
@@ -30,9 +31,10 @@ def columns(of: Experiment) -> Columns:
     damping or delay is looked for then, others are not.
     """
     chosen = _chosen(of)
-    trials = _trials(of, chosen) if len(chosen) >= FEWEST_TRIALS else None
-    if trials is None or len(trials) < FEWEST_TRIALS:
+    usable = _trials(of, chosen) if len(chosen) >= FEWEST_TRIALS else None
+    if usable is None or len(usable[0]) < FEWEST_TRIALS:
         return {name: [] for name in TABLES["ladder"]}
+    trials, stable = usable
     T = of.sampling_period_s
     explained = np.isfinite(of.column("model", "model_mass_error")).mean() >= EXPLAINED
     mass, damping, delay = (_typical(of, name) for name in ("mass", "damping", "delay"))
@@ -45,7 +47,16 @@ def columns(of: Experiment) -> Columns:
     if found.next_best is not None:
         others.append(("next best", found.next_best))
     rungs = [("best", found.best), *others]
-    shown = [{"names": numbers.names, "values": numbers.values.tolist(), "covariance": numbers.covariance.tolist()}]
+    obeyed = found.best.device.obeyed(trials.command)
+    saturated = (obeyed != trials.command).any(axis=1)[stable]
+    shown = [
+        {
+            "names": numbers.names,
+            "values": numbers.values.tolist(),
+            "covariance": numbers.covariance.tolist(),
+            "saturated": float(saturated.mean()) if len(saturated) else 0.0,
+        }
+    ]
     return {
         "role": [role for role, _ in rungs],
         "parts": [_named(rung) for _, rung in rungs],
@@ -77,17 +88,20 @@ def _chosen(of: Experiment) -> frozenset[str]:
     return frozenset(ids[i] for i in spread_over_plane(stiffness, damping, usable))
 
 
-def _trials(of: Experiment, chosen: frozenset[str]) -> LadderTrials | None:
-    """Return the chosen trials, in the order of damping and stiffness; None where none can be fitted."""
+def _trials(of: Experiment, chosen: frozenset[str]) -> tuple[LadderTrials, Booleans] | None:
+    """Return the chosen trials in the order of damping and stiffness, and which are stable; None where none fits."""
     parts = [part for part in of.of_each(windows, chosen=sorted(chosen)) if part is not None]
     if not parts:
         return None
     stiffness, damping = (np.concatenate([part[i] for part in parts]) for i in (0, 1))
-    return LadderTrials.joined([part[2] for part in parts]).select(np.lexsort((stiffness, damping)))
+    order = np.lexsort((stiffness, damping))
+    verdict = dict(zip(of.texts("response", "trial_id"), of.verdicts.verdict.tolist(), strict=True))
+    stable = np.array([verdict[name] == "stable" for part in parts for name in part[3]])
+    return LadderTrials.joined([part[2] for part in parts]).select(order), stable[order]
 
 
-def windows(group: TrialGroup, given: Given) -> tuple[Any, Any, LadderTrials] | None:
-    """Return stiffness, damping and windows of the chosen trials of a group that can be fitted."""
+def windows(group: TrialGroup, given: Given) -> tuple[Any, Any, LadderTrials, tuple[str, ...]] | None:
+    """Return stiffness, damping, windows and names of the chosen trials of a group that can be fitted."""
     of, _ = group.beginning()
     some = np.array([name in set(given["chosen"]) for name in of.batch.trial_id])
     if not some.any():
@@ -100,4 +114,4 @@ def windows(group: TrialGroup, given: Given) -> tuple[Any, Any, LadderTrials] | 
         return None
     batch = batch.select(good)
     window = cut(batch, response.select(good), edge[good], first[good], last[good])
-    return batch.stiffness, batch.damping, LadderTrials.of(window, allowed_misfit(window))
+    return batch.stiffness, batch.damping, LadderTrials.of(window, allowed_misfit(window)), batch.trial_id

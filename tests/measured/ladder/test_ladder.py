@@ -37,6 +37,8 @@ def start(mass: float = 1.2 * MASS, delay: float = DELAY + 1) -> Device:
     [
         ({}, (), {}),
         ({"lag": 0.0025}, ("lag",), {"actuator_lag_s": 0.0025}),
+        ({"most": 7.0}, ("saturation",), {"force_limit": 7.0}),
+        ({"most": 8.1}, ("saturation",), {"force_limit": 8.1}),
         ({"mode": MODE}, ("mode at the motor",), MODE_NUMBERS),
         pytest.param({"friction": 0.15}, ("friction",), {"coulomb": 0.15}, marks=pytest.mark.slow),
         pytest.param(

@@ -53,7 +53,7 @@ def test_motion_is_that_of_the_simulator(lag, mode, delay, off):
     loop = general(loop_of(MASS, DAMPING, STIFFNESS, delay, T, LoopParts(actuator_lag_s=lag, mode=mode)))
     for seed in (1, 2):
         command = commands(seed)
-        found = T**2 / MASS * sliding([loop, loop], coulomb, command, np.zeros(2))
+        found = T**2 / MASS * sliding([loop, loop], coulomb, np.stack([command, command]), np.zeros(2))
         for c, motion in zip(coulomb, found, strict=True):
             body = Mechanism(
                 near, DAMPING, STIFFNESS, mode.mass if mode else 0.0, spring, damper, lag, Friction(coulomb=float(c))
@@ -66,11 +66,11 @@ def test_without_friction_it_is_the_linear_motion():
     loop = general(loop_of(MASS, DAMPING, 0.0, 2.3, T, LoopParts()))
     command = commands(3)
     linear = Commands.of(command).response(loop)[:-1]
-    (found,) = sliding([loop], np.zeros(1), command, np.zeros(1))
+    (found,) = sliding([loop], np.zeros(1), command[None], np.zeros(1))
     assert found == pytest.approx(linear, abs=1e-7 * np.abs(linear).max())
 
 
 def test_a_force_below_friction_moves_nothing():
     loop = loop_of(MASS, DAMPING, 0.0, 2.0, T, LoopParts(actuator_lag_s=0.002))
-    found = sliding([loop], np.ones(1), np.full((1, 50), 0.99), np.zeros(1))
+    found = sliding([loop], np.ones(1), np.full((1, 1, 50), 0.99), np.zeros(1))
     assert not found.any()
