@@ -146,20 +146,22 @@ def _placed(batch: TrialBatch, trials: dict[int, tuple[Integers, Booleans]], str
         for i, (index, seen) in trials.items():
             own = getattr(batch, name)[i, : len(index)]
             line = straight or name != "position"
-            values[i, : rows[i]] = (_lines if line else _cubics)(np.arange(rows[i]), index[seen], own[seen])
+            values[i, : rows[i]] = (_lines if line else _cubics)(int(rows[i]), index[seen], own[seen])
         wide[name] = values
     return replace(batch, rows=rows, force=None, velocity=None, step_row=None, **wide)  # type: ignore[arg-type]
 
 
-def _lines(at: Integers, index: Integers, values: Floats) -> Floats:
-    result: Floats = np.interp(at, index, values)
+def _lines(count: int, index: Integers, values: Floats) -> Floats:
+    result: Floats = np.interp(np.arange(count), index, values)
     return result
 
 
-def _cubics(at: Integers, index: Integers, values: Floats) -> Floats:
-    """Cubic through the two samples before and the two behind each place; a line at the ends."""
-    result = _lines(at, index, values)
-    missing = np.setdiff1d(at, index)
+def _cubics(count: int, index: Integers, values: Floats) -> Floats:
+    """Cubic through the two samples before and the two behind each of so many places; a line at the ends."""
+    result = _lines(count, index, values)
+    known = np.zeros(count, dtype=np.bool_)
+    known[index] = True
+    missing = np.flatnonzero(~known)
     behind = np.searchsorted(index, missing)
     inner = (behind >= 2) & (behind <= len(index) - 2)
     missing, behind = missing[inner], behind[inner]
