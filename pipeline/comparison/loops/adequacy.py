@@ -148,9 +148,12 @@ def _force(units: Units) -> str:
 def _unknown(result: ExperimentResult, loop: LoopRange | None) -> Iterator[Doubt]:
     mass, damping = result.estimates["mass"], result.estimates["damping"]
     known = {"mass": mass, "viscous damping": damping, "delay": loop_delay(result)}
-    missing = [(name, estimate) for name, estimate in known.items() if estimate.value is None]
-    for name, estimate in missing:
-        yield Doubt(f"the {name} is not known ({estimate.reason})")
+    missing: dict[str | None, list[str]] = {}
+    for name, estimate in known.items():
+        if estimate.value is None:
+            missing.setdefault(estimate.reason, []).append(f"the {name}")
+    for reason, names in missing.items():
+        yield Doubt(f"{listed(names)} {'is' if len(names) == 1 else 'are'} not known ({reason})")
     if loop is None and not missing:
         yield Doubt("the mass is not positive, or the delay longer than theory is computed for")
 
