@@ -40,6 +40,7 @@ COMMANDS = {
     "quarantine": ("cli_profiles", "quarantine_app"),
     "plan": ("cli_plan", "plan"),
     "scene": ("cli_report", "scene_app"),
+    "doctor": ("cli_storage", "doctor"),
 }
 """Module and name of each command, or group of commands, in the order of the help."""
 
@@ -49,7 +50,6 @@ def application(word: str | None = None) -> typer.Typer:
     app = typer.Typer(
         name="pipeline",
         no_args_is_help=True,
-        add_completion=False,
         pretty_exceptions_enable=False,
         context_settings={"help_option_names": ["-h", "--help"]},
         help="From logs of step responses against virtual walls to stability, costs and their comparison with theory.",

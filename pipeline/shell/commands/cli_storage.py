@@ -263,6 +263,29 @@ def status(
         raise typer.Exit(EXIT_ERROR)
 
 
+def doctor(processed: Processed = Path("processed"), as_json: Json = False) -> None:
+    """Say whether this machine has what commands need, and what to install or mend where it has not.
+
+    Packages, formats of logs, disk, locks, files of devices and profiles. Nothing is changed. Exit status 1 where
+    something keeps commands from working; what is optional and missing is named.
+
+    Example: pipeline doctor
+
+    Example: pipeline doctor --processed /srv/lab/processed --json
+    """
+    from pipeline.shell.doctor import examine
+
+    checks = examine(processed)
+    if as_json:
+        console.print_json({"checks": [check.model_dump() for check in checks]})
+    else:
+        wide = max(len(check.name) for check in checks)
+        for check in checks:
+            advice = f" -> {check.help}" if check.help else ""
+            console.say(f"{check.state:<8} {check.name:<{wide}}  {check.found}{advice}")
+    raise typer.Exit(EXIT_ERROR if any(check.state == "wrong" for check in checks) else EXIT_OK)
+
+
 def exclude(
     trial: Annotated[str, typer.Argument(help="Trial id, the beginning of one, or the path of a log with one trial.")],
     reason: Annotated[str | None, typer.Option("--reason", help="Why; every report shows it.")] = None,
