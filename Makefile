@@ -3,14 +3,15 @@ PYTHON ?= python3
 BIN := .venv/bin
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
-.PHONY: help demo test test-all lint bench docs clean
+.PHONY: help demo test test-all lint bench docs site clean
 
 help:
 	@echo "make demo      simulate a small Falcon and LWR course, ingest it, write reports/*.html (FULL=1: thesis size)"
 	@echo "make test      lint, type check and the fast tests"
 	@echo "make test-all  the slow tests too"
 	@echo "make bench     speed and memory of ingest, estimates, theory, reports and watch, at thesis size; trials that the planner needs"
-	@echo "make docs      regenerate schemas/*.json and the figure in the README"
+	@echo "make docs      regenerate schemas/*.json, the figure in the README and the gallery"
+	@echo "make site      build the documentation as pages with a search that needs no network: build/site"
 	@echo "make clean     remove environment, caches and the demo's logs and tables (what you recorded and ingested, and reports/, are kept)"
 
 .venv/.run: pyproject.toml constraints.txt
@@ -57,6 +58,11 @@ bench: .venv/.bench
 docs: .venv/.dev
 	$(BIN)/python docs/make_schemas.py
 	$(BIN)/python docs/make_figure.py
+	$(BIN)/python docs/make_gallery.py
+
+site: .venv/.dev
+	$(BIN)/python -m sphinx -W --keep-going -q -b html docs build/site
+	@echo "build/site/index.html"
 
 clean:
 	rm -rf .venv raw/demo raw/demo-full processed/demo processed/demo-full .pytest_cache .mypy_cache .ruff_cache .hypothesis dist

@@ -1,6 +1,8 @@
 """A wheel in an environment of its own, outside the project: command line, data files, Python surface."""
 
 import os
+import re
+import shutil
 import subprocess
 import sys
 import venv
@@ -13,6 +15,19 @@ from places import ROOT
 BUILD = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--disable-pip-version-check"]
 OFFLINE = ("No matching distribution", "Could not find a version", "Connection", "Temporary failure", "Max retries")
 """What pip says where it reaches no registry: the build needs hatchling from there."""
+
+
+def pythons() -> dict[str, str]:
+    """Every Python from 3.11 on that this machine has, by version: on the path, or kept by pyenv."""
+    roots = Path(os.environ.get("PYENV_ROOT", Path.home() / ".pyenv"), "versions").glob("3.*/bin/python")
+    named = [*roots, *filter(None, (shutil.which(f"python3.{minor}") for minor in range(11, 20))), sys.executable]
+    found = {}
+    for python in map(str, named):
+        code = "import sys; print('%d.%d' % sys.version_info[:2])"
+        version = subprocess.run([python, "-c", code], capture_output=True, text=True, check=False).stdout.strip()
+        if re.fullmatch(r"3\.\d+", version) and int(version[2:]) >= 11:
+            found[version] = python
+    return found
 
 
 @pytest.fixture(scope="module")
@@ -66,3 +81,29 @@ def test_wheel_works_outside_the_project(wheel, tmp_path):
         "print(len(pipeline.boundary('processed', 'lwr')) > 0, pipeline.Loop(1.0, 1.0, 0.001, 1).boundary().shape[1])\n"
     )
     assert run(python, "-c", script).split("\n")[:2] == ["['lwr'] ['native']", "True 2"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("version", pythons())
+def test_wheel_passes_demo_and_python_tasks_on_every_python(wheel, tmp_path, version):
+    subprocess.run([pythons()[version], "-m", "venv", tmp_path / "env"], check=True)
+    scripts = tmp_path / "env" / ("Scripts" if os.name == "nt" else "bin")
+    pip = [scripts / "python", "-m", "pip", "install", "--quiet", "--disable-pip-version-check"]
+    done = subprocess.run([*pip, "-c", ROOT / "constraints.txt", wheel], capture_output=True, text=True, check=False)
+    if done.returncode and any(words in done.stderr for words in OFFLINE):
+        pytest.skip(f"packages for Python {version} cannot be had: {done.stderr.strip().splitlines()[-1]}")
+    assert done.returncode == 0, done.stderr
+    clean = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
+
+    def run(*words: object) -> str:
+        return subprocess.run(
+            words, capture_output=True, text=True, check=True, cwd=tmp_path, env=clean | {"MPLBACKEND": "agg"}
+        ).stdout
+
+    run(scripts / "pipeline", "demo")
+    assert {path.name for path in (tmp_path / "reports").glob("*.html")} >= {"falcon.html", "lwr.html"}
+    page = (ROOT / "docs" / "python.md").read_text(encoding="utf-8")
+    tasks = "".join(re.findall(r"^```python\n(.*?)^```$", page, re.MULTILINE | re.DOTALL))
+    (tmp_path / "tasks.py").write_text(tasks, encoding="utf-8")
+    (tmp_path / "notebook").mkdir()
+    run(scripts / "python", "-c", "import os, runpy; os.chdir('notebook'); runpy.run_path('../tasks.py')")

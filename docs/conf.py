@@ -1,0 +1,22 @@
+"""Sphinx's settings of the documentation site: `make site` builds it from these pages."""
+
+from pipeline import __version__
+
+project = "pipeline"
+author = "the authors of pipeline"
+version = release = __version__
+
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+exclude_patterns = ["_build"]
+
+myst_heading_anchors = 4
+myst_enable_extensions = ["colon_fence", "dollarmath"]
+nb_execution_mode = "off"  # the notebook is stored with what it printed; a test runs it again
+
+autodoc_typehints = "none"
+autodoc_member_order = "bysource"
+
+html_theme = "furo"
+html_title = "pipeline"
+html_copy_source = False
+html_theme_options = {"navigation_with_keys": True}

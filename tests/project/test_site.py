@@ -1,0 +1,146 @@
+"""The documentation as a site: it builds without a warning, is searched without a network, and does what it says."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+import pytest
+from places import ROOT
+
+import pipeline
+from pipeline.shell.cli import run
+
+DOCS = ROOT / "docs"
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    pytest.importorskip("myst_nb", reason="no Sphinx: pip install -e '.[dev]'")
+    folder: Path = tmp_path_factory.mktemp("site")
+    words = ("-m", "sphinx", "-W", "--keep-going", "-q", "-b", "html", str(DOCS), str(folder / "site"))
+    done = subprocess.run([sys.executable, *words, "-d", str(folder / "tree")], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return folder / "site"
+
+
+def test_it_builds_without_a_warning_and_asks_for_nothing(site: Path) -> None:
+    pages = {path.stem for path in site.glob("*.html")}
+    assert {path.stem for path in DOCS.glob("*.md")} <= pages
+    for page in site.glob("*.html"):
+        fetched = re.findall(
+            r'<(?:script|link|img)[^>]+(?:src|href)="(https?:[^"]+)"', page.read_text(encoding="utf-8")
+        )
+        assert fetched == [], page.name
+
+
+def test_every_public_name_is_in_the_reference(site: Path) -> None:
+    page = (site / "api.html").read_text(encoding="utf-8")
+    assert [name for name in pipeline.__all__ if f'id="pipeline.{name}"' not in page] == []
+
+
+@pytest.mark.browser
+@pytest.mark.slow
+def test_it_is_searched_without_a_server(site: Path) -> None:
+    playwright: Any = pytest.importorskip("playwright.sync_api")
+    if CHROMIUM is None:
+        pytest.skip("no Chromium: apt-get install chromium")
+    with playwright.sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        page = browser.new_page()
+        page.goto(f"{(site / 'search.html').as_uri()}?q=quarantine")
+        page.wait_for_selector("#search-results li a", timeout=30_000)
+        assert "storage" in " ".join(
+            link.get_attribute("href") for link in page.query_selector_all("#search-results a")
+        )
+        browser.close()
+
+
+def blocks(page: str, language: str) -> list[str]:
+    text = (DOCS / page).read_text(encoding="utf-8")
+    return re.findall(rf"^```{language}\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+
+
+@pytest.mark.slow
+def test_the_tutorial_goes_from_logs_to_a_figure(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    printed = {}
+    for words in map(shlex.split, "".join(blocks("tutorial.md", "sh")).splitlines()):
+        assert words[0] == "pipeline"
+        with pytest.raises(SystemExit) as leaving:
+            run(words[1:])
+        assert not leaving.value.code, words
+        printed[words[1]] = capsys.readouterr().out
+    text = (DOCS / "tutorial.md").read_text(encoding="utf-8")
+    named = [Path(name) for name in re.findall(r"\{((?:figures|reports)/[^}]+)\}", text)]
+    assert len(named) == 2
+    assert all(path.is_file() for path in named)
+    assert "Theory predicts poorly" in printed["compare"]
+    assert "Coulomb friction" in printed["compare"]
+    truth = json.loads(Path("box/falcon-real/1/truth.json").read_text(encoding="utf-8"))
+    assert "0.9" in json.dumps(truth)
+
+
+@pytest.mark.slow
+def test_the_notebook_prints_what_it_is_stored_with(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cells = json.loads((DOCS / "notebook.ipynb").read_text(encoding="utf-8"))["cells"]
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, Any] = {}
+    stored = ""
+    with matplotlib.rc_context():
+        matplotlib.use("agg")
+        for cell in cells:
+            if cell["cell_type"] == "code":
+                exec(compile("".join(cell["source"]), "docs/notebook.ipynb", "exec"), names)
+                streams = [out for out in cell["outputs"] if out.get("name") == "stdout"]
+                stored += "".join("".join(out["text"]) for out in streams)
+        names["plt"].close("all")
+    assert capsys.readouterr().out == stored != ""
+
+
+@pytest.mark.slow
+def test_a_matlab_script_gives_the_costs_of_one_log(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    octave = shutil.which("octave") or shutil.which("octave-cli")
+    if octave is None:
+        pytest.skip("no Octave: apt-get install octave")
+    monkeypatch.chdir(tmp_path)
+    logs = pipeline.simulate("lwr", "delay-2", seed=3, coarsen=6, duration_s=0.4, out="logs")
+    pipeline.ingest("logs")
+    found: dict[str, Any] = {}
+    block = re.search(
+        r"^```python\n(.*?)^```$", (DOCS / "migrate.md").read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL
+    )
+    assert block is not None
+    exec(block.group(1), found)
+    costs = found["costs"]
+    estimates = pipeline.estimates("processed", "lwr", "delay-2").set_index("quantity")["value"]
+    held = 0
+    for log in logs:
+        K, B = log.attrs["stiffness"], log.attrs["damping"]
+        expected = {name: costs.get((K, B, name), np.nan) for name in ("settle_2pct", "energy_step_w1", "overshoot")}
+        if not np.isfinite(list(expected.values())).all() or expected["settle_2pct"] > 200:
+            continue
+        rows = np.column_stack([log["time_s"], log["command"], log["position"]])
+        np.savetxt("one.csv", rows, delimiter=",", fmt="%.12g")
+        given = (K, log.attrs["step"], estimates["mass"], estimates["delay_samples"])
+        words = [octave, "--no-gui", str(DOCS / "migrate.m"), "one.csv", *map(str, given)]
+        by_hand = json.loads(subprocess.run(words, capture_output=True, text=True, check=True).stdout)
+        assert by_hand["settle_2pct"] == expected["settle_2pct"]
+        assert by_hand["energy_step_w1"] == pytest.approx(expected["energy_step_w1"], rel=0.05)
+        held += 1
+        if held == 5:
+            break
+    assert held == 5
