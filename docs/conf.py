@@ -4,6 +4,7 @@ from pipeline import __version__
 
 project = "pipeline"
 author = "the authors of pipeline"
+html_show_copyright = html_show_sphinx = False
 version = release = __version__
 
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]

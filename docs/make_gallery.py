@@ -20,8 +20,8 @@ SHOWN = {
         "first figure of each report.",
     ),
     ("falcon-real", "first-response-0"): (
-        "One response, with theory",
-        "Position of the trial that the thesis shows, or the nearest one, with the response that theory expects.",
+        "One response",
+        "A wall that rings: the period of the oscillation, and where the device should come to rest.",
     ),
     ("lwr", "boundaries-answer-0"): (
         "A light-weight robot behind two samples of delay",

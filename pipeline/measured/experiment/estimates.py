@@ -18,7 +18,7 @@ from pipeline.measured.device.forces import OPTIONAL, Forces, identify
 from pipeline.measured.experiment import aggregate
 from pipeline.measured.experiment.combine import with_sign_warning
 from pipeline.measured.experiment.fitted_device import explaining_device
-from pipeline.measured.experiment.known_delay import delay_estimate, whole_delay
+from pipeline.measured.experiment.known_delay import LARGEST_OFFSET, delay_estimate, whole_delay
 from pipeline.measured.experiment.stored import Stored, combined
 from pipeline.measured.explained import EXPLAINED
 from pipeline.measured.intervals import NORMAL_95
@@ -83,11 +83,15 @@ def explaining_delay(of: Stored) -> Estimate | None:
 
 
 def explaining_factor(of: Stored) -> tuple[int, int, int] | None:
-    """Return the least, the likely and the largest integer factor that `explaining_delay` leaves, None without it."""
+    """Return the least, the likely and the largest integer factor that `explaining_delay` leaves, None without it.
+
+    A delay that ends just before a whole sample is that one, as far as a fit can be off: nothing moves in between.
+    """
     model = of.once(explaining_delay)
     if model is None or model.value is None:
         return None
-    value, low, high = (floor(whole_delay(model, end)) for end in (model.value, model.low, model.high))
+    value = floor(model.value + LARGEST_OFFSET)
+    low, high = (floor(whole_delay(model, end)) for end in (model.low, model.high))
     return min(low, value), value, max(high, value)
 
 
