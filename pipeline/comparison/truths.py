@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
+from pipeline.base.errors import ParameterError
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.findings import BoundaryPoint, Estimate
 from pipeline.records.loop_parts import LoopParts
@@ -69,11 +70,16 @@ def truth_of(document: Mapping[str, Any]) -> Truth:
         loop=parts.model_copy(update={"force_gain": parts.force_gain * (1 + hidden["gain_error"])}),
         source="simulator",
     )
+    reason = f"{' and '.join(doubts)}: linear theory has no limit for that" if doubts else None
+    try:
+        Theory(loop).loop  # noqa: B018
+    except ParameterError as error:
+        reason = reason or str(error)
     return Truth(
         loop=loop,
         jitter_samples=float(np.std(jitter)) if jitter else 0.0,
         constant_force=hidden["constant_force"],
-        limit_reason=f"{' and '.join(doubts)}: linear theory has no limit for that" if doubts else None,
+        limit_reason=reason,
     )
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from pipeline.measured.explained import EXPLAINED
 from pipeline.measured.fit.fit import allowed_misfit, problems
 from pipeline.measured.fit.fit_window import cut, usable_rows
-from pipeline.measured.ladder.device import Device
+from pipeline.measured.ladder.device import LIMITS, Device
 from pipeline.measured.ladder.ladder import FEWEST_TRIALS, Rung, climb
 from pipeline.measured.ladder.parts import GROUPS
 from pipeline.measured.ladder.physical import in_si
@@ -28,7 +28,7 @@ def columns(of: Experiment) -> Columns:
     """Return the columns of the stage: a row for the best device, and for each like it; none where it is the ideal one.
 
     Where the ideal device explains each trial by itself, it may be another one in each: a part that looks like mass,
-    damping or delay is looked for then, others are not.
+    damping or delay is looked for then, others are not. Delays longer than those of a search are left alone.
     """
     chosen = _chosen(of)
     usable = _trials(of, chosen) if len(chosen) >= FEWEST_TRIALS else None
@@ -38,6 +38,8 @@ def columns(of: Experiment) -> Columns:
     T = of.sampling_period_s
     explained = np.isfinite(of.column("model", "model_mass_error")).mean() >= EXPLAINED
     mass, damping, delay = (_typical(of, name) for name in ("mass", "damping", "delay"))
+    if delay > LIMITS["delay"][1]:
+        return {name: [] for name in TABLES["ladder"]}
     start = {"gain": float(np.log(T**2 / mass)), "delta": max(damping, 0.0) * T / mass, "delay": max(delay, 0.0)}
     found = climb(trials, Device(start), GROUPS[:1] if explained else GROUPS)
     if explained and (found.ideal.holds or not found.best.parts or not found.best.holds):

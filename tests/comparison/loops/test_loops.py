@@ -80,7 +80,7 @@ def test_an_adequate_loop_is_the_true_one_and_its_passive_wall_is_stable(compare
         ("several steps", "several_steps"),
         ("jitter", "delay_jitter"),
         pytest.param("friction strong", "coulomb_friction", marks=pytest.mark.slow),
-        pytest.param("clipping", None, marks=pytest.mark.slow),
+        pytest.param("clipping", "saturation", marks=pytest.mark.slow),
     ],
 )
 def test_what_logs_show_is_named_and_no_other_loop_bears_a_statement(compared, name, code):
