@@ -14,7 +14,7 @@ from pipeline.comparison.scene.scene import SceneData, needed_stages
 from pipeline.comparison.scores.implied_delay import implied_delay
 from pipeline.comparison.scores.implied_slope import DeviceParameters
 from pipeline.comparison.summary.advice import region_to_use
-from pipeline.loop.loop import LARGEST_DELAY
+from pipeline.loop.device_loop import longest_delay
 from pipeline.measured.experiment.boundary_band import boundary_area
 from pipeline.measured.experiment.estimates import (
     by_joint_balance,
@@ -61,7 +61,7 @@ def nominal_theories(data: SceneData) -> dict[str, Theory]:
             )
         )
         for e in device.experiments
-        if e.delay_samples <= LARGEST_DELAY
+        if e.delay_samples <= longest_delay(device.loop_of(e))
     }
     return {name: theory for name, theory in found.items() if theory.stabilised}
 

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.errors import ParameterError
-from pipeline.loop.loop import Loop, Normalised
+from pipeline.loop.loop import LARGEST_DELAY, Loop, Normalised
 from pipeline.loop.many_digits import Digits, as_exact, as_floats, bilinear, exponential, many_digits, total
 from pipeline.loop.plant import Flow
 from pipeline.loop.velocity_filter import filter_in_w, filter_in_z, filter_order, per_sample
@@ -360,6 +360,11 @@ def loop_of(
         vibration,
         per_sample(parts.velocity, sampling_period_s),
     )
+
+
+def longest_delay(parts: LoopParts) -> int:
+    """Return the delay [samples] up to which theory is computed for a loop with these parts."""
+    return LARGEST_DELAY if _is_ideal(parts) else LARGEST_ORDER - filter_order(parts.velocity)
 
 
 def _is_ideal(parts: LoopParts) -> bool:

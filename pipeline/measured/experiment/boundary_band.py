@@ -290,9 +290,10 @@ def _may_grow(c: _Columns, scatter: Floats) -> Booleans:
     K, g = (np.take_along_axis(values, order, axis=1) for values in (c.stiffness, c.growth))
     change, here, clear = np.diff(g, axis=1), g[:, 2:-1], CONCLUSIVE * scatter[:, None]
     peak = np.zeros(g.shape, dtype=np.bool_)
-    # a rate that rises twice and then falls to twice itself at least; NaN compares as false
+    # a rate that rises twice and then falls to twice itself at least, below where it was before: behind a single rate
+    # that is off the others go on rising; NaN compares as false
     peak[:, 2:-1] = (here < 0) & (change[:, :-2] > 0) & (change[:, 1:-1] > clear)
-    peak[:, 2:-1] &= -change[:, 2:] > np.maximum(clear, np.abs(here))
+    peak[:, 2:-1] &= (-change[:, 2:] > np.maximum(clear, np.abs(here))) & (g[:, 3:] < g[:, 1:-2])
     first = np.where(peak, K, np.inf).min(axis=1, initial=np.inf)
     undecided = ~c.stable & ~c.unstable & (np.nan_to_num(c.growth) > np.nan_to_num(clear))
     result: Booleans = undecided | (c.stable & (c.stiffness > first[:, None]))

@@ -182,6 +182,16 @@ def test_a_rate_that_falls_behind_a_peak_leaves_the_limit_open():
     assert 7040 < point.low < point.estimate < point.high < 7360
 
 
+def test_one_rate_that_is_off_is_no_peak():
+    """An ideal course at B = 152 Ns/m: one of 52 rates is -1.1 where its neighbours are -6.7 and -5.1."""
+    K = np.array([7000.0, 7200, 7400, 7600, 7800, 8000, 8200, 8400, 8600, 8800, 9000, 9200, 9400, 9600, 9720, 9800])
+    growth = [-8.8, -8.1, -7.6, -7.1, -6.7, -1.1, -5.1, -4.4, -3.7, -3.1, -2.4, -1.6, -1.1, -0.36, 0.12, 0.3]
+    (point,) = boundary_band(
+        K, np.full(16, 152.0), np.where(np.array(growth) < 0, "stable", "unstable"), np.array(growth)
+    )
+    assert 9600 < point.low < point.estimate < point.high < 9800
+
+
 def test_trials_that_disagree_widen_the_interval():
     K = [200.0, 400.0, 400.0, 600.0]
     assert unknown(K, ["stable", "stable", "unstable", "unstable"]) == (400.0, 200.0, 600.0)
