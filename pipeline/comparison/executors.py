@@ -132,12 +132,15 @@ def _told(address: str, done: Sized, waiting: int) -> Iterator[None]:
 
     try:
         yield
-    except (ClusterError, CancelledError, OSError, KilledWorker) as error:
-        if isinstance(error, PermissionError):
+    except (ClusterError, CancelledError, OSError, KilledWorker, RuntimeError) as error:
+        unread = isinstance(error, RuntimeError) and "deserialization" in str(error)
+        if isinstance(error, PermissionError) or (isinstance(error, RuntimeError) and not unread):
             raise
         reason = str(error).splitlines()[0] if str(error) else type(error).__name__
         if isinstance(error, KilledWorker):
             reason = f"an experiment ended {error.allowed_failures + 1} workers in a row; they may lack memory"
+        elif unread:
+            reason = "the scheduler or a worker lacks haptic-pipeline; install the same version for all of them"
         elif not isinstance(error, ClusterError):
             reason = f"its scheduler is gone or not to be reached ({reason})"
         raise ClusterError(

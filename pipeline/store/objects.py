@@ -22,8 +22,8 @@ from pipeline.base.errors import StoreError, UsageError
 SCHEME = "s3://"
 """What the URL of a store begins with."""
 
-RETRIES = 6
-"""Attempts after one that failed by the network or a server that is busy: some 3 s in all, with growing pauses."""
+RETRIES = 8
+"""Attempts after one that failed by the network or a server that is busy: up to 11 s in all, with growing pauses."""
 
 PATIENCE_S = 30.0
 """How long one request is tried [s]: a server that restarts is back by then, one that is gone is told soon."""
@@ -56,7 +56,15 @@ class Objects:
         try:
             self._store = S3Store.from_url(
                 self.url,
-                retry_config={"max_retries": RETRIES, "retry_timeout": timedelta(seconds=PATIENCE_S)},
+                retry_config={
+                    "max_retries": RETRIES,
+                    "retry_timeout": timedelta(seconds=PATIENCE_S),
+                    "backoff": {
+                        "init_backoff": timedelta(milliseconds=50),
+                        "max_backoff": timedelta(seconds=5),
+                        "base": 2,
+                    },
+                },
                 # options that are given take the place of those in variables
                 client_options={"connect_timeout": "5s", "timeout": "120s", "allow_http": _allows_http()},
             )

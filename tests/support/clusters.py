@@ -107,7 +107,9 @@ def worker(folder, port, number, env=None):
     with open(folder / f"worker-{number}.log", "ab") as log:
         place = ["--local-directory", folder, "--name", f"w{number}"]
         quiet = ["--no-dashboard", "--no-nanny", "--nthreads", 1, *place]
-        with running(sys.executable, "-m", "dask", "worker", f"tcp://127.0.0.1:{port}", *quiet, log=log, env=env) as one:
+        with running(
+            sys.executable, "-m", "dask", "worker", f"tcp://127.0.0.1:{port}", *quiet, log=log, env=env
+        ) as one:
             yield one
 
 

@@ -218,8 +218,8 @@ def _print_against(page: AgainstPage, report: Path, as_json: bool) -> None:
 def verify(
     report: Annotated[Path, typer.Argument(help="Report (HTML) by `pipeline compare`.")],
     processed: Annotated[
-        Path | None,
-        typer.Option("--processed", help="Folder of the stored tables; the one that the report names where not given."),
+        str | None,
+        typer.Option("--processed", help="Folder or URL of the stored tables; as the report names it if not given."),
     ] = None,
     profile: Annotated[
         list[Path] | None,
