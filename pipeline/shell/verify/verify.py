@@ -106,16 +106,14 @@ def verify(
         raise UsageError(f"{report}: cannot be read ({error}). Give a report by `pipeline compare`.") from error
     found = take_apart(page)
     request = _request(report, found)
+    device = request.scene.device
     document, notes = _document(report)
     if request.code != report_code():
         notes.append("the report was made by another version of the code: numbers may differ for that reason")
     place = processed or request.processed
     if not is_url(place):
         place = str(_processed(report, Path(place), given=processed is not None))
-    with (
-        tempfile.TemporaryDirectory(prefix="pipeline-verify-") as temporary,
-        opened(place, device) as folder,
-    ):
+    with tempfile.TemporaryDirectory(prefix="pipeline-verify-") as temporary, opened(place, device) as folder:
         store = Path(temporary) / "processed"
         say("reading the logs")
         lists = {logs.experiment: logs for logs in document.logs} if document else {}
