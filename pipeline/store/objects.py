@@ -22,8 +22,8 @@ from pipeline.base.errors import StoreError, UsageError
 SCHEME = "s3://"
 """What the URL of a store begins with."""
 
-RETRIES = 8
-"""Attempts after one that failed by the network or a server that is busy: up to 11 s in all, with growing pauses."""
+RETRIES = 10
+"""Attempts after one that failed by the network or a busy server, with growing pauses of 0.1 to 5 s: some 15 s."""
 
 PATIENCE_S = 30.0
 """How long one request is tried [s]: a server that restarts is back by then, one that is gone is told soon."""
@@ -60,9 +60,9 @@ class Objects:
                     "max_retries": RETRIES,
                     "retry_timeout": timedelta(seconds=PATIENCE_S),
                     "backoff": {
-                        "init_backoff": timedelta(milliseconds=50),
+                        "init_backoff": timedelta(milliseconds=100),
                         "max_backoff": timedelta(seconds=5),
-                        "base": 2,
+                        "base": 4,  # each pause is drawn at random below this multiple of the one before
                     },
                 },
                 # options that are given take the place of those in variables

@@ -237,8 +237,9 @@ def test_all_workers_are_killed_and_another_cluster_does_the_rest(trials, local,
     assert results(trials) == results(local / "whole")
 
 
-def test_the_store_is_killed(logs):
+def test_the_store_is_killed(logs, monkeypatch):
     """Its server is stopped for a moment, which is waited for, and then killed."""
+    monkeypatch.setattr(objects, "RETRIES", 3)
     with moto() as own, pytest.MonkeyPatch.context() as patch:
         for name, value in own.env.items():
             patch.setenv(name, value)

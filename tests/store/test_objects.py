@@ -51,9 +51,7 @@ def test_a_store_that_is_gone_says_what_to_repeat(monkeypatch, server):
     monkeypatch.setattr(objects_module, "RETRIES", 1)
     for name, value in (server.env | {"AWS_ENDPOINT_URL": f"http://127.0.0.1:{free_port()}"}).items():
         monkeypatch.setenv(name, value)
-    with pytest.raises(
-        StoreError, match=r"s3://lab/x: the store does not answer.*AWS_ENDPOINT_URL.*repeat"
-    ):
+    with pytest.raises(StoreError, match=r"s3://lab/x: the store does not answer.*AWS_ENDPOINT_URL.*repeat"):
         Objects("s3://lab/x").get("a")
 
 

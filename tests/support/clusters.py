@@ -1,5 +1,6 @@
 """Real parts of a cluster as processes on this machine: a Dask scheduler, its workers, and an S3 server."""
 
+import json
 import os
 import signal
 import socket
@@ -125,3 +126,48 @@ def dask(folder: Path, workers=2, env=None):
         with Client(f"tcp://127.0.0.1:{port}", timeout=UP_S, set_as_default=False) as client:
             client.wait_for_workers(workers, timeout=UP_S)
         yield Cluster(leader, hands, f"dask://127.0.0.1:{port}")
+
+
+class Seaweed:
+    """A SeaweedFS server (one process) whose files outlive it: it can be killed and started again."""
+
+    def __init__(self, folder):
+        self.folder = folder
+        names = ("s3", "master", "volume", "filer")
+        self.ports = {f"-{name}.port{kind}": free_port() for name in names for kind in ("", ".grpc")}
+        allowed = ["Admin", "Read", "Write", "List"]
+        keys = {"accessKey": KEYS["AWS_ACCESS_KEY_ID"], "secretKey": KEYS["AWS_SECRET_ACCESS_KEY"]}
+        users = {"identities": [{"name": "lab", "credentials": [keys], "actions": allowed}]}
+        (folder / "s3.json").write_text(json.dumps(users))
+        (folder / "data").mkdir()
+
+    @contextmanager
+    def running(self):
+        place = [f"-dir={self.folder / 'data'}", f"-s3.config={self.folder / 's3.json'}", "-volume.max=20"]
+        sockets = [f"-{name}.localSocket={self.folder / name}.sock" for name in ("s3", "filer")]
+        ports = [f"{name}={port}" for name, port in self.ports.items()]
+        weed = Path(sys.executable).with_name("weed")
+        with open(self.folder / "weed.log", "ab") as log:
+            command = [weed, "-logtostderr=true", "server", "-ip=127.0.0.1", "-s3", *place, *sockets, *ports]
+            with running(*command, "-master.volumeSizeLimitMB=64", log=log) as process:
+                port = self.ports["-s3.port"]
+                wait_for(lambda: answers(port), "SeaweedFS")
+                one = S3(process, port)
+                wait_for(lambda: make_bucket(one), "its bucket")
+                yield one
+
+
+def make_bucket(s3):
+    """Make the bucket, if it is not there, with a signed request."""
+    import boto3
+    from botocore.exceptions import BotoCoreError, ClientError
+
+    names = dict(zip(("aws_access_key_id", "aws_secret_access_key", "region_name"), KEYS.values(), strict=True))
+    client = boto3.client("s3", endpoint_url=s3.env["AWS_ENDPOINT_URL"], **names)
+    try:
+        client.create_bucket(Bucket=BUCKET)
+    except ClientError as error:
+        return error.response["Error"]["Code"].startswith("BucketAlready")
+    except BotoCoreError:
+        return False
+    return True
