@@ -37,7 +37,7 @@ from pipeline.store.storage import (
     steadily,
     trials_files,
 )
-from pipeline.store.working_copy import bring, publish
+from pipeline.store.working_copy import bring, publish, remove_objects, unused_objects
 
 MOST_SMALL = 8
 """Small batches of like size that an experiment may have. The eighth makes one batch of them, which is of the next
@@ -142,13 +142,15 @@ def _compacted(processed: Path, dry_run: bool) -> CompactReport:
     if faults:
         raise StoreError("\n".join(faults))
     orphans = find_orphans(processed)
-    size = sum(orphan.stat().st_size for orphan in orphans)
+    unused = unused_objects(processed)
+    size = sum(orphan.stat().st_size for orphan in orphans) + sum(unused.values())
     if not dry_run:
+        remove_objects(processed, unused)
         for orphan in orphans:
             remove(orphan)
         for folder in sorted({orphan.parent for orphan in orphans}):
             sync_folder(folder)
-    names = tuple(orphan.relative_to(processed).as_posix() for orphan in orphans)
+    names = (*(orphan.relative_to(processed).as_posix() for orphan in orphans), *unused)
     return CompactReport(merged=tuple(merged), orphans=names, orphan_bytes=size)
 
 

@@ -75,7 +75,7 @@ def object_folder(name: str) -> str:
 
 def list_manifests(objects: Objects) -> list[str]:
     """Return the names of all manifests of experiments."""
-    names = (path.removeprefix(_FOLDER).removesuffix(".json") for path, _ in objects.list(_FOLDER))
+    names = (path.removeprefix(_FOLDER).removesuffix(".json") for path, _, _ in objects.list(_FOLDER))
     return [name for name in names if "/" in name]
 
 

@@ -106,15 +106,15 @@ class Objects:
         present = self.get(name)
         return present[1] if present is not None and present[0] == content else None
 
-    def list(self, prefix: str) -> list[tuple[str, datetime]]:
-        """Return the names of all objects below a prefix, with the times at which they were put."""
+    def list(self, prefix: str) -> list[tuple[str, int, datetime]]:
+        """Return name, size [byte] and time of putting of all objects below a prefix."""
         import obstore
 
-        found: list[tuple[str, datetime]] = []
+        found: list[tuple[str, int, datetime]] = []
         with self._told(None):
             for page in obstore.list(self._store, prefix, chunk_size=1000):
                 self.requests["LIST"] += 1
-                found += [(meta["path"], meta["last_modified"]) for meta in page]
+                found += [(meta["path"], meta["size"], meta["last_modified"]) for meta in page]
         return found
 
     def delete(self, names: Iterable[str]) -> None:

@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import TypeVar
 
@@ -47,6 +48,10 @@ _SMALL_AT_ONCE, _LARGE_AT_ONCE = 16, 4
 
 REPEATS = 20
 """Times that a command is done anew because others stored into the same experiment: each time one of them succeeds."""
+
+KEPT = timedelta(days=7)
+"""Age from which an object that no manifest names is removed: who reads by an older manifest, or was about to name it,
+is done by then."""
 
 _SHA256 = 64
 """Digits of a SHA-256, by which the name of an object begins."""
@@ -241,6 +246,28 @@ def publish(processed: Path) -> None:
     copy = _copies.get(os.fspath(processed))
     if copy is not None:
         copy.publish()
+
+
+def unused_objects(processed: Path) -> dict[str, int]:
+    """Return the old objects of the store of a working copy that no manifest names, with their sizes [byte]."""
+    copy = _copies.get(os.fspath(processed))
+    if copy is None:
+        return {}
+    # listed first: what is put and named meanwhile is not in the list
+    now = datetime.now(UTC)
+    old = {name: size for name, size, put in copy.objects.list("objects/") if now - put > KEPT}
+    manifests = _each(
+        lambda name: read_manifest(copy.objects, name), [STORE, *list_manifests(copy.objects)], _SMALL_AT_ONCE
+    )
+    used = {f"{object_folder(one.name)}{name}" for one in manifests for name in one.files.values()}
+    return {name: size for name, size in old.items() if name not in used}
+
+
+def remove_objects(processed: Path, names: Iterable[str]) -> None:
+    """Remove objects that `unused_objects` named."""
+    copy = _copies.get(os.fspath(processed))
+    if copy is not None:
+        copy.objects.delete(names)
 
 
 def origin(processed: Path) -> str:

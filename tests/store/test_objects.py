@@ -39,10 +39,10 @@ def test_names_below_a_url_are_listed_page_by_page(s3, tmp_path):
     names = [f"x/{number:04d} %41 ä" for number in range(3)]
     for name in (*names, "y"):
         store.put(name, tmp_path / "file")
-    assert sorted(name for name, _ in store.list("x/")) == names
+    assert sorted(name for name, _, _ in store.list("x/")) == names
     store.delete(names[:1])
     store.delete([])
-    assert sorted(name for name, _ in store.list("x/")) == names[1:]
+    assert sorted(name for name, _, _ in store.list("x/")) == names[1:]
     assert store.get(names[0]) is None
     assert Objects(s3[:-1]).list("") == [], "another prefix that begins alike"
 

@@ -3,6 +3,7 @@
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from datetime import timedelta
 
 import pytest
 from native_logs import short_log
@@ -80,6 +81,23 @@ def test_changed_excluded_and_merged_trials(s3, tmp_path, monkeypatch):
     store(s3, write_logs(tmp_path / "more", [4, 5, 6]))
     assert seen(s3) == [1, 3, 4, 5, 6, 20]
     assert len(read_manifest(Objects(s3), "bench/1").files) == 2, "an ingest merges there, too"
+
+
+def test_objects_that_nothing_names_are_removed_after_a_week(s3, tmp_path, monkeypatch):
+    logs = write_logs(tmp_path / "logs", [1, 2])
+    store(s3, logs)
+    (logs / "1-2.csv").write_text(short_log(20.0))
+    store(s3, logs)
+    objects = Objects(s3)
+    count = len(objects.list("objects/"))
+    assert stored_by(s3, compact).orphans == (), "they are of today"
+    monkeypatch.setattr(working_copy, "KEPT", timedelta(0))
+    dry = stored_by(s3, lambda processed: compact(processed, dry_run=True))
+    assert len(dry.orphans) == len(objects.list("objects/")) - 2 >= count - 2
+    assert dry.orphan_bytes == sum(size for name, size, _ in objects.list("objects/") if name in dry.orphans)
+    assert stored_by(s3, compact).orphans == dry.orphans
+    assert len(objects.list("objects/")) == len(read_manifest(objects, "bench/1").files) == 2
+    assert seen(s3) == [1, 20]
 
 
 def test_a_reader_sees_one_moment(s3, tmp_path):
