@@ -41,7 +41,6 @@ from pipeline.profiles.profile_files import load_profile, shipped_profiles
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers import Log
 from pipeline.store.storage import trials_folder
-from pipeline.store.working_copy import publish
 
 PENDING_BYTES = 64 << 20
 """Samples that are collected before they become visible: a course of 2,300 logs with 1,000 rows makes one file, and an
@@ -386,8 +385,6 @@ class _Ingest:
             self.changed.append(ChangedSource(path=source.shown, outcome=outcome))
 
     def _written(self, written: Sequence[Source]) -> None:
-        if written:
-            publish(self.processed)
         for source in written:
             self._release(source)
 

@@ -22,7 +22,6 @@ from typing import TypeVar
 from pipeline.base.disk import if_writable, remove
 from pipeline.base.errors import PipelineError, StoreError
 from pipeline.records.table_files import read_table
-from pipeline.store.exclusions import EXCLUSIONS_FILE
 from pipeline.store.manifests import (
     STORE,
     ConflictError,
@@ -36,7 +35,7 @@ from pipeline.store.manifests import (
     read_manifest,
 )
 from pipeline.store.objects import Objects, is_url
-from pipeline.store.storage import stage_file
+from pipeline.store.storage import EXCLUSIONS_FILE, stage_file
 
 Result = TypeVar("Result")
 
