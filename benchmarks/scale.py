@@ -3,11 +3,11 @@
     python benchmarks/scale.py [--experiments 200] [--logs 300] [--no-s3]
 
 Each experiment is a copy of one simulated course of the LWR under its own name, ingested from its logs. Printed are
-wall time, processor time of all processes, and the largest memory of a worker. On a machine that does other work besides,
-wall times say little, and a worker of Dask keeps itself up all that time (its rate is measured while it is idle). So two
-more columns say what a free machine would need, from processor times without that upkeep: of all processes, and of the
-longest path, which is the command and the busiest worker. Last come the requests of a job, the bytes of a log, and what
-10,000 experiments of 2,000 logs come to (docs/scale.md). S3 is the server of moto.
+wall time, processor time of all processes, and the largest memory of a worker. On a machine that does other work, too,
+wall times say little, and a worker of Dask keeps itself up all that time (its rate is measured while it is idle). Two
+more columns say what a free machine would need, from processor times without that upkeep: of all processes, and of
+the longest path, which is the command and the busiest worker. Last come the requests of a job, the bytes of a log, and
+what 10,000 experiments of 2,000 logs come to (docs/scale.md). S3 is the server of moto.
 """
 
 from __future__ import annotations

@@ -128,22 +128,29 @@ def _finished(client: Client, jobs: Mapping[Future[Any], ExperimentStages]) -> I
 @contextmanager
 def _told(address: str, done: Sized, waiting: int) -> Iterator[None]:
     """Turn errors of the cluster into one that says what is done and what to repeat."""
-    from distributed import KilledWorker
-
     try:
         yield
-    except (ClusterError, CancelledError, OSError, KilledWorker, RuntimeError) as error:
-        unread = isinstance(error, RuntimeError) and "deserialization" in str(error)
-        if isinstance(error, PermissionError) or (isinstance(error, RuntimeError) and not unread):
+    except Exception as error:
+        reason = _reason(error)
+        if reason is None:
             raise
-        reason = str(error).splitlines()[0] if str(error) else type(error).__name__
-        if isinstance(error, KilledWorker):
-            reason = f"an experiment ended {error.allowed_failures + 1} workers in a row; they may lack memory"
-        elif unread:
-            reason = "the scheduler or a worker lacks haptic-pipeline; install the same version for all of them"
-        elif not isinstance(error, ClusterError):
-            reason = f"its scheduler is gone or not to be reached ({reason})"
         raise ClusterError(
             f"Dask at {address}: {reason}. {len(done)} of {waiting} experiments are done and stored. Repeat the "
             "command when the cluster runs again: it does the rest. Without a cluster: --executor local."
         ) from error
+
+
+def _reason(error: Exception) -> str | None:
+    """Return in words what is wrong with a cluster, None where an error is none of a cluster."""
+    from distributed import KilledWorker
+
+    if isinstance(error, ClusterError):
+        return str(error)
+    if isinstance(error, KilledWorker):
+        return f"an experiment ended {error.allowed_failures + 1} workers in a row; they may lack memory"
+    if isinstance(error, RuntimeError) and "deserialization" in str(error):
+        return "the scheduler or a worker lacks haptic-pipeline; install the same version for all of them"
+    if isinstance(error, (CancelledError, OSError)) and not isinstance(error, PermissionError):
+        first = (str(error).splitlines() or [type(error).__name__])[0]
+        return f"its scheduler is gone or not to be reached ({first})"
+    return None

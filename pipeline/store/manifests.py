@@ -98,8 +98,11 @@ def read_manifest(objects: Objects, name: str) -> Manifest:
                 f"{objects.url}/{_FOLDER}{name}.json: has format {document['format']!r}, this version reads {FORMAT}. "
                 "Install the version that wrote it."
             )
-        return Manifest(name, dict(document["files"]), etag)
-    except (ValueError, KeyError, TypeError) as error:
+        files = {str(path): str(held) for path, held in document["files"].items()}
+        if strange := [path for path in files if manifest_of(path) != name or _leads_outside(path)]:
+            raise ValueError(f"it names {strange[0]!r}")
+        return Manifest(name, files, etag)
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise StoreError(
             f"{objects.url}/{_FOLDER}{name}.json: is damaged ({error}). Restore it by a backup."
         ) from error
@@ -132,6 +135,12 @@ def advance(objects: Objects, base: Manifest, files: Files) -> Manifest:
         f"{objects.url}: the manifest of {base.name} was changed by others {ADVANCES} times in a row. "
         "Repeat the command."
     )
+
+
+def _leads_outside(path: str) -> bool:
+    """Return whether a path, which others wrote, is none of a file below the folder."""
+    parts = path.split("/")
+    return "\\" in path or ":" in parts[0] or any(part in ("", ".", "..") for part in parts)
 
 
 def _authoritative(files: Files) -> str:

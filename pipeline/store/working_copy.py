@@ -148,8 +148,10 @@ class _Copy:
         after = advance(self.objects, base, files)
         # where others stored trials meanwhile, this copy does not have them: its ETag stays the old one
         self.manifests[name] = Manifest(name, files, after.etag if after.files == files else base.etag)
-        self.signs = {path: sign for path, sign in self.signs.items() if path not in gone}
-        self.signs |= {path: present[path] for path in changed}
+        # other threads change other keys
+        for path in gone:
+            self.signs.pop(path, None)
+        self.signs.update({path: present[path] for path in changed})
 
     def _named_samples(self, present: Iterable[str]) -> set[str]:
         tables = (read_table(self.folder / path, ["sample_file"]) for path in present if path.startswith("trials/"))
@@ -188,7 +190,9 @@ def opened(place: str | Path, device: str | None = None) -> Iterator[Path]:
         yield Path(place)
         return
     with _copy(os.fspath(place)) as copy:
-        names = [name for name in list_manifests(copy.objects) if device is None or device_of(name) == device]
+        every = list_manifests(copy.objects)
+        # where there is nothing of the device, the error names what there is
+        names = [name for name in every if device is None or device_of(name) == device] or every
         found = _each(lambda name: read_manifest(copy.objects, name), [STORE, *names], _SMALL_AT_ONCE)
         copy.take(found, ("samples/",) if device is None else ("samples/", "quarantine/"))
         yield copy.folder

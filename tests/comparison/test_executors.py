@@ -7,9 +7,11 @@ import shutil
 import signal
 import threading
 import time
+from types import SimpleNamespace
 
 import pytest
 from clusters import dask, free_port, moto
+from distributed import KilledWorker
 from labs import copied_experiments
 
 from pipeline.base.errors import StoreError, UsageError
@@ -168,6 +170,19 @@ def test_no_scheduler(trials, monkeypatch):
     monkeypatch.setattr(executors, "CONNECT_S", 0.5)
     with pytest.raises(ClusterError, match=r"not to be reached.*0 of 4 experiments are done.*Repeat the command"):
         executor_of(f"dask://127.0.0.1:{free_port()}")(experiments(trials), NEEDED)
+
+
+def test_an_experiment_that_ends_its_workers_is_told():
+    last = SimpleNamespace(address="tcp://h:2")
+    words = r"ended 4 workers in a row.*1 of 2 experiments are done"
+    with pytest.raises(ClusterError, match=words), executors._told("tcp://h:1", ["1"], 2):
+        raise KilledWorker("job", last, 3)
+
+
+def test_other_faults_stay_as_they_are():
+    for fault in (PermissionError("no"), RuntimeError("a defect")):
+        with pytest.raises(type(fault)), executors._told("tcp://h:1", [], 2):
+            raise fault
 
 
 class Run(threading.Thread):

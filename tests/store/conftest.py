@@ -3,6 +3,8 @@
 import pytest
 from clusters import moto
 
+from pipeline.base.provenance import digest
+
 
 @pytest.fixture(scope="session")
 def server():
@@ -15,4 +17,4 @@ def s3(server, monkeypatch, request):
     """URL of an empty store; this process finds its server."""
     for name, value in server.env.items():
         monkeypatch.setenv(name, value)
-    return server.url(request.node.name.replace("[", "-").replace("]", ""))
+    return server.url(digest(request.node.nodeid))

@@ -1,5 +1,7 @@
 """Manifests: of two writers the second notices, and what follows from others is kept of both."""
 
+import json
+
 import pytest
 
 from pipeline.base.errors import StoreError
@@ -64,6 +66,15 @@ def test_a_manifest_that_cannot_be_read_is_named(store, content, words):
     store.advance(f"manifests/{NAME}.json", content, None)
     with pytest.raises(StoreError, match=rf"manifests/lwr/1.json: .*{words}"):
         read_manifest(store, NAME)
+
+
+@pytest.mark.parametrize("path", ["trials/../x", "/etc/x", "trials/lwr/2/x", "C:/x", "x\\y", "trials/lwr//x"])
+@pytest.mark.parametrize("name", [NAME, "store"])
+def test_a_manifest_names_files_of_its_own_alone(store, name, path):
+    """It may have been written by anybody who can write to the store."""
+    store.advance(f"manifests/{name}.json", json.dumps({"format": 1, "files": {path: "x"}}).encode(), None)
+    with pytest.raises(StoreError, match=r"is damaged \(it names"):
+        read_manifest(store, name)
 
 
 def test_a_changed_byte_is_noticed(store):

@@ -8,7 +8,8 @@ from datetime import timedelta
 import pytest
 from native_logs import short_log
 
-from pipeline.base.errors import StoreError
+from pipeline.base.errors import DeviceError, StoreError
+from pipeline.comparison.scene.scene import open_scene
 from pipeline.intake import compaction
 from pipeline.intake.compaction import compact
 from pipeline.intake.exclude import exclude
@@ -184,6 +185,13 @@ def test_a_damaged_or_missing_object_is_named(s3, tmp_path):
     objects.delete([name])
     with pytest.raises(StoreError, match=rf"{sample}: is missing"):
         seen(s3)
+
+
+def test_a_device_that_is_not_there_is_told_with_those_that_are(s3, tmp_path):
+    store(s3, write_logs(tmp_path / "logs", [1]))
+    words = f"^{s3}: holds no logs of device 'x'; found bench. .*--processed {s3}$"
+    with pytest.raises(DeviceError, match=words), opened(s3, "x") as processed:
+        open_scene("x", processed, None, None)
 
 
 def test_errors_name_the_store_and_not_the_copy(s3, tmp_path):
