@@ -11,7 +11,8 @@ import hashlib
 import os
 import secrets
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -38,6 +39,9 @@ from pipeline.store.objects import Objects, is_url
 from pipeline.store.storage import EXCLUSIONS_FILE, stage_file
 
 Result = TypeVar("Result")
+
+Sign = tuple[int, int, int]
+"""Inode, size [byte] and time [ns] of a file: another content has another one."""
 
 _TREES = ("trials", "samples", "stages", "theory", "quarantine")
 """Folders that are published, with the exclusions; locks, notes and incomplete files are of one machine."""
@@ -71,8 +75,8 @@ class _Copy:
     objects: Objects
     folder: Path
     manifests: dict[str, Manifest] = field(default_factory=dict)
-    signs: dict[str, tuple[int, int, int]] = field(default_factory=dict)
-    """Inode, size and time of each file as it was brought or published."""
+    signs: dict[str, Sign] = field(default_factory=dict)
+    """Of each file as it was brought or published."""
 
     def take(self, manifests: Iterable[Manifest], later: tuple[str, ...] = ("samples/",)) -> None:
         """Take files into the copy, and bring them but for those in some folders."""
@@ -115,16 +119,21 @@ class _Copy:
             If others changed the same experiment; all others are published.
         """
         present = _files_of(self.folder)
-        names = dict.fromkeys(manifest_of(path) for path in (*present, *self.signs))
+        there: dict[str, dict[str, Sign]] = defaultdict(dict)
+        for path, sign in present.items():
+            there[manifest_of(path)][path] = sign
+        gone: dict[str, set[str]] = defaultdict(set)
+        for path in self.signs.keys() - present.keys():
+            gone[manifest_of(path)].add(path)
         conflicts: list[ConflictError] = []
 
         def published(name: str) -> None:
             try:
-                self._publish(name, {path: sign for path, sign in present.items() if manifest_of(path) == name})
+                self._publish(name, there[name], gone[name])
             except ConflictError as error:
                 conflicts.append(error)
 
-        _each(published, list(names), _LARGE_AT_ONCE)
+        _each(published, list({**there, **gone}), _SMALL_AT_ONCE)
         if conflicts:
             raise conflicts[0]
         for path in present:
@@ -132,17 +141,16 @@ class _Copy:
                 remove(self.folder / path)
                 self.signs.pop(path, None)
 
-    def _publish(self, name: str, present: dict[str, tuple[int, int, int]]) -> None:
+    def _publish(self, name: str, present: Mapping[str, Sign], gone: Set[str]) -> None:
         base = self.manifests.get(name) or Manifest(name)
-        gone = {path for path in self.signs if manifest_of(path) == name and path not in present}
         changed = [path for path, sign in present.items() if self.signs.get(path) != sign]
-        if not changed and not any(not path.startswith("samples/") for path in gone):
+        if not changed and all(path.startswith("samples/") for path in gone):
             return
-        kept = {path: there for path, there in base.files.items() if path not in gone or path.startswith("samples/")}
+        kept = {path: held for path, held in base.files.items() if path not in gone or path.startswith("samples/")}
         if any(path.startswith("trials/") for path in (*changed, *gone)):
             # samples stay as long as a trial names them
             named = self._named_samples(present)
-            kept = {path: there for path, there in kept.items() if not path.startswith("samples/") or path in named}
+            kept = {path: held for path, held in kept.items() if not path.startswith("samples/") or path in named}
             changed = [path for path in changed if not path.startswith("samples/") or path in named]
         files = kept | {path: self._put(path) for path in changed}
         after = advance(self.objects, base, files)
@@ -317,9 +325,9 @@ def _each(work: Callable[[str], Result], names: Sequence[str], at_once: int) -> 
         return list(pool.map(work, names))
 
 
-def _files_of(folder: Path) -> dict[str, tuple[int, int, int]]:
-    """Return the complete files of a working copy that are published, with inode, size and time."""
-    found: dict[str, tuple[int, int, int]] = {}
+def _files_of(folder: Path) -> dict[str, Sign]:
+    """Return the complete files of a working copy that are published, with their signs."""
+    found: dict[str, Sign] = {}
     for tree in _TREES:
         for here, _, names in os.walk(folder / tree):
             for name in names:
@@ -330,6 +338,6 @@ def _files_of(folder: Path) -> dict[str, tuple[int, int, int]]:
     return found | ({EXCLUSIONS_FILE: _sign(exclusions)} if exclusions.exists() else {})
 
 
-def _sign(file: Path) -> tuple[int, int, int]:
+def _sign(file: Path) -> Sign:
     status = file.stat()
     return status.st_ino, status.st_size, status.st_mtime_ns
