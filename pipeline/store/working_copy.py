@@ -238,7 +238,9 @@ def stored_by(place: str | Path, work: Callable[[Path], Result]) -> Result:
     for attempt in range(REPEATS):
         try:
             with opened(place) as folder:
-                return work(folder)
+                result = work(folder)
+                publish(folder)  # here it is an error where the store may only be read
+                return result
         except ConflictError:
             if attempt == REPEATS - 1:
                 raise

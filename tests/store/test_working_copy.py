@@ -1,5 +1,6 @@
 """Stores by URL: the same tables as in a folder, whole at any moment, whoever else writes."""
 
+import errno
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
@@ -185,6 +186,25 @@ def test_a_damaged_or_missing_object_is_named(s3, tmp_path):
     objects.delete([name])
     with pytest.raises(StoreError, match=rf"{sample}: is missing"):
         seen(s3)
+
+
+def test_a_store_that_may_only_be_read(s3, tmp_path, monkeypatch):
+    """What is computed is not kept there; what is to be stored is an error, and no success that stored nothing."""
+
+    def refuse(self, name, file):
+        raise PermissionError(errno.EACCES, "no", self.url)
+
+    logs = write_logs(tmp_path / "logs", [1])
+    store(s3, logs)
+    monkeypatch.setattr(Objects, "put", refuse)
+    with opened(s3, "bench") as processed:
+        (processed / "theory").mkdir()
+        (processed / "theory" / "0.json").write_text("{}")
+    with pytest.raises(PermissionError):
+        stored_by(s3, lambda processed: exclude(processed, str(logs / "1-1.csv"), "slipped"))
+    with pytest.raises(StoreError, match=r"cannot be written .*no.*run the command again"):
+        store(s3, write_logs(tmp_path / "more", [2]))
+    assert seen(s3) == [1]
 
 
 def test_a_device_that_is_not_there_is_told_with_those_that_are(s3, tmp_path):
