@@ -12,6 +12,7 @@ from pydantic import ValidationError
 from pipeline.base.disk import write_text
 from pipeline.base.provenance import code_digest, digest
 from pipeline.comparison.compare_experiment import estimated_theories, experiment_result, motion_of, nominal_theories
+from pipeline.comparison.executors import Executor
 from pipeline.comparison.figures.figure_data import FigureBuilder, requests_of_delay_figure
 from pipeline.comparison.figures.trial_data import trial_page
 from pipeline.comparison.scene.origin import excluded_trials, log_list, provenance, request
@@ -45,6 +46,7 @@ from pipeline.records.results import (
 from pipeline.rendering.labels import UNITS
 from pipeline.rendering.report.report import write as write_report
 from pipeline.rendering.report.report_scripts import page_files
+from pipeline.store.working_copy import origin
 from pipeline.theory.predictions import Predictions, Theory
 
 
@@ -71,6 +73,7 @@ def compare(
     scene_file: Path | None = None,
     truth: Mapping[str, Truth] | None = None,
     progress: Callable[[str], None] | None = None,
+    executor: Executor = compute_stages,
 ) -> Outcome:
     """Compare the stored experiments of a device with theory, and write the report.
 
@@ -99,6 +102,8 @@ def compare(
         What was true of simulated experiments whose ``truth.json`` is gone.
     progress : callable, optional
         Gets the name of each step when it begins.
+    executor : Executor
+        What computes the stages; by default the processes of this machine.
 
     Returns
     -------
@@ -129,9 +134,9 @@ def compare(
         return Outcome(None, _rows(plan), None)
 
     say = progress or (lambda _: None)
-    found = _compute(data, early, predictions, say)
+    found = _compute(data, early, predictions, say, executor)
     output = [*(["--scene", str(scene_file)] if scene_file else []), *(["--full"] if full else [])]
-    result = _result(data, found, report, partial(provenance, processed=processed, key=key, output=output))
+    result = _result(data, found, report, partial(provenance, processed=origin(processed), key=key, output=output))
     if report is not None:
         say("report: figures and page")
         asked = data.scene.shown
@@ -143,7 +148,7 @@ def compare(
             accuracy=accuracy,
             trials=trials() if asked.has_figure("trials") else None,
             tables=asked.tables,
-            request=request(data, result.logs, processed, report_code())
+            request=request(data, result.logs, origin(processed), report_code())
             | {"full": full, "document": digest(result.numbers())},
         )
         write_report(page, report)
@@ -161,7 +166,11 @@ class _Found:
 
 
 def _compute(
-    data: SceneData, theories: dict[str, Theory], predictions: Predictions, say: Callable[[str], None]
+    data: SceneData,
+    theories: dict[str, Theory],
+    predictions: Predictions,
+    say: Callable[[str], None],
+    executor: Executor,
 ) -> _Found:
     """Estimate and judge; theory is computed beside that, or behind it where the device is not known."""
     builder = TableBuilder(data, theories)
@@ -169,7 +178,7 @@ def _compute(
         if data.device is not None:
             say("theory: optima (in the background)")
             predictions.start(builder.requests() + requests_of_delay_figure(data, theories))
-        compute_stages(data.experiments, needed_stages(data))
+        executor(data.experiments, needed_stages(data))
         results = []
         for stages in data.experiments:
             say(f"experiment {stages.experiment}: estimates and costs")

@@ -5,11 +5,9 @@ from __future__ import annotations
 import os
 from collections.abc import Collection
 from concurrent.futures.process import BrokenProcessPool
-from pathlib import Path
-
-import pyarrow as pa
 
 from pipeline.comparison.shared_groups import shared_groups
+from pipeline.comparison.stage_job import do, job_of, take
 from pipeline.measured.stages.stages import STAGES, ExperimentStages
 
 LARGE = 1000
@@ -40,22 +38,15 @@ def compute_stages(experiments: Collection[ExperimentStages], needed: Collection
         return
     # the longest first, so that no processor ends up waiting for the last
     small.sort(key=lambda e: -e.trials.num_rows)
-    wanted = tuple(sorted(needed, key=list(STAGES).index))
+    wanted = sorted(needed, key=list(STAGES).index)
     with shared_groups(processors if large else min(len(small), processors)) as shared:
-        jobs = [shared.pool.submit(_compute, e.processed, e.device, e.experiment, e.spring, wanted) for e in small]
+        jobs = [shared.pool.submit(do, job_of(e, wanted), stored_suffices=False) for e in small]
         try:
             for experiment in large:
                 experiment.compute(wanted, shared.map)
             for experiment, job in zip(small, jobs, strict=True):
-                experiment.take_over(job.result())
+                take(experiment, job.result())
         except BrokenProcessPool:
             # a process was killed, or could not import the caller's main program (typed in, or without a guard): the
             # stages are computed here when they are asked for
             return
-
-
-def _compute(
-    processed: Path, device: str, experiment: str, spring: float, wanted: tuple[str, ...]
-) -> dict[str, pa.Table]:
-    stages = ExperimentStages.stored(processed, device, experiment, spring)
-    return {stage: stages.table(stage) for stage in wanted}

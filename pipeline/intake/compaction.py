@@ -37,6 +37,7 @@ from pipeline.store.storage import (
     steadily,
     trials_files,
 )
+from pipeline.store.working_copy import bring, publish, remove_objects, unused_objects
 
 MOST_SMALL = 8
 """Small batches of like size that an experiment may have. The eighth makes one batch of them, which is of the next
@@ -71,13 +72,17 @@ class CompactReport(Record):
 
 @dataclass(frozen=True)
 class _Batch:
-    """A visible batch: its trials file, and its samples files with their size [byte]."""
+    """A visible batch: its trials file, its samples files, and rows that these hold of it."""
 
     trials: Path
     motion: Motion
     samples: tuple[Path, ...]
     rows: int
-    bytes: int
+
+    @property
+    def bytes(self) -> int:
+        """Size of its files."""
+        return sum(path.stat().st_size for path in (self.trials, *self.samples) if path.is_file())
 
 
 def compact(
@@ -128,20 +133,24 @@ def _compacted(processed: Path, dry_run: bool) -> CompactReport:
             try:
                 for batches in _by_motion(_batches(processed, device, experiment)):
                     # a lone batch with samples of removed trials is written anew without them
-                    if len(batches) > 1 or _has_gaps(batches[0]):
+                    if len(batches) > 1 or _has_gaps(processed, batches[0]):
                         merged.append(_merge_reported(processed, device, experiment, batches, dry_run))
+                        if not dry_run:
+                            publish(processed)
             except StoreError as error:
                 faults.append(str(error))
     if faults:
         raise StoreError("\n".join(faults))
     orphans = find_orphans(processed)
-    size = sum(orphan.stat().st_size for orphan in orphans)
+    unused = unused_objects(processed)
+    size = sum(orphan.stat().st_size for orphan in orphans) + sum(unused.values())
     if not dry_run:
+        remove_objects(processed, unused)
         for orphan in orphans:
             remove(orphan)
         for folder in sorted({orphan.parent for orphan in orphans}):
             sync_folder(folder)
-    names = tuple(orphan.relative_to(processed).as_posix() for orphan in orphans)
+    names = (*(orphan.relative_to(processed).as_posix() for orphan in orphans), *unused)
     return CompactReport(merged=tuple(merged), orphans=names, orphan_bytes=size)
 
 
@@ -212,9 +221,8 @@ def _batches(processed: Path, device: str, experiment: str) -> list[_Batch]:
         # `unique` would import what takes longer than all else here
         samples = tuple(processed / name for name in sorted(set(table.column("sample_file").to_pylist())))
         rows = int(np.sum(table.column("rows").to_numpy()))
-        size = sum(path.stat().st_size for path in samples if path.is_file())
         # one file, one motion: its metadata state the units
-        found.append(_Batch(file, cast(Motion, motion), samples, rows, size))
+        found.append(_Batch(file, cast(Motion, motion), samples, rows))
     return found
 
 
@@ -223,16 +231,22 @@ def _by_motion(batches: Sequence[_Batch]) -> Iterator[list[_Batch]]:
         yield [batch for batch in batches if batch.motion == motion]
 
 
-def _has_gaps(batch: _Batch) -> bool:
+def _has_gaps(processed: Path, batch: _Batch) -> bool:
+    _bring(processed, [batch])
     stored = sum(int(samples_metadata(path).num_rows) for path in batch.samples)
     return stored > batch.rows
+
+
+def _bring(processed: Path, batches: Sequence[_Batch]) -> None:
+    bring(processed, [path.relative_to(processed).as_posix() for batch in batches for path in batch.samples])
 
 
 def _merge_reported(
     processed: Path, device: str, experiment: str, batches: Sequence[_Batch], dry_run: bool
 ) -> ExperimentMerge:
     trials = sum(pq.read_metadata(batch.trials).num_rows for batch in batches)
-    before = sum(batch.bytes + batch.trials.stat().st_size for batch in batches)
+    _bring(processed, batches)
+    before = sum(batch.bytes for batch in batches)
     after = None
     if not dry_run:
         target = _merge(processed, device, experiment, batches)
@@ -251,6 +265,7 @@ def _merge_reported(
 def _merge(processed: Path, device: str, experiment: str, batches: Sequence[_Batch]) -> Path:
     new = NewBatch(processed, device, experiment, batches[0].motion)
     try:
+        _bring(processed, batches)
         copier = _Copier(new)
         tables = []
         for file in (file for batch in batches for file in batch.samples):

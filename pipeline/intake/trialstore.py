@@ -29,6 +29,7 @@ from pipeline.records.table_files import GROUP_ROWS
 from pipeline.records.tables import to_arrow
 from pipeline.store.batch_files import NewBatch, next_number, publish_batches
 from pipeline.store.storage import samples_folder, trials_folder
+from pipeline.store.working_copy import publish
 
 PUBLISHED_TOGETHER = 8
 """Batches that become visible at once, with two open files each: their syncs take the time of one."""
@@ -141,6 +142,7 @@ class TrialWriter:
                 self.visible.update(batch.trials["source_path"])
                 del self._batches[key]
             number += len(keys)
+        publish(self.processed)
         sources, self._sources, self._bytes = self._sources, [], 0
         return sources
 

@@ -29,8 +29,7 @@ from pipeline.records.tables import TABLES
 from pipeline.repair.reread import same_logs
 from pipeline.repair.salvage import NEEDED, groups_of, unreadable
 from pipeline.store.batch_files import pack_annex, samples_footer, trials_bytes
-from pipeline.store.exclusions import EXCLUSIONS_FILE
-from pipeline.store.storage import partner_of, read_versions
+from pipeline.store.storage import EXCLUSIONS_FILE, partner_of, read_versions
 
 DAMAGED_FOLDER = "damaged"
 """Folder below `processed` for files of which something could not be saved; nothing there is ever removed."""

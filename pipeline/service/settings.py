@@ -30,6 +30,8 @@ class Settings:
         Requests a minute of a token or address, 0 for any; by default any on loopback, `RATE` elsewhere.
     unix_socket : Path, optional
         Where is listened instead of at an address.
+    executor : str
+        What computes the stages of experiments, as ``--executor`` names it.
     body_s, theory_s, wait_s : float
         Longest silence of a client that sends, time for a theory, and wait of a request for a job [s].
     """
@@ -44,6 +46,7 @@ class Settings:
     max_files: int = 10_000
     rate: int | None = None
     unix_socket: Path | None = None
+    executor: str = "local"
     body_s: float = 30.0
     theory_s: float = 20.0
     wait_s: float = 20.0

@@ -29,6 +29,7 @@ EXTRAS = {
     "bags": "ROS bags",
     "tdms": "TDMS files",
     "serve": "pipeline serve",
+    "cluster": "stores by URL, and clusters",
 }
 """What the packages of each extra are for."""
 

@@ -25,9 +25,17 @@ from pipeline.intake.quarantine import list_quarantine
 from pipeline.measured.stages.stages import STAGES, ExperimentStages
 from pipeline.profiles.profile_files import shipped_profiles
 from pipeline.records.findings import Record
-from pipeline.store.exclusions import EXCLUSIONS_FILE, Exclusion, Key, read_exclusions, split_trials
+from pipeline.store.exclusions import Exclusion, Key, read_exclusions, split_trials
 from pipeline.store.names import report_of
-from pipeline.store.storage import natural_key, partner_of, read_trials, samples_metadata, stage_file, steadily
+from pipeline.store.storage import (
+    EXCLUSIONS_FILE,
+    natural_key,
+    partner_of,
+    read_trials,
+    samples_metadata,
+    stage_file,
+    steadily,
+)
 
 UNCODED = "other"
 """Key of refusals by a version that gave no codes."""

@@ -17,8 +17,7 @@ from pipeline.base.provenance import stamp
 from pipeline.records.findings import Record
 from pipeline.records.table_files import read_table, write_table
 from pipeline.records.tables import TABLES, to_arrow
-
-EXCLUSIONS_FILE = "exclusions.parquet"
+from pipeline.store.storage import EXCLUSIONS_FILE
 
 Key = tuple[str, str | None]
 """What a trial is known by: SHA-256 of its log, and which trial of the log it is."""

@@ -17,6 +17,7 @@ from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
 from pipeline.records.groups import TrialGroups, group_trials, padded_length
 from pipeline.records.table_files import open_table
 from pipeline.store.storage import ATTEMPTS, read_trials
+from pipeline.store.working_copy import bring
 
 _OPTIONAL = ("force", "velocity")
 """Columns of samples that a log may lack."""
@@ -61,6 +62,7 @@ def in_order(trials: pa.Table) -> pa.Table:
 def _load(processed: Path, trials: pa.Table, places: list[Integers], length: Length) -> list[TrialBatch]:
     """Read the trials at some places into a batch each, of the length that their rows have."""
     for _ in range(ATTEMPTS):
+        bring(processed, set(trials.column("sample_file").to_pylist()))
         try:
             return _read_samples(processed, trials, places, length)
         except StoreError:

@@ -30,6 +30,9 @@ from pipeline.store.names import name_of_folder, place_of
 
 Result = TypeVar("Result")
 
+EXCLUSIONS_FILE = "exclusions.parquet"
+"""File of the trials that are excluded by hand."""
+
 
 def trials_folder(processed: Path, device: str, experiment: str) -> Path:
     """Return the folder with the trials tables of an experiment."""

@@ -28,8 +28,8 @@ from pipeline.shell.cli import application
 from pipeline.shell.status import status
 from pipeline.shell.verify.verify import verify
 from pipeline.shell.watch.watch_pass import _inputs
-from pipeline.store.exclusions import EXCLUSIONS_FILE, read_exclusions
-from pipeline.store.storage import read_trials
+from pipeline.store.exclusions import read_exclusions
+from pipeline.store.storage import EXCLUSIONS_FILE, read_trials
 
 pytestmark = pytest.mark.usefixtures("one_process")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -38,3 +39,15 @@ def make_lab(folder: Path, device: Device, experiments: tuple[str, ...], **optio
     report = ingest([folder / "raw"], folder / "processed")
     assert report.ingested == written == report.found
     return Lab(device, courses, folder / "raw", folder / "processed")
+
+
+def copied_experiments(folder: Path, device: Device, course: str, names: Sequence[str], **options) -> Path:
+    """Logs of one simulated course under the names of several experiments."""
+    write_course(run_course(device, course, **options), folder / "once")
+    for log in sorted((folder / "once").rglob("*.csv")):
+        text = log.read_text(encoding="utf-8")
+        for name in names:
+            copy = folder / "raw" / name / log.name
+            copy.parent.mkdir(parents=True, exist_ok=True)
+            copy.write_text(text.replace(f"# experiment: {course}\n", f"# experiment: {name}\n"), encoding="utf-8")
+    return folder / "raw"

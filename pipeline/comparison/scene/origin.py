@@ -10,7 +10,6 @@ from collections import Counter
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from importlib.metadata import version
-from pathlib import Path
 
 from pipeline import __version__
 from pipeline.base.file_names import path_of_text
@@ -88,7 +87,7 @@ def joint_sha256(hashes: Sequence[str]) -> str:
 
 
 def provenance(
-    data: SceneData, lists: Sequence[LogList], processed: Path, *, key: str, code: str, output: Sequence[str] = ()
+    data: SceneData, lists: Sequence[LogList], processed: str, *, key: str, code: str, output: Sequence[str] = ()
 ) -> dict[str, str]:
     """Return the entries of a report's origin, for people.
 
@@ -97,8 +96,8 @@ def provenance(
     data : SceneData
     lists : sequence of LogList
         Logs of each experiment.
-    processed : Path
-        Folder of the stored tables, as it was given.
+    processed : str
+        Folder or URL of the stored tables, as it was given.
     key : str
         Hash of all that the report shows.
     code : str
@@ -130,22 +129,22 @@ def provenance(
     return entries
 
 
-def request(data: SceneData, lists: Sequence[LogList], processed: Path, code: str) -> dict[str, object]:
+def request(data: SceneData, lists: Sequence[LogList], processed: str, code: str) -> dict[str, object]:
     """Return what the comparison was asked for and rests on, as `verify` asks for it again."""
     logs = {e.experiment: {"files": len(e.files), "sha256": e.sha256, "samples": e.samples} for e in lists}
     excluded = [one.model_dump() for one in data.excluded]
-    asked = {"processed": str(processed), "scene": data.scene.model_dump(mode="json")}
+    asked = {"processed": processed, "scene": data.scene.model_dump(mode="json")}
     truth = {name: one.model_dump(mode="json") for name, one in data.truth.items()}
     return asked | {"logs": logs, "code": code, "excluded": excluded, "truth": truth}
 
 
-def _command(data: SceneData, processed: Path, output: Sequence[str]) -> str:
+def _command(data: SceneData, processed: str, output: Sequence[str]) -> str:
     scene = data.scene
     words = ["pipeline", "compare", "--device", scene.device]
     words += [word for experiment in scene.experiments for word in ("--experiment", experiment)]
     words += [] if scene.criteria == REPORTED else ["--criteria", ",".join(scene.criteria)]
     # names come from logs and may hold anything
-    return shlex.join([*words, "--processed", str(processed), *output])
+    return shlex.join([*words, "--processed", processed, *output])
 
 
 def _parameters(data: SceneData) -> str:

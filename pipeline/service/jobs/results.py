@@ -13,11 +13,12 @@ from pipeline.base.file_names import path_of_text
 from pipeline.base.provenance import code_digest, digest
 from pipeline.comparison.against_run import against_experiments
 from pipeline.comparison.compare import compare, report_code
+from pipeline.comparison.executors import LOCAL, executor_of
 from pipeline.comparison.scene.scene import needed_stages, open_scene
 from pipeline.comparison.stage_pool import compute_stages
 from pipeline.device_data.devices import known_devices
 from pipeline.intake.ingest import ingest
-from pipeline.measured.stages.stages import STAGES
+from pipeline.measured.stages.stages import STAGES, ExperimentStages
 from pipeline.rendering.report.report_against import write
 from pipeline.service.database import Database
 from pipeline.service.settings import Settings
@@ -83,23 +84,38 @@ def _named(value: Any, folder: Path, database: Database) -> Any:
 def run_stages(settings: Settings, _database: Database, _request: dict[str, Any], progress: Progress) -> Any:
     """Compute verdicts and costs of all experiments that lack them; one that cannot be computed is named."""
     failed: dict[str, str] = {}
+    waiting = _without_stages(settings, failed)
+    if settings.executor != LOCAL:
+        for needed in sorted({needed for _, needed in waiting}):
+            executor_of(settings.executor)([stages for stages, own in waiting if own == needed], needed)
     computed = 0
+    while waiting:
+        stages, needed = waiting.pop(0)
+        try:
+            progress({"device": stages.device, "experiment": stages.experiment})
+            compute_stages([stages], needed)
+            for stage in needed:
+                stages.table(stage)
+            computed += 1
+        except PipelineError as error:
+            failed[f"{stages.device}, experiment {stages.experiment}"] = str(error)
+    return {"computed": computed, "failed": failed}
+
+
+def _without_stages(settings: Settings, failed: dict[str, str]) -> list[tuple[ExperimentStages, tuple[str, ...]]]:
+    """Return the experiments that lack stages, and all that each needs; those that cannot be read go into `failed`."""
+    found = []
     for device in list_devices(settings.processed):
         for experiment in list_experiments(settings.processed, device):
             try:
                 data = open_scene(device, settings.processed, [experiment], None)
-                needed = sorted(needed_stages(data), key=list(STAGES).index)
+                needed = tuple(sorted(needed_stages(data), key=list(STAGES).index))
                 (stages,) = data.experiments
-                if all(stages.is_stored(stage) for stage in needed):
-                    continue
-                progress({"device": device, "experiment": experiment})
-                compute_stages(data.experiments, needed)
-                for stage in needed:
-                    stages.table(stage)
-                computed += 1
+                if not all(stages.is_stored(stage) for stage in needed):
+                    found.append((stages, needed))
             except PipelineError as error:
                 failed[f"{device}, experiment {experiment}"] = str(error)
-    return {"computed": computed, "failed": failed}
+    return found
 
 
 def run_experiment(settings: Settings, _database: Database, request: dict[str, Any], progress: Progress) -> Any:
@@ -131,6 +147,7 @@ def _compared(settings: Settings, request: dict[str, Any], report: Path | None, 
         criteria=asked["criteria"],
         report=report,
         progress=progress,
+        executor=executor_of(settings.executor),
     ).result
     assert result is not None, "only a dry run has none"
     document = result.model_dump(mode="json")

@@ -1,8 +1,8 @@
 """A process that works at jobs, one after the other, while its server lives.
 
-Run as ``python -m pipeline.service.jobs.worker PROCESSED REPORTS``. A byte on standard input says that a job waits, its
-end that the server ended: then this process ends, too, and another one takes the job when its lease has run out. What
-the functions of jobs write is whole at any moment, and they can be run again.
+Run as ``python -m pipeline.service.jobs.worker PROCESSED REPORTS EXECUTOR``. A byte on standard input says that a job
+waits, its end that the server ended: then this process ends, too, and another one takes the job when its lease has run
+out. What the functions of jobs write is whole at any moment, and they can be run again.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ def work(settings: Settings, database: Database, owner: str) -> bool:
 def main() -> None:
     """Work until the server ends."""
     leave_out_pandas()
-    settings = Settings(Path(sys.argv[1]), Path(sys.argv[2]))
+    settings = Settings(Path(sys.argv[1]), Path(sys.argv[2]), executor=sys.argv[3])
     waiting = threading.Event()
 
     def listen() -> None:

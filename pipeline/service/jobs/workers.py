@@ -39,8 +39,8 @@ class Workers:
                 pass
 
     def _keep(self) -> None:
-        folders = [str(self.settings.processed), str(self.settings.reports)]
-        command = [sys.executable, "-m", "pipeline.service.jobs.worker", *folders]
+        given = [str(self.settings.processed), str(self.settings.reports), self.settings.executor]
+        command = [sys.executable, "-m", "pipeline.service.jobs.worker", *given]
         while not self._ended.is_set():
             # a session of its own: Ctrl-C ends the server, and the server its workers
             with subprocess.Popen(

@@ -12,7 +12,7 @@ from pipeline.base.errors import EXIT_ERROR, UsageError
 from pipeline.base.outputs import check_output
 from pipeline.shell import console
 from pipeline.shell.commands import cli_theory
-from pipeline.shell.commands.options import Criteria, Experiments, Json, Processed
+from pipeline.shell.commands.options import Criteria, ExecutorName, Experiments, Json, Processed, Store
 
 if TYPE_CHECKING:
     from pipeline.rendering.report.report_against import AgainstPage
@@ -26,7 +26,8 @@ def compare(
     ] = None,
     experiment: Experiments = None,
     criteria: Criteria = None,
-    processed: Processed = Path("processed"),
+    processed: Store = "processed",
+    executor: ExecutorName = "local",
     report: Annotated[
         Path | None,
         typer.Option("--report", help="HTML file; reports/DEVICE.html where not given.", show_default=False),
@@ -70,10 +71,12 @@ def compare(
     Example: pipeline compare --device falcon --experiment 1 --criteria settle_2pct,overshoot
     """
     from pipeline.comparison.compare import compare as compare_device
+    from pipeline.comparison.executors import executor_of
     from pipeline.comparison.scene.scene_file import read_scene
     from pipeline.rendering.table_export import export_tables, parse_formats, tables_folder
     from pipeline.shell.report_index import write_index
     from pipeline.store.names import page_against_document, report_of
+    from pipeline.store.working_copy import opened
 
     two = against is not None or against_device is not None
     if two:
@@ -89,8 +92,10 @@ def compare(
     wanted = cli_theory.split(criteria) if criteria is not None else asked.chosen_criteria if asked else None
     if two:
         names = experiment or (asked.experiments if asked else None)
-        _compare_against(name, names, against, against_device, processed, wanted, report, as_json)
+        with opened(processed) as folder:
+            _compare_against(name, names, against, against_device, folder, wanted, report, as_json)
         return
+    computes = executor_of(executor)
     drawn = Path(asked.report) if asked and asked.report else report_of(Path("reports"), name)
     target = report or drawn
     if not dry_run:
@@ -100,18 +105,20 @@ def compare(
 
         # read before the comparison, which may replace it
         earlier = read_document(against_report, name)
-    outcome = compare_device(
-        name,
-        processed,
-        experiments=experiment or (asked.experiments if asked else None),
-        criteria=wanted,
-        report=target,
-        dry_run=dry_run,
-        full=full,
-        shown=asked.shown if asked else None,
-        scene_file=scene,
-        progress=None if as_json else console.note,
-    )
+    with opened(processed, name) as folder:
+        outcome = compare_device(
+            name,
+            folder,
+            experiments=experiment or (asked.experiments if asked else None),
+            criteria=wanted,
+            report=target,
+            dry_run=dry_run,
+            full=full,
+            shown=asked.shown if asked else None,
+            scene_file=scene,
+            progress=None if as_json else console.note,
+            executor=computes,
+        )
     if outcome.result is None:
         stages = [dict(zip(("stage", "action", "reason"), row, strict=True)) for row in outcome.stages]
         if as_json:
@@ -211,8 +218,8 @@ def _print_against(page: AgainstPage, report: Path, as_json: bool) -> None:
 def verify(
     report: Annotated[Path, typer.Argument(help="Report (HTML) by `pipeline compare`.")],
     processed: Annotated[
-        Path | None,
-        typer.Option("--processed", help="Folder of the stored tables; the one that the report names where not given."),
+        str | None,
+        typer.Option("--processed", help="Folder or URL of the stored tables; as the report names it if not given."),
     ] = None,
     profile: Annotated[
         list[Path] | None,

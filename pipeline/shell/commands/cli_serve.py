@@ -11,7 +11,7 @@ import typer
 
 from pipeline.base.errors import EXIT_ERROR, EXIT_QUARANTINED, UsageError
 from pipeline.shell import console
-from pipeline.shell.commands.options import Json, Processed
+from pipeline.shell.commands.options import ExecutorName, Json, Processed
 
 token_app = typer.Typer(no_args_is_help=True, help="Tokens for other computers: make, list, revoke.")
 
@@ -47,15 +47,18 @@ def serve(
     unix_socket: Annotated[
         Path | None, typer.Option("--unix-socket", help="Listen at this path, for its owner alone, and at no address.")
     ] = None,
+    executor: ExecutorName = "local",
 ) -> None:
     """Serve what is stored in the browser and by REST, take uploads, compare. Ctrl-C ends it.
 
     Example: pipeline serve --processed processed
     """
     _check_installed()
+    from pipeline.comparison.executors import executor_of
     from pipeline.service.app import serve as run
     from pipeline.service.settings import Settings
 
+    executor_of(executor)  # one that cannot be used is refused at once
     settings = Settings(
         processed=processed,
         reports=reports,
@@ -66,6 +69,7 @@ def serve(
         max_request=max_request_mib << 20,
         rate=rate,
         unix_socket=unix_socket,
+        executor=executor,
     )
     place = unix_socket or f"http://{f'[{host}]' if ':' in host else host}:{port}/"
     console.note(f"{place} (Ctrl-C ends it)")

@@ -10,7 +10,7 @@ import typer
 
 from pipeline.base.errors import EXIT_ERROR, EXIT_OK, EXIT_QUARANTINED, UsageError
 from pipeline.shell import console
-from pipeline.shell.commands.options import Json, Processed, ProfileFile
+from pipeline.shell.commands.options import Json, Processed, ProfileFile, Store
 
 if TYPE_CHECKING:
     from pipeline.repair.check import CheckReport
@@ -29,7 +29,7 @@ LISTED = 10
 def ingest(
     paths: Annotated[list[Path], typer.Argument(help="Folders with logs (searched below, too), and logs.")],
     profile: ProfileFile = None,
-    processed: Processed = Path("processed"),
+    processed: Store = "processed",
     jobs: Annotated[int | None, typer.Option("--jobs", help="Threads; one per processor where not given.")] = None,
     rehash: Annotated[
         bool, typer.Option("--rehash", help="Look at the content even where size and time are unchanged.")
@@ -52,27 +52,23 @@ def ingest(
     Example: pipeline ingest raw --profile lab.toml --wait 600
     """
     from pipeline.intake.rerun import Search, recall
+    from pipeline.store.objects import is_url
 
     if jobs is not None and jobs < 1:
         raise UsageError(f"jobs must be at least 1, found {jobs}. Leave it out for one per processor.")
-    search = Search(tuple(map(str, paths)), str(processed), profile)
-    document = None if dry_run or rehash else recall(search)
+    # a store by URL has no note of the last ingest
+    search = None if is_url(processed) else Search(tuple(map(str, paths)), processed, profile)
+    document = None if search is None or dry_run or rehash else recall(search)
     if document is None:
         from pipeline.intake.ingest import ingest as ingest_logs
+        from pipeline.store.working_copy import stored_by
 
         with console.progress("ingest", "logs", as_json) as advance:
-            document = ingest_logs(
-                paths,
-                processed,
-                profile,
-                jobs=jobs,
-                dry_run=dry_run,
-                rehash=rehash,
-                progress=advance,
-                wait_s=wait,
-                say=None if as_json else console.note,
-                search=search,
-            ).model_dump(mode="json")
+            note = None if as_json else console.note
+            how: dict[str, Any] = {"jobs": jobs, "dry_run": dry_run, "rehash": rehash, "search": search}
+            how |= {"progress": advance, "wait_s": wait, "say": note}
+            report = stored_by(processed, lambda folder: ingest_logs(paths, folder, profile, **how))
+        document = report.model_dump(mode="json")
     if document["plan"] is None:
         del document["plan"]
     if as_json:
@@ -126,7 +122,7 @@ def _listed(title: str, paths: list[str]) -> Iterable[str]:
 
 
 def compact(
-    processed: Processed = Path("processed"),
+    processed: Store = "processed",
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be done, do nothing.")] = False,
     wait: Wait = WAIT_S,
     as_json: Json = False,
@@ -138,9 +134,11 @@ def compact(
     Example: pipeline compact --processed processed
     """
     from pipeline.intake.compaction import compact as compact_store
+    from pipeline.store.working_copy import stored_by
 
     _must_exist(processed)
-    report = compact_store(processed, dry_run, wait, None if as_json else console.note)
+    note = None if as_json else console.note
+    report = stored_by(processed, lambda folder: compact_store(folder, dry_run, wait, note))
     if as_json:
         console.print_json(report.model_dump(mode="json"))
         return
@@ -290,7 +288,7 @@ def exclude(
     trial: Annotated[str, typer.Argument(help="Trial id, the beginning of one, or the path of a log with one trial.")],
     reason: Annotated[str | None, typer.Option("--reason", help="Why; every report shows it.")] = None,
     undo: Annotated[bool, typer.Option("--undo", help="Use the trial again.")] = False,
-    processed: Processed = Path("processed"),
+    processed: Store = "processed",
     wait: Wait = WAIT_S,
     as_json: Json = False,
 ) -> None:
@@ -306,15 +304,20 @@ def exclude(
     Example: pipeline exclude 3f9a --undo
     """
     from pipeline.intake import exclude as exclusions
+    from pipeline.store.working_copy import stored_by
 
     _must_exist(processed)
     if undo == (reason is not None):
         raise UsageError(f'{trial}: expected either --reason "<words>" or --undo, found {"both" if undo else "none"}.')
     note = None if as_json else console.note
-    if reason is not None:
-        found = exclusions.exclude(processed, trial, reason, wait, note)
-    else:
-        found = exclusions.use_again(processed, trial, wait, note)
+    found = stored_by(
+        processed,
+        lambda folder: (
+            exclusions.use_again(folder, trial, wait, note)
+            if reason is None
+            else exclusions.exclude(folder, trial, reason, wait, note)
+        ),
+    )
     if as_json:
         console.print_json({"excluded": not undo, **found.model_dump(mode="json")})
         return
@@ -331,6 +334,8 @@ def _mb(size: int) -> str:
     return f"{size / 1e6:.3g} MB"
 
 
-def _must_exist(processed: Path) -> None:
-    if not processed.is_dir():
+def _must_exist(processed: str | Path) -> None:
+    from pipeline.store.objects import is_url
+
+    if not is_url(processed) and not Path(processed).is_dir():
         raise UsageError(f"{processed}: no such folder. Give the folder of the stored tables (--processed).")

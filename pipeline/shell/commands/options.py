@@ -7,9 +7,22 @@ from typing import Annotated
 
 import typer
 
+
+def _folder(text: str) -> Path:
+    from pipeline.store.objects import is_url
+
+    if is_url(text):
+        raise typer.BadParameter(f"{text}: this command takes a folder; docs/scale.md names those that take a URL.")
+    return Path(text)
+
+
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout, nothing else there.")]
 JsonLines = Annotated[bool, typer.Option("--json", help="Print each line as a JSON document.")]
-Processed = Annotated[Path, typer.Option("--processed", help="Folder of the stored tables.")]
+Processed = Annotated[Path, typer.Option("--processed", parser=_folder, help="Folder of the stored tables.")]
+Store = Annotated[str, typer.Option("--processed", help="Folder of the stored tables, or s3://BUCKET/PREFIX.")]
+ExecutorName = Annotated[
+    str, typer.Option("--executor", help="What computes experiments: local, or dask://HOST:PORT of a scheduler.")
+]
 ProfileFile = Annotated[str | None, typer.Option("--profile", help="Log profile by name, or a profile file (.toml).")]
 Criteria = Annotated[
     str | None,

@@ -30,6 +30,8 @@ from pipeline.shell.verify.verify_differences import (
 )
 from pipeline.shell.verify.verify_logs import LogProblem, ReportedLogs, read_anew
 from pipeline.store.exclusions import Exclusion
+from pipeline.store.objects import is_url
+from pipeline.store.working_copy import opened
 
 
 class Verification(Record):
@@ -69,7 +71,7 @@ class _Request(BaseModel):
 
 def verify(
     report: Path,
-    processed: Path | None = None,
+    processed: Path | str | None = None,
     profiles: Sequence[Path] = (),
     progress: Callable[[str], None] | None = None,
 ) -> Verification:
@@ -82,9 +84,9 @@ def verify(
     ----------
     report : Path
         HTML page by `compare`.
-    processed : Path, optional
-        Folder of the stored tables; by default the one that the report names, looked for in the current folder and
-        beside the report.
+    processed : Path or str, optional
+        Folder or URL of the stored tables; by default that which the report names, a folder looked for in the current
+        one and beside the report.
     profiles : sequence of Path
         Profile files of the lab that read the logs.
     progress : callable, optional
@@ -104,15 +106,18 @@ def verify(
         raise UsageError(f"{report}: cannot be read ({error}). Give a report by `pipeline compare`.") from error
     found = take_apart(page)
     request = _request(report, found)
-    folder = _processed(report, processed or Path(request.processed), given=processed is not None)
+    device = request.scene.device
     document, notes = _document(report)
     if request.code != report_code():
         notes.append("the report was made by another version of the code: numbers may differ for that reason")
-    with tempfile.TemporaryDirectory(prefix="pipeline-verify-") as temporary:
+    place = processed or request.processed
+    if not is_url(place):
+        place = str(_processed(report, Path(place), given=processed is not None))
+    with tempfile.TemporaryDirectory(prefix="pipeline-verify-") as temporary, opened(place, device) as folder:
         store = Path(temporary) / "processed"
         say("reading the logs")
         lists = {logs.experiment: logs for logs in document.logs} if document else {}
-        fresh = read_anew(request.scene.device, folder, request.logs, lists, store, profiles, request.excluded)
+        fresh = read_anew(device, folder, request.logs, lists, store, profiles, request.excluded)
         if (folder / "accuracy.json").is_file():
             shutil.copy(folder / "accuracy.json", store / "accuracy.json")
         say(f"computing anew: {fresh.read} trials from logs, {fresh.kept} from stored samples")

@@ -1,0 +1,106 @@
+"""An object store by its requests: what is conditional is so, and what fails says what to do."""
+
+import subprocess
+import sys
+
+import pytest
+from clusters import free_port
+from obstore.exceptions import PermissionDeniedError
+
+from pipeline.base.errors import StoreError, UsageError
+from pipeline.store import objects as objects_module
+from pipeline.store.objects import Objects, check_installed, is_url
+
+
+def test_only_the_version_that_was_read_is_replaced(s3):
+    store = Objects(s3)
+    assert store.get("a.json") is None
+    first = store.advance("a.json", b"1", None)
+    assert store.get("a.json") == (b"1", first)
+    assert store.advance("a.json", b"2", None) is None, "there is one already"
+    second = store.advance("a.json", b"2", first)
+    assert store.advance("a.json", b"3", first) is None, "it is another version now"
+    assert store.get("a.json") == (b"2", second)
+    assert store.advance("b.json", b"1", "no such version") is None
+
+
+def test_content_of_its_own_is_no_conflict(s3):
+    """The answer to a request was lost, and it is sent again."""
+    store = Objects(s3)
+    first = store.advance("a.json", b"1", None)
+    second = store.advance("a.json", b"2", first)
+    assert store.advance("a.json", b"2", first) == second
+    assert store.advance("a.json", b"2", None) == second
+
+
+def test_names_below_a_url_are_listed_page_by_page(s3, tmp_path):
+    store = Objects(s3 + "/")
+    (tmp_path / "file").write_bytes(b"x")
+    names = [f"x/{number:04d} %41 ä" for number in range(3)]
+    for name in (*names, "y"):
+        store.put(name, tmp_path / "file")
+    assert sorted(name for name, _, _ in store.list("x/")) == names
+    store.delete(names[:1])
+    store.delete([])
+    assert sorted(name for name, _, _ in store.list("x/")) == names[1:]
+    assert store.get(names[0]) is None
+    assert Objects(s3[:-1]).list("") == [], "another prefix that begins alike"
+
+
+def test_a_store_that_is_gone_says_what_to_repeat(monkeypatch, server):
+    monkeypatch.setattr(objects_module, "RETRIES", 1)
+    for name, value in (server.env | {"AWS_ENDPOINT_URL": f"http://127.0.0.1:{free_port()}"}).items():
+        monkeypatch.setenv(name, value)
+    with pytest.raises(StoreError, match=r"s3://lab/x: the store does not answer.*AWS_ENDPOINT_URL.*repeat"):
+        Objects("s3://lab/x").get("a")
+
+
+def test_a_bucket_that_is_not_there_is_told(s3, tmp_path):
+    (tmp_path / "file").write_bytes(b"x")
+    with pytest.raises(StoreError, match="bucket is there"):
+        Objects("s3://nowhere/x").put("a", tmp_path / "file")
+
+
+def test_a_store_that_may_only_be_read_is_like_a_folder_that_may(s3, monkeypatch):
+    def refuse(*_, **__):
+        raise PermissionDeniedError("no")
+
+    monkeypatch.setattr("obstore.put", refuse)
+    with pytest.raises(PermissionError) as told:
+        Objects(s3).advance("a", b"", None)
+    assert told.value.filename == s3
+
+
+@pytest.mark.parametrize("url", ["s3://", "gs://bucket", "http://host/x"])
+def test_other_urls_are_refused(url):
+    assert is_url(url)
+    with pytest.raises(UsageError, match=r"expected a folder, or s3://BUCKET/PREFIX"):
+        Objects(url)
+
+
+def test_folders_are_no_urls(tmp_path):
+    assert not any(map(is_url, ("processed", tmp_path, "C:\\x", "a:b")))
+
+
+def test_without_the_extra_it_is_told_what_to_install(monkeypatch):
+    monkeypatch.setattr(objects_module, "find_spec", lambda name: None)
+    with pytest.raises(UsageError, match=r"s3://x needs obstore.*pip install 'haptic-pipeline\[cluster\]'"):
+        Objects("s3://x")
+    with pytest.raises(UsageError, match="needs distributed"):
+        check_installed("distributed", "a cluster")
+
+
+def test_a_folder_needs_none_of_it(tmp_path):
+    """Neither package is imported by commands that store into folders."""
+    code = (
+        "import sys\n"
+        "from pipeline.shell.cli import run\n"
+        "for command in ('ingest logs', 'compare --device x', 'compact'):\n"
+        "    try:\n        run(command.split())\n"
+        "    except SystemExit:\n        pass\n"
+        "print([name for name in ('obstore', 'distributed', 'dask') if name in sys.modules])"
+    )
+    (tmp_path / "logs").mkdir()
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True)
+    assert done.stdout.splitlines()[-1] == "[]", done.stderr
+    assert "holds no logs of device 'x'" in done.stderr
