@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pipeline.base.errors import EXIT_ERROR, UsageError
+from pipeline.base.errors import UsageError
 from pipeline.base.outputs import check_output
 from pipeline.shell import console
 from pipeline.shell.commands import cli_theory
@@ -206,39 +206,6 @@ def _print_against(page: AgainstPage, report: Path, as_json: bool) -> None:
         for line in pair.sentences:
             console.say(line)
     console.say(f"report: {result.report}")
-
-
-def verify(
-    report: Annotated[Path, typer.Argument(help="Report (HTML) by `pipeline compare`.")],
-    processed: Annotated[
-        Path | None,
-        typer.Option("--processed", help="Folder of the stored tables; the one that the report names where not given."),
-    ] = None,
-    profile: Annotated[
-        list[Path] | None,
-        typer.Option("--profile", help="Profile file (.toml) that read the logs; may be given several times."),
-    ] = None,
-    as_json: Json = False,
-) -> None:
-    """Compute the numbers of a report anew from the logs, and name those that differ.
-
-    Reads the logs from where they lay (their stored samples where they are gone), computes everything in a temporary
-    folder, and compares each cell, figure, sentence and value. What no log determines, such as run times, is held
-    against hashes in the page. Exit status 1 where something differs.
-
-    Example: pipeline verify reports/falcon.html
-    """
-    from pipeline.shell.verify.verify import lines_of
-    from pipeline.shell.verify.verify import verify as verify_report
-
-    found = verify_report(report, processed, profile or (), None if as_json else console.note)
-    if as_json:
-        console.print_json(found.model_dump(mode="json"))
-    else:
-        for line in lines_of(found):
-            console.say(line)
-    if not found.equal:
-        raise typer.Exit(EXIT_ERROR)
 
 
 @scene_app.command("draft")
