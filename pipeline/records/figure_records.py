@@ -57,7 +57,8 @@ class Curve:
     ``stable`` and ``unstable`` (dots and crosses, one a trial). A label that begins with an
     underscore is not shown. ``censored`` marks the points of a measured curve where the tested range ended before an
     unstable trial. ``low`` and ``high`` are stiffnesses at the dampings of the curve: an envelope, or what a measured
-    limit leaves open (NaN where that is not known).
+    limit leaves open (NaN where that is not known). ``number`` is the place of its experiment in the report, by which
+    it has the same colour and marker in each figure; None where it belongs to none.
     """
 
     label: str
@@ -67,6 +68,7 @@ class Curve:
     censored: Floats | None = None
     low: Floats | None = None
     high: Floats | None = None
+    number: int | None = None
 
 
 Limits = tuple[str, tuple[Curve, ...]]

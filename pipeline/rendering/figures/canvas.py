@@ -23,7 +23,7 @@ from pipeline.records.figure_records import CostMap, Curve
 from pipeline.records.figure_records import Figure as Content
 from pipeline.records.models import Motion
 from pipeline.rendering.figures import style
-from pipeline.rendering.labels import KILO_ABOVE, UNITS, shortened
+from pipeline.rendering.labels import UNITS, shortened
 
 DOTS_PER_INCH = 72.0
 MARGIN = 1.06
@@ -181,19 +181,14 @@ def reach(curves: Sequence[Curve], maps: Sequence[CostMap] = ()) -> tuple[float,
     return float(k.max() * MARGIN or 1.0), float(b.min() * MARGIN), float(b.max() * MARGIN or 1.0)
 
 
-def plane(axes: Axes, limits: tuple[float, float, float]) -> float:
-    """Set up axes of stiffness and damping by the result of `reach`; return the factor from SI to its abscissa."""
+def plane(axes: Axes, limits: tuple[float, float, float]) -> None:
+    """Set up axes of stiffness and damping by the result of `reach`."""
     largest, lowest, highest = limits
-    axes.set_xlim(0, largest * _scale(largest))
+    axes.set_xlim(0, largest)
     axes.set_ylim(lowest, highest)
-    return _scale(largest)
 
 
-def plane_labels(motion: Motion, limits: tuple[float, float, float]) -> tuple[str, str]:
-    """Return quantity and unit of both axes of `plane`."""
+def plane_labels(motion: Motion) -> tuple[str, str]:
+    """Return quantity and unit of both axes of `plane`: in SI, as in all tables."""
     units = UNITS[motion]
-    return f"stiffness K [{'k' if _scale(limits[0]) < 1 else ''}{units.stiffness}]", f"damping B [{units.damping}]"
-
-
-def _scale(largest: float) -> float:
-    return 1e-3 if largest > KILO_ABOVE else 1.0
+    return f"stiffness K [{units.stiffness}]", f"damping B [{units.damping}]"

@@ -72,12 +72,12 @@ def boundaries(figure: Figure[Limits], motion: Motion = "translation") -> tuple[
     lines = -(-max(entries, default=0) // columns)
     legend = 15.0 * lines + 8.0 * bool(lines)
     height = 0.78 * width + legend
-    names = ("α = K T²/m", "β = B T/m") if figure.kind == "plane" else canvas.plane_labels(motion, reach)
+    names = ("α = K T²/m", "β = B T/m") if figure.kind == "plane" else canvas.plane_labels(motion)
 
     def paint(panel: Limits, axes: Axes) -> tuple[str, str]:
         title, shown = panel
-        scale = canvas.plane(axes, reach)
-        entries = panels.draw_curves(axes, shown, scale, thin=figure.kind == "plane")
+        canvas.plane(axes, reach)
+        entries = panels.draw_curves(axes, shown, thin=figure.kind == "plane")
         canvas.frame(axes, *names, title=title)
         if figure.theory_label and any(curve.kind == "theory" for curve in shown):
             entries.setdefault("theory", []).append(_theory_line(shown, figure.theory_label))
@@ -108,14 +108,14 @@ def cost_maps(figure: Figure[CostMap], motion: Motion = "translation") -> tuple[
     top = panels.front_top(figure)
     width, height = (350.0, 430.0) if len(figure.panels) > 2 else (440.0, 500.0)
     split = 0.42 * height
-    stiffness, damping = canvas.plane_labels(motion, reach)
+    stiffness, damping = canvas.plane_labels(motion)
 
     def paint(shown: CostMap, plane: Axes, front: Axes) -> tuple[str, str]:
-        scale = canvas.plane(plane, reach)
+        canvas.plane(plane, reach)
         front.set_xlim(plane.get_xlim())
-        panels.draw_map(plane, shown, figure.criterion, scale)
+        panels.draw_map(plane, shown, figure.criterion)
         canvas.frame(plane, "", damping, title=shown.label, numbers=False)
-        panels.draw_front(front, shown, figure.criterion, scale, top)
+        panels.draw_front(front, shown, figure.criterion, top)
         canvas.frame(front, stiffness, panels.cost_axis_label(figure.criterion), y_ticks=4)
         return f" {shown.label}", _describe_map(shown, figure.criterion, motion)
 
@@ -129,8 +129,8 @@ def delays(figure: Figure[DelayPanel], motion: Motion = "translation") -> tuple[
     def paint(panel: DelayPanel, axes: Axes) -> tuple[str, str]:
         label = criterion_label(panel.criterion)
         for values, name, look in (
-            (panel.theory, "theory", {"color": style.GREEN, "lw": 1.6}),
-            (panel.damped, panel.damped_label, {"color": style.GREEN, "lw": 1.4, "ls": style.LINES["theory"]}),
+            (panel.theory, "theory", {"color": style.INK, "lw": 1.6}),
+            (panel.damped, panel.damped_label, {"color": style.INK, "lw": 1.4, "ls": style.LINES["theory"]}),
             (panel.measured, "experiment", {"color": style.BLUE, "ls": "none", "marker": "+", "ms": 10, "mew": 2}),
         ):
             known = np.isfinite(values)

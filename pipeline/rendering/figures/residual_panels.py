@@ -36,12 +36,13 @@ KEY = 34.0
 def residuals(figure: Figure[ResidualMap], motion: Motion = "translation") -> tuple[str, ...]:
     """Draw residual maps of one criterion on equal axes."""
     reach = canvas.reach([m.boundary for m in figure.panels])
-    names = canvas.plane_labels(motion, reach)
+    names = canvas.plane_labels(motion)
 
     def paint(shown: ResidualMap, axes: Axes) -> tuple[str, str]:
-        scale, edge = canvas.plane(axes, reach), shown.boundary
-        axes.plot(edge.stiffness * scale, edge.damping, color=style.INK, lw=1.2, ls=style.LINES["theory"])
-        _marks(axes, shown.stiffness * scale, shown.damping, _classes(shown.residual, figure.criterion))
+        edge = shown.boundary
+        canvas.plane(axes, reach)
+        axes.plot(edge.stiffness, edge.damping, color=style.INK, lw=1.2, ls=style.LINES["theory"])
+        _marks(axes, shown.stiffness, shown.damping, _classes(shown.residual, figure.criterion))
         title = f"{shown.label}: median {departure(shown.median, figure.criterion)}"
         canvas.frame(axes, *names, title=title)
         _key(axes, figure.criterion)

@@ -17,7 +17,7 @@ from pipeline.base.errors import PipelineError
 from pipeline.base.wording import duration, error_text, unbroken
 from pipeline.records.accuracy import AccuracyReport, own_rungs
 from pipeline.records.criteria import criterion_of
-from pipeline.records.results import ComparisonResult, ReportData
+from pipeline.records.results import ComparisonResult, ExperimentResult, ReportData
 from pipeline.records.trial_codec import NO_TRIALS, TrialPage
 from pipeline.rendering.labels import UNITS
 from pipeline.rendering.report import (
@@ -106,6 +106,7 @@ def render(data: ReportData) -> str:
         figures=report_figures.drawings(data),
         held_sentence=report_truth.held_sentence(result),
         use_facts=_use_facts(result),
+        use_reason=_use_reason(result),
         **_tables(data),
     )
     page = unbroken(page)
@@ -134,10 +135,20 @@ def tables_of(name: str, result: ComparisonResult, trials: TrialPage = NO_TRIALS
     return [marked(table, simulated=result.simulated) for table in tables]
 
 
+def _told(result: ComparisonResult) -> ExperimentResult | None:
+    """The experiment that the answer is about."""
+    name = result.answer.experiment if result.answer else None
+    return next((e for e in result.experiments if e.experiment == name), None)
+
+
 def _use_facts(result: ComparisonResult) -> dict[str, str]:
-    told = result.answer.experiment if result.answer else None
-    use = next((e.use for e in result.experiments if e.experiment == told), None)
-    return report_answer.use_facts(use, UNITS[result.motion]) if use else {}
+    told = _told(result)
+    return report_answer.use_facts(told.use, UNITS[result.motion]) if told and told.use else {}
+
+
+def _use_reason(result: ComparisonResult) -> str | None:
+    told = _told(result)
+    return told.use_reason if told and not told.use else None
 
 
 def _tables(data: ReportData) -> dict[str, Any]:
