@@ -167,11 +167,10 @@ class Table:
                 cuts.append(end)
         named: set[str] = set()
         parts = []
-        for number, (start, end) in enumerate(pairwise(cuts)):
+        for number, (start, end) in enumerate(pairwise(cuts), 1):
             columns = (0, *places[start - 1 : end - 1])
-            part = Table(
-                self.name, self.caption + (", continued" if number else ""), [self.columns[c] for c in columns]
-            )
+            caption = f"Part {number} of {len(cuts) - 1}. {self.caption}" if number > 1 else self.caption
+            part = Table(self.name, caption, [self.columns[c] for c in columns])
             blocks = ((block, self._rows_of_part(rows, columns, named)) for block, rows in self.blocks)
             part.blocks = [(block, rows) for block, rows in blocks if rows]
             parts.append(part)

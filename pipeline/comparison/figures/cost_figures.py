@@ -24,6 +24,9 @@ MAP_POINTS = 101
 FEW_NEIGHBOURS = 9
 """Trials by which a cost is smoothed without a theory beside it: a plane over more would fill its valleys."""
 
+SHARE = 8
+"""The part of the trials, at most, by which what differs from theory is smoothed: it changes over the plane, too."""
+
 TOLD = 0.9
 """Share of the trials for which theory must have a cost, so that what differs from it is smoothed."""
 
@@ -69,7 +72,7 @@ def without_steps(cost: Floats) -> Floats:
     total, weight = np.where(known, np.log(np.where(known, cost, 1.0)), 0.0), known.astype(np.float64)
     for axis in (0, 1):
         total, weight = (_five(values, axis) for values in (total, weight))
-    return np.where(known, np.exp(total / np.where(known, weight, 1.0)), np.nan)
+    return np.where(known, np.exp(np.where(known, total, 0.0) / np.where(known, weight, 1.0)), np.nan)
 
 
 def _five(values: Floats, axis: int) -> Floats:
@@ -99,7 +102,8 @@ def _smoothed(
         expected = predictions.costs_at(theory, K, B, [criterion])[criterion]
         told = use & np.isfinite(expected) & (differs | (expected > 0))
         if told.sum() >= TOLD * use.sum():
-            use, base, neighbours = told, expected, NEIGHBOURS
+            use, base = told, expected
+            neighbours = min(NEIGHBOURS, max(FEW_NEIGHBOURS, int(told.sum()) // SHARE))
     if use.sum() < FEWEST:
         return result
     values = cost[use] - base[use] if differs else np.log(cost[use] / base[use])
@@ -146,7 +150,9 @@ def measured_map(
             # along K a course is dense enough to interpolate; beyond its first and last trial nothing is claimed
             grid[row] = np.interp(axis, k[order], smooth[order], left=np.nan, right=np.nan)
     name = f"experiment {result.experiment}" + (f", {result.configuration}" if result.configuration else "")
-    curves = _optimal_curves(axis, levels, grid, criterion, exact=False)
+    # where nothing overshoots, no damping is best
+    flat = bool(criterion_of(criterion).family.levels)
+    curves = (None, None) if flat else _optimal_curves(axis, levels, grid, criterion, exact=False)
     return CostMap(name, "measured", axis, levels, grid, measured_curve(result), optimum, k, b, cost, *curves)
 
 

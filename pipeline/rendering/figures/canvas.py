@@ -23,6 +23,7 @@ from pipeline.records.figure_records import CostMap, Curve
 from pipeline.records.figure_records import Figure as Content
 from pipeline.records.models import Motion
 from pipeline.rendering.figures import style
+from pipeline.rendering.figures.shown import Panel, forget, name_axes, shown_on
 from pipeline.rendering.labels import UNITS, shortened
 
 DOTS_PER_INCH = 72.0
@@ -62,8 +63,8 @@ def draw_panels(
     size: tuple[float, float],
     margins: Sequence[tuple[float, float, float, float]],
     paint: Callable[..., tuple[str, str]],
-) -> tuple[str, ...]:
-    """Draw the panels of a figure one after the other on the same axes; return one ``<svg>`` each.
+) -> tuple[Panel, ...]:
+    """Draw the panels of a figure one after the other on the same axes; return one ``<svg>`` each, with its numbers.
 
     Parameters
     ----------
@@ -81,7 +82,8 @@ def draw_panels(
         for index, panel in enumerate(figure.panels):
             name, text = paint(panel, *all_axes)
             names = f"{figure.identifier}-{index}", f"{figure.title}{name}", text
-            drawn.append(style.svg(drawing, *names, simulated=figure.simulated))
+            shown = shown_on(drawing, name)
+            drawn.append(Panel(style.svg(drawing, *names, simulated=figure.simulated), shown))
             _wipe(drawing)
     return tuple(drawn)
 
@@ -89,6 +91,7 @@ def draw_panels(
 def _wipe(drawing: Figure) -> None:
     """Take everything off the axes of a figure, whose next panel is drawn on them: making axes takes longer."""
     for axes in drawing.axes:
+        forget(axes)
         for collection in list(axes.collections):
             collection.remove()  # contour lines, with the labels that belong to them
         for artist in (*axes.lines, *axes.patches, *axes.texts, *axes.artists, *filter(None, [axes.get_legend()])):
@@ -125,6 +128,7 @@ def frame(
         Whether the abscissa has numbers; not where the panel below has the same axis.
     """
     box = axes.bbox
+    name_axes(axes, x_label, y_label or title)
     x = _ticks(axes.get_xlim(), x_ticks, whole=whole)
     y = _ticks(axes.get_ylim(), y_ticks)
     at_x = axes.transData.transform(np.column_stack([x, np.zeros(len(x))]))[:, 0]

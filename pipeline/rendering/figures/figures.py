@@ -18,6 +18,7 @@ from matplotlib.lines import Line2D
 from pipeline.records.figure_records import CostMap, Curve, DelayPanel, Figure, Limits
 from pipeline.records.models import Motion
 from pipeline.rendering.figures import canvas, panels, style
+from pipeline.rendering.figures.shown import Panel
 from pipeline.rendering.labels import (
     UNITS,
     cost_text,
@@ -55,7 +56,7 @@ HALF = 0.56
 LEGEND: dict[str, Any] = {"handlelength": 2.2, "columnspacing": 1.4, "labelspacing": 0.25, "borderpad": 0.1}
 
 
-def boundaries(figure: Figure[Limits], motion: Motion = "translation") -> tuple[str, ...]:
+def boundaries(figure: Figure[Limits], motion: Motion = "translation") -> tuple[Panel, ...]:
     """Draw stability boundaries on axes of equal range (Figs. 6.3, 6.4, 6.9).
 
     Measured curves are solid with small markers (open where censored), theory dashed, linear conditions dotted; points
@@ -88,7 +89,8 @@ def boundaries(figure: Figure[Limits], motion: Motion = "translation") -> tuple[
             axes.figure.legend(
                 handles=handles, ncols=columns, loc="upper left", bbox_to_anchor=(52 / width, legend / height), **LEGEND
             )
-        return f" {title}", f"{title}: stability boundaries " + "; ".join(_describe(curve, motion) for curve in shown)
+        told = "; ".join(_describe(curve, motion) for curve in shown)
+        return f" {title}" if title else "", f"{f'{title}: s' if title else 'S'}tability boundaries {told}"
 
     top = 26 if any(title for title, _ in figure.panels) else 10
     return canvas.draw_panels(figure, (width, height), [(52, 44 + legend, 14, top)], paint)
@@ -99,7 +101,7 @@ def _theory_line(curves: Sequence[Curve], label: str) -> Line2D:
     return Line2D([], [], color=colour, ls=style.LINES["theory"], lw=panels.LINE_WIDTHS["theory"], label=label)
 
 
-def cost_maps(figure: Figure[CostMap], motion: Motion = "translation") -> tuple[str, ...]:
+def cost_maps(figure: Figure[CostMap], motion: Motion = "translation") -> tuple[Panel, ...]:
     """Draw cost maps of one criterion, each above its front view (Figs. 6.5 to 6.11).
 
     A map without any cost shows its boundary and says so.
@@ -123,7 +125,7 @@ def cost_maps(figure: Figure[CostMap], motion: Motion = "translation") -> tuple[
     return canvas.draw_panels(figure, (width, height), margins, paint)
 
 
-def delays(figure: Figure[DelayPanel], motion: Motion = "translation") -> tuple[str, ...]:
+def delays(figure: Figure[DelayPanel], motion: Motion = "translation") -> tuple[Panel, ...]:
     """Draw optimal costs over total delay (Fig. 6.12)."""
 
     def paint(panel: DelayPanel, axes: Axes) -> tuple[str, str]:

@@ -6,6 +6,7 @@ Numbers come and are drawn in SI.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from pipeline.records.batch import Booleans, Floats
 from pipeline.records.criteria import criterion_of
 from pipeline.records.figure_records import CostMap, Curve, Figure
 from pipeline.rendering.figures import style
+from pipeline.rendering.figures.shown import tell
 from pipeline.rendering.labels import cost_text, printed_scale, significant, with_unit
 
 LINES_PER_DOUBLING = 2
@@ -122,7 +124,8 @@ def _draw_curve(axes: Axes, curve: Curve, colour: str, marker: str = "o", *, thi
     (line,) = axes.plot(np.where(where, np.nan, k), curve.damping, lw=1.4, marker=marker, ms=3.4, mew=0, **look)
     if where.any():
         hollow: dict[str, Any] = {"mfc": style.PAPER, "mec": colour, "mew": 1.1}
-        axes.plot(k[where], curve.damping[where], ls="none", marker=marker, ms=5, **hollow)
+        ended = f"{curve.label}: at least"
+        axes.plot(k[where], curve.damping[where], ls="none", marker=marker, ms=5, label=ended, **hollow)
     return line
 
 
@@ -142,6 +145,8 @@ def _draw_intervals(axes: Axes, curve: Curve, colour: str) -> None:
         return
     known = np.isfinite(curve.low) & np.isfinite(curve.high)
     low, high, b = (values[known] for values in (curve.low, curve.high, curve.damping))
+    for side, stiffness in (("from", low), ("to", high)):
+        tell(axes, f"{curve.label}: 95 % {side}", stiffness, b)
     bounded = low > 0
     for at, width in ((bounded, INTERVAL), (~bounded, OPEN_INTERVAL)):
         if at.any():
@@ -187,7 +192,7 @@ def _label_places(curves: Sequence[Curve], largest: float, damping: tuple[float,
 
 def draw_map(axes: Axes, cost_map: CostMap, criterion: str) -> None:
     """Draw the stability boundary, the contour lines of the cost and the optimum as a blue plus."""
-    _draw_curve(axes, cost_map.boundary, style.INK)
+    _draw_curve(axes, replace(cost_map.boundary, label="_"), style.INK)
     if not np.isfinite(cost_map.cost).any():
         axes.text(0.5, 0.5, "no trial with this cost", transform=axes.transAxes, ha="center")
         return
@@ -198,10 +203,10 @@ def draw_map(axes: Axes, cost_map: CostMap, criterion: str) -> None:
     _draw_contours(axes, cost_map, criterion)
     for curve, line in ((cost_map.best_damping, "-"), (cost_map.best_stiffness, style.LINES["theory"])):
         if curve is not None:
-            axes.plot(curve.stiffness, curve.damping, color=style.INK, lw=1.1, ls=line)
+            axes.plot(curve.stiffness, curve.damping, color=style.INK, lw=1.1, ls=line, label=curve.label)
     best = cost_map.optimum
     if best is not None:
-        axes.plot(best.stiffness, best.damping, "+", color=style.BLUE, ms=13, mew=2.4)
+        axes.plot(best.stiffness, best.damping, "+", color=style.BLUE, ms=13, mew=2.4, label="optimum")
 
 
 def _draw_contours(axes: Axes, cost_map: CostMap, criterion: str) -> None:
@@ -248,12 +253,12 @@ def draw_front(axes: Axes, cost_map: CostMap, criterion: str, top: float) -> Non
     dots(axes, cost_map.trial_stiffness[inside], cost_map.trial_cost[inside] * factor, style.GREEN, 2.6)
     known = np.isfinite(cost_map.cost).any(axis=0)
     lowest = np.where(np.isfinite(cost_map.cost), cost_map.cost, np.inf).min(axis=0)[known]
-    axes.plot(cost_map.stiffness[known], lowest * factor, color=style.INK, lw=1.3)
+    axes.plot(cost_map.stiffness[known], lowest * factor, color=style.INK, lw=1.3, label="least cost")
     best = cost_map.optimum
     if best is None:
         return
     place = (best.stiffness, best.cost * factor)
-    axes.plot(*place, "+", color=style.BLUE, ms=11, mew=2.2, zorder=5)
+    axes.plot(*place, "+", color=style.BLUE, ms=11, mew=2.2, zorder=5, label="optimum")
     text = cost_text(criterion, best.cost) + (" %" if factor != 1 else "")
     offset = (0, -15 if best.cost > 0.2 * top else 14)  # else the value would collide with the axis
     look: dict[str, Any] = {"va": "center", "color": style.BLUE, "fontweight": "bold", "bbox": style.BEHIND_TEXT}

@@ -18,7 +18,7 @@ from pipeline.base.wording import duration, error_text, unbroken
 from pipeline.records.accuracy import AccuracyReport, own_rungs
 from pipeline.records.criteria import criterion_of
 from pipeline.records.results import ComparisonResult, ExperimentResult, ReportData
-from pipeline.records.trial_codec import NO_TRIALS, TrialPage
+from pipeline.records.trial_codec import NO_TRIALS, TrialPage, pack
 from pipeline.rendering.labels import UNITS
 from pipeline.rendering.report import (
     report_answer,
@@ -89,6 +89,8 @@ def render(data: ReportData) -> str:
     result = data.result
     trials = data.trials
     inline = report_scripts.scripts(with_trials=trials is not None)
+    figures = report_figures.drawings(data)
+    numbers = {drawing.identifier: drawing.shown for drawn in figures.values() for drawing in drawn}
     page = fill_template(
         "report.html.j2",
         result=result,
@@ -103,7 +105,8 @@ def render(data: ReportData) -> str:
         plot_style=report_scripts.plot_style() if trials else "",
         footnote=footnote,
         families=list(dict.fromkeys(criterion_of(name).family for name in result.criteria)),
-        figures=report_figures.drawings(data),
+        figures=figures,
+        figure_json=report_scripts.json_text({"figures": pack(numbers)}) if numbers else "",
         held_sentence=report_truth.held_sentence(result),
         use_facts=_use_facts(result),
         use_reason=_use_reason(result),

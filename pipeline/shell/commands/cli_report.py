@@ -43,7 +43,7 @@ def compare(
     ] = None,
     figures: Annotated[
         Path | None,
-        typer.Option("--figures", help="Write the figures of the report as SVG and PDF files into this folder, too."),
+        typer.Option("--figures", help="Write the figures as SVG, PDF and CSV files into this folder, too."),
     ] = None,
     against: Annotated[
         str | None,
@@ -143,10 +143,15 @@ def compare(
 
 def _write_figures(report: Path, folder: Path) -> tuple[Path, ...]:
     """Write the figures that stand on a page as files of their own."""
+    import json
+
+    from pipeline.records.trial_codec import unpack
     from pipeline.rendering.figures.figure_files import write_figures
     from pipeline.rendering.report.report_parts import take_apart
 
-    return write_figures(take_apart(report.read_text(encoding="utf-8")).figures, folder)
+    parts = take_apart(report.read_text(encoding="utf-8"))
+    numbers = json.loads(parts.data.get("figure-data", "{}")).get("figures")
+    return write_figures(parts.figures, folder, unpack(numbers) if numbers else None)
 
 
 def _compare_against(
