@@ -21,7 +21,8 @@ class Figure(Generic[P]):
     kind : FigureKind
         ``boundaries`` (Figs. 6.3, 6.4, 6.9), and ``plane``, whose curves hold alpha = K T^2/m and beta = B T/m in place
         of stiffness and damping: panels are `Limits`. ``maps`` (Figs. 6.5 to 6.7, 6.10, 6.11): `CostMap`. ``delay``
-        (Fig. 6.12): `DelayPanel`. ``response`` (Fig. 6.2): one `Response`. ``residuals``: `ResidualMap`.
+        (Fig. 6.12): `DelayPanel`. ``trend``: `TrendPanel`. ``response`` (Fig. 6.2): one `Response`.
+        ``residuals``: `ResidualMap`.
     identifier : str
         Unique in the report.
     title, caption : str
@@ -155,6 +156,30 @@ class Response:
     first_change: int
     final: float
     period: tuple[float, float] | None
+
+
+@dataclass(frozen=True)
+class TrendPanel:
+    """A quantity over experiments, in the order in which they are drawn.
+
+    Parameters
+    ----------
+    label : str
+        Quantity with its unit.
+    names : tuple of (str, str)
+        Of each experiment, and what its logs say in a header line.
+    value, low, high : tuple of float or None
+        Value and 95 % interval of each.
+    bound : tuple of bool
+        Whether a value is a lower bound only.
+    """
+
+    label: str
+    names: tuple[tuple[str, str], ...]
+    value: tuple[float | None, ...]
+    low: tuple[float | None, ...]
+    high: tuple[float | None, ...]
+    bound: tuple[bool, ...]
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,6 +19,9 @@ Value = str | float | int | bool | None
 WIDEST = 10
 """Columns of a table that fit beside each other into a window of 1280 px."""
 
+FEWEST_GROUPS = 3
+"""Headings over columns from which on a table repeats itself, once for each experiment or criterion."""
+
 
 @dataclass(frozen=True)
 class Cell:
@@ -158,7 +161,7 @@ class Table:
         stand below the last.
         """
         spans, places = self.groups, range(1, len(self.columns))
-        if len(self.columns) <= WIDEST or len(spans) < 3:
+        if len(self.columns) <= WIDEST or sum(bool(name) for name, _ in spans) < FEWEST_GROUPS:
             return [self]
         ends = [sum(span for _, span in spans[:n]) for n in range(2, len(spans) + 1)]
         cuts = [1]

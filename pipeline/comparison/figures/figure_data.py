@@ -15,6 +15,7 @@ from pipeline.comparison.figures.cost_figures import measured_map, theory_maps
 from pipeline.comparison.figures.figure_boundaries import answer_figure, boundary_figures
 from pipeline.comparison.figures.figure_residuals import residual_figures
 from pipeline.comparison.figures.figure_response import response_figures
+from pipeline.comparison.figures.figure_trend import trend_figures
 from pipeline.comparison.scene.scene import SceneData
 from pipeline.comparison.scene.scene_parts import with_overlays
 from pipeline.comparison.tables_d import layouts
@@ -70,6 +71,7 @@ class FigureBuilder:
             "maps": lambda: self.costs(predictions),
             "delay": lambda: self.delays(rows, predictions),
             "response": lambda: response_figures(self.data, motion_of(self.data)),
+            "trend": lambda: trend_figures(self.results, motion_of(self.data)),
             "residuals": lambda: residual_figures(self.data, self.theories, predictions),
         }
         found = list[Figure[Any]](with_overlays((*self.answered(), *self.boundaries()), shown))

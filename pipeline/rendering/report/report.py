@@ -28,6 +28,7 @@ from pipeline.rendering.report import (
     report_scores,
     report_scripts,
     report_tables,
+    report_trend,
     report_truth,
 )
 from pipeline.rendering.report.page_template import fill_template
@@ -53,6 +54,7 @@ TABLES: dict[str, Callable[[ComparisonResult, TrialPage], Table | list[Table] | 
     "missing": report_tables.missing_table,
     "excluded": report_tables.excluded_table,
     "header": report_tables.header_table,
+    "trend": report_trend.trend_table,
     "score_costs": report_scores.cost_score_table,
     "score_rules": report_scores.rule_score_table,
 }

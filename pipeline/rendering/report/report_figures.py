@@ -51,7 +51,7 @@ def drawings(data: ReportData) -> dict[FigureKind, list[Drawing]]:
 def draw(figure: Figure[Any], motion: Motion) -> Drawing:
     """Draw a figure and put the words around it."""
     # matplotlib takes 0.6 s, which a report without figures need not wait for
-    from pipeline.rendering.figures import figures, residual_panels, response_drawing
+    from pipeline.rendering.figures import figures, residual_panels, response_drawing, trend_panels
 
     kinds: dict[str, tuple[Callable[[Figure[Any], Motion], tuple[Panel, ...]], Callable[[Figure[Any]], str]]] = {
         "boundaries": (figures.boundaries, _line_key),
@@ -59,6 +59,7 @@ def draw(figure: Figure[Any], motion: Motion) -> Drawing:
         "maps": (figures.cost_maps, _map_key),
         "delay": (figures.delays, lambda _: ""),
         "response": (response_drawing.responses, lambda _: ""),
+        "trend": (trend_panels.trends, lambda _: ""),
         "residuals": (residual_panels.residuals, lambda _: _MARKS),
     }
     panels, key = kinds[figure.kind]
