@@ -71,7 +71,7 @@ class Explorer {
       key.push(swatch("stable", "stable"), swatch("cross vermillion", "unstable"), swatch("hollow", "undecided"));
     }
     if (this.shown.measured[0].length) key.push(swatch("line", "measured boundary"));
-    if (this.shown.open[0].length) key.push(swatch("open", "tested range ended before an unstable trial"));
+    if (this.shown.open?.[0].length) key.push(swatch("open", "tested range ended before an unstable trial"));
     if (this.shown.theory) key.push(swatch("line dashed", "boundary of theory"));
     fill(this.parts["plane-key"], ...key);
     if (again) {
