@@ -112,8 +112,7 @@ async function tellValue(event) {
 
 function addTools(figure) {
   const name = (n) => `${figure.id}${n === undefined ? "" : `-${n}`}`;
-  const tools = document.createElement("p");
-  tools.className = "tools";
+  const tools = figure.querySelector(".tools"); // on the page from the start, so that nothing moves
   const add = (text, label, act) => {
     const button = document.createElement("button");
     button.type = "button";
@@ -127,7 +126,6 @@ function addTools(figure) {
   add("SVG", `drawing of ${title} as SVG`, () => {
     figure.querySelectorAll("svg").forEach((svg, n) => save(standalone(svg), `${name(n)}.svg`, "image/svg+xml"));
   });
-  figure.querySelector("figcaption").append(tools);
   for (const svg of figure.querySelectorAll("svg")) {
     svg.addEventListener("pointermove", tellValue);
     svg.addEventListener("pointerleave", () => { tip.hidden = true; });
@@ -136,5 +134,5 @@ function addTools(figure) {
 
 if ("DecompressionStream" in window && document.getElementById("figure-data")) {
   document.body.append(tip);
-  document.querySelectorAll("main figure[id]").forEach(addTools);
+  document.querySelectorAll("main figure[id]:has(.tools)").forEach(addTools);
 }
