@@ -96,6 +96,8 @@ class CostMap:
         The single trials (empty for theory).
     best_damping, best_stiffness : Curve or None
         Optimal curves: best damping for each stiffness, best stiffness for each damping.
+    lines : float64, shape (q, p), or None
+        Costs of which lines of equal value are drawn, where these are not ``cost`` itself.
     """
 
     label: str
@@ -110,6 +112,7 @@ class CostMap:
     trial_cost: Floats
     best_damping: Curve | None = None
     best_stiffness: Curve | None = None
+    lines: Floats | None = None
 
 
 @dataclass(frozen=True, eq=False)

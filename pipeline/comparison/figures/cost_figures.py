@@ -47,13 +47,12 @@ def theory_maps(
     label = f"theory, d = {p.delay_samples:g}, m = {p.mass:.3g}, b = {p.damping:.3g}"
     maps = {}
     for criterion, cost in costs.items():
-        if criterion_of(criterion).family.whole:
-            cost = without_steps(cost)
+        lines = without_steps(cost) if criterion_of(criterion).family.whole else cost
         found = predictions.get(theory, f"{criterion}_discrete")
         optimum = Optimum(stiffness=found.stiffness, damping=found.damping, cost=found.cost)
-        curves = _optimal_curves(stiffness, damping, cost, criterion, exact=True)
+        curves = _optimal_curves(stiffness, damping, lines, criterion, exact=True)
         edge = theory_curve(theory, "boundary")
-        maps[criterion] = CostMap(label, "theory", stiffness, damping, cost, edge, optimum, *NO_TRIALS, *curves)
+        maps[criterion] = CostMap(label, "theory", stiffness, damping, cost, edge, optimum, *NO_TRIALS, *curves, lines)
     return maps
 
 

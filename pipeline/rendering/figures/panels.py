@@ -224,7 +224,8 @@ def _draw_contours(axes: Axes, cost_map: CostMap, criterion: str) -> None:
     shade = [(*to_rgb(style.GREEN), alpha) for alpha in np.linspace(1.0, 0.45, levels.size)]
     look: dict[str, Any] = {"levels": levels, "colors": shade, "linewidths": wide}
     if cost_map.kind == "theory":
-        lines = axes.contour(cost_map.stiffness, cost_map.damping, cost_map.cost, **look)
+        shown = cost_map.cost if cost_map.lines is None else cost_map.lines
+        lines = axes.contour(cost_map.stiffness, cost_map.damping, shown, **look)
         text: dict[str, Any] = {"fontsize": 8.5, "colors": style.INK, "inline_spacing": 2}
         factor = printed_scale(criterion)
         axes.clabel(lines, labelled[:2], fmt=lambda level: significant(level * factor, 3), **text)
