@@ -15,7 +15,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from pipeline.base.errors import DeviceError
-from pipeline.base.provenance import USER_FOLDER_VARIABLE, schema_folder, user_device_folder
+from pipeline.base.provenance import USER_FOLDER_VARIABLE, digest, schema_folder, user_device_folder
 from pipeline.records.models import Device, Experiment
 
 _FORMER_FILTER = (
@@ -47,6 +47,26 @@ def known_devices() -> dict[str, Device]:
             )
         devices |= _read_folder(folder)
     return dict(sorted(devices.items()))
+
+
+def digest_of(device: Device) -> str:
+    """Return a hash of all that a device file says; keys that a later version adds do not change it."""
+    return digest(device.model_dump(mode="json", exclude_defaults=True))
+
+
+def device_file(name: str) -> Path | None:
+    """Return the file of a known device, the user's own before a shipped one; None where it is not known.
+
+    Raises
+    ------
+    DeviceError
+        As for `known_devices`.
+    """
+    for folder in filter(None, (user_device_folder(), schema_folder() / "devices")):
+        for path in sorted(folder.glob("*.toml")):
+            if read_device(path).name == name:
+                return path
+    return None
 
 
 def declared_spring(device: Device | None, experiment: str) -> float:

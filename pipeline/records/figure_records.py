@@ -21,7 +21,8 @@ class Figure(Generic[P]):
     kind : FigureKind
         ``boundaries`` (Figs. 6.3, 6.4, 6.9), and ``plane``, whose curves hold alpha = K T^2/m and beta = B T/m in place
         of stiffness and damping: panels are `Limits`. ``maps`` (Figs. 6.5 to 6.7, 6.10, 6.11): `CostMap`. ``delay``
-        (Fig. 6.12): `DelayPanel`. ``response`` (Fig. 6.2): one `Response`. ``residuals``: `ResidualMap`.
+        (Fig. 6.12): `DelayPanel`. ``trend``: `TrendPanel`. ``response`` (Fig. 6.2): one `Response`.
+        ``residuals``: `ResidualMap`.
     identifier : str
         Unique in the report.
     title, caption : str
@@ -57,7 +58,8 @@ class Curve:
     ``stable`` and ``unstable`` (dots and crosses, one a trial). A label that begins with an
     underscore is not shown. ``censored`` marks the points of a measured curve where the tested range ended before an
     unstable trial. ``low`` and ``high`` are stiffnesses at the dampings of the curve: an envelope, or what a measured
-    limit leaves open (NaN where that is not known).
+    limit leaves open (NaN where that is not known). ``number`` is the place of its experiment in the report, by which
+    it has the same colour and marker in each figure; None where it belongs to none.
     """
 
     label: str
@@ -67,6 +69,7 @@ class Curve:
     censored: Floats | None = None
     low: Floats | None = None
     high: Floats | None = None
+    number: int | None = None
 
 
 Limits = tuple[str, tuple[Curve, ...]]
@@ -93,6 +96,8 @@ class CostMap:
         The single trials (empty for theory).
     best_damping, best_stiffness : Curve or None
         Optimal curves: best damping for each stiffness, best stiffness for each damping.
+    lines : float64, shape (q, p), or None
+        Costs of which lines of equal value are drawn, where these are not ``cost`` itself.
     """
 
     label: str
@@ -107,6 +112,7 @@ class CostMap:
     trial_cost: Floats
     best_damping: Curve | None = None
     best_stiffness: Curve | None = None
+    lines: Floats | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,6 +159,30 @@ class Response:
     first_change: int
     final: float
     period: tuple[float, float] | None
+
+
+@dataclass(frozen=True)
+class TrendPanel:
+    """A quantity over experiments, in the order in which they are drawn.
+
+    Parameters
+    ----------
+    label : str
+        Quantity with its unit.
+    names : tuple of (str, str)
+        Of each experiment, and what its logs say in a header line.
+    value, low, high : tuple of float or None
+        Value and 95 % interval of each.
+    bound : tuple of bool
+        Whether a value is a lower bound only.
+    """
+
+    label: str
+    names: tuple[tuple[str, str], ...]
+    value: tuple[float | None, ...]
+    low: tuple[float | None, ...]
+    high: tuple[float | None, ...]
+    bound: tuple[bool, ...]
 
 
 @dataclass(frozen=True, eq=False)

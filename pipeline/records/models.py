@@ -177,7 +177,7 @@ class ComparisonRow(Record):
     trial_id: str | None = None
 
 
-FigureKind = Literal["response", "boundaries", "plane", "maps", "residuals", "delay", "trials"]
+FigureKind = Literal["response", "boundaries", "plane", "maps", "residuals", "delay", "trend", "trials"]
 """Figures of a report: first response (Fig. 6.2), boundaries (6.3, 6.4, 6.9), boundaries in the normalised plane, cost
 maps (6.5 to 6.7, 6.10, 6.11), measured minus theory, costs over delay (6.12), and the trials to look into."""
 

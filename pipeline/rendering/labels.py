@@ -12,8 +12,6 @@ from pipeline.records.findings import Estimate
 from pipeline.records.models import Motion
 
 MISSING = "–"
-KILO_ABOVE = 2000.0
-"""Stiffness axes that reach further than this [N/m, Nm/rad] count in thousands: long ticks crowd the axis."""
 
 
 DIGITS = 3

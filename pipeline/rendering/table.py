@@ -8,13 +8,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import groupby
+from itertools import groupby, pairwise
 from typing import Any, Self
 
 from pipeline.base.wording import shared_notes
 from pipeline.rendering.labels import MISSING, span
 
 Value = str | float | int | bool | None
+
+WIDEST = 10
+"""Columns of a table that fit beside each other into a window of 1280 px."""
+
+FEWEST_GROUPS = 3
+"""Headings over columns from which on a table repeats itself, once for each experiment or criterion."""
 
 
 @dataclass(frozen=True)
@@ -146,6 +152,46 @@ class Table:
         """Headings above the column heads with the columns each spans; empty where there are none."""
         spans = [(group, len(list(same))) for group, same in groupby(column.group for column in self.columns)]
         return spans if any(group for group, _ in spans) else []
+
+    @property
+    def parts(self) -> list[Table]:
+        """The table as a page shows it: one of many groups in parts side by side no longer, but below each other.
+
+        Each part has the first column and whole groups, up to `WIDEST` columns, and no row that is empty in it; notes
+        stand below the last.
+        """
+        spans, places = self.groups, range(1, len(self.columns))
+        if len(self.columns) <= WIDEST or sum(bool(name) for name, _ in spans) < FEWEST_GROUPS:
+            return [self]
+        ends = [sum(span for _, span in spans[:n]) for n in range(2, len(spans) + 1)]
+        cuts = [1]
+        for end, after in zip(ends, [*ends[1:], ends[-1]], strict=True):
+            if after - cuts[-1] + 1 > WIDEST or end == len(self.columns):
+                cuts.append(end)
+        named: set[str] = set()
+        parts = []
+        for number, (start, end) in enumerate(pairwise(cuts), 1):
+            columns = (0, *places[start - 1 : end - 1])
+            caption = f"Part {number} of {len(cuts) - 1}. {self.caption}" if number > 1 else self.caption
+            part = Table(self.name, caption, [self.columns[c] for c in columns])
+            blocks = ((block, self._rows_of_part(rows, columns, named)) for block, rows in self.blocks)
+            part.blocks = [(block, rows) for block, rows in blocks if rows]
+            parts.append(part)
+        parts[-1].notes = self.notes
+        return parts
+
+    @staticmethod
+    def _rows_of_part(
+        rows: Sequence[tuple[Cell, ...]], columns: Sequence[int], named: set[str]
+    ) -> list[tuple[Cell, ...]]:
+        """Rows with a value in these columns; a head that stands in a part before has no name again."""
+        shown = []
+        for row in rows:
+            head, *cells = (row[c] for c in columns)
+            if any(cell.text != MISSING for cell in cells):
+                shown.append((replace(head, name="") if head.name in named else head, *cells))
+                named.add(head.name)
+        return shown
 
     def mark(self, *notes: str | None) -> tuple[str, ...]:
         """Return the footnote marks (a, b, c ...) of some notes; the same note keeps its mark."""

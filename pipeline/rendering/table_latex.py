@@ -133,13 +133,14 @@ def _heads(table: Table, letters: Sequence[int]) -> str:
     found = []
     for column, width in zip(table.columns, letters, strict=True):
         lines = textwrap.wrap(column.head, max(width, 1), break_long_words=False) or [""]
-        found.append(_stacked(list(map(_latex, lines)), numeric=column.numeric))
+        found.append(_stacked(list(map(_latex, lines)), numeric=column.numeric, place="b"))
     return " & ".join(found) + r" \\"
 
 
-def _stacked(lines: Sequence[str], *, numeric: bool) -> str:
+def _stacked(lines: Sequence[str], *, numeric: bool, place: str = "t") -> str:
+    """Return lines below each other, the first (``t``) or the last (``b``) on the line of the row."""
     side, text = "r" if numeric else "l", r" \\ ".join(lines)
-    return text if len(lines) == 1 else rf"\shortstack[{side}]{{{text}}}"
+    return text if len(lines) == 1 else rf"\begin{{tabular}}[{place}]{{@{{}}{side}@{{}}}}{text}\end{{tabular}}"
 
 
 def _body(table: Table) -> list[str]:

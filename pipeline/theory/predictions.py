@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import Future
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import ExitStack
@@ -18,12 +18,13 @@ from pydantic import BaseModel, ConfigDict
 from pipeline.base.disk import if_writable, write_text
 from pipeline.base.json_seal import sealed_json, unsealed_json
 from pipeline.base.process_pool import process_pool
-from pipeline.base.provenance import code_digest, digest
+from pipeline.base.provenance import code_digest, digest, sha256
 from pipeline.loop.device_loop import DeviceLoop, general, loop_of, wall_units
 from pipeline.loop.loop import Loop, Normalised
 from pipeline.records.batch import Floats
 from pipeline.records.criteria import criterion_of
 from pipeline.records.results import TheoryParameters
+from pipeline.theory.cost.maps import costs_at
 from pipeline.theory.device.outline import outline
 from pipeline.theory.device.passive_walls import passive_outline
 from pipeline.theory.optimum import optimum
@@ -129,6 +130,7 @@ class Predictions:
     _known: dict[Request, OptimalPoint] = field(default_factory=dict)
     _pending: dict[Request, Future[OptimalPoint]] = field(default_factory=dict)
     _pool: ExitStack = field(default_factory=ExitStack)
+    _costs: dict[tuple[Loop, str, str], Floats] = field(default_factory=dict)
 
     def __enter__(self) -> Self:
         return self
@@ -136,6 +138,24 @@ class Predictions:
     def __exit__(self, *reason: Any) -> None:
         self._pending = {}
         self._pool.__exit__(*reason)
+
+    def costs_at(
+        self, theory: Theory, stiffness: Floats, damping: Floats, criteria: Sequence[str]
+    ) -> dict[str, Floats]:
+        """Return the costs of `maps.costs_at` at points in physical units; what was asked for before is not computed.
+
+        Parameters
+        ----------
+        theory : Theory
+        stiffness, damping : float64, shape (n,)
+        criteria : sequence of str
+        """
+        alpha, beta = stiffness / theory.units.stiffness, damping / theory.units.damping
+        points = sha256(alpha.tobytes() + beta.tobytes())
+        new = [c for c in criteria if (theory.loop, points, c) not in self._costs]
+        found = costs_at(theory.loop, alpha, beta, new) if new else {}
+        self._costs |= {(theory.loop, points, c): cost for c, cost in found.items()}
+        return {c: self._costs[theory.loop, points, c] for c in criteria}
 
     def missing(self, requests: Iterable[Request]) -> list[Request]:
         """Return the requests whose answer is not kept."""

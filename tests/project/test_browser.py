@@ -5,12 +5,15 @@ Needs Chromium (`apt-get install chromium`) and Playwright (`pip install -e '.[d
 
 from __future__ import annotations
 
+import csv
+import io
 import re
 import shutil
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import pytest
 from report_data import HOSTILE, report_data
@@ -209,6 +212,57 @@ def test_skip_link_comes_first_and_leads_past_the_navigation(browser: Any, measu
         page.keyboard.press("Enter")
         page.keyboard.press("Tab")
         assert page.evaluate("document.activeElement.closest('main') !== null")
+
+
+def test_keyboard_reaches_the_trials_within_ten_stops(browser: Any, measured: Path) -> None:
+    """The second link of the page leads to them; every control of the explorer and the search follow."""
+    with Opened(browser, measured) as page:
+        for _ in range(2):
+            page.keyboard.press("Tab")
+        assert page.evaluate("document.activeElement.textContent") == "Skip to the trials"
+        page.keyboard.press("Enter")
+        reached = []
+        for _ in range(8):
+            page.keyboard.press("Tab")
+            reached.append(page.evaluate("document.activeElement.id"))
+        assert {"choose-experiment", "choose-criterion", "plane", "trial-range", "runs-search"} <= set(reached), reached
+
+
+def test_pointing_at_a_figure_tells_what_the_drawing_shows(browser: Any, measured: Path) -> None:
+    with Opened(browser, measured) as page:
+        svg = page.locator("#boundaries-answer svg")
+        place = page.evaluate("""async () => {
+            const [{ axes: [{ box, x, y, series }] }] = (await numbersOfFigures())["boundaries-answer"];
+            const [label, k, b] = series.find(([label]) => label === "measured limit");
+            const at = (value, ends, from, to) => from + (value - ends[0]) / (ends[1] - ends[0]) * (to - from);
+            const middle = Math.floor(k.length / 2), view = document.querySelector("#boundaries-answer svg");
+            const factor = view.getBoundingClientRect().width / view.viewBox.baseVal.width;
+            return { k: k[middle], b: b[middle], x: factor * at(k[middle], x, box[0], box[2]),
+                     y: factor * at(b[middle], y, box[3], box[1]) };
+        }""")
+        svg.hover(position={"x": place["x"], "y": place["y"]})
+        until(page, "!document.querySelector('.tip').hidden")
+        told = page.locator(".tip").inner_text()
+        assert told.endswith(f"K = {place['k']:g} Nm/rad, B = {place['b']:g} Nms/rad")
+        page.mouse.move(5, 5)
+        until(page, "document.querySelector('.tip').hidden")
+
+
+def test_a_figure_is_saved_as_csv_with_its_trials_and_as_svg_of_its_own(browser: Any, measured: Path) -> None:
+    with Opened(browser, measured) as page:
+        figure = page.locator(".viewer figure:visible")
+        saved = {}
+        for name in ("CSV", "SVG"):
+            with page.expect_download() as download:
+                figure.locator(".tools button", has_text=name).click()
+            saved[name] = Path(download.value.path()).read_text(encoding="utf-8")
+        rows = list(csv.DictReader(io.StringIO(saved["CSV"])))
+        trials = [row for row in rows if row["series"].startswith("trial: ")]
+        assert len(trials) > 50
+        assert {"least cost", "optimum"} <= {row["series"] for row in rows}
+        drawing = ElementTree.fromstring(saved["SVG"])
+        assert drawing.tag == "{http://www.w3.org/2000/svg}svg"
+        assert "var(" not in saved["SVG"]
 
 
 def test_number_in_a_table_leads_to_its_trial(browser: Any, measured: Path) -> None:

@@ -81,6 +81,16 @@ def test_wheel_works_outside_the_project(wheel, tmp_path):
         "print(len(pipeline.boundary('processed', 'lwr')) > 0, pipeline.Loop(1.0, 1.0, 0.001, 1).boundary().shape[1])\n"
     )
     assert run(python, "-c", script).split("\n")[:2] == ["['lwr'] ['native']", "True 2"]
+    # a bundle holds where nothing else is: no logs, no stored tables, no file of the project
+    run(scripts / "pipeline", "compare", "--device", "lwr", "--criteria", "settle_2pct", "--report", "lwr.html")
+    run(scripts / "pipeline", "bundle", "lwr.html", "--out", tmp_path / "alone" / "lwr.zip")
+    for name in ("logs", "processed"):
+        shutil.rmtree(tmp_path / name)
+    told = subprocess.run(
+        [scripts / "pipeline", "verify", "lwr.zip"], capture_output=True, text=True, check=True, cwd=tmp_path / "alone"
+    ).stdout
+    assert told.startswith("lwr.zip: all equal (")
+    assert [path.name for path in (tmp_path / "alone").iterdir()] == ["lwr.zip"]
 
 
 @pytest.mark.slow

@@ -51,3 +51,25 @@ def test_a_table_without_rows_is_none() -> None:
     found = word_table("t", "c", ("a", "b"), [("1", "x")])
     assert found is not None
     assert found.records == [{"a": "1", "b": "x"}]
+
+
+def test_a_table_of_many_groups_is_shown_in_parts_that_hold_each_cell_once() -> None:
+    columns = [Column("damping"), *(Column(f"{e}/{n}", n, group=f"experiment {e}") for e in range(7) for n in "abc")]
+    table = Table("t", "All", columns)
+    for row in range(5):
+        tested = [e for e in range(7) if (row + e) % 4]
+        table.add(str(row), {"damping": row} | {f"{e}/{n}": 10 * row + e for e in tested for n in "abc"})
+    note = table.mark("said once")
+    parts = table.parts
+    assert [len(part.columns) for part in parts] == [10, 10, 4]
+    assert [part.caption for part in parts] == ["All", "Part 2 of 3. All", "Part 3 of 3. All"]
+    assert [part.notes for part in parts] == [[], [], ["said once"]]
+    assert note == ("a",)
+    names = [cell.name for part in parts for row in part.rows for cell in row if cell.name]
+    assert len(names) == len(set(names))
+    told = {cell.name for row in table.rows for cell in row if cell.value is not None}
+    assert told <= set(names)
+    # a row without a value in a part is not in it
+    assert all(any(cell.value is not None for cell in row[1:]) for part in parts for row in part.rows)
+    few = Table("u", "Few", columns[:7])
+    assert few.parts == [few]

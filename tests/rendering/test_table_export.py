@@ -188,7 +188,7 @@ def test_latex_says_whether_it_fits_one_column_and_wraps_words_so_that_it_does()
     numbers.add("r", {f"quantity {n}": Cell(n, str(n), aside="from 0.1 to 0.2 and 4") for n in range(5)})
     assert "two columns" in latex_text(numbers).splitlines()[0]
     assert r"\begin{table*}[t]" in latex_text(numbers)
-    assert r"\shortstack[r]{3 \\ (from 0.1 to 0.2 and \\ 4)}" in latex_text(numbers)
+    assert r"\begin{tabular}[t]{@{}r@{}}3 \\ (from 0.1 to 0.2 and \\ 4)\end{tabular}" in latex_text(numbers)
     long = Table("t", "x", (Column("a"),))
     for n in range(60):
         long.add(str(n), {"a": n})

@@ -6,7 +6,7 @@ Source: Hulin 2017, secs. 6.1.3 and 6.2.3.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from pipeline.comparison.figures.boundary_curves import (
     FrictionFacts,
@@ -48,7 +48,7 @@ def boundary_figures(
     figures.append(builder.estimates())
     shown = [(f"experiment {r.experiment}", r, theories[r.experiment]) for r in results if r.experiment in theories]
     if len(shown) > 1:
-        figures.append(plane_figure(shown, predicted=data.scene.shown.has_overlay("theory")))
+        figures.append(plane_figure(shown, data.scene.experiments, predicted=data.scene.shown.has_overlay("theory")))
     return tuple(figure for figure in figures if figure is not None)
 
 
@@ -62,12 +62,14 @@ def answer_figure(data: SceneData, told: Answer, theory: Theory | None, result: 
         for kind in ("stable", "unstable")
         if (at := wall & (verdict == kind)).any()
     ]
-    curves = [measured_curve(result, "measured limit", open_ends=True)]
+    number = data.scene.experiments.index(told.experiment)
+    curves = [replace(measured_curve(result, "measured limit", open_ends=True), number=number)]
     if theory is not None and data.scene.shown.has_overlay("theory"):
-        curves.append(theory_curve(theory, "theory"))
+        curves.append(theory_curve(theory, "limit by theory"))
     if result.use is not None:
         curves.append(use_curve(result.use))
-    shaded = "; shaded, their 95 % intervals" if any(point.low is not None for point in result.boundary) else ""
+    shaded = "; pale bars: their 95 % intervals" if any(point.low is not None for point in result.boundary) else ""
+    shaded += ", thin where nothing bounds them from below" if any(point.low == 0 for point in result.boundary) else ""
     return Figure(
         "boundaries",
         ANSWER,
@@ -77,13 +79,17 @@ def answer_figure(data: SceneData, told: Answer, theory: Theory | None, result: 
     )
 
 
-def plane_figure(entries: Sequence[tuple[str, ExperimentResult, Theory]], *, predicted: bool = True) -> Figure[Limits]:
+def plane_figure(
+    entries: Sequence[tuple[str, ExperimentResult, Theory]], order: Sequence[str] = (), *, predicted: bool = True
+) -> Figure[Limits]:
     """Return measured boundaries of experiments, also of several devices, in the plane of alpha and beta.
 
     Parameters
     ----------
     entries : sequence of (str, ExperimentResult, Theory)
         Label, result, and the theory whose mass and sampling period normalise it.
+    order : sequence of str
+        Experiments of the report, whose places choose the colours; of entries that are not of one report none.
     predicted : bool
         Whether the boundaries of these theories stand beside.
 
@@ -94,6 +100,12 @@ def plane_figure(entries: Sequence[tuple[str, ExperimentResult, Theory]], *, pre
         full = f"{label} (d = {theory.loop.delay:.3g}, δ = {theory.loop.delta:.2g})"
         measured.append(normalised(measured_curve(result, full), theory))
     theories = [normalised(theory_curve(theory, "_theory"), theory) for _, _, theory in entries if predicted]
+    if order:
+        numbers = [order.index(result.experiment) for _, result, _ in entries]
+        measured, theories = (
+            [replace(curve, number=n) for curve, n in zip(curves, numbers, strict=bool(curves))]
+            for curves in (measured, theories)
+        )
     return Figure(
         "plane",
         "boundaries-normalised",
@@ -132,7 +144,7 @@ class _Builder:
         facts = friction_facts(self.data.device, free)
         held = friction_curves(first, facts) if facts and shown.has_overlay("friction") else []
         drawn = (*filter(None, conditions), *held)
-        curves = (*(measured_curve(r) for r in free), *self._over_delays(free, values), *drawn)
+        curves = (*(self._measured(r) for r in free), *self._over_delays(free, values), *drawn)
         m, b, k = values[0]
         units = UNITS["rotation" if self.data.experiments[0].rotation else "translation"]
         others = ", ".join(f"{other[1]:g}" for other in values[1:])
@@ -153,6 +165,17 @@ class _Builder:
             (("", curves),),
             theory_label=f"theory, b = {b:g}",
         )
+
+    def _measured(self, result: ExperimentResult, label: str = "", *, open_ends: bool = False) -> Curve:
+        """Measured boundary in the colour of its experiment."""
+        return self._coloured(measured_curve(result, label, open_ends=open_ends), result)
+
+    def _theory(self, result: ExperimentResult, label: str) -> Curve:
+        """Boundary by the theory of an experiment, in its colour."""
+        return self._coloured(theory_curve(self.theories[result.experiment], label), result)
+
+    def _coloured(self, curve: Curve, result: ExperimentResult) -> Curve:
+        return replace(curve, number=self.data.scene.experiments.index(result.experiment))
 
     def _own(self, result: ExperimentResult) -> TheoryParameters:
         return self.theories[result.experiment].parameters
@@ -179,8 +202,8 @@ class _Builder:
         panels = []
         for configuration in dict.fromkeys(r.configuration for r in held):
             shown = [r for r in self.results if r.configuration == configuration and r.experiment in self.theories]
-            curves = [measured_curve(r, f"experiment {r.experiment}, {_grip(r.grip)}") for r in shown]
-            curves += [theory_curve(self.theories[r.experiment], f"theory, {_grip(r.grip)}") for r in shown]
+            curves = [self._measured(r, f"experiment {r.experiment}, {_grip(r.grip)}") for r in shown]
+            curves += [self._theory(r, f"theory, {_grip(r.grip)}") for r in shown]
             panels.append((configuration, tuple(curves)))
         return Figure(
             "boundaries",
@@ -195,11 +218,11 @@ class _Builder:
     def delay(self) -> Figure[Limits]:
         """Theory beside measurement for each delay (Fig. 6.9)."""
         theory = [
-            theory_curve(self.theories[r.experiment], f"d = {self.theories[r.experiment].parameters.delay_samples:g}")
+            self._theory(r, f"d = {self.theories[r.experiment].parameters.delay_samples:g}")
             for r in self.results
             if r.experiment in self.theories
         ]
-        measured = [measured_curve(r, r.experiment) for r in self.results]
+        measured = [self._measured(r, r.experiment) for r in self.results]
         panels = [("theory", tuple(theory))] if theory else []
         return Figure(
             "boundaries",
@@ -222,7 +245,7 @@ class _Builder:
             if theory is None:
                 continue
             more = (envelope_curve(result), bound_curve(result), linear_curve(theory), passive_curve(theory))
-            curves = (measured_curve(result, open_ends=True), theory_curve(theory, "theory from estimates"))
+            curves = (self._measured(result, open_ends=True), theory_curve(theory, "theory from estimates"))
             panels.append((f"experiment {name}", (*curves, *(c for c in more if c is not None))))
         if not panels:
             return None
@@ -231,8 +254,8 @@ class _Builder:
         told = []
         if "envelope" in kinds and shown.has_overlay("band"):
             told.append(
-                " Shaded: what the 95 % intervals of these estimates leave open in theory, and the intervals of the "
-                "measured limits."
+                " Shaded: what the 95 % intervals of these estimates leave open in theory; pale bars: the intervals of "
+                "the measured limits."
             )
         if "passive" in kinds and shown.has_overlay("passive"):  # without damping there is no passive wall
             told.append(" Thin outline: passive region (4.12), far inside the stable one.")

@@ -11,37 +11,29 @@ from typing import Any
 import numpy as np
 
 from pipeline.comparison.compare_experiment import motion_of
-from pipeline.comparison.figures.boundary_curves import measured_curve, theory_curve
+from pipeline.comparison.figures.cost_figures import measured_map, theory_maps
 from pipeline.comparison.figures.figure_boundaries import answer_figure, boundary_figures
-from pipeline.comparison.figures.figure_optima import optimal_curve
 from pipeline.comparison.figures.figure_residuals import residual_figures
 from pipeline.comparison.figures.figure_response import response_figures
+from pipeline.comparison.figures.figure_trend import trend_figures
 from pipeline.comparison.scene.scene import SceneData
 from pipeline.comparison.scene.scene_parts import with_overlays
 from pipeline.comparison.tables_d import layouts
 from pipeline.loop.loop import LARGEST_DELAY, Loop
 from pipeline.measured.stages.stages import ExperimentStages
-from pipeline.records.batch import Floats
 from pipeline.records.criteria import criterion_of
 from pipeline.records.delay_rows import delay_points
-from pipeline.records.figure_records import CostMap, Curve, DelayPanel, Figure, Limits
-from pipeline.records.findings import Optimum
+from pipeline.records.figure_records import CostMap, DelayPanel, Figure, Limits
 from pipeline.records.models import ComparisonRow, FigureKind, TableLayout
 from pipeline.records.results import Answer, ExperimentResult, TheoryParameters
 from pipeline.rendering.labels import criterion_label, table_label
-from pipeline.theory.cost.maps import cost_maps
 from pipeline.theory.predictions import Predictions, Request, Theory
-
-MAP_POINTS = 101
-"""Grid points along each axis of a drawn map; finer ones change no contour visibly."""
 
 DAMPED = 0.02
 """Relative damping delta of the second theory curve of Fig. 6.12, the upper end of the range of 3.3."""
 
 FIGURES = {"D.1": "6.5", "D.2": "6.6", "D.3": "6.7", "D.4": "6.10", "D.5": "6.11"}
 """Figure of the thesis whose optima a table holds; other tables are drawn as the first two."""
-
-NO_TRIALS = (np.empty(0), np.empty(0), np.empty(0))
 
 
 def shows_damped(data: SceneData) -> bool:
@@ -79,7 +71,8 @@ class FigureBuilder:
             "maps": lambda: self.costs(predictions),
             "delay": lambda: self.delays(rows, predictions),
             "response": lambda: response_figures(self.data, motion_of(self.data)),
-            "residuals": lambda: residual_figures(self.data, self.theories),
+            "trend": lambda: trend_figures(self.results, motion_of(self.data)),
+            "residuals": lambda: residual_figures(self.data, self.theories, predictions),
         }
         found = list[Figure[Any]](with_overlays((*self.answered(), *self.boundaries()), shown))
         for kind, build in builders.items():
@@ -106,10 +99,10 @@ class FigureBuilder:
                 continue
             theory = self.theories.get(table.theory_from)
             shown = [r for r in self.results if r.experiment in table.experiments]
-            maps = _theory_maps(theory, shown, table.criteria, predictions) if theory else {}
+            maps = theory_maps(theory, shown, table.criteria, predictions) if theory else {}
             for criterion in table.criteria:
                 panels = [maps[criterion]] if theory else []
-                panels += [_measured_map(r, stages[r.experiment], criterion) for r in shown if criterion in r.optimum]
+                panels += [self._measured(r, stages, criterion, predictions) for r in shown if criterion in r.optimum]
                 if not panels:
                     continue
                 listed = self.data.scene.shown.has_table(table.name)
@@ -119,6 +112,17 @@ class FigureBuilder:
                 name = next(name for name in taken if name not in figures)
                 figures[name] = replace(figure, identifier=name)
         return tuple(figures.values())
+
+    def _measured(
+        self,
+        result: ExperimentResult,
+        stages: Mapping[str, ExperimentStages],
+        criterion: str,
+        predictions: Predictions,
+    ) -> CostMap:
+        """Map of an experiment, smoothed about its own theory where it has one."""
+        own = self.theories.get(result.experiment)
+        return measured_map(result, stages[result.experiment], criterion, own, predictions)
 
     def delays(self, rows: Sequence[ComparisonRow], predictions: Predictions) -> tuple[Figure[DelayPanel], ...]:
         """Return the figure of optimal costs over delay, if there is a sweep."""
@@ -151,72 +155,6 @@ class FigureBuilder:
 
 def _cost(row: ComparisonRow | None) -> float:
     return np.nan if row is None or row.cost is None else row.cost
-
-
-def _theory_maps(
-    theory: Theory, shown: Sequence[ExperimentResult], criteria: Sequence[str], predictions: Predictions
-) -> dict[str, CostMap]:
-    """Maps of theory by criterion over its stable region and all that was tested."""
-    points = [point for result in shown for point in result.boundary]
-    p, border, units = theory.parameters, theory.boundary, theory.units
-    stiffest = max([border.alpha_max * units.stiffness, *(p.unstable or p.stable or 0.0 for p in points)])
-    dampings = [border.beta_max * units.damping, *(p.damping for p in points)]
-    stiffness = np.linspace(0, stiffest, MAP_POINTS)
-    damping = np.linspace(min(0.0, *dampings), max(dampings), MAP_POINTS)
-    costs = cost_maps(theory.loop, stiffness / units.stiffness, damping / units.damping, criteria)
-    label = f"theory, d = {p.delay_samples:g}, m = {p.mass:.3g}, b = {p.damping:.3g}"
-    maps = {}
-    for criterion, cost in costs.items():
-        found = predictions.get(theory, f"{criterion}_discrete")
-        optimum = Optimum(stiffness=found.stiffness, damping=found.damping, cost=found.cost)
-        curves = _optimal_curves(stiffness, damping, cost, criterion, exact=True)
-        edge = theory_curve(theory, "boundary")
-        maps[criterion] = CostMap(label, "theory", stiffness, damping, cost, edge, optimum, *NO_TRIALS, *curves)
-    return maps
-
-
-def _optimal_curves(
-    stiffness: Floats, damping: Floats, cost: Floats, criterion: str, *, exact: bool
-) -> tuple[Curve, Curve]:
-    """Best damping for each stiffness and best stiffness for each damping, where the map has costs on both sides."""
-    smooth = exact and criterion_of(criterion).family.smooth
-    b, b_inside = optimal_curve(damping, cost, smooth=smooth)
-    k, k_inside = optimal_curve(stiffness, cost.T, smooth=smooth)
-    return (
-        Curve("best damping", "optimal", stiffness, np.where(b_inside, b, np.nan)),
-        Curve("best stiffness", "optimal", np.where(k_inside, k, np.nan), damping),
-    )
-
-
-def _measured_map(result: ExperimentResult, stages: ExperimentStages, criterion: str) -> CostMap:
-    cost = stages.sure_cost(criterion)
-    k, b = stages.column("response", "stiffness"), stages.column("response", "damping")
-    shown = (k > 0) & (stages.verdicts.verdict != "unstable")
-    k, b, cost = k[shown], b[shown], cost[shown]
-    levels = np.unique(b) if len(b) else np.zeros(1)
-    optimum = result.optimum.get(criterion)
-    axis = _stiffness_axis(k, len(levels), optimum)
-    grid = np.full((len(levels), len(axis)), np.nan)
-    for row, level in enumerate(levels):
-        at = np.flatnonzero((b == level) & np.isfinite(cost))
-        if len(at) > 1:
-            order = at[np.argsort(k[at], kind="stable")]
-            # along K a course is dense enough to interpolate; beyond its first and last trial nothing is claimed
-            grid[row] = np.interp(axis, k[order], cost[order], left=np.nan, right=np.nan)
-    name = f"experiment {result.experiment}" + (f", {result.configuration}" if result.configuration else "")
-    curves = _optimal_curves(axis, levels, grid, criterion, exact=False)
-    return CostMap(name, "measured", axis, levels, grid, measured_curve(result), optimum, k, b, cost, *curves)
-
-
-def _stiffness_axis(stiffness: Floats, levels: int, optimum: Optimum | None) -> Floats:
-    """Stiffness values that were tried at a tenth of the dampings or more, and that of the optimum.
-
-    The second pass of a course refines each column around its own limit only; as grid lines those values would be gaps.
-    """
-    values, count = np.unique(stiffness, return_counts=True)
-    common = values[count >= min(max(2, 0.1 * levels), count.max(initial=1))]
-    axis = np.union1d(common, [optimum.stiffness] if optimum else [])
-    return axis if len(axis) > 1 else np.array([0.0, 1.0])
 
 
 def _cost_figure(

@@ -15,15 +15,16 @@ from pipeline.records.batch import Booleans, Floats
 from pipeline.records.criteria import criterion_of
 from pipeline.records.figure_records import Curve, Figure, ResidualMap
 from pipeline.rendering.labels import criterion_label
-from pipeline.theory.cost.maps import costs_at
-from pipeline.theory.predictions import Theory
+from pipeline.theory.predictions import Predictions, Theory
 
 CELLS = (20, 14)
 """Cells along both axes of the largest region: each is wider than the largest mark, and holds ten trials or more of a
 course of 2,500, so that its median says more than their scatter."""
 
 
-def residual_figures(data: SceneData, theories: Mapping[str, Theory]) -> tuple[Figure[ResidualMap], ...]:
+def residual_figures(
+    data: SceneData, theories: Mapping[str, Theory], predictions: Predictions
+) -> tuple[Figure[ResidualMap], ...]:
     """Return one figure a criterion, with a map of each experiment that has a theory; none without common trials.
 
     Parameters
@@ -31,6 +32,7 @@ def residual_figures(data: SceneData, theories: Mapping[str, Theory]) -> tuple[F
     data : SceneData
     theories : mapping of str to Theory
         By the device file, or by the estimates of a device without one.
+    predictions : Predictions
 
     Notes
     -----
@@ -47,12 +49,7 @@ def residual_figures(data: SceneData, theories: Mapping[str, Theory]) -> tuple[F
     stiffest = max(float(max(edges[n].stiffness.max(), points[n][0].max())) for n in edges)
     highest = max(float(max(edges[n].damping.max(), points[n][1].max())) for n in edges)
     cell = (stiffest / CELLS[0], highest / CELLS[1])
-    expected = {}
-    for stages in shown:
-        theory, (k, b) = theories[stages.experiment], points[stages.experiment]
-        expected[stages.experiment] = costs_at(
-            theory.loop, k / theory.units.stiffness, b / theory.units.damping, criteria
-        )
+    expected = {name: predictions.costs_at(theories[name], *points[name], criteria) for name in points}
     figures = []
     for criterion in criteria:
         maps = []

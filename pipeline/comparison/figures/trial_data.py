@@ -8,7 +8,7 @@ boundary and a grid over the plane that gets finer.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -135,7 +135,7 @@ class _Experiment:
             "v": "".join(str(VERDICTS.index(v)) for v in self.verdict.tolist()),
             "o": "".join(str(OUTCOMES.index(o)) for o in outcomes),
             "c": [_numbers(self.costs[c] * printed_scale(c), COST_DIGITS) for c in self.criteria],
-            "measured": _line(measured_curve(self.result)),
+            **_limits(measured_curve(self.result)),
             "theory": _line(theory_curve(self.theory, "theory")) if self.theory else None,
         }
         self.columns = pack(columns)
@@ -317,6 +317,16 @@ def _coarse_to_fine(stiffness: Floats, damping: Floats) -> Integers:
     rows = np.concatenate(chosen)
     _, first = np.unique(rows, return_index=True)
     return np.asarray(rows[np.sort(first)], dtype=np.int64)
+
+
+def _limits(curve: Curve) -> dict[str, Any]:
+    """Measured limits: a line, which those of which only a lower bound is known interrupt, and these alone."""
+    bound = np.zeros(len(curve.damping), dtype=bool) if curve.censored is None else curve.censored > 0
+    line = replace(curve, stiffness=np.where(bound, np.nan, curve.stiffness))
+    return {
+        "measured": _line(line) if not bound.all() else [[], []],
+        "open": [_numbers(curve.stiffness[bound], 4), _numbers(curve.damping[bound], 4)],
+    }
 
 
 def _line(curve: Curve) -> list[list[float | int | None]]:

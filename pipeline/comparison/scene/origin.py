@@ -15,6 +15,7 @@ from pipeline import __version__
 from pipeline.base.file_names import path_of_text
 from pipeline.base.provenance import digest, sha256
 from pipeline.comparison.scene.scene import SceneData, needed_stages
+from pipeline.device_data.devices import digest_of
 from pipeline.measured.stages.stage_windows import WINDOWS_S
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.criteria import REPORTED
@@ -135,7 +136,8 @@ def request(data: SceneData, lists: Sequence[LogList], processed: str, code: str
     excluded = [one.model_dump() for one in data.excluded]
     asked = {"processed": processed, "scene": data.scene.model_dump(mode="json")}
     truth = {name: one.model_dump(mode="json") for name, one in data.truth.items()}
-    return asked | {"logs": logs, "code": code, "excluded": excluded, "truth": truth}
+    device = digest_of(data.device) if data.device else None
+    return asked | {"logs": logs, "code": code, "excluded": excluded, "truth": truth, "device_file": device}
 
 
 def _command(data: SceneData, processed: str, output: Sequence[str]) -> str:

@@ -28,6 +28,7 @@ REPORT_TABLES = {
     "experiments": "trials, verdicts, estimates",
     "methods": "estimates by method",
     "header": "header lines that only the lab knows",
+    "trend": "limits and estimates beside header lines that differ",
     "model": "does the model explain the logs?",
     "outcomes": "what the logs show",
     "windows": "mass over its window",

@@ -17,6 +17,7 @@ FIGURE_NAMES: dict[FigureKind, str] = {
     "maps": "cost maps",
     "residuals": "measured minus theory",
     "delay": "costs over delay",
+    "trend": "limits and estimates over experiments",
     "trials": "trials to look into",
 }
 
@@ -45,7 +46,7 @@ def plan_parts(data: SceneData) -> list[PlannedStage]:
             plan.append(PlannedStage(f"figure: {name}", LEAVE_OUT, "the scene does not ask for it"))
         elif kind == "delay" and not any(table.kind == "delay" for table in layouts(data)):
             plan.append(PlannedStage(f"figure: {name}", LEAVE_OUT, "no experiment has added delay"))
-        elif kind == "plane" and len(data.experiments) < 2:
+        elif (kind == "plane" and len(data.experiments) < 2) or (kind == "trend" and len(data.experiments) < 2):
             plan.append(PlannedStage(f"figure: {name}", LEAVE_OUT, "there is one experiment only"))
         else:
             plan.append(PlannedStage(f"figure: {name}", RUN, "with the report, where there is data for it"))

@@ -61,12 +61,14 @@ class Smooth:
         return result
 
 
-def smooth_of(stiffness: Floats, damping: Floats, values: Floats) -> Smooth:
+def smooth_of(stiffness: Floats, damping: Floats, values: Floats, neighbours: int = NEIGHBOURS) -> Smooth:
     """Return local planes over some points, by which values are smoothed; outliers among these count little.
 
     Parameters
     ----------
     stiffness, damping, values : float64, shape (n,)
+    neighbours : int
+        Points to which a plane is fitted.
 
     Notes
     -----
@@ -80,7 +82,7 @@ def smooth_of(stiffness: Floats, damping: Floats, values: Floats) -> Smooth:
     points = np.stack([stiffness, damping], axis=1)
     spread = points.std(axis=0)
     points = points / np.where(spread > 0, spread, 1.0)
-    distance, nearest = cKDTree(points).query(points, k=min(NEIGHBOURS, len(points)))
+    distance, nearest = cKDTree(points).query(points, k=min(neighbours, len(points)))
     reach = np.maximum(distance[:, -1:], np.finfo(np.float64).tiny) * (1 + 1e-9)
     near = (1 - (distance / reach) ** 3) ** 3
     offset = points[nearest] - points[:, None]
@@ -137,9 +139,10 @@ class Deviations:
         if best is None or optimum is None or criterion_of(criterion).family.levels or not best.cost * optimum.cost > 0:
             return None
         stages = self._stages[experiment]
-        alpha = stages.column("response", "stiffness") / theory.units.stiffness
-        beta = stages.column("response", "damping") / theory.units.damping
-        expected, measured = costs_at(theory.loop, alpha, beta, [criterion])[criterion], stages.sure_cost(criterion)
+        K, B = stages.column("response", "stiffness"), stages.column("response", "damping")
+        expected = self._predictions.costs_at(theory, K, B, [criterion])[criterion]
+        measured = stages.sure_cost(criterion)
+        alpha, beta = K / theory.units.stiffness, B / theory.units.damping
         use = (stages.verdicts.verdict == "stable") & (measured > 0) & (expected > 0)
         if use.sum() < FEWEST:
             return None

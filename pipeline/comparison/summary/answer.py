@@ -93,7 +93,7 @@ def _limits(lead: ExperimentResult, distance: DistanceScore) -> str:
     side = "above" if distance.median > 0 else "below"
     if 100 * abs(distance.median) < 0.1:
         return f"limits of experiment {lead.experiment} differ by less than 0.1 %"
-    return f"limits of experiment {lead.experiment} lie {size_text(100 * distance.median)} {side} it"
+    return f"limits of experiment {lead.experiment} lie {size_text(100 * distance.median)} {side} theory's"
 
 
 def _stiffest(results: Sequence[ExperimentResult], units: Units) -> str:
@@ -127,8 +127,13 @@ def _marks(result: ExperimentResult, stages: ExperimentStages) -> list[Mark]:
         model = Mark(name="loop", state="yes", text=f"Mass, damping and delay explain {share}.")
     else:
         reason = loop.reason.split("; ")[0]
-        model = Mark(name="loop", state="no", text=f"One mass, damping and delay do not explain all: {reason}.")
+        told = f"{reason[:1].upper()}{reason[1:]}" if reason.startswith(_EXPLAINED) else f"{_NOT_ALL}: {reason}"
+        model = Mark(name="loop", state="no", text=f"{told}.")
     return [law, model, _limit_mark(result)]
+
+
+_EXPLAINED, _NOT_ALL = "mass, damping and delay", "One mass, damping and delay do not explain all"
+"""How a reason begins that says by itself what is not explained, and what stands before the others."""
 
 
 def _clause(sentence: str) -> str:

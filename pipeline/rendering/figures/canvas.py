@@ -23,7 +23,8 @@ from pipeline.records.figure_records import CostMap, Curve
 from pipeline.records.figure_records import Figure as Content
 from pipeline.records.models import Motion
 from pipeline.rendering.figures import style
-from pipeline.rendering.labels import KILO_ABOVE, UNITS, shortened
+from pipeline.rendering.figures.shown import Panel, forget, name_axes, shown_on
+from pipeline.rendering.labels import UNITS, shortened
 
 DOTS_PER_INCH = 72.0
 MARGIN = 1.06
@@ -62,8 +63,8 @@ def draw_panels(
     size: tuple[float, float],
     margins: Sequence[tuple[float, float, float, float]],
     paint: Callable[..., tuple[str, str]],
-) -> tuple[str, ...]:
-    """Draw the panels of a figure one after the other on the same axes; return one ``<svg>`` each.
+) -> tuple[Panel, ...]:
+    """Draw the panels of a figure one after the other on the same axes; return one ``<svg>`` each, with its numbers.
 
     Parameters
     ----------
@@ -81,7 +82,8 @@ def draw_panels(
         for index, panel in enumerate(figure.panels):
             name, text = paint(panel, *all_axes)
             names = f"{figure.identifier}-{index}", f"{figure.title}{name}", text
-            drawn.append(style.svg(drawing, *names, simulated=figure.simulated))
+            shown = shown_on(drawing, name)
+            drawn.append(Panel(style.svg(drawing, *names, simulated=figure.simulated), shown))
             _wipe(drawing)
     return tuple(drawn)
 
@@ -89,6 +91,7 @@ def draw_panels(
 def _wipe(drawing: Figure) -> None:
     """Take everything off the axes of a figure, whose next panel is drawn on them: making axes takes longer."""
     for axes in drawing.axes:
+        forget(axes)
         for collection in list(axes.collections):
             collection.remove()  # contour lines, with the labels that belong to them
         for artist in (*axes.lines, *axes.patches, *axes.texts, *axes.artists, *filter(None, [axes.get_legend()])):
@@ -125,6 +128,7 @@ def frame(
         Whether the abscissa has numbers; not where the panel below has the same axis.
     """
     box = axes.bbox
+    name_axes(axes, x_label, y_label or title)
     x = _ticks(axes.get_xlim(), x_ticks, whole=whole)
     y = _ticks(axes.get_ylim(), y_ticks)
     at_x = axes.transData.transform(np.column_stack([x, np.zeros(len(x))]))[:, 0]
@@ -181,19 +185,14 @@ def reach(curves: Sequence[Curve], maps: Sequence[CostMap] = ()) -> tuple[float,
     return float(k.max() * MARGIN or 1.0), float(b.min() * MARGIN), float(b.max() * MARGIN or 1.0)
 
 
-def plane(axes: Axes, limits: tuple[float, float, float]) -> float:
-    """Set up axes of stiffness and damping by the result of `reach`; return the factor from SI to its abscissa."""
+def plane(axes: Axes, limits: tuple[float, float, float]) -> None:
+    """Set up axes of stiffness and damping by the result of `reach`."""
     largest, lowest, highest = limits
-    axes.set_xlim(0, largest * _scale(largest))
+    axes.set_xlim(0, largest)
     axes.set_ylim(lowest, highest)
-    return _scale(largest)
 
 
-def plane_labels(motion: Motion, limits: tuple[float, float, float]) -> tuple[str, str]:
-    """Return quantity and unit of both axes of `plane`."""
+def plane_labels(motion: Motion) -> tuple[str, str]:
+    """Return quantity and unit of both axes of `plane`: in SI, as in all tables."""
     units = UNITS[motion]
-    return f"stiffness K [{'k' if _scale(limits[0]) < 1 else ''}{units.stiffness}]", f"damping B [{units.damping}]"
-
-
-def _scale(largest: float) -> float:
-    return 1e-3 if largest > KILO_ABOVE else 1.0
+    return f"stiffness K [{units.stiffness}]", f"damping B [{units.damping}]"

@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
 
-from pipeline.base.disk import replacing
+from pipeline.base.disk import replacing, write_text
+from pipeline.rendering.figures.shown import figure_csv
 from pipeline.rendering.figures.svg import UNIT
 
 _VARIABLE = re.compile(r"var\(--[\w-]+,([^()]*)\)")
@@ -27,9 +28,23 @@ _ANCHORS = {"": "left", "end": "right", "middle": "center"}
 Places = list[tuple[float, float]]
 
 
-def write_figures(drawings: Mapping[str, str], folder: Path) -> tuple[Path, ...]:
-    """Write each drawing of a page, by its name, as ``NAME.svg`` and ``NAME.pdf``; leave other files alone."""
+def write_figures(
+    drawings: Mapping[str, str], folder: Path, numbers: Mapping[str, Sequence[Mapping[str, Any]]] | None = None
+) -> tuple[Path, ...]:
+    """Write each drawing of a page, by its name, as ``NAME.svg`` and ``NAME.pdf``; leave other files alone.
+
+    Parameters
+    ----------
+    drawings : mapping of str to str
+    folder : Path
+    numbers : mapping, optional
+        What the panels of each figure show, which goes into ``FIGURE.csv``; see `shown.Panel`.
+    """
     written = []
+    for name, panels in (numbers or {}).items():
+        path = folder / f"{name}.csv"
+        write_text(path, figure_csv(panels))
+        written.append(path)
     for name, drawing in drawings.items():
         for path, content in (
             (folder / f"{name}.svg", standalone(drawing).encode()),

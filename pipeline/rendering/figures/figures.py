@@ -18,6 +18,7 @@ from matplotlib.lines import Line2D
 from pipeline.records.figure_records import CostMap, Curve, DelayPanel, Figure, Limits
 from pipeline.records.models import Motion
 from pipeline.rendering.figures import canvas, panels, style
+from pipeline.rendering.figures.shown import Panel
 from pipeline.rendering.labels import (
     UNITS,
     cost_text,
@@ -55,7 +56,7 @@ HALF = 0.56
 LEGEND: dict[str, Any] = {"handlelength": 2.2, "columnspacing": 1.4, "labelspacing": 0.25, "borderpad": 0.1}
 
 
-def boundaries(figure: Figure[Limits], motion: Motion = "translation") -> tuple[str, ...]:
+def boundaries(figure: Figure[Limits], motion: Motion = "translation") -> tuple[Panel, ...]:
     """Draw stability boundaries on axes of equal range (Figs. 6.3, 6.4, 6.9).
 
     Measured curves are solid with small markers (open where censored), theory dashed, linear conditions dotted; points
@@ -72,12 +73,12 @@ def boundaries(figure: Figure[Limits], motion: Motion = "translation") -> tuple[
     lines = -(-max(entries, default=0) // columns)
     legend = 15.0 * lines + 8.0 * bool(lines)
     height = 0.78 * width + legend
-    names = ("α = K T²/m", "β = B T/m") if figure.kind == "plane" else canvas.plane_labels(motion, reach)
+    names = ("α = K T²/m", "β = B T/m") if figure.kind == "plane" else canvas.plane_labels(motion)
 
     def paint(panel: Limits, axes: Axes) -> tuple[str, str]:
         title, shown = panel
-        scale = canvas.plane(axes, reach)
-        entries = panels.draw_curves(axes, shown, scale, thin=figure.kind == "plane")
+        canvas.plane(axes, reach)
+        entries = panels.draw_curves(axes, shown, thin=figure.kind == "plane")
         canvas.frame(axes, *names, title=title)
         if figure.theory_label and any(curve.kind == "theory" for curve in shown):
             entries.setdefault("theory", []).append(_theory_line(shown, figure.theory_label))
@@ -88,7 +89,8 @@ def boundaries(figure: Figure[Limits], motion: Motion = "translation") -> tuple[
             axes.figure.legend(
                 handles=handles, ncols=columns, loc="upper left", bbox_to_anchor=(52 / width, legend / height), **LEGEND
             )
-        return f" {title}", f"{title}: stability boundaries " + "; ".join(_describe(curve, motion) for curve in shown)
+        told = "; ".join(_describe(curve, motion) for curve in shown)
+        return f" {title}" if title else "", f"{f'{title}: s' if title else 'S'}tability boundaries {told}"
 
     top = 26 if any(title for title, _ in figure.panels) else 10
     return canvas.draw_panels(figure, (width, height), [(52, 44 + legend, 14, top)], paint)
@@ -99,7 +101,7 @@ def _theory_line(curves: Sequence[Curve], label: str) -> Line2D:
     return Line2D([], [], color=colour, ls=style.LINES["theory"], lw=panels.LINE_WIDTHS["theory"], label=label)
 
 
-def cost_maps(figure: Figure[CostMap], motion: Motion = "translation") -> tuple[str, ...]:
+def cost_maps(figure: Figure[CostMap], motion: Motion = "translation") -> tuple[Panel, ...]:
     """Draw cost maps of one criterion, each above its front view (Figs. 6.5 to 6.11).
 
     A map without any cost shows its boundary and says so.
@@ -108,14 +110,14 @@ def cost_maps(figure: Figure[CostMap], motion: Motion = "translation") -> tuple[
     top = panels.front_top(figure)
     width, height = (350.0, 430.0) if len(figure.panels) > 2 else (440.0, 500.0)
     split = 0.42 * height
-    stiffness, damping = canvas.plane_labels(motion, reach)
+    stiffness, damping = canvas.plane_labels(motion)
 
     def paint(shown: CostMap, plane: Axes, front: Axes) -> tuple[str, str]:
-        scale = canvas.plane(plane, reach)
+        canvas.plane(plane, reach)
         front.set_xlim(plane.get_xlim())
-        panels.draw_map(plane, shown, figure.criterion, scale)
+        panels.draw_map(plane, shown, figure.criterion)
         canvas.frame(plane, "", damping, title=shown.label, numbers=False)
-        panels.draw_front(front, shown, figure.criterion, scale, top)
+        panels.draw_front(front, shown, figure.criterion, top)
         canvas.frame(front, stiffness, panels.cost_axis_label(figure.criterion), y_ticks=4)
         return f" {shown.label}", _describe_map(shown, figure.criterion, motion)
 
@@ -123,14 +125,14 @@ def cost_maps(figure: Figure[CostMap], motion: Motion = "translation") -> tuple[
     return canvas.draw_panels(figure, (width, height), margins, paint)
 
 
-def delays(figure: Figure[DelayPanel], motion: Motion = "translation") -> tuple[str, ...]:
+def delays(figure: Figure[DelayPanel], motion: Motion = "translation") -> tuple[Panel, ...]:
     """Draw optimal costs over total delay (Fig. 6.12)."""
 
     def paint(panel: DelayPanel, axes: Axes) -> tuple[str, str]:
         label = criterion_label(panel.criterion)
         for values, name, look in (
-            (panel.theory, "theory", {"color": style.GREEN, "lw": 1.6}),
-            (panel.damped, panel.damped_label, {"color": style.GREEN, "lw": 1.4, "ls": style.LINES["theory"]}),
+            (panel.theory, "theory", {"color": style.INK, "lw": 1.6}),
+            (panel.damped, panel.damped_label, {"color": style.INK, "lw": 1.4, "ls": style.LINES["theory"]}),
             (panel.measured, "experiment", {"color": style.BLUE, "ls": "none", "marker": "+", "ms": 10, "mew": 2}),
         ):
             known = np.isfinite(values)

@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from pipeline.records.batch import Floats
 from pipeline.records.figure_records import Figure, RecordedColumn
 from pipeline.rendering.figures import canvas, style
+from pipeline.rendering.figures.shown import Panel
 
 SIZE = (880.0, 190.0)
 MARGINS = [(76.0, 44.0, 14.0, 26.0)]
@@ -18,7 +19,7 @@ MOST_POINTS = 1600
 """Points of a line; of more rows the least and the largest of each pixel are drawn."""
 
 
-def recorded(figure: Figure[RecordedColumn], abscissa: str) -> tuple[str, ...]:
+def recorded(figure: Figure[RecordedColumn], abscissa: str) -> tuple[Panel, ...]:
     """Draw the columns of a log over an abscissa, each by itself."""
     return canvas.draw_panels(figure, SIZE, MARGINS, partial(_column, abscissa=abscissa))
 

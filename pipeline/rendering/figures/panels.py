@@ -1,11 +1,12 @@
 """What one panel of a figure shows: boundary curves, contour lines of a cost, its front view.
 
-Numbers come in SI; ``scale`` is the factor from SI to the stiffness axis.
+Numbers come and are drawn in SI.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ from pipeline.records.batch import Booleans, Floats
 from pipeline.records.criteria import criterion_of
 from pipeline.records.figure_records import CostMap, Curve, Figure
 from pipeline.rendering.figures import style
+from pipeline.rendering.figures.shown import tell
 from pipeline.rendering.labels import cost_text, printed_scale, significant, with_unit
 
 LINES_PER_DOUBLING = 2
@@ -63,8 +65,10 @@ LINE_WIDTHS = {
 }
 THIN = 0.9
 """Width of theory curves where there is one to each of many measured ones."""
-SHADES = {"envelope": 0.13, "use": 0.3, "passive": 0.22, "measured": 0.22}
+SHADES = {"envelope": 0.13, "use": 0.3, "passive": 0.22, "measured": 0.3}
 """Opacity of filled areas: light enough for the lines and dots on them, apart from each other in grey."""
+INTERVAL, OPEN_INTERVAL = 5.0, 1.6
+"""Width of the bar of an interval [px], and of one without a lower end."""
 LABELLED_KINDS = ("measured", "theory")
 """Kinds of curves whose tip may bear a label; linear conditions and bands have none of their own."""
 
@@ -79,18 +83,19 @@ def theory_colour(curves: Sequence[Curve]) -> str:
     return "" if measured == 0 or measured == theory > 1 else style.INK
 
 
-def draw_curves(axes: Axes, curves: Sequence[Curve], scale: float, *, thin: bool = False) -> dict[str, list[Artist]]:
+def draw_curves(axes: Axes, curves: Sequence[Curve], *, thin: bool = False) -> dict[str, list[Artist]]:
     """Draw boundaries, on request with thin theory; return by kind what needs a legend: curves without a label."""
     alone = theory_colour(curves)
     entries: dict[str, list[Artist]] = {}
     for kind in KINDS:
         group = [curve for curve in curves if curve.kind == kind]
         # All of a kind or none: a legend with some of the curves would be read as complete.
-        places = _label_places(group, axes.get_xlim()[1] / scale, axes.get_ylim())
+        places = _label_places(group, axes.get_xlim()[1], axes.get_ylim())
         for index, curve in enumerate(group):
-            own = alone if kind == "theory" and alone else style.SERIES[index % len(style.SERIES)]
+            number = index if curve.number is None else curve.number
+            own = alone if kind == "theory" and alone else style.SERIES[number % len(style.SERIES)]
             colour = own if kind in LABELLED_KINDS else style.GREEN if kind == "use" else style.INK
-            artist = _draw_curve(axes, curve, scale, colour, style.MARKERS[index % len(style.MARKERS)], thin=thin)
+            artist = _draw_curve(axes, curve, colour, style.MARKERS[number % len(style.MARKERS)], thin=thin)
             if places:
                 look: dict[str, Any] = {"color": colour, "va": "center", "fontsize": 9.5, "bbox": style.BEHIND_TEXT}
                 axes.annotate(curve.label, places[index], (4, 0), "axes fraction", textcoords="offset points", **look)
@@ -99,16 +104,13 @@ def draw_curves(axes: Axes, curves: Sequence[Curve], scale: float, *, thin: bool
     return entries
 
 
-def _draw_curve(
-    axes: Axes, curve: Curve, scale: float, colour: str, marker: str = "o", *, thin: bool = False
-) -> Artist:
+def _draw_curve(axes: Axes, curve: Curve, colour: str, marker: str = "o", *, thin: bool = False) -> Artist:
     look: dict[str, Any] = {"color": colour, "ls": style.LINES[curve.kind], "label": curve.label}
-    k = curve.stiffness * scale
-    between = _fill_between(axes, curve, scale, colour)
-    if between is not None and curve.kind == "envelope":
-        return between
+    k = curve.stiffness
+    if curve.kind == "envelope":
+        return _fill_between(axes, curve, colour)
     if curve.kind in style.DOTS:
-        return axes.plot(k, curve.damping, **look, **style.DOTS[curve.kind])[0]
+        return _draw_trials(axes, curve, look)
     if curve.kind == "use":
         axes.fill(k, curve.damping, color=colour, alpha=SHADES["use"], lw=0)
     if curve.kind == "passive":
@@ -116,21 +118,49 @@ def _draw_curve(
     if curve.kind != "measured":
         width = THIN if thin and curve.kind == "theory" else LINE_WIDTHS[curve.kind]
         return axes.plot(k, curve.damping, lw=width, **look)[0]
+    _draw_intervals(axes, curve, colour)
     where = np.zeros(len(k), dtype=bool) if curve.censored is None else np.asarray(curve.censored, dtype=bool)
     # a lower bound is no limit: a line through it would claim one
     (line,) = axes.plot(np.where(where, np.nan, k), curve.damping, lw=1.4, marker=marker, ms=3.4, mew=0, **look)
     if where.any():
         hollow: dict[str, Any] = {"mfc": style.PAPER, "mec": colour, "mew": 1.1}
-        axes.plot(k[where], curve.damping[where], ls="none", marker=marker, ms=5, **hollow)
+        ended = f"{curve.label}: at least"
+        axes.plot(k[where], curve.damping[where], ls="none", marker=marker, ms=5, label=ended, **hollow)
     return line
 
 
-def _fill_between(axes: Axes, curve: Curve, scale: float, colour: str) -> Artist | None:
-    """Fill what lies between the two stiffnesses at each damping, where a curve has them."""
+def _draw_trials(axes: Axes, curve: Curve, look: dict[str, Any]) -> Artist:
+    """Draw one mark a trial; the many stable ones as dots of one path, which stand in the legend by themselves."""
+    mark = style.DOTS[curve.kind]
+    x, y = curve.stiffness, curve.damping
+    if curve.kind == "stable":
+        dots(axes, x, y, look["color"], mark["ms"])
+        x = y = np.empty(0)
+    return axes.plot(x, y, **look, **mark)[0]
+
+
+def _draw_intervals(axes: Axes, curve: Curve, colour: str) -> None:
+    """Draw what measured limits leave open as a pale bar at each damping; thin where nothing bounds it from below."""
     if curve.low is None or curve.high is None:
-        return None
+        return
     known = np.isfinite(curve.low) & np.isfinite(curve.high)
-    low, high, b = curve.low[known] * scale, curve.high[known] * scale, curve.damping[known]
+    low, high, b = (values[known] for values in (curve.low, curve.high, curve.damping))
+    for side, stiffness in (("from", low), ("to", high)):
+        tell(axes, f"{curve.label}: 95 % {side}", stiffness, b)
+    bounded = low > 0
+    for at, width in ((bounded, INTERVAL), (~bounded, OPEN_INTERVAL)):
+        if at.any():
+            gap = np.full(int(at.sum()), np.nan)
+            x, y = (np.stack([*ends, gap], axis=1).ravel() for ends in ((low[at], high[at]), (b[at], b[at])))
+            axes.plot(x, y, color=colour, alpha=SHADES["measured"], lw=width, solid_capstyle="butt", label="_interval")
+
+
+def _fill_between(axes: Axes, curve: Curve, colour: str) -> Artist:
+    """Fill what lies between the two stiffnesses at each damping."""
+    assert curve.low is not None, "an envelope has both sides"
+    assert curve.high is not None, "an envelope has both sides"
+    known = np.isfinite(curve.low) & np.isfinite(curve.high)
+    low, high, b = curve.low[known], curve.high[known], curve.damping[known]
     outline = (np.append(low, high[::-1]), np.append(b, b[::-1]))
     return axes.fill(*outline, color=colour, alpha=SHADES[curve.kind], lw=0, label=curve.label)[0]
 
@@ -160,26 +190,26 @@ def _label_places(curves: Sequence[Curve], largest: float, damping: tuple[float,
     return places
 
 
-def draw_map(axes: Axes, cost_map: CostMap, criterion: str, scale: float) -> None:
+def draw_map(axes: Axes, cost_map: CostMap, criterion: str) -> None:
     """Draw the stability boundary, the contour lines of the cost and the optimum as a blue plus."""
-    _draw_curve(axes, cost_map.boundary, scale, style.INK)
+    _draw_curve(axes, replace(cost_map.boundary, label="_"), style.INK)
     if not np.isfinite(cost_map.cost).any():
         axes.text(0.5, 0.5, "no trial with this cost", transform=axes.transAxes, ha="center")
         return
     family = criterion_of(criterion).family
     if family.none:
         calm = cost_map.trial_cost <= family.none
-        dots(axes, cost_map.trial_stiffness[calm] * scale, cost_map.trial_damping[calm], style.INK, 2.4)
-    _draw_contours(axes, cost_map, criterion, scale)
+        dots(axes, cost_map.trial_stiffness[calm], cost_map.trial_damping[calm], style.INK, 2.4)
+    _draw_contours(axes, cost_map, criterion)
     for curve, line in ((cost_map.best_damping, "-"), (cost_map.best_stiffness, style.LINES["theory"])):
         if curve is not None:
-            axes.plot(curve.stiffness * scale, curve.damping, color=style.INK, lw=1.1, ls=line)
+            axes.plot(curve.stiffness, curve.damping, color=style.INK, lw=1.1, ls=line, label=curve.label)
     best = cost_map.optimum
     if best is not None:
-        axes.plot(best.stiffness * scale, best.damping, "+", color=style.BLUE, ms=13, mew=2.4)
+        axes.plot(best.stiffness, best.damping, "+", color=style.BLUE, ms=13, mew=2.4, label="optimum")
 
 
-def _draw_contours(axes: Axes, cost_map: CostMap, criterion: str, scale: float) -> None:
+def _draw_contours(axes: Axes, cost_map: CostMap, criterion: str) -> None:
     """Draw lines of equal cost, heavier at whole doublings, which can be counted also in grey; theory has numbers."""
     known = np.isfinite(cost_map.cost)
     levels = _levels(criterion, cost_map.cost[known])
@@ -194,14 +224,14 @@ def _draw_contours(axes: Axes, cost_map: CostMap, criterion: str, scale: float) 
     shade = [(*to_rgb(style.GREEN), alpha) for alpha in np.linspace(1.0, 0.45, levels.size)]
     look: dict[str, Any] = {"levels": levels, "colors": shade, "linewidths": wide}
     if cost_map.kind == "theory":
-        lines = axes.contour(cost_map.stiffness * scale, cost_map.damping, cost_map.cost, **look)
+        shown = cost_map.cost if cost_map.lines is None else cost_map.lines
+        lines = axes.contour(cost_map.stiffness, cost_map.damping, shown, **look)
         text: dict[str, Any] = {"fontsize": 8.5, "colors": style.INK, "inline_spacing": 2}
         factor = printed_scale(criterion)
         axes.clabel(lines, labelled[:2], fmt=lambda level: significant(level * factor, 3), **text)
         return
     triangles = _triangles(cost_map, known)
     if triangles is not None:
-        triangles.x = triangles.x * scale
         axes.tricontour(triangles, cost_map.cost[known], **look)
 
 
@@ -216,20 +246,20 @@ def _levels(criterion: str, cost: Floats) -> Floats:
     return np.asarray(levels[(levels > low) & (levels < high)])
 
 
-def draw_front(axes: Axes, cost_map: CostMap, criterion: str, scale: float, top: float) -> None:
+def draw_front(axes: Axes, cost_map: CostMap, criterion: str, top: float) -> None:
     """Draw the least cost for each stiffness, all trials as dots, and the optimum with its cost."""
     factor = printed_scale(criterion)
     axes.set_ylim(0, top * factor)
     inside = cost_map.trial_cost <= top
-    dots(axes, cost_map.trial_stiffness[inside] * scale, cost_map.trial_cost[inside] * factor, style.GREEN, 2.6)
+    dots(axes, cost_map.trial_stiffness[inside], cost_map.trial_cost[inside] * factor, style.GREEN, 2.6)
     known = np.isfinite(cost_map.cost).any(axis=0)
     lowest = np.where(np.isfinite(cost_map.cost), cost_map.cost, np.inf).min(axis=0)[known]
-    axes.plot(cost_map.stiffness[known] * scale, lowest * factor, color=style.INK, lw=1.3)
+    axes.plot(cost_map.stiffness[known], lowest * factor, color=style.INK, lw=1.3, label="least cost")
     best = cost_map.optimum
     if best is None:
         return
-    place = (best.stiffness * scale, best.cost * factor)
-    axes.plot(*place, "+", color=style.BLUE, ms=11, mew=2.2, zorder=5)
+    place = (best.stiffness, best.cost * factor)
+    axes.plot(*place, "+", color=style.BLUE, ms=11, mew=2.2, zorder=5, label="optimum")
     text = cost_text(criterion, best.cost) + (" %" if factor != 1 else "")
     offset = (0, -15 if best.cost > 0.2 * top else 14)  # else the value would collide with the axis
     look: dict[str, Any] = {"va": "center", "color": style.BLUE, "fontweight": "bold", "bbox": style.BEHIND_TEXT}

@@ -17,6 +17,7 @@ from pipeline.records.criteria import criterion_of
 from pipeline.records.figure_records import Figure, ResidualMap
 from pipeline.records.models import Motion
 from pipeline.rendering.figures import canvas, panels, style
+from pipeline.rendering.figures.shown import Panel, tell
 from pipeline.rendering.labels import percent_text
 
 RATIO_STEPS = (1.05, 1.1, 1.25, 1.5)
@@ -33,15 +34,20 @@ KEY = 34.0
 """Height of the key below the axes [px]."""
 
 
-def residuals(figure: Figure[ResidualMap], motion: Motion = "translation") -> tuple[str, ...]:
+def residuals(figure: Figure[ResidualMap], motion: Motion = "translation") -> tuple[Panel, ...]:
     """Draw residual maps of one criterion on equal axes."""
     reach = canvas.reach([m.boundary for m in figure.panels])
-    names = canvas.plane_labels(motion, reach)
+    names = canvas.plane_labels(motion)
 
     def paint(shown: ResidualMap, axes: Axes) -> tuple[str, str]:
-        scale, edge = canvas.plane(axes, reach), shown.boundary
-        axes.plot(edge.stiffness * scale, edge.damping, color=style.INK, lw=1.2, ls=style.LINES["theory"])
-        _marks(axes, shown.stiffness * scale, shown.damping, _classes(shown.residual, figure.criterion))
+        edge = shown.boundary
+        canvas.plane(axes, reach)
+        axes.plot(edge.stiffness, edge.damping, color=style.INK, lw=1.2, ls=style.LINES["theory"])
+        _marks(axes, shown.stiffness, shown.damping, _classes(shown.residual, figure.criterion))
+        points = _differs(figure.criterion)
+        percent = 100 * (shown.residual if points else 2.0**shown.residual - 1)
+        unit = "points" if points else "%"
+        tell(axes, "measured against theory", shown.stiffness, shown.damping, percent, f"departure [{unit}]")
         title = f"{shown.label}: median {departure(shown.median, figure.criterion)}"
         canvas.frame(axes, *names, title=title)
         _key(axes, figure.criterion)

@@ -16,6 +16,7 @@ from pipeline.records.batch import Floats
 from pipeline.records.figure_records import Figure, Response
 from pipeline.records.models import Motion
 from pipeline.rendering.figures import canvas, style
+from pipeline.rendering.figures.shown import Panel
 from pipeline.rendering.labels import decimal
 
 BEFORE, AFTER = 2, 6
@@ -25,7 +26,7 @@ MILLI = 1e3
 """From m to mm, rad to mrad."""
 
 
-def responses(figure: Figure[Response], motion: Motion = "translation") -> tuple[str, ...]:
+def responses(figure: Figure[Response], motion: Motion = "translation") -> tuple[Panel, ...]:
     """Draw a response and, beside it, its beginning."""
     whole, beginning = partial(_whole, motion=motion), partial(_beginning, motion=motion)
     close = replace(figure, identifier=f"{figure.identifier}-close")
@@ -40,7 +41,7 @@ def _whole(shown: Response, axes: Axes, *, motion: Motion) -> tuple[str, str]:
     axes.set_xlim(float(t[0]), float(t[-1]))
     axes.set_ylim(*_range(x, final))
     axes.axhline(final, color=style.INK, lw=0.9, ls=style.LINES["linear"])
-    axes.plot(t, x, color=style.BLUE, lw=1.4)
+    axes.plot(t, x, color=style.BLUE, lw=1.4, label="log")
     text = f"Displacement over time, final value {decimal(final, 2)} {_unit(motion)}."
     if shown.period is not None:
         first, second = (1e3 * time for time in shown.period)
@@ -69,14 +70,14 @@ def _beginning(shown: Response, upper: Axes, lower: Axes, *, motion: Motion) -> 
         axes.set_xlim(start, end)
         axes.axvspan(observed - period, observed, color=style.SKY, alpha=0.3, lw=0)
     upper.set_ylim(*_range(x, 0.0))
-    upper.plot(t, x, color=style.BLUE, lw=0.9, marker="o", ms=4.4, mew=0)
+    upper.plot(t, x, color=style.BLUE, lw=0.9, marker="o", ms=4.4, mew=0, label="log")
     change = float(x[np.argmin(np.abs(t - observed))])
     upper.plot([observed], [change], "o", ms=9, mfc="none", mec=style.VERMILLION, mew=1.6)
     note: dict[str, Any] = {"textcoords": "offset points", "fontsize": 10, "ha": "right", "va": "bottom"}
     upper.annotate(f"first change, t_obs = {decimal(observed, 3)} ms", (observed, change), (-8, 9), "data", **note)
     upper.text(observed - period / 2, upper.get_ylim()[1], "t_d", ha="center", va="top", fontsize=10)
     lower.set_ylim(*_range(force, 0.0))
-    lower.step(t, force, where="post", color=style.INK, lw=1.3)
+    lower.step(t, force, where="post", color=style.INK, lw=1.3, label="command")
     canvas.frame(upper, "", f"displacement [{_unit(motion)}]", title="close-up", numbers=False, y_ticks=5)
     force_unit = "N" if motion == "translation" else "Nm"
     canvas.frame(lower, "time after the command edge [ms]", f"force [{force_unit}]", x_ticks=8, y_ticks=2)

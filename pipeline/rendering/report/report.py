@@ -17,8 +17,8 @@ from pipeline.base.errors import PipelineError
 from pipeline.base.wording import duration, error_text, unbroken
 from pipeline.records.accuracy import AccuracyReport, own_rungs
 from pipeline.records.criteria import criterion_of
-from pipeline.records.results import ComparisonResult, ReportData
-from pipeline.records.trial_codec import NO_TRIALS, TrialPage
+from pipeline.records.results import ComparisonResult, ExperimentResult, ReportData
+from pipeline.records.trial_codec import NO_TRIALS, TrialPage, pack
 from pipeline.rendering.labels import UNITS
 from pipeline.rendering.report import (
     report_answer,
@@ -28,6 +28,7 @@ from pipeline.rendering.report import (
     report_scores,
     report_scripts,
     report_tables,
+    report_trend,
     report_truth,
 )
 from pipeline.rendering.report.page_template import fill_template
@@ -53,6 +54,7 @@ TABLES: dict[str, Callable[[ComparisonResult, TrialPage], Table | list[Table] | 
     "missing": report_tables.missing_table,
     "excluded": report_tables.excluded_table,
     "header": report_tables.header_table,
+    "trend": report_trend.trend_table,
     "score_costs": report_scores.cost_score_table,
     "score_rules": report_scores.rule_score_table,
 }
@@ -89,6 +91,8 @@ def render(data: ReportData) -> str:
     result = data.result
     trials = data.trials
     inline = report_scripts.scripts(with_trials=trials is not None)
+    figures = report_figures.drawings(data)
+    numbers = {drawing.identifier: drawing.shown for drawn in figures.values() for drawing in drawn}
     page = fill_template(
         "report.html.j2",
         result=result,
@@ -103,9 +107,11 @@ def render(data: ReportData) -> str:
         plot_style=report_scripts.plot_style() if trials else "",
         footnote=footnote,
         families=list(dict.fromkeys(criterion_of(name).family for name in result.criteria)),
-        figures=report_figures.drawings(data),
+        figures=figures,
+        figure_json=report_scripts.json_text({"figures": pack(numbers)}) if numbers else "",
         held_sentence=report_truth.held_sentence(result),
         use_facts=_use_facts(result),
+        use_reason=_use_reason(result),
         **_tables(data),
     )
     page = unbroken(page)
@@ -134,10 +140,20 @@ def tables_of(name: str, result: ComparisonResult, trials: TrialPage = NO_TRIALS
     return [marked(table, simulated=result.simulated) for table in tables]
 
 
+def _told(result: ComparisonResult) -> ExperimentResult | None:
+    """The experiment that the answer is about."""
+    name = result.answer.experiment if result.answer else None
+    return next((e for e in result.experiments if e.experiment == name), None)
+
+
 def _use_facts(result: ComparisonResult) -> dict[str, str]:
-    told = result.answer.experiment if result.answer else None
-    use = next((e.use for e in result.experiments if e.experiment == told), None)
-    return report_answer.use_facts(use, UNITS[result.motion]) if use else {}
+    told = _told(result)
+    return report_answer.use_facts(told.use, UNITS[result.motion]) if told and told.use else {}
+
+
+def _use_reason(result: ComparisonResult) -> str | None:
+    told = _told(result)
+    return told.use_reason if told and not told.use else None
 
 
 def _tables(data: ReportData) -> dict[str, Any]:

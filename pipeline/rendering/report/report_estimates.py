@@ -96,6 +96,9 @@ _DEFINITIONS = (
 )
 
 
+_WITH_INTERVAL = "estimated, with 95 % interval"
+
+
 def experiment_table(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> Table | None:
     """Return trials, verdicts, estimates with 95 % intervals, and theory parameters of each experiment."""
     verdicts = list(dict.fromkeys(v for e in result.experiments for v in e.verdicts))
@@ -104,7 +107,9 @@ def experiment_table(result: ComparisonResult, trials: TrialPage = NO_TRIALS) ->
     columns = [words("experiment"), words("set-up"), Column("trials", "all", group="trials")]
     columns += [Column(v, group="trials") for v in verdicts]
     columns += [
-        Column(q, _name(q), _unit(units[q]), "estimated, with 95 % interval", why="not asked for in this scene")
+        Column(
+            q, quantity_name(q), unit_text(units[q]), "estimated, with 95 % interval", why="not asked for in this scene"
+        )
         for q in quantities
     ]
     columns += [words("theory", "theory uses")] if any(e.theory for e in result.experiments) else []
@@ -112,7 +117,7 @@ def experiment_table(result: ComparisonResult, trials: TrialPage = NO_TRIALS) ->
     for e in result.experiments:
         operator = f"{e.grip} grip" if e.grip != "none" else "no operator"
         values: dict[str, Any] = {v: e.verdicts.get(v, 0) for v in verdicts}
-        values |= {q: _estimate_cell(table, e.estimates[q]) for q in quantities if q in e.estimates}
+        values |= {q: estimate_cell(table, e.estimates[q]) for q in quantities if q in e.estimates}
         values |= {"experiment": e.experiment, "trials": e.trials, "theory": _theory_cell(e.theory, result.motion)}
         values["set-up"] = ", ".join(filter(None, [e.configuration, operator]))
         table.add(e.experiment, values)
@@ -196,7 +201,7 @@ def method_table(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> Tab
             if best.value is None and not best.by_method:
                 continue
             for name, value in _methods(best).items():
-                block = f"experiment {e.experiment}: {_name(quantity)} [{_unit(value.unit)}]"
+                block = f"experiment {e.experiment}: {quantity_name(quantity)} [{unit_text(value.unit)}]"
                 table.add(f"{e.experiment}/{quantity}/{name}", _method_cells(name, value), block)
     return table.filled
 
@@ -269,15 +274,18 @@ def _remark(value: Estimate) -> str:
     return "; ".join(part for part in parts if part)
 
 
-def _name(quantity: str) -> str:
+def quantity_name(quantity: str) -> str:
+    """Return what a quantity is called in heads of tables."""
     return NAMES.get(quantity, quantity.replace("_", " "))
 
 
-def _unit(unit: str) -> str:
+def unit_text(unit: str) -> str:
+    """Return a unit as it is printed."""
     return unit.replace("^2", "\N{SUPERSCRIPT TWO}")
 
 
-def _estimate_cell(table: Table, value: Estimate) -> Cell:
+def estimate_cell(table: Table, value: Estimate) -> Cell:
+    """Return an estimate with its interval; method, drift and warnings are notes of the table."""
     if value.value is None:
         return missing(value.reason or "", marks=table.mark(value.reason))
     text, low, high = estimate_texts(value)

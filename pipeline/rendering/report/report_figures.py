@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 from pipeline.records.criteria import OVERSHOOT, criterion_of
 from pipeline.records.figure_records import CostMap, Figure, Limits
 from pipeline.records.models import FigureKind, Motion
 from pipeline.records.results import ReportData
 from pipeline.rendering.labels import criterion_name
+
+if TYPE_CHECKING:  # matplotlib behind it takes its time
+    from pipeline.rendering.figures.shown import Panel
 
 _MARKS = (
     "Filled marks: the measured cost is larger; open marks: smaller; dots: less than the smallest step; their size is "
@@ -28,10 +31,15 @@ class Drawing:
     identifier: str
     title: str
     caption: str
-    panels: tuple[str, ...]
+    panels: tuple[Panel, ...]
     key: str
     show: str = ""
     criterion: str = ""
+
+    @property
+    def shown(self) -> list[dict[str, Any]]:
+        """What each panel shows, in numbers; see `figures.shown.Panel`."""
+        return [panel.shown for panel in self.panels]
 
 
 def drawings(data: ReportData) -> dict[FigureKind, list[Drawing]]:
@@ -43,14 +51,15 @@ def drawings(data: ReportData) -> dict[FigureKind, list[Drawing]]:
 def draw(figure: Figure[Any], motion: Motion) -> Drawing:
     """Draw a figure and put the words around it."""
     # matplotlib takes 0.6 s, which a report without figures need not wait for
-    from pipeline.rendering.figures import figures, residual_panels, response_drawing
+    from pipeline.rendering.figures import figures, residual_panels, response_drawing, trend_panels
 
-    kinds: dict[str, tuple[Callable[[Figure[Any], Motion], tuple[str, ...]], Callable[[Figure[Any]], str]]] = {
+    kinds: dict[str, tuple[Callable[[Figure[Any], Motion], tuple[Panel, ...]], Callable[[Figure[Any]], str]]] = {
         "boundaries": (figures.boundaries, _line_key),
         "plane": (figures.boundaries, _line_key),
         "maps": (figures.cost_maps, _map_key),
         "delay": (figures.delays, lambda _: ""),
         "response": (response_drawing.responses, lambda _: ""),
+        "trend": (trend_panels.trends, lambda _: ""),
         "residuals": (residual_panels.residuals, lambda _: _MARKS),
     }
     panels, key = kinds[figure.kind]
@@ -83,9 +92,12 @@ def _map_key(figure: Figure[CostMap]) -> str:
     curves = ""
     if any(m.best_damping is not None for m in figure.panels):
         curves = " Lines across: best damping for each stiffness (solid), best stiffness for each damping (dashed)."
+    tried = any(m.trial_cost.size for m in figure.panels)
+    smooth = "; measured costs are smoothed over the trials around" if tried else ""
+    single = ", of experiments the best single trial" if tried else ""
     dots = " and all trials (dots)" if any(m.trial_cost.size for m in figure.panels) else ""
     calm = " Dots in the map: trials without overshoot." if overshoot and len(figure.panels) > 1 else ""
     return (
-        f"Outer curve: stability boundary. Green: lines of equal cost, {lines}.{curves} Plus: optimum. "
+        f"Outer curve: stability boundary. Green: lines of equal cost, {lines}{smooth}.{curves} Plus: optimum{single}. "
         f"Below: least cost for each stiffness (line){dots}.{calm}"
     )

@@ -14,7 +14,7 @@ from typing import Any
 
 from pipeline.rendering.report.page_template import TEMPLATES
 
-PAGE_SCRIPTS = ("report/tables.js", "report/viewer.js")
+PAGE_SCRIPTS = ("report/tables.js", "report/viewer.js", "report/figures.js")
 TRIALS_SCRIPTS = ("report/plane.js", "report/response.js", "report/runs.js", "report/trials.js")
 PLOT = "vendor/uPlot.iife.min.js"
 PLOT_LICENCE = "vendor/uPlot.LICENSE"

@@ -200,10 +200,12 @@ def _deviation_cell(row: ComparisonRow) -> Cell:
 
 
 def _parts(parts: Deviation) -> str:
-    """What a deviation is made of, in a line."""
-    model = f"model {percent_text(parts.model)} ({percent_text(parts.model_low)} to {percent_text(parts.model_high)})"
-    others = ", ".join(f"{name} {percent_text(getattr(parts, name))}" for name in ("range", "grid", "selection"))
-    return f"{model}, {others}"
+    """What a deviation is made of, in a line; parts that are printed as zero are left out, but for the model's."""
+    nothing, low, high = (percent_text(value) for value in (0.0, parts.model_low, parts.model_high))
+    interval = "" if low == high == nothing else f" ({low} to {high})"
+    others = {name: percent_text(getattr(parts, name)) for name in ("range", "grid", "selection")}
+    told = [f"{name} {text}" for name, text in others.items() if text != nothing]
+    return ", ".join([f"model {percent_text(parts.model)}{interval}", *told])
 
 
 def _delay_table(name: str, rows: Sequence[ComparisonRow], trials: TrialPage) -> Table:

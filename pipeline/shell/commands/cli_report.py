@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pipeline.base.errors import EXIT_ERROR, UsageError
+from pipeline.base.errors import UsageError
 from pipeline.base.outputs import check_output
 from pipeline.shell import console
 from pipeline.shell.commands import cli_theory
@@ -44,7 +44,7 @@ def compare(
     ] = None,
     figures: Annotated[
         Path | None,
-        typer.Option("--figures", help="Write the figures of the report as SVG and PDF files into this folder, too."),
+        typer.Option("--figures", help="Write the figures as SVG, PDF and CSV files into this folder, too."),
     ] = None,
     against: Annotated[
         str | None,
@@ -150,10 +150,15 @@ def compare(
 
 def _write_figures(report: Path, folder: Path) -> tuple[Path, ...]:
     """Write the figures that stand on a page as files of their own."""
+    import json
+
+    from pipeline.records.trial_codec import unpack
     from pipeline.rendering.figures.figure_files import write_figures
     from pipeline.rendering.report.report_parts import take_apart
 
-    return write_figures(take_apart(report.read_text(encoding="utf-8")).figures, folder)
+    parts = take_apart(report.read_text(encoding="utf-8"))
+    numbers = json.loads(parts.data.get("figure-data", "{}")).get("figures")
+    return write_figures(parts.figures, folder, unpack(numbers) if numbers else None)
 
 
 def _compare_against(
@@ -213,39 +218,6 @@ def _print_against(page: AgainstPage, report: Path, as_json: bool) -> None:
         for line in pair.sentences:
             console.say(line)
     console.say(f"report: {result.report}")
-
-
-def verify(
-    report: Annotated[Path, typer.Argument(help="Report (HTML) by `pipeline compare`.")],
-    processed: Annotated[
-        str | None,
-        typer.Option("--processed", help="Folder or URL of the stored tables; as the report names it if not given."),
-    ] = None,
-    profile: Annotated[
-        list[Path] | None,
-        typer.Option("--profile", help="Profile file (.toml) that read the logs; may be given several times."),
-    ] = None,
-    as_json: Json = False,
-) -> None:
-    """Compute the numbers of a report anew from the logs, and name those that differ.
-
-    Reads the logs from where they lay (their stored samples where they are gone), computes everything in a temporary
-    folder, and compares each cell, figure, sentence and value. What no log determines, such as run times, is held
-    against hashes in the page. Exit status 1 where something differs.
-
-    Example: pipeline verify reports/falcon.html
-    """
-    from pipeline.shell.verify.verify import lines_of
-    from pipeline.shell.verify.verify import verify as verify_report
-
-    found = verify_report(report, processed, profile or (), None if as_json else console.note)
-    if as_json:
-        console.print_json(found.model_dump(mode="json"))
-    else:
-        for line in lines_of(found):
-            console.say(line)
-    if not found.equal:
-        raise typer.Exit(EXIT_ERROR)
 
 
 @scene_app.command("draft")

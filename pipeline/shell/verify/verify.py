@@ -9,10 +9,11 @@ from pathlib import Path
 
 from pydantic import BaseModel, ValidationError
 
-from pipeline.base.errors import PipelineError, StoreError, UsageError
-from pipeline.base.provenance import digest
+from pipeline.base.errors import DeviceError, PipelineError, StoreError, UsageError
+from pipeline.base.provenance import USER_FOLDER_VARIABLE, digest
 from pipeline.base.wording import counted
 from pipeline.comparison.compare import compare, report_code
+from pipeline.device_data.devices import digest_of, known_devices
 from pipeline.records.findings import Record
 from pipeline.records.models import Scene
 from pipeline.records.results import ComparisonResult, Truth
@@ -28,7 +29,7 @@ from pipeline.shell.verify.verify_differences import (
     part_differences,
     value_differences,
 )
-from pipeline.shell.verify.verify_logs import LogProblem, ReportedLogs, read_anew
+from pipeline.shell.verify.verify_logs import LogProblem, ReportedLogs, read_anew, store_of
 from pipeline.store.exclusions import Exclusion
 from pipeline.store.objects import is_url
 from pipeline.store.working_copy import opened
@@ -58,7 +59,9 @@ class Verification(Record):
     notes: tuple[str, ...]
 
 
-class _Request(BaseModel):
+class Request(BaseModel):
+    """What the head of a page says of its comparison: how it was asked for, and what it rests on."""
+
     processed: str
     scene: Scene
     logs: dict[str, ReportedLogs]
@@ -67,12 +70,14 @@ class _Request(BaseModel):
     document: str = ""
     excluded: tuple[Exclusion, ...] = ()
     truth: dict[str, Truth] = {}
+    device_file: str | None = None
 
 
 def verify(
     report: Path,
     processed: Path | str | None = None,
     profiles: Sequence[Path] = (),
+    logs: Sequence[tuple[Path | None, Path]] = (),
     progress: Callable[[str], None] | None = None,
 ) -> Verification:
     """Compute the numbers of a report anew and compare them, part by part.
@@ -89,6 +94,9 @@ def verify(
         one and beside the report.
     profiles : sequence of Path
         Profile files of the lab that read the logs.
+    logs : sequence of (Path or None, Path)
+        Folders with the logs, each with the profile that reads it (None: whichever claims a file). With these nothing
+        stored is needed, and `processed` is left aside.
     progress : callable, optional
         Gets the name of each step when it begins.
 
@@ -100,22 +108,23 @@ def verify(
         If `processed` is damaged.
     """
     say = progress or (lambda _: None)
-    try:
-        page = report.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise UsageError(f"{report}: cannot be read ({error}). Give a report by `pipeline compare`.") from error
+    page = read_page(report)
     found = take_apart(page)
-    request = _request(report, found)
+    request = read_request(report, found)
+    document, notes = read_document(report)
+    devices = device_problems(request)
     device = request.scene.device
-    document, notes = _document(report)
+    place = Path() if logs else stored_place(report, request.processed, processed)
     if request.code != report_code():
         notes.append("the report was made by another version of the code: numbers may differ for that reason")
-    place = processed or request.processed
-    if not is_url(place):
-        place = str(_processed(report, Path(place), given=processed is not None))
-    with tempfile.TemporaryDirectory(prefix="pipeline-verify-") as temporary, opened(place, device) as folder:
+    with (
+        tempfile.TemporaryDirectory(prefix="pipeline-verify-") as temporary,
+        opened(place, device) as folder,
+    ):
         store = Path(temporary) / "processed"
         say("reading the logs")
+        if logs:
+            folder = store_of(logs, Path(temporary) / "found", request.excluded)
         lists = {logs.experiment: logs for logs in document.logs} if document else {}
         fresh = read_anew(device, folder, request.logs, lists, store, profiles, request.excluded)
         if (folder / "accuracy.json").is_file():
@@ -126,8 +135,9 @@ def verify(
         expected = take_apart(again.read_text(encoding="utf-8"))
     stored = found.digests
     untouched = stored is not None and stored.page == report_parts.page_digest(page)
+    problems = (*devices, *fresh.problems)
     # what was changed by hand, or rests on other logs, must agree to the last digit
-    as_made = untouched and not fresh.problems
+    as_made = untouched and not problems
     parts = Comparison(rounding=as_made)
     differences = [*part_differences(expected, found, parts), *free_differences(found)]
     kinds = {"cells": found.cells, "figures": found.figures, "sentences": found.texts, "data": found.data}
@@ -147,16 +157,16 @@ def verify(
         differences.append(Difference(name="page", kind="page", expected=stored.page, found=text))
     return Verification(
         report=str(report),
-        equal=not differences and not fresh.problems,
+        equal=not differences and not problems,
         checked=checked,
         differences=tuple(differences),
-        logs=tuple(fresh.problems),
+        logs=problems,
         notes=(*notes, *fresh.notes),
     )
 
 
 def _compare_anew(
-    report: Path, request: _Request, found: Parts, store: Path, page: Path, progress: Callable[[str], None] | None
+    report: Path, request: Request, found: Parts, store: Path, page: Path, progress: Callable[[str], None] | None
 ) -> ComparisonResult | None:
     """Write a page from logs that were read just now, as large as the one that is checked, and return its document."""
     try:
@@ -196,9 +206,30 @@ def lines_of(verification: Verification) -> list[str]:
     return [*lines, f"{verification.report}: {told} of the report ({counts} checked)"]
 
 
-def _request(report: Path, parts: Parts) -> _Request:
+def read_page(report: Path) -> str:
+    """Return the text of a page.
+
+    Raises
+    ------
+    UsageError
+        If it cannot be read.
+    """
     try:
-        return _Request.model_validate(parts.request)
+        return report.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise UsageError(f"{report}: cannot be read ({error}). Give a report by `pipeline compare`.") from error
+
+
+def read_request(report: Path, parts: Parts) -> Request:
+    """Return what the head of a page says of its comparison.
+
+    Raises
+    ------
+    UsageError
+        If it says nothing, as other HTML does.
+    """
+    try:
+        return Request.model_validate(parts.request)
     except ValidationError as error:
         raise UsageError(
             f"{report}: holds no request of a comparison that can be read; expected a report by `pipeline compare`, of "
@@ -206,18 +237,57 @@ def _request(report: Path, parts: Parts) -> _Request:
         ) from error
 
 
-def _processed(report: Path, folder: Path, given: bool) -> Path:
-    places = [folder] if given else [folder, report.parent / folder, report.parent.parent / folder]
+def device_problems(request: Request) -> tuple[LogProblem, ...]:
+    """Tell whether the device file here is another one than that behind a page.
+
+    Raises
+    ------
+    DeviceError
+        If the page rests on a device file and none is known here: all of theory would differ.
+    """
+    name = request.scene.device
+    if request.device_file is None:
+        return ()
+    here = known_devices().get(name)
+    if here is None:
+        raise DeviceError(
+            f"device {name!r}: the report rests on its device file, which is not known here, so that no number of "
+            f"theory can be computed anew. Name the folder of the file in {USER_FOLDER_VARIABLE}, or verify a bundle "
+            "(`pipeline bundle`), which holds it."
+        )
+    if digest_of(here) == request.device_file:
+        return ()
+    text = "its device file is not the one that the report rests on"
+    return (LogProblem(path=f"device {name}", problem=text, expected=request.device_file, found=digest_of(here)),)
+
+
+def stored_place(report: Path, named: str, given: Path | str | None) -> Path | str:
+    """Return the folder or URL of the stored tables behind a report; see `stored_folder`."""
+    place = given or named
+    return place if is_url(place) else stored_folder(report, named, Path(given) if given else None)
+
+
+def stored_folder(report: Path, named: str, given: Path | None) -> Path:
+    """Return the folder of the stored tables behind a report: the given one, or the one that the report names.
+
+    Raises
+    ------
+    UsageError
+        If no trials are stored there.
+    """
+    folder = Path(named)
+    places = [given] if given else [folder, report.parent / folder, report.parent.parent / folder]
     for place in places:
         if (place / "trials").is_dir():
             return place
     raise UsageError(
         f"{', '.join(str(p) for p in dict.fromkeys(places))}: no stored trials; expected the folder that the report "
-        "was made from. Give it with --processed."
+        "was made from. Give it with --processed, or the logs themselves with --logs."
     )
 
 
-def _document(report: Path) -> tuple[ComparisonResult | None, list[str]]:
+def read_document(report: Path) -> tuple[ComparisonResult | None, list[str]]:
+    """Return the JSON document beside a page; None with a note where there is none of this version."""
     path = report.with_suffix(".json")
     try:
         return ComparisonResult.model_validate_json(path.read_bytes()), []

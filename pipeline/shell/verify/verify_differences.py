@@ -31,7 +31,7 @@ MISSING = "(missing)"
 TRIAL_DATA = "trial-data"
 """Data block with the trials of the page."""
 
-PACKED = ("/columns", "/responses")
+PACKED = ("/columns", "/responses", "/figures")
 """Ends of the places in it that `trial_codec.pack` packed."""
 
 

@@ -15,8 +15,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from pipeline.base.errors import UsageError
 from pipeline.comparison.scene.origin import joint_sha256
 from pipeline.intake.ingest import ingest
+from pipeline.intake.sources import find_sources
 from pipeline.profiles.profile_files import load_profile, shipped_profiles
 from pipeline.records.batch import Floats, TrialBatch
 from pipeline.records.findings import Record
@@ -129,6 +131,37 @@ def read_anew(
         if experiment in reported:
             _compare_samples(store, device, experiment, processed, used, said)
     return store
+
+
+def store_of(logs: Sequence[tuple[Path | None, Path]], folder: Path, excluded: Sequence[Exclusion]) -> Path:
+    """Store what lies in folders of logs, as a lab's ``processed/`` would have it, and return the folder of that.
+
+    Parameters
+    ----------
+    logs : sequence of (Path or None, Path)
+        Profile file, or None for whichever shipped profile claims a log that is not stored by then; folder of logs.
+    folder : Path
+        Gets trials and samples.
+    excluded : sequence of Exclusion
+        Trials that were excluded by hand.
+
+    Raises
+    ------
+    UsageError
+        If a folder is not there, or no log is found.
+    """
+    for profile, place in logs:
+        if profile is not None:
+            ingest([place], folder, profile)
+            continue
+        stored = set(read_trials(folder, columns=["source_path"]).column("source_path").to_pylist())
+        sources = find_sources([place], shipped_profiles(), folder)
+        ingest([source.path for source in sources if source.key not in stored], folder)
+    if not read_trials(folder, columns=["source_path"]).num_rows:
+        places = ", ".join(str(place) for _, place in logs)
+        raise UsageError(f"{places}: found no log that can be read. Give the folder of the logs behind the report.")
+    write_exclusions(folder, excluded)
+    return folder
 
 
 def _among(table: pa.Table, column: str, values: Collection[str]) -> pa.ChunkedArray:

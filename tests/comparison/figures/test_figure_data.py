@@ -191,15 +191,16 @@ def test_cost_figures_show_theory_beside_the_trials(of_falcon, falcon):
         assert np.nanmin(measured.trial_cost) == measured.optimum.cost
         stable = (stages.column("response", "stiffness") > 0) & (stages.verdicts.verdict != "unstable")
         assert len(measured.trial_cost) == stable.sum()
-        # a measured grid is nothing but its trials where one was made
-        for K, B, cost in list(zip(measured.trial_stiffness, measured.trial_damping, measured.trial_cost, strict=True))[
-            ::9
-        ]:
+        # trials of an ideal course hardly scatter: what is drawn is close to most of them where one was made
+        away = []
+        for K, B, cost in zip(measured.trial_stiffness, measured.trial_damping, measured.trial_cost, strict=True):
             at = np.flatnonzero(measured.stiffness == K)
             known = np.isfinite(measured.trial_cost) & (measured.trial_damping == B)
             if len(at) and np.isfinite(cost) and known.sum() > 1:  # a line of one trial is only its marker
-                row = measured.cost[np.flatnonzero(measured.damping == B)[0]]
-                assert row[at[0]] == pytest.approx(cost)
+                drawn = measured.cost[np.flatnonzero(measured.damping == B)[0], at[0]]
+                away += [abs(drawn - cost)] if figure.criterion == "overshoot" else [abs(drawn / cost - 1)]
+        assert len(away) > 50
+        assert np.nanmedian(away) < 0.02
 
 
 def test_cost_maps_claim_nothing_beyond_the_tested_range(of_falcon, falcon):

@@ -15,6 +15,7 @@ from pipeline.comparison.figures.figure_residuals import cell_medians, residual_
 from pipeline.comparison.scene.scene import open_scene
 from pipeline.records.figure_records import Figure, ResidualMap
 from pipeline.rendering.figures import residual_panels
+from pipeline.theory.predictions import Predictions
 
 
 def test_residuals_count_doublings_and_percentage_points() -> None:
@@ -40,7 +41,8 @@ def test_cells_hold_the_median_of_their_points() -> None:
 def test_simulated_trials_depart_from_their_own_theory_by_little(falcon) -> None:
     data = open_scene("falcon", falcon.processed, None, ["overshoot", "energy_step_w1", "settle_2pct"])
     theories = nominal_theories(data)
-    figures = {f.criterion: f for f in residual_figures(data, theories)}
+    predictions = Predictions(falcon.processed / "theory")
+    figures = {f.criterion: f for f in residual_figures(data, theories, predictions)}
     assert set(figures) == {"overshoot", "energy_step_w1", "settle_2pct"}
     stable = {e.experiment: int((e.verdicts.verdict == "stable").sum()) for e in data.experiments}
     for criterion, figure in figures.items():
@@ -52,10 +54,10 @@ def test_simulated_trials_depart_from_their_own_theory_by_little(falcon) -> None
     other = {
         name: type(t)(t.parameters.model_copy(update={"mass": 1.5 * t.parameters.mass})) for name, t in theories.items()
     }
-    wrong = {f.criterion: f for f in residual_figures(data, other)}
+    wrong = {f.criterion: f for f in residual_figures(data, other, predictions)}
     # half as much mass again must be seen: twice what the true one may leave
     assert abs(wrong["energy_step_w1"].panels[0].median) > 0.1
-    assert residual_figures(data, {}) == ()
+    assert residual_figures(data, {}, predictions) == ()
 
 
 def figure(criterion: str = "settle_2pct", label: str = "experiment 1") -> Figure[ResidualMap]:

@@ -37,7 +37,7 @@ def test_words_follow_the_overlap(data, result, overlap, word):
 
 @pytest.mark.parametrize(
     ("median", "words"),
-    [(0.057, "lie 5.7 % above it"), (-0.2, "lie 20 % below it"), (0.0002, "differ by less than 0.1 %")],
+    [(0.057, "lie 5.7 % above theory's"), (-0.2, "lie 20 % below theory's"), (0.0002, "differ by less than 0.1 %")],
 )
 def test_verdict_tells_how_far_the_limits_are_off(data, result, median, words):
     distance = result.experiments[0].scores[0].distance.model_copy(update={"median": median})

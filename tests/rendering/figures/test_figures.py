@@ -89,12 +89,9 @@ def test_measured_is_solid_theory_dashed_and_censored_points_are_open() -> None:
     assert solid.count("var(--paper") > dashed.count("var(--paper")
 
 
-def test_stiffness_axis_counts_in_thousands_above_the_limit_only() -> None:
-    small = Figure(
-        "boundaries", "f", "t", "c", (("", (replace(boundary("m", "measured"), stiffness=np.full(38, 900.0)),)),)
-    )
-    assert "stiffness K [N/m]" in texts(figures.boundaries(small)[0])
-    assert "stiffness K [kNm/rad]" in texts(figures.boundaries(boundary_figures()[0], "rotation")[0])
+def test_stiffness_axis_has_the_unit_of_the_tables() -> None:
+    assert "stiffness K [N/m]" in texts(figures.boundaries(boundary_figures()[0])[0])
+    assert "stiffness K [Nm/rad]" in texts(figures.boundaries(boundary_figures()[0], "rotation")[0])
 
 
 def test_optimum_is_drawn_where_it_lies_and_front_view_names_its_cost() -> None:
@@ -198,11 +195,14 @@ def test_shaded_areas_follow_their_ends_and_normalised_axes_are_named() -> None:
     measured = Curve("m", "measured", np.array([200.0, 300, 100]), b, None, low, high)
     (svg,) = figures.boundaries(Figure("plane", "f", "t", "c", (("", (envelope, measured)),)))
     assert {"α = K T²/m", "β = B T/m", "band"} <= set(texts(svg))
-    # two areas of two dampings each (the third has an open end), and the envelope's sample in the legend
+    # the envelope and its sample in the legend; the measured limits have a bar each, but for that with an open end
     shaded = [p for p in parse(svg).iter("path") if p.get("fill", "none") not in ("none", "")]
     areas = [p.get("d", "") for p in shaded if float(p.get("opacity", p.get("fill-opacity", "1"))) < 0.5]
-    assert len(areas) == 3
-    assert areas[0] == areas[1], "the measured band has the same ends"
+    assert len(areas) == 2
+    (bars,) = [p.get("d", "") for p in parse(svg).iter("path") if p.get("stroke-width") == "50"]
+    assert bars.count("M") + bars.count("m") == 2
+    ends = [float(x) for x in re.findall(r"[Mm](-?[\d.]+)", areas[0])]
+    assert float(re.findall(r"M([\d.]+)", bars)[0]) == ends[0], "both begin at the same stiffness"
 
 
 def test_long_names_are_cut_in_a_drawing_and_whole_in_its_words() -> None:

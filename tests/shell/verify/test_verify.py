@@ -258,6 +258,19 @@ def test_changed_figures_sentences_scripts_and_the_rest_of_the_page_are_named(de
         assert not found.equal
 
 
+def test_a_changed_number_behind_a_figure_is_named(desk, quick):
+    page = desk.page()
+    block = take_apart(page).data["figure-data"]
+    figures = trial_codec.unpack(json.loads(block)["figures"])
+    series = figures["boundaries-answer"][0]["axes"][0]["series"]
+    series[0][1][2] += 10
+    changed = page.replace(block, json.dumps({"figures": trial_codec.pack(figures)}))
+    assert changed != page
+    desk.report.write_text(changed, encoding="utf-8")
+    names = [d.name for d in verify.verify(desk.report, desk.processed).differences]
+    assert names == ["figure-data/figures/boundaries-answer/0/axes/0/series/0/1/2"]
+
+
 def test_a_changed_value_of_the_json_document_is_named(desk):
     path = desk.report.with_suffix(".json")
     document = json.loads(path.read_text(encoding="utf-8"))

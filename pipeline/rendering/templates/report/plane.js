@@ -131,8 +131,9 @@ class Plane {
     [this.left, this.top, this.width, this.height] = [52, 10, wide - 64, high - 54];
     const [ink, paper] = [colour("--ink"), colour("--paper")];
     this.axes(pen, ink);
-    this.line(pen, this.trials.theory, colour("--fig-vermillion"), [6, 4]);
+    this.line(pen, this.trials.theory, ink, [6, 4]);
     this.line(pen, this.trials.measured, ink, []);
+    this.open(pen, this.trials.open, ink, paper);
     const size = Math.max(2, Math.min(4.5, 110 / Math.sqrt(this.trials.k.length)));
     this.trials.k.forEach((k, row) => this.mark(pen, row, size, ink, paper));
     for (const [row, width] of [[this.picked, 2.5], [this.cursor, 1.5]]) {
@@ -199,6 +200,17 @@ class Plane {
     });
     pen.stroke();
     pen.setLineDash([]);
+  }
+
+  /** Limits of which only a lower bound is known: open marks, which no line joins. */
+  open(pen, points, ink, paper) {
+    [pen.strokeStyle, pen.fillStyle, pen.lineWidth] = [ink, paper, 1.5];
+    points?.[0].forEach((k, n) => {
+      pen.beginPath();
+      pen.rect(this.x(k) - 5, this.y(points[1][n]) - 5, 10, 10);
+      pen.fill();
+      pen.stroke();
+    });
   }
 
   mark(pen, row, size, ink, paper) {

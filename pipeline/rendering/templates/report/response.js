@@ -100,7 +100,7 @@ class ResponsePlot {
     const series = [{ label: "log", stroke: colour("--fig-blue"), width: 1.6 }];
     if (model) {
       data.push(scaled(model));
-      series.push({ label: "model", stroke: colour("--fig-vermillion"), width: 1.4, dash: [6, 4] });
+      series.push({ label: "model", stroke: colour("--ink"), width: 1.4, dash: [6, 4] });
     }
     const ground = (plot) => this.ground(plot, delay, final, band);
     this.draw(data, series, `displacement [${factor === 1 ? "" : "m"}${unit}]`, { drawClear: [ground] });

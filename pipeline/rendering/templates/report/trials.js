@@ -1,12 +1,6 @@
 "use strict";
 // Choosing a trial: by experiment, in the plane, or by a number in a table; what is said of it comes from the report.
 
-/** Base64 of deflated JSON, as `trial_codec.pack` made it. */
-function unpack(packed) {
-  const bytes = Uint8Array.from(atob(packed), (character) => character.charCodeAt(0));
-  return new Response(new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"))).json();
-}
-
 /** Put children and texts into an element in place of what it held; texts stay texts. */
 function fill(element, ...content) {
   element.replaceChildren(...content);
@@ -77,6 +71,7 @@ class Explorer {
       key.push(swatch("stable", "stable"), swatch("cross vermillion", "unstable"), swatch("hollow", "undecided"));
     }
     if (this.shown.measured[0].length) key.push(swatch("line", "measured boundary"));
+    if (this.shown.open?.[0].length) key.push(swatch("open", "tested range ended before an unstable trial"));
     if (this.shown.theory) key.push(swatch("line dashed", "boundary of theory"));
     fill(this.parts["plane-key"], ...key);
     if (again) {
@@ -168,6 +163,7 @@ if ("DecompressionStream" in window) {
   for (const part of ["explorer", "runs"]) document.getElementById(part).hidden = false;
   document.querySelector(".unscripted").hidden = true;
   linkCells();
-  explorer = new Explorer(JSON.parse(document.getElementById("trial-data").textContent));
+  window.reportTrials = JSON.parse(document.getElementById("trial-data").textContent);
+  explorer = new Explorer(window.reportTrials);
   if (!explorer.follow(true)) explorer.open(0);
 }

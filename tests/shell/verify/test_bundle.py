@@ -1,0 +1,185 @@
+"""`pipeline bundle`: one file with all behind a report, verified where nothing of the lab is left."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from pipeline.base.errors import DeviceError, StoreError, UsageError
+from pipeline.comparison.compare import compare
+from pipeline.device_data.devices import device_file
+from pipeline.intake.ingest import ingest
+from pipeline.shell.cli import app
+from pipeline.shell.verify.bundle import bundle, verify_bundle
+from pipeline.shell.verify.verify import lines_of, verify
+
+pytestmark = pytest.mark.usefixtures("one_process")
+
+PROFILE = 'name = "bench"\nformat = "native"\nfiles = ["*.log"]\n'
+
+
+@dataclass(frozen=True)
+class Bench:
+    """A lab with a device file and a profile of its own; half of its logs end in .log, read by that profile."""
+
+    folder: Path
+    devices: Path
+    profile: Path
+
+    @property
+    def report(self) -> Path:
+        return self.folder / "bench.html"
+
+    @property
+    def logs(self) -> Path:
+        return self.folder / "raw"
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory, falcon) -> Bench:
+    folder = tmp_path_factory.mktemp("bench")
+    lab = Bench(folder, folder / "devices", folder / "bench.toml")
+    lab.profile.write_text(PROFILE)
+    lab.devices.mkdir()
+    text = device_file("falcon").read_text().replace('name = "falcon"', 'name = "bench"', 1)
+    (lab.devices / "any.toml").write_text(text)
+    lab.logs.mkdir()
+    for number, log in enumerate(sorted(falcon.raw.rglob("*.csv"))[::2]):
+        text = log.read_text().replace("# device: falcon", "# device: bench")
+        (lab.logs / f"{log.stem}{('.csv', '.log')[number % 2]}").write_text(text)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PIPELINE_DEVICES", str(lab.devices))
+        ingest([lab.logs], folder / "processed")
+        ingest([lab.logs], folder / "processed", lab.profile)
+        compare("bench", folder / "processed", criteria=("settle_2pct",), report=lab.report)
+        bundle(lab.report, profiles=[lab.profile])
+    return lab
+
+
+@pytest.fixture(scope="module")
+def away(bench, tmp_path_factory) -> Path:
+    """The bundle alone in a folder, with the lab's files out of reach."""
+    folder = tmp_path_factory.mktemp("away")
+    shutil.copy(bench.report.with_suffix(".zip"), folder)
+    return folder / "bench.zip"
+
+
+def changed(file: Path, target: Path, name: str, change) -> Path:
+    """A copy of a bundle in which one entry is another."""
+    with zipfile.ZipFile(file) as old, zipfile.ZipFile(target, "w") as new:
+        for entry in old.namelist():
+            content = old.read(entry)
+            new.writestr(entry, change(content) if entry.endswith(name) else content)
+    return target
+
+
+def test_it_holds_page_document_logs_profiles_and_device_and_has_the_same_bytes_again(bench, tmp_path, monkeypatch):
+    monkeypatch.setenv("PIPELINE_DEVICES", str(bench.devices))
+    again = bundle(bench.report, tmp_path / "again.zip", profiles=[bench.profile])
+    assert again.logs == len(list(bench.logs.iterdir())) == 90
+    with zipfile.ZipFile(again.bundle) as one, zipfile.ZipFile(bench.report.with_suffix(".zip")) as other:
+        assert {name: one.read(name) for name in one.namelist()[1:]} == {n: other.read(n) for n in other.namelist()[1:]}
+        names = one.namelist()
+        assert one.read("devices/bench.toml") == (bench.devices / "any.toml").read_bytes()
+        assert one.read("profiles/bench.toml") == bench.profile.read_bytes()
+    assert {"README.txt", "bench.html", "bench.json", "profiles/native.toml"} <= set(names)
+    for folder, ending in (("native", ".csv"), ("bench", ".log")):
+        assert sum(name.startswith(f"logs/{folder}/1/") and name.endswith(ending) for name in names) == 45
+
+
+@pytest.mark.slow
+def test_it_holds_where_no_file_of_the_lab_is_left(bench, away, monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    kept = bench.folder.rename(bench.folder.with_name("moved"))
+    try:
+        result = CliRunner().invoke(app, ["verify", str(away), "--json"])
+    finally:
+        kept.rename(bench.folder)
+    found = json.loads(result.stdout)
+    assert result.exit_code == 0, found
+    assert found["equal"]
+    assert found["notes"] == []
+    assert found["checked"]["cells"] > 100
+    assert found["report"] == str(away)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.slow
+def test_a_changed_log_or_document_in_it_is_named(away, tmp_path):
+    with zipfile.ZipFile(away) as archive:
+        log = next(name for name in archive.namelist() if name.endswith(".log"))
+    one = changed(away, tmp_path / "log.zip", log, lambda content: content + content.splitlines(True)[-1][:-1])
+    found = verify_bundle(one)
+    assert not found.equal
+    assert [Path(problem.path).name for problem in found.logs] == [Path(log).name]
+    stable = b'"stable": '
+    two = changed(away, tmp_path / "json.zip", "bench.json", lambda text: text.replace(stable, stable + b"1", 1))
+    assert [d.kind for d in verify_bundle(two).differences] == ["value"]
+
+
+@pytest.mark.slow
+def test_logs_are_found_under_other_names_without_anything_stored(bench, tmp_path, monkeypatch):
+    monkeypatch.setenv("PIPELINE_DEVICES", str(bench.devices))
+    for number, log in enumerate(sorted(bench.logs.iterdir())):
+        (tmp_path / f"{number % 7}").mkdir(exist_ok=True)
+        shutil.copy(log, tmp_path / f"{number % 7}" / f"renamed-{number}{log.suffix}")
+    logs = [(bench.profile, tmp_path), (None, tmp_path)]
+    found = verify(bench.report, profiles=[bench.profile], logs=logs)
+    assert found.equal, lines_of(found)
+    (tmp_path / "3" / "renamed-3.log").unlink()
+    found = verify(bench.report, profiles=[bench.profile], logs=logs)
+    assert [problem.problem for problem in found.logs] == ["is not stored as it was when the report was made"]
+
+
+def test_a_missing_device_file_is_one_sentence(bench, monkeypatch):
+    monkeypatch.delenv("PIPELINE_DEVICES", raising=False)
+    with pytest.raises(DeviceError, match=r"device 'bench': the report rests on its device file, which is not known"):
+        verify(bench.report, bench.folder / "processed", [bench.profile])
+    with pytest.raises(DeviceError, match="not known here"):
+        bundle(bench.report, profiles=[bench.profile])
+
+
+@pytest.mark.slow
+def test_another_device_file_is_named_before_what_differs_with_it(bench, tmp_path, monkeypatch):
+    text = (bench.devices / "any.toml").read_text()
+    (tmp_path / "other.toml").write_text(text.replace('title = "', 'title = "Other ', 1))
+    monkeypatch.setenv("PIPELINE_DEVICES", str(tmp_path))
+    found = verify(bench.report, bench.folder / "processed", [bench.profile])
+    assert lines_of(found)[0].startswith("device bench: its device file is not the one that the report rests on")
+
+
+def test_what_a_bundle_needs_and_is_not_there_is_named(bench, tmp_path, monkeypatch):
+    monkeypatch.setenv("PIPELINE_DEVICES", str(bench.devices))
+    with pytest.raises(UsageError, match=r"'bench', which read logs of the report, is not shipped. Give its file"):
+        bundle(bench.report, tmp_path / "x.zip")
+    log = sorted(bench.logs.iterdir())[5]
+    before = log.read_bytes()
+    try:
+        log.write_bytes(before + b"\n")
+        with pytest.raises(StoreError, match="has changed since the report was made"):
+            bundle(bench.report, tmp_path / "x.zip", profiles=[bench.profile])
+        log.unlink()
+        with pytest.raises(StoreError, match=r"is no longer where it was \(1 log of the report in all\)"):
+            bundle(bench.report, tmp_path / "x.zip", profiles=[bench.profile])
+    finally:
+        log.write_bytes(before)
+    lone = Path(shutil.copy(bench.report, tmp_path / "lone.html"))
+    with pytest.raises(UsageError, match=r"lone.json: is not there.*A bundle holds it, too"):
+        bundle(lone, processed=bench.folder / "processed", profiles=[bench.profile])
+    assert not (tmp_path / "x.zip").exists()
+
+
+def test_other_files_are_no_bundle(tmp_path):
+    (tmp_path / "x.zip").write_text("no zip")
+    with pytest.raises(UsageError, match="is no zip that can be read"):
+        verify_bundle(tmp_path / "x.zip")
+    with zipfile.ZipFile(tmp_path / "y.zip", "w") as archive:
+        archive.writestr("a.txt", "a")
+    with pytest.raises(UsageError, match=r"expected one report \(.html\) at the top of a bundle, found 0"):
+        verify_bundle(tmp_path / "y.zip")
