@@ -96,14 +96,22 @@ class Service:
     def experiment(self, device: str, experiment: str) -> tuple[dict[str, Any] | None, str | None]:
         """Return the document of an experiment, or the job that makes it."""
         self.experiments(device, [experiment])
-        request = {"device": device, "experiments": [experiment], "criteria": None}
+        return self._kept("experiment", {"device": device, "experiments": [experiment], "criteria": None})
+
+    def drawn(self, device: str, experiment: str, trial: str) -> tuple[dict[str, Any] | None, str | None]:
+        """Return the figures of a trial, or the job that draws them."""
+        asked = {"device": device, "experiments": [experiment], "criteria": None, "trial": trial}
+        return self._kept("trial", asked)
+
+    def _kept(self, kind: str, request: dict[str, Any]) -> tuple[dict[str, Any] | None, str | None]:
+        """Return a document that is kept, or the job of a kind that makes it."""
         key = results.key_of(self.settings, request)
         try:
             document: dict[str, Any] = json.loads(results.document_file(self.settings, key).read_bytes())
         except FileNotFoundError:
             self._may_compute()
-            failed = self.database.failed_job("experiment", key, RETRY_S)
-            return None, failed or self.job("experiment", {"key": key, "request": request}, key)
+            failed = self.database.failed_job(kind, key, RETRY_S)
+            return None, failed or self.job(kind, {"key": key, "request": request}, key)
         return document, None
 
     def _may_compute(self) -> None:

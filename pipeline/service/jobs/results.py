@@ -13,23 +13,28 @@ from pipeline.base.file_names import path_of_text
 from pipeline.base.provenance import code_digest, digest
 from pipeline.comparison.against_run import against_experiments
 from pipeline.comparison.compare import compare, report_code
+from pipeline.comparison.figures.figure_trial import trial_figure
 from pipeline.comparison.scene.scene import needed_stages, open_scene
 from pipeline.comparison.stage_pool import compute_stages
-from pipeline.device_data.devices import known_devices
+from pipeline.device_data.devices import declared_spring, known_devices
 from pipeline.intake.ingest import ingest
-from pipeline.measured.stages.stages import STAGES
+from pipeline.measured.stages.stages import STAGES, ExperimentStages
+from pipeline.records.results import ExperimentResult
 from pipeline.rendering.report.report_against import write
 from pipeline.service.database import Database
 from pipeline.service.settings import Settings
+from pipeline.store.exclusions import read_exclusions
 from pipeline.store.storage import list_devices, list_experiments, trials_files
 
 Progress = Callable[[object], None]
 
 
 def state_of(processed: Path, device: str, experiments: Sequence[str]) -> str:
-    """Return a hash of what is stored of experiments: another one after any change."""
+    """Return a hash of what is stored of experiments: another one after any change, exclusions by hand among them."""
     files = [file for name in experiments for file in trials_files(processed, device, name)]
-    return digest([[file.name, *file.stat()[6:9:2]] for file in files])
+    of_others = read_exclusions(processed).values()
+    excluded = [one.model_dump() for one in of_others if one.device == device and one.experiment in experiments]
+    return digest([[[file.name, *file.stat()[6:9:2]] for file in files], excluded])
 
 
 def key_of(settings: Settings, request: dict[str, Any]) -> str:
@@ -109,6 +114,28 @@ def run_experiment(settings: Settings, _database: Database, request: dict[str, A
     return {"key": request["key"]}
 
 
+def run_trial(settings: Settings, database: Database, request: dict[str, Any], progress: Progress) -> Any:
+    """Draw a trial beside theory and the fitted loop of its experiment, which is compared first where it was not."""
+    key, asked = request["key"], request["request"]
+    whole = {name: value for name, value in asked.items() if name != "trial"}
+    whole_key = key_of(settings, whole)
+    file = document_file(settings, whole_key)
+    if not file.is_file():
+        run_experiment(settings, database, {"key": whole_key, "request": whole}, progress)
+    document = json.loads(file.read_bytes())
+    device, (experiment,) = asked["device"], asked["experiments"]
+    found = ExperimentResult.model_validate(document["experiments"][0])
+    spring = declared_spring(known_devices().get(device), experiment)
+    stages = ExperimentStages.stored(settings.processed, device, experiment, spring)
+    figure = trial_figure(stages, found, asked["trial"], document["motion"])
+    # matplotlib takes half a second, which jobs that draw nothing need not wait for
+    from pipeline.rendering.figures.trial_drawing import courses
+
+    panels = courses(figure, document["motion"])
+    write_text(document_file(settings, key), json.dumps({"panels": panels, "caption": figure.caption}))
+    return {"key": key}
+
+
 def run_comparison(settings: Settings, _database: Database, request: dict[str, Any], progress: Progress) -> Any:
     """Make a report, of a device or of two experiments against each other, with its document beside it."""
     key, asked = request["key"], request["request"]
@@ -137,7 +164,13 @@ def _compared(settings: Settings, request: dict[str, Any], report: Path | None, 
     return {**document, "causes": {each["experiment"]: each["causes"] for each in document["experiments"]}}
 
 
-KINDS = {"upload": run_upload, "stages": run_stages, "experiment": run_experiment, "comparison": run_comparison}
+KINDS = {
+    "upload": run_upload,
+    "stages": run_stages,
+    "experiment": run_experiment,
+    "trial": run_trial,
+    "comparison": run_comparison,
+}
 """Function of each kind of job."""
 
 

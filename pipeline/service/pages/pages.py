@@ -6,7 +6,7 @@ import csv
 import io
 import secrets
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -16,6 +16,7 @@ import numpy as np
 from fastapi import APIRouter, Query, Request
 from fastapi.responses import FileResponse, HTMLResponse, RedirectResponse, Response
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup
 from pydantic import field_validator
 from starlette.concurrency import run_in_threadpool
 
@@ -155,15 +156,7 @@ def one_device(service: Shared, request: Request, device: Segment) -> Response:
 @pages.get("/devices/{device}/experiments/{experiment}")
 def one_experiment(service: Shared, request: Request, device: Segment, experiment: Segment) -> Response:
     """Show the trials of an experiment in their plane, and what was found."""
-    document: dict[str, Any] | None = None
-    job = problem = None
-    try:
-        document, job = service.experiment(device, experiment)
-        problem = _problem_of(service.database.job(job)) if job else None
-    except Problem as error:
-        if error.status == 404:
-            raise
-        problem = str(error)
+    document, job, problem = _asked(service, lambda: service.experiment(device, experiment))
     trials = service.catalogue.trials()
     mask, facets = trials.selected({"device": device, "experiment": experiment}, {})
     rows = np.flatnonzero(mask)[:PLOTTED].tolist()
@@ -204,16 +197,37 @@ def trials(service: Shared, request: Request, asked: Annotated[TrialForm, Query(
 
 @pages.get("/trials/{trial}")
 def one_trial(service: Shared, request: Request, trial: str) -> Response:
-    """Show the response of a trial and what is known of it."""
+    """Show the response of a trial beside theory and fitted loop, and what is known of it."""
+    trials, row = service.found(trial)
+    (about,) = trials.items([row])
+    drawn, job, problem = _asked(service, lambda: service.drawn(about["device"], about["experiment"], trial))
+    figures = [Markup(panel) for panel in drawn["panels"]] if drawn else [_plain_response(service, trial)]
+    words = {kind: service.database.words(kind, ["trial", trial]) for kind in ("notes", "tags")}
+    return page_of(
+        service, request, "trial.html.j2", trial=about, units=UNITS[about["motion"]], panels=figures,
+        caption=drawn["caption"] if drawn else "", job=job, problem=problem,
+        source=uploaded_name(service.database, about["source"]), **words,
+    )  # fmt: skip
+
+
+def _asked(service: Service, ask: Callable[[], Any]) -> tuple[dict[str, Any] | None, str | None, str | None]:
+    """Return what is kept, or the job that makes it, or why there is neither."""
+    try:
+        document, job = ask()
+    except Problem as error:
+        if error.status == 404:
+            raise
+        return None, None, str(error)
+    return document, job, _problem_of(service.database.job(job)) if job else None
+
+
+def _plain_response(service: Service, trial: str) -> Markup:
+    """Return the response of a trial as it was measured."""
     about, table = service.samples(trial)
     time_s, position = (table.column(name).to_numpy() for name in ("time_s", "position"))
-    unit, metres = UNITS[about["motion"]], "rad" if about["motion"] == "rotation" else "m"
+    unit = "rad" if about["motion"] == "rotation" else "m"
     layers = [Layer("response", time_s, position, "position")]
-    drawing = figure(layers, "time [s]", f"position [{metres}]", f"Response of trial {trial}", zero=False)
-    words = {kind: service.database.words(kind, ["trial", trial]) for kind in ("notes", "tags")}
-    source = uploaded_name(service.database, about["source"])
-    about_all = {"trial": about, "plot": drawing, "units": unit, "samples": table.num_rows, "source": source}
-    return page_of(service, request, "trial.html.j2", **about_all, **words)
+    return figure(layers, "time [s]", f"position [{unit}]", f"Response of trial {trial}", zero=False)
 
 
 @pages.get("/trials/{trial}/samples.{ending}")

@@ -120,7 +120,7 @@ class Job(Answer):
 
     id: str
     number: int
-    kind: Literal["upload", "stages", "experiment", "comparison"]
+    kind: Literal["upload", "stages", "experiment", "trial", "comparison"]
     state: Literal["queued", "running", "done", "failed", "cancelled"]
     created: float
     changed: float
