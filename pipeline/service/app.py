@@ -24,8 +24,10 @@ from pipeline.service.catalogue import Catalogue
 from pipeline.service.database import Database
 from pipeline.service.jobs.workers import Workers
 from pipeline.service.metrics import Metrics
-from pipeline.service.pages import pages
+from pipeline.service.pages import frame, pages
+from pipeline.service.pages.comparing import comparing
 from pipeline.service.pages.login import doors
+from pipeline.service.pages.opinions import opinions
 from pipeline.service.problems import TITLES, Problem, full_disk, problem_of
 from pipeline.service.problems import answer as answer_of
 from pipeline.service.rest import api
@@ -38,7 +40,7 @@ from pipeline.service.shared import Service
 from pipeline.service.unix_socket import listening
 from pipeline.service.uploads import remove_unacknowledged
 
-ROUTERS = (api.api, theories, pages.pages, doors)
+ROUTERS = (api.api, theories, pages.pages, comparing, opinions, doors)
 THREADS = 12
 """That answer requests: more take memory, and the interpreter from each other."""
 
@@ -88,7 +90,7 @@ def create_app(settings: Settings) -> ASGIApp:
 def _answer_errors(app: FastAPI, service: Service) -> None:
     def answer(request: Request, problem: Problem) -> Response:
         if "text/html" in request.headers.get("accept", "") and not request.url.path.startswith("/api/"):
-            return pages.page_of(service, request, "problem.html.j2", problem.status, problem=problem.document)
+            return frame.page_of(service, request, "problem.html.j2", problem.status, problem=problem.document)
         return answer_of(problem)
 
     @app.exception_handler(Problem)

@@ -256,6 +256,12 @@ class Database:
         rows = self.run("SELECT value FROM words WHERE kind = ? AND of = ?", kind, json.dumps(of))
         return json.loads(rows[0]["value"]) if rows else "" if kind == "notes" else []
 
+    def all_words(self) -> list[tuple[str, list[str], Any]]:
+        """Return all notes and tags that are not empty, with what they belong to."""
+        rows = self.run("SELECT kind, of, value FROM words ORDER BY of")
+        found = [(row["kind"], json.loads(row["of"]), json.loads(row["value"])) for row in rows]
+        return [(kind, of, value) for kind, of, value in found if value]
+
     def set_words(self, kind: str, of: Sequence[str], value: object) -> None:
         """Replace the notes or tags of a trial or experiment."""
         self.run(

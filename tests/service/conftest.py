@@ -36,6 +36,31 @@ def logs(falcon):
 
 
 @pytest.fixture(scope="session")
+def three(logs, tmp_path_factory):
+    """A server with eight logs each of two experiments and of a device of its own; tests leave it as it was."""
+    folder = tmp_path_factory.mktemp("three")
+    others = (("falcon", "2"), ("new rig", "1"))
+    files = list(logs)
+    for device, name in others:
+        head = {
+            b"# device: falcon": f"# device: {device}".encode(),
+            b"# experiment: 1": f"# experiment: {name}".encode(),
+        }
+        for file, data in logs:
+            for old, new in head.items():
+                assert data.count(old) == 1
+                data = data.replace(old, new)
+            files.append((f"{device}-{name}-{file}", data))
+    with serving(Settings(folder / "processed", folder / "reports", wait_s=240.0)) as client:
+        _, job = client.upload(files)
+        assert job["result"]["ingested"] == len(files)
+        client.all_done()
+        for path in ("falcon/1", "falcon/2", "new%20rig/1"):
+            assert client.get(f"experiments/{path}/estimates").status == 200
+        yield client
+
+
+@pytest.fixture(scope="session")
 def compared(served):
     """What was asked for, what was answered, and the key of a comparison that is there now."""
     asked = {"device": "falcon", "criteria": ["overshoot"]}

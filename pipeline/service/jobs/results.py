@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.base.disk import write_text
-from pipeline.base.errors import PipelineError
+from pipeline.base.errors import DeviceError, PipelineError
 from pipeline.base.file_names import path_of_text
 from pipeline.base.provenance import code_digest, digest
 from pipeline.comparison.against_run import against_experiments
@@ -19,6 +19,7 @@ from pipeline.comparison.stage_pool import compute_stages
 from pipeline.device_data.devices import declared_spring, known_devices
 from pipeline.intake.ingest import ingest
 from pipeline.measured.stages.stages import STAGES, ExperimentStages
+from pipeline.records.findings import Note
 from pipeline.records.results import ExperimentResult
 from pipeline.rendering.report.report_against import write
 from pipeline.service.database import Database
@@ -102,6 +103,8 @@ def run_stages(settings: Settings, _database: Database, _request: dict[str, Any]
                 for stage in needed:
                     stages.table(stage)
                 computed += 1
+            except DeviceError:  # all of its trials are excluded, or were removed a moment ago
+                continue
             except PipelineError as error:
                 failed[f"{device}, experiment {experiment}"] = str(error)
     return {"computed": computed, "failed": failed}
@@ -143,10 +146,15 @@ def run_comparison(settings: Settings, _database: Database, request: dict[str, A
     against = asked.get("against")
     if against:
         first, second = (asked["device"], asked["experiments"][0]), (against["device"], against["experiment"])
-        write(against_experiments(settings.processed, first, second, asked["criteria"], progress), report)
+        said = _notes(asked), _notes(against)
+        write(against_experiments(settings.processed, first, second, asked["criteria"], progress, said), report)
     else:
         _compared(settings, request, report, progress)
     return {"key": key}
+
+
+def _notes(asked: dict[str, Any]) -> list[Note]:
+    return [Note.model_validate(one) for one in asked.get("notes", ())]
 
 
 def _compared(settings: Settings, request: dict[str, Any], report: Path | None, progress: Progress) -> Any:
@@ -157,6 +165,7 @@ def _compared(settings: Settings, request: dict[str, Any], report: Path | None, 
         experiments=asked["experiments"],
         criteria=asked["criteria"],
         report=report,
+        notes=_notes(asked),
         progress=progress,
     ).result
     assert result is not None, "only a dry run has none"

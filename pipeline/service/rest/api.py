@@ -88,6 +88,13 @@ class Tags(BaseModel):
     tags: Annotated[list[Annotated[str, Field(min_length=1, max_length=100)]], Field(max_length=100)]
 
 
+class Exclusion(BaseModel):
+    """Why a trial, or all of an experiment, is to be used for no number; null: it is used again."""
+
+    model_config = ConfigDict(extra="forbid")
+    reason: Annotated[str, Field(min_length=1, max_length=1000)] | None
+
+
 def cursor(value: object) -> str | None:
     """Return a place in a list as a word for an address; None stays so."""
     return None if value is None else base64.urlsafe_b64encode(json.dumps(value).encode()).decode()
@@ -310,6 +317,33 @@ def _add_words(owner: str, of: Callable[..., list[str]]) -> None:
     def put_tags(service: Shared, of: owned, tags: Tags) -> dict[str, Any]:
         service.database.set_words("tags", of, tags.tags)
         return tags.model_dump()
+
+
+@api.get("/trials/{trial}/exclusion", response_model=answers.Excluded, responses=answers.NAMED)
+def excluded(service: Shared, trial: str) -> dict[str, Any]:
+    """Return why a trial is excluded by hand."""
+    return {"excluded": service.excluded(trial)}
+
+
+@api.put("/trials/{trial}/exclusion", response_model=answers.Excluded, responses=answers.NAMED)
+def put_exclusion(service: Shared, trial: str, asked: Exclusion) -> dict[str, Any]:
+    """Exclude a trial by hand, or use it again."""
+    return {"excluded": service.exclude(trial, asked.reason)}
+
+
+EXPERIMENT_EXCLUSION = "/experiments/{device}/{experiment}/exclusion"
+
+
+@api.get(EXPERIMENT_EXCLUSION, response_model=answers.Excluded, responses=answers.NAMED)
+def excluded_of(service: Shared, device: Segment, experiment: Segment) -> dict[str, Any]:
+    """Return the trials of an experiment that are excluded by hand."""
+    return {"excluded": service.excluded_of(device, experiment)}
+
+
+@api.put(EXPERIMENT_EXCLUSION, response_model=answers.Excluded, responses=answers.NAMED)
+def put_exclusions(service: Shared, device: Segment, experiment: Segment, asked: Exclusion) -> dict[str, Any]:
+    """Exclude all trials of an experiment that are in use, or use all again."""
+    return {"excluded": service.exclude_experiment(device, experiment, asked.reason)}
 
 
 for owner, of in (("/trials/{trial}", of_trial), ("/experiments/{device}/{experiment}", of_experiment)):

@@ -13,7 +13,7 @@ from pipeline.base.errors import PipelineError, StoreError, UsageError
 from pipeline.base.provenance import digest
 from pipeline.base.wording import counted
 from pipeline.comparison.compare import compare, report_code
-from pipeline.records.findings import Record
+from pipeline.records.findings import Note, Record
 from pipeline.records.models import Scene
 from pipeline.records.results import ComparisonResult, Truth
 from pipeline.rendering.report import report_parts
@@ -65,6 +65,7 @@ class _Request(BaseModel):
     document: str = ""
     excluded: tuple[Exclusion, ...] = ()
     truth: dict[str, Truth] = {}
+    notes: tuple[Note, ...] = ()
 
 
 def verify(
@@ -165,6 +166,7 @@ def _compare_anew(
             responses=embedded_responses(found, len(request.scene.experiments)),
             shown=request.scene.shown,
             truth=request.truth,
+            notes=request.notes,
             progress=progress,
         ).result
     except (UsageError, StoreError):
