@@ -9,13 +9,13 @@ from served import HTML, Browser, serving
 
 from pipeline.intake.ingest import ingest
 from pipeline.service.settings import Settings
+from pipeline.store.storage import read_trials
 
 IN_HEADER = ("device", "experiment", "stiffness", "damping", "step", "sampling_period_s")
 ADDED = ("added_delay_samples", "grip", "motion")
 KEPT = (
     "device",
     "experiment",
-    "key",
     "value",
     "file",
     "label",
@@ -83,7 +83,7 @@ def hostile(logs):
     stored = []
     for name, data in logs:
         text = line_of(line_of(data.decode().split("\n"), "device"), "experiment")
-        text.insert(columns, f"# {mark('key').replace(':', '')}: {mark('value')}")
+        text[columns:columns] = [f"# firmware: {mark('value')}", f"# {mark('key')}: 1"]
         stored.append((f"{mark('file').replace('/', '')}{name}", "\n".join(text).encode()))
     refused = {field: line_of(lines, field) for field in IN_HEADER[2:]}
     for field in ADDED:
@@ -100,7 +100,8 @@ def hostile(logs):
 def attacked(logs, tmp_path_factory):
     folder = tmp_path_factory.mktemp("attacked")
     (folder / "lab.toml").write_text(PROFILE)
-    rows = [f"{mark('label')};{k * 0.001};{float(k > 3)};{k * k * 1e-6}" for k in range(30)]
+    labels = (mark("label"), "other")
+    rows = [f"{label};{k * 0.001};{float(k > 3)};{k * k * 1e-6}" for label in labels for k in range(30)]
     (folder / "one.csv").write_text("\n".join(["trial;t;u;x", *rows]) + "\n")
     assert ingest([folder / "one.csv"], folder / "processed", profile=folder / "lab.toml").ingested == 1
     with serving(Settings(folder / "processed", folder / "reports", wait_s=240.0)) as client:
@@ -113,7 +114,8 @@ def test_every_field_stays_text_on_every_page(attacked):
     assert (job["result"]["ingested"], len(job["result"]["quarantined"])) == (len(stored), len(refused))
     client.all_done()
     trials = client.get("trials?limit=100").content["items"]
-    labelled = next(t["id"] for t in trials if t["device"] == "bench")
+    rows = read_trials(client.settings.processed, "bench", "1", ["label", "trial_id"]).to_pylist()
+    labelled = next(row["trial_id"] for row in rows if row["label"] == mark("label"))
     trial, spare = [t["id"] for t in trials if t["device"] != "bench"][:2]
     device, experiment = mark("device"), mark("experiment")
     browser = Browser(client)
@@ -123,7 +125,9 @@ def test_every_field_stays_text_on_every_page(attacked):
     for one, why in ((spare, "trial reason"), (labelled, "reason")):
         assert browser.send("/exclusions", "/upload", of=["trial", one], reason=mark(why)).status == 303
     for name in (device, "bench"):
-        assert browser.send("/compare", "/upload", device=name, criteria="overshoot").status == 303
+        answer = browser.send("/compare", "/upload", device=name, criteria="overshoot")
+        done = client.done(answer.headers["location"].rpartition("/")[2])
+        assert (done["state"], done["problem"]) == ("done", None), name
     run = quote(f"{quote(device, safe='')}/{quote(experiment, safe='')}")
     begin = (
         "/",
