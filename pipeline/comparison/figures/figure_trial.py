@@ -18,7 +18,7 @@ from pipeline.records.batch import Floats
 from pipeline.records.figure_records import Beside, Figure, TrialCourse
 from pipeline.records.models import Motion
 from pipeline.records.results import ExperimentResult
-from pipeline.rendering.labels import UNITS, significant
+from pipeline.rendering.labels import UNITS, significant, size_text
 from pipeline.store.samples import load_batch
 from pipeline.store.storage import read_trials
 from pipeline.theory.predictions import Theory
@@ -57,7 +57,8 @@ def trial_figure(stages: ExperimentStages, result: ExperimentResult, trial: str,
         log.rounding,
     )
     simulated = bool(stored.column("simulated")[0].as_py())
-    words = _words(course, [*missing, _law(stages, trial)], UNITS[motion].stiffness.partition("/")[0])
+    law = _law(stages, trial, course.residual, course.rounding, UNITS[motion].stiffness.partition("/")[0])
+    words = _words(course, missing, law)
     return Figure("response", f"trial-{trial}", f"Trial {trial}", words, (course,), simulated=simulated)
 
 
@@ -151,25 +152,26 @@ def _model(stages: ExperimentStages, trial: str) -> tuple[float, ...] | None:
     return found if np.isfinite(found).all() else None
 
 
-def _law(stages: ExperimentStages, trial: str) -> str:
-    """Return what the stage found of the wall law in one log."""
+def _law(stages: ExperimentStages, trial: str, residual: Floats, rounding: float, unit: str) -> str:
+    """Return in words how far the command of a log is from the wall law, and why where the stage has found that."""
+    largest = float(np.nanmax(np.abs(residual), initial=0.0))
+    if largest <= rounding:
+        return "The logged command is that of the wall law, up to rounding"
     ids = stages.texts("response", "trial_id")
-    if trial not in ids or not stages.is_stored("wall_law"):
-        return ""
-    evidence = stages.texts("wall_law", "law_evidence")[ids.index(trial)]
-    return f"Wall law: {evidence}" if evidence else "The logged command is that of the wall law, up to rounding"
+    known = trial in ids and stages.is_stored("wall_law")
+    why = stages.texts("wall_law", "law_evidence")[ids.index(trial)] if known else ""
+    return (
+        f"The logged command is off the wall law by up to {significant(largest, 3)} {unit}, of which rounding is "
+        f"{significant(rounding, 2)} {unit}{': ' if why else ''}{why}"
+    )
 
 
-def _words(course: TrialCourse, more: list[str], unit: str) -> str:
-    size = np.nanmax(np.abs(course.position), initial=0.0) or 1.0
+def _words(course: TrialCourse, missing: list[str], law: str) -> str:
+    size = float(np.nanmax(np.abs(course.position), initial=0.0)) or 1.0
     told = [
-        f"{each.label[:1].upper()}{each.label[1:]} ({each.source}): off the log by "
-        + (f"{significant(100 * each.deviation / size, 2)} %" if np.isfinite(each.deviation) else "any amount")
+        f"{each.label} ({each.source}) by "
+        + (size_text(100 * each.deviation / size) if np.isfinite(each.deviation) else "any amount")
         for each in course.beside
     ]
-    about = [f"{'; '.join(told)} of its largest displacement (root mean square)"] if told else []
-    largest = significant(float(np.nanmax(np.abs(course.residual), initial=0.0)), 3)
-    residual = f"Residual of the wall law: at most {largest} {unit}; rounding of the printed numbers leaves up to " + (
-        f"{significant(course.rounding, 2)} {unit}"
-    )
-    return ". ".join([*about, *(text.rstrip(".") for text in more if text), residual]) + "."
+    off = [f"Off the log, root mean square over its largest displacement: {'; '.join(told)}"] if told else []
+    return ". ".join(text.rstrip(".") for text in (*off, *missing, law)) + "."

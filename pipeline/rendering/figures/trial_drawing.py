@@ -18,8 +18,12 @@ from pipeline.rendering.figures.log_drawing import thinned
 SIZE = (440.0, 310.0)
 LEGEND_HEIGHT = 23.0
 """Of each line of the legend, two names a line [px]."""
+LOG = 3.4
+"""Width of the log's line [px]: those over it, which it often lies under, leave it to be seen."""
 MILLI = 1e3
 """From m to mm, rad to mrad, s to ms."""
+PREFIXES = {0: "", -3: "m", -6: "µ", -9: "n", -12: "p"}
+"""Of the unit of the residual, by powers of ten: it may be rounding alone."""
 LOOKS = {
     "theory": (style.INK, style.LINES["theory"]),
     "fitted loop": (style.GREEN, style.LINES["bound"]),
@@ -47,7 +51,7 @@ def _responses(shown: TrialCourse, axes: Axes, *, motion: Motion) -> tuple[str, 
     axes.set_ylim(low, high)
     if np.isfinite(shown.final):
         axes.axhline(MILLI * shown.final, color=style.INK, lw=0.7, ls=style.LINES["linear"])
-    handles = axes.plot(*_line(shown.time, shown.position), color=style.BLUE, lw=1.6, label="log")
+    handles = axes.plot(*_line(shown.time, shown.position), color=style.BLUE, lw=LOG, alpha=0.45, label="log")
     for each in shown.beside:
         colour, line = LOOKS[each.label]
         handles += axes.plot(*_line(shown.time, each.position), color=colour, ls=line, lw=1.2, label=each.label)
@@ -57,15 +61,24 @@ def _responses(shown: TrialCourse, axes: Axes, *, motion: Motion) -> tuple[str, 
 
 
 def _residual(shown: TrialCourse, axes: Axes, *, motion: Motion) -> tuple[str, str]:
-    unit = "N" if motion == "translation" else "Nm"
-    low, high = _range(np.concatenate([shown.residual, [-shown.rounding, shown.rounding]]))
+    both = np.concatenate([shown.residual, [-shown.rounding, shown.rounding]])
+    power = _power(float(np.nanmax(np.abs(both), initial=0.0)))
+    unit = PREFIXES[power] + ("N" if motion == "translation" else "Nm")
+    low, high = _range(both * 10.0**-power)
+    rounding = shown.rounding * 10.0**-power
     axes.set_xlim(*_time_range(shown.time))
     axes.set_ylim(low, high)
-    axes.axhspan(-shown.rounding, shown.rounding, color=style.SKY, alpha=0.3, lw=0)
+    axes.axhspan(-rounding, rounding, color=style.SKY, alpha=0.3, lw=0)
     time, residual = thinned(shown.time, shown.residual)
-    axes.plot(MILLI * time, residual, color=style.BLUE, lw=1.0)
+    axes.plot(MILLI * time, residual * 10.0**-power, color=style.BLUE, lw=1.0)
     canvas.frame(axes, "time after the command edge [ms]", f"residual [{unit}]", title="command minus wall law")
     return ": residual of the wall law", "Logged command minus that of the wall law over time; shaded: rounding."
+
+
+def _power(largest: float) -> int:
+    """Return the power of ten of `PREFIXES` in which a number has few digits before its point."""
+    power = 3 * int(np.floor(np.log10(largest) / 3)) if largest > 0 else 0
+    return min(max(power, min(PREFIXES)), max(PREFIXES))
 
 
 def _line(time: Floats, position: Floats) -> tuple[Floats, Floats]:

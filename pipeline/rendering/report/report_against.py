@@ -113,7 +113,7 @@ def value_name(name: str) -> str:
     """Return what a quantity of a `ValueDifference` is called: its name, or part and name with a slash between."""
     criterion, _, what = name.partition("/")
     named = criterion_name(criterion.removesuffix("_samples"))
-    return f"{named}: {what}" if what else named
+    return f"{named}: {what.replace('_', ' ')}" if what else named
 
 
 def _cost_table(name: str, costs: Sequence[CostDifference]) -> Table:
