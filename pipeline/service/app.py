@@ -22,6 +22,7 @@ from pipeline import __version__
 from pipeline.base.errors import PipelineError, UsageError
 from pipeline.service.catalogue import Catalogue
 from pipeline.service.database import Database
+from pipeline.service.jobs.renewal import Renewal
 from pipeline.service.jobs.workers import Workers
 from pipeline.service.metrics import Metrics
 from pipeline.service.pages import frame, pages
@@ -32,6 +33,7 @@ from pipeline.service.problems import TITLES, Problem, full_disk, problem_of
 from pipeline.service.problems import answer as answer_of
 from pipeline.service.rest import api
 from pipeline.service.rest.answers import describe
+from pipeline.service.rest.remarks import remarks
 from pipeline.service.rest.theory import Theory
 from pipeline.service.rest.theory_routes import theories
 from pipeline.service.security import Guard
@@ -40,7 +42,7 @@ from pipeline.service.shared import Service
 from pipeline.service.unix_socket import listening
 from pipeline.service.uploads import remove_unacknowledged
 
-ROUTERS = (api.api, theories, pages.pages, comparing, opinions, doors)
+ROUTERS = (api.api, remarks, theories, pages.pages, comparing, opinions, doors)
 THREADS = 12
 """That answer requests: more take memory, and the interpreter from each other."""
 
@@ -63,6 +65,7 @@ def create_app(settings: Settings) -> ASGIApp:
     catalogue = Catalogue(settings.processed, database)
     metrics = Metrics(database.job_counts, lambda: catalogue.trials().rows)
     service = Service(settings, database, catalogue, workers, theory, metrics)
+    renewal = Renewal(service)
 
     @asynccontextmanager
     async def life(_: FastAPI) -> AsyncIterator[None]:
@@ -71,7 +74,10 @@ def create_app(settings: Settings) -> ASGIApp:
             remove_unacknowledged(settings, database)
             service.job("stages", {}, "stages")
             workers.start()
+            if settings.renew:
+                renewal.start()
         yield
+        renewal.stop()
         workers.stop()
         theory.stop()
 

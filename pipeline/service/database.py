@@ -205,6 +205,17 @@ class Database:
         rows = self.run("SELECT * FROM jobs WHERE number < ? ORDER BY number DESC LIMIT ?", before, limit)
         return [_shown(row) for row in rows]
 
+    def asked_reports(self) -> list[dict[str, Any]]:
+        """Return what was asked for in reports that were made, each once."""
+        rows = self.run("SELECT request FROM jobs WHERE kind = 'comparison' AND state = 'done' ORDER BY number")
+        asked = [json.loads(row["request"]).get("asked") for row in rows]
+        return list({json.dumps(each): each for each in asked if each}.values())
+
+    def stages_done(self) -> int:
+        """Return how often verdicts and costs of all that is stored were computed."""
+        count: int = self.run("SELECT count(*) FROM jobs WHERE kind = 'stages' AND state = 'done'")[0][0]
+        return count
+
     # who may
 
     def create_token(self, role: Role, name: str) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
@@ -11,6 +12,7 @@ import pyarrow as pa
 from fastapi import Depends, Request
 from pydantic import BaseModel, ConfigDict, Field
 
+from pipeline.base.errors import PipelineError
 from pipeline.intake.exclude import exclude, exclude_experiment, use_again, use_experiment_again
 from pipeline.records.criteria import REPORTED
 from pipeline.records.findings import Note
@@ -99,7 +101,14 @@ class Service:
         if results.document_file(self.settings, key, report=True).is_file():
             return key, None
         self._may_compute()
-        return key, self.job("comparison", {"key": key, "request": request}, key)
+        wanted = {"key": key, "request": request, "asked": asked.model_dump()}
+        return key, self.job("comparison", wanted, key)
+
+    def renew(self) -> None:
+        """Ask anew for all reports that were made here, where logs came or were excluded since."""
+        for asked in self.database.asked_reports():
+            with suppress(Problem, PipelineError):  # what it needs is gone; the last one stays
+                self.comparison(ComparisonRequest.model_validate(asked))
 
     def _add_notes(self, request: dict[str, Any], device: str, experiments: list[str]) -> None:
         """Add what people wrote on experiments and their trials: a report shows it, and another text is another one."""

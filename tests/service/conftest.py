@@ -17,7 +17,7 @@ TOLD = ("devices", "experiments", "trials?limit=1000&sort=settle_2pct", "jobs?li
 def served(falcon, tmp_path_factory):
     folder = tmp_path_factory.mktemp("served")
     shutil.copytree(falcon.processed, folder / "processed")
-    with serving(Settings(folder / "processed", folder / "reports", wait_s=240.0)) as client:
+    with serving(Settings(folder / "processed", folder / "reports", wait_s=240.0, renew=False)) as client:
         client.all_done()
         yield client
 
@@ -51,7 +51,7 @@ def three(logs, tmp_path_factory):
                 assert data.count(old) == 1
                 data = data.replace(old, new)
             files.append((f"{device}-{name}-{file}", data))
-    with serving(Settings(folder / "processed", folder / "reports", wait_s=240.0)) as client:
+    with serving(Settings(folder / "processed", folder / "reports", wait_s=240.0, renew=False)) as client:
         _, job = client.upload(files)
         assert job["result"]["ingested"] == len(files)
         client.all_done()

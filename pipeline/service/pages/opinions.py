@@ -10,7 +10,7 @@ from starlette.concurrency import run_in_threadpool
 
 from pipeline.service.pages.frame import experiment_url, fields_of
 from pipeline.service.problems import Problem
-from pipeline.service.rest import api
+from pipeline.service.rest.remarks import Exclusion, Notes, Tags
 from pipeline.service.shared import Service, Shared
 
 opinions = APIRouter(include_in_schema=False)
@@ -21,8 +21,8 @@ async def words(service: Shared, request: Request) -> Response:
     """Store notes and tags."""
     fields = await fields_of(service, request)
     of, back = await run_in_threadpool(_meant, service, fields)
-    notes = api.Notes(text=fields.get("notes", [""])[0].replace("\r\n", "\n"))
-    tags = api.Tags(tags=[word.strip() for word in fields.get("tags", [""])[0].split(",") if word.strip()])
+    notes = Notes(text=fields.get("notes", [""])[0].replace("\r\n", "\n"))
+    tags = Tags(tags=[word.strip() for word in fields.get("tags", [""])[0].split(",") if word.strip()])
     await run_in_threadpool(service.database.set_words, "notes", of, notes.text)
     await run_in_threadpool(service.database.set_words, "tags", of, tags.tags)
     return RedirectResponse(back, 303)
@@ -34,7 +34,7 @@ async def exclusions(service: Shared, request: Request) -> Response:
     fields = await fields_of(service, request)
     of, back = await run_in_threadpool(_meant, service, fields)
     again = fields.get("again", [""])[0] == "yes"
-    asked = api.Exclusion(reason=None if again else " ".join(fields.get("reason", [""])[0].split()))
+    asked = Exclusion(reason=None if again else " ".join(fields.get("reason", [""])[0].split()))
     if of[0] == "trial":
         await run_in_threadpool(service.exclude, of[1], asked.reason)
     else:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -209,12 +210,16 @@ def reports(service: Shared, request: Request) -> Response:
         "SELECT * FROM jobs WHERE kind = 'comparison' AND state = 'done' ORDER BY number DESC LIMIT ?", SHOWN
     )
     jobs = [job for row in rows if (job := service.database.job(row["id"]))]
+    asked = [json.dumps(job["request"].get("asked", job["id"])) for job in jobs]
+    earlier = {job["id"] for place, job in enumerate(jobs) if asked[place] in asked[:place]}
     files = (
         sorted(file.name for file in service.settings.reports.glob("*.html"))
         if service.settings.reports.is_dir()
         else []
     )
-    return page_of(service, request, "reports.html.j2", jobs=jobs, files=files, folder=service.settings.reports)
+    return page_of(
+        service, request, "reports.html.j2", jobs=jobs, earlier=earlier, files=files, folder=service.settings.reports
+    )
 
 
 @pages.get("/metrics")
