@@ -40,23 +40,23 @@ def trial_figure(stages: ExperimentStages, result: ExperimentResult, trial: str,
     motion : {"translation", "rotation"}
     """
     stored = read_trials(stages.processed, stages.device, stages.experiment)
-    group = TrialGroup(load_batch(stages.processed, stored.filter(pc.equal(stored.column("trial_id"), trial))))
+    own = stored.filter(pc.equal(stored.column("trial_id"), trial))
+    group = TrialGroup(load_batch(stages.processed, own))
     batch, found = group.batch, group.found
     edge = max(int(found.edge_row[0]), 0)
     rows = min(int(batch.rows[0]), edge + LONGEST_SHOWN)
-    period_s, step = float(batch.sampling_period_s[0]), float(np.nan_to_num(batch.step[0]))
     log = LogRows.of(group.logged, found, 0, external_force(group.logged)[0])
     beside, missing = _beside(stages, result, trial, group, rows)
     stiffness = float(batch.stiffness[0])
     course = TrialCourse(
-        (np.arange(rows) - edge) * period_s,
+        batch.time[0, :rows] - batch.time[0, edge],
         batch.displacement[0, :rows],
-        step / stiffness if stiffness > 0 else np.nan,
+        float(batch.step[0]) / stiffness if stiffness > 0 else np.nan,
         tuple(beside),
         log.residual[:rows],
         log.rounding,
     )
-    simulated = bool(stored.column("simulated")[0].as_py())
+    simulated = bool(own.column("simulated")[0].as_py())
     law = _law(stages, trial, course.residual, course.rounding, UNITS[motion].stiffness.partition("/")[0])
     words = _words(course, missing, law)
     return Figure("response", f"trial-{trial}", f"Trial {trial}", words, (course,), simulated=simulated)
