@@ -55,7 +55,7 @@ def three(logs, tmp_path_factory):
         _, job = client.upload(files)
         assert job["result"]["ingested"] == len(files)
         client.all_done()
-        for path in ("falcon/1", "falcon/2", "new%20rig/1"):
+        for path in ("falcon/1", "falcon/2"):
             assert client.get(f"experiments/{path}/estimates").status == 200
         yield client
 

@@ -10,6 +10,7 @@ from pipeline.service import shared
 from pipeline.shell.verify.verify import verify
 
 WHY = "gripper slipped"
+TWO = {"device": "falcon", "experiments": ["2"], "criteria": ["overshoot"]}
 
 
 def verdicts(client):
@@ -21,7 +22,7 @@ def test_an_excluded_trial_is_used_for_nothing_until_it_is_used_again(three):
     trial = three.get("trials?device=falcon&experiment=2").content["items"][0]["id"]
     path = f"trials/{trial}/exclusion"
     assert three.get(path).content == {"excluded": {}}
-    key = three.ask("POST", "comparisons", document={"device": "falcon", "experiments": ["2"]}).content["key"]
+    key = three.ask("POST", "comparisons", document=TWO).content["key"]
     assert three.ask("PUT", path, document={"reason": f" {WHY}\n"}).content == {"excluded": {trial: WHY}}
     three.all_done()
     assert verdicts(three) == before | {trial: "excluded"}
@@ -31,7 +32,7 @@ def test_an_excluded_trial_is_used_for_nothing_until_it_is_used_again(three):
     assert three.get("experiments/falcon/2/exclusion").content == {"excluded": {trial: WHY}}
     for address in (f"/trials/{trial}", "/devices/falcon/experiments/2"):
         assert WHY in page(three, address)
-    again = three.ask("POST", "comparisons", document={"device": "falcon", "experiments": ["2"]}).content["key"]
+    again = three.ask("POST", "comparisons", document=TWO).content["key"]
     assert again != key
     assert three.ask("PUT", path, document={"reason": None}).content == {"excluded": {}}
     assert three.ask("PUT", path, document={"reason": None}).status == 200
@@ -77,6 +78,7 @@ def test_while_others_write_an_exclusion_is_refused_and_said(three, monkeypatch)
     assert three.get(f"trials/{trial}/exclusion").content == {"excluded": {}}
 
 
+@pytest.mark.slow
 def test_reports_repeat_what_people_said_and_can_be_verified(three):
     trials = [t["id"] for t in three.get("trials?device=falcon&experiment=1").content["items"]]
     asked = {"device": "falcon", "experiments": ["1"], "criteria": ["overshoot"]}

@@ -2,6 +2,7 @@
 
 import time
 
+import pytest
 from served import page, serving
 
 from pipeline.service.settings import Settings
@@ -24,6 +25,7 @@ def wait_for(client, number):
     return found
 
 
+@pytest.mark.slow
 def test_a_report_follows_the_logs(tmp_path, logs):
     with serving(Settings(tmp_path / "processed", tmp_path / "reports")) as client:
         client.upload(logs[:4])

@@ -108,6 +108,7 @@ def attacked(logs, tmp_path_factory):
         yield client, *hostile(logs)
 
 
+@pytest.mark.slow
 def test_every_field_stays_text_on_every_page(attacked):
     client, stored, refused = attacked
     _, job = client.upload([*stored, *refused])
