@@ -27,8 +27,8 @@ from pipeline.store.storage import read_trials
 
 ROWS = 620
 OPENED = 5
-KILLED_LOGS = 200
-"""Logs of which those that were not acknowledged are sent again after each kill."""
+NEW_LOGS = 40
+"""Logs that are new before each kill; those that were not acknowledged before come first."""
 AT_A_TIME = 5
 LATEST_S = 3.0
 """Longest time from a start to the kill that follows."""
@@ -107,12 +107,13 @@ def paint(folder: Path) -> dict[str, object]:
 
 def kills(folder: Path, number: int) -> dict[str, object]:
     """Logs lost and doubled, and jobs that hang, after the server was killed during uploads and their jobs."""
-    write_logs(folder / "raw", KILLED_LOGS, ROWS)
-    files = sorted((folder / "raw").glob("*.csv"))
+    write_logs(folder / "raw", NEW_LOGS * number, ROWS)
+    files = {file: sha256(file.read_bytes()).hexdigest() for file in sorted((folder / "raw").glob("*.csv"))}
     chance, kept = random.Random(0), set[str]()
-    for _ in range(number):
+    for round_ in range(1, number + 1):
         server = Server(folder)
-        sender = threading.Thread(target=_send, args=(server, files, kept, chance.randrange(len(files))))
+        left = {file: name for file, name in list(files.items())[: NEW_LOGS * round_] if name not in kept}
+        sender = threading.Thread(target=_send, args=(server, left, kept))
         sender.start()
         time.sleep(chance.uniform(0.0, LATEST_S))
         server.kill()
@@ -127,11 +128,10 @@ def kills(folder: Path, number: int) -> dict[str, object]:
     return {**told, "doubled": sum(n > 1 for n in rows.values()), "hanging": hang, "states": dict(states)}
 
 
-def _send(server: Server, files: list[Path], kept: set[str], first: int) -> None:
-    """Upload some logs after the others, from one on, until the server is gone; note those that it acknowledged."""
-    order = files[first:] + files[:first]
-    for place in range(0, len(order), AT_A_TIME):
-        some = order[place : place + AT_A_TIME]
+def _send(server: Server, files: dict[Path, str], kept: set[str]) -> None:
+    """Upload some logs after the others until the server is gone; note the hashes of those that it acknowledged."""
+    for place in range(0, len(files), AT_A_TIME):
+        some = list(files)[place : place + AT_A_TIME]
         parts = [
             b'--b\r\nContent-Disposition: form-data; name="files"; filename="%b"\r\n\r\n%b\r\n'
             % (file.name.encode(), file.read_bytes())
@@ -144,7 +144,7 @@ def _send(server: Server, files: list[Path], kept: set[str], first: int) -> None
             response = connection.getresponse()
             response.read()
             if response.status == 202:
-                kept.update(sha256(file.read_bytes()).hexdigest() for file in some)
+                kept.update(files[file] for file in some)
                 continue
         return
 
