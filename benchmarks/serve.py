@@ -80,6 +80,7 @@ def lists(folder: Path, trials: int) -> dict[str, object]:
         times = read_together(server.port, QUERIES, READERS, REQUESTS)
         result |= {"alone_ms": alone, "lists_p50_ms": float(np.median(times))}
         result["processor_ms_a_request"] = (server.processor_ms() - before) / REQUESTS
+        result["lists_peak_MiB"] = server.peak_mib()
         pages = tuple(f"/trials/{k % EXPERIMENTS + 1:04x}{k:012x}" for k in range(TRIALS_SHOWN))
         trial = read_together(server.port, pages, 1, 4 * TRIALS_SHOWN)
         result |= {"lists_p95_ms": float(np.quantile(times, 0.95)), "readers": READERS, "requests": REQUESTS}

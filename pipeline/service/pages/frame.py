@@ -5,7 +5,7 @@ from __future__ import annotations
 import secrets
 import time
 from collections.abc import Callable, Mapping
-from functools import cache
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
@@ -61,6 +61,7 @@ def _when(seconds: float) -> str:
     return time.strftime("%Y-%m-%d %H:%M", time.localtime(seconds))
 
 
+@lru_cache(maxsize=4096)  # each row of a list has two
 def _segment(name: str) -> str:
     """Return a name as a part of an address; one that is written in signs of its own is quoted twice."""
     return quote(folder_name(name), safe="")
