@@ -1,8 +1,11 @@
-"""List pages of 100,000 trials: time of a request with 20 readers at once, of the first one, and memory of the server.
+"""The service: lists of 100,000 trials under readers, uploads, memory while jobs run, first paint, kills.
 
-The trials are copies of one log under names of their own, in 50 experiments; nothing is computed of them.
+The trials are copies of one log under names of their own, in 50 experiments; nothing is computed of them. Uploads are
+held against ``pipeline ingest`` of the same logs, both on the server's core. First paint needs Chromium and Playwright.
+Prints one JSON document a part, each number beside its limit.
 
-    python benchmarks/serve.py [--trials 100000]
+    python benchmarks/serve.py [--parts lists,readers,uploads,jobs,paint,kills] [--trials 100000] [--logs 2200]
+                               [--seconds 60] [--kills 50]
 """
 
 from __future__ import annotations
@@ -10,17 +13,14 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import socket
-import subprocess
-import sys
 import tempfile
-import time
-from concurrent.futures import ThreadPoolExecutor
-from http.client import HTTPConnection
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
+from serve_writes import jobs, kills, paint, uploads
+from serving import read_for, read_together, serving
 
 from pipeline.device_data.devices import load_device
 from pipeline.intake.ingest import ingest
@@ -28,7 +28,7 @@ from pipeline.records.table_files import read_table, write_table
 from pipeline.simulation.course import run_course, write_course
 from pipeline.store.storage import trials_files, trials_folder
 
-EXPERIMENTS, READERS, REQUESTS = 50, 20, 2000
+EXPERIMENTS, READERS, REQUESTS, MANY_READERS = 50, 20, 2000, 200
 QUERIES = (
     "/api/v1/trials?limit=100",
     "/api/v1/trials?sort=-stiffness&limit=100",
@@ -37,7 +37,9 @@ QUERIES = (
     "/api/v1/experiments?device=falcon",
     "/trials?sort=-stiffness",
     "/trials?experiment=12",
+    "/",
 )
+TRIALS_SHOWN = 50
 
 
 def store(folder: Path, trials: int) -> None:
@@ -67,60 +69,61 @@ def store(folder: Path, trials: int) -> None:
     file.unlink()
 
 
-def get(port: int, path: str) -> float:
-    began = time.perf_counter()
-    connection = HTTPConnection("127.0.0.1", port, timeout=120)
-    connection.request("GET", path)
-    response = connection.getresponse()
-    content = response.read()
-    connection.close()
-    if response.status != 200:
-        raise SystemExit(f"{path}: {response.status} {content[:300]!r}")
-    return time.perf_counter() - began
+def lists(folder: Path, trials: int) -> dict[str, object]:
+    """Times of list pages and of pages of trials, of the start, and of the first list."""
+    store(folder, trials)
+    with serving(folder, "--read-only") as server:
+        result: dict[str, object] = {"trials": trials, "start_s": server.start_s}
+        result["first_list_s"] = read_together(server.port, QUERIES[:1], 1, 1)[0] / 1e3
+        alone = {query: float(np.median(read_together(server.port, (query,), 1, 20))) for query in QUERIES}
+        before = server.processor_ms()
+        times = read_together(server.port, QUERIES, READERS, REQUESTS)
+        result |= {"alone_ms": alone, "lists_p50_ms": float(np.median(times))}
+        result["processor_ms_a_request"] = (server.processor_ms() - before) / REQUESTS
+        result["lists_peak_MiB"] = server.peak_mib()
+        pages = tuple(f"/trials/{k % EXPERIMENTS + 1:04x}{k:012x}" for k in range(TRIALS_SHOWN))
+        trial = read_together(server.port, pages, 1, 4 * TRIALS_SHOWN)
+        result |= {"lists_p95_ms": float(np.quantile(times, 0.95)), "readers": READERS, "requests": REQUESTS}
+        return result | {"trial_p95_ms": float(np.quantile(trial, 0.95)), "peak_MiB": server.peak_mib()}
 
 
-def processor_ms(process: int) -> float:
-    """Processor time of a process [ms]; Linux alone tells it."""
-    fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) * 1e3 / os.sysconf("SC_CLK_TCK")
+def readers(folder: Path, seconds: float) -> dict[str, object]:
+    """Readers that ask without a pause; needs the folder of `lists`."""
+    with serving(folder, "--read-only") as server:
+        answered, failed = read_for(server.port, QUERIES, MANY_READERS, seconds)
+        told = {"readers": MANY_READERS, "seconds": seconds, "answered": answered, "failed": failed}
+        return told | {"peak_MiB": server.peak_mib()}
+
+
+PARTS = ("lists", "readers", "uploads", "jobs", "paint", "kills")
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--parts", default=",".join(PARTS))
     parser.add_argument("--trials", type=int, default=100_000)
-    trials = parser.parse_args().trials
-    with tempfile.TemporaryDirectory() as name, socket.socket() as free:
-        folder = Path(name)
-        store(folder, trials)
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-        free.close()
-        command = [sys.executable, "-m", "pipeline", "serve", "--read-only", "--port", str(port)]
-        began = time.perf_counter()
-        with subprocess.Popen(
-            [*command, "--processed", folder / "processed", "--reports", folder / "reports"], stderr=subprocess.DEVNULL
-        ) as server:
-            while True:
-                try:
-                    get(port, "/api/v1/health")
-                    break
-                except OSError:
-                    time.sleep(0.02)
-            start = time.perf_counter() - began
-            result = {"trials": trials, "start_s": start, "first_list_s": get(port, QUERIES[0])}
-            alone = {query: float(np.median([get(port, query) for _ in range(20)])) * 1e3 for query in QUERIES}
-            before = processor_ms(server.pid)
-            with ThreadPoolExecutor(READERS) as pool:
-                times = list(pool.map(lambda i: get(port, QUERIES[i % len(QUERIES)]), range(REQUESTS)))
-            result |= {"alone_ms": alone, "p50_ms": 1e3 * float(np.median(times))}
-            result |= {"p95_ms": 1e3 * float(np.quantile(times, 0.95)), "requests": REQUESTS, "readers": READERS}
-            result["processor_ms_a_request"] = (processor_ms(server.pid) - before) / REQUESTS
-            status = Path(f"/proc/{server.pid}/status")
-            if status.is_file():
-                peak = next(line for line in status.read_text().splitlines() if line.startswith("VmHWM"))
-                result["peak_MiB"] = int(peak.split()[1]) / 1024
-            server.terminate()
-    print(json.dumps(result, indent=1))
+    parser.add_argument("--logs", type=int, default=2200)
+    parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--kills", type=int, default=50)
+    asked = parser.parse_args()
+    chosen = set(asked.parts.split(","))
+    if unknown := chosen - set(PARTS):
+        parser.error(f"no part {sorted(unknown)[0]!r}; there are {', '.join(PARTS)}")
+    print(f"{os.cpu_count()} processors, load {os.getloadavg()[0]:.1f}", flush=True)
+    with tempfile.TemporaryDirectory() as name:
+        large, lab, killed = (Path(name) / part for part in ("large", "lab", "killed"))
+        run = {
+            "lists": partial(lists, large, asked.trials),
+            "readers": partial(readers, large, asked.seconds),
+            "uploads": partial(uploads, lab, asked.logs),
+            "jobs": partial(jobs, lab),
+            "paint": partial(paint, lab),
+            "kills": partial(kills, killed, asked.kills),
+        }
+        needs = {"readers": ("lists",), "jobs": ("uploads",), "paint": ("uploads",)}
+        for part in PARTS:
+            if part in chosen or any(part in needs.get(other, ()) for other in chosen):
+                print(json.dumps({part: run[part]()}, indent=1), flush=True)
 
 
 if __name__ == "__main__":

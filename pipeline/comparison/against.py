@@ -23,6 +23,7 @@ from pipeline.records.criteria import criterion_of
 from pipeline.records.findings import BoundaryPoint, Estimate, Optimum
 from pipeline.records.models import Motion
 from pipeline.records.results import ExperimentResult
+from pipeline.records.score_records import Scores
 from pipeline.rendering.labels import UNITS, criterion_name, percent_text, significant
 
 FEWEST_POINTS = 6
@@ -85,6 +86,7 @@ def compare_pair(
         boundary=boundary,
         boundary_reason=reason,
         optima=optima,
+        scores=compare_scores(a.scores, b.scores, None if scales else units.stiffness),
         costs=costs,
         sentences=(),
     )
@@ -229,6 +231,42 @@ def _scaled(optima: Mapping[str, Optimum], scale: tuple[float, float]) -> dict[s
         name: o.model_copy(update={"stiffness": o.stiffness / k, "damping": o.damping / b})
         for name, o in optima.items()
     }
+
+
+_SCORES = (
+    ("region", "overlap", ""),
+    ("region", "covered", ""),
+    ("region", "area_ratio", ""),
+    ("distance", "median", ""),
+    ("verdicts", "agreement", ""),
+    ("delay", "implied", "samples"),
+)
+_BOUND = (("bound", "stiffness", ""), ("bound", "slope", "1/s"))
+"""Scores that are compared: record, number, unit. A bound is one of K and B, which two devices do not share."""
+
+
+def compare_scores(
+    first: Sequence[Scores], second: Sequence[Scores], stiffness: str | None
+) -> tuple[ValueDifference, ...]:
+    """Return the differences of the scores against theory that both have; ``stiffness`` is the unit that they share."""
+    if not first or not second:
+        return ()
+    a, b = first[0], second[0]
+    found = []
+    for part, name, unit in (*_SCORES, *(_BOUND if stiffness else ())):
+        x, y = getattr(a, part), getattr(b, part)
+        if x is None or y is None:
+            continue
+        unit = stiffness or "" if name == "stiffness" else unit
+        values = ValueDifference(name=f"{part}/{name}", unit=unit, first=getattr(x, name), second=getattr(y, name))
+        if a.basis != b.basis:
+            why = f"one is against theory by the {a.basis}, the other by the {b.basis}"
+            found.append(values.model_copy(update={"reason": why}))
+            continue
+        ends = ((getattr(each, f"{name}_low", None), getattr(each, f"{name}_high", None)) for each in (x, y))
+        low_high = [(value, *both) for value, both in zip((getattr(x, name), getattr(y, name)), ends, strict=True)]
+        found.append(_judged(values, *low_high))
+    return tuple(found)
 
 
 def compare_costs(first: Trials, second: Trials) -> tuple[CostDifference, ...]:

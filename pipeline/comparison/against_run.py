@@ -19,7 +19,7 @@ from pipeline.comparison.scene.origin import excluded_trials
 from pipeline.comparison.scene.scene import SceneData, open_scene
 from pipeline.records.against_records import AgainstResult, PairDifference, Side
 from pipeline.records.figure_records import Figure, Limits
-from pipeline.records.findings import BoundaryPoint, Estimate, ExcludedTrial, Optimum, Record
+from pipeline.records.findings import BoundaryPoint, Estimate, ExcludedTrial, Note, Optimum, Record
 from pipeline.records.results import ComparisonResult, ExperimentResult
 from pipeline.rendering.report.report_against import AgainstPage
 from pipeline.theory.predictions import Theory
@@ -31,6 +31,7 @@ def against_experiments(
     second: tuple[str, str],
     criteria: Sequence[str] | None = None,
     progress: Callable[[str], None] | None = None,
+    notes: tuple[Sequence[Note], Sequence[Note]] = ((), ()),
 ) -> AgainstPage:
     """Compare two stored experiments, of one device or of two; those of two in the plane of alpha and beta.
 
@@ -42,6 +43,8 @@ def against_experiments(
         By default all.
     progress : callable, optional
         Gets the name of each step when it begins.
+    notes : (sequence of Note, sequence of Note)
+        What people wrote on each side, which the page repeats.
 
     Raises
     ------
@@ -68,9 +71,10 @@ def against_experiments(
             version=__version__,
             code=code,
             excluded=excluded_trials(data),
+            notes=tuple(said),
             simulated=data.simulated,
         )
-        for (d, e), data in ((first, a_data), (second, b_data))
+        for (d, e), data, said in ((first, a_data, notes[0]), (second, b_data, notes[1]))
     )
     motions = (motion_of(a_data), motion_of(b_data))
     scales = None

@@ -36,6 +36,7 @@ from pipeline.comparison.tables_d import TableBuilder
 from pipeline.comparison.truths import truths, with_truth
 from pipeline.device_data.published import published_files
 from pipeline.records import accuracy as measured_accuracy
+from pipeline.records.findings import Note
 from pipeline.records.models import ComparisonRow, Shown
 from pipeline.records.results import (
     ComparisonResult,
@@ -72,6 +73,7 @@ def compare(
     shown: Shown | None = None,
     scene_file: Path | None = None,
     truth: Mapping[str, Truth] | None = None,
+    notes: Sequence[Note] = (),
     progress: Callable[[str], None] | None = None,
     executor: Executor = compute_stages,
 ) -> Outcome:
@@ -100,6 +102,8 @@ def compare(
         Where that was read from; the report names it in the command that repeats the comparison.
     truth : mapping of experiment to Truth, optional
         What was true of simulated experiments whose ``truth.json`` is gone.
+    notes : sequence of Note
+        What people wrote on experiments and trials, which document and report repeat.
     progress : callable, optional
         Gets the name of each step when it begins.
     executor : Executor
@@ -120,7 +124,7 @@ def compare(
     predictions = Predictions(processed / "theory")
     early = nominal_theories(data)
     accuracy = measured_accuracy.stored(processed)
-    key = _report_key(data, report, accuracy.measured if accuracy else "", full)
+    key = _report_key(data, report, accuracy.measured if accuracy else "", full, notes)
     stored = _stored_result(report, key)
     if stored is not None and all(p.action != RUN for p in plan):
         unchanged = "the report and all that it rests on are unchanged"
@@ -136,7 +140,8 @@ def compare(
     say = progress or (lambda _: None)
     found = _compute(data, early, predictions, say, executor)
     output = [*(["--scene", str(scene_file)] if scene_file else []), *(["--full"] if full else [])]
-    result = _result(data, found, report, partial(provenance, processed=origin(processed), key=key, output=output))
+    made = partial(provenance, processed=origin(processed), key=key, output=output)
+    result = _result(data, found, report, made).model_copy(update={"notes": tuple(notes)})
     if report is not None:
         say("report: figures and page")
         asked = data.scene.shown
@@ -149,7 +154,7 @@ def compare(
             trials=trials() if asked.has_figure("trials") else None,
             tables=asked.tables,
             request=request(data, result.logs, origin(processed), report_code())
-            | {"full": full, "document": digest(result.numbers())},
+            | {"full": full, "document": digest(result.numbers()), "notes": [one.model_dump() for one in notes]},
         )
         write_report(page, report)
         write_text(report.with_suffix(".json"), result.model_dump_json(indent=1) + "\n")
@@ -255,14 +260,15 @@ def report_code() -> str:
     return code_digest(__name__, files=(*page_files(), *published_files()))
 
 
-def _report_key(data: SceneData, path: Path | None, accuracy: str, full: bool) -> str:
-    """Hash of all that a report shows: stages, exclusions, device file, criteria, code, and where it lies."""
+def _report_key(data: SceneData, path: Path | None, accuracy: str, full: bool, notes: Sequence[Note]) -> str:
+    """Hash of all that a report shows: stages, exclusions, notes, device file, criteria, code, and where it lies."""
     needed = sorted(needed_stages(data))
     stages = [[e.experiment, *(e.key(s) for s in needed)] for e in data.experiments]
     device = data.device.model_dump_json() if data.device else ""
     excluded = [one.model_dump() for one in data.excluded]
     truth = {name: one.model_dump(mode="json") for name, one in data.truth.items()}
     shown = [data.scene.model_dump_json(), stages, device, report_code(), str(path), accuracy, full, excluded, truth]
+    shown += [[one.model_dump() for one in notes]]
     return digest(shown)
 
 

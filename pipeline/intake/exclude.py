@@ -1,4 +1,4 @@
-"""Excludes a stored trial by hand, and undoes it: the only writer of what `store.exclusions` reads."""
+"""Excludes stored trials by hand, and undoes it: the only writer of what `store.exclusions` reads."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pathlib import Path
 from pipeline.base.errors import StoreError, UsageError
 from pipeline.base.file_names import path_of_text, path_text, storable
 from pipeline.base.lock import WAIT_S, writing
-from pipeline.store.exclusions import OF_TRIALS, Exclusion, read_exclusions, write_exclusions
+from pipeline.store.exclusions import OF_TRIALS, Exclusion, read_exclusions, split_trials, write_exclusions
 from pipeline.store.storage import read_trials
 
 NEAREST = 5
@@ -40,16 +40,27 @@ def exclude(
     StoreError
         If a stored file is damaged or cannot be written, or others write there.
     """
-    text = storable(" ".join(reason.split()))
-    if not text:
-        raise UsageError('reason is blank, but every report shows why a trial is excluded. Give --reason "<words>".')
+    text = _reason(reason)
     with _changing(processed, wait_s, say):
         stored = read_trials(processed, columns=list(OF_TRIALS)).to_pylist()
-        row = stored[_place(processed, wanted, stored, "stored")]
-        since = datetime.now(UTC).isoformat(timespec="seconds")
-        one = Exclusion(**row, exclusion_reason=text, excluded_since=since)
-        write_exclusions(processed, (read_exclusions(processed) | {one.key: one}).values())
+        (one,) = _exclude(processed, [stored[_place(processed, wanted, stored, "stored")]], text)
     return one
+
+
+def exclude_experiment(
+    processed: Path,
+    device: str,
+    experiment: str,
+    reason: str,
+    wait_s: float = WAIT_S,
+    say: Callable[[str], None] | None = None,
+) -> list[Exclusion]:
+    """Exclude all trials of an experiment that are in use, for one reason; parameters and errors as of `exclude`."""
+    text = _reason(reason)
+    with _changing(processed, wait_s, say):
+        trials = read_trials(processed, device, experiment, list(OF_TRIALS))
+        used, _ = split_trials(trials, read_exclusions(processed))
+        return _exclude(processed, used.to_pylist(), text)
 
 
 def use_again(
@@ -62,6 +73,31 @@ def use_again(
         one = known.pop(_place(processed, wanted, [one.model_dump() for one in known], "excluded"))
         write_exclusions(processed, known)
     return one
+
+
+def use_experiment_again(
+    processed: Path, device: str, experiment: str, wait_s: float = WAIT_S, say: Callable[[str], None] | None = None
+) -> list[Exclusion]:
+    """Undo the exclusion of all trials of an experiment; parameters and errors as those of `exclude`."""
+    with _changing(processed, wait_s, say):
+        known = read_exclusions(processed).values()
+        again = [one for one in known if (one.device, one.experiment) == (device, experiment)]
+        write_exclusions(processed, [one for one in known if one not in again])
+    return again
+
+
+def _reason(reason: str) -> str:
+    text = storable(" ".join(reason.split()))
+    if not text:
+        raise UsageError('reason is blank, but every report shows why a trial is excluded. Give --reason "<words>".')
+    return text
+
+
+def _exclude(processed: Path, rows: Sequence[Mapping[str, str]], reason: str) -> list[Exclusion]:
+    since = datetime.now(UTC).isoformat(timespec="seconds")
+    new = [Exclusion(**row, exclusion_reason=reason, excluded_since=since) for row in rows]
+    write_exclusions(processed, (read_exclusions(processed) | {one.key: one for one in new}).values())
+    return new
 
 
 @contextmanager

@@ -4,19 +4,20 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pipeline.records.findings import ExcludedTrial, Record
+from pipeline.records.findings import ExcludedTrial, Note, Record
 
 Plane = Literal["physical", "normalised"]
 
 
 class Side(Record):
-    """One of the two: device, experiment, version and hash of the code that found its numbers, trials left out."""
+    """One of the two: device, experiment, version and hash of the code of its numbers, trials left out, notes."""
 
     device: str
     experiment: str
     version: str
     code: str
     excluded: tuple[ExcludedTrial, ...] = ()
+    notes: tuple[Note, ...] = ()
     simulated: bool = False
 
     @property
@@ -95,6 +96,7 @@ class PairDifference(Record):
     boundary: BoundaryDifference | None
     boundary_reason: str | None = None
     optima: tuple[ValueDifference, ...]
+    scores: tuple[ValueDifference, ...] = ()
     costs: tuple[CostDifference, ...]
     sentences: tuple[str, ...]
 

@@ -186,6 +186,53 @@ class TrendPanel:
 
 
 @dataclass(frozen=True, eq=False)
+class Beside:
+    """The response of a loop beside a log.
+
+    Parameters
+    ----------
+    label, source : str
+        Its name in the figure, and where the loop comes from.
+    position : float64, shape (n,)
+        Displacement [m, rad]; NaN from where on it is out of all proportion to the log.
+    deviation : float
+        Root mean square of log minus it from the command edge on [m, rad].
+    """
+
+    label: str
+    source: str
+    position: Floats
+    deviation: float
+
+
+@dataclass(frozen=True, eq=False)
+class TrialCourse:
+    """A log beside the loops that may explain it, and how far its command is from the wall law.
+
+    Parameters
+    ----------
+    time : float64, shape (n,)
+        Time after the command edge [s].
+    position : float64, shape (n,)
+        Displacement [m, rad].
+    final : float
+        Displacement at rest F_0/K [m, rad]; NaN without a wall.
+    beside : tuple of Beside
+    residual : float64, shape (n,)
+        Logged command minus that of the wall law F_0 - K (x_k - x_0) - B (x_k - x_{k-1})/T [N, Nm].
+    rounding : float
+        What rounding of the printed numbers leaves of the residual at most [N, Nm].
+    """
+
+    time: Floats
+    position: Floats
+    final: float
+    beside: tuple[Beside, ...]
+    residual: Floats
+    rounding: float
+
+
+@dataclass(frozen=True, eq=False)
 class ResidualMap:
     """Measured against theoretical cost over the plane of one experiment, in cells.
 

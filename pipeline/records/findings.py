@@ -118,6 +118,15 @@ class Optimum(Record):
     censored: bool = False
 
 
+class Note(Record):
+    """What people wrote on an experiment, or on one of its trials: a text, and short words."""
+
+    experiment: str
+    trial_id: str | None = None
+    tags: tuple[str, ...] = ()
+    text: str = ""
+
+
 class ExcludedTrial(Record):
     """A trial that was excluded by hand and enters no number: its id, log, why, and since when (UTC)."""
 

@@ -12,7 +12,7 @@ from pydantic import Field
 
 from pipeline.records.accuracy import AccuracyReport
 from pipeline.records.figure_records import Figure
-from pipeline.records.findings import BoundaryPoint, Estimate, ExcludedTrial, ModelCheck, Optimum, Record
+from pipeline.records.findings import BoundaryPoint, Estimate, ExcludedTrial, ModelCheck, Note, Optimum, Record
 from pipeline.records.loop_records import Cause, LoopLimit, LoopResult, PassiveWall
 from pipeline.records.models import ComparisonRow, Motion
 from pipeline.records.score_records import Scores
@@ -209,6 +209,7 @@ class ComparisonResult(Record):
     """Anchor of the figure or table that each sentence of the summary rests on; empty where there is none."""
     warnings: tuple[str, ...]
     excluded: tuple[ExcludedTrial, ...] = ()
+    notes: tuple[Note, ...] = ()
     report: str | None = None
     provenance: dict[str, str]
     logs: tuple[LogList, ...] = ()

@@ -22,14 +22,18 @@ from pipeline import __version__
 from pipeline.base.errors import PipelineError, UsageError
 from pipeline.service.catalogue import Catalogue
 from pipeline.service.database import Database
+from pipeline.service.jobs.renewal import Renewal
 from pipeline.service.jobs.workers import Workers
 from pipeline.service.metrics import Metrics
-from pipeline.service.pages import pages
+from pipeline.service.pages import frame, pages
+from pipeline.service.pages.comparing import comparing
 from pipeline.service.pages.login import doors
+from pipeline.service.pages.opinions import opinions
 from pipeline.service.problems import TITLES, Problem, full_disk, problem_of
 from pipeline.service.problems import answer as answer_of
 from pipeline.service.rest import api
 from pipeline.service.rest.answers import describe
+from pipeline.service.rest.remarks import remarks
 from pipeline.service.rest.theory import Theory
 from pipeline.service.rest.theory_routes import theories
 from pipeline.service.security import Guard
@@ -38,7 +42,7 @@ from pipeline.service.shared import Service
 from pipeline.service.unix_socket import listening
 from pipeline.service.uploads import remove_unacknowledged
 
-ROUTERS = (api.api, theories, pages.pages, doors)
+ROUTERS = (api.api, remarks, theories, pages.pages, comparing, opinions, doors)
 THREADS = 12
 """That answer requests: more take memory, and the interpreter from each other."""
 
@@ -61,6 +65,7 @@ def create_app(settings: Settings) -> ASGIApp:
     catalogue = Catalogue(settings.processed, database)
     metrics = Metrics(database.job_counts, lambda: catalogue.trials().rows)
     service = Service(settings, database, catalogue, workers, theory, metrics)
+    renewal = Renewal(service)
 
     @asynccontextmanager
     async def life(_: FastAPI) -> AsyncIterator[None]:
@@ -69,7 +74,10 @@ def create_app(settings: Settings) -> ASGIApp:
             remove_unacknowledged(settings, database)
             service.job("stages", {}, "stages")
             workers.start()
+            if settings.renew:
+                renewal.start()
         yield
+        renewal.stop()
         workers.stop()
         theory.stop()
 
@@ -88,7 +96,7 @@ def create_app(settings: Settings) -> ASGIApp:
 def _answer_errors(app: FastAPI, service: Service) -> None:
     def answer(request: Request, problem: Problem) -> Response:
         if "text/html" in request.headers.get("accept", "") and not request.url.path.startswith("/api/"):
-            return pages.page_of(service, request, "problem.html.j2", problem.status, problem=problem.document)
+            return frame.page_of(service, request, "problem.html.j2", problem.status, problem=problem.document)
         return answer_of(problem)
 
     @app.exception_handler(Problem)

@@ -11,6 +11,7 @@ import os
 import threading
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -26,6 +27,7 @@ from pipeline.measured.stages.stages import ExperimentStages, cost_column
 from pipeline.records.batch import Floats, Integers
 from pipeline.records.criteria import REPORTED
 from pipeline.service.database import Database
+from pipeline.store.exclusions import EXCLUSIONS_FILE, Exclusion, Key, read_exclusions, split_trials
 from pipeline.store.names import name_of_folder
 from pipeline.store.storage import natural_key, read_trials, stage_file, trials_files
 
@@ -35,9 +37,12 @@ LOOK_S = 0.5
 KEPT = 32
 """Selections that are kept of a state: readers turn pages, and look at the same."""
 
-TEXTS = ("trial_id", "device", "experiment", "verdict", "outcome", "motion", "grip", "source_path")
+TEXTS = ("trial_id", "device", "experiment", "verdict", "outcome", "motion", "grip", "excluded", "source_path")
 _STORED = ("trial_id", "device", "experiment", "motion", "grip", "source_path", "stiffness", "damping")
-_KEYED = ("source_sha256", "profile_sha256")
+_KEYED = ("source_sha256", "profile_sha256", "label")
+EXCLUDED = "excluded"
+"""What stands in place of the verdict of a trial that is excluded by hand: no number rests on it."""
+
 COSTS = {
     f"{c}{end}": (cost_column(c)[0], f"{cost_column(c)[1]}{end}") for c in REPORTED for end in ("", "_low", "_high")
 }
@@ -89,6 +94,14 @@ class Trials:
     def place(self) -> dict[str, int]:
         """Row of each trial."""
         return {name: row for row, name in enumerate(self.ids)}
+
+    def is_of(self, trial: str, device: str, experiment: str) -> bool:
+        """Return whether a trial is stored, and belongs to an experiment."""
+        row = self.place.get(trial)
+        if row is None:
+            return False
+        own = (self.texts[name].words[self.texts[name].codes[row]] for name in ("device", "experiment"))
+        return tuple(own) == (device, experiment)
 
     @cached_property
     def experiments(self) -> list[dict[str, Any]]:
@@ -229,6 +242,7 @@ class Catalogue:
         self._lock = threading.Lock()
         self._parts: dict[Path, tuple[object, pa.Table | None, str]] = {}
         self._looked, self._version = -np.inf, -1
+        self._excluded: tuple[object, dict[Key, Exclusion]] = (None, {})
         self._trials = Trials(_empty(), {})
 
     def trials(self) -> Trials:
@@ -245,10 +259,12 @@ class Catalogue:
         for file in trials_files(self.processed):
             files.setdefault(file.parent, []).append(file)
         parts = {}
+        excluded = self._exclusions()
         for folder, own in files.items():
             device, experiment = (name_of_folder(part) for part in folder.parts[-2:])
             stages = [stage_file(self.processed, device, experiment, stage) for stage in STAGES]
-            sign = [_sign(file) for file in (*own, *stages)]
+            out = [one for one in excluded.values() if (one.device, one.experiment) == (device, experiment)]
+            sign = [[_sign(file) for file in (*own, *stages)], out]
             former = self._parts.get(folder)
             parts[folder] = former if former and former[0] == sign else (sign, *self._read(device, experiment))
         if parts != self._parts:
@@ -257,12 +273,21 @@ class Catalogue:
             self._trials = Trials(pa.concat_tables(tables) if tables else _empty(), damaged)
             self._parts = parts
 
+    def _exclusions(self) -> dict[Key, Exclusion]:
+        """Return the trials that are excluded by hand; none where that cannot be read, as experiments then say."""
+        sign = _sign(self.processed / EXCLUSIONS_FILE)
+        if sign != self._excluded[0]:
+            with suppress(StoreError):
+                self._excluded = sign, read_exclusions(self.processed)
+        return self._excluded[1]
+
     def _read(self, device: str, experiment: str) -> tuple[pa.Table | None, str]:
         """Return the trials of an experiment with what is stored of their verdicts and costs, or why not."""
         try:
             stored = read_trials(self.processed, device, experiment, [*_STORED, *_KEYED])
             spring = declared_spring(known_devices().get(device), experiment)
-            stages = ExperimentStages(self.processed, device, experiment, stored, spring=spring)
+            used, excluded = split_trials(stored, read_exclusions(self.processed))
+            stages = ExperimentStages(self.processed, device, experiment, used, excluded, spring)
             found = {stage: stages.table(stage) for stage in STAGES if stages.is_stored(stage)}
         except StoreError as error:
             return None, str(error)
@@ -271,6 +296,11 @@ class Catalogue:
         for name, (stage, column) in wanted.items():
             texts = name not in COSTS
             columns[name] = _joined(stored, found.get(stage), column, texts)
+        why = {one.trial_id: one.exclusion_reason for one in excluded}
+        columns[EXCLUDED] = pa.array([why.get(name, "") for name in stored.column("trial_id").to_pylist()])
+        if why:
+            out = pc.not_equal(columns[EXCLUDED], "")
+            columns["verdict"] = pc.if_else(out, EXCLUDED, columns["verdict"])
         return pa.table({name: columns[name] for name in (*TEXTS, *NUMBERS)}), ""
 
 

@@ -205,6 +205,17 @@ class Database:
         rows = self.run("SELECT * FROM jobs WHERE number < ? ORDER BY number DESC LIMIT ?", before, limit)
         return [_shown(row) for row in rows]
 
+    def asked_reports(self) -> list[dict[str, Any]]:
+        """Return what was asked for in reports that were made, each once."""
+        rows = self.run("SELECT request FROM jobs WHERE kind = 'comparison' AND state = 'done' ORDER BY number")
+        asked = [json.loads(row["request"]).get("asked") for row in rows]
+        return list({json.dumps(each): each for each in asked if each}.values())
+
+    def stages_done(self) -> int:
+        """Return how often verdicts and costs of all that is stored were computed."""
+        count: int = self.run("SELECT count(*) FROM jobs WHERE kind = 'stages' AND state = 'done'")[0][0]
+        return count
+
     # who may
 
     def create_token(self, role: Role, name: str) -> str:
@@ -255,6 +266,12 @@ class Database:
         """Return the notes or tags of a trial or experiment: a text, or a list; empty where there are none."""
         rows = self.run("SELECT value FROM words WHERE kind = ? AND of = ?", kind, json.dumps(of))
         return json.loads(rows[0]["value"]) if rows else "" if kind == "notes" else []
+
+    def all_words(self) -> list[tuple[str, list[str], Any]]:
+        """Return all notes and tags that are not empty, with what they belong to."""
+        rows = self.run("SELECT kind, of, value FROM words ORDER BY of")
+        found = [(row["kind"], json.loads(row["of"]), json.loads(row["value"])) for row in rows]
+        return [(kind, of, value) for kind, of, value in found if value]
 
     def set_words(self, kind: str, of: Sequence[str], value: object) -> None:
         """Replace the notes or tags of a trial or experiment."""

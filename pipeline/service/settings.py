@@ -28,6 +28,8 @@ class Settings:
         Logs in a request.
     rate : int, optional
         Requests a minute of a token or address, 0 for any; by default any on loopback, `RATE` elsewhere.
+    renew : bool
+        Whether reports that were made here are made anew when logs come.
     unix_socket : Path, optional
         Where is listened instead of at an address.
     executor : str
@@ -45,6 +47,7 @@ class Settings:
     max_request: int = 1 << 30
     max_files: int = 10_000
     rate: int | None = None
+    renew: bool = True
     unix_socket: Path | None = None
     executor: str = "local"
     body_s: float = 30.0

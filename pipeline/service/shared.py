@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
@@ -11,7 +12,10 @@ import pyarrow as pa
 from fastapi import Depends, Request
 from pydantic import BaseModel, ConfigDict, Field
 
+from pipeline.base.errors import PipelineError
+from pipeline.intake.exclude import exclude, exclude_experiment, use_again, use_experiment_again
 from pipeline.records.criteria import REPORTED
+from pipeline.records.findings import Note
 from pipeline.service.catalogue import Catalogue, Trials
 from pipeline.service.database import Database
 from pipeline.service.jobs import results
@@ -20,11 +24,15 @@ from pipeline.service.metrics import Metrics
 from pipeline.service.problems import Problem
 from pipeline.service.rest import theory
 from pipeline.service.settings import Settings
+from pipeline.store.exclusions import read_exclusions
 from pipeline.store.samples import load_batch
 from pipeline.store.storage import list_devices, list_experiments, read_trials
 
 RETRY_S = 60.0
 """Time after which what could not be computed is tried again by who looks at it [s]."""
+
+EXCLUDE_S = 5.0
+"""Longest wait for another writer before an exclusion is refused [s]."""
 
 SAMPLES = ("time_s", "command", "position", "force", "velocity")
 
@@ -87,23 +95,94 @@ class Service:
                 raise Problem(422, "One experiment is compared against another one.", where="experiments",
                               expected="one name", found=names)  # fmt: skip
             request["against"] = asked.against.model_dump()
+            self._add_notes(request["against"], asked.against.device, [asked.against.experiment])
+        self._add_notes(request, asked.device, names)
         key = results.key_of(self.settings, request)
         if results.document_file(self.settings, key, report=True).is_file():
             return key, None
         self._may_compute()
-        return key, self.job("comparison", {"key": key, "request": request}, key)
+        wanted = {"key": key, "request": request, "asked": asked.model_dump()}
+        return key, self.job("comparison", wanted, key)
+
+    def renew(self) -> None:
+        """Ask anew for all reports that were made here, where logs came or were excluded since."""
+        for asked in self.database.asked_reports():
+            with suppress(Problem, PipelineError):  # what it needs is gone; the last one stays
+                self.comparison(ComparisonRequest.model_validate(asked))
+
+    def _add_notes(self, request: dict[str, Any], device: str, experiments: list[str]) -> None:
+        """Add what people wrote on experiments and their trials: a report shows it, and another text is another one."""
+        notes = [note for name in experiments for note in self.notes(device, name)]
+        if notes:
+            request["notes"] = [note.model_dump() for note in notes]
+
+    def notes(self, device: str, experiment: str) -> list[Note]:
+        """Return what people wrote on an experiment and on its trials, that on all of it first."""
+        trials, found = self.catalogue.trials(), dict[str | None, dict[str, Any]]()
+        for kind, of, value in self.database.all_words():
+            if of == ["experiment", device, experiment]:
+                trial = None
+            elif of[0] == "trial" and trials.is_of(of[1], device, experiment):
+                trial = of[1]
+            else:
+                continue
+            found.setdefault(trial, {})["text" if kind == "notes" else "tags"] = value
+        order = sorted(found, key=lambda trial: trial or "")
+        return [Note(experiment=experiment, trial_id=trial, **found[trial]) for trial in order]
+
+    def exclude(self, trial: str, reason: str | None) -> dict[str, str]:
+        """Exclude a trial by hand, or use it again where no reason is given; return what is excluded of it, and why."""
+        self.found(trial)
+        processed = self.settings.processed
+        if reason is not None:
+            exclude(processed, trial, reason, EXCLUDE_S)
+        elif self.excluded(trial):
+            use_again(processed, trial, EXCLUDE_S)
+        self.job("stages", {}, "stages")
+        return self.excluded(trial)
+
+    def exclude_experiment(self, device: str, experiment: str, reason: str | None) -> dict[str, str]:
+        """Exclude all trials of an experiment that are in use, or use all again; return those excluded, and why."""
+        self.experiments(device, [experiment])
+        if reason is not None:
+            exclude_experiment(self.settings.processed, device, experiment, reason, EXCLUDE_S)
+        else:
+            use_experiment_again(self.settings.processed, device, experiment, EXCLUDE_S)
+        self.job("stages", {}, "stages")
+        return self.excluded_of(device, experiment)
+
+    def excluded(self, trial: str) -> dict[str, str]:
+        """Return why a trial is excluded by hand, by its id; empty where it is in use."""
+        self.found(trial)
+        known = read_exclusions(self.settings.processed).values()
+        return {one.trial_id: one.exclusion_reason for one in known if one.trial_id == trial}
+
+    def excluded_of(self, device: str, experiment: str) -> dict[str, str]:
+        """Return the trials of an experiment that are excluded by hand, and why."""
+        self.experiments(device, [experiment])
+        known = read_exclusions(self.settings.processed).values()
+        own = [one for one in known if (one.device, one.experiment) == (device, experiment)]
+        return {one.trial_id: one.exclusion_reason for one in own}
 
     def experiment(self, device: str, experiment: str) -> tuple[dict[str, Any] | None, str | None]:
         """Return the document of an experiment, or the job that makes it."""
         self.experiments(device, [experiment])
-        request = {"device": device, "experiments": [experiment], "criteria": None}
+        return self._kept("experiment", {"device": device, "experiments": [experiment], "criteria": None})
+
+    def drawn(self, device: str, experiment: str, trial: str) -> tuple[dict[str, Any] | None, str | None]:
+        """Return the figures of a trial, or the job that draws them."""
+        asked = {"device": device, "experiments": [experiment], "criteria": None, "trial": trial}
+        return self._kept("trial", asked)
+
+    def _kept(self, kind: str, request: dict[str, Any]) -> tuple[dict[str, Any] | None, str | None]:
+        """Return a document that is kept, or the job of a kind that makes it."""
         key = results.key_of(self.settings, request)
         try:
             document: dict[str, Any] = json.loads(results.document_file(self.settings, key).read_bytes())
         except FileNotFoundError:
             self._may_compute()
-            failed = self.database.failed_job("experiment", key, RETRY_S)
-            return None, failed or self.job("experiment", {"key": key, "request": request}, key)
+            failed = self.database.failed_job(kind, key, RETRY_S)
+            return None, failed or self.job(kind, {"key": key, "request": request}, key)
         return document, None
 
     def _may_compute(self) -> None:

@@ -20,7 +20,7 @@ from pipeline.comparison.against import (
     difference_interval,
 )
 from pipeline.comparison.against_run import against_document, against_experiments, names_of, read_document
-from pipeline.records.findings import BoundaryPoint, Estimate, Optimum
+from pipeline.records.findings import BoundaryPoint, Estimate, Note, Optimum
 from pipeline.rendering.report.report_against import pair_tables, render
 from pipeline.shell.cli import app
 
@@ -213,7 +213,8 @@ def test_optima_give_place_and_cost():
 
 
 def test_two_delays_differ_as_the_theory_says(lwr):
-    page = against_experiments(lwr.processed, ("lwr", "delay-2"), ("lwr", "delay-4"), CRITERIA)
+    notes = [Note(experiment="delay-4", tags=("slow",), text="gears <greased>")]
+    page = against_experiments(lwr.processed, ("lwr", "delay-2"), ("lwr", "delay-4"), CRITERIA, notes=((), notes))
     (pair,) = page.result.pairs
     # more delay, smaller region: the linear condition (3.25) gives K ~ 1/(d + 0.5), so 2.5/4.5 near the origin
     assert pair.boundary.median_percent < -40
@@ -226,7 +227,9 @@ def test_two_delays_differ_as_the_theory_says(lwr):
     page_text = render(page)
     assert page_text.count("<svg") == 1
     assert "lwr delay-2 against lwr delay-4" in page_text
-    assert [t.name for t in pair_tables(pair, "rotation")] == ["estimates-0", "optima-0", "costs-0", "boundary-0"]
+    names = [t.name for t in pair_tables(pair, "rotation")]
+    assert names == ["estimates-0", "optima-0", "costs-0", "boundary-0", "notes-0"]
+    assert "gears &lt;greased&gt;" in page_text
 
 
 def test_a_device_that_turns_keeps_its_units_beside_one_that_does_not(falcon, lwr, tmp_path):

@@ -17,7 +17,7 @@ TOLD = ("devices", "experiments", "trials?limit=1000&sort=settle_2pct", "jobs?li
 def served(falcon, tmp_path_factory):
     folder = tmp_path_factory.mktemp("served")
     shutil.copytree(falcon.processed, folder / "processed")
-    with serving(Settings(folder / "processed", folder / "reports", wait_s=240.0)) as client:
+    with serving(Settings(folder / "processed", folder / "reports", wait_s=240.0, renew=False)) as client:
         client.all_done()
         yield client
 
@@ -33,6 +33,31 @@ def logs(falcon):
     """Names and contents of eight logs."""
     files = sorted(falcon.raw.rglob("*.csv"))[::20][:8]
     return [(file.name, file.read_bytes()) for file in files]
+
+
+@pytest.fixture(scope="session")
+def three(logs, tmp_path_factory):
+    """A server with eight logs each of two experiments and of a device of its own; tests leave it as it was."""
+    folder = tmp_path_factory.mktemp("three")
+    others = (("falcon", "2"), ("new rig", "1"))
+    files = list(logs)
+    for device, name in others:
+        head = {
+            b"# device: falcon": f"# device: {device}".encode(),
+            b"# experiment: 1": f"# experiment: {name}".encode(),
+        }
+        for file, data in logs:
+            for old, new in head.items():
+                assert data.count(old) == 1
+                data = data.replace(old, new)
+            files.append((f"{device}-{name}-{file}", data))
+    with serving(Settings(folder / "processed", folder / "reports", wait_s=240.0, renew=False)) as client:
+        _, job = client.upload(files)
+        assert job["result"]["ingested"] == len(files)
+        client.all_done()
+        for path in ("falcon/1", "falcon/2"):
+            assert client.get(f"experiments/{path}/estimates").status == 200
+        yield client
 
 
 @pytest.fixture(scope="session")

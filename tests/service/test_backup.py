@@ -30,6 +30,8 @@ def test_restored_elsewhere_all_is_as_before(kept, compared, tmp_path):
         assert [jobs[job["id"]]["result"] for job in told["jobs?limit=1000"]["items"]] == [
             job["result"] for job in told["jobs?limit=1000"]["items"]
         ]
+        for kind, empty in (("notes", {"text": ""}), ("tags", {"tags": []})):  # it was made without them
+            client.ask("PUT", f"experiments/falcon/1/{kind}", document=empty)
         again = client.ask("POST", "comparisons", document=compared[0])
         assert again.status == 200
         answer = client.ask("POST", "logs", **form(logs)).content

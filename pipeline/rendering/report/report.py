@@ -53,6 +53,7 @@ TABLES: dict[str, Callable[[ComparisonResult, TrialPage], Table | list[Table] | 
     "definitions": report_estimates.definition_table,
     "missing": report_tables.missing_table,
     "excluded": report_tables.excluded_table,
+    "notes": report_tables.notes_table,
     "header": report_tables.header_table,
     "trend": report_trend.trend_table,
     "score_costs": report_scores.cost_score_table,
@@ -66,7 +67,7 @@ PRINTED = tuple(name for name in TABLES if name not in ("score_costs", "score_ru
 SEVERAL = ("optima", "delay_tables")
 """Names that stand for any number of tables."""
 
-ALWAYS = ("missing", "excluded", "loops", "causes", "accuracy", "stages", "provenance")
+ALWAYS = ("missing", "excluded", "notes", "loops", "causes", "accuracy", "stages", "provenance")
 """Tables that a reader needs to trust the others: no scene leaves them out."""
 
 PARTS = {"score_costs": "scores", "score_rules": "scores"}

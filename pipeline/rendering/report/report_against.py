@@ -65,7 +65,8 @@ def write(page: AgainstPage, path: Path) -> AgainstResult:
 
 
 def pair_tables(pair: PairDifference, motion: Motion, index: int = 0) -> list[Table]:
-    """Return the tables of a pair that have rows: estimates, optima, costs at common points, boundary, excluded trials.
+    """Return the tables of a pair that have rows: estimates, optima, scores, costs at common points, boundary, excluded
+    trials, notes.
 
     Parameters
     ----------
@@ -79,9 +80,11 @@ def pair_tables(pair: PairDifference, motion: Motion, index: int = 0) -> list[Ta
     found = [
         _value_table(f"estimates-{index}", "Estimates", pair, pair.estimates),
         _value_table(f"optima-{index}", "Optimal points and their costs", pair, pair.optima),
+        _value_table(f"scores-{index}", "Scores against theory", pair, pair.scores),
         _cost_table(f"costs-{index}", pair.costs),
         _boundary_table(f"boundary-{index}", pair, stiffness, damping),
         _excluded_table(f"excluded-{index}", pair),
+        _notes_table(f"notes-{index}", pair),
     ]
     return [marked(table, simulated=pair.simulated) for table in found if table.blocks]
 
@@ -94,7 +97,7 @@ def _value_table(name: str, caption: str, pair: PairDifference, values: Sequence
         unit = f" [{v.unit.replace('^2', '²')}]" if v.unit else ""
         why = v.reason or "not available"
         numbers = {what: number(getattr(v, what), FOUR, why) for what in ("first", "second", "difference")}
-        table.add(v.name, {"name": _words(v.name) + unit, **numbers, **_judgement(v)})
+        table.add(v.name, {"name": value_name(v.name) + unit, **numbers, **_judgement(v)})
     return table
 
 
@@ -106,10 +109,11 @@ def _judgement(v: ValueDifference | CostDifference) -> dict[str, Any]:
     return {"interval": Cell(interval, interval), "significant": "yes" if v.significant else "no"}
 
 
-def _words(name: str) -> str:
+def value_name(name: str) -> str:
+    """Return what a quantity of a `ValueDifference` is called: its name, or part and name with a slash between."""
     criterion, _, what = name.partition("/")
     named = criterion_name(criterion.removesuffix("_samples"))
-    return f"{named}: {what}" if what else named
+    return f"{named}: {what.replace('_', ' ')}" if what else named
 
 
 def _cost_table(name: str, costs: Sequence[CostDifference]) -> Table:
@@ -118,7 +122,7 @@ def _cost_table(name: str, costs: Sequence[CostDifference]) -> Table:
     for c in costs:
         aside = "" if c.kind == "ratio" else "difference, as a fraction"
         median = number(c.median, FOUR, c.reason or "no common point", aside=aside)
-        values = {"criterion": _words(c.criterion), "points": c.points, "median": median}
+        values = {"criterion": value_name(c.criterion), "points": c.points, "median": median}
         table.add(c.criterion, {**values, **_judgement(c)})
     return table
 
@@ -144,4 +148,13 @@ def _excluded_table(name: str, pair: PairDifference) -> Table:
         for one in side.excluded:
             cells = {"side": label, "trial": one.trial_id, "log": one.log, "reason": one.reason, "since": one.since}
             table.add(f"{label}/{one.trial_id}", cells)
+    return table
+
+
+def _notes_table(name: str, pair: PairDifference) -> Table:
+    table = Table(name, "Notes and tags of the lab", [words(head) for head in ("side", "trial", "tags", "note")])
+    for label, side in zip(pair.labels, (pair.first, pair.second), strict=True):
+        for one in side.notes:
+            cells = {"side": label, "trial": one.trial_id or "all", "tags": ", ".join(one.tags), "note": one.text}
+            table.add(f"{label}/{one.trial_id or ''}", cells)
     return table

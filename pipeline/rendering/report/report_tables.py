@@ -118,6 +118,16 @@ def excluded_table(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> T
     return table.filled
 
 
+def notes_table(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> Table | None:
+    """Return what people wrote on experiments and trials, or None where they wrote nothing."""
+    columns = [words(name) for name in ("trial", "tags", "note")]
+    table = Table("notes", "Notes and tags of the lab; no number rests on them", columns)
+    for one in result.notes:
+        cells = {"trial": one.trial_id or "all", "tags": ", ".join(one.tags), "note": one.text}
+        table.add(f"{one.experiment}/{one.trial_id or ''}", cells, f"experiment {one.experiment}")
+    return table.filled
+
+
 def header_table(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> Table | None:
     """Return what logs say of themselves in header lines of the lab, or None where they say nothing more."""
     columns = (words("line"), Column("trials"), words("values", "values (trials)"))

@@ -8,29 +8,35 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.base.disk import write_text
-from pipeline.base.errors import PipelineError
+from pipeline.base.errors import DeviceError, PipelineError
 from pipeline.base.file_names import path_of_text
 from pipeline.base.provenance import code_digest, digest
 from pipeline.comparison.against_run import against_experiments
 from pipeline.comparison.compare import compare, report_code
 from pipeline.comparison.executors import LOCAL, executor_of
+from pipeline.comparison.figures.figure_trial import trial_figure
 from pipeline.comparison.scene.scene import needed_stages, open_scene
 from pipeline.comparison.stage_pool import compute_stages
-from pipeline.device_data.devices import known_devices
+from pipeline.device_data.devices import declared_spring, known_devices
 from pipeline.intake.ingest import ingest
 from pipeline.measured.stages.stages import STAGES, ExperimentStages
+from pipeline.records.findings import Note
+from pipeline.records.results import ExperimentResult
 from pipeline.rendering.report.report_against import write
 from pipeline.service.database import Database
 from pipeline.service.settings import Settings
+from pipeline.store.exclusions import read_exclusions
 from pipeline.store.storage import list_devices, list_experiments, trials_files
 
 Progress = Callable[[object], None]
 
 
 def state_of(processed: Path, device: str, experiments: Sequence[str]) -> str:
-    """Return a hash of what is stored of experiments: another one after any change."""
+    """Return a hash of what is stored of experiments: another one after any change, exclusions by hand among them."""
     files = [file for name in experiments for file in trials_files(processed, device, name)]
-    return digest([[file.name, *file.stat()[6:9:2]] for file in files])
+    of_others = read_exclusions(processed).values()
+    excluded = [one.model_dump() for one in of_others if one.device == device and one.experiment in experiments]
+    return digest([[[file.name, *file.stat()[6:9:2]] for file in files], excluded])
 
 
 def key_of(settings: Settings, request: dict[str, Any]) -> str:
@@ -97,6 +103,8 @@ def run_stages(settings: Settings, _database: Database, _request: dict[str, Any]
             for stage in needed:
                 stages.table(stage)
             computed += 1
+        except DeviceError:  # its trials were removed a moment ago
+            continue
         except PipelineError as error:
             failed[f"{stages.device}, experiment {stages.experiment}"] = str(error)
     return {"computed": computed, "failed": failed}
@@ -113,6 +121,8 @@ def _without_stages(settings: Settings, failed: dict[str, str]) -> list[tuple[Ex
                 (stages,) = data.experiments
                 if not all(stages.is_stored(stage) for stage in needed):
                     found.append((stages, needed))
+            except DeviceError:  # all of its trials are excluded, or were removed a moment ago
+                continue
             except PipelineError as error:
                 failed[f"{device}, experiment {experiment}"] = str(error)
     return found
@@ -125,6 +135,28 @@ def run_experiment(settings: Settings, _database: Database, request: dict[str, A
     return {"key": request["key"]}
 
 
+def run_trial(settings: Settings, database: Database, request: dict[str, Any], progress: Progress) -> Any:
+    """Draw a trial beside theory and the fitted loop of its experiment, which is compared first where it was not."""
+    key, asked = request["key"], request["request"]
+    whole = {name: value for name, value in asked.items() if name != "trial"}
+    whole_key = key_of(settings, whole)
+    file = document_file(settings, whole_key)
+    if not file.is_file():
+        run_experiment(settings, database, {"key": whole_key, "request": whole}, progress)
+    document = json.loads(file.read_bytes())
+    device, (experiment,) = asked["device"], asked["experiments"]
+    found = ExperimentResult.model_validate(document["experiments"][0])
+    spring = declared_spring(known_devices().get(device), experiment)
+    stages = ExperimentStages.stored(settings.processed, device, experiment, spring)
+    figure = trial_figure(stages, found, asked["trial"], document["motion"])
+    # matplotlib takes half a second, which jobs that draw nothing need not wait for
+    from pipeline.rendering.figures.trial_drawing import courses
+
+    panels = courses(figure, document["motion"])
+    write_text(document_file(settings, key), json.dumps({"panels": panels, "caption": figure.caption}))
+    return {"key": key}
+
+
 def run_comparison(settings: Settings, _database: Database, request: dict[str, Any], progress: Progress) -> Any:
     """Make a report, of a device or of two experiments against each other, with its document beside it."""
     key, asked = request["key"], request["request"]
@@ -132,10 +164,15 @@ def run_comparison(settings: Settings, _database: Database, request: dict[str, A
     against = asked.get("against")
     if against:
         first, second = (asked["device"], asked["experiments"][0]), (against["device"], against["experiment"])
-        write(against_experiments(settings.processed, first, second, asked["criteria"], progress), report)
+        said = _notes(asked), _notes(against)
+        write(against_experiments(settings.processed, first, second, asked["criteria"], progress, said), report)
     else:
         _compared(settings, request, report, progress)
     return {"key": key}
+
+
+def _notes(asked: dict[str, Any]) -> list[Note]:
+    return [Note.model_validate(one) for one in asked.get("notes", ())]
 
 
 def _compared(settings: Settings, request: dict[str, Any], report: Path | None, progress: Progress) -> Any:
@@ -146,6 +183,7 @@ def _compared(settings: Settings, request: dict[str, Any], report: Path | None, 
         experiments=asked["experiments"],
         criteria=asked["criteria"],
         report=report,
+        notes=_notes(asked),
         progress=progress,
         executor=executor_of(settings.executor),
     ).result
@@ -154,7 +192,13 @@ def _compared(settings: Settings, request: dict[str, Any], report: Path | None, 
     return {**document, "causes": {each["experiment"]: each["causes"] for each in document["experiments"]}}
 
 
-KINDS = {"upload": run_upload, "stages": run_stages, "experiment": run_experiment, "comparison": run_comparison}
+KINDS = {
+    "upload": run_upload,
+    "stages": run_stages,
+    "experiment": run_experiment,
+    "trial": run_trial,
+    "comparison": run_comparison,
+}
 """Function of each kind of job."""
 
 

@@ -4,7 +4,7 @@ from fastapi import APIRouter, Request
 from fastapi.responses import HTMLResponse, RedirectResponse, Response
 from starlette.concurrency import run_in_threadpool
 
-from pipeline.service.pages.pages import fields_of, page_of
+from pipeline.service.pages.frame import fields_of, page_of
 from pipeline.service.security import SESSION, cookie, cookies_of
 from pipeline.service.shared import Shared
 

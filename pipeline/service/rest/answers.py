@@ -65,7 +65,7 @@ class Cost(Answer):
 
 
 class Trial(Answer):
-    """A trial; stiffness and damping in SI."""
+    """A trial; stiffness and damping in SI. One that is ``excluded`` by hand (why) has that word for a verdict."""
 
     id: str
     device: str
@@ -74,6 +74,7 @@ class Trial(Answer):
     outcome: str | None
     motion: str
     grip: str | None
+    excluded: str | None
     stiffness: float | None
     damping: float | None
     costs: dict[str, Cost]
@@ -120,7 +121,7 @@ class Job(Answer):
 
     id: str
     number: int
-    kind: Literal["upload", "stages", "experiment", "comparison"]
+    kind: Literal["upload", "stages", "experiment", "trial", "comparison"]
     state: Literal["queued", "running", "done", "failed", "cancelled"]
     created: float
     changed: float
@@ -162,6 +163,12 @@ class Made(Answer):
     """The key of a comparison that is there."""
 
     key: str
+
+
+class Excluded(Answer):
+    """Trials that are excluded by hand, with the reason of each."""
+
+    excluded: dict[str, str]
 
 
 class Boundary(Answer):

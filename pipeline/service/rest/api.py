@@ -4,12 +4,12 @@ import asyncio
 import base64
 import json
 import time
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator
 from typing import Annotated, Any, Literal
 
-from fastapi import APIRouter, Depends, Path, Query, Request
+from fastapi import APIRouter, Path, Query, Request
 from fastapi.responses import FileResponse, HTMLResponse, JSONResponse, Response, StreamingResponse
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, Field
 from starlette.concurrency import run_in_threadpool
 
 from pipeline import __version__
@@ -72,20 +72,6 @@ LOGS = {
     },
 }
 """Body of an upload; it is read part by part (`uploads`)."""
-
-
-class Notes(BaseModel):
-    """A text on a trial or experiment."""
-
-    model_config = ConfigDict(extra="forbid")
-    text: Annotated[str, Field(max_length=100_000)]
-
-
-class Tags(BaseModel):
-    """Short words on a trial or experiment."""
-
-    model_config = ConfigDict(extra="forbid")
-    tags: Annotated[list[Annotated[str, Field(min_length=1, max_length=100)]], Field(max_length=100)]
 
 
 def cursor(value: object) -> str | None:
@@ -275,45 +261,6 @@ def comparison(service: Shared, key: Annotated[str, Path(pattern="^[0-9a-f]{16}$
 def report(service: Shared, key: Annotated[str, Path(pattern="^[0-9a-f]{16}$")]) -> Response:
     """Return the page of a comparison."""
     return _file(service, key, ".html", "text/html; charset=utf-8")
-
-
-def of_trial(service: Shared, trial: str) -> list[str]:
-    """Return what notes of a trial belong to."""
-    service.found(trial)
-    return ["trial", trial]
-
-
-def of_experiment(service: Shared, device: Segment, experiment: Segment) -> list[str]:
-    """Return what notes of an experiment belong to."""
-    service.experiments(device, [experiment])
-    return ["experiment", device, experiment]
-
-
-def _add_words(owner: str, of: Callable[..., list[str]]) -> None:
-    """Add the routes of notes and tags of trials or experiments."""
-    owned = Annotated[list[str], Depends(of)]
-
-    @api.get(f"{owner}/notes", response_model=Notes, responses=answers.NAMED)
-    def notes(service: Shared, of: owned) -> dict[str, Any]:
-        return {"text": service.database.words("notes", of)}
-
-    @api.put(f"{owner}/notes", response_model=Notes, responses=answers.NAMED)
-    def put_notes(service: Shared, of: owned, notes: Notes) -> dict[str, Any]:
-        service.database.set_words("notes", of, notes.text)
-        return notes.model_dump()
-
-    @api.get(f"{owner}/tags", response_model=Tags, responses=answers.NAMED)
-    def tags(service: Shared, of: owned) -> dict[str, Any]:
-        return {"tags": service.database.words("tags", of)}
-
-    @api.put(f"{owner}/tags", response_model=Tags, responses=answers.NAMED)
-    def put_tags(service: Shared, of: owned, tags: Tags) -> dict[str, Any]:
-        service.database.set_words("tags", of, tags.tags)
-        return tags.model_dump()
-
-
-for owner, of in (("/trials/{trial}", of_trial), ("/experiments/{device}/{experiment}", of_experiment)):
-    _add_words(owner, of)
 
 
 def _add_part(part: str, shape: Any) -> None:

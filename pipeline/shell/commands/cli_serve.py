@@ -44,6 +44,7 @@ def serve(
         int | None,
         typer.Option("--rate", min=0, help="Requests a minute of a token or address; 0: any. 3000, on 127.0.0.1 any."),
     ] = None,
+    renew: Annotated[bool, typer.Option("--renew/--no-renew", help="Make reports anew when logs come.")] = True,
     unix_socket: Annotated[
         Path | None, typer.Option("--unix-socket", help="Listen at this path, for its owner alone, and at no address.")
     ] = None,
@@ -68,6 +69,7 @@ def serve(
         max_file=max_file_mib << 20,
         max_request=max_request_mib << 20,
         rate=rate,
+        renew=renew,
         unix_socket=unix_socket,
         executor=executor,
     )

@@ -14,7 +14,7 @@ from pipeline.base.provenance import USER_FOLDER_VARIABLE, digest
 from pipeline.base.wording import counted
 from pipeline.comparison.compare import compare, report_code
 from pipeline.device_data.devices import digest_of, known_devices
-from pipeline.records.findings import Record
+from pipeline.records.findings import Note, Record
 from pipeline.records.models import Scene
 from pipeline.records.results import ComparisonResult, Truth
 from pipeline.rendering.report import report_parts
@@ -71,6 +71,7 @@ class Request(BaseModel):
     excluded: tuple[Exclusion, ...] = ()
     truth: dict[str, Truth] = {}
     device_file: str | None = None
+    notes: tuple[Note, ...] = ()
 
 
 def verify(
@@ -180,6 +181,7 @@ def _compare_anew(
             responses=embedded_responses(found, len(request.scene.experiments)),
             shown=request.scene.shown,
             truth=request.truth,
+            notes=request.notes,
             progress=progress,
         ).result
     except (UsageError, StoreError):

@@ -58,6 +58,31 @@ def test_a_trial_page_offers_its_samples(served):
         assert served.get(link).headers["content-disposition"].startswith("attachment")
 
 
+def test_a_trial_page_draws_theory_and_fits_once(served):
+    trial = served.get("trials?limit=1&verdict=stable&sort=-stiffness").content["items"][0]["id"]
+    first = page(served, f"/trials/{trial}")
+    assert first.count("<svg") == 1
+    job = re.search(r'href="/jobs/(\w+)"', first)[1]
+    assert 'http-equiv="refresh"' in first
+    assert served.done(job)["problem"] is None
+    drawn = page(served, f"/trials/{trial}")
+    assert drawn.count("<svg") == 2
+    for word in ("theory", "fitted loop", "model of this log", "residual [", "simulated"):
+        assert word in drawn, word
+    assert "refresh" not in drawn
+    assert "style=" not in drawn
+    page(served, f"/trials/{trial}")
+    assert served.get("jobs?limit=1").content["items"][0]["id"] == job
+
+
+def test_a_read_only_server_shows_what_was_measured(falcon, tmp_path):
+    with serving(Settings(falcon.processed, tmp_path / "reports", read_only=True)) as client:
+        trial = client.get("trials?limit=1").content["items"][0]["id"]
+        text = page(client, f"/trials/{trial}")
+        assert text.count("<svg") == 1
+        assert "cannot be drawn: This was not computed yet, and the server is read-only." in text
+
+
 def test_what_is_not_there_is_a_page(served):
     for path in ("/trials/none", "/devices/none", "/devices/falcon/experiments/9", "/jobs/none", "/static/none"):
         answer = served.get(path, **HTML)
@@ -155,6 +180,8 @@ def test_pages_in_a_browser(served, tmp_path):
         pytest.skip("no chromium")
     served.get("experiments/falcon/1/estimates")
     trial = served.get("trials?limit=1&verdict=stable").content["items"][0]["id"]
+    page(served, f"/trials/{trial}")
+    served.all_done()  # a page that waits for figures loads itself again
     problems = []
     with sync.sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"])

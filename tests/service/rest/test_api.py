@@ -183,6 +183,7 @@ def test_notes_and_tags_are_kept(served, owner):
     assert served.get(f"{path}/tags").content == {"tags": ["check"]}
     assert served.ask("PUT", f"{path}/notes", document={"txt": ""}).status == 422
     assert served.ask("PUT", f"{path}/notes", document={"text": ""}).status == 200
+    assert served.ask("PUT", f"{path}/tags", document={"tags": []}).status == 200
 
 
 def test_a_comparison_is_made_once_and_found_by_its_key(served, compared):

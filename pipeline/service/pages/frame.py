@@ -1,0 +1,128 @@
+"""What all pages share: templates, addresses, and forms that are of this server and this browser alone."""
+
+from __future__ import annotations
+
+import secrets
+import time
+from collections.abc import Callable, Mapping
+from functools import cache, lru_cache
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+from fastapi import Request
+from fastapi.responses import HTMLResponse
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+from pipeline.rendering.labels import criterion_name, significant
+from pipeline.rendering.report.page_template import TEMPLATES
+from pipeline.rendering.report.report_against import value_name
+from pipeline.service.database import ENDED
+from pipeline.service.problems import Problem
+from pipeline.service.security import FORM, cookies_of, form_token, is_form
+from pipeline.service.shared import Service
+from pipeline.store.names import folder_name
+
+HERE = Path(__file__).parent
+
+
+@cache
+def _environment() -> Environment:
+    found = Environment(
+        loader=FileSystemLoader([HERE / "templates"]),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    found.filters |= {
+        "short": _short,
+        "name": criterion_name,
+        "value_name": value_name,
+        "when": _when,
+    }
+    found.globals |= {
+        "experiment_url": experiment_url, "device_url": device_url, "run_of": run_of, "style_sheet": style_sheet,
+    }  # fmt: skip
+    return found
+
+
+def style_sheet() -> str:
+    """Return the style sheet: that of reports, and what pages here have beside."""
+    sheets = (TEMPLATES / "report.css", HERE / "static" / "service.css")
+    return "\n".join(sheet.read_text("utf-8") for sheet in sheets)
+
+
+def _short(value: float | None) -> str:
+    return "–" if value is None else significant(value, 4)
+
+
+def _when(seconds: float) -> str:
+    return time.strftime("%Y-%m-%d %H:%M", time.localtime(seconds))
+
+
+@lru_cache(maxsize=4096)  # each row of a list has two
+def _segment(name: str) -> str:
+    """Return a name as a part of an address; one that is written in signs of its own is quoted twice."""
+    return quote(folder_name(name), safe="")
+
+
+def device_url(device: str) -> str:
+    """Return the address of the page of a device."""
+    return f"/devices/{_segment(device)}"
+
+
+def experiment_url(device: str, experiment: str) -> str:
+    """Return the address of the page of an experiment."""
+    return f"{device_url(device)}/experiments/{_segment(experiment)}"
+
+
+def run_of(device: str, experiment: str) -> str:
+    """Return an experiment as one word of an address."""
+    return f"{folder_name(device)}/{folder_name(experiment)}"
+
+
+def page_of(service: Service, request: Request, template: str, status: int = 200, **content: object) -> HTMLResponse:
+    """Return a page by its template; its forms bear the token of the browser that asks."""
+    browser = cookies_of(request.scope).get(FORM)
+    if browser is None:
+        browser = request.scope["state"]["form"] = secrets.token_urlsafe(16)
+    who = {"login": not service.settings.loopback, "form": form_token(service.database, browser), "offline": False}
+    given = {"role": request.state.role, "path": request.url.path, **who, **content}
+    return HTMLResponse(_environment().get_template(template).render(**given), status)
+
+
+def check(service: Service, request: Request, token: str) -> None:
+    """Refuse a form that is not of this server and this browser."""
+    if not is_form(service.database, cookies_of(request.scope), token):
+        raise Problem(403, "The form is not one of this server, or too old. Load its page again.", where="form")
+
+
+async def fields_of(service: Service, request: Request) -> dict[str, list[str]]:
+    """Return the fields of a form of ours."""
+    form = await request.form()
+    fields: dict[str, list[str]] = {}
+    for name, value in form.multi_items():
+        fields.setdefault(name, []).append(str(value))
+    check(service, request, fields.get("form", [""])[0])
+    return fields
+
+
+def kept(service: Service, ask: Callable[[], Any]) -> tuple[dict[str, Any] | None, str | None, str | None]:
+    """Return a document that is kept, or the job that makes it, or why there is neither."""
+    try:
+        document, job = ask()
+    except Problem as error:
+        if error.status == 404:
+            raise
+        return None, None, str(error)
+    return document, job, _problem_of(service.database.job(job)) if job else None
+
+
+def busy(job: Mapping[str, Any] | None) -> bool:
+    """Return whether a job has not ended."""
+    return job is not None and job["state"] not in ENDED
+
+
+def _problem_of(job: Mapping[str, Any] | None) -> str | None:
+    return job["problem"]["detail"] if job and job["problem"] else None

@@ -1,0 +1,48 @@
+"""Reports that were made are made anew when logs have come, once, and without being asked."""
+
+import time
+
+import pytest
+from served import page, serving
+
+from pipeline.service.settings import Settings
+
+
+def comparisons(client):
+    """Keys of all reports, the newest first, when no job is left."""
+    jobs = client.get("jobs?limit=1000").content["items"]
+    if any(job["state"] in ("queued", "running") for job in jobs):
+        return []
+    assert {job["state"] for job in jobs} == {"done"}
+    return [job["result"]["key"] for job in jobs if job["kind"] == "comparison"]
+
+
+def wait_for(client, number):
+    until = time.monotonic() + 240
+    while len(found := comparisons(client)) < number:
+        assert time.monotonic() < until, found
+        time.sleep(0.2)
+    return found
+
+
+@pytest.mark.slow
+def test_a_report_follows_the_logs(tmp_path, logs):
+    with serving(Settings(tmp_path / "processed", tmp_path / "reports")) as client:
+        client.upload(logs[:4])
+        client.all_done()
+        asked = {"device": "falcon", "criteria": ["overshoot"]}
+        first = client.done(client.ask("POST", "comparisons", document=asked).content["job"])["result"]["key"]
+        client.upload(logs[4:])
+        assert wait_for(client, 2)[1:] == [first]
+        new, _ = comparisons(client)
+        trials = [client.get(f"comparisons/{key}").content["experiments"][0]["trials"] for key in (first, new)]
+        assert trials == [4, 8]
+        assert client.ask("POST", "comparisons", document=asked).content == {"key": new}
+        listed = page(client, "/reports")
+        assert listed.index(new) < listed.index(first)
+        assert listed.count('<span class="badge">earlier</span>') == 1
+        # an upload of what is there changes nothing
+        client.upload(logs[4:])
+        client.all_done()
+        time.sleep(3)
+        assert comparisons(client) == [new, first]
