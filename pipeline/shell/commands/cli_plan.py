@@ -19,7 +19,7 @@ from pipeline.shell.commands.options import Processed
 
 if TYPE_CHECKING:
     from pipeline.plan.answer import Plan
-    from pipeline.plan.planner import Wish
+    from pipeline.plan.course import Wish
 
 
 class Goal(StrEnum):
@@ -72,7 +72,7 @@ def plan(
 
     Example: pipeline plan --device falcon --experiment 1 --watch logs --gentle
     """
-    from pipeline.plan.planner import Wish
+    from pipeline.plan.course import Wish
     from pipeline.plan.planner import plan as plan_stored
     from pipeline.records.criteria import MEASURED
 
