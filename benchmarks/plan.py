@@ -1,6 +1,6 @@
 """Trials that the planner needs for the limits at 12 dampings, beside bisection, random walls and the thesis's way.
 
-    python benchmarks/plan.py [--seeds 20] [--first 0] [--kind ideal] [--goal boundary --goal gentle --goal optimum] [--out FILE.json]
+    python benchmarks/plan.py [--seeds 20] [--first 0] [--kind ideal] [--goal gentle] [--out FILE.json]
 
 Devices are variations of the Falcon (`pipeline.studies.planning.rig`), whose file the planner is given without what the
 kind adds. Verdicts are those of simulated logs of 0.4 s with quantum and noise, as a rig would give them, also for the
@@ -36,10 +36,11 @@ GOALS = ("boundary", "gentle", "optimum")
 def searched(rig: Rig, dampings: Sequence[float], ends: Any, name: str) -> dict[str, Any]:
     """Run a course of the planner to its end."""
     began, slowest, last = time.process_time(), 0.0, time.process_time()
-    known = None
+    course = []
     for known in planned(rig, Wish(gentle=name == "gentle")):
         slowest, last = max(slowest, time.process_time() - last), time.process_time()
-    assert known is not None
+        course.append(known)
+    known = course[-1]
     return {
         "trials": known.trials,
         "done": known.done,
@@ -125,11 +126,13 @@ def main() -> None:
         for row in json.loads(file.read_text(encoding="utf-8")):
             merged.setdefault((row["kind"], row["seed"]), {}).update(row)
     print(HEAD)
-    for kind in asked.kind or KINDS:
-        for seed in range(asked.first, asked.first + asked.seeds) if not asked.read else ():
+    chosen = asked.kind or list(KINDS)
+    for seed in range(asked.first, asked.first + asked.seeds) if not asked.read else ():
+        for kind in chosen:
             merged[kind, seed] = run(kind, seed, asked.goal or GOALS)
             if asked.out:
                 asked.out.write_text(json.dumps(list(merged.values()), indent=1), encoding="utf-8")
+    for kind in chosen:
         own = [row for (of, _), row in merged.items() if of == kind]
         if own:
             print(line(kind, own), flush=True)

@@ -172,13 +172,14 @@ def state(tried: Tried, aim: Aim, around: Range, start: Forecast | None = None, 
 
 def likeliest(around: Range, seen: Evidence, dampings: Floats, device: Fitted | None) -> Forecast:
     """Return the forecast of the device that the logs show, or of a set of loops where that misses less."""
-    loops = foretold(around, seen, dampings)
-    if device is not None:
-        by = device.foretold(dampings, seen.damping)
+    by = None if device is None else device.foretold(dampings, seen.damping)
+    if by is not None and by.largest > 0:
         by = replace(by, misfit=found_misfit(by, seen))
-        if by.largest > 0 and ((by.explains and by.misfit < INADEQUATE) or by.misfit <= loops.misfit):
+        if by.explains and by.misfit < INADEQUATE:
             return forecast(by, seen, dampings)
-    return forecast(loops, seen, dampings)
+    loops = foretold(around, seen, dampings)
+    better = by is not None and by.largest > 0 and by.misfit <= loops.misfit
+    return forecast(by if by is not None and better else loops, seen, dampings)
 
 
 def beyond_zero(ahead: Forecast, dampings: Floats, ends: Floats, aim: Aim) -> tuple[Floats, Floats]:

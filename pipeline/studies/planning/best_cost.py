@@ -47,7 +47,8 @@ def look_for_best(rig: Rig) -> FoundBest:
     if answer.optimum is None:
         return FoundBest(answer.trials_used, answer.done, float("inf"))
     wall = answer.optimum.stiffness, answer.optimum.damping
-    return FoundBest(answer.trials_used, answer.done, _cost(rig, *wall) / _least(rig) - 1)
+    cost = _cost(rig, *wall)
+    return FoundBest(answer.trials_used, answer.done, cost / min(_least(rig), cost) - 1)
 
 
 def _loop(rig: Rig) -> tuple[Loop | DeviceLoop, Normalised] | None:
