@@ -31,9 +31,12 @@ NUGGET = 0.03
 DAMPINGS, SHARES, HIGHEST = 36, np.linspace(0.03, 0.9, 32), 0.9
 """Places of the grid over the stable region: dampings, and shares of the limit at each."""
 
-ZOOM, ZOOMS = np.linspace(-1.0, 1.0, 13), (3.0, 0.5)
-"""Places about the best of the grid, in its distances, and how far they reach in turn: the shortest settling times lie
-in a narrow valley beside a jump, along which a grid sees its lowest place badly."""
+SPACING = float(SHARES[1] - SHARES[0])
+"""Distance of shares."""
+
+ZOOM, ZOOMS = np.linspace(-1.0, 1.0, 9), ((1.5, 6), (0.4, 2), (0.1, 1))
+"""Places about the lowest of the grid, how far they reach in its distances, and about how many: the shortest settling
+times lie in a narrow valley beside a jump, of which a grid sees any place by chance."""
 
 LONGEST = 1000
 """Samples after which a response that still moves has no cost."""
@@ -168,17 +171,30 @@ def _places(
     K, B = np.outer(np.interp(B, dampings, highest), SHARES).ravel(), np.repeat(B, len(SHARES))
     K, B = K[K > 0], B[K > 0]
     cost = _foretold(K, B, criterion, by, offset)
-    for reach in ZOOMS if by is not None and np.isfinite(cost).any() else ():
-        best = int(np.nanargmin(cost))
-        top = float(np.interp(B[best], dampings, highest))
-        apart = reach * float(np.ptp(dampings)) / (DAMPINGS - 1), reach * top * float(SHARES[1] - SHARES[0])
-        more_B = np.clip(B[best] + apart[0] * np.repeat(ZOOM, len(ZOOM)), dampings[0], dampings[-1])
-        more_K = K[best] + apart[1] * np.tile(ZOOM, len(ZOOM))
-        some = (more_K > 0) & (more_K <= HIGHEST * np.interp(more_B, dampings, highest))
-        K, B = np.append(K, more_K[some]), np.append(B, more_B[some])
-        cost = np.append(cost, _foretold(more_K[some], more_B[some], criterion, by, offset))
+    cell = float(np.ptp(dampings)) / (DAMPINGS - 1)
+    for reach, starts in ZOOMS if by is not None and np.isfinite(cost).any() else ():
+        more_K, more_B = [], []
+        for best in _lowest(K, B, cost, starts):
+            more_B.append(B[best] + reach * cell * np.repeat(ZOOM, len(ZOOM)))
+            more_K.append(K[best] + reach * np.interp(B[best], dampings, highest) * SPACING * np.tile(ZOOM, len(ZOOM)))
+        near_B = np.clip(np.concatenate(more_B), dampings[0], dampings[-1])
+        near_K = np.concatenate(more_K)
+        some = (near_K > 0) & (near_K <= HIGHEST * np.interp(near_B, dampings, highest))
+        K, B = np.append(K, near_K[some]), np.append(B, near_B[some])
+        cost = np.append(cost, _foretold(near_K[some], near_B[some], criterion, by, offset))
     good = np.isfinite(cost)
     return K[good], B[good], cost[good]
+
+
+def _lowest(K: Floats, B: Floats, cost: Floats, count: int) -> list[int]:
+    """Return the places of lowest cost, each at another damping than those before."""
+    found: list[int] = []
+    for place in np.argsort(np.nan_to_num(cost, nan=np.inf), kind="stable"):
+        if all(abs(B[place] - B[other]) > 1e-9 for other in found):
+            found.append(int(place))
+        if len(found) == count:
+            break
+    return found
 
 
 def _foretold(K: Floats, B: Floats, criterion: str, by: Foreseen | None, offset: float) -> Floats:
