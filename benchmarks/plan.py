@@ -4,8 +4,8 @@
 
 Devices are variations of the Falcon (`pipeline.studies.planning.rig`), whose file the planner is given without what the
 kind adds. Verdicts are those of simulated logs of 0.4 s with quantum and noise, as a rig would give them, also for the
-truth: where the verdicts of 200 walls of a damping change. Costs are measured from the same logs; the best cost in truth
-is the exact one of theory, with friction that of a dense grid of logs. A row a kind, medians over the seeds; nothing
+truth: where the verdicts of 200 walls of a damping change. Costs are measured from the same logs; the true best cost is
+the exact one of theory, with friction that of a dense grid of logs. A row a kind, medians over the seeds; nothing
 here fails. Times are those of the processor: some 10 minutes for ``boundary`` of 5 kinds and 20 seeds, some 10 for each
 other goal. Parts of a run (--kind, --first, --out) are put together by --read FILE.json ...
 """
@@ -90,12 +90,13 @@ def line(kind: str, rows: list[dict[str, Any]]) -> str:
             continue
         wrong = float(np.mean((error > ACCURACY) & (done > 0)))
         text += (
-            f" | {np.median(trials):5.1f} <= {most:2d} {trials.max():4.0f} {np.median(_column(rows, method, 'unstable')):5.0%}"
-            f" {wrong:5.0%} {np.mean(done == 0):5.0%} {_column(rows, method, 'untold').sum():3.0f}"
+            f" | {np.median(trials):5.1f} <= {most:2d} {trials.max():4.0f}"
+            f" {np.median(_column(rows, method, 'unstable')):5.0%} {wrong:5.0%} {np.mean(done == 0):5.0%} {_column(rows, method, 'untold').sum():3.0f}"
         )
     trials, above, done = (_column(rows, "optimum", name) for name in ("trials", "above", "done"))
     if len(trials):
-        text += f" | {np.median(trials):4.1f} <= {OPTIMUM_TRIALS} {trials.max():3.0f} {np.median(above):5.1%} {above.max():6.1%}"
+        text += f" | {np.median(trials):4.1f} <= {OPTIMUM_TRIALS} {trials.max():3.0f}"
+        text += f" {np.median(above):5.1%} {above.max():6.1%}"
         text += f" {np.mean((above > COST) & (done > 0)):5.0%} {np.mean(done == 0):5.0%}"
     if len(_column(rows, "bisection", "trials")):
         others = (f"{np.median(_column(rows, name, 'trials')):5.0f}" for name in ("bisection", "thesis"))
