@@ -91,7 +91,8 @@ def line(kind: str, rows: list[dict[str, Any]]) -> str:
         wrong = float(np.mean((error > ACCURACY) & (done > 0)))
         text += (
             f" | {np.median(trials):5.1f} <= {most:2d} {trials.max():4.0f}"
-            f" {np.median(_column(rows, method, 'unstable')):5.0%} {wrong:5.0%} {np.mean(done == 0):5.0%} {_column(rows, method, 'untold').sum():3.0f}"
+            f" {np.median(_column(rows, method, 'unstable')):5.0%} {wrong:5.0%} {np.mean(done == 0):5.0%}"
+            f" {_column(rows, method, 'untold').sum():3.0f}"
         )
     trials, above, done = (_column(rows, "optimum", name) for name in ("trials", "above", "done"))
     if len(trials):

@@ -68,10 +68,12 @@ def plan_of(course: Course, wish: Wish) -> Plan:
     known = {"boundary": limits, "trials_used": len(course.tried), "area": area_of(found)}
     if wish.goal == "optimum":
         search = _search(course, wish, found, aim)
+        # a loop whose parts were not looked for may foretell costs that a lag or a mode forbids
+        done = search.done and (course.fitted is None or course.fitted.climbed > 0)
         return Plan(
-            next=() if search.done else _walls_of(search, course, wish, found, aim),
-            done=search.done,
-            trials_expected=len(course.tried) + (0 if search.done else len(search.walls)),
+            next=() if done else _walls_of(search, course, wish, found, aim),
+            done=done,
+            trials_expected=len(course.tried) + (0 if done else len(search.walls)),
             remarks=_remarks(course, found),
             optimum=_best(search, course, wish),
             **known,
