@@ -11,9 +11,10 @@ import numpy as np
 from pipeline.loop.device_loop import DeviceLoop
 from pipeline.loop.loop import Normalised
 from pipeline.loop.velocity_filter import per_sample
+from pipeline.measured.explained import holds
 from pipeline.measured.fit.fit import fit_trials
 from pipeline.measured.ladder.device import Device
-from pipeline.measured.ladder.ladder import FEWEST_TRIALS, Rung, climb, holds
+from pipeline.measured.ladder.ladder import FEWEST_TRIALS, Rung, climb
 from pipeline.measured.ladder.parts import GROUPS
 from pipeline.measured.ladder.search import covariance_of, explained, search
 from pipeline.measured.ladder.trials import LadderTrials, windowed
@@ -37,8 +38,8 @@ MISFIT_HOLDS, MISFIT_ELSE = 0.007, 0.04
 """Relative error of limits by a device that explains the logs, and by one that does not, before any is known: verdicts
 call what grows unseen stable."""
 
-FITTED = GROUPS[:2]
-"""Parts that are looked for. Friction takes ten times as long, and its limits are hardly others than without it."""
+FITTED = tuple(group for group in GROUPS if not {"friction", "saturation"} & set(group))
+"""Parts that are looked for: those of a linear loop, which has limits. Friction takes ten times as long, too."""
 
 BELOW = 0.98
 """Wall relative to the limit at which the slope of the growth rate is read."""

@@ -32,7 +32,7 @@ CLOSE = 1.8
 """Width of a bracket that is narrow enough, in wanted accuracies: a little less than twice, since a verdict next to the
 limit may be wrong, and the largest limit is not known to the last."""
 
-ASIDE = 0.15
+ASIDE = 0.25
 """Distance from an undecided wall, in widths of a bracket, from which on another one may tell more."""
 
 BEGIN, STAIRS = 0.95, (0.8, 0.92)

@@ -50,6 +50,12 @@ SURE = 1.0
 LEAST_SIZE, NO_LOOP = 0.03, 0.5
 """Standard deviation of what the logarithm of a cost differs by from that of the loop; at least, and without a loop."""
 
+USUAL_OFFSET = 0.15
+"""Logarithm by which all measured costs may differ from those of the loop alike: whole samples, friction."""
+
+TIE, MIDDLE = 1e-3, np.array([0.5, 0.3])
+"""Weight of the distance from the damping and stiffness, relative to the largest, at which one begins without a loop."""
+
 NO_COST = 1.0
 """Logarithm by which a wall without a cost counts as worse than expected: it keeps the search away."""
 
@@ -140,7 +146,7 @@ def look_for(
         mean, spread = _expected(seen, value, place, by is not None)
         mean = mean + ahead
         record = float(cost[best]) if best is not None else np.inf
-        pick = int(np.argmax(_gain(record - mean, spread))) if best is not None else int(np.argmin(mean))
+        pick = int(np.argmax(_gain(record - mean, spread) if best is not None else _hope(mean, spread, place)))
         if number == 0:
             lowest = float((mean - SURE * spread).min())
             done = bool(known.sum() >= FIRST and record <= np.log1p(accuracy) + lowest)
@@ -220,6 +226,11 @@ def _seen(
     return np.column_stack([B, K])[told], value[told]
 
 
+def _hope(mean: Floats, spread: Floats, place: Floats) -> Floats:
+    """Return how good a wall may be before any cost is known; of those alike soft ones amid the dampings are better."""
+    return np.asarray(spread - mean - TIE * np.abs(place - MIDDLE).sum(axis=1))
+
+
 def _gain(better: Floats, spread: Floats) -> Floats:
     """Return the expected improvement of a cost that is expected to be better by so much."""
     z = better / spread
@@ -230,8 +241,10 @@ def _expected(seen: Floats, value: Floats, place: Floats, foretold: bool) -> tup
     """Return mean and standard deviation of the random function at places, given what was seen."""
     if not len(value):
         return np.zeros(len(place)), np.full(len(place), LEAST_SIZE if foretold else NO_LOOP)
-    usual = float(np.median(value))
-    size = max(float(np.std(value)), LEAST_SIZE if foretold else NO_LOOP)
+    # a loop may be off a little everywhere; one that is off by more is wrong, and not its scale
+    most = USUAL_OFFSET if foretold else np.inf
+    usual = float(np.clip(np.median(value), -most, most))
+    size = max(float(np.sqrt(np.mean((value - usual) ** 2))), LEAST_SIZE if foretold else NO_LOOP)
     among = _likeness(seen, seen) + np.eye(len(seen)) * ((NUGGET / size) ** 2 + 1e-9)
     toward = _likeness(place, seen)
     gain = np.linalg.solve(among, toward.T).T

@@ -148,10 +148,10 @@ def test_the_region_has_ended_behind_a_damping_without_stable_walls():
     assert region_ended(np.arange(4.0), ends).tolist() == [False, False, False, True]
 
 
-def test_an_area_takes_no_more_trials_than_it_needs():
+def test_an_area_is_known_to_its_accuracy_and_takes_more_trials_for_a_finer_one():
     aim = Aim(DAMPINGS, accuracy=0.05, area=True)
     found, tried = course(parabola, aim)
     assert found.done
     low, high = (np.trapezoid([getattr(c.bracket, end) for c in found.columns], DAMPINGS) for end in ("bottom", "top"))
     assert high - low <= 2 * 0.05 * np.trapezoid(parabola(np.array(DAMPINGS)), DAMPINGS)
-    assert len(tried) < len(course(parabola, Aim(DAMPINGS, accuracy=0.02))[1])
+    assert len(tried) < len(course(parabola, Aim(DAMPINGS, accuracy=0.01, area=True))[1])
