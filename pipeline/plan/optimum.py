@@ -54,7 +54,7 @@ USUAL_OFFSET = 0.15
 """Logarithm by which all measured costs may differ from those of the loop alike: whole samples, friction."""
 
 TIE, MIDDLE = 1e-3, np.array([0.5, 0.3])
-"""Weight of the distance from the damping and stiffness, relative to the largest, at which one begins without a loop."""
+"""Weight of the distance from where one begins without a loop: damping and stiffness, relative to the largest."""
 
 NO_COST = 1.0
 """Logarithm by which a wall without a cost counts as worse than expected: it keeps the search away."""

@@ -9,6 +9,7 @@ import numpy as np
 
 from pipeline.plan.course import Wish, wanted_dampings
 from pipeline.records.accuracy import Rung
+from pipeline.studies.planning.best_cost import look_for_best
 from pipeline.studies.planning.rig import KINDS, Rig
 from pipeline.studies.planning.searches import Known, as_in_the_thesis, at_random, bisected, error_of, planned
 
@@ -52,6 +53,8 @@ def planning_rungs(
         found = [dict(_ladders(rig)) for rig in rigs]
         for method in found[0]:
             yield from _rungs(kind, method, [each[method] for each in found], rigs[0].case.stated.duration_s)
+        if not quick:
+            yield _best_cost(kind, courses)
 
 
 Step = tuple[str, Known, float, float]
@@ -103,6 +106,22 @@ def _rungs(kind: str, method: str, courses: Sequence[Sequence[Step]], trial_seco
             trials=trials,
             device_seconds=trials * trial_seconds,
         )
+
+
+def _best_cost(kind: str, courses: int) -> Rung:
+    """Return the rung of the search for the best settling time."""
+    begin = time.process_time()
+    found = [look_for_best(Rig(kind, seed)) for seed in range(courses)]
+    trials = round(float(np.median([each.trials for each in found])))
+    return Rung(
+        quantity=f"optimum of settling time: cost, {kind} device",
+        method=PLANNER,
+        setting="done" if all(each.done for each in found) else "given up",
+        error=float(np.median([each.above for each in found])),
+        seconds=(time.process_time() - begin) / courses,
+        trials=trials,
+        device_seconds=trials * Rig(kind, 0).case.stated.duration_s,
+    )
 
 
 def saving(rungs: Sequence[Rung]) -> tuple[str, ...]:
