@@ -34,27 +34,31 @@ DAMPINGS, SHARES, HIGHEST = 36, np.linspace(0.03, 0.9, 32), 0.9
 SPACING = float(SHARES[1] - SHARES[0])
 """Distance of shares."""
 
-ZOOM, ZOOMS = np.linspace(-1.0, 1.0, 9), ((1.5, 6), (0.4, 2), (0.1, 1))
+ZOOM, ZOOMS = np.linspace(-1.0, 1.0, 9), ((1.5, 6), (0.4, 2))
 """Places about the lowest of the grid, how far they reach in its distances, and about how many: the shortest settling
 times lie in a narrow valley beside a jump, of which a grid sees any place by chance."""
 
 LONGEST = 1000
 """Samples after which a response that still moves has no cost."""
 
-FIRST = 6
-"""Costs below which no search is done, however right the loop seems."""
+FIRST, FIRST_ELSE = 6, 15
+"""Costs below which no search is done, however right the loop seems; and where it does not explain the logs."""
 
 SURE = 1.0
 """Standard errors that the least cost may lie below what is expected."""
 
-LEAST_SIZE, NO_LOOP = 0.03, 0.5
-"""Standard deviation of what the logarithm of a cost differs by from that of the loop; at least, and without a loop."""
+LEAST_SIZE, WRONG_LOOP, NO_LOOP = 0.03, 0.15, 0.5
+"""Least standard deviation of what the logarithm of a cost differs by from that of a loop that explains the logs, of
+one that does not, and without one."""
 
 USUAL_OFFSET = 0.15
 """Logarithm by which all measured costs may differ from those of the loop alike: whole samples, friction."""
 
 TIE, MIDDLE = 1e-3, np.array([0.5, 0.3])
 """Weight of the distance from where one begins without a loop: damping and stiffness, relative to the largest."""
+
+FINALISTS, BESIDE = 150, ((-0.012, 0.0), (0.012, 0.0), (0.0, -0.012), (0.0, 0.012))
+"""Most promising walls, and how far from each others are looked at: so far the loop and a rig's numbers may be off."""
 
 NO_COST = 1.0
 """Logarithm by which a wall without a cost counts as worse than expected: it keeps the search away."""
@@ -65,10 +69,11 @@ OFFSET = 0.01
 
 @dataclass(frozen=True, eq=False)
 class Foreseen:
-    """The loop by which costs are foretold, and its units."""
+    """The loop by which costs are foretold, its units, and whether it explains the logs."""
 
     loop: Loop
     units: Normalised
+    explains: bool = True
 
     def costs(self, stiffness: Floats, damping: Floats, criterion: str) -> Floats:
         """Return the costs of walls [N/m, Nm/rad; Ns/m, Nms/rad]; NaN near and beyond the limit of its own walls."""
@@ -143,13 +148,18 @@ def look_for(
     walls, done = [], False
     region, least = None, None
     for number in range(count):
-        mean, spread = _expected(seen, value, place, by is not None)
+        mean, spread = _expected(seen, value, place, by)
         mean = mean + ahead
         record = float(cost[best]) if best is not None else np.inf
-        pick = int(np.argmax(_gain(record - mean, spread) if best is not None else _hope(mean, spread, place)))
+        gain = _gain(record - mean, spread) if best is not None else _hope(mean, spread, place)
+        top = np.argsort(-gain, kind="stable")[:FINALISTS]
+        around = mean[top] + _beside(K[top], B[top], ahead[top], criterion, by, offset)
+        again = _gain(record - around, spread[top]) if best is not None else _hope(around, spread[top], place[top])
+        pick = int(top[np.argmax(again)])
         if number == 0:
             lowest = float((mean - SURE * spread).min())
-            done = bool(known.sum() >= FIRST and record <= np.log1p(accuracy) + lowest)
+            enough = FIRST if by is not None and by.explains else FIRST_ELSE
+            done = bool(known.sum() >= enough and record <= np.log1p(accuracy) + lowest)
             least = float(np.exp(mean.min()) - offset)
             near = mean <= mean.min() + np.log1p(accuracy)
             region = (float(K[near].min()), float(K[near].max()), float(B[near].min()), float(B[near].max()))
@@ -226,6 +236,14 @@ def _seen(
     return np.column_stack([B, K])[told], value[told]
 
 
+def _beside(K: Floats, B: Floats, ahead: Floats, criterion: str, by: Foreseen | None, offset: float) -> Floats:
+    """Return by how much walls beside others are foretold to be worse, as logarithm: the best ones stand at a jump."""
+    if by is None:
+        return np.zeros(len(K))
+    off = [_foretold(K * (1 + k), B * (1 + b), criterion, by, offset) - ahead for k, b in BESIDE]
+    return np.asarray(np.mean([np.where(np.isnan(each), NO_COST, each) for each in off], axis=0))
+
+
 def _hope(mean: Floats, spread: Floats, place: Floats) -> Floats:
     """Return how good a wall may be before any cost is known; of those alike soft ones amid the dampings are better."""
     return np.asarray(spread - mean - TIE * np.abs(place - MIDDLE).sum(axis=1))
@@ -237,14 +255,15 @@ def _gain(better: Floats, spread: Floats) -> Floats:
     return np.asarray(spread * (z * 0.5 * (1 + erf(z / np.sqrt(2))) + np.exp(-0.5 * z * z) / np.sqrt(2 * np.pi)))
 
 
-def _expected(seen: Floats, value: Floats, place: Floats, foretold: bool) -> tuple[Floats, Floats]:
+def _expected(seen: Floats, value: Floats, place: Floats, by: Foreseen | None) -> tuple[Floats, Floats]:
     """Return mean and standard deviation of the random function at places, given what was seen."""
+    least = NO_LOOP if by is None else LEAST_SIZE if by.explains else WRONG_LOOP
     if not len(value):
-        return np.zeros(len(place)), np.full(len(place), LEAST_SIZE if foretold else NO_LOOP)
+        return np.zeros(len(place)), np.full(len(place), least)
     # a loop may be off a little everywhere; one that is off by more is wrong, and not its scale
-    most = USUAL_OFFSET if foretold else np.inf
+    most = np.inf if by is None else USUAL_OFFSET
     usual = float(np.clip(np.median(value), -most, most))
-    size = max(float(np.sqrt(np.mean((value - usual) ** 2))), LEAST_SIZE if foretold else NO_LOOP)
+    size = max(float(np.sqrt(np.mean((value - usual) ** 2))), least)
     among = _likeness(seen, seen) + np.eye(len(seen)) * ((NUGGET / size) ** 2 + 1e-9)
     toward = _likeness(place, seen)
     gain = np.linalg.solve(among, toward.T).T

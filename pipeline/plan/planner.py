@@ -188,7 +188,7 @@ def _search(course: Course, wish: Wish, found: State, aim: Aim) -> Search:
     """Return the search for the best cost within the limits that are expected."""
     by = None
     if course.fitted is not None:
-        by = Foreseen(course.fitted.loop, course.fitted.units)
+        by = Foreseen(course.fitted.loop, course.fitted.units, course.fitted.explains)
     elif not len(course.tried):
         by = Foreseen(*stated_loop(course))
     limits = np.minimum(np.maximum(found.forecast.limit, 0.0), aim.highest)

@@ -49,12 +49,12 @@ def test_a_right_loop_finds_the_best_wall_at_once():
 
 
 def test_a_wrong_loop_is_corrected_by_costs():
-    wrong = Foreseen(Loop(0.0, 0.007, 3.0), UNITS)
+    wrong = Foreseen(Loop(0.0, 0.007, 3.5), UNITS, explains=False)
     found, walls, costs = search(exact, wrong)
     best = [np.array([x]) for x in walls[found.best]]
     assert costs[found.best] == np.nanmin(costs)
     assert BY.costs(*best, "settle_2pct")[0] <= 1.1 * LEAST
-    assert len(walls) > 8, "it does not believe the loop"
+    assert len(walls) >= 15, "it does not believe the loop"
 
 
 def test_no_search_is_done_before_some_costs_are_known():
