@@ -44,6 +44,10 @@ LONGEST = 1000
 FIRST, FIRST_ELSE = 6, 15
 """Costs below which no search is done, however right the loop seems; and where it does not explain the logs."""
 
+STRICT, MANY = 0.6, 30
+"""Share of the accuracy that the best trial keeps where few costs are known, since a measured one is a whole number of
+samples; and number of costs from which on all of it counts."""
+
 SURE = 1.0
 """Standard errors that the least cost may lie below what is expected."""
 
@@ -158,14 +162,20 @@ def look_for(
         pick = int(top[np.argmax(again)])
         if number == 0:
             lowest = float((mean - SURE * spread).min())
-            enough = FIRST if by is not None and by.explains else FIRST_ELSE
-            done = bool(known.sum() >= enough and record <= np.log1p(accuracy) + lowest)
+            done = _is_done(int(known.sum()), record, lowest, accuracy, by)
             least = float(np.exp(mean.min()) - offset)
             near = mean <= mean.min() + np.log1p(accuracy)
             region = (float(K[near].min()), float(K[near].max()), float(B[near].min()), float(B[near].max()))
         walls.append((float(K[pick]), float(B[pick]), float(np.exp(mean[pick]) - offset)))
         seen, value = np.vstack([seen, place[pick]]), np.append(value, mean[pick] - ahead[pick])
     return Search(tuple(walls), done, best, least, region if by is not None else None)
+
+
+def _is_done(costs: int, record: float, lowest: float, accuracy: float, by: Foreseen | None) -> bool:
+    """Return whether so many costs, of which the least has this logarithm, are enough."""
+    enough = FIRST if by is not None and by.explains else FIRST_ELSE
+    margin = accuracy if costs >= MANY else STRICT * accuracy
+    return bool(costs >= enough and record <= np.log1p(margin) + lowest)
 
 
 def _best(tried: Tried, cost: Floats, criterion: str, by: Foreseen | None) -> int | None:
