@@ -66,8 +66,8 @@ def summarise(
         Sentence(_distance(lead, units) if lead else "", BOUNDARY),
         *(Sentence(text, SCORES) for text in (causes(lead, units)[:MOST_CAUSES] if lead else ())),
         *_loops(results, units),
-        Sentence(_device(results), EXPERIMENTS),
         Sentence(_saving(results), BOUNDARY),
+        Sentence(_device(results), EXPERIMENTS),
     ]
     known = tuple(s for s in found if s.text)
     if known:
