@@ -44,10 +44,6 @@ LONGEST = 1000
 FIRST, FIRST_ELSE = 6, 15
 """Costs below which no search is done, however right the loop seems; and where it does not explain the logs."""
 
-STRICT, MANY = 0.6, 30
-"""Share of the accuracy that the best trial keeps where few costs are known, since a measured one is a whole number of
-samples; and number of costs from which on all of it counts."""
-
 SURE = 1.0
 """Standard errors that the least cost may lie below what is expected."""
 
@@ -61,7 +57,7 @@ USUAL_OFFSET = 0.15
 TIE, MIDDLE = 1e-3, np.array([0.5, 0.3])
 """Weight of the distance from where one begins without a loop: damping and stiffness, relative to the largest."""
 
-FINALISTS, BESIDE = 150, ((-0.012, 0.0), (0.012, 0.0), (0.0, -0.012), (0.0, 0.012))
+FINALISTS, BESIDE = 150, ((-0.004, 0.0), (0.004, 0.0), (0.0, -0.004), (0.0, 0.004))
 """Most promising walls, and how far from each others are looked at: so far the loop and a rig's numbers may be off."""
 
 NO_COST = 1.0
@@ -174,8 +170,7 @@ def look_for(
 def _is_done(costs: int, record: float, lowest: float, accuracy: float, by: Foreseen | None) -> bool:
     """Return whether so many costs, of which the least has this logarithm, are enough."""
     enough = FIRST if by is not None and by.explains else FIRST_ELSE
-    margin = accuracy if costs >= MANY else STRICT * accuracy
-    return bool(costs >= enough and record <= np.log1p(margin) + lowest)
+    return bool(costs >= enough and record <= np.log1p(accuracy) + lowest)
 
 
 def _best(tried: Tried, cost: Floats, criterion: str, by: Foreseen | None) -> int | None:

@@ -53,7 +53,7 @@ def test_a_wrong_loop_is_corrected_by_costs():
     found, walls, costs = search(exact, wrong)
     best = [np.array([x]) for x in walls[found.best]]
     assert costs[found.best] == np.nanmin(costs)
-    assert BY.costs(*best, "settle_2pct")[0] <= 1.1 * LEAST
+    assert BY.costs(*best, "settle_2pct")[0] <= 1.3 * LEAST, "by its costs alone, which jump"
     assert len(walls) >= 15, "it does not believe the loop"
 
 
