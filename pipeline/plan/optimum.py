@@ -34,7 +34,7 @@ DAMPINGS, SHARES, HIGHEST = 36, np.linspace(0.03, 0.9, 32), 0.9
 SPACING = float(SHARES[1] - SHARES[0])
 """Distance of shares."""
 
-ZOOM, ZOOMS = np.linspace(-1.0, 1.0, 9), ((1.5, 6), (0.4, 2))
+ZOOM, ZOOMS = np.linspace(-1.0, 1.0, 9), ((1.5, 6), (0.5, 6), (0.2, 6), (0.08, 3))
 """Places about the lowest of the grid, how far they reach in its distances, and about how many: the shortest settling
 times lie in a narrow valley beside a jump, of which a grid sees any place by chance."""
 
