@@ -1,10 +1,13 @@
 """Trials that the planner needs for the limits at 12 dampings, beside bisection, random walls and the thesis's way.
 
-    python benchmarks/plan.py [--seeds 20] [--kind ideal] [--out FILE.json]
+    python benchmarks/plan.py [--seeds 20] [--first 0] [--kind ideal] [--goal gentle] [--out FILE.json]
 
-Devices are variations of the Falcon (`pipeline.studies.coverage.kinds`), whose file the planner is given without what
-the kind adds. The true limit of a damping is where the verdicts of 200 simulated walls change; where they contradict
-each other, any limit between counts as true. A row a kind, medians over the seeds; nothing here fails.
+Devices are variations of the Falcon (`pipeline.studies.planning.rig`), whose file the planner is given without what the
+kind adds. Verdicts are those of simulated logs of 0.4 s with quantum and noise, as a rig would give them, also for the
+truth: where the verdicts of 200 walls of a damping change. Costs are measured from the same logs; the true best cost is
+the exact one of theory, with friction that of a dense grid of logs. A row a kind, medians over the seeds; nothing
+here fails. Times are those of the processor: some 10 minutes for ``boundary`` of 5 kinds and 20 seeds, some 10 for each
+other goal. Parts of a run (--kind, --first, --out) are put together by --read FILE.json ...
 """
 
 from __future__ import annotations
@@ -18,175 +21,123 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.device_data.devices import load_device
-from pipeline.measured.signal.verdict import judge
-from pipeline.plan.planner import Course, Wish, plan_of, wanted_dampings
-from pipeline.plan.verdicts import Tried, bracket
-from pipeline.records.batch import Floats
-from pipeline.simulation.setup import setup_of
-from pipeline.simulation.simulate import simulate
-from pipeline.studies.coverage.kinds import kinds
+from pipeline.plan.course import Wish, wanted_dampings
+from pipeline.studies.planning.best_cost import look_for_best
+from pipeline.studies.planning.rig import KINDS, Rig
+from pipeline.studies.planning.searches import as_in_the_thesis, at_random, bisected, error_of, planned
 
-KINDS = {
-    "ideal": ("ideal", 30),
-    "frictional": ("friction weak", 50),
-    "lagging": ("actuator lag", 50),
-    "filtered": ("butterworth filter", 50),
-    "vibrating": ("mode at the motor", 50),
-}
-"""Kind by its name here, and the median of trials that it may take."""
+MOST = dict.fromkeys(KINDS, 50) | {"ideal": 30}
+GENTLE_TRIALS, GENTLE_UNSTABLE, OPTIMUM_TRIALS, WRONG, ACCURACY, COST = 65, 0.25, 60, 0.05, 0.02, 0.05
+"""What is asked for: medians of trials, share of unstable ones, runs that say done and are wrong, accuracies."""
 
-GENTLE_TRIALS, GENTLE_UNSTABLE, WRONG, ACCURACY = 65, 0.25, 0.05, 0.02
-MOST_TRIALS = 150
-WALLS, HIGHEST = 200, 20_000.0
-COARSE_STEP, FINE_STEPS = 200.0, 5
-"""Of the thesis's procedure for the Falcon (6.1.1) [N/m]."""
+GOALS = ("boundary", "gentle", "optimum")
 
 
-Ends = tuple[Floats, Floats]
-
-
-class Rig:
-    """A simulated device with its trials."""
-
-    def __init__(self, kind: str, seed: int) -> None:
-        self.case, self.seed = kinds(load_device("falcon"))[KINDS[kind][0]](seed), seed
-        self.setup = setup_of(self.case.device, self.case.device.experiments[0])
-        self.rows: list[tuple[float, float, str, float]] = []
-
-    def try_walls(self, stiffness: Floats, damping: Floats, repetition: int = 0) -> tuple[np.ndarray, Floats]:
-        """Return verdicts and growth rates."""
-        batch = simulate(self.setup, stiffness, damping, seed=self.seed, repetition=repetition)
-        found = judge(batch)
-        return np.asarray(found.verdict), found.growth_per_s
-
-    def measure(self, stiffness: float, damping: float) -> None:
-        """Try a wall and keep the trial."""
-        again = sum(row[:2] == (stiffness, damping) for row in self.rows)
-        verdict, growth = self.try_walls(np.array([stiffness]), np.array([damping]), again)
-        self.rows.append((stiffness, damping, str(verdict[0]), float(growth[0])))
-
-    def course(self) -> Course:
-        """Return the trials so far as the planner reads them."""
-        columns = [np.array(column) for column in zip(*self.rows, strict=True)] or [np.empty(0)] * 4
-        stated = self.case.stated
-        length = stated.duration_s - stated.baseline_s
-        return Course(
-            *("case", stated.experiments[0].name, Tried(*columns), stated, stated.experiments[0]),
-            *(stated.sampling_period_s, length, stated.step, False),
-        )
-
-    def truth(self, dampings: Sequence[float]) -> tuple[Floats, Floats]:
-        """Return lower and upper end of the true limit of each damping."""
-        walls = np.linspace(0, HIGHEST, WALLS + 1)[1:]
-        K, B = np.tile(walls, len(dampings)), np.repeat(dampings, WALLS)
-        verdicts = self.try_walls(K, B)[0].reshape(-1, WALLS)
-        ends = []
-        for said in verdicts:
-            first = walls[said == "unstable"].min(initial=HIGHEST)
-            last = walls[said == "stable"].max(initial=0.0)
-            below = walls[(said == "stable") & (walls < first)].max(initial=0.0)
-            ends.append((below, walls[(said == "unstable") & (walls > last)].min(initial=HIGHEST)))
-        low, high = np.array(ends).T
-        return low, high
-
-
-def planned(rig: Rig, gentle: bool) -> dict[str, Any]:
-    """Run a course as the planner says."""
-    wish = Wish(gentle=gentle)
-    began = time.process_time()
-    asked = 0.0
-    while True:
-        start = time.process_time()
-        answer = plan_of(rig.course(), wish)
-        asked = max(asked, time.process_time() - start)
-        if answer.done or not answer.next or answer.trials_used >= MOST_TRIALS:
-            break
-        rig.measure(answer.next[0].stiffness, answer.next[0].damping)
-    estimate = np.array([point.estimate for point in answer.boundary], dtype=np.float64)
-    unstable = float(np.mean([row[2] == "unstable" for row in rig.rows]))
+def searched(rig: Rig, dampings: Sequence[float], ends: Any, name: str) -> dict[str, Any]:
+    """Run a course of the planner to its end."""
+    began, slowest, last = time.process_time(), 0.0, time.process_time()
+    course = []
+    for known in planned(rig, Wish(gentle=name == "gentle")):
+        slowest, last = max(slowest, time.process_time() - last), time.process_time()
+        course.append(known)
+    known = course[-1]
     return {
-        "trials": answer.trials_used,
-        "done": answer.done,
-        "unstable": unstable,
-        "estimate": estimate,
-        "slowest_s": asked,
+        "trials": known.trials,
+        "done": known.done,
+        "unstable": known.unstable,
+        "untold": int(np.isnan(known.limit).sum()),
+        "error": error_of(known, ends),
+        "slowest_s": slowest,
         "cpu_s": time.process_time() - began,
     }
 
 
-def bisected(rig: Rig, dampings: Sequence[float], largest: float) -> int:
-    """Return the trials of a bisection at each damping from 0 to 1.3 times the largest limit."""
-    low, high = np.zeros(len(dampings)), np.full(len(dampings), 1.3 * largest)
-    trials = 0
-    while (high - low).max() > 2 * ACCURACY * largest:
-        middle = 0.5 * (low + high)
-        unstable = rig.try_walls(middle, np.array(dampings))[0] == "unstable"
-        low, high = np.where(unstable, low, middle), np.where(unstable, middle, high)
-        trials += len(dampings)
-    return trials
-
-
-def random_error(
-    rig: Rig, dampings: Sequence[float], largest: float, trials: int, ends: tuple[Floats, Floats]
-) -> float:
-    """Return the largest error of limits by random walls, relative to the largest limit."""
-    random = np.random.default_rng(rig.seed)
-    K, place = random.uniform(0, 1.3 * largest, trials), random.integers(len(dampings), size=trials)
-    verdict = rig.try_walls(K, np.array(dampings)[place])[0]
-    found = [bracket(K[place == i], verdict[place == i]) for i in range(len(dampings))]
-    middle = np.array([0.5 * (of.bottom + min(of.top, 1.3 * largest)) for of in found])
-    return float(np.maximum(ends[0] - middle, middle - ends[1]).max(initial=0.0) / largest)
-
-
-def run(kind: str, seed: int) -> dict[str, Any]:
+def run(kind: str, seed: int, goals: Sequence[str]) -> dict[str, Any]:
     """Run one device by all methods."""
-    rig, spared = Rig(kind, seed), Rig(kind, seed)
-    dampings = wanted_dampings(rig.course(), Wish())
-    ends = rig.truth(dampings)
-    largest = float(ends[0].max())
     found: dict[str, Any] = {"kind": kind, "seed": seed}
-    for name, of, gentle in (("plan", rig, False), ("gentle", spared, True)):
-        result = planned(of, gentle)
-        estimate = result.pop("estimate")
-        error = np.maximum(ends[0] - estimate, estimate - ends[1]).max(initial=0.0) / max(largest, 1.0)
-        found |= {f"{name}_{key}": value for key, value in result.items()} | {f"{name}_error": float(error)}
-    found["bisection_trials"] = bisected(rig, dampings, largest)
-    found["random_error"] = random_error(rig, dampings, largest, found["plan_trials"], ends)
-    found["thesis_trials"] = int((np.ceil(ends[1] / COARSE_STEP) + FINE_STEPS - 1).sum())
+    rig = Rig(kind, seed)
+    dampings = wanted_dampings(rig.course(), Wish())
+    if set(goals) & {"boundary", "gentle"}:
+        ends = rig.truth(dampings)
+        largest = float(ends[0].max())
+    if "boundary" in goals:
+        found["plan"] = searched(rig, dampings, ends, "plan")
+        *_, halved = bisected(rig, dampings, largest, ACCURACY)
+        (random,) = at_random(rig, dampings, largest, [found["plan"]["trials"]])
+        (thesis,) = as_in_the_thesis(*ends, [1])
+        for name, known in (("bisection", halved), ("random", random), ("thesis", thesis)):
+            found[name] = {"trials": known.trials, "error": error_of(known, ends)}
+    if "gentle" in goals:
+        found["gentle"] = searched(Rig(kind, seed), dampings, ends, "gentle")
+    if "optimum" in goals:
+        began = time.process_time()
+        best = look_for_best(Rig(kind, seed))
+        found["optimum"] = {**vars(best), "cpu_s": time.process_time() - began}
     return found
+
+
+def _column(rows: list[dict[str, Any]], method: str, name: str) -> np.ndarray:
+    return np.array([row[method][name] for row in rows if method in row], dtype=np.float64)
+
+
+def line(kind: str, rows: list[dict[str, Any]]) -> str:
+    """Return the row of a kind."""
+    text = f"{kind:11s} {len(rows):3d}"
+    for method, most in (("plan", MOST[kind]), ("gentle", GENTLE_TRIALS)):
+        trials, error, done = (_column(rows, method, name) for name in ("trials", "error", "done"))
+        if not len(trials):
+            text += " | " + "-".center(38)
+            continue
+        wrong = float(np.mean((error > ACCURACY) & (done > 0)))
+        text += (
+            f" | {np.median(trials):5.1f} <= {most:2d} {trials.max():4.0f}"
+            f" {np.median(_column(rows, method, 'unstable')):5.0%} {wrong:5.0%} {np.mean(done == 0):5.0%}"
+            f" {_column(rows, method, 'untold').sum():3.0f}"
+        )
+    trials, above, done = (_column(rows, "optimum", name) for name in ("trials", "above", "done"))
+    if len(trials):
+        text += f" | {np.median(trials):4.1f} <= {OPTIMUM_TRIALS} {trials.max():3.0f}"
+        text += f" {np.median(above):5.1%} {above.max():6.1%}"
+        text += f" {np.mean((above > COST) & (done > 0)):5.0%} {np.mean(done == 0):5.0%}"
+    if len(_column(rows, "bisection", "trials")):
+        others = (f"{np.median(_column(rows, name, 'trials')):5.0f}" for name in ("bisection", "thesis"))
+        text += " | " + " ".join(others) + f" {np.median(_column(rows, 'random', 'error')):6.1%}"
+        text += f" {_column(rows, 'plan', 'slowest_s').max():5.2f} s"
+    return text
+
+
+HEAD = (
+    "kind          n | plan: median, most, unstable, wrong, not done, untold | gentle: the same | "
+    "optimum: median, most, cost above the least (median, worst), wrong, not done | bisection, thesis, random's error, "
+    "slowest answer"
+)
 
 
 def main() -> None:
     """Parse, run, print."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--kind", action="append", choices=list(KINDS))
+    parser.add_argument("--goal", action="append", choices=GOALS)
     parser.add_argument("--out", type=Path)
+    parser.add_argument("--read", type=Path, nargs="+", help="Print what earlier runs found, and run nothing.")
     asked = parser.parse_args()
-    rows = []
-    print(
-        f"{'kind':12s} {'trials':>6s} {'limit':>5s} {'most':>5s} {'wrong':>6s}  | {'gentle':>6s} {'limit':>5s} "
-        f"{'unstable':>8s} {'wrong':>6s}  | {'bisection':>9s} {'thesis':>6s} {'random off':>10s}  slowest answer"
-    )
-    for kind in asked.kind or KINDS:
-        of = [run(kind, seed) for seed in range(asked.seeds)]
-        rows += of
-
-        def median(key: str, of: list[dict[str, Any]] = of) -> float:
-            return float(np.median([row[key] for row in of]))
-
-        wrong = {name: np.mean([row[f"{name}_error"] > ACCURACY for row in of]) for name in ("plan", "gentle")}
-        print(
-            f"{kind:12s} {median('plan_trials'):6.1f} {KINDS[kind][1]:5d} {max(row['plan_trials'] for row in of):5d} "
-            f"{wrong['plan']:6.0%}  | {median('gentle_trials'):6.1f} {GENTLE_TRIALS:5d} "
-            f"{median('gentle_unstable'):8.0%} {wrong['gentle']:6.0%}  | {median('bisection_trials'):9.0f} "
-            f"{median('thesis_trials'):6.0f} {median('random_error'):10.1%}  "
-            f"{max(row['plan_slowest_s'] for row in of):.2f} s",
-            flush=True,
-        )
-    if asked.out:
-        asked.out.write_text(json.dumps(rows, indent=1), encoding="utf-8")
+    merged: dict[tuple[str, int], dict[str, Any]] = {}
+    for file in asked.read or ():
+        for row in json.loads(file.read_text(encoding="utf-8")):
+            merged.setdefault((row["kind"], row["seed"]), {}).update(row)
+    print(HEAD)
+    chosen = asked.kind or list(KINDS)
+    for seed in range(asked.first, asked.first + asked.seeds) if not asked.read else ():
+        for kind in chosen:
+            merged[kind, seed] = run(kind, seed, asked.goal or GOALS)
+            if asked.out:
+                asked.out.write_text(json.dumps(list(merged.values()), indent=1), encoding="utf-8")
+    for kind in chosen:
+        own = [row for (of, _), row in merged.items() if of == kind]
+        if own:
+            print(line(kind, own), flush=True)
 
 
 if __name__ == "__main__":

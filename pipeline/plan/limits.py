@@ -7,10 +7,13 @@ from math import erf, inf, sqrt
 
 import numpy as np
 
-from pipeline.plan.model import Forecast, Range, evidence, forecast, told_by_rates
+from pipeline.plan.evidence import Evidence, evidence, informative, told_by_rates
+from pipeline.plan.fitted import Fitted
+from pipeline.plan.forecast import INADEQUATE, Forecast, forecast, found_misfit
+from pipeline.plan.model import Range, foretold
 from pipeline.plan.split import Split, best_split
 from pipeline.plan.verdicts import Bracket, Tried, bracket
-from pipeline.records.batch import Floats
+from pipeline.records.batch import Booleans, Floats
 
 DOUBT = 0.08
 """Chance that the limit lies anywhere in its bracket whatever the model says."""
@@ -28,6 +31,16 @@ errors; but no farther than this share of it, else nothing would be learnt."""
 CLOSE = 1.8
 """Width of a bracket that is narrow enough, in wanted accuracies: a little less than twice, since a verdict next to the
 limit may be wrong, and the largest limit is not known to the last."""
+
+ASIDE = 0.25
+"""Distance from an undecided wall, in widths of a bracket, from which on another one may tell more."""
+
+BEGIN, STAIRS = 0.95, (0.8, 0.92)
+"""Where a rig is to be spared: first wall of a damping, relative to the limit that a loop foretells which explains the
+logs; its decay and that of a stiffer one then make a line. And the first walls where no loop explains them."""
+
+UNTOLD = 3
+"""Undecided trials between the ends of a bracket after which verdicts do not tell the limit."""
 
 LEAST = 0.01
 """Largest limit below which no stable wall is looked for any more, relative to that expected at first."""
@@ -52,6 +65,8 @@ class Aim:
         Smallest and largest K that may be tried [N/m, Nm/rad].
     force : float
         Largest command that a trial may have shown [N, Nm]; no stiffer wall is tried at its damping.
+    area : bool
+        Whether the accuracy is that of the area under the limits, relative to it.
     """
 
     dampings: tuple[float, ...]
@@ -60,6 +75,7 @@ class Aim:
     lowest: float = 0.0
     highest: float = inf
     force: float = inf
+    area: bool = False
 
 
 @dataclass(frozen=True)
@@ -77,6 +93,20 @@ class Column:
     wall: float | None = None
     note: str = ""
     nothing: bool = False
+
+
+@dataclass(frozen=True)
+class Expected:
+    """What is expected of one damping: limit and standard error, and whether a loop that explains the logs says so.
+
+    ``adequate`` is whether it may propose; ``beyond`` whether softer dampings have shown that the region has ended.
+    """
+
+    limit: float
+    error: float
+    adequate: bool
+    explains: bool = False
+    beyond: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +128,7 @@ class State:
         return sum(_trials_left(column) for column in self.columns)
 
 
-def state(tried: Tried, aim: Aim, around: Range, start: Forecast | None = None) -> State:
+def state(tried: Tried, aim: Aim, around: Range, start: Forecast | None = None, device: Fitted | None = None) -> State:
     """Return what is known and left to do at each damping.
 
     Parameters
@@ -110,32 +140,46 @@ def state(tried: Tried, aim: Aim, around: Range, start: Forecast | None = None) 
         Where limits are looked for before trials tell.
     start : Forecast, optional
         What is known before any trial; used where there is none.
+    device : Fitted, optional
+        The device that the logs show.
     """
     levels = np.unique(np.concatenate([tried.damping, aim.dampings]))
     rows = {float(b): tried.select(tried.damping == b) for b in levels}
     found = {b: bracket(own.stiffness, own.verdict) for b, own in rows.items()}
     seen = evidence(tried, levels, [(found[float(b)].bottom, found[float(b)].top) for b in levels])
     wanted = np.array(aim.dampings)
-    ahead = start if start is not None and not len(tried) else forecast(around, seen, wanted)
+    ahead = start if start is not None and not len(tried) else likeliest(around, seen, wanted, device)
     ends = np.array([(found[b].bottom, min(found[b].top, aim.highest)) for b in aim.dampings])
     value, error = beyond_zero(ahead, wanted, ends, aim)
     largest = _largest(np.clip(value, ends[:, 0], ends[:, 1]), ends, around)
+    if aim.area:
+        # limits that are known to the accuracy of the mean one make an area that is
+        mean = float(np.trapezoid(np.clip(value, ends[:, 0], ends[:, 1]), wanted)) / max(float(np.ptp(wanted)), 1e-300)
+        largest = min(max(mean, LEAST * largest), largest) if len(wanted) > 1 else largest
     width = CLOSE * aim.accuracy * largest
     found |= {b: bracket(rows[b].stiffness, rows[b].verdict, width) for b in aim.dampings}
+    ended = region_ended(wanted, ends)
+    expected = [
+        Expected(float(v), float(e), ahead.adequate, ahead.explains, bool(b))
+        for v, e, b in zip(value, error, ended, strict=True)
+    ]
     columns = tuple(
-        _column(
-            float(b),
-            found[float(b)],
-            rows[float(b)],
-            (float(v), float(e)),
-            aim,
-            around.trial_s,
-            largest,
-            ahead.adequate,
-        )
-        for b, v, e in zip(wanted, value, error, strict=True)
+        _column(b, found[b], rows[b], told, aim, around.trial_s, largest)
+        for b, told in zip(wanted.tolist(), expected, strict=True)
     )
     return State(columns, largest, ahead)
+
+
+def likeliest(around: Range, seen: Evidence, dampings: Floats, device: Fitted | None) -> Forecast:
+    """Return the forecast of the device that the logs show, or of a set of loops where that misses less."""
+    by = None if device is None else device.foretold(dampings, seen.damping)
+    if by is not None and by.largest > 0:
+        by = replace(by, misfit=found_misfit(by, seen))
+        if by.explains and by.misfit < INADEQUATE:
+            return forecast(by, seen, dampings)
+    loops = foretold(around, seen, dampings)
+    better = by is not None and by.largest > 0 and by.misfit <= loops.misfit
+    return forecast(by if by is not None and better else loops, seen, dampings)
 
 
 def beyond_zero(ahead: Forecast, dampings: Floats, ends: Floats, aim: Aim) -> tuple[Floats, Floats]:
@@ -163,69 +207,95 @@ def _largest(limit: Floats, ends: Floats, around: Range) -> float:
     return float(np.clip(limit.max(), known, HIGHER * known))
 
 
+def region_ended(dampings: Floats, ends: Floats) -> Booleans:
+    """Return which dampings lie beyond one, itself beyond that of a stable wall, where no wall was stable."""
+    none = (ends[:, 0] == 0) & np.isfinite(ends[:, 1])
+    stable = dampings[ends[:, 0] > 0]
+    none &= dampings > stable.max(initial=-inf) if len(stable) else False
+    return np.asarray((dampings > dampings[none].min(initial=inf)) & (ends[:, 0] == 0))
+
+
 def _column(
-    damping: float,
-    of: Bracket,
-    own: Tried,
-    told: tuple[float, float],
-    aim: Aim,
-    trial_s: float,
-    largest: float,
-    adequate: bool,
+    damping: float, of: Bracket, own: Tried, told: Expected, aim: Aim, trial_s: float, largest: float
 ) -> Column:
-    value, error = told
+    value = told.limit
     top = min(of.top, aim.highest, own.stiffness[own.force > aim.force].min(initial=inf))
     width, half = CLOSE * aim.accuracy * largest, aim.accuracy * largest
     if of.again:
         return Column(damping, of, float(np.clip(value, of.bottom, top)), None, of.again[0], "contradiction")
     if of.high is not None and of.high - of.bottom <= width:
-        doubted = doubtful_ends(own, of, trial_s)
+        doubted = doubtful_ends(own, of, trial_s, gentle=aim.gentle, explains=told.explains)
         if doubted:
             again = replace(of, again=doubted)
             return Column(damping, again, float(np.clip(value, of.bottom, top)), None, doubted[0], "weak")
         return Column(damping, of, float(np.clip(value, of.high - half, of.bottom + half)), None)
+    open_walls = undecided(own, of)
+    if len(open_walls) >= UNTOLD:
+        return Column(damping, of, None, None, None, "undecided")
     estimate = float(np.clip(value, of.bottom, of.top))
     if of.bottom >= 0.99 * top or top <= aim.lowest:
         return Column(damping, of, estimate, None, None, "limit of the tests")
-    if aim.gentle and from_below(own, of, half):
-        return Column(damping, of, estimate, None)
-    edges = walls(max(of.bottom, aim.lowest), top, estimate, error, width, largest)
-    chance = chances(edges, value, error if adequate else inf)
+    if aim.gentle and told.explains and told.beyond and value < half:
+        return Column(damping, of, estimate, None, None, "beyond the region")
+    if aim.gentle and from_below(own, of, half, told):
+        return Column(damping, of, estimate, None, None, "from below")
+    edges = walls(max(of.bottom, aim.lowest), top, estimate, told.error, width, largest)
+    for wall in open_walls:
+        edges = edges[(np.abs(edges - wall) > ASIDE * width) | (edges == edges[0]) | (edges == edges[-1])]
+    chance = chances(edges, value, told.error if told.adequate else inf)
     split = best_split(edges, chance, width, GENTLE_PRICE if aim.gentle else 1.0)
     if split is None:
         return Column(damping, of, estimate, None)
     wall = float(edges[split.place])
     if aim.gentle:
-        safe = value - max(NEAR * half, SAFE * error)
-        safe = max(safe, BOLD * value)
+        safe = _safe(own, told, half)
         wall = min(wall, safe) if safe > of.bottom + 0.2 * half else wall
     return Column(damping, of, estimate, split, wall, nothing=of.bottom == 0 and value < half)
 
 
-def doubtful_ends(own: Tried, of: Bracket, trial_s: float) -> tuple[float, ...]:
+def undecided(own: Tried, of: Bracket) -> Floats:
+    """Return the walls between the ends of a bracket whose trials were undecided, one for each trial."""
+    inside = (own.stiffness > of.bottom) & (own.stiffness < of.top)
+    return np.asarray(own.stiffness[inside & (own.verdict == "undecided")])
+
+
+def _safe(own: Tried, told: Expected, half: float) -> float:
+    """Return the stiffest wall that spares the rig: one whose decay tells something, then one close to the limit."""
+    stairs = (BEGIN - half / max(told.limit, half),) if told.explains else STAIRS
+    climbed = int((own.verdict == "stable").sum() if not told.explains else np.isfinite(informative(own)).sum())
+    if climbed < len(stairs):
+        return stairs[climbed] * told.limit
+    return max(told.limit - max(NEAR * half, SAFE * told.error), BOLD * told.limit)
+
+
+def doubtful_ends(own: Tried, of: Bracket, trial_s: float, *, gentle: bool, explains: bool) -> tuple[float, ...]:
     """Return the ends of a bracket that were tried once, with a growth that hardly changes the motion over the log.
 
-    Noise and friction may have made such a verdict; a second trial of the wall must say the same.
+    Noise and friction may have made such a verdict; a second trial of the wall must say the same. Where a rig is to be
+    spared no unstable wall is tried twice, since to call a stable one unstable is on the safe side; but the stable one
+    is wherever no loop explains the logs.
     """
     ends = []
-    for wall in (of.low, of.high):
+    for wall in (of.low,) if gentle else (of.low, of.high):
         trials = np.flatnonzero(own.stiffness == wall)
-        if len(trials) == 1 and abs(own.growth[trials[0]]) * trial_s < WEAK:
+        weak = len(trials) == 1 and abs(own.growth[trials[0]]) * trial_s < WEAK
+        if weak or (gentle and not explains and len(trials) == 1):
             ends.append(float(own.stiffness[trials[0]]))
     return tuple(ends)
 
 
-def from_below(own: Tried, of: Bracket, half: float) -> bool:
+def from_below(own: Tried, of: Bracket, half: float, told: Expected) -> bool:
     """Whether the decay of stable trials at one damping tells its limit without an unstable one.
 
-    Two growth rates must tell it by the line through them, and the stiffest stable wall lie no farther below it than
-    the wanted accuracy.
+    Two growth rates must tell it by the line through them, the loop that explains the logs must say the same, and the
+    stiffest stable wall lie no farther below both than the wanted accuracy. Without such a loop it takes an unstable
+    wall: friction bends the line.
     """
-    if of.low is None:
+    if of.low is None or not told.explains or abs(told.limit - of.low) + told.error > half:
         return False
     seen = evidence(own, own.damping[:1], [(of.bottom, of.top)])
-    told, error = told_by_rates(seen, seen.slope)
-    return bool(np.isfinite(seen.slope[0]) and abs(told[0] - of.low) + error[0] < half and told[0] <= of.top)
+    limit, error = told_by_rates(seen, seen.slope)
+    return bool(np.isfinite(seen.slope[0]) and abs(limit[0] - of.low) + error[0] < half and limit[0] <= of.top)
 
 
 def walls(bottom: float, top: float, value: float, error: float, width: float, largest: float) -> Floats:

@@ -27,9 +27,9 @@ from pipeline.measured.stages.stages import ExperimentStages, cost_column
 from pipeline.records.batch import Floats, Integers
 from pipeline.records.criteria import REPORTED
 from pipeline.service.database import Database
-from pipeline.store.exclusions import EXCLUSIONS_FILE, Exclusion, Key, read_exclusions, split_trials
+from pipeline.store.exclusions import Exclusion, Key, read_exclusions, split_trials
 from pipeline.store.names import name_of_folder
-from pipeline.store.storage import natural_key, read_trials, stage_file, trials_files
+from pipeline.store.storage import EXCLUSIONS_FILE, natural_key, read_trials, stage_file, trials_files
 
 LOOK_S = 0.5
 """Longest time after which a change by the command line is seen [s]."""

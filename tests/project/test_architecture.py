@@ -24,11 +24,11 @@ DIRECTLY: dict[str, tuple[str, ...]] = {
     "theory": ("loop",),
     "simulation": ("device_data", "store", "loop"),
     "rendering": ("records",),
-    "comparison": ("store", "device_data", "profiles", "measured", "theory", "rendering"),
     "plan": ("store", "device_data", "measured", "theory"),
+    "comparison": ("profiles", "rendering", "plan"),
     "surface": ("intake", "simulation", "comparison"),
     # they hold estimators against simulated truth, whose exact costs and limits are those of theory
-    "studies": ("measured", "theory", "simulation", "rendering"),
+    "studies": ("measured", "theory", "simulation", "rendering", "plan"),
 }
 """Folders that the modules of a folder may import from, as in docs/architecture.md; and all that these may."""
 

@@ -12,7 +12,7 @@ from pipeline.comparison.loops.causes import direct_causes
 from pipeline.comparison.loops.fitted_loop import loop_range, mode_parameters, with_filter
 from pipeline.comparison.loops.log_evidence import LawDeparture, found_filter, law_departures
 from pipeline.comparison.loops.loop_range import LoopRange, estimated_range, stated_range
-from pipeline.comparison.loops.loop_record import exact, filter_of, filter_parameters, stated_parameters
+from pipeline.comparison.loops.loop_record import exact, filter_parameters, stated_parameters
 from pipeline.comparison.loops.passive_wall import passive_wall
 from pipeline.measured.experiment.fitted_device import fitted_device
 from pipeline.measured.experiment.rest_forces import rest_forces
@@ -85,7 +85,7 @@ def _filter(stages: ExperimentStages, departures: list[LawDeparture]) -> Velocit
     if not any(each.code == "velocity_filter" and each.logs > 0.5 * each.of for each in departures):
         return None
     found = found_filter(stages)
-    return filter_of(found) if found is not None else None
+    return found.declared if found is not None else None
 
 
 def _estimated(result: ExperimentResult, stages: ExperimentStages, shown: Shown) -> LoopRange | None:

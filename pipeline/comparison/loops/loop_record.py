@@ -3,17 +3,8 @@
 from __future__ import annotations
 
 from pipeline.measured.signal.velocity_filter import VelocityFilterFound
-from pipeline.records.loop_parts import Butterworth, Coefficients, Difference, LoopParts, Mode, VelocityFilter
+from pipeline.records.loop_parts import Butterworth, Difference, LoopParts, Mode, VelocityFilter
 from pipeline.records.loop_records import LoopResult, Parameter
-
-
-def filter_of(found: VelocityFilterFound) -> VelocityFilter:
-    """Return a filter that logs show as a part of a loop."""
-    if found.difference:
-        return Difference(kind="difference", samples=found.difference)
-    if found.cutoff_hz:
-        return Butterworth(kind="butterworth", order=len(found.a) - 1, cutoff_hz=found.cutoff_hz)
-    return Coefficients(kind="coefficients", b=found.b, a=found.a)
 
 
 def parts_of(loop: LoopResult) -> LoopParts:
@@ -22,12 +13,12 @@ def parts_of(loop: LoopResult) -> LoopParts:
     if loop.velocity is not None:
         v = {name: each.value for name, each in loop.velocity.items()}
         if "samples" in v:
-            velocity = filter_of(VelocityFilterFound((), difference=int(v["samples"])))
+            velocity = VelocityFilterFound((), difference=int(v["samples"])).declared
         elif "cutoff_hz" in v:
-            velocity = filter_of(VelocityFilterFound((), (0.0,) * (int(v["order"]) + 1), cutoff_hz=v["cutoff_hz"]))
+            velocity = VelocityFilterFound((), (0.0,) * (int(v["order"]) + 1), cutoff_hz=v["cutoff_hz"]).declared
         else:
             b, a = (tuple(value for name, value in v.items() if name[0] == side) for side in "ba")
-            velocity = filter_of(VelocityFilterFound(b, a))
+            velocity = VelocityFilterFound(b, a).declared
     if loop.mode is not None:
         m = {name: each.value for name, each in loop.mode.items()}
         far = m.pop("sensor_at_load")

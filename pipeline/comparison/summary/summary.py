@@ -66,6 +66,7 @@ def summarise(
         Sentence(_distance(lead, units) if lead else "", BOUNDARY),
         *(Sentence(text, SCORES) for text in (causes(lead, units)[:MOST_CAUSES] if lead else ())),
         *_loops(results, units),
+        Sentence(_saving(results), BOUNDARY),
         Sentence(_device(results), EXPERIMENTS),
     ]
     known = tuple(s for s in found if s.text)
@@ -99,6 +100,19 @@ def _loops(results: Sequence[ExperimentResult], units: Units) -> list[Sentence]:
         passive = next((r for r in results if r.passive_reason and r.loop is not None and r.loop.adequate), None)
     said.append(passive_choice(passive, units) if passive else "")
     return [Sentence(text, EXPERIMENTS) for text in said]
+
+
+def _saving(results: Sequence[ExperimentResult]) -> str:
+    """How many trials would have been enough."""
+    found = next(((r.experiment, r.saving) for r in results if r.saving is not None), None)
+    if found is None:
+        return ""
+    experiment, saving = found
+    return (
+        f"Of the {counted(saving.trials, 'trial')} of experiment {experiment} with a wall, {saving.enough} would have "
+        f"told the limits at {saving.dampings} dampings to {share_text(saving.accuracy, 0)} % of the largest, "
+        f"had pipeline plan chosen them: {saving.trials - saving.enough} could have been saved."
+    )
 
 
 def _region(results: Sequence[ExperimentResult]) -> str:

@@ -8,9 +8,11 @@ from typing import Self
 
 import numpy as np
 
-from pipeline.measured.fit.fit_window import Window
+from pipeline.measured.fit.fit import allowed_misfit, problems
+from pipeline.measured.fit.fit_window import Window, cut, usable_rows
 from pipeline.measured.ladder.open_loop import Commands
-from pipeline.records.batch import Booleans, Floats, Integers
+from pipeline.measured.signal.response import Response
+from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
 
 MOST_TRIALS = 400
 """Trials that are looked at, half of them held out: a parameter known to 1 % from one trial is known to 0.07 %."""
@@ -93,6 +95,17 @@ class LadderTrials:
 
     def __len__(self) -> int:
         return len(self.command)
+
+
+def windowed(batch: TrialBatch, response: Response) -> tuple[Integers, LadderTrials | None]:
+    """Return the indices of the trials of a batch that can be fitted, and these; None where there are none."""
+    edge = response.edge_row
+    first, last = usable_rows(batch, response, edge)
+    good = np.flatnonzero([not text for text in problems(batch, response, edge, first, last)])
+    if not len(good):
+        return good, None
+    window = cut(batch.select(good), response.select(good), edge[good], first[good], last[good])
+    return good, LadderTrials.of(window, allowed_misfit(window))
 
 
 def _padded(values: np.ndarray, rows: int) -> np.ndarray:

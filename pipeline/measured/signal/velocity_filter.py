@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.records.batch import Booleans, Floats
+from pipeline.records.loop_parts import Butterworth, Coefficients, Difference, VelocityFilter
 
 HIGHEST_ORDER = 4
 """Of a recursive velocity filter that is looked for; the thesis and drives use 1 or 2."""
@@ -33,6 +34,15 @@ class VelocityFilterFound:
     a: tuple[float, ...] = (1.0,)
     difference: int | None = None
     cutoff_hz: float | None = None
+
+    @property
+    def declared(self) -> VelocityFilter:
+        """As a device file would declare it."""
+        if self.difference:
+            return Difference(kind="difference", samples=self.difference)
+        if self.cutoff_hz:
+            return Butterworth(kind="butterworth", order=len(self.a) - 1, cutoff_hz=self.cutoff_hz)
+        return Coefficients(kind="coefficients", b=self.b, a=self.a)
 
     def words(self) -> str:
         """Return what the filter does to the velocity."""

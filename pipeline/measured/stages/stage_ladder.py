@@ -8,13 +8,11 @@ from typing import Any
 import numpy as np
 
 from pipeline.measured.explained import EXPLAINED
-from pipeline.measured.fit.fit import allowed_misfit, problems
-from pipeline.measured.fit.fit_window import cut, usable_rows
 from pipeline.measured.ladder.device import LIMITS, Device
 from pipeline.measured.ladder.ladder import FEWEST_TRIALS, Rung, climb
 from pipeline.measured.ladder.parts import GROUPS
 from pipeline.measured.ladder.physical import in_si
-from pipeline.measured.ladder.trials import LadderTrials, spread_over_plane
+from pipeline.measured.ladder.trials import LadderTrials, spread_over_plane, windowed
 from pipeline.measured.stages.stage_given import Experiment
 from pipeline.measured.stages.stage_groups import Columns, Given, TrialGroup
 from pipeline.records.batch import Booleans
@@ -108,12 +106,6 @@ def windows(group: TrialGroup, given: Given) -> tuple[Any, Any, LadderTrials, tu
     some = np.array([name in set(given["chosen"]) for name in of.batch.trial_id])
     if not some.any():
         return None
-    batch, response = of.batch.select(np.flatnonzero(some)), of.found.select(np.flatnonzero(some))
-    edge = response.edge_row
-    first, last = usable_rows(batch, response, edge)
-    good = np.flatnonzero([not text for text in problems(batch, response, edge, first, last)])
-    if not len(good):
-        return None
-    batch = batch.select(good)
-    window = cut(batch, response.select(good), edge[good], first[good], last[good])
-    return batch.stiffness, batch.damping, LadderTrials.of(window, allowed_misfit(window)), batch.trial_id
+    batch = of.batch.select(np.flatnonzero(some))
+    good, trials = windowed(batch, of.found.select(np.flatnonzero(some)))
+    return None if trials is None else (batch.stiffness[good], batch.damping[good], trials, batch.select(good).trial_id)

@@ -19,7 +19,7 @@ from pipeline.shell.commands.options import Processed
 
 if TYPE_CHECKING:
     from pipeline.plan.answer import Plan
-    from pipeline.plan.planner import Wish
+    from pipeline.plan.course import Wish
 
 
 class Goal(StrEnum):
@@ -43,6 +43,9 @@ def plan(
     accuracy: Annotated[
         float, typer.Option("--accuracy", help="Wanted largest error of a limit, in percent of the largest limit.")
     ] = 2.0,
+    area: Annotated[
+        bool, typer.Option("--area", help="The accuracy is that of the area under the limits, relative to it.")
+    ] = False,
     gentle: Annotated[bool, typer.Option("--gentle", help="Prefer stable walls, approach limits from below.")] = False,
     max_stiffness: Annotated[
         float, typer.Option("--max-stiffness", help="Largest K to try.", show_default=False)
@@ -72,7 +75,7 @@ def plan(
 
     Example: pipeline plan --device falcon --experiment 1 --watch logs --gentle
     """
-    from pipeline.plan.planner import Wish
+    from pipeline.plan.course import Wish
     from pipeline.plan.planner import plan as plan_stored
     from pipeline.records.criteria import MEASURED
 
@@ -98,6 +101,7 @@ def plan(
         max_damping,
         max_force,
         max_travel,
+        area,
     )
     if watch:
         _watch(watch, device, processed, experiment, wish, profile, as_json)
@@ -151,6 +155,16 @@ def _watch(
         )
 
 
+def _print_limits(answer: Plan) -> None:
+    """Print what is known of the limits."""
+    for limit in answer.boundary:
+        value = "not told" if limit.estimate is None else f"{limit.estimate:.5g}"
+        ends = f"stable at {limit.low or 0:.5g}" + ("" if limit.high is None else f", unstable at {limit.high:.5g}")
+        console.say(f"B = {limit.damping:g}: limit {value} ({ends}){'; ' + limit.note if limit.note else ''}")
+    if answer.area is not None:
+        console.say(f"area {answer.area.estimate:.5g}, between {answer.area.low:.5g} and {answer.area.high:.5g}")
+
+
 def _print(answer: Plan, as_json: bool, line: bool = False) -> None:
     if as_json and line:
         sys.stdout.write(json.dumps(answer.model_dump(mode="json"), allow_nan=False) + "\n")
@@ -159,6 +173,15 @@ def _print(answer: Plan, as_json: bool, line: bool = False) -> None:
     else:
         for wall in answer.next:
             console.say(f"K = {wall.stiffness:g}, B = {wall.damping:g}: expected {wall.expected}. {wall.why}")
+        for remark in answer.remarks:
+            console.say(remark)
+        if (best := answer.optimum) is not None:
+            least = "" if best.expected_cost is None else f"; {best.expected_cost:.4g} expected at the least"
+            console.say(
+                f"best {best.criterion} so far: {best.cost:.4g} at K = {best.stiffness:g}, B = {best.damping:g}{least}"
+            )
+        if answer.done:
+            _print_limits(answer)
         state = "done" if answer.done else f"about {answer.trials_expected} in all"
         console.say(f"{answer.trials_used} trials so far, {state}")
     if line:

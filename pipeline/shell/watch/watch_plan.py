@@ -4,17 +4,41 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
 from pathlib import Path
 
 from pipeline.base.errors import StoreError
+from pipeline.base.process_pool import process_pool
 from pipeline.intake.ingest import ingest
+from pipeline.measured.ladder.device import Device
+from pipeline.measured.ladder.ladder import Rung
+from pipeline.measured.ladder.trials import LadderTrials
 from pipeline.plan.answer import Plan
-from pipeline.plan.planner import Wish, plan
+from pipeline.plan.course import Wish, open_course
+from pipeline.plan.fitted import Fitted, at_once
+from pipeline.plan.planner import plan_of
 from pipeline.shell.watch.watch_files import Arrivals, look_at
 
 INTERVAL_S, SETTLE_S = 0.1, 0.3
 """Time between two looks, and for which a log must stay the same before it is read [s]: the next wall is told within
 a second."""
+
+
+class Beside:
+    """Looks for the parts of a device in another process, so that no answer waits for it."""
+
+    def __init__(self, pool: ProcessPoolExecutor) -> None:
+        self.pool = pool
+        self.running: Future[Rung] | None = None
+
+    def __call__(self, trials: LadderTrials, ideal: Device) -> Rung | None:
+        """Return what was found since it was first asked; None as long as it looks."""
+        if self.running is None:
+            self.running = self.pool.submit(at_once, trials, ideal)
+        if not self.running.done():
+            return None
+        found, self.running = self.running.result(), None
+        return found
 
 
 def watch_plan(
@@ -44,32 +68,36 @@ def watch_plan(
     stopped : callable
         Asked between two looks.
     """
-    arrivals = Arrivals(SETTLE_S)
-    arrivals.update(look_at(folders, (), (processed,)).states, time.monotonic() - SETTLE_S)
-    told: set[tuple[str, str]] = set()
-    first = True
-    while not stopped():
-        now = time.monotonic()
-        arrivals.update(look_at(folders, (), (processed,)).states, now)
-        if not (first or arrivals.ready(now)):
-            time.sleep(INTERVAL_S)
-            continue
-        growing = arrivals.restless(now)
-        arrivals.take(now)
-        try:
-            report = ingest(folders, processed, profile, growing=tuple(growing))
-        except StoreError as error:  # another command writes there: the next look tries again
-            refused(str(error))
-            arrivals = Arrivals(SETTLE_S)
-            time.sleep(1.0)
-            continue
-        new = [(refusal.path, refusal.reason) for refusal in report.quarantined]
-        for path, reason in new:
-            if (path, reason) not in told:
-                refused(f"refused: {path}: {reason}")
-        told |= set(new)
-        answer = plan(name, processed, experiment, wish)
-        emit(answer)
-        if answer.done:
-            return
-        first = False
+    with process_pool(1) as pool:
+        look = Beside(pool)
+        arrivals = Arrivals(SETTLE_S)
+        arrivals.update(look_at(folders, (), (processed,)).states, time.monotonic() - SETTLE_S)
+        known: Fitted | None = None
+        told: set[tuple[str, str]] = set()
+        first = True
+        while not stopped():
+            now = time.monotonic()
+            arrivals.update(look_at(folders, (), (processed,)).states, now)
+            if not (first or arrivals.ready(now)):
+                time.sleep(INTERVAL_S)
+                continue
+            growing = arrivals.restless(now)
+            arrivals.take(now)
+            try:
+                report = ingest(folders, processed, profile, growing=tuple(growing))
+            except StoreError as error:  # another command writes there: the next look tries again
+                refused(str(error))
+                arrivals = Arrivals(SETTLE_S)
+                time.sleep(1.0)
+                continue
+            new = [(refusal.path, refusal.reason) for refusal in report.quarantined]
+            for path, reason in new:
+                if (path, reason) not in told:
+                    refused(f"refused: {path}: {reason}")
+            told |= set(new)
+            course = open_course(name, processed, experiment, wish, known, look)
+            known, answer = course.fitted, plan_of(course, wish)
+            emit(answer)
+            if answer.done:
+                return
+            first = False

@@ -18,6 +18,7 @@ from pipeline.studies.accuracy.parameter_ladders import parameter_rungs
 from pipeline.studies.accuracy.rungs import BUDGET, grouped, sorted_by
 from pipeline.studies.accuracy.sweeps import sweeps
 from pipeline.studies.accuracy.theory_ladders import theory_ladders
+from pipeline.studies.planning.rungs import planning_rungs, saving
 
 THEORY_BUDGET, QUICK_THEORY_BUDGET = 0.12, 0.03
 """Seconds that a method of theory is repeated for; its minimum settles within a few dozen repetitions."""
@@ -86,6 +87,7 @@ def measure_measured(quick: bool = False, say: Say = lambda _: None) -> Measured
         rungs += ladder.rungs(quick, BUDGET)
     for condition in conditions:
         rungs += course_rungs(condition, coarsenings, courses, say)
+    rungs += planning_rungs(quick, say)
     return assemble(rungs, tuple(c.label for c in conditions), time.perf_counter() - begin, courses)
 
 
@@ -106,7 +108,7 @@ def assemble(rungs: Sequence[Rung], labels: Sequence[str], seconds: float, cours
     return MeasuredAccuracy(
         rungs=tuple(rungs),
         advice=_advice(measured_advice.advise, rungs),
-        course_length=tuple(measured_advice.course_length(label, rungs) for label in labels),
+        course_length=(*(measured_advice.course_length(label, rungs) for label in labels), *saving(rungs)),
         summary=measured_advice.summarise(rungs),
         conditions=tuple(text.format(courses=courses) for text in words()["conditions"]),
         seconds=seconds,

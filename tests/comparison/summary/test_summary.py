@@ -125,6 +125,7 @@ def test_summary_leaves_out_what_is_not_known(result):
             "optimum": {},
             "loop": None,
             "passive": None,
+            "saving": None,
         }
     )
     (sentence,) = summarise(None, [bare], (), FALCON)

@@ -1,0 +1,231 @@
+"""Trials of one experiment so far, what is asked for, and where it begins."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import inf
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import pyarrow as pa
+
+from pipeline.base.errors import DeviceError, UsageError
+from pipeline.device_data.devices import declared_spring, find_experiment, known_devices, read_device
+from pipeline.loop.device_loop import general, loop_of, wall_units
+from pipeline.loop.loop import Loop, Normalised
+from pipeline.measured.ladder.trials import spread_over_plane
+from pipeline.measured.stages.stages import ExperimentStages
+from pipeline.plan.fitted import Climb, Fitted, at_once, learn
+from pipeline.plan.forecast import Forecast
+from pipeline.plan.model import Range
+from pipeline.plan.verdicts import Tried
+from pipeline.records.batch import TrialBatch
+from pipeline.records.models import Device, Experiment
+from pipeline.store.samples import load_groups
+from pipeline.store.storage import list_experiments, read_trials
+from pipeline.theory.device.outline import limits, outline
+
+DAMPINGS = 12
+"""Dampings at which limits are looked for where none are named."""
+
+START_ERROR = 0.1
+"""Relative error of a limit by the parameters of a device file."""
+
+FEW_POINTS = 60
+"""Points of an outline of which the largest limit alone is wanted."""
+
+LEARNT_FROM = 48
+"""Logs, spread over the tested plane, from which the device is learnt."""
+
+RANGE_NEEDED = (
+    "a range to start from is needed: a device file with mass, delay_samples, damping_first and damping_last "
+    "(pipeline plan --device my-device.toml; schemas/devices/falcon.toml is an example), or logs of some walls "
+    "(pipeline ingest LOGS), for instance K = 500, 1000 and 2000 N/m at B = 10 Ns/m"
+)
+
+
+@dataclass(frozen=True)
+class Wish:
+    """What the planner is asked for; see `limits.Aim` for accuracy and gentleness.
+
+    Parameters
+    ----------
+    goal : {"boundary", "optimum"}
+    criterion : str
+        Criterion of the goal ``optimum``.
+    count : int
+        Walls of a batch.
+    dampings : tuple of float
+        B at which limits are wanted [Ns/m, Nms/rad]; by default `DAMPINGS` of them over the range.
+    area : bool
+        Whether the area under the limits is wanted to the accuracy, and not each of them.
+    largest_stiffness, largest_damping, largest_force, travel : float
+        What may be tried: K [N/m, Nm/rad], B [Ns/m, Nms/rad], command [N, Nm] and distance of the start from the
+        centre [m, rad].
+    """
+
+    goal: Literal["boundary", "optimum"] = "boundary"
+    criterion: str = "settle_2pct"
+    count: int = 1
+    dampings: tuple[float, ...] = ()
+    accuracy: float = 0.02
+    gentle: bool = False
+    largest_stiffness: float = inf
+    largest_damping: float = inf
+    largest_force: float = inf
+    travel: float = inf
+    area: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """Trials of one experiment so far, and where it started: the file's experiment where there is one.
+
+    ``fitted`` is the device that its logs show.
+    """
+
+    name: str
+    experiment: str
+    tried: Tried
+    device: Device | None
+    of_file: Experiment | None
+    sampling_period_s: float
+    trial_s: float
+    step: float
+    rotation: bool
+    fitted: Fitted | None = None
+
+
+def open_course(
+    name: str,
+    processed: Path,
+    experiment: str | None,
+    wish: Wish,
+    known: Fitted | None = None,
+    look: Climb = at_once,
+) -> Course:
+    """Return the stored trials of an experiment; errors as of `plan`.
+
+    Parameters
+    ----------
+    name, processed, experiment, wish
+        As of `plan`.
+    known : Fitted, optional
+        The device that fewer logs have shown.
+    look : Climb
+        What looks for the parts of the device.
+    """
+    device = read_device(Path(name)) if name.endswith(".toml") else known_devices().get(name)
+    name = device.name if device else name
+    stored = list_experiments(processed, name) if processed.is_dir() else []
+    chosen = _experiment(name, experiment, stored, device)
+    of_file = next((e for e in device.experiments if e.name == chosen), None) if device else None
+    if chosen not in stored:
+        if device is None:
+            raise DeviceError(f"device {name!r}: no device file and no log of it in {processed}; {RANGE_NEEDED}.")
+        of_file = find_experiment(device, chosen)
+        nothing = np.empty(0)
+        tried = Tried(nothing, nothing, np.empty(0, dtype="<U9"), nothing)
+        about = device.sampling_period_s, device.duration_s - device.baseline_s, device.step
+        return Course(name, chosen, tried, device, of_file, *about, device.motion == "rotation")
+    trials = read_trials(processed, name, chosen)
+    stages = ExperimentStages(processed, name, chosen, trials, spring=declared_spring(device, chosen))
+    columns = {key: stages.column("response", key) for key in ("stiffness", "damping", "growth_per_s")}
+    cost = stages.cost(wish.criterion)[0] if wish.goal == "optimum" else np.full(len(columns["stiffness"]), np.nan)
+    force = np.full(len(cost), np.nan)
+    if wish.largest_force < inf:
+        groups = load_groups(processed, trials)
+        for rows, batch in zip(groups.places, groups.parts, strict=True):
+            force[rows] = np.nanmax(np.abs(batch.command), axis=1)
+    tried = Tried(
+        columns["stiffness"],
+        columns["damping"],
+        stages.verdicts.verdict,
+        columns["growth_per_s"],
+        force,
+        cost,
+    )
+    period = float(np.median(trials.column("sampling_period_s").to_numpy()))
+    return Course(
+        name,
+        chosen,
+        tried.select((tried.stiffness > 0) & (tried.damping >= 0)),
+        device,
+        of_file,
+        period,
+        float(np.median(trials.column("rows").to_numpy())) * period,
+        float(np.max(np.abs(trials.column("step").to_numpy()))),
+        "rotation" in trials.column("motion").to_pylist(),
+        learnt(processed, trials, known, look),
+    )
+
+
+def learnt(processed: Path, trials: pa.Table, known: Fitted | None, look: Climb) -> Fitted | None:
+    """Return the device that stored trials show, learnt from walls spread over the plane."""
+    K, B = (trials.column(name).to_numpy() for name in ("stiffness", "damping"))
+    places = spread_over_plane(K, B, K > 0, LEARNT_FROM)
+    if not len(places):
+        return known
+    return learn(TrialBatch.joined(list(load_groups(processed, trials.take(places)).parts)), known, look)
+
+
+def _experiment(name: str, asked: str | None, stored: Sequence[str], device: Device | None) -> str:
+    if asked is not None:
+        return asked
+    if len(stored) > 1:
+        raise UsageError(f"device {name!r} has logs of experiments {', '.join(stored)}: name one (--experiment).")
+    if stored:
+        return stored[0]
+    return device.experiments[0].name if device else ""
+
+
+def wanted_dampings(course: Course, wish: Wish) -> tuple[float, ...]:
+    """Return the dampings at which limits are looked for: those named, else even ones of the range, or those tried.
+
+    Even ones are moved to dampings that the file's steps reach, or that were tried, where those are near.
+    """
+    tried = np.unique(course.tried.damping)
+    of_file = course.of_file
+    if wish.dampings:
+        wanted = np.unique(np.array(wish.dampings, dtype=np.float64))
+    elif of_file is not None:
+        even = np.linspace(of_file.damping_first, of_file.damping_last, DAMPINGS)
+        steps = np.round((even - of_file.damping_first) / of_file.damping_step)
+        wanted = np.unique(np.maximum(of_file.damping_first + steps * of_file.damping_step, 0.0))
+    elif len(tried) > DAMPINGS:
+        wanted = tried[np.unique(np.round(np.linspace(0, len(tried) - 1, DAMPINGS)).astype(np.int64))]
+    else:
+        wanted = tried
+    wanted = wanted[wanted <= wish.largest_damping]
+    if not len(wanted):
+        raise UsageError(f"device {course.name!r}: no damping is left to try. Name some (--dampings 0,20,40).")
+    return tuple(wanted.tolist())
+
+
+def beginning(course: Course, dampings: Sequence[float]) -> tuple[Range, Forecast | None]:
+    """Return where limits are looked for, and without any trial what the device file says of them."""
+    tried, reach = course.tried, 1.1 * max(*dampings, 0.0, 1e-6) if len(dampings) > 1 else 2 * max(dampings[0], 1e-6)
+    about = course.sampling_period_s, course.trial_s
+    if len(tried):
+        stable = tried.stiffness[tried.verdict == "stable"]
+        near = stable.max() if len(stable) else tried.stiffness.max()
+        return Range(float(near), reach, *about), None
+    loop, units = stated_loop(course)
+    limit = limits(general(loop), np.array(dampings) / units.damping, exact=False).alpha * units.stiffness
+    limit = np.nan_to_num(limit, nan=0.0)
+    largest = float(limit.max()) or float(outline(general(loop), FEW_POINTS).alpha_max * units.stiffness)
+    if not largest > 0:
+        raise DeviceError(f"device {course.name!r}: by its file no wall is stable; {RANGE_NEEDED}.")
+    error = START_ERROR * np.maximum(limit, 0.3 * largest)
+    return Range(largest, reach, *about), Forecast(limit, error, START_ERROR)
+
+
+def stated_loop(course: Course) -> tuple[Loop, Normalised]:
+    """Return the loop that the device file states, with its filter, lag, mode and operator, and its units."""
+    assert course.device is not None, "without logs there is a device file"
+    assert course.of_file is not None, "of which the experiment was found"
+    of, period, parts = course.of_file, course.sampling_period_s, course.device.loop_of(course.of_file)
+    loop = loop_of(of.mass, of.damping, of.stiffness, of.delay_samples, period, parts)
+    return loop, wall_units(of.mass, period, parts)

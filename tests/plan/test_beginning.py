@@ -1,0 +1,71 @@
+"""Where the planner starts: the device file with all that it declares, or a clear word of what is missing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pipeline.base.errors import DeviceError, UsageError
+from pipeline.device_data.devices import load_device
+from pipeline.loop.device_loop import general, loop_of, wall_units
+from pipeline.loop.loop import Normalised
+from pipeline.plan.course import Wish, beginning, open_course, wanted_dampings
+from pipeline.plan.planner import plan, plan_of
+from pipeline.records.loop_parts import LoopParts
+from pipeline.theory.device.outline import limits
+from pipeline.theory.optimum.optimum import optimal_point
+
+
+@pytest.fixture
+def begun(tmp_path):
+    """A course without a log, of a Falcon whose file declares some parts."""
+
+    def course(**parts):
+        found = open_course("falcon", tmp_path / "none", "1", Wish())
+        if not parts:
+            return found
+        return replace(found, device=found.device.model_copy(update={"loop": LoopParts(**parts)}))
+
+    return course
+
+
+@pytest.mark.parametrize("parts", [{}, {"actuator_lag_s": 0.003}, {"velocity": {"kind": "difference", "samples": 8}}])
+def test_the_start_is_the_limit_of_the_declared_loop(begun, parts):
+    course = begun(**parts)
+    dampings = wanted_dampings(course, Wish())
+    _, start = beginning(course, dampings)
+    of, T = load_device("falcon").experiments[0], 1e-3
+    declared = LoopParts(**parts)
+    loop = loop_of(of.mass, of.damping, of.stiffness, of.delay_samples, T, declared)
+    units = wall_units(of.mass, T, declared)
+    expected = np.nan_to_num(limits(general(loop), np.array(dampings) / units.damping).alpha) * units.stiffness
+    assert start.limit == pytest.approx(expected, rel=1e-9)
+
+
+def test_a_declared_lag_lowers_the_first_wall(begun):
+    wish = Wish(dampings=(80.0,))
+    ideal, lagging = (plan_of(begun(**parts), wish).next[0].stiffness for parts in ({}, {"actuator_lag_s": 0.004}))
+    assert lagging < 0.9 * ideal
+
+
+def test_no_device_and_no_log_says_what_is_needed_by_example(tmp_path):
+    with pytest.raises(DeviceError, match=r"mass, delay_samples.*for instance K = 500"):
+        plan("nobody", tmp_path)
+
+
+def test_a_travel_that_no_allowed_wall_keeps_is_refused(begun):
+    with pytest.raises(UsageError, match="no wall is left to try"):
+        plan_of(begun(), Wish(travel=1e-4, largest_stiffness=1000.0))
+
+
+def test_the_first_wall_of_an_optimum_is_the_best_by_the_file(begun):
+    answer = plan_of(begun(), Wish(goal="optimum"))
+    assert not answer.done
+    assert answer.optimum is None
+    of = load_device("falcon").experiments[0]
+    units = Normalised(of.mass, 1e-3)
+    best = optimal_point(units.loop(of.stiffness, of.damping, of.delay_samples), "settle_2pct")
+    assert answer.next[0].stiffness == pytest.approx(best.alpha * units.stiffness, rel=0.05)
+    assert answer.next[0].damping == pytest.approx(best.beta * units.damping, rel=0.05)
