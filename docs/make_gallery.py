@@ -1,4 +1,4 @@
-"""Make `gallery.md`: figures as `pipeline compare --figures` writes them, of simulated devices (``make docs``)."""
+"""Make `gallery.md`: figures as `pipeline compare --figures DIR` writes them, of simulated devices (``make docs``)."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def main() -> None:
     IMAGES.mkdir(parents=True, exist_ok=True)
     lines = ["# Gallery", ""]
     lines += [
-        "Each figure is one that `pipeline compare --figures` writes beside a report; the devices are simulated.",
+        "Each figure is one that `pipeline compare --figures DIR` writes beside a report; the devices are simulated.",
         "",
     ]
     with tempfile.TemporaryDirectory() as name:

@@ -94,10 +94,10 @@ def test_image_is_small_and_needs_no_network() -> None:
             assert not re.search(r'(?:href|src)="(?!#)|url\((?!#)|@import', read(image))
 
 
-def test_readme_names_the_trials_that_the_figure_shows() -> None:
+def test_the_site_names_the_trials_that_its_figure_shows() -> None:
     shown = re.search(r"[\d,]+ trials", read(ROOT / "docs" / "img" / "cost-map.svg"))
     assert shown
-    assert f"{shown[0].split()[0]} simulated logs" in " ".join(read(ROOT / "README.md").split())
+    assert f"{shown[0].split()[0]} simulated logs" in " ".join(read(ROOT / "docs" / "index.md").split())
 
 
 def names_of_the_code() -> set[str]:

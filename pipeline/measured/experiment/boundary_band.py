@@ -55,7 +55,11 @@ LARGEST_CONDITION = 1e10
 
 
 LARGEST_UNLOCATED = 0.1
-"""Part of the area at dampings without a stable trial up to which the area is told, with what they leave open."""
+"""Part of the area at dampings without a stable trial, or with none that surely grows, up to which the area is told,
+with what they leave open."""
+
+FAR = 2.0
+"""Stiffness, relative to that of the softest trial that seems to grow, beyond which no limit lies."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,18 +212,19 @@ def boundary_area(points: Sequence[BoundaryPoint], unit: str = "N^2 s/m^2") -> E
         return Estimate(value=None, unit=unit, method=method, reason=reason, trials=len(used))
     B, low = np.array([p.damping for p in used]), np.array([p.low for p in used], dtype=np.float64)
     share = 0.5 * (np.diff(B, prepend=B[0]) + np.diff(B, append=B[-1]))
-    censored = sum(p.high is None for p in used)
-    if censored:
+    open_ended = np.array([p.high is None for p in used])
+    high = np.array([_far_end(p) for p in used])
+    if open_ended.any() and not share[open_ended] @ high[open_ended] <= LARGEST_UNLOCATED * (share @ low):
         return Estimate(
             value=None,
             low=float(share @ low),
             unit=unit,
             method=method,
-            reason=f"at {censored} of {len(used)} dampings the tested range ended before an unstable trial: "
-            "a lower bound only",
+            reason=f"at {int(open_ended.sum())} of {len(used)} dampings the tested range ended before an unstable "
+            "trial: a lower bound only",
             trials=len(used),
         )
-    limit, high = (np.array([getattr(p, name) for p in used], dtype=np.float64) for name in ("estimate", "high"))
+    limit = np.array([p.estimate for p in used], dtype=np.float64)
     lost = np.isnan(limit)
     unlocated = int(lost.sum())
     # a limit that lies anywhere between two ends is told by their middle, as long as that is no part of the result
@@ -237,6 +242,13 @@ def boundary_area(points: Sequence[BoundaryPoint], unit: str = "N^2 s/m^2") -> E
     error = float(np.sqrt((share**2) @ ((high - low) ** 2 / 12)))
     reach = NORMAL_95 * error
     return Estimate(value=area, low=area - reach, high=area + reach, unit=unit, method=method, trials=len(used))
+
+
+def _far_end(point: BoundaryPoint) -> float:
+    """Return the stiffness beyond which a limit does not lie: its end, or `FAR` times that of a trial that may grow."""
+    if point.high is not None:
+        return point.high
+    return np.inf if point.censored or point.unstable is None else FAR * point.unstable
 
 
 def _side_by_side(stiffness: Floats, damping: Floats, verdict: NDArray[np.str_], growth: Floats) -> _Columns:
