@@ -298,7 +298,10 @@ def test_a_damaged_stage_file_is_named_or_made_anew(own):
     assert not (own / "own.html").exists()
 
 
-@pytest.mark.parametrize("tree", ["trials", "samples", "stages"])
+@pytest.mark.parametrize(
+    "tree",
+    ["trials", pytest.param("samples", marks=pytest.mark.slow), pytest.param("stages", marks=pytest.mark.slow)],
+)
 def test_a_damaged_experiment_keeps_no_other_from_being_compared(own, tree):
     expected = run(own, experiments=["delay-4"]).result
     for path in (own / "processed" / tree / "lwr" / "delay-2").iterdir():

@@ -52,7 +52,9 @@ def no_file(*_, **__):
     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
-@pytest.mark.parametrize("room", ["a file", "no room", "no file"])
+@pytest.mark.parametrize(
+    "room", ["a file", pytest.param("no room", marks=pytest.mark.slow), pytest.param("no file", marks=pytest.mark.slow)]
+)
 def test_the_groups_of_a_large_experiment_are_shared(lwr, tmp_path, monkeypatch, room):
     monkeypatch.setattr(os, "cpu_count", lambda: 2)
     monkeypatch.setattr(stage_pool, "LARGE", 50)

@@ -104,7 +104,7 @@ def test_what_logs_show_is_named_and_no_other_loop_bears_a_statement(compared, n
     assert "about" in result.summary[-1]
 
 
-@pytest.mark.parametrize("seed", [SEED, 810])
+@pytest.mark.parametrize("seed", [SEED, pytest.param(810, marks=pytest.mark.slow)])
 def test_a_step_that_rises_slowly_leaves_the_loop_as_it_is(compared, seed):
     course, result = compared("ramp", seed)
     (found,) = result.experiments
@@ -119,8 +119,8 @@ def test_a_step_that_rises_slowly_leaves_the_loop_as_it_is(compared, seed):
 @pytest.mark.parametrize(
     ("name", "code"),
     [
-        ("operator", "operator"),
-        ("gravity", "constant_force"),
+        pytest.param("operator", "operator", marks=pytest.mark.slow),
+        pytest.param("gravity", "constant_force", marks=pytest.mark.slow),
         # the optima of these loops, for the theory beside them, take seconds
         pytest.param("butterworth filter", "velocity_filter", marks=pytest.mark.slow),
         pytest.param("actuator lag", "actuator_lag", marks=pytest.mark.slow),

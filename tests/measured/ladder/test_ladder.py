@@ -39,7 +39,7 @@ def start(mass: float = 1.2 * MASS, delay: float = DELAY + 1) -> Device:
         ({"lag": 0.0025}, ("lag",), {"actuator_lag_s": 0.0025}),
         ({"most": 7.0}, ("saturation",), {"force_limit": 7.0}),
         ({"most": 8.1}, ("saturation",), {"force_limit": 8.1}),
-        ({"mode": MODE}, ("mode at the motor",), MODE_NUMBERS),
+        pytest.param({"mode": MODE}, ("mode at the motor",), MODE_NUMBERS, marks=pytest.mark.slow),
         pytest.param({"friction": 0.15}, ("friction",), {"coulomb": 0.15}, marks=pytest.mark.slow),
         pytest.param(
             {"mode": MODE, "lag": 0.003},
@@ -75,6 +75,7 @@ def test_friction_and_a_lag_together_do_not_hold_as_something_else():
     assert not found.best.holds or set(found.best.parts) == {"lag", "friction"}
 
 
+@pytest.mark.slow
 def test_two_modes_are_not_one():
     """A second vibration, added to the position of a device with one, is explained by no rung."""
     trials = trials_of(seed=5, mode=MODE)
