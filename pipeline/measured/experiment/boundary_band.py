@@ -28,6 +28,9 @@ FEWEST_FOR_CURVATURE = 6
 CONCLUSIVE = 3.0
 """Growth rates within this many standard errors of zero do not tell on which side of the limit a trial lies."""
 
+TYPICAL_BEND = 0.605
+"""Standard deviation of rates, relative to the median size of their second difference: 1.4826/sqrt(6)."""
+
 FARTHEST = 0.25
 """Distance of a fitted trial from the limit relative to it: beyond it another mode may be the fastest growing one."""
 
@@ -301,11 +304,14 @@ def _may_grow(c: _Columns, scatter: Floats) -> Booleans:
     order = np.argsort(np.where(np.isfinite(c.growth), c.stiffness, np.inf), axis=1, kind="stable")
     K, g = (np.take_along_axis(values, order, axis=1) for values in (c.stiffness, c.growth))
     change, here, clear = np.diff(g, axis=1), g[:, 2:-1], CONCLUSIVE * scatter[:, None]
+    # with jitter rates scatter more where the loop is fast than at the limit, which their bends show
+    bends = np.abs(np.diff(g, n=2, axis=1))
+    sure = np.maximum(clear, CONCLUSIVE * TYPICAL_BEND * np.nan_to_num(_medians(bends))[:, None])
     peak = np.zeros(g.shape, dtype=np.bool_)
     # a rate that rises twice and then falls to twice itself at least, below where it was before: behind a single rate
     # that is off the others go on rising; NaN compares as false
-    peak[:, 2:-1] = (here < 0) & (change[:, :-2] > 0) & (change[:, 1:-1] > clear)
-    peak[:, 2:-1] &= (-change[:, 2:] > np.maximum(clear, np.abs(here))) & (g[:, 3:] < g[:, 1:-2])
+    peak[:, 2:-1] = (here < 0) & (change[:, :-2] > 0) & (change[:, 1:-1] > sure)
+    peak[:, 2:-1] &= (-change[:, 2:] > np.maximum(sure, np.abs(here))) & (g[:, 3:] < g[:, 1:-2])
     first = np.where(peak, K, np.inf).min(axis=1, initial=np.inf)
     undecided = ~c.stable & ~c.unstable & (np.nan_to_num(c.growth) > np.nan_to_num(clear))
     result: Booleans = undecided | (c.stable & (c.stiffness > first[:, None]))
@@ -322,12 +328,18 @@ def _pooled(scatter: Floats) -> Floats:
     around = np.lib.stride_tricks.sliding_window_view(
         np.pad(scatter, NEIGHBOURS, constant_values=np.nan), 2 * NEIGHBOURS + 1
     )
-    known = np.isfinite(around).sum(axis=1)
-    ordered = np.sort(around, axis=1)  # NaN last
-    at = np.stack([np.maximum(known - 1, 0) // 2, known // 2], axis=1)
-    near = np.take_along_axis(ordered, at, axis=1).mean(axis=1)
-    pooled: Floats = np.fmax(scatter, near)
+    pooled: Floats = np.fmax(scatter, _medians(around))
     return pooled
+
+
+def _medians(rows: Floats) -> Floats:
+    """Median of what is known in each row, NaN where nothing is."""
+    if rows.shape[1] == 0:
+        return np.full(len(rows), np.nan)
+    known = np.isfinite(rows).sum(axis=1)
+    ordered = np.sort(rows, axis=1)  # NaN last
+    at = np.stack([np.maximum(known - 1, 0) // 2, np.minimum(known // 2, rows.shape[1] - 1)], axis=1)
+    return np.asarray(np.take_along_axis(ordered, at, axis=1).mean(axis=1))
 
 
 def _zero_crossing(c: _Columns, centre: Floats) -> _Crossing:

@@ -192,6 +192,15 @@ def test_one_rate_that_is_off_is_no_peak():
     assert 9600 < point.low < point.estimate < point.high < 9800
 
 
+def test_rates_that_jitter_scatters_have_no_peak():
+    """A course with jitter at B = 152 Ns/m: the rates of fast walls scatter by ten times those near the limit."""
+    K = [4400.0, 4800, 5600, 6400, 6800, 8000, 8800, 9600, 10000, 10400, 10800, 10880, 10960, 11040, 11120, 11200]
+    growth = np.array([-28.4, -24.4, -13, -25.9, -10.8, -1.3, -13, -5, -7.3, -4.3, -4.7, -0.2, -10.7, -6.5, 0, 2.3])
+    said = np.where(growth < -1, "stable", np.where(growth > 1, "unstable", "undecided"))
+    (point,) = boundary_band(np.array(K), np.full(16, 152.0), said, growth)
+    assert 10000 < point.low < point.estimate < point.high < 12500
+
+
 def test_trials_that_disagree_widen_the_interval():
     K = [200.0, 400.0, 400.0, 600.0]
     assert unknown(K, ["stable", "stable", "unstable", "unstable"]) == (400.0, 200.0, 600.0)
