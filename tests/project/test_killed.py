@@ -266,7 +266,7 @@ def kill_often(name: str, course: Path, folder: Path, kills: int, seed: int) -> 
 @pytest.mark.parametrize("name", ["compare", "verify", "theory tables"])
 def test_workers_end_with_a_command(name, manner, course, tmp_path):
     run = begun(name, course, tmp_path / "here")
-    assert run.end(manner) == -manner[0]
+    assert run.end(manner) == -manner[0], run.out
 
 
 @pytest.mark.parametrize("manner", [(signal.SIGKILL,), (signal.SIGTERM, signal.SIGTERM)])
