@@ -63,13 +63,18 @@ def _look_for_pandas(pyarrow: Any) -> None:
         sys.meta_path.remove(nowhere)
 
 
-def leave_out_pandas() -> None:
-    """Keep pyarrow from importing pandas in this process, for 0.2 s and 40 MB, with the first ``pyarrow.array``.
+def begin_alone() -> None:
+    """Begin a process that runs nothing but this package, before it loads numpy.
 
-    That looks once whether there is pandas; here it looks when there is none. Whoever imports pandas himself gets it,
-    and so does ``pyarrow.Table.to_pandas``. Only for processes that run nothing but this package: ``pyarrow.array``
-    takes data frames and series of pandas for mere sequences there.
+    Matrices are small here, and many processes compute at once: threads of the linear algebra would take as much
+    processor time again to wait for each other, and sums would depend on their number. Who sets
+    ``OPENBLAS_NUM_THREADS`` keeps it.
+
+    And pyarrow is kept from importing pandas with the first ``pyarrow.array``, for 0.2 s and 40 MB: that looks once
+    whether there is pandas; here it looks when there is none. Whoever imports pandas himself gets it, and so does
+    ``pyarrow.Table.to_pandas``; ``pyarrow.array`` takes data frames and series of pandas for mere sequences there.
     """
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     if "pyarrow" in sys.modules:
         _look_for_pandas(sys.modules["pyarrow"])
     else:

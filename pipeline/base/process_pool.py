@@ -9,7 +9,7 @@ from contextlib import contextmanager, suppress
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 
-from pipeline.base.process import end_when, leave_out_pandas
+from pipeline.base.process import begin_alone, end_when
 
 
 @contextmanager
@@ -43,7 +43,7 @@ def _begin(parent: Connection, begin: Callable[[], object] | None) -> None:
     """Begin a process of a pool; signals are for its parent, which ends it."""
     end_when(lambda: _closed(parent))
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    leave_out_pandas()
+    begin_alone()
     if begin is not None:
         begin()
 

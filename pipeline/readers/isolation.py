@@ -24,7 +24,7 @@ from queue import SimpleQueue
 from typing import IO, Any
 
 from pipeline.base.errors import LogError
-from pipeline.base.process import end_when, ended_through, leave_out_pandas
+from pipeline.base.process import begin_alone, end_when, ended_through
 from pipeline.readers.frame import ColumnInfo, Frame
 from pipeline.readers.limits import COPIES, CPU_SECONDS, CPU_SECONDS_PER_BYTE, GRACE_SECONDS, MEMORY, SLACK, WALL_FACTOR
 from pipeline.readers.safety import allowed_bytes, reading
@@ -118,7 +118,7 @@ def isolated(
 
 def serve() -> None:
     """Work on calls from standard input; the main loop of a worker process, which ends when its parent does."""
-    leave_out_pandas()
+    begin_alone()
     _bound_memory()
     pipe, results = sys.stdin.fileno(), os.fdopen(os.dup(1), "wb")
     # whatever a library prints must not get between the results

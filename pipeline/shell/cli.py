@@ -14,7 +14,7 @@ from typing import Annotated
 import typer
 
 from pipeline import __version__
-from pipeline.base.process import leave_out_pandas
+from pipeline.base.process import begin_alone
 from pipeline.shell import console
 
 COMMANDS = {
@@ -90,6 +90,6 @@ def _main(
 def run(arguments: Sequence[str] | None = None) -> None:
     """Run the command line, by default with the arguments of the process, and leave with its exit status."""
     if arguments is None:
-        leave_out_pandas()
+        begin_alone()
     given = sys.argv[1:] if arguments is None else arguments
     console.run_app(application(next(iter(given), None)), arguments)

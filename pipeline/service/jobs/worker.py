@@ -15,7 +15,7 @@ import threading
 from pathlib import Path
 
 from pipeline.base.errors import EXIT_ERROR, PipelineError
-from pipeline.base.process import leave_out_pandas
+from pipeline.base.process import begin_alone
 from pipeline.service.database import Database
 from pipeline.service.settings import Settings
 
@@ -77,7 +77,7 @@ def work(settings: Settings, database: Database, owner: str) -> bool:
 
 def main() -> None:
     """Work until the server ends."""
-    leave_out_pandas()
+    begin_alone()
     settings = Settings(Path(sys.argv[1]), Path(sys.argv[2]), executor=sys.argv[3])
     waiting = threading.Event()
 

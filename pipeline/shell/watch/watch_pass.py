@@ -20,7 +20,7 @@ from pathlib import Path
 from pipeline.base.errors import EXIT_ERROR, EXIT_OK, EXIT_QUARANTINED, PipelineError, StoreError
 from pipeline.base.file_names import path_of_text, path_text
 from pipeline.base.lock import WAIT_S, holder, writing
-from pipeline.base.process import Ended, end_when, leave_out_pandas, on_stop_signals, raise_ended
+from pipeline.base.process import Ended, begin_alone, end_when, on_stop_signals, raise_ended
 from pipeline.base.provenance import digest
 from pipeline.comparison.compare import compare
 from pipeline.comparison.scene.scene import RUN
@@ -270,7 +270,7 @@ def main() -> None:
 
     A signal ends it, and so does the end of stdin, which its parent holds open.
     """
-    leave_out_pandas()
+    begin_alone()
     # lines of events alone: what a library prints goes to the errors
     lines, sys.stdout = sys.stdout, sys.stderr
     request = PassRequest(**json.loads(sys.stdin.readline()))
