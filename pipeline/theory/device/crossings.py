@@ -232,23 +232,25 @@ def _alpha(loop: DeviceLoop, place: Floats, beta: Floats) -> Floats:
 def _inverse_and_rate(loop: DeviceLoop, place: Floats) -> tuple[np.ndarray, np.ndarray]:
     """Return -1/G and N on the unit circle at ln s, complex, shape (n,)."""
     w = 1j * np.exp(0.5 * place)
-    motion, force, velocity, bottom = _rounded(loop)
+    far = place > 0
+    # ratios of polynomials of one degree; above |w| = 1 in powers of 1/w
+    powers = np.vander(np.where(far, 1 / w, w), _rounded(loop).shape[2], increasing=True).T
+    rising, falling = _rounded(loop) @ powers
+    motion, force, velocity, bottom = np.where(far, falling, rising)
     delay = np.exp(2j * loop.oldest_force * np.arctan(w.imag))
-    return -delay * _ratio(motion, force, w), 2 * w / (1 + w) * _ratio(velocity, bottom, w)
+    return -delay * motion / force, 2 * w / (1 + w) * velocity / bottom
 
 
 @lru_cache(maxsize=64)
-def _rounded(loop: DeviceLoop) -> tuple[Floats, ...]:
+def _rounded(loop: DeviceLoop) -> Floats:
+    """Return the coefficients of the four polynomials, upwards and downwards, shape (2, 4, degree + 1)."""
     g = loop.sampled
-    return tuple(as_floats(part) for part in (g.motion, g.force, g.velocity, g.filter))
-
-
-def _ratio(top: Floats, bottom: Floats, w: np.ndarray) -> np.ndarray:
-    """Return a ratio of two polynomials of one degree; above |w| = 1 in powers of 1/w."""
-    far = np.abs(w) > 1
-    near, inverse = np.where(far, 0, w), 1 / np.where(far, w, 1)
-    up, down = (np.where(far, np.polyval(part, inverse), np.polyval(part[::-1], near)) for part in (top, bottom))
-    return np.asarray(up / down)
+    degree = max(len(part) for part in (g.motion, g.velocity))
+    upwards, downwards = np.zeros((2, 4, degree))
+    for i, part in enumerate((g.motion, g.force, g.velocity, g.filter)):
+        upwards[i, : len(part)] = as_floats(part)
+        downwards[i, : len(part)] = as_floats(part)[::-1]
+    return np.stack([upwards, downwards])
 
 
 def _beta(c: OnCircle, s: Decimal) -> Decimal:
