@@ -10,12 +10,12 @@ import json
 import os
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar, cast
 
 import numpy as np
 import pyarrow as pa
@@ -34,8 +34,10 @@ from pipeline.store.storage import EXCLUSIONS_FILE, natural_key, read_trials, st
 LOOK_S = 0.5
 """Longest time after which a change by the command line is seen [s]."""
 
-KEPT = 32
-"""Selections that are kept of a state: readers turn pages, and look at the same."""
+KEPT = 64
+"""Answers that are kept of a state: readers turn pages, and look at the same."""
+
+Kept = TypeVar("Kept")
 
 TEXTS = ("trial_id", "device", "experiment", "verdict", "outcome", "motion", "grip", "excluded", "source_path")
 _STORED = ("trial_id", "device", "experiment", "motion", "grip", "source_path", "stiffness", "damping")
@@ -87,7 +89,7 @@ class Trials:
         # ignoring case while searching takes ten times as long
         self._searched = [pc.utf8_lower(table.column(name)) for name in ("trial_id", "source_path")]
         self._orders: dict[str, Integers] = {}
-        self._kept: dict[str, tuple[np.ndarray, dict[str, dict[str, int]]]] = {}
+        self._kept: dict[str, object] = {}
         self._sorted, self._rank = np.unique(np.array(self.ids, dtype="U"), return_inverse=True)
 
     @cached_property
@@ -155,17 +157,24 @@ class Trials:
             for i, row in enumerate(rows)
         ]
 
-    def selected(
-        self, asked: dict[str, str], ranges: dict[str, float], text: str = ""
-    ) -> tuple[np.ndarray, dict[str, dict[str, int]]]:
-        """Return the rows of `select` with their facets; those asked for a moment ago are kept."""
-        key = json.dumps([asked, ranges, text])
+    def once(self, key: str, make: Callable[[], Kept]) -> Kept:
+        """Return what rests on this state alone; answers to what was asked a moment ago are kept."""
         if key not in self._kept:
             if len(self._kept) >= KEPT:
                 self._kept.clear()
+            self._kept[key] = make()
+        return cast(Kept, self._kept[key])
+
+    def selected(
+        self, asked: dict[str, str], ranges: dict[str, float], text: str = ""
+    ) -> tuple[np.ndarray, dict[str, dict[str, int]]]:
+        """Return the rows of `select` with their facets."""
+
+        def both() -> tuple[np.ndarray, dict[str, dict[str, int]]]:
             mask = self.select(asked, ranges, text)
-            self._kept[key] = mask, self.facets(mask)
-        return self._kept[key]
+            return mask, self.facets(mask)
+
+        return self.once(json.dumps([asked, ranges, text]), both)
 
     def select(self, asked: dict[str, str], ranges: dict[str, float], text: str = "") -> np.ndarray:
         """Return which rows have words, lie in ranges (``stiffness_min``, ...), and hold a text in id or source."""

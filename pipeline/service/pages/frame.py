@@ -13,6 +13,7 @@ from urllib.parse import quote
 from fastapi import Request
 from fastapi.responses import HTMLResponse
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup
 
 from pipeline.rendering.labels import criterion_name, significant
 from pipeline.rendering.report.page_template import TEMPLATES
@@ -90,6 +91,11 @@ def page_of(service: Service, request: Request, template: str, status: int = 200
     who = {"login": not service.settings.loopback, "form": form_token(service.database, browser), "offline": False}
     given = {"role": request.state.role, "path": request.url.path, **who, **content}
     return HTMLResponse(_environment().get_template(template).render(**given), status)
+
+
+def part_of(template: str, **content: object) -> Markup:
+    """Return a part of a page that is the same for all who ask."""
+    return Markup(_environment().get_template(template).render(**content))
 
 
 def check(service: Service, request: Request, token: str) -> None:

@@ -24,7 +24,7 @@ from pipeline.rendering.labels import UNITS
 from pipeline.service.catalogue import SORTS
 from pipeline.service.jobs.results import uploaded_name
 from pipeline.service.metrics import MEDIA
-from pipeline.service.pages.frame import HERE, busy, check, fields_of, kept, page_of, style_sheet
+from pipeline.service.pages.frame import HERE, busy, check, fields_of, kept, page_of, part_of, style_sheet
 from pipeline.service.pages.page_figures import plane, units_of
 from pipeline.service.pages.plots import Layer, figure
 from pipeline.service.problems import Problem
@@ -37,6 +37,9 @@ pages = APIRouter(include_in_schema=False, default_response_class=HTMLResponse)
 
 SHOWN = 100
 """Trials in a table."""
+
+_STATE = {*api.WORDS, *api.RANGES, "q", "sort"}
+"""What of an address says which trials are listed."""
 
 PLOTTED = 3000
 """Trials in a plane: more are no longer told apart."""
@@ -103,14 +106,19 @@ class TrialForm(api.TrialQuery):
 @pages.get("/trials")
 def trials(service: Shared, request: Request, asked: Annotated[TrialForm, Query()]) -> Response:
     """Show a list of trials, or its CSV."""
-    found = api.trial_list(service, asked.model_copy(update={"limit": SHOWN}))
+    all_, shown = service.catalogue.trials(), asked.model_copy(update={"limit": SHOWN})
     if asked.format == "csv":
-        return _csv(found["items"])
-    kept = {*api.WORDS, *api.RANGES, "q", "sort"}
-    state = {"sort": asked.sort} | {k: v for k, v in request.query_params.items() if v and k in kept}
-    following = urlencode({**state, "cursor": found["next_cursor"]}) if found["next_cursor"] else None
-    more: dict[str, Any] = {"state": state, "following": following, "query": urlencode(state), "sorts": SORTS}
-    return page_of(service, request, "trials.html.j2", **found, **more)
+        return _csv(api.trial_list(all_, shown)["items"])
+
+    def listing() -> tuple[int, Markup]:
+        found = api.trial_list(all_, shown)
+        state = {"sort": asked.sort} | {k: v for k, v in request.query_params.items() if v and k in _STATE}
+        following = urlencode({**state, "cursor": found["next_cursor"]}) if found["next_cursor"] else None
+        more = {"state": state, "following": following, "query": urlencode(state), "sorts": SORTS}
+        return found["total"], part_of("trial_list.html.j2", **found, **more)
+
+    total, body = all_.once(f"page {request.url.query}", listing)
+    return page_of(service, request, "trials.html.j2", total=total, listing=body)
 
 
 @pages.get("/trials/{trial}")

@@ -16,7 +16,7 @@ from pipeline import __version__
 from pipeline.profiles.profile_files import shipped_profiles
 from pipeline.records.against_records import AgainstResult
 from pipeline.records.results import ComparisonResult
-from pipeline.service.catalogue import SORTED, page_of
+from pipeline.service.catalogue import SORTED, Trials, page_of
 from pipeline.service.database import ENDED
 from pipeline.service.jobs import results
 from pipeline.service.problems import Problem
@@ -110,10 +110,9 @@ class TrialQuery(BaseModel):
     cursor: Place | None = None
 
 
-def trial_list(service: Service, query: TrialQuery) -> dict[str, Any]:
+def trial_list(trials: Trials, query: TrialQuery) -> dict[str, Any]:
     """Return a page of trials with facets, as the API and the pages show it."""
     name = query.sort.lstrip("-")
-    trials = service.catalogue.trials()
     kind = (type(None),) if name == "id" else (str,) if name in trials.texts else (float, int, type(None))
     after = place(query.cursor, (kind, str))  # type: ignore[arg-type]
     given = {key: value for key, value in query if value not in ("", None)}
@@ -153,9 +152,11 @@ def experiments(
 
 
 @api.get("/trials", response_model=answers.TrialPage)
-def trials(service: Shared, asked: Annotated[TrialQuery, Query()]) -> JSONResponse:
+def trials(service: Shared, asked: Annotated[TrialQuery, Query()]) -> Response:
     """List trials by their properties, with how many there are of each."""
-    return JSONResponse(trial_list(service, asked))
+    all_ = service.catalogue.trials()
+    content = all_.once(f"document {asked.model_dump_json()}", lambda: JSONResponse(trial_list(all_, asked)).body)
+    return Response(content, media_type=JSONResponse.media_type)
 
 
 @api.get("/trials/{trial}", response_model=answers.NotedTrial, responses=answers.NAMED)
