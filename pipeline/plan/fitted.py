@@ -16,7 +16,7 @@ from pipeline.measured.fit.fit import fit_trials
 from pipeline.measured.ladder.device import Device
 from pipeline.measured.ladder.ladder import FEWEST_TRIALS, Rung, climb
 from pipeline.measured.ladder.parts import GROUPS
-from pipeline.measured.ladder.search import covariance_of, explained, search
+from pipeline.measured.ladder.search import covariance_of, judged, search
 from pipeline.measured.ladder.trials import LadderTrials, windowed
 from pipeline.measured.signal.response import Response, find_response
 from pipeline.measured.signal.wall_law import wall_law
@@ -198,10 +198,10 @@ def at_once(trials: LadderTrials, ideal: Device) -> Rung:
 
 
 def _refitted(trials: LadderTrials, start: Fitted, device: Device) -> Fitted:
-    device = search(trials, device, STEPS)
-    good = explained(trials, device)
+    fit = search(trials, device, STEPS)
+    _, good = judged(trials, fit.device)
     right = len(good) >= FEWEST and holds(int(good.sum()), len(good))
-    return replace(start, device=device, covariance=covariance_of(trials, device), explains=right)
+    return replace(start, device=fit.device, covariance=covariance_of(trials, fit), explains=right)
 
 
 def _ideal(device: Device) -> Device:

@@ -15,7 +15,7 @@ import numpy as np
 from pipeline.measured.explained import holds
 from pipeline.measured.ladder.device import Device
 from pipeline.measured.ladder.parts import GROUPS, LIGHT, PARTS, likeliest, parts_of, without
-from pipeline.measured.ladder.search import cost_of, covariance_of, explained, judged, search
+from pipeline.measured.ladder.search import covariance_of, judged, search
 from pipeline.measured.ladder.trials import LadderTrials
 from pipeline.records.batch import Floats
 
@@ -135,10 +135,9 @@ def _rung(fitted: LadderTrials, held: LadderTrials, starts: list[Device]) -> Run
     """Return the best device of searches from some starts."""
     found = [search(fitted, start) for start in starts]
     # while frequency and delay are far off, the far mass runs away from where it is when they are right
-    found += [search(fitted, device.having(**LIGHT)) for device in found if device.sensor]
-    device = min(found, key=lambda each: cost_of(fitted, each))
-    misfit, _ = judged(held, device)
-    good = explained(held, device)
+    found += [search(fitted, fit.device.having(**LIGHT)) for fit in found if fit.device.sensor]
+    device = min(found, key=lambda fit: fit.cost).device
+    misfit, good = judged(held, device)
     score = -float((held.information * np.log(np.maximum(misfit, 1e-3))).sum())
     return Rung(device, int(good.sum()), len(good), score)
 
@@ -179,7 +178,7 @@ def _refined(trials: LadderTrials, device: Device) -> tuple[Rung, Floats]:
     """Return a device fitted to half of all trials and judged by the other, then to all that it explains."""
     fitted, held = _halves(trials)
     rung = _rung(fitted, held, [device])
-    good = explained(trials, rung.device)
+    _, good = judged(trials, rung.device)
     used = trials.select(good) if good.mean() >= LOST else trials
     final = search(used, rung.device)
-    return Rung(final, rung.explained, rung.of, rung.score), covariance_of(used, final)
+    return Rung(final.device, rung.explained, rung.of, rung.score), covariance_of(used, final)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from pipeline.measured.ladder.device import Device, Sensor
-from pipeline.measured.ladder.search import cost_of, search
+from pipeline.measured.ladder.search import search
 from pipeline.measured.ladder.trials import LadderTrials
 
 FEW_STEPS = 3
@@ -76,7 +76,7 @@ def likeliest(trials: LadderTrials, starts: list[Device]) -> list[Device]:
         return starts
     some = trials.select(np.unique(np.linspace(0, len(trials) - 1, START_TRIALS).astype(np.int64)))
     quick = [search(some, start, FEW_STEPS) for start in starts]
-    return sorted(quick, key=lambda each: cost_of(some, each))[:most]
+    return [fit.device for fit in sorted(quick, key=lambda fit: fit.cost)[:most]]
 
 
 PARTS: dict[str, tuple[tuple[str, ...], Callable[[LadderTrials, Device], list[Device]]]] = {

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -27,16 +29,33 @@ DIFFERENCE = 1e-5
 """Change of a number by which a derivative is taken: between rounding of 1e-12 and a bend of the same."""
 
 
-def errors_of(trials: LadderTrials, device: Device) -> Floats:
-    """Return the weighted errors of a device, shape (n, N); each trial's start is where it fits best."""
-    (motion,) = _motions(trials, [device])
-    return _about_start(trials, trials.position - motion)
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A device beside trials.
 
+    Parameters
+    ----------
+    device : Device
+    error : float64, shape (n, N)
+        Weighted errors; each trial's start is where it fits best.
+    slopes : float64, shape (P, n, N)
+        Derivatives of the weighted motion by each number.
+    """
 
-def cost_of(trials: LadderTrials, device: Device) -> float:
-    """Return the sum of squared weighted errors of a device."""
-    error = errors_of(trials, device)
-    return float(np.vdot(error, error))
+    device: Device
+    error: Floats
+    slopes: Floats
+
+    @cached_property
+    def cost(self) -> float:
+        """Sum of squared weighted errors."""
+        return float(np.vdot(self.error, self.error))
+
+    @cached_property
+    def normal(self) -> tuple[Floats, Floats]:
+        """Normal equations of a step, shapes (P, P) and (P,)."""
+        slopes = self.slopes.reshape(len(self.slopes), -1)
+        return np.asarray(slopes @ slopes.T), np.asarray(slopes @ self.error.ravel())
 
 
 def _motions(trials: LadderTrials, devices: list[Device]) -> Iterator[Floats]:
@@ -61,8 +80,9 @@ def _about_start(trials: LadderTrials, values: Floats) -> Floats:
     return np.asarray(trials.weight * (values - mean[:, None]))
 
 
-def slopes_of(trials: LadderTrials, device: Device) -> Floats:
-    """Return the derivatives of the weighted motion by each number, shape (P, n, N)."""
+def fit_of(trials: LadderTrials, device: Device) -> Fit:
+    """Return a device as it is, beside trials."""
+    # with friction several devices take hardly longer than one
     others, spans = [device], []
     for i, name in enumerate(device.names):
         step = DIFFERENCE * (0.1 if name in ("delta", "gamma") else 1.0)
@@ -71,34 +91,25 @@ def slopes_of(trials: LadderTrials, device: Device) -> Floats:
         others.append(device.at(changed))
         spans.append(changed[i] - device.values[i])
     here, *motions = _motions(trials, others)
-    return np.stack([_about_start(trials, (each - here) / span) for each, span in zip(motions, spans, strict=True)])
+    slopes = [_about_start(trials, (each - here) / span) for each, span in zip(motions, spans, strict=True)]
+    return Fit(device, _about_start(trials, trials.position - here), np.stack(slopes))
 
 
-def search(trials: LadderTrials, start: Device, most_steps: int = MOST_STEPS) -> Device:
+def search(trials: LadderTrials, start: Device, most_steps: int = MOST_STEPS) -> Fit:
     """Return the device of least squares near a start (Levenberg and Marquardt, numbers within their limits)."""
-    device, error, factor = start, errors_of(trials, start), FIRST_FACTOR
-    cost = float(np.vdot(error, error))
-    normal, right = _normal(trials, device, error)
+    now, factor = fit_of(trials, start), FIRST_FACTOR
     for _ in range(most_steps):
-        step = _step(device, normal, right, factor)
+        normal, right = now.normal
+        step = _step(now.device, normal, right, factor)
         promised = float(2 * step @ right - step @ normal @ step)
-        if promised <= CONVERGED * cost / error.size**0.5 or factor > LARGEST_FACTOR:
+        if promised <= CONVERGED * now.cost / now.error.size**0.5 or factor > LARGEST_FACTOR:
             break
-        tried = device.at(device.values + step)
-        tried_error = errors_of(trials, tried)
-        tried_cost = float(np.vdot(tried_error, tried_error))
-        if tried_cost < cost:
-            device, error, cost, factor = tried, tried_error, tried_cost, factor * 0.1
-            normal, right = _normal(trials, device, error)
+        there = fit_of(trials, now.device.at(now.device.values + step))
+        if there.cost < now.cost:
+            now, factor = there, factor * 0.1
         else:
             factor *= 10.0
-    return device
-
-
-def _normal(trials: LadderTrials, device: Device, error: Floats) -> tuple[Floats, Floats]:
-    """Return the normal equations of a step, shapes (P, P) and (P,)."""
-    slopes = slopes_of(trials, device).reshape(len(device.names), -1)
-    return np.asarray(slopes @ slopes.T), np.asarray(slopes @ error.ravel())
+    return now
 
 
 def _step(device: Device, normal: Floats, right: Floats, factor: float) -> Floats:
@@ -114,20 +125,16 @@ def _step(device: Device, normal: Floats, right: Floats, factor: float) -> Float
     return np.asarray(step * min(1.0, float((most / np.maximum(np.abs(step), 1e-300)).min())))
 
 
-def judged(trials: LadderTrials, device: Device) -> tuple[Floats, Floats]:
-    """Return misfit and whiteness of each trial under a device, shape (n,)."""
-    error = errors_of(trials, device)
+def judged(trials: LadderTrials, device: Device) -> tuple[Floats, Booleans]:
+    """Return the misfit of each trial under a device, and which it explains within what the sensor leaves open."""
+    (motion,) = _motions(trials, [device])
+    error = _about_start(trials, trials.position - motion)
     misfit = np.sqrt((error**2).sum(axis=1) / np.maximum(trials.information - 1, 1.0))
-    return misfit, portmanteau(error.T, trials.independent.T)
+    whiteness = portmanteau(error.T, trials.independent.T)
+    return misfit, np.asarray((misfit <= trials.misfit_allowed) & ~(whiteness < LEAST_WHITENESS))
 
 
-def explained(trials: LadderTrials, device: Device) -> Booleans:
-    """Return which trials a device explains within what the sensor leaves open."""
-    misfit, whiteness = judged(trials, device)
-    return np.asarray((misfit <= trials.misfit_allowed) & ~(whiteness < LEAST_WHITENESS))
-
-
-def covariance_of(trials: LadderTrials, device: Device) -> Floats:
+def covariance_of(trials: LadderTrials, fit: Fit) -> Floats:
     """Return the covariance of a device's numbers at their least squares, shape (P, P).
 
     Notes
@@ -135,13 +142,12 @@ def covariance_of(trials: LadderTrials, device: Device) -> Floats:
     The larger, number by number, of what the readings leave open and of what the trials do: the sandwich of the
     trials' scores, which holds what differs between them and what the model misses.
     """
-    error, slopes = errors_of(trials, device), slopes_of(trials, device)
-    P, n = slopes.shape[:2]
-    normal = np.einsum("pnk,qnk->pq", slopes, slopes)
+    P, n = fit.slopes.shape[:2]
+    normal, _ = fit.normal
     size = np.sqrt(np.maximum(np.diag(normal), 1e-300))
     inverse = np.linalg.pinv(normal / np.outer(size, size), rcond=1e-13, hermitian=True) / np.outer(size, size)
-    scores = np.einsum("pnk,nk->pn", slopes, error)
-    scale = max(float(np.vdot(error, error)) / max(float(trials.information.sum()) - P - n, 1.0), 1.0)
+    scores = np.einsum("pnk,nk->pn", fit.slopes, fit.error)
+    scale = max(fit.cost / max(float(trials.information.sum()) - P - n, 1.0), 1.0)
     readings = inverse * scale
     between = inverse @ (scores @ scores.T) @ inverse * n / max(n - P, 1)
     wider = np.sqrt(np.maximum(np.diag(between), np.diag(readings)) / np.maximum(np.diag(readings), 1e-300))

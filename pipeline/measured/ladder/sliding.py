@@ -50,21 +50,24 @@ def sliding(loops: list[DeviceLoop], coulomb: Floats, command: Floats, force: Fl
     holds = (coulomb * np.array([_blow(loop)[1] for loop in loops]))[:, None]
     whole = np.array([floor(loop.delay) for loop in loops])
     parts = _parts(loops, [loop.delay - floor(loop.delay) for loop in loops])
+    sent = [
+        (part, _sent(command, whole + age) + force[:, None]) for age, part in zip((1, 0), parts, strict=True) if part
+    ]
     state = np.zeros((len(loops), sensors.shape[1], n))
-    position = np.empty((rows, len(loops), n))
+    states = np.empty((rows, *state.shape))
     for k in range(rows):
-        position[k] = np.einsum("vs,vsn->vn", sensors, state)
-        for age, part in zip((1, 0), parts, strict=True):
-            if part is None:
-                continue
-            u = _sent(command, k - whole - age) + force[:, None]
-            state = _ahead(state, u, part, rates, pushes, holds, coulomb[:, None])
-    return np.asarray(position.transpose(1, 2, 0))
+        states[k] = state
+        for part, u in sent:
+            state = _ahead(state, u[k], part, rates, pushes, holds, coulomb[:, None])
+    return np.asarray(np.einsum("vs,kvsn->vnk", sensors, states))
 
 
-def _sent(command: Floats, row: Integers) -> Floats:
-    """Return the commands of a row for each device, 0 before the log, shape (V, n)."""
-    return np.where((row >= 0)[:, None], command[np.arange(len(row)), :, np.maximum(row, 0)], 0.0)
+def _sent(command: Floats, late: Integers) -> Floats:
+    """Return the commands in each row of devices that get them so many rows late, 0 before, shape (N, V, n)."""
+    result = np.zeros((command.shape[2], *command.shape[:2]))
+    for device, rows in enumerate(np.minimum(late, len(result)).tolist()):
+        result[rows:, device] = command[device].T[: len(result) - rows]
+    return result
 
 
 def _ahead(
