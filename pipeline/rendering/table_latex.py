@@ -78,10 +78,10 @@ def latex_text(table: Table, label: str = "") -> str:
     if long:
         lines += [f"{{{sizes}", rf"\begin{{longtable}}{{{_columns(table, letters)}}}", caption + r"\\"]
         lines += [r"\toprule", *first, r"\endfirsthead", r"\toprule", *first[-2:], r"\endhead", r"\bottomrule"]
-        lines += [r"\endfoot", *_body(table), r"\end{longtable}"]
+        lines += [r"\endfoot", *_body(table, letters), r"\end{longtable}"]
     else:
         lines += [rf"\begin{{table{star}}}[t]", caption, rf"\centering{sizes}"]
-        lines += [rf"\begin{{{kind}}}{{{_columns(table, letters)}}}", r"\toprule", *first, *_body(table)]
+        lines += [rf"\begin{{{kind}}}{{{_columns(table, letters)}}}", r"\toprule", *first, *_body(table, letters)]
         lines += [r"\bottomrule", rf"\end{{{kind}}}"]
     for number, note in enumerate(table.notes):
         lines.append(rf"\par\raggedright\textsuperscript{{{footnote(number)}}}{_latex(note)}")
@@ -118,11 +118,16 @@ def _lines(cell: Cell) -> list[str]:
     return [cell.text + "".join(cell.marks), *(textwrap.wrap(f"({cell.aside})", ASIDE) if cell.aside else [])]
 
 
+def _wraps(table: Table, letters: Sequence[int]) -> list[bool]:
+    """Return which columns wrap: words of more letters than the column has."""
+    pairs = zip(table.columns, zip(*table.rows, strict=True), letters, strict=True)
+    return [not c.numeric and any(len(line) > width for x in cells for line in _lines(x)) for c, cells, width in pairs]
+
+
 def _columns(table: Table, letters: Sequence[int]) -> str:
-    """Return the kinds of the columns: words of more letters than a column has are wrapped."""
+    """Return the kinds of the columns."""
     kinds = []
-    for column, cells, width in zip(table.columns, zip(*table.rows, strict=True), letters, strict=True):
-        wraps = not column.numeric and any(len(line) > width for cell in cells for line in _lines(cell))
+    for column, wraps, width in zip(table.columns, _wraps(table, letters), letters, strict=True):
         wrapped = rf">{{\raggedright\arraybackslash}}p{{{width * LETTER:.0f}pt}}"
         kinds.append("r" if column.numeric else wrapped if wraps else "l")
     return f"@{{}}{''.join(kinds)}@{{}}"
@@ -143,13 +148,13 @@ def _stacked(lines: Sequence[str], *, numeric: bool, place: str = "t") -> str:
     return text if len(lines) == 1 else rf"\begin{{tabular}}[{place}]{{@{{}}{side}@{{}}}}{text}\end{{tabular}}"
 
 
-def _body(table: Table) -> list[str]:
-    lines = []
+def _body(table: Table, letters: Sequence[int]) -> list[str]:
+    lines, wraps = [], _wraps(table, letters)
     for number, (block, rows) in enumerate(table.blocks):
         if block:
             lines += [r"\addlinespace"] if number else []
             lines.append(rf"\multicolumn{{{len(table.columns)}}}{{l}}{{\emph{{{_latex(block)}}}}} \\")
-        lines += [" & ".join(_latex_cell(cell) for cell in row) + r" \\" for row in rows]
+        lines += [" & ".join(map(_latex_cell, row, wraps)) + r" \\" for row in rows]
     return lines
 
 
@@ -166,9 +171,11 @@ def _latex_groups(table: Table) -> list[str]:
     return [" & ".join(cells) + r" \\", "".join(rules)]
 
 
-def _latex_cell(cell: Cell) -> str:
+def _latex_cell(cell: Cell, wraps: bool) -> str:
     marks = rf"\textsuperscript{{{','.join(cell.marks)}}}" if cell.marks else ""
     _, *below = _lines(cell)
+    if wraps and cell.aside:
+        return rf"{_latex(cell.text)}{marks} \newline ({_latex(cell.aside)})"
     return _stacked([_latex(cell.text) + marks, *map(_latex, below)], numeric=cell.numeric)
 
 
