@@ -114,12 +114,28 @@ def on_stop_signals(handler: Callable[[int, FrameType | None], object]) -> Itera
             signal.signal(number, former[number])
 
 
-def raise_ended(number: int, frame: FrameType | None) -> None:
-    """Handle a signal: raise `Ended`, and let the next signal end the process at once, which is safe, too."""
-    for other in STOP_SIGNALS:
-        if signal.getsignal(other) == raise_ended:
-            signal.signal(other, signal.SIG_DFL)
-    raise Ended(number)
+@contextmanager
+def ending_on_signals() -> Iterator[None]:
+    """Raise `Ended` in the block on a signal that asks for an end; the next one ends the process, which is safe, too.
+
+    What others make of that exception is an end, too: an extension module says that its import failed.
+    """
+    asked: list[int] = []
+
+    def handle(number: int, frame: FrameType | None) -> None:
+        asked.append(number)
+        for other in STOP_SIGNALS:
+            if signal.getsignal(other) == handle:
+                signal.signal(other, signal.SIG_DFL)
+        raise Ended(number)
+
+    with on_stop_signals(handle):
+        try:
+            yield
+        except Exception as error:
+            if asked:
+                raise Ended(asked[0]) from error
+            raise
 
 
 def end_when(gone: Callable[[], object]) -> None:

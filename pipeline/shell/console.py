@@ -17,7 +17,7 @@ import typer
 
 from pipeline.base.disk import naming
 from pipeline.base.errors import EXIT_ERROR, PipelineError
-from pipeline.base.process import Ended, on_stop_signals, raise_ended
+from pipeline.base.process import Ended, ending_on_signals
 
 Advance = Callable[[int, int | None], None]
 """Reports (things done, things in all or None where that is not known)."""
@@ -58,7 +58,7 @@ def run_app(app: typer.Typer, arguments: Sequence[str] | None) -> None:
     complete is taken away.
     """
     try:
-        with on_stop_signals(raise_ended):
+        with ending_on_signals():
             app(args=None if arguments is None else list(arguments))
             _flush()
     except Ended as end:

@@ -20,7 +20,7 @@ from pathlib import Path
 from pipeline.base.errors import EXIT_ERROR, EXIT_OK, EXIT_QUARANTINED, PipelineError, StoreError
 from pipeline.base.file_names import path_of_text, path_text
 from pipeline.base.lock import WAIT_S, holder, writing
-from pipeline.base.process import Ended, begin_alone, end_when, on_stop_signals, raise_ended
+from pipeline.base.process import Ended, begin_alone, end_when, ending_on_signals
 from pipeline.base.provenance import digest
 from pipeline.comparison.compare import compare
 from pipeline.comparison.scene.scene import RUN
@@ -282,7 +282,7 @@ def main() -> None:
         print(json.dumps(event), file=lines, flush=True)
 
     try:
-        with on_stop_signals(raise_ended):
+        with ending_on_signals():
             outcome = run_pass(request, emit)
             emit({"event": "outcome", **asdict(outcome)})
     except Ended as end:
