@@ -137,12 +137,11 @@ def cost_text(criterion: str, value: float) -> str:
     return decimal(printed, 2 if abs(printed) < 1000 else 1)
 
 
-def cost_range_text(criterion: str, median: float, low: float, high: float) -> str:
-    """Return costs of some trials as ``median (low to high) unit``, three digits each."""
+def cost_range_text(criterion: str, low: float, high: float) -> str:
+    """Return costs as ``low to high unit``, three digits each; one number where both print alike."""
     unit = criterion_of(criterion).family.printed_unit
-    middle, *ends = (significant(x * printed_scale(criterion), 3) for x in (median, low, high))
-    beside = "" if ends == [middle, middle] else f" ({' to '.join(ends)})"
-    return f"{middle}{beside}{f' {unit}' if unit else ''}"
+    text = range_text(lambda cost: significant(cost * printed_scale(criterion), 3), low, high)
+    return f"{text} {unit}" if unit else text
 
 
 def published_text(value: float) -> str:

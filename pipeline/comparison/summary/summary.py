@@ -156,11 +156,12 @@ def _costs(results: Sequence[ExperimentResult], rows: Sequence[ComparisonRow]) -
         assert largest.deviation is not None, "they are chosen by it"
         found = largest.deviation
         middle = median(_size(r) for r in deviations)
+        ends = range_text(percent_text, found.model_low, found.model_high)
+        one = f"{percent_text(found.model)} % (95 %: {ends}) for {_named(largest)}"
+        several = f"{size_text(middle)} in the median of {len(deviations)} comparisons, most by {one}"
         parts.append(
-            f"{'optimal' if parts else 'Optimal'} costs differ from the discrete theory by {size_text(middle)} "
-            f"in the median of {counted(len(deviations), 'comparison')}, once range and grid of the trials and luck "
-            f"of the best one are taken off, most for {_named(largest)}: {percent_text(found.model)} % (95 %: "
-            f"{range_text(percent_text, found.model_low, found.model_high)})"
+            f"{'optimal' if parts else 'Optimal'} costs differ from the discrete theory, once range and grid of the "
+            f"trials and luck of the best one are taken off, by {one if len(deviations) == 1 else several}"
         )
     return "; ".join(parts) + "." if parts else ""
 

@@ -48,6 +48,12 @@ OUTCOMES = {
     "no_step": "no step",
 }
 
+OUTCOME_NOTES = {
+    "settled": "Settled: stays within 2 % of x_0 + F_0/K. More logs come to rest, some of them elsewhere.",
+    "disturbed": "Disturbed: a force of 5 % of the step or more acts that neither command nor mass and damping "
+    "explain, such as a push or friction.",
+}
+
 TOOLS_NOTE = (
     "Other tools count from the command edge and take the last sample for the final value; this report counts "
     "from the first sample that the command can move, and takes x_0 + F_0/K."
@@ -175,7 +181,8 @@ def outcome_table(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> Ta
     """Return how many trials ended how, or None where it is not known."""
     shown = [name for name in OUTCOMES if any(e.outcomes.get(name) for e in result.experiments)]
     columns = (words("experiment"), *(Column(name, OUTCOMES[name]) for name in shown))
-    table = Table("outcomes", "What the logs show: number of trials by outcome", columns)
+    table = Table("outcomes", "What the logs show: number of trials by outcome, each trial by one", columns)
+    table.mark(*(OUTCOME_NOTES.get(name) for name in shown))
     for e in result.experiments if shown else ():
         counts = {name: e.outcomes.get(name, 0) for name in shown}
         table.add(e.experiment, {"experiment": e.experiment, **counts})
