@@ -221,6 +221,7 @@ def _estimates(result: ExperimentResult) -> str:
     for key, name in names.items():
         # that of the device, where one is fitted to all trials; costs count from a whole number of samples
         estimate = result.estimates[key].by_method.get("ladder", result.estimates[key])
+        estimate = result.delay if key == "delay_samples" else estimate
         if estimate.value is None:
             continue
         value, low, high = estimate_texts(estimate)

@@ -123,7 +123,8 @@ def experiment_table(result: ComparisonResult, trials: TrialPage = NO_TRIALS) ->
     for e in result.experiments:
         operator = f"{e.grip} grip" if e.grip != "none" else "no operator"
         values: dict[str, Any] = {v: e.verdicts.get(v, 0) for v in verdicts}
-        values |= {q: estimate_cell(table, e.estimates[q]) for q in quantities if q in e.estimates}
+        shown = e.estimates | {"delay_samples": e.delay}
+        values |= {q: estimate_cell(table, shown[q]) for q in quantities if q in e.estimates}
         values |= {"experiment": e.experiment, "trials": e.trials, "theory": _theory_cell(e.theory, result.motion)}
         values["set-up"] = ", ".join(filter(None, [e.configuration, operator]))
         table.add(e.experiment, values)

@@ -159,7 +159,7 @@ def test_a_map_with_few_trials_is_drawn_without_contours(points: int) -> None:
     sparse[10, 5 : 5 + points] = 30.0
     figure = Figure[CostMap]("maps", "f", "t", "c", (replace(m, cost=sparse, optimum=None),), "settle_2pct")
     (svg,) = figures.cost_maps(figure)
-    assert ("no trial with this cost" in texts(svg)) == (points == 0)
+    assert ("too few trials with this cost" in texts(svg)) == (points == 0)
 
 
 def test_empty_boundary_and_empty_delay_panel_do_not_fail() -> None:
@@ -199,7 +199,7 @@ def test_shaded_areas_follow_their_ends_and_normalised_axes_are_named() -> None:
     shaded = [p for p in parse(svg).iter("path") if p.get("fill", "none") not in ("none", "")]
     areas = [p.get("d", "") for p in shaded if float(p.get("opacity", p.get("fill-opacity", "1"))) < 0.5]
     assert len(areas) == 2
-    (bars,) = [p.get("d", "") for p in parse(svg).iter("path") if p.get("stroke-width") == "50"]
+    (bars,) = [p.get("d", "") for p in parse(svg).iter("path") if p.get("stroke-width") == "60"]
     assert bars.count("M") + bars.count("m") == 2
     ends = [float(x) for x in re.findall(r"[Mm](-?[\d.]+)", areas[0])]
     assert float(re.findall(r"M([\d.]+)", bars)[0]) == ends[0], "both begin at the same stiffness"
