@@ -277,6 +277,32 @@ def test_number_in_a_table_leads_to_its_trial(browser: Any, measured: Path) -> N
         until(page, "!location.hash.includes('trial')")
 
 
+def test_plane_opens_on_the_first_tables_criterion_and_takes_that_of_a_number(browser: Any, measured: Path) -> None:
+    chosen = "document.getElementById('choose-criterion').selectedOptions[0].textContent.replaceAll('\u00a0', ' ')"
+    with Opened(browser, measured) as page:
+        assert page.evaluate(chosen).startswith("settling time, 2 %")
+        page.evaluate("document.querySelectorAll('details').forEach((part) => { part.open = true; })")
+        page.locator("[data-row='optima/delay-4/overshoot'] [data-cell='stiffness'] a").click()
+        until(page, f"{chosen}.startsWith('overshoot')")
+        assert "overshoot" in status(page)
+
+
+def test_search_takes_numbers_as_numbers(browser: Any, measured: Path) -> None:
+    with Opened(browser, measured) as page:
+
+        def found(text: str) -> list[list[str]]:
+            page.fill("#runs-search", text)
+            return [row.split("\t") for row in page.locator("#runs-table tbody tr").all_inner_texts()]
+
+        stiffness, damping = found("stable")[20][1:3]
+        some = found(f"K={stiffness}")
+        assert {row[1] for row in some} == {stiffness}
+        assert [damping] == [row[2] for row in found(f"k = {stiffness} B={damping}")][:1]
+        assert all(stiffness in row[1:3] for row in found(stiffness))
+        assert all(row[1] == stiffness[:-1] for row in found(f"K={stiffness[:-1]}")), "no part of a number"
+        assert {row[3] for row in found("unstable")} == {"unstable"}
+
+
 def test_address_of_a_trial_opens_it_and_a_wrong_one_does_no_harm(browser: Any, measured: Path, tmp_path: Path) -> None:
     with Opened(browser, measured) as page:
         page.goto(measured.as_uri() + "#trial-1-5")
@@ -364,8 +390,10 @@ def test_print_shows_what_is_open_with_heads_on_each_page(browser: Any, measured
             assert box is not None
             assert box["height"] > 20
             assert box["width"] > 20
-        for hidden in ("#sec-trials", "nav", ".skip"):
+        for hidden in ("#sec-trials", "nav", ".skip", ".viewer .controls"):
             assert page.locator(hidden).first.is_hidden()
+        # the answer, its figure included, is on the first sheet
+        assert page.locator("#boundaries-answer").bounding_box()["y"] + 200 < 960
         for closed in page.locator("details:not([open])").all():
             assert closed.is_hidden()
         repeated = (

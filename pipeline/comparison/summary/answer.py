@@ -122,11 +122,9 @@ def optimal_costs(rows: Sequence[ComparisonRow]) -> str:
             f"{'above' if parts.model > 0 else 'below'} (95 %: {ends} %)"
         )
     middle = median(abs(parts.model) for _, parts in told)
-    text = f"; optimal costs by {size_text(middle)} in the median"
     most = max((row.deviation_percent or 0.0 for row, _ in told), default=0.0)
-    if most < FAR_OFF:
-        return text
-    return f"{text} (best trials up to {size_text(most)} more, as tested points miss theory's optima)"
+    far = f"; best trials up to {size_text(most)} more: tested points miss theory's optima" if most >= FAR_OFF else ""
+    return f"; optimal costs by {size_text(middle)} (median{far})"
 
 
 def _limits(lead: ExperimentResult, distance: DistanceScore) -> str:

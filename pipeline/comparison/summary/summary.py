@@ -226,7 +226,7 @@ def _estimates(result: ExperimentResult) -> str:
             continue
         value, low, high = estimate_texts(estimate)
         text = f"{name} {'about ' if doubted else ''}{value} {estimate.unit.replace('^2', '²')}"
-        if low and high and not doubted:
+        if low and high and not (doubted or low == value == high):
             text += f" (95 %: {low} to {high})"
         parts.append(text)
     return ", ".join(parts)

@@ -16,7 +16,6 @@ from pipeline.rendering.labels import (
     criterion_label,
     criterion_name,
     damping_text,
-    printed_scale,
     range_text,
     significant,
     stiffness_text,
@@ -45,8 +44,8 @@ def use_facts(result: ExperimentResult, units: Units) -> dict[str, str]:
         **{criterion_name(name).partition(" (")[0]: _with_time(result, name, point.costs[name]) for name in names},
         "limit": f"at least {significant(point.margin, 2)} times as stiff",
         f"{use.trials} walls around": (
-            f"K = {range_text(stiffness_text, use.stiffness_low, use.stiffness_high)}, "
-            f"B = {range_text(damping_text, use.damping_low, use.damping_high)}{costs}"
+            f"K = {range_text(stiffness_text, use.stiffness_low, use.stiffness_high)} {units.stiffness}, "
+            f"B = {range_text(damping_text, use.damping_low, use.damping_high)} {units.damping}{costs}"
         ),
     }
 
@@ -125,4 +124,4 @@ def use_table(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> Table 
 
 
 def _printed(criterion: str, cost: float) -> str:
-    return significant(cost * printed_scale(criterion), 3)
+    return cost_range_text(criterion, cost, cost).partition(" ")[0]

@@ -133,13 +133,11 @@ def experiment_table(result: ComparisonResult, trials: TrialPage = NO_TRIALS) ->
 
 def loop_table(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> Table | None:
     """Return the loop of each experiment and whether it bears statements, or None where none is known."""
+    units = UNITS[result.motion]
     columns = [words("experiment"), words("adequate", "adequate loop"), words("reason", "why")]
     columns += [words("source", "parameters by"), words("delay", "delay d [samples]")]
-    columns += [words("mass", f"mass m [{UNITS[result.motion].mass}]")]
-    columns += [
-        words("damping", f"damping b [{UNITS[result.motion].damping}]"),
-        words("passive", "stiffest passive wall"),
-    ]
+    columns += [words("mass", f"mass m [{units.mass}]"), words("damping", f"damping b [{units.damping}]")]
+    columns += [words("passive", "stiffest passive wall")]
     table = Table("loops", "The loop that all statements about a device rest on, with 95 % intervals", columns)
     for e in result.experiments:
         if e.loop is None:
@@ -152,7 +150,11 @@ def loop_table(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> Table
             "delay": _parameter_text(e.loop.delay_samples),
             "mass": _parameter_text(e.loop.mass),
             "damping": _parameter_text(e.loop.damping),
-            "passive": f"K = {e.passive.stiffness:.4g}, B = {e.passive.damping:.4g}" if e.passive else "none is named",
+            "passive": (
+                f"K = {e.passive.stiffness:.4g} {units.stiffness}, B = {e.passive.damping:.4g} {units.damping}"
+                if e.passive
+                else "none is named"
+            ),
         }
         table.add(e.experiment, values)
     return table.filled

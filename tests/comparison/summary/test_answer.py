@@ -97,8 +97,8 @@ def test_optimal_costs_are_told_with_sign_and_interval_or_why_single_trials_lie_
     one = optimal_costs([row(-24.1, -20.3)])
     assert one == "; the least energy cost, w = 0, 24 % below (95 %: \N{MINUS SIGN}42 to \N{MINUS SIGN}1 %)"
     several = optimal_costs([row(0.01, 20.0), row(-0.02, 104.6)])
-    assert "by less than 0.1 % in the median (best trials up to 105 % more, as " in several
-    assert optimal_costs([row(0.01, 0.2), row(-0.02, 0.1)]).endswith("in the median")
+    assert "by less than 0.1 % (median; best trials up to 105 % more: " in several
+    assert optimal_costs([row(0.01, 0.2), row(-0.02, 0.1)]).endswith("by less than 0.1 % (median)")
     assert optimal_costs([]) == ""
 
 
