@@ -152,6 +152,18 @@ def test_dots_are_where_the_trials_are() -> None:
     assert paths(svg, "currentColor") == ["M400 1800h0m1100-1600h0"]
 
 
+def test_the_line_of_the_least_cost_is_nowhere_above_a_trial() -> None:
+    m = cost_map("m", "measured", "settle_2pct")
+    K = np.array([float(m.stiffness[3]), 0.5 * float(m.stiffness[3] + m.stiffness[4]), 1.5 * float(m.stiffness[-1])])
+    cost = np.array([1.0, 2.0, 5.0])
+    lucky = replace(m, trial_stiffness=K, trial_damping=np.zeros(3), trial_cost=cost)
+    at, line = panels._least(lucky, 1.0)
+    assert np.interp(K, at, line) == pytest.approx(cost)
+    bare = replace(m, trial_stiffness=np.empty(0), trial_damping=np.empty(0), trial_cost=np.empty(0))
+    known = np.isfinite(m.cost).any(axis=0)
+    assert (panels._least(bare, 1.0)[1] == np.nanmin(m.cost[:, known], axis=0)).all()
+
+
 @pytest.mark.parametrize("points", [0, 1, 2, 5])
 def test_a_map_with_few_trials_is_drawn_without_contours(points: int) -> None:
     m = cost_map("m", "measured", "settle_2pct")
