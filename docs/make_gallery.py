@@ -27,11 +27,11 @@ SHOWN = {
         "A light-weight robot behind two samples of delay",
         "Without friction, measured limits and theory agree.",
     ),
-    ("falcon-real", "experiment-1-energy_step_w1-0"): (
-        "Energy cost over all walls, theory",
-        "Lines of equal cost, the stability boundary, and the best wall.",
+    ("falcon-real", "experiment-1-overshoot-0"): (
+        "Overshoot over all walls, theory",
+        "Lines of equal cost, the stability boundary, and the stiffest wall without overshoot.",
     ),
-    ("falcon-real", "experiment-1-energy_step_w1-1"): (
+    ("falcon-real", "experiment-1-overshoot-1"): (
         "The same, measured",
         "From the logs alone, of a device with friction.",
     ),

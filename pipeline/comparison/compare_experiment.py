@@ -94,12 +94,14 @@ def experiment_result(data: SceneData, stages: ExperimentStages, theory: Theory 
             optimum[criterion] = best
         else:
             missing[criterion] = stages.cost(criterion)[1] or "no stable trial has this cost"
+    periods = set(stages.trials.column("sampling_period_s").to_pylist())
     grips = sorted(set(stages.trials.column("grip").to_pylist()))
     result = ExperimentResult(
         experiment=stages.experiment,
         configuration=entry.configuration if entry else "",
         grip=grips[0] if len(grips) == 1 else "none",
         simulated=any(stages.trials.column("simulated").to_pylist()),
+        sampling_period_s=periods.pop() if len(periods) == 1 else None,
         trials=stages.trials.num_rows,
         verdicts=dict(sorted(Counter(stages.verdicts.verdict.tolist()).items())),
         outcomes=dict(Counter(stages.texts("outcome", "outcome"))) if "outcome" in needed else {},
@@ -125,7 +127,7 @@ def _with_loop(data: SceneData, stages: ExperimentStages, result: ExperimentResu
     loop = estimated_range(result, stages.sampling_period_s)
     if not findings.loop.adequate:
         found |= {name: _doubted(found[name]) for name in ("delay_samples", "mass", "damping")}
-        reason = "needs a loop that is adequate; why this one is not stands with the loop"
+        reason = "needs an adequate loop; the table of loops says why this one is not"
         found["implied_delay"] = _without("samples", reason)
     elif findings.loop.parts_beside:
         reason = f"needs an ideal loop, and this one has {listed(findings.loop.parts_beside)}"
@@ -144,7 +146,7 @@ def _with_loop(data: SceneData, stages: ExperimentStages, result: ExperimentResu
 def _doubted(estimate: Estimate) -> Estimate:
     if estimate.value is None:
         return estimate
-    doubt = "the loop that it rests on is not adequate, so that its interval does not hold"
+    doubt = "its loop is not adequate, so that its interval may be too narrow"
     return estimate.model_copy(update={"warning": "; ".join(filter(None, [estimate.warning, doubt]))})
 
 

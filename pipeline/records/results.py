@@ -87,20 +87,35 @@ class TruthHeld(Record):
 
 
 class CostRange(Record):
-    """Costs of some trials: their median, the least and the largest."""
+    """Costs of those of some ``trials`` that have one: their median, the least and the largest."""
 
     median: float
     low: float
     high: float
+    trials: int
+
+
+STIFFEST = "stiffness"
+"""What walls are chosen by where no cost tells the best: the stiffest ones that are far from the limit."""
+
+
+class UsePoint(Record):
+    """The one tested wall of a region to set, with the costs of its trial and the limit over its stiffness."""
+
+    stiffness: float
+    damping: float
+    trial_id: str
+    costs: dict[str, float]
+    margin: float
 
 
 class UseRegion(Record):
     """Walls to use: a rectangle of stiffness [N/m, Nm/rad] and damping [Ns/m, Nms/rad] of nothing but stable trials.
 
     ``costs`` are those of its ``trials``, by criterion: a further trial there lies between ``low`` and ``high`` with a
-    chance of (trials - 1)/(trials + 1). ``margin`` is the lower end of the measured limit over the largest stiffness
-    of the region, the least over its dampings, itself a lower bound where ``bound``. ``criterion`` is what it was
-    chosen by.
+    chance of (n - 1)/(n + 1) for the n trials with that cost. ``margin`` is the lower end of the measured limit over
+    the largest stiffness of the region, the least over its dampings, itself a lower bound where ``bound``.
+    ``criterion`` is what it was chosen by, `STIFFEST` where no cost tells. ``point`` is the wall to set.
     """
 
     criterion: str
@@ -112,6 +127,7 @@ class UseRegion(Record):
     costs: dict[str, CostRange]
     margin: float
     bound: bool
+    point: UsePoint
 
 
 class Mark(Record):
@@ -160,7 +176,11 @@ class Saving(Record):
 
 
 class ExperimentResult(Record):
-    """All that was found for one experiment; ``use_reason`` says why there is no region to use."""
+    """All that was found for one experiment.
+
+    ``use_reason`` says why there is no region to use, or why none was chosen by a cost; ``sampling_period_s`` is null
+    where the trials have several.
+    """
 
     experiment: str
     configuration: str
@@ -184,11 +204,20 @@ class ExperimentResult(Record):
     passive_reason: str | None = None
     causes: tuple[Cause, ...] = ()
     header: tuple[HeaderLine, ...] = ()
+    sampling_period_s: float | None = None
     use: UseRegion | None = None
     use_reason: str | None = None
     truth: Truth | None = None
     truth_held: TruthHeld | None = None
     saving: Saving | None = None
+
+    @property
+    def delay(self) -> Estimate:
+        """The delay that logs tell: of an adequate loop as it was fitted, else the integer factor (6.3)."""
+        factor = self.estimates["delay_samples"]
+        fitted = factor.by_method.get("ladder", factor.by_method.get("model"))
+        told = self.loop is not None and self.loop.adequate and fitted is not None and fitted.value is not None
+        return fitted if fitted is not None and told else factor
 
 
 class LogList(Record):

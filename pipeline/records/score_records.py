@@ -56,8 +56,10 @@ class DistanceScore(Record):
     ``median`` and ``largest`` are (K_measured - K_theory)/K_theory [1] over ``dampings``; ``rms`` [N/m, Nm/rad] is over
     those and the ``near_zero`` ones, where the theoretical limit is too small to divide by. ``lower_bounds`` of the
     dampings are censored with theory below the tested range: the distance is at least that large. ``open`` are
-    censored ones with theory above it: nothing is known there, and they are left out. At ``agreeing`` of the dampings
-    theory meets the interval of the limit, or is nearer to it than 2 %.
+    censored ones with theory above it: nothing is known there, and they are left out. Of the dampings, ``bounded`` have
+    a limit with bounds on both sides (or a lower one that theory is below): at ``agreeing`` of these theory meets the
+    interval of the limit, or is nearer to it than 2 %, at ``above`` the limit lies above theory. ``largest`` is among
+    the bounded ones, where there are any.
     """
 
     median: float
@@ -68,7 +70,9 @@ class DistanceScore(Record):
     near_zero: int
     lower_bounds: int
     open: int
+    bounded: int
     agreeing: int
+    above: int
 
 
 class VerdictScore(Record):

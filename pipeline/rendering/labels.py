@@ -24,7 +24,7 @@ BEYOND = 1000.0
 """Deviation in percent from which on its digits tell nothing: the two numbers have nothing to do with each other."""
 
 ALL_BUT_ROUNDING = 1e-9
-"""Distance from 1 up to which a share is all: sums of 1e4 areas round by 1e-12."""
+"""Distance from 1 up to which a share is all, and from 0 up to which a cost is none: sums of 1e4 round by 1e-12."""
 
 
 @dataclass(frozen=True)
@@ -137,12 +137,21 @@ def cost_text(criterion: str, value: float) -> str:
     return decimal(printed, 2 if abs(printed) < 1000 else 1)
 
 
-def cost_range_text(criterion: str, median: float, low: float, high: float) -> str:
-    """Return costs of some trials as ``median (low to high) unit``, three digits each."""
+def cost_range_text(criterion: str, low: float, high: float) -> str:
+    """Return costs as ``low to high unit``, three digits each; one number where both print alike.
+
+    >>> cost_range_text("overshoot", 1.85e-16, 0.0212)
+    '0 to 2.12 %'
+    """
     unit = criterion_of(criterion).family.printed_unit
-    middle, *ends = (significant(x * printed_scale(criterion), 3) for x in (median, low, high))
-    beside = "" if ends == [middle, middle] else f" ({' to '.join(ends)})"
-    return f"{middle}{beside}{f' {unit}' if unit else ''}"
+    text = range_text(
+        lambda cost: significant(cost * printed_scale(criterion), 3), *map(_without_rounding, (low, high))
+    )
+    return f"{text} {unit}" if unit else text
+
+
+def _without_rounding(cost: float) -> float:
+    return 0.0 if abs(cost) < ALL_BUT_ROUNDING else cost
 
 
 def published_text(value: float) -> str:

@@ -142,7 +142,7 @@ def test_pointing_tells_of_a_trial_and_clicking_shows_its_response(browser: Any,
         }""")
         plane.hover(position={"x": spot["x"], "y": spot["y"]})
         assert status(page).startswith(f"K = {spot['k']:g} Nm/rad, B = {spot['b']:g} Nms/rad: ")
-        assert "settling time, 1 % band [samples]" in status(page)
+        assert "settling time, 2 % band [samples]" in status(page)
         before = title(page)
         plane.click(position={"x": spot["x"], "y": spot["y"]})
         assert title(page) != before
@@ -193,7 +193,7 @@ def test_keyboard_reaches_every_control_and_moves_in_the_plane(browser: Any, mea
         assert sorted(set(wanted) - reached) == []
         page.locator("#plane").focus()
         told = [status(page)]
-        for key in ("ArrowRight", "ArrowUp", "ArrowUp", "End", "Home"):
+        for key in ("ArrowRight", "ArrowDown", "ArrowDown", "End", "Home"):
             page.keyboard.press(key)
             told.append(status(page))
         assert len(set(told)) >= 5
@@ -275,6 +275,32 @@ def test_number_in_a_table_leads_to_its_trial(browser: Any, measured: Path) -> N
         assert title(page).startswith(f"Experiment delay-4: K = {stiffness} Nm/rad")
         page.go_back()
         until(page, "!location.hash.includes('trial')")
+
+
+def test_plane_opens_on_the_first_tables_criterion_and_takes_that_of_a_number(browser: Any, measured: Path) -> None:
+    chosen = "document.getElementById('choose-criterion').selectedOptions[0].textContent.replaceAll('\u00a0', ' ')"
+    with Opened(browser, measured) as page:
+        assert page.evaluate(chosen).startswith("settling time, 2 %")
+        page.evaluate("document.querySelectorAll('details').forEach((part) => { part.open = true; })")
+        page.locator("[data-row='optima/delay-4/overshoot'] [data-cell='stiffness'] a").click()
+        until(page, f"{chosen}.startsWith('overshoot')")
+        assert "overshoot" in status(page)
+
+
+def test_search_takes_numbers_as_numbers(browser: Any, measured: Path) -> None:
+    with Opened(browser, measured) as page:
+
+        def found(text: str) -> list[list[str]]:
+            page.fill("#runs-search", text)
+            return [row.split("\t") for row in page.locator("#runs-table tbody tr").all_inner_texts()]
+
+        stiffness, damping = found("stable")[20][1:3]
+        some = found(f"K={stiffness}")
+        assert {row[1] for row in some} == {stiffness}
+        assert [damping] == [row[2] for row in found(f"k = {stiffness} B={damping}")][:1]
+        assert all(stiffness in row[1:3] for row in found(stiffness))
+        assert all(row[1] == stiffness[:-1] for row in found(f"K={stiffness[:-1]}")), "no part of a number"
+        assert {row[3] for row in found("unstable")} == {"unstable"}
 
 
 def test_address_of_a_trial_opens_it_and_a_wrong_one_does_no_harm(browser: Any, measured: Path, tmp_path: Path) -> None:
@@ -364,8 +390,10 @@ def test_print_shows_what_is_open_with_heads_on_each_page(browser: Any, measured
             assert box is not None
             assert box["height"] > 20
             assert box["width"] > 20
-        for hidden in ("#sec-trials", "nav", ".skip"):
+        for hidden in ("#sec-trials", "nav", ".skip", ".viewer .controls"):
             assert page.locator(hidden).first.is_hidden()
+        # the answer, its figure included, is on the first sheet
+        assert page.locator("#boundaries-answer").bounding_box()["y"] + 200 < 960
         for closed in page.locator("details:not([open])").all():
             assert closed.is_hidden()
         repeated = (

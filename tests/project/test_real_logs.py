@@ -273,4 +273,4 @@ def test_a_heater_shows_no_force_beside_its_command(stored):
     # no theory rests on a loop that is not adequate, and the page does not say that one does
     warned = " ".join(compare("tclab", stored).result.warnings)
     assert "has no device file: no theory." in warned
-    assert "speak of another" not in warned
+    assert "another device" not in warned

@@ -79,8 +79,14 @@ def trial_page(names: tuple[str, str] = ("1", "2"), text: str = "") -> TrialPage
         "verdicts": ["stable", "unstable", "undecided"],
         "outcomes": ["diverged", "settled"],
         "criteria": [
-            {"label": "settling time, 2 % band [samples]", "unit": "samples", "band": 0.02},
-            {"label": "overshoot [%]", "unit": "%", "band": None},
+            {
+                "name": "settle_2pct",
+                "first": True,
+                "label": "settling time, 2 % band [samples]",
+                "unit": "samples",
+                "band": 0.02,
+            },
+            {"name": "overshoot", "first": False, "label": "overshoot [%]", "unit": "%", "band": None},
         ],
         "experiments": experiments,
     }

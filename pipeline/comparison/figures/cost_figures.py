@@ -30,6 +30,10 @@ SHARE = 8
 TOLD = 0.9
 """Share of the trials for which theory must have a cost, so that what differs from it is smoothed."""
 
+FEWEST_DRAWN, LEAST_SHARE = 20, 0.2
+"""Stable trials with a cost, in number and as a share of all, below which no lines of equal cost are drawn: they would
+lie where few others have one."""
+
 NO_TRIALS = (np.empty(0), np.empty(0), np.empty(0))
 
 
@@ -142,7 +146,9 @@ def measured_map(
     optimum = result.optimum.get(criterion)
     axis = _stiffness_axis(k, len(levels), optimum)
     grid = np.full((len(levels), len(axis)), np.nan)
-    for row, level in enumerate(levels):
+    costly, stable = np.isfinite(smooth).sum(), int((stages.verdicts.verdict[shown] == "stable").sum())
+    drawn = costly >= max(FEWEST_DRAWN, LEAST_SHARE * stable)
+    for row, level in enumerate(levels if drawn else ()):
         at = np.flatnonzero((b == level) & np.isfinite(smooth))
         if len(at) > 1:
             order = at[np.argsort(k[at], kind="stable")]

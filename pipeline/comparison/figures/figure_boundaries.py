@@ -8,6 +8,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
+from pipeline.base.wording import counted
 from pipeline.comparison.figures.boundary_curves import (
     FrictionFacts,
     bound_curve,
@@ -24,11 +27,14 @@ from pipeline.comparison.figures.boundary_curves import (
 )
 from pipeline.comparison.loops.loop_range import adequate_theory
 from pipeline.comparison.scene.scene import SceneData
+from pipeline.comparison.scores.agreement import NEAR_ZERO
+from pipeline.comparison.scores.overlap import measured_limits
 from pipeline.records.figure_records import Curve, Figure, Limits
 from pipeline.records.models import Experiment
 from pipeline.records.results import Answer, ExperimentResult, TheoryParameters
-from pipeline.rendering.labels import UNITS, Units, stiffness_text
+from pipeline.rendering.labels import UNITS, Units, percent_text, stiffness_text
 from pipeline.theory.predictions import Theory
+from pipeline.theory.stability.region import stiffness_limit
 
 ANSWER = "boundaries-answer"
 """Identifier of the figure beside the answer."""
@@ -155,7 +161,7 @@ class _Builder:
             "and the delay factors at the curves"
             f"{f'; thin dots: the same with b = {others} {units.damping}' if others else ''}."
         )
-        told = _told(facts, first, units) if held and facts else ""
+        told = f"{_plainly(held[0], first, free[0])}{_told(facts, first, units)}" if held and facts else ""
         return Figure(
             "boundaries",
             "boundaries-free",
@@ -283,6 +289,24 @@ def _told(facts: FrictionFacts, theory: Theory, units: Units) -> str:
     return (
         f"{text} Up to K = 2 f_c/Δ = {stiffness_text(quiet)} {units.stiffness} the sensor's quantum Δ causes no limit "
         "cycle (Diolaiti et al. 2006; sufficient, not necessary: nothing is said of stiffer walls)."
+    )
+
+
+def _plainly(curve: Curve, theory: Theory, result: ExperimentResult) -> str:
+    """Return by how much friction moves the limit at the tested dampings, and what is left of the measured ones."""
+    limits = measured_limits(result.boundary)
+    bounded = limits.known & (limits.low > 0) & ~limits.censored
+    B, measured = limits.damping[bounded], limits.limit[bounded]
+    held = np.interp(B, curve.damping, curve.stiffness)
+    free = stiffness_limit(theory.loop, B / theory.units.damping) * theory.units.stiffness
+    told = np.isfinite(held) & (free > NEAR_ZERO * free.max(initial=0.0))
+    if not told.any():
+        return ""
+    lifts, left = (100 * float(np.median((a / b)[told] - 1)) for a, b in ((held, free), (measured, held)))
+    return (
+        f" Coulomb friction moves theory's limit by {percent_text(lifts, 0)} % in the median of "
+        f"{counted(int(told.sum()), 'damping')}; experiment {result.experiment} lies another "
+        f"{percent_text(left, 0)} % off, which it does not explain."
     )
 
 

@@ -20,7 +20,7 @@ from pipeline.measured.signal.outcome import OUTCOMES
 from pipeline.measured.stages.stage_groups import TrialGroup
 from pipeline.measured.stages.stages import ExperimentStages, cost_column
 from pipeline.records.batch import Floats, Integers, TrialBatch
-from pipeline.records.criteria import criterion_of
+from pipeline.records.criteria import CRITERIA, criterion_of
 from pipeline.records.figure_records import Curve
 from pipeline.records.models import Motion
 from pipeline.records.results import ExperimentResult
@@ -89,13 +89,20 @@ def trial_page(
         share = None if full or responses else max(left, 0) // (len(gathered) - done)
         left -= gathered[number].embed(share, responses[number] if responses else None)
     motion: Motion = "rotation" if data.experiments[0].rotation else "translation"
+    first = next((c for c in criteria if CRITERIA[c].tabled), criteria[0])
     content = {
         "units": {"stiffness": UNITS[motion].stiffness, "damping": UNITS[motion].damping},
         "position": "rad" if motion == "rotation" else "m",
         "verdicts": VERDICTS,
         "outcomes": [name.replace("_", " ") for name in OUTCOMES],
         "criteria": [
-            {"label": criterion_label(c), "unit": criterion_of(c).family.printed_unit, "band": criterion_of(c).band}
+            {
+                "name": c,
+                "label": criterion_label(c),
+                "unit": criterion_of(c).family.printed_unit,
+                "band": criterion_of(c).band,
+                "first": c == first,
+            }
             for c in criteria
         ],
         "experiments": [e.content() for e in gathered],
@@ -157,6 +164,7 @@ class _Experiment:
         """References of the trials that tables name."""
         named = {str(best.trial_id) for best in self.result.optimum.values()}
         named |= {other.trial_id for other in self.result.other_definitions}
+        named |= {self.result.use.point.trial_id} if self.result.use else set()
         ids = self.stages.texts("response", "trial_id")
         return {trial: reference(self.number, row) for row, trial in enumerate(ids) if trial in named}
 
@@ -191,7 +199,8 @@ class _Experiment:
         """All rows, the most telling first."""
         ids = self.stages.texts("response", "trial_id")
         place = {trial: row for row, trial in enumerate(ids)}
-        best = [place[str(o.trial_id)] for o in self.result.optimum.values()]
+        use = [self.result.use.point.trial_id] if self.result.use else []
+        best = [place[str(name)] for name in [*use, *(o.trial_id for o in self.result.optimum.values())]]
         edge = np.array(list(self._boundary().values()), dtype=np.int64)
         edge = edge[_spread(len(edge))]
         grid = _coarse_to_fine(self.stiffness, self.damping)
@@ -264,13 +273,25 @@ class _Experiment:
         texts = []
         for i, row in enumerate(rows.tolist()):
             if np.isnan(cost[i]):
-                texts.append(f"none: {reasons[row] or 'only stable trials have one'}")
+                texts.append(f"none: {_reason_of(criterion, reasons[row]) or 'only stable trials have one'}")
             elif np.isnan(low[i]) or np.isnan(high[i]):
                 texts.append(cost_text(criterion, float(cost[i])))
             else:
                 ends = " to ".join(cost_text(criterion, float(end)) for end in (low[i], high[i]))
                 texts.append(f"{cost_text(criterion, float(cost[i]))} ({ends})")
         return texts
+
+
+def _reason_of(criterion: str, reasons: str) -> str:
+    """Return why a trial has no cost: of the reasons of a family those for this criterion, each once.
+
+    >>> _reason_of("settle_1pct", "settle_1pct: too short; settle_1pct: too short; settle_2pct: coarse sensor")
+    'too short'
+    """
+    parts = [clause.partition(": ") for clause in reasons.split("; ")]
+    others = CRITERIA.keys() - {criterion}
+    own = [text if name == criterion else f"{name}{colon}{text}" for name, colon, text in parts if name not in others]
+    return "; ".join(dict.fromkeys(own))
 
 
 def _signals(position: Floats, ghost: Floats, rows: int, edge: int, quantum: float) -> dict[str, Any]:

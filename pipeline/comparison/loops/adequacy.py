@@ -112,7 +112,10 @@ def doubts(
         declared = parts is not None and (parts.words() or parts.friction)
         found += _unexplained(result, shown.fitted, "" if declared else _PARTS)
         if shown.rest.tells:
-            found.append(Doubt(rest_words(shown.rest, _force(units)), "a device file with the force or friction in it"))
+            would_help = (
+                "" if parts is not None and parts.friction else "a device file with the force or friction in it"
+            )
+            found.append(Doubt(rest_words(shown.rest, _force(units)), would_help))
     if shown.explained and shown.fitted is not None and shown.fitted.saturated > MATTERS:
         many = share_text(shown.fitted.saturated, 0)
         text = f"{many} % of the stable trials command more than the drive gives, which linear theory cannot hold"
@@ -128,7 +131,7 @@ def doubts(
             )
         )
     if loop is not None:
-        found += _changing(result, loop, units)
+        found += _changing(result, loop, units, parts)
         found += _disagreeing(result, loop, units)
     return found
 
@@ -176,7 +179,7 @@ def _unexplained(result: ExperimentResult, fitted: FittedDevice | None, would_he
         yield Doubt(f"what the model leaves of the logs is no noise (p = {significant(check.whiteness or 0.0, 2)})")
 
 
-def _changing(result: ExperimentResult, loop: LoopRange, units: Units) -> Iterator[Doubt]:
+def _changing(result: ExperimentResult, loop: LoopRange, units: Units, parts: LoopParts | None) -> Iterator[Doubt]:
     """Parameters that depend on the wall or on the trial by more than the limit bears."""
     found = {
         "mass": ("mass", result.estimates["mass"]),
@@ -208,9 +211,11 @@ def _changing(result: ExperimentResult, loop: LoopRange, units: Units) -> Iterat
             )
     friction = result.estimates.get("friction")
     if friction is not None and (friction.low or 0.0) > 0:
+        stated = parts.friction.coulomb if parts is not None and parts.friction else None
+        by_file = f" ({significant(stated, 2)} by the device file)" if stated else ""
         yield Doubt(
-            f"there is Coulomb friction of {significant(friction.value or 0.0, 2)} {friction.unit}, which linear "
-            "theory cannot hold"
+            f"there is Coulomb friction of {significant(friction.value or 0.0, 2)} {friction.unit}{by_file}, which "
+            "linear theory leaves out"
         )
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from pipeline.base.wording import counted
 from pipeline.comparison.loops.adequacy import Shown
-from pipeline.comparison.loops.log_evidence import coarse, law_causes, rest_words
+from pipeline.comparison.loops.log_evidence import coarse, friction_words, law_causes, rest_words
 from pipeline.comparison.loops.loop_range import MATTERS, LoopRange, explains, loop_delay
 from pipeline.comparison.loops.part_causes import part_causes
 from pipeline.measured.experiment.rest_forces import RestForces
@@ -67,7 +67,7 @@ def direct_causes(
         parts = part_causes(stages, fitted, shown.velocity, units)
         found += [cause for cause in parts if all(cause.code != other.code for other in found)]
     elif not departures:  # a command that is not the wall law's tells of no force beside it
-        found += _force(result, shown.rest, units)
+        found += _force(result, shown.rest, units, stages)
     if loop is not None:
         found += _jitter(result, loop)
         found += [] if not adequate or loop.parts.actuator_lag_s else [*_part_of_a_sample(result, loop)]
@@ -77,7 +77,7 @@ def direct_causes(
     return tuple(found)
 
 
-def _force(result: ExperimentResult, rest: RestForces, units: Units) -> Iterator[Cause]:
+def _force(result: ExperimentResult, rest: RestForces, units: Units, stages: ExperimentStages) -> Iterator[Cause]:
     """A constant force or friction, by the estimates where they are and by where the device rests."""
     constant, friction = (result.estimates.get(name) for name in ("constant_force", "friction"))
     walls = any(point.stable is not None for point in result.boundary)
@@ -97,7 +97,7 @@ def _force(result: ExperimentResult, rest: RestForces, units: Units) -> Iterator
     if friction is not None and (friction.low or 0.0) > 0 and (rest.tells or not walls):
         yield Cause(
             code="coulomb_friction",
-            sentence=f"The device has Coulomb friction of {significant(friction.value or 0.0, 2)} {friction.unit}.",
+            sentence=friction_words(friction.value or 0.0, friction.unit, stages),
             evidence=f"estimated from the logs, 95 %: {_interval(friction)}",
         )
 

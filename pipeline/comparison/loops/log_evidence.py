@@ -35,6 +35,9 @@ _SENTENCES = {
 }
 
 
+SETTLING = 0.02
+"""Friction relative to the step from which on settling times depend on it: half width of the usual band."""
+
 IMITATED = {
     "several_steps": ("missing_rows", "repeated_rows", "velocity_filter", "saturation"),
     "missing_rows": ("saturation",),
@@ -116,9 +119,21 @@ def law_causes(departures: list[LawDeparture], stages: ExperimentStages) -> list
     return found
 
 
+def friction_words(coulomb: float, unit: str, stages: ExperimentStages) -> str:
+    """Return what friction [N, Nm] is in a device, and what it does where it is more than a settling band."""
+    step = float(np.median(np.abs(stages.trials.column("step").to_numpy())))
+    text = f"The device has Coulomb friction of {significant(coulomb, 2)} {unit}"
+    if not step or coulomb <= SETTLING * step:
+        return f"{text}."
+    return (
+        f"{text}, {share_text(coulomb / step, 0)} % of the step: settling times depend on how far off F_0/K it lets "
+        "the device rest."
+    )
+
+
 def rest_words(rest: RestForces, unit: str) -> str:
     """Return where logs come to rest, in words."""
     return (
-        f"{rest.off} of {counted(rest.of, 'settled log')} ({share_text(rest.off / max(rest.of, 1), 0)} %) rest "
-        f"elsewhere than at x_0 + F_0/K, by a force of {significant(rest.typical, 3)} {unit} in the median"
+        f"{rest.off} of {counted(rest.of, 'log')} that came to rest ({share_text(rest.off / max(rest.of, 1), 0)} %) "
+        f"do so elsewhere than at x_0 + F_0/K, where {significant(abs(rest.typical), 3)} {unit} hold them in the median"
     )

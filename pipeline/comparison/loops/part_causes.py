@@ -8,6 +8,7 @@ import numpy as np
 
 from pipeline.base.wording import counted
 from pipeline.comparison.loops.fitted_loop import LOAD, loop_point, loop_range
+from pipeline.comparison.loops.log_evidence import friction_words
 from pipeline.comparison.loops.loop_range import MATTERS, LoopPoint, LoopRange
 from pipeline.measured.experiment.fitted_device import FittedDevice
 from pipeline.measured.stages.stages import ExperimentStages
@@ -40,7 +41,7 @@ def part_causes(
     for part in fitted.parts:
         effect, shown = _effect(part, stages, fitted, loop, units)
         if effect > MATTERS:
-            found.append((effect, _cause(part, fitted, units, shown)))
+            found.append((effect, _cause(part, stages, fitted, units, shown)))
     return [cause for _, cause in sorted(found, key=lambda pair: -pair[0])]
 
 
@@ -109,8 +110,8 @@ def _rest_effect(part: str, stages: ExperimentStages, fitted: FittedDevice) -> f
     return abs(fitted.values["constant_force"]) / step if step else 0.0
 
 
-def _cause(part: str, fitted: FittedDevice, units: Units, shown: str) -> Cause:
-    code, number, sentence = _named(part, fitted, units)
+def _cause(part: str, stages: ExperimentStages, fitted: FittedDevice, units: Units, shown: str) -> Cause:
+    code, number, sentence = _named(part, stages, fitted, units)
     interval = f"95 %: {span(lambda value: significant(value, 4), number.low, number.high)}; "
     alike = f"; {' or '.join(fitted.alike)} cannot be told apart from it" if fitted.alike else ""
     evidence = (
@@ -120,7 +121,7 @@ def _cause(part: str, fitted: FittedDevice, units: Units, shown: str) -> Cause:
     return Cause.model_validate({"code": code, "sentence": sentence, "evidence": evidence})
 
 
-def _named(part: str, fitted: FittedDevice, units: Units) -> tuple[str, Parameter, str]:
+def _named(part: str, stages: ExperimentStages, fitted: FittedDevice, units: Units) -> tuple[str, Parameter, str]:
     """Return code, the number that tells most, and a sentence of a part."""
 
     def number(name: str) -> tuple[Parameter, str]:
@@ -143,8 +144,8 @@ def _named(part: str, fitted: FittedDevice, units: Units) -> tuple[str, Paramete
         shown = Parameter(value=1e3 * value.value, low=low, high=high)
         return "actuator_lag", shown, f"The force lags behind the command by a time constant of {ms} ms."
     if part == "friction":
-        value, text = number("coulomb")
-        return "coulomb_friction", value, f"The device has Coulomb friction of {text} {force}."
+        value, _ = number("coulomb")
+        return "coulomb_friction", value, friction_words(value.value, force, stages)
     if part == "saturation":
         value, text = number("force_limit")
         return "saturation", value, f"The drive gives no more than {text} {force}, whatever is commanded."

@@ -21,7 +21,7 @@ from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.criteria import REPORTED
 from pipeline.records.findings import ExcludedTrial
 from pipeline.records.results import HeaderLine, LogList
-from pipeline.rendering.labels import shortened
+from pipeline.rendering.labels import criterion_name, shortened
 from pipeline.store.storage import natural_key
 
 MOST_VALUES, LONGEST_VALUE = 4, 60
@@ -151,7 +151,7 @@ def _command(data: SceneData, processed: str, output: Sequence[str]) -> str:
 
 def _parameters(data: SceneData) -> str:
     scene = data.scene
-    parts = [f"criteria {', '.join(scene.criteria)}"]
+    parts = ["; ".join(map(criterion_name, scene.criteria))]
     if "windows" in needed_stages(data):
         parts.append(f"mass over windows of {', '.join(f'{1e3 * w:g}' for w in WINDOWS_S)} ms")
     return "; ".join(parts)

@@ -9,6 +9,7 @@ from pipeline.comparison.scene.scene import LEAVE_OUT, RUN, PlannedStage, SceneD
 from pipeline.comparison.tables_d import layouts
 from pipeline.records.figure_records import Figure, Limits
 from pipeline.records.models import FigureKind, Overlay, Shown
+from pipeline.rendering.labels import criterion_name
 
 FIGURE_NAMES: dict[FigureKind, str] = {
     "response": "first response",
@@ -52,7 +53,7 @@ def plan_parts(data: SceneData) -> list[PlannedStage]:
             plan.append(PlannedStage(f"figure: {name}", RUN, "with the report, where there is data for it"))
     for table in layouts(data):
         asked = shown.has_table(table.name)
-        reason = ", ".join(table.criteria) if asked else "the scene does not ask for it"
+        reason = "; ".join(map(criterion_name, table.criteria)) if asked else "the scene does not ask for it"
         plan.append(PlannedStage(f"table: {table.name}", RUN if asked else LEAVE_OUT, reason))
     return plan
 

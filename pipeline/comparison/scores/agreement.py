@@ -57,10 +57,14 @@ def boundary_distance(limits: MeasuredLimits, theory: Floats) -> DistanceScore |
     if not relative.any():
         return None
     share = (measured[relative] - limit[relative]) / limit[relative]
-    largest = int(np.argmax(np.abs(share)))
+    low, high = limits.low[known][relative], limits.high[known][relative]
+    # an interval from zero on holds any theory
+    bounded = (low > 0) & np.isfinite(high)
+    size = np.abs(share)
+    largest = int(np.argmax(np.where(bounded, size, -1.0) if bounded.any() else size))
     reach = MATTERS * limit[relative]
-    above = limits.low[known][relative] - limit[relative]
-    below = np.where(censored[relative], 0.0, limit[relative] - limits.high[known][relative])
+    above = bounded & (low - limit[relative] > reach)
+    below = bounded & ~censored[relative] & (limit[relative] - high > reach)
     return DistanceScore(
         median=float(np.median(share)),
         largest=float(share[largest]),
@@ -70,7 +74,9 @@ def boundary_distance(limits: MeasuredLimits, theory: Floats) -> DistanceScore |
         near_zero=int((use & ~relative).sum()),
         lower_bounds=int((relative & censored).sum()),
         open=int(open_.sum()),
-        agreeing=int(((above <= reach) & (below <= reach)).sum()),
+        bounded=int(bounded.sum()),
+        agreeing=int((bounded & ~above & ~below).sum()),
+        above=int(above.sum()),
     )
 
 

@@ -14,7 +14,19 @@ from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.models import ComparisonRow
 from pipeline.records.results import Answer, ExperimentResult, Mark
 from pipeline.records.score_records import DistanceScore
-from pipeline.rendering.labels import Units, damping_text, range_text, share_text, size_text, stiffness_text
+from pipeline.rendering.labels import (
+    Units,
+    criterion_name,
+    damping_text,
+    percent_text,
+    range_text,
+    share_text,
+    size_text,
+    stiffness_text,
+)
+
+FAR_OFF = 5.0
+"""Percent by which a best single trial costs more than theory's optimum from which on it is told why."""
 
 MOST_CAUSES = 2
 """Causes that are named: with more nobody reads on, and the tables hold all."""
@@ -52,7 +64,7 @@ def answer(
         experiment=result.experiment,
         verdict=verdict,
         use=use_text(result, units),
-        marks=tuple(_marks(result, stages)),
+        marks=tuple(_marks(result, stages, units)),
         causes=tuple(shown[:MOST_CAUSES]),
     )
 
@@ -83,17 +95,43 @@ def _verdict(
         )
     word = "well" if region.overlap >= WELL else "roughly" if region.overlap >= ROUGHLY else "poorly"
     distance = lead.scores[0].distance
-    off = f": {_limits(lead, distance)}" if distance else ""
-    costs = [abs(row.deviation.model) for row in rows if row.deviation]
-    cost = f"; optimal costs differ by {size_text(median(costs))}" if costs and off else ""
-    return f"Theory predicts {word} where this device is stable{off}{cost}."
+    if distance is None:
+        return f"Theory predicts {word} where this device is stable."
+    safe = ", but on the safe side," if word != "well" and _is_safe(distance) else ""
+    return f"Theory predicts {word}{safe} where this device is stable: {_limits(lead, distance)}{optimal_costs(rows)}."
+
+
+def _is_safe(distance: DistanceScore) -> bool:
+    """Whether all limits that do not agree lie above theory: walls that it calls stable are."""
+    return distance.above > 0 and distance.agreeing + distance.above == distance.bounded
+
+
+def optimal_costs(rows: Sequence[ComparisonRow]) -> str:
+    """Return how far optimal costs are off theory, as a clause; empty where none is known apart from the trials' grid.
+
+    Of several costs the size in the median, and where single trials lie farther off, why.
+    """
+    told = [(row, row.deviation) for row in rows if row.deviation]
+    if not told:
+        return ""
+    if len(told) == 1:
+        row, parts = told[0]
+        ends = range_text(lambda percent: percent_text(percent, 0), parts.model_low, parts.model_high)
+        return (
+            f"; the least {criterion_name(row.criterion).partition(' (')[0]}, {size_text(parts.model)} "
+            f"{'above' if parts.model > 0 else 'below'} (95 %: {ends} %)"
+        )
+    middle = median(abs(parts.model) for _, parts in told)
+    most = max((row.deviation_percent or 0.0 for row, _ in told), default=0.0)
+    far = f"; best trials up to {size_text(most)} more: tested points miss theory's optima" if most >= FAR_OFF else ""
+    return f"; optimal costs by {size_text(middle)} (median{far})"
 
 
 def _limits(lead: ExperimentResult, distance: DistanceScore) -> str:
     side = "above" if distance.median > 0 else "below"
     if 100 * abs(distance.median) < 0.1:
         return f"limits of experiment {lead.experiment} differ by less than 0.1 %"
-    return f"limits of experiment {lead.experiment} lie {size_text(100 * distance.median)} {side} theory's"
+    return f"limits of experiment {lead.experiment} lie {size_text(100 * distance.median)} {side} it"
 
 
 def _stiffest(results: Sequence[ExperimentResult], units: Units) -> str:
@@ -110,10 +148,10 @@ def _stiffest(results: Sequence[ExperimentResult], units: Units) -> str:
     return ""
 
 
-def _marks(result: ExperimentResult, stages: ExperimentStages) -> list[Mark]:
+def _marks(result: ExperimentResult, stages: ExperimentStages, units: Units) -> list[Mark]:
     """What the answer rests on: the wall law, the loop, and the limits."""
     if result.loop is None:
-        return [_limit_mark(result)]
+        return [_limit_mark(result, units)]
     departures = law_departures(stages)
     if departures:
         law = Mark(
@@ -129,7 +167,7 @@ def _marks(result: ExperimentResult, stages: ExperimentStages) -> list[Mark]:
         reason = loop.reason.split("; ")[0]
         told = f"{reason[:1].upper()}{reason[1:]}" if reason.startswith(_EXPLAINED) else f"{_NOT_ALL}: {reason}"
         model = Mark(name="loop", state="no", text=f"{told}.")
-    return [law, model, _limit_mark(result)]
+    return [law, model, _limit_mark(result, units)]
 
 
 _EXPLAINED, _NOT_ALL = "mass, damping and delay", "One mass, damping and delay do not explain all"
@@ -140,19 +178,23 @@ def _clause(sentence: str) -> str:
     return sentence[:1].lower() + sentence[1:].rstrip(".")
 
 
-def _limit_mark(result: ExperimentResult) -> Mark:
+def _limit_mark(result: ExperimentResult, units: Units) -> Mark:
     distance = result.scores[0].distance if result.scores else None
     if distance is None:
         return Mark(name="limits", state="unknown", text="There is no theory to hold the limits against.")
-    share = distance.agreeing / distance.dampings
+    if not distance.bounded:
+        return Mark(name="limits", state="unknown", text="No limit has bounds on both sides to hold theory against.")
+    share = distance.agreeing / distance.bounded
     state = "yes" if share >= ALL else "partly" if share >= SOME else "no"
     worst = (
         ""
         if state == "yes"
         else (
-            f"; farthest off by {size_text(100 * distance.largest)}, at B = "
-            f"{range_text(damping_text, distance.largest_damping, distance.largest_damping)}"
+            f" (95 % interval, or 2 %); farthest off {percent_text(100 * distance.largest, 0)} % at B = "
+            f"{damping_text(distance.largest_damping)} {units.damping}"
         )
     )
-    text = f"{distance.agreeing} of {counted(distance.dampings, 'limit')} agree with theory{worst}."
+    kind = "two-sided limit" if distance.bounded < distance.dampings else "limit"
+    met = f"{distance.agreeing} of {counted(distance.bounded, kind)}"
+    text = f"Theory meets {met}{worst}."
     return Mark.model_validate({"name": "limits", "state": state, "text": text})

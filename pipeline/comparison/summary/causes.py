@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 from pipeline.base.wording import counted
+from pipeline.comparison.figures.boundary_curves import too_late
 from pipeline.comparison.loops.loop_range import MATTERS
+from pipeline.comparison.scores.overlap import measured_limits
+from pipeline.comparison.scores.theory_band import ParameterBox, band_score
 from pipeline.records.results import ExperimentResult
 from pipeline.records.score_records import BandScore, BoundScore
 from pipeline.rendering.labels import Units, damping_text, decimal, significant
 
 MOSTLY = 0.95
 """Share of limits inside the band from which on the intervals explain a deviation: so many lie inside by chance."""
+
+SOME = 0.8
+"""The same from which on it is told that they could, with the number of limits beside."""
 
 
 def causes(result: ExperimentResult, units: Units) -> list[str]:
@@ -29,9 +35,32 @@ def causes(result: ExperimentResult, units: Units) -> list[str]:
         texts.append(_bound(first.bound, units))
     band = next((s.band for s in result.scores if s.band is not None), None)
     distance = first.distance
-    if band is not None and distance is not None and abs(distance.median) >= MATTERS:
-        texts.append(_band(band, units))
-    return texts
+    if distance is not None and abs(distance.median) >= MATTERS:
+        texts += [_delay_alone(result)] if band is None else [_band(band, units)]
+    return [text for text in texts if text]
+
+
+def _delay_alone(result: ExperimentResult) -> str:
+    """Return that the delays that the logs leave open explain the limits by themselves, where they do."""
+    theory, delay = result.scores[0].parameters, result.estimates["delay_samples"]
+    if delay.low is None or delay.high is None or delay.low == delay.high or too_late(delay):
+        return ""
+    box = ParameterBox(
+        (theory.mass, theory.mass),
+        (theory.damping, theory.damping),
+        (delay.low, delay.high),
+        theory.sampling_period_s,
+        theory.stiffness,
+        theory.loop,
+    )
+    met = band_score(measured_limits(result.boundary), box)
+    if met is None or met.share < SOME:
+        return ""
+    low, high, own = (significant(d, 3) for d in (delay.low, delay.high, theory.delay_samples))
+    return (
+        f"Delays of {low} to {high} samples in the logs (theory: {own}) could alone explain {met.inside} of "
+        f"{counted(met.points, 'limit')}."
+    )
 
 
 def _bound(bound: BoundScore, units: Units) -> str:

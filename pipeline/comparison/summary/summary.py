@@ -156,11 +156,12 @@ def _costs(results: Sequence[ExperimentResult], rows: Sequence[ComparisonRow]) -
         assert largest.deviation is not None, "they are chosen by it"
         found = largest.deviation
         middle = median(_size(r) for r in deviations)
+        ends = range_text(percent_text, found.model_low, found.model_high)
+        one = f"{percent_text(found.model)} % (95 %: {ends}) for {_named(largest)}"
+        several = f"{size_text(middle)} in the median of {len(deviations)} comparisons, most by {one}"
         parts.append(
-            f"{'optimal' if parts else 'Optimal'} costs differ from the discrete theory by {size_text(middle)} "
-            f"in the median of {counted(len(deviations), 'comparison')}, once range and grid of the trials and luck "
-            f"of the best one are taken off, most for {_named(largest)}: {percent_text(found.model)} % (95 %: "
-            f"{range_text(percent_text, found.model_low, found.model_high)})"
+            f"{'optimal' if parts else 'Optimal'} costs differ from the discrete theory, once range and grid of the "
+            f"trials and luck of the best one are taken off, by {one if len(deviations) == 1 else several}"
         )
     return "; ".join(parts) + "." if parts else ""
 
@@ -220,11 +221,12 @@ def _estimates(result: ExperimentResult) -> str:
     for key, name in names.items():
         # that of the device, where one is fitted to all trials; costs count from a whole number of samples
         estimate = result.estimates[key].by_method.get("ladder", result.estimates[key])
+        estimate = result.delay if key == "delay_samples" else estimate
         if estimate.value is None:
             continue
         value, low, high = estimate_texts(estimate)
         text = f"{name} {'about ' if doubted else ''}{value} {estimate.unit.replace('^2', '²')}"
-        if low and high and not doubted:
+        if low and high and not (doubted or low == value == high):
             text += f" (95 %: {low} to {high})"
         parts.append(text)
     return ", ".join(parts)

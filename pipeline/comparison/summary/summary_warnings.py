@@ -184,7 +184,9 @@ def _bad_fits(result: ExperimentResult) -> str:
     check = result.model_check
     if check is None or not check.trials or check.trials - check.explained < BAD_FITS * check.trials:
         return ""
-    other = "; theory may speak of another device" if _has_theory(result) else ""
+    left_out = result.theory.loop.left_out if result.theory else []
+    what = f"theory leaves out its {listed(left_out)}" if left_out else "theory may be that of another device"
+    other = f"; {what}" if _has_theory(result) else ""
     return (
         f"Experiment {result.experiment}: mass, damping and delay do not explain {check.trials - check.explained} of "
         f"{counted(check.trials, 'log')}{other}."

@@ -58,7 +58,7 @@ def with_model_delay(of: Stored, delay: Estimate) -> Estimate:
     if explaining is not None and factor is not None and delay.value is not None:
         first, value, last = (float(whole) for whole in factor)
         # (6.3) leaves the position inside the period open
-        found |= {"value": value, "low": first, "high": last + 1, "method": f"{explaining.method}, whole"}
+        found |= {"value": value, "low": first, "high": last + 1, "method": f"{explaining.method}, in whole samples"}
     return delay.model_copy(update=found)
 
 

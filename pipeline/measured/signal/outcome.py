@@ -174,7 +174,7 @@ def classify(
     waiting = (free == 0) & (batch.rows - response.edge_row <= UNMOVED_SAMPLES)
     unmoved = (free == 0) & ~waiting & ~(travel <= band)
     rate = verdicts.growth_per_s
-    growth = ["" if np.isnan(r) else f"; growth {r:.3g} 1/s" for r in rate]
+    growth = ["" if np.isnan(r) else f"; {'grows' if r > 0 else 'decays'} by {abs(r):.3g} per second" for r in rate]
     outside = np.where(stop >= 0, stop, left)
     moved = (push.first_row >= 0) | end.rests_elsewhere | unmoved
     grows = verdicts.verdict == "unstable"
@@ -217,11 +217,11 @@ def classify(
     def moving_text(i: int) -> str:
         if np.isnan(band[i]):
             return f"no final position with K = {batch.stiffness[i]:g}; does not run away{growth[i]}"
-        return f"not inside +-{band[i]:.3g} for good by row {batch.rows[i] - 1}{growth[i]}"
+        return f"not inside +-{band[i]:.3g} for good by sample {batch.rows[i] - 1}{growth[i]}"
 
     def settled_text(i: int) -> str:
         wide = "" if band[i] > response.floor[i] else ", which is the sensor floor"
-        return f"inside +-{band[i]:.3g} from row {end.entry[i]} on{wide}{growth[i]}"
+        return f"inside +-{band[i]:.3g} from sample {end.entry[i]} of the log on{wide}{growth[i]}"
 
     none = np.full(n, NO_ROW)
     rules: tuple[tuple[str, Booleans, Integers, Callable[[int], str]], ...] = (

@@ -65,9 +65,9 @@ LINE_WIDTHS = {
 }
 THIN = 0.9
 """Width of theory curves where there is one to each of many measured ones."""
-SHADES = {"envelope": 0.13, "use": 0.3, "passive": 0.22, "measured": 0.3}
+SHADES = {"envelope": 0.13, "use": 0.3, "passive": 0.22, "measured": 0.45}
 """Opacity of filled areas: light enough for the lines and dots on them, apart from each other in grey."""
-INTERVAL, OPEN_INTERVAL = 5.0, 1.6
+INTERVAL, OPEN_INTERVAL = 6.0, 2.0
 """Width of the bar of an interval [px], and of one without a lower end."""
 LABELLED_KINDS = ("measured", "theory")
 """Kinds of curves whose tip may bear a label; linear conditions and bands have none of their own."""
@@ -135,6 +135,7 @@ def _draw_trials(axes: Axes, curve: Curve, look: dict[str, Any]) -> Artist:
     x, y = curve.stiffness, curve.damping
     if curve.kind == "stable":
         dots(axes, x, y, look["color"], mark["ms"])
+        tell(axes, curve.label, x, y)
         x = y = np.empty(0)
     return axes.plot(x, y, **look, **mark)[0]
 
@@ -194,7 +195,8 @@ def draw_map(axes: Axes, cost_map: CostMap, criterion: str) -> None:
     """Draw the stability boundary, the contour lines of the cost and the optimum as a blue plus."""
     _draw_curve(axes, replace(cost_map.boundary, label="_"), style.INK)
     if not np.isfinite(cost_map.cost).any():
-        axes.text(0.5, 0.5, "no trial with this cost", transform=axes.transAxes, ha="center")
+        few = "too few trials" if np.isfinite(cost_map.trial_cost).any() else "no trial"
+        axes.text(0.5, 0.5, f"{few} with this cost", transform=axes.transAxes, ha="center")
         return
     family = criterion_of(criterion).family
     if family.none:
@@ -252,9 +254,7 @@ def draw_front(axes: Axes, cost_map: CostMap, criterion: str, top: float) -> Non
     axes.set_ylim(0, top * factor)
     inside = cost_map.trial_cost <= top
     dots(axes, cost_map.trial_stiffness[inside], cost_map.trial_cost[inside] * factor, style.GREEN, 2.6)
-    known = np.isfinite(cost_map.cost).any(axis=0)
-    lowest = np.where(np.isfinite(cost_map.cost), cost_map.cost, np.inf).min(axis=0)[known]
-    axes.plot(cost_map.stiffness[known], lowest * factor, color=style.INK, lw=1.3, label="least cost")
+    axes.plot(*_least(cost_map, factor), color=style.INK, lw=1.3, label="least cost")
     best = cost_map.optimum
     if best is None:
         return
@@ -265,6 +265,21 @@ def draw_front(axes: Axes, cost_map: CostMap, criterion: str, top: float) -> Non
     look: dict[str, Any] = {"va": "center", "color": style.BLUE, "fontweight": "bold", "bbox": style.BEHIND_TEXT}
     look["ha"] = "left" if place[0] < 0.1 * axes.get_xlim()[1] else "center"
     axes.annotate(text, place, offset, "data", textcoords="offset points", **look)
+
+
+def _least(cost_map: CostMap, factor: float) -> tuple[Floats, Floats]:
+    """Return the least cost of a map over stiffness, nowhere above a single trial; nothing without a map."""
+    known = np.isfinite(cost_map.cost).any(axis=0)
+    K = cost_map.stiffness[known]
+    lowest = np.where(np.isfinite(cost_map.cost), cost_map.cost, np.inf).min(axis=0)[known]
+    told = np.isfinite(cost_map.trial_cost) & (cost_map.trial_cost >= 0)
+    if not len(K) or not told.any():
+        return K, lowest * factor
+    every = np.union1d(K, cost_map.trial_stiffness[told])
+    single = np.full(len(every), np.inf)
+    np.minimum.at(single, np.searchsorted(every, cost_map.trial_stiffness[told]), cost_map.trial_cost[told])
+    line = np.minimum(np.interp(every, K, lowest, left=np.inf, right=np.inf), single)
+    return every, np.where(np.isfinite(line), line, np.nan) * factor
 
 
 def front_top(figure: Figure[CostMap]) -> float:

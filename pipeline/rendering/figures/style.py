@@ -59,8 +59,8 @@ LINES: dict[str, Any] = {
     "unstable": "none",
 }
 DOTS: dict[str, Any] = {
-    "stable": {"marker": "o", "ms": 1.6, "mew": 0},
-    "unstable": {"marker": "x", "ms": 3.4, "mew": 0.9},
+    "stable": {"marker": "o", "ms": 2.6, "mew": 0},
+    "unstable": {"marker": "x", "ms": 5.0, "mew": 1.3},
 }
 """Marks of single trials."""
 

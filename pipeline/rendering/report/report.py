@@ -110,9 +110,9 @@ def render(data: ReportData) -> str:
         families=list(dict.fromkeys(criterion_of(name).family for name in result.criteria)),
         figures=figures,
         figure_json=report_scripts.json_text({"figures": pack(numbers)}) if numbers else "",
-        held_sentence=report_truth.held_sentence(result),
         use_facts=_use_facts(result),
-        use_reason=_use_reason(result),
+        use_note=_use_note(result),
+        loop_line=_loop_line(result),
         **_tables(data),
     )
     page = unbroken(page)
@@ -149,12 +149,17 @@ def _told(result: ComparisonResult) -> ExperimentResult | None:
 
 def _use_facts(result: ComparisonResult) -> dict[str, str]:
     told = _told(result)
-    return report_answer.use_facts(told.use, UNITS[result.motion]) if told and told.use else {}
+    return report_answer.use_facts(told, UNITS[result.motion]) if told else {}
 
 
-def _use_reason(result: ComparisonResult) -> str | None:
+def _loop_line(result: ComparisonResult) -> str:
     told = _told(result)
-    return told.use_reason if told and not told.use else None
+    return report_answer.loop_line(told, result.motion) if told else ""
+
+
+def _use_note(result: ComparisonResult) -> str:
+    told = _told(result)
+    return report_answer.use_note(told) if told else ""
 
 
 def _tables(data: ReportData) -> dict[str, Any]:

@@ -48,6 +48,12 @@ OUTCOMES = {
     "no_step": "no step",
 }
 
+OUTCOME_NOTES = {
+    "settled": "Settled: stays within 2 % of x_0 + F_0/K. More logs come to rest, some of them elsewhere.",
+    "disturbed": "Disturbed: a force of 5 % of the step or more acts that neither command nor mass and damping "
+    "explain, such as a push or friction.",
+}
+
 TOOLS_NOTE = (
     "Other tools count from the command edge and take the last sample for the final value; this report counts "
     "from the first sample that the command can move, and takes x_0 + F_0/K."
@@ -117,7 +123,8 @@ def experiment_table(result: ComparisonResult, trials: TrialPage = NO_TRIALS) ->
     for e in result.experiments:
         operator = f"{e.grip} grip" if e.grip != "none" else "no operator"
         values: dict[str, Any] = {v: e.verdicts.get(v, 0) for v in verdicts}
-        values |= {q: estimate_cell(table, e.estimates[q]) for q in quantities if q in e.estimates}
+        shown = e.estimates | {"delay_samples": e.delay}
+        values |= {q: estimate_cell(table, shown[q]) for q in quantities if q in e.estimates}
         values |= {"experiment": e.experiment, "trials": e.trials, "theory": _theory_cell(e.theory, result.motion)}
         values["set-up"] = ", ".join(filter(None, [e.configuration, operator]))
         table.add(e.experiment, values)
@@ -126,13 +133,11 @@ def experiment_table(result: ComparisonResult, trials: TrialPage = NO_TRIALS) ->
 
 def loop_table(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> Table | None:
     """Return the loop of each experiment and whether it bears statements, or None where none is known."""
+    units = UNITS[result.motion]
     columns = [words("experiment"), words("adequate", "adequate loop"), words("reason", "why")]
     columns += [words("source", "parameters by"), words("delay", "delay d [samples]")]
-    columns += [words("mass", f"mass m [{UNITS[result.motion].mass}]")]
-    columns += [
-        words("damping", f"damping b [{UNITS[result.motion].damping}]"),
-        words("passive", "stiffest passive wall"),
-    ]
+    columns += [words("mass", f"mass m [{units.mass}]"), words("damping", f"damping b [{units.damping}]")]
+    columns += [words("passive", "stiffest passive wall")]
     table = Table("loops", "The loop that all statements about a device rest on, with 95 % intervals", columns)
     for e in result.experiments:
         if e.loop is None:
@@ -145,7 +150,11 @@ def loop_table(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> Table
             "delay": _parameter_text(e.loop.delay_samples),
             "mass": _parameter_text(e.loop.mass),
             "damping": _parameter_text(e.loop.damping),
-            "passive": f"K = {e.passive.stiffness:.4g}, B = {e.passive.damping:.4g}" if e.passive else "none is named",
+            "passive": (
+                f"K = {e.passive.stiffness:.4g} {units.stiffness}, B = {e.passive.damping:.4g} {units.damping}"
+                if e.passive
+                else "none is named"
+            ),
         }
         table.add(e.experiment, values)
     return table.filled
@@ -175,7 +184,8 @@ def outcome_table(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> Ta
     """Return how many trials ended how, or None where it is not known."""
     shown = [name for name in OUTCOMES if any(e.outcomes.get(name) for e in result.experiments)]
     columns = (words("experiment"), *(Column(name, OUTCOMES[name]) for name in shown))
-    table = Table("outcomes", "What the logs show: number of trials by outcome", columns)
+    table = Table("outcomes", "What the logs show: number of trials by outcome, each trial by one", columns)
+    table.mark(*(OUTCOME_NOTES.get(name) for name in shown))
     for e in result.experiments if shown else ():
         counts = {name: e.outcomes.get(name, 0) for name in shown}
         table.add(e.experiment, {"experiment": e.experiment, **counts})

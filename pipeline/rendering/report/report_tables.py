@@ -31,6 +31,11 @@ from pipeline.rendering.labels import (
 from pipeline.rendering.table import Cell, Column, Table, missing, number, words
 
 CENSORED = "At the edge of the tested range (censored): the true value may lie outside."
+PARTS = (
+    "Parts, whose factors (1 + x/100) multiply to the whole: range, theory's least cost in the tested range against "
+    "its least anywhere; grid, that at the tested points against that; model, the measured cost freed from the scatter "
+    "of single trials against theory's (95 %); selection, the best single trial against that."
+)
 NOT_PUBLISHED = "not published"
 TESTED_RANGE_ENDED = "The tested range ended before an unstable trial."
 
@@ -187,7 +192,7 @@ def _optimum_cells(table: Table, row: ComparisonRow, trials: TrialPage) -> dict[
         "stiffness": number(row.stiffness, stiffness_text, why, trial=trial),
         "damping": number(row.damping, damping_text, why, trial=trial),
         "cost": number(row.cost, partial(cost_text, row.criterion), why, trial=trial),
-        "deviation": _deviation_cell(row),
+        "deviation": _deviation_cell(table, row),
         "published_stiffness": row.published_stiffness,
         "published_damping": row.published_damping,
         "published_cost": number(row.published_cost, partial(_published_cost, row.criterion), NOT_PUBLISHED),
@@ -202,11 +207,11 @@ def _published_cost(criterion: str, cost: float) -> str:
     return published_text(cost * printed_scale(criterion))
 
 
-def _deviation_cell(row: ComparisonRow) -> Cell:
+def _deviation_cell(table: Table, row: ComparisonRow) -> Cell:
     theory = row.condition.startswith("theory")
     why = "no deviation: a cost is missing, or the cost of theory is zero"
     cell = number(row.deviation_percent, percent_text, "theory is what the deviation refers to" if theory else why)
-    return replace(cell, aside=_parts(row.deviation)) if row.deviation else cell
+    return replace(cell, aside=_parts(row.deviation), marks=table.mark(PARTS)) if row.deviation else cell
 
 
 def _parts(parts: Deviation) -> str:
@@ -253,7 +258,7 @@ def _delay_cells(table: Table, point: DelayPoint, criteria: Sequence[str], trial
             if criterion in rows:
                 cells[f"{criterion}/{what}"] = _cost_cell(table, rows[criterion], trials)
         if criterion in point.measured:
-            cells[f"{criterion}/deviation"] = _deviation_cell(point.measured[criterion])
+            cells[f"{criterion}/deviation"] = _deviation_cell(table, point.measured[criterion])
     return cells
 
 

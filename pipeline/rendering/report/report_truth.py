@@ -1,4 +1,4 @@
-"""What was true of simulated experiments, beside what was found: a table, and a sentence for the head of the page."""
+"""What was true of simulated experiments, beside what was found, as a table."""
 
 from __future__ import annotations
 
@@ -20,7 +20,8 @@ def truth_table(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> Tabl
     units = {name: one.unit for each in known for name, one in each.estimates.items() if one.truth is not None}
     columns = [words("experiment"), Column("limits", "limits that hold it")]
     columns += [Column(name, NAMES.get(name, name), unit.replace("^2", "²")) for name, unit in units.items()]
-    table = Table("truth", "What was true in the simulation, with the interval of each estimate", columns)
+    caption = f"What was true in the simulation, with the interval of each estimate: {_held(result)}"
+    table = Table("truth", caption, columns)
     for each in known:
         held = each.truth_held
         assert held is not None, "they are chosen by it"
@@ -43,11 +44,9 @@ def _cell(table: Table, one: Estimate) -> Cell:
     return Cell(one.truth, significant(one.truth, 4), aside=interval, marks=marks)
 
 
-def held_sentence(result: ComparisonResult) -> str:
-    """Return how many intervals hold the truth over all experiments; empty where none is known."""
+def _held(result: ComparisonResult) -> str:
+    """Return how many intervals hold the truth over all experiments."""
     known = [each.truth_held for each in result.experiments if each.truth_held is not None]
     total = sum(held.estimates + held.limits for held in known)
-    if not total:
-        return ""
     held = sum(held.estimates_held + held.limits_held for held in known)
-    return f"{held} of {total} intervals of 95 % hold the truth."
+    return f"{held} of {total} intervals of 95 % hold it"

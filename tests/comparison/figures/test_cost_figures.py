@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from pipeline.comparison.compare_experiment import nominal_theories
-from pipeline.comparison.figures.cost_figures import _smoothed, without_steps
+from pipeline.comparison.figures.cost_figures import _smoothed, measured_map, without_steps
 from pipeline.comparison.scene.scene import open_scene
 from pipeline.loop.loop import Loop
+from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.theory.cost.maps import cost_maps
 from pipeline.theory.predictions import Predictions
 
@@ -73,6 +74,17 @@ def test_where_theory_lacks_costs_the_measured_ones_are_smoothed_alone() -> None
     alone = _smoothed(course, course.cost, "energy_step_w1", None, course)
     course.expected = np.where(course.places["stiffness"] > 6000, np.nan, course.expected)
     assert (_smoothed(course, course.cost, "energy_step_w1", object(), course) == alone).all()
+
+
+@pytest.mark.parametrize(("known", "drawn"), [(19, False), (60, True)])
+def test_lines_are_drawn_where_enough_trials_have_a_cost(falcon, falcon_outcome, monkeypatch, known, drawn) -> None:
+    result, stages = falcon_outcome.result.experiments[0], ExperimentStages.stored(falcon.processed, "falcon", "1")
+    cost = stages.sure_cost("settle_2pct")
+    cost[np.flatnonzero(np.isfinite(cost))[known:]] = np.nan
+    monkeypatch.setattr(stages, "sure_cost", lambda name: cost)
+    found = measured_map(result, stages, "settle_2pct", None, Predictions(falcon.processed / "theory"))
+    assert np.isfinite(found.cost).any() == drawn
+    assert np.isfinite(found.trial_cost).sum() == known
 
 
 def test_costs_at_trials_are_computed_once(monkeypatch, falcon) -> None:

@@ -8,7 +8,7 @@ from stored import batch_of
 from trial_pages import decode
 
 from pipeline.comparison.compare_experiment import experiment_result, nominal_theories
-from pipeline.comparison.figures.trial_data import BUDGET, trial_page
+from pipeline.comparison.figures.trial_data import BUDGET, _reason_of, trial_page
 from pipeline.comparison.scene.scene import open_scene
 from pipeline.records.criteria import REPORTED
 from pipeline.records.trial_codec import LEVELS, unpack
@@ -140,3 +140,9 @@ def test_without_theory_and_model_trials_are_shown_all_the_same(noisy):
     assert columns["theory"] is None
     assert len(page.content["criteria"]) == 1
     assert responses
+
+
+def test_a_cost_has_its_own_reason_once():
+    reasons = "settle_1pct: not settled; settle_1pct: not settled; settle_2pct: coarse; too short: 3 rows"
+    assert _reason_of("settle_1pct", reasons) == "not settled; too short: 3 rows"
+    assert _reason_of("overshoot", "") == ""

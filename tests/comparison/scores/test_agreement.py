@@ -56,6 +56,19 @@ def test_limits_agree_that_meet_theory_by_their_intervals_or_nearly():
     assert boundary_distance(limits(measured, censored=censored), theory).agreeing == 2
 
 
+def test_a_limit_without_a_lower_bound_agrees_with_nothing_and_is_not_the_farthest():
+    """An interval from zero on holds any theory, and its middle may lie anywhere."""
+    theory, measured = np.full(4, 1000.0), np.array([1000.0, 1300, 2000, 1300])
+    open_below = MeasuredLimits(
+        np.arange(4.0), measured, np.array([900.0, 1250, 0, 1250]), 1.1 * measured, NONE, np.ones(4, dtype=bool)
+    )
+    found = boundary_distance(open_below, theory)
+    assert (found.dampings, found.bounded, found.agreeing, found.above) == (4, 3, 1, 2)
+    assert (found.largest, found.largest_damping) == pytest.approx((0.3, 1.0))
+    none = boundary_distance(limits(measured, open_by=1.0), theory)
+    assert (none.bounded, none.agreeing, none.largest) == (0, 0, 1.0)
+
+
 def test_lower_bounds_count_only_above_theory():
     theory = np.full(4, 1000.0)
     measured = np.array([1000.0, 1000, 1500, 500])

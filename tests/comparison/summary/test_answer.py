@@ -6,7 +6,8 @@ import re
 
 import pytest
 
-from pipeline.comparison.summary.answer import answer
+from pipeline.comparison.summary.answer import answer, optimal_costs
+from pipeline.records.models import ComparisonRow, Deviation
 from pipeline.rendering.labels import UNITS
 
 FALCON = UNITS["translation"]
@@ -37,7 +38,7 @@ def test_words_follow_the_overlap(data, result, overlap, word):
 
 @pytest.mark.parametrize(
     ("median", "words"),
-    [(0.057, "lie 5.7 % above theory's"), (-0.2, "lie 20 % below theory's"), (0.0002, "differ by less than 0.1 %")],
+    [(0.057, "lie 5.7 % above it"), (-0.2, "lie 20 % below it"), (0.0002, "differ by less than 0.1 %")],
 )
 def test_verdict_tells_how_far_the_limits_are_off(data, result, median, words):
     distance = result.experiments[0].scores[0].distance.model_copy(update={"median": median})
@@ -55,12 +56,50 @@ def test_without_an_unstable_trial_nothing_is_said_to_be_predicted(data, result)
 
 @pytest.mark.parametrize(("agreeing", "state"), [(20, "yes"), (15, "partly"), (5, "no")])
 def test_the_mark_of_the_limits_counts_those_that_agree(data, result, agreeing, state):
-    changes = {"dampings": 20, "agreeing": agreeing, "largest": 0.3, "largest_damping": 40.0}
+    changes = {"dampings": 22, "bounded": 20, "agreeing": agreeing, "largest": 0.3, "largest_damping": 40.0}
     distance = result.experiments[0].scores[0].distance.model_copy(update=changes)
     mark = told(data, result, distance=distance).marks[-1]
     assert mark.state == state
-    assert mark.text.startswith(f"{agreeing} of 20 limits agree with theory")
-    assert ("farthest off by 30 %, at B = 40" in mark.text) == (state != "yes")
+    assert mark.text.startswith(f"Theory meets {agreeing} of 20 two-sided limits")
+    assert ("(95 % interval, or 2 %); farthest off +30 % at B = 40 Ns/m" in mark.text) == (state != "yes")
+
+
+def test_limits_without_bounds_on_both_sides_tell_nothing(data, result):
+    distance = result.experiments[0].scores[0].distance.model_copy(update={"bounded": 0, "agreeing": 0})
+    assert told(data, result, distance=distance).marks[-1].state == "unknown"
+
+
+@pytest.mark.parametrize(("agreeing", "above", "safe"), [(2, 6, True), (2, 5, False), (8, 0, False)])
+def test_theory_is_on_the_safe_side_where_no_limit_lies_below_it(data, result, agreeing, above, safe):
+    scores = result.experiments[0].scores[0]
+    distance = scores.distance.model_copy(update={"bounded": 8, "agreeing": agreeing, "above": above})
+    region = scores.region.model_copy(update={"overlap": 0.3})
+    verdict = told(data, result, distance=distance, region=region).verdict
+    assert ("but on the safe side" in verdict) == safe
+
+
+def row(model, percent):
+    parts = Deviation(range=0.0, grid=0.0, model=model, selection=0.0, model_low=model - 18, model_high=model + 22.9)
+    return ComparisonRow(
+        table="D.1",
+        criterion="energy_step_w0",
+        condition="experiment",
+        delay_samples=4,
+        stiffness=1,
+        damping=1,
+        cost=1,
+        deviation=parts,
+        deviation_percent=percent,
+    )
+
+
+def test_optimal_costs_are_told_with_sign_and_interval_or_why_single_trials_lie_elsewhere():
+    one = optimal_costs([row(-24.1, -20.3)])
+    assert one == "; the least energy cost, w = 0, 24 % below (95 %: \N{MINUS SIGN}42 to \N{MINUS SIGN}1 %)"
+    several = optimal_costs([row(0.01, 20.0), row(-0.02, 104.6)])
+    assert "by less than 0.1 % (median; best trials up to 105 % more: " in several
+    assert optimal_costs([row(0.01, 0.2), row(-0.02, 0.1)]).endswith("by less than 0.1 % (median)")
+    assert optimal_costs([]) == ""
 
 
 def test_marks_say_what_speaks_against_the_loop(data, result):

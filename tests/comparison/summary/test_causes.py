@@ -51,6 +51,16 @@ def test_band_explains_a_deviation_or_not(result):
     assert "lies below it from B = 100 to 148 Ns/m" in text
 
 
+def test_delays_that_the_logs_leave_open_are_told_where_they_explain_the_limits_alone(result):
+    delay = result.estimates["delay_samples"].model_copy(update={"low": 3.0, "high": 6.0})
+    shifted = with_scores(result, distance=off(result, 0.28))
+    jittering = shifted.model_copy(update={"estimates": result.estimates | {"delay_samples": delay}})
+    (text,) = causes(jittering, FALCON)
+    assert text.startswith("Delays of 3 to 6 samples in the logs (theory: 4) could alone explain ")
+    sure = delay.model_copy(update={"high": 3.0})
+    assert causes(shifted.model_copy(update={"estimates": result.estimates | {"delay_samples": sure}}), FALCON) == []
+
+
 def test_bound_is_named_first(result):
     gone = Departure(side="below", damping_low=100, damping_high=180, dampings=19)
     band = BandScore(**BAND, points=20, inside=1, departures=(gone,))

@@ -102,7 +102,7 @@ def test_evidence_of_settling_is_the_settling_time() -> None:
     assert set(found.outcome) == {"settled"}
     assert (found.first_row - response.edge_row - 4).tolist() == settling.tolist()
     np.testing.assert_allclose(found.band, BAND * 8.0 / batch.stiffness, rtol=1e-12)
-    assert all(f"row {row} on" in text for row, text in zip(found.first_row, found.evidence, strict=True))
+    assert all(f"sample {row} of the log on" in text for row, text in zip(found.first_row, found.evidence, strict=True))
 
 
 @pytest.mark.parametrize("size", [-3.0, 1.5])

@@ -152,6 +152,18 @@ def test_dots_are_where_the_trials_are() -> None:
     assert paths(svg, "currentColor") == ["M400 1800h0m1100-1600h0"]
 
 
+def test_the_line_of_the_least_cost_is_nowhere_above_a_trial() -> None:
+    m = cost_map("m", "measured", "settle_2pct")
+    K = np.array([float(m.stiffness[3]), 0.5 * float(m.stiffness[3] + m.stiffness[4]), 1.5 * float(m.stiffness[-1])])
+    cost = np.array([1.0, 2.0, 5.0])
+    lucky = replace(m, trial_stiffness=K, trial_damping=np.zeros(3), trial_cost=cost)
+    at, line = panels._least(lucky, 1.0)
+    assert np.interp(K, at, line) == pytest.approx(cost)
+    bare = replace(m, trial_stiffness=np.empty(0), trial_damping=np.empty(0), trial_cost=np.empty(0))
+    known = np.isfinite(m.cost).any(axis=0)
+    assert (panels._least(bare, 1.0)[1] == np.nanmin(m.cost[:, known], axis=0)).all()
+
+
 @pytest.mark.parametrize("points", [0, 1, 2, 5])
 def test_a_map_with_few_trials_is_drawn_without_contours(points: int) -> None:
     m = cost_map("m", "measured", "settle_2pct")
@@ -159,7 +171,7 @@ def test_a_map_with_few_trials_is_drawn_without_contours(points: int) -> None:
     sparse[10, 5 : 5 + points] = 30.0
     figure = Figure[CostMap]("maps", "f", "t", "c", (replace(m, cost=sparse, optimum=None),), "settle_2pct")
     (svg,) = figures.cost_maps(figure)
-    assert ("no trial with this cost" in texts(svg)) == (points == 0)
+    assert ("too few trials with this cost" in texts(svg)) == (points == 0)
 
 
 def test_empty_boundary_and_empty_delay_panel_do_not_fail() -> None:
@@ -199,7 +211,7 @@ def test_shaded_areas_follow_their_ends_and_normalised_axes_are_named() -> None:
     shaded = [p for p in parse(svg).iter("path") if p.get("fill", "none") not in ("none", "")]
     areas = [p.get("d", "") for p in shaded if float(p.get("opacity", p.get("fill-opacity", "1"))) < 0.5]
     assert len(areas) == 2
-    (bars,) = [p.get("d", "") for p in parse(svg).iter("path") if p.get("stroke-width") == "50"]
+    (bars,) = [p.get("d", "") for p in parse(svg).iter("path") if p.get("stroke-width") == "60"]
     assert bars.count("M") + bars.count("m") == 2
     ends = [float(x) for x in re.findall(r"[Mm](-?[\d.]+)", areas[0])]
     assert float(re.findall(r"M([\d.]+)", bars)[0]) == ends[0], "both begin at the same stiffness"

@@ -10,7 +10,7 @@ from pipeline.records.loop_parts import LoopParts
 from pipeline.records.results import TheoryParameters, Truth, TruthHeld
 from pipeline.rendering.report import report
 from pipeline.rendering.report.report_parts import take_apart
-from pipeline.rendering.report.report_truth import MISSED, held_sentence, truth_table
+from pipeline.rendering.report.report_truth import MISSED, truth_table
 
 LOOP = TheoryParameters(
     mass=0.58, damping=4, stiffness=0, sampling_period_s=0.001, delay_samples=4, loop=LoopParts(), source="simulator"
@@ -39,19 +39,25 @@ def test_an_interval_that_misses_the_truth_is_marked():
     assert cells["mass"].marks == ()
     assert cells["delay_samples"].marks == ("a",)
     assert cells["limits"].text == "1 of 2"
-    assert held_sentence(known()) == "2 of 4 intervals of 95 % hold the truth."
+    assert table.caption.endswith(": 2 of 4 intervals of 95 % hold it")
 
 
 def test_limits_without_truth_have_the_reason():
     table = truth_table(known("the delay jitters"))
     assert "the delay jitters" in table.whys
-    assert held_sentence(known("the delay jitters")).startswith("1 of 2")
+    assert "1 of 2 intervals" in table.caption
 
 
 def test_nothing_is_said_of_a_truth_that_is_not_known():
-    result = report_data(full=False).result
-    assert truth_table(result) is None
-    assert held_sentence(result) == ""
+    assert truth_table(report_data(full=False).result) is None
+
+
+def test_the_share_of_intervals_stands_at_the_truth_and_not_in_the_head():
+    data = report_data(full=False)
+    page = report.render(replace(data, result=known()))
+    head, _, rest = page.partition("</header>")
+    assert "intervals of 95 %" not in head
+    assert "2 of 4 intervals of 95 % hold it" in rest
 
 
 def test_every_caption_drawing_and_the_print_head_say_that_logs_are_simulated():

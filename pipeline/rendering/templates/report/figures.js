@@ -82,6 +82,8 @@ function pointed(panel, px, py) {
   for (const [label, xs, ys, values] of axes.series) {
     xs.forEach((value, n) => {
       const distance = (box[0] + (value - x[0]) * wide - px) ** 2 + (box[3] - (ys[n] - y[0]) * high - py) ** 2;
+      // a limit is that of a trial: what lies on one place is named together
+      if (best && distance === least && !best[0].split(", ").includes(label)) best[0] += `, ${label}`;
       if (distance < least) [best, least] = [[label, value, ys[n], values?.[n]], distance];
     });
   }

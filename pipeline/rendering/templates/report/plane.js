@@ -229,6 +229,15 @@ class Plane {
       pen.stroke();
       return;
     }
+    if (verdict === "undecided") {
+      pen.rect(x - size * 0.8, y - size * 0.8, size * 1.6, size * 1.6);
+      pen.fillStyle = shade >= 0 ? colour(`--shade-${shade + 1}`) : paper;
+      pen.fill();
+      pen.strokeStyle = ink;
+      pen.lineWidth = rims.has(row) ? 1 : 0.7;
+      pen.stroke();
+      return;
+    }
     // the better a trial the larger its mark, so that shades are not told by colour alone
     pen.arc(x, y, shade < 0 ? size * 0.7 : size * (1.2 - 0.08 * shade), 0, 7);
     const filled = this.shades ? shade >= 0 : verdict === "stable";

@@ -76,12 +76,17 @@ class Runs {
   /** Rows that search and filters leave, in their order. */
   found() {
     const columns = this.columns();
-    const words = this.fields.search.value.toLowerCase().split(/\s+/).filter(Boolean);
-    const texts = (row) => columns.slice(0, 4).map(([, value]) => `${value(row)}`.toLowerCase());
+    const words = this.fields.search.value.toLowerCase().replace(/−/g, "-").replace(/\s*=\s*/g, "=").split(/[\s,;]+/).filter(Boolean);
+    // a number is that stiffness or damping and no other, with a letter the one of both
+    const fits = (row, word) => {
+      const number = /^(?:([kb])=)?(-?\d+(?:\.\d*)?)$/.exec(word);
+      if (!number) return [2, 3].some((column) => columns[column][1](row).toLowerCase().includes(word));
+      return ["k", "b"].some((letter, column) => (number[1] ?? letter) === letter && columns[column][1](row) === Number(number[2]));
+    };
     const [verdict, outcome] = [this.fields.verdict.value, this.fields.outcome.value];
     const rows = this.explorer.shown.k.map((_, row) => row).filter((row) =>
       (!verdict || columns[2][1](row) === verdict) && (!outcome || columns[3][1](row) === outcome)
-      && words.every((word) => texts(row).some((text) => text.includes(word))));
+      && words.every((word) => fits(row, word)));
     const value = columns[this.sort.column]?.[1];
     if (!value) return rows;
     const sign = this.sort.down ? -1 : 1;
@@ -112,7 +117,7 @@ class Runs {
 
   /** The box that puts a response over the others; none where the page does not hold it. */
   box(row) {
-    if (!this.explorer.shown.byRow.has(row)) return "";
+    if (!this.explorer.shown.byRow.has(row)) return "no response here";
     const box = document.createElement("input");
     box.type = "checkbox";
     box.checked = this.chosen.includes(row);

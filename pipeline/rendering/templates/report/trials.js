@@ -68,8 +68,9 @@ class Explorer {
       limits.forEach((limit, n) => key.push(swatch(`shade-${n + 1}`, n ? `to ${limit}` : `up to ${limit} ${entry.unit}`)));
       key.push(swatch(`shade-${SHADES}`, "above"), swatch("hollow", "stable, no cost"), swatch("cross", "unstable"));
     } else {
-      key.push(swatch("stable", "stable"), swatch("cross vermillion", "unstable"), swatch("hollow", "undecided"));
+      key.push(swatch("stable", "stable"), swatch("cross vermillion", "unstable"));
     }
+    if (this.shown.v.includes(String(this.content.verdicts.indexOf("undecided")))) key.push(swatch("undecided", "undecided"));
     if (this.shown.measured[0].length) key.push(swatch("line", "measured boundary"));
     if (this.shown.open?.[0].length) key.push(swatch("open", "tested range ended before an unstable trial"));
     if (this.shown.theory) key.push(swatch("line dashed", "boundary of theory"));
@@ -88,6 +89,14 @@ class Explorer {
   outcome(row) {
     const [verdict, outcome] = [this.content.verdicts[this.shown.v[row]], this.content.outcomes[this.shown.o[row]]];
     return `${verdict}, ${outcome}`;
+  }
+
+  /** Colour the plane by the first criterion that some names hold, where one does. */
+  colour(names) {
+    const number = this.content.criteria.findIndex(({ name }) => names.includes(name));
+    if (number < 0 || this.criterion.value === String(number)) return;
+    this.criterion.value = String(number);
+    if (this.shown) this.paint(true);
   }
 
   /** One line on the trial under the pointer or cursor. */
@@ -124,9 +133,11 @@ class Explorer {
     } else {
       this.response.clear();
       fill(parts["trial-key"]);
-      parts["trial-alternative"].textContent = "The response of this trial is not in this page; see above how to get a page with all of them.";
+      parts["trial-alternative"].textContent = "The response of this trial is not in this page, all numbers of it are. `pipeline compare --full` writes a page with all responses.";
     }
-    facts.push(...costs.map(([label, cost]) => [label, cost === null ? "none" : typeof cost === "number" ? plain(cost) : cost]));
+    const told = costs.map(([label, cost]) => [label, cost === null ? "none" : typeof cost === "number" ? plain(cost) : cost]);
+    // a reason that several costs share is told once
+    facts.push(...told.map(([label, text], n) => [label, text.length > 4 && text.startsWith("none") && text === told[n - 1]?.[1] ? "none, for the same reason" : text]));
     fill(parts["trial-facts"], ...facts.flatMap(([name, text]) => [make("dt", "", name), make("dd", "", text)]));
   }
 
@@ -154,6 +165,7 @@ function linkCells() {
     const link = make("a", "trial", cell.firstChild);
     link.href = `#trial-${cell.dataset.trial}`;
     link.title = "show the response of this trial";
+    link.addEventListener("click", () => explorer.colour(`${cell.closest("tr").dataset.row}/${cell.dataset.cell}`.split("/")));
     cell.prepend(link);
   }
 }
