@@ -7,20 +7,20 @@ Nothing is stored. A file that would be refused is shown with the reason that `p
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from pipeline.base.errors import LogError
-from pipeline.base.units import UNITS, find_unit
+from pipeline.base.units import UNITS, find_unit, unit_between, unit_in_heading
 from pipeline.device_data.devices import known_devices
 from pipeline.intake.reading import logs_of, motion_of
 from pipeline.intake.sources import find_sources
 from pipeline.measured.intervals import NORMAL_95
 from pipeline.measured.signal.lag import lags_of
 from pipeline.measured.signal.response import NO_ROW, external_force, find_response
+from pipeline.measured.signal.wall_law import SCALE_TOLERANCE, Scale, power_of_ten, scale_of
 from pipeline.profiles.profile_columns import QUANTITIES, ColumnSource, PositionSource, TimeSource
 from pipeline.profiles.profile_model import CONDITION_QUANTITIES, CONDITIONS, Profile
 from pipeline.readers import Log, RawLog
@@ -31,6 +31,7 @@ from pipeline.readers.time_axis import step_flags
 from pipeline.records.batch import TrialBatch
 from pipeline.records.findings import Record
 from pipeline.records.models import Motion
+from pipeline.shell.console import grouped
 
 FIRST_MOTION = 0.05
 """Part of the largest excursion from which on the first motion after the step counts: above the quantum of coarse
@@ -42,10 +43,14 @@ STEP_ROWS = 3
 STEP_TOLERANCE = 0.1
 """Part of the step by which its size may differ: a round number stands for what the controller commands."""
 
+NOTHING = 1e-15
+"""Size [SI] up to which a number is what rounding leaves of 0."""
+
+SHORT = 3
+"""Trials of one file that are told in its line."""
+
 LEAST_LAG = 0.5
 """Lag of a velocity in sampling periods that any difference of two positions has."""
-
-_UNIT_IN_NAME = re.compile(r"[\[(]([^\[\]()]+)[\])]\s*$")
 
 
 class CheckedCondition(Record):
@@ -73,7 +78,8 @@ class CheckedTrial(Record):
     """A trial that would be stored.
 
     ``time`` holds the flags of `pipeline.readers.time_axis.step_flags` and what was settled in the rows. ``step_row``
-    is the row of the step, counted from 0, ``step`` how it is known, or why it is not.
+    is the row of the step, counted from 0, ``step`` how it is known, or why it is not. ``scale`` are the factors by
+    which step and wall in the command are other than the conditions say; None where the log does not show them.
     """
 
     label: str | None
@@ -83,6 +89,7 @@ class CheckedTrial(Record):
     time: dict[str, float | int | None]
     step_row: int | None
     step: str
+    scale: tuple[float, float] | None
     warnings: tuple[str, ...]
 
 
@@ -166,6 +173,7 @@ def _trial(profile: Profile, name: str, log: Log, motion: Motion, hints: dict[st
         time=flags | dict(log.counts),
         step_row=step_row,
         step=step,
+        scale=None if (scale := scale_of(batch)) is None else (scale.step, scale.wall),
         warnings=(*log.warnings, *other_units(profile, said), *other_step(log, step_row, batch), *late_velocity(batch)),
     )
 
@@ -261,13 +269,32 @@ def si_unit(quantity: str) -> str:
     return next(symbol for symbol, unit in UNITS.items() if unit.quantity == quantity and unit.factor == 1.0)
 
 
-def check_lines(sample: CheckedSample) -> list[str]:
-    """Return a sample as lines for a reader."""
-    if sample.reason is not None:
-        row = "" if sample.row is None else f", row {sample.row}"
-        return [f"{sample.path}{row}: would be refused: {sample.reason}"]
-    count = "1 trial" if len(sample.trials) == 1 else f"{len(sample.trials)} trials"
-    lines = [f"{sample.path}: {count} would be stored"]
+def check_lines(profile: Profile, samples: Sequence[CheckedSample]) -> list[str]:
+    """Return samples as lines for a reader: the first that is read in full, of the others a line each."""
+    read = [sample for sample in samples if sample.reason is None]
+    lines = _full_lines(read[0]) if read else []
+    for sample in read[1:]:
+        lines.append(f"{sample.path}: {_stored_words(sample)}; {'; '.join(map(_short, sample.trials[:SHORT]))}")
+    told = [(sample.path, text) for sample in read[1:] for trial in sample.trials for text in trial.warnings]
+    lines += [f"warning: {line}" for line in grouped(told)]
+    rows = {sample.path: "" if sample.row is None else f", row {sample.row}" for sample in samples}
+    refused = ((sample.path + rows[sample.path], sample.reason) for sample in samples if sample.reason is not None)
+    lines += grouped((place, f"would be refused: {reason}") for place, reason in refused)
+    return lines + [f"warning: {text}" for text in other_scale(profile, samples)]
+
+
+def _stored_words(sample: CheckedSample) -> str:
+    return f"{'1 trial' if len(sample.trials) == 1 else f'{len(sample.trials)} trials'} would be stored"
+
+
+def _short(trial: CheckedTrial) -> str:
+    value = {condition.name: condition.value for condition in trial.conditions}
+    step = "no step is known" if trial.step_row is None else f"step in row {trial.step_row}"
+    return f"K = {value['stiffness']:.9g}, B = {value['damping']:.9g}, {trial.rows} rows, {step}"
+
+
+def _full_lines(sample: CheckedSample) -> list[str]:
+    lines = [f"{sample.path}: {_stored_words(sample)}"]
     for trial in sample.trials:
         if trial.label is not None:
             lines.append(f"trial {trial.label!r}")
@@ -277,9 +304,9 @@ def check_lines(sample: CheckedSample) -> list[str]:
         for column in trial.columns:
             said = f" (the file says {column.file_says})" if column.file_says else ""
             origin = f"{column.source} [{column.unit}]{said}" if column.unit else f"{column.source}{said}"
-            values = f"{column.first:.9g} to {column.last:.9g} {column.unit_si}"
+            values = f"{_shown(column.first):.9g} to {_shown(column.last):.9g} {column.unit_si}"
             lines.append(f"  {column.column:<20} {values:<32} from {origin}")
-        settled = {key: value for key, value in trial.time.items() if value}
+        settled = {key: value for key, value in trial.time.items() if value and abs(value) > NOTHING}
         lines.append(f"  {'rows':<20} {trial.rows}")
         times = ", ".join(f"{key} {value:.6g}" for key, value in settled.items())
         lines.append(f"  {'quality of time':<20} {times}")
@@ -290,11 +317,16 @@ def check_lines(sample: CheckedSample) -> list[str]:
     return lines
 
 
+def _shown(value: float) -> float:
+    """Return a number without what rounding leaves of 0, and without its sign."""
+    return value if abs(value) > NOTHING else 0.0
+
+
 def check_document(profile: Profile, samples: Sequence[CheckedSample]) -> dict[str, object]:
     """Return what was found as a JSON document."""
     refused = sum(sample.reason is not None for sample in samples)
     dumped = [json.loads(sample.model_dump_json()) for sample in samples]
-    return {"profile": profile.name, "samples": dumped, "refused": refused}
+    return {"profile": profile.name, "samples": dumped, "refused": refused, "warnings": other_scale(profile, samples)}
 
 
 def other_units(profile: Profile, said: Mapping[str, str]) -> list[str]:
@@ -304,17 +336,56 @@ def other_units(profile: Profile, said: Mapping[str, str]) -> list[str]:
     ----------
     profile : Profile
     said : mapping of str to str
-        Unit that the file states of each SI column; where it is empty, brackets behind the column's name are read.
+        Unit that the file states of each SI column; where it is empty, what stands behind the column's name is read.
     """
     found = []
     for key, source in profile.column_sources().items():
         if source.unit is None:
             continue
-        brackets = _UNIT_IN_NAME.search(source.key)
-        stated = said.get(key) or (brackets[1] if brackets else "")
+        stated = said.get(key) or unit_in_heading(source.key, QUANTITIES[key].values())[1]
         if (unit := find_unit(stated)) is not None and unit != find_unit(source.unit):
             found.append(f"columns.{key}.unit is {source.unit!r}, but the file says {stated!r}: which is right?")
     return found
+
+
+def other_scale(profile: Profile, samples: Sequence[CheckedSample]) -> list[str]:
+    """Return which unit or sign all commands speak against, held against the wall law F - K (x - x_0) - B v.
+
+    Parameters
+    ----------
+    profile : Profile
+    samples : sequence of CheckedSample
+        Those that do not show the wall do not count.
+    """
+    found = [trial.scale for sample in samples for trial in sample.trials if trial.scale is not None]
+    if not found:
+        return []
+    step, wall = np.median(np.array(found), axis=0)
+    for each in found:
+        if np.abs(np.array(each) / (step, wall) - 1).max() > SCALE_TOLERANCE:
+            return []
+    return _scale_words(profile, Scale(float(step), float(wall)), f"all {len(found)} logs that show it")
+
+
+def _scale_words(profile: Profile, scale: Scale, where: str) -> list[str]:
+    found = []
+    if scale.step < 0 and scale.wall < 0:
+        found.append("has the sign reversed: columns.command.sign is probably wrong")
+    elif scale.wall < 0:
+        found.append("has K (x_0 - x) - B v with the sign reversed: columns.position.sign is probably wrong")
+    elif scale.step < 0:
+        found.append("has the step with the sign reversed: the sign of the step is probably wrong")
+    of_command = power_of_ten(scale.step) and abs(scale.wall / scale.step - 1) <= SCALE_TOLERANCE
+    key, factor = ("command", 1 / abs(scale.step)) if of_command else ("position", abs(scale.wall))
+    source = profile.column_sources().get(key)
+    stated = "" if source is None else source.unit or ""
+    unit = unit_between(stated, factor, SCALE_TOLERANCE)
+    if unit is not None or power_of_ten(scale.wall):
+        advice = "check the units of K, B and of both columns"
+        if unit is not None:
+            advice = f"the {key} is probably in {unit}, not in {stated}"
+        found.append(f"is {abs(scale.wall):.3g} times K (x_0 - x) - B v beside the step: {advice}")
+    return [f"the command {words} (so in {where})" for words in found]
 
 
 def other_step(log: Log, step_row: int | None, batch: TrialBatch) -> list[str]:
