@@ -9,14 +9,15 @@ missing or repeated, a velocity that is filtered.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from pipeline.measured.signal.log_rows import ROUNDINGS, LogRows, stands_still
 from pipeline.measured.signal.lost_rows import EQUAL, PLATEAU, STILL_FLOORS, hidden_rows, is_equal, repeated_rows
-from pipeline.measured.signal.response import CHUNK, Response, external_force, find_response
+from pipeline.measured.signal.response import CHUNK, Response, external_force
 from pipeline.measured.signal.velocity_filter import VelocityFilterFound, find_filter
+from pipeline.measured.signal.wall_scale import fit, power_of_ten, scale_in
 from pipeline.records.batch import Booleans, Floats, TrialBatch
 
 PRINTED_IN_FULL = float(ROUNDINGS**2 * np.finfo(np.float64).eps)
@@ -49,15 +50,6 @@ CODES = (
 )
 """What a log can be found to be beside the wall law. ``other_wall``: other K, B or sign than the header's;
 ``other_unit``: K and B a power of ten off."""
-
-SCALE_TOLERANCE = 0.2
-"""Part by which the factor between two units may be off in a log whose velocity is filtered or clipped."""
-
-TOLD = 0.05
-"""Part of the largest command that the wall makes, from which on its factor is told."""
-
-UNTOLD = 0.1
-"""Part of the squared command that step and wall may leave unexplained."""
 
 
 @dataclass(frozen=True)
@@ -336,25 +328,22 @@ def _other_wall(log: LogRows) -> tuple[Departure, ...] | None:
     """Another stiffness, damping, step or sign than the header's."""
     displacement = log.position - log.position[0]
     terms = np.stack([log.after.astype(np.float64), -displacement, -log.change / log.period], axis=1)
-    values = _fit(terms, log.command)
+    values = fit(terms, log.command)
     if log.off(np.matmul(terms, values).astype(np.float64)):
         return None
     # what moves the command by less than its rounding is nothing
     values[np.abs(values) * np.abs(terms).max(axis=0) <= log.rounding] = 0.0
     step, stiffness, damping = values
-    return (
-        Departure(
-            "other_wall",
-            f"the command obeys K = {stiffness:.6g}, B = {damping:.6g} and a step of {step:.6g}; its header says "
-            f"K = {log.stiffness:.6g}, B = {log.damping:.6g}, {log.step:.6g}",
-            len(log.command),
-        ),
+    evidence = (
+        f"the command obeys K = {stiffness:.6g}, B = {damping:.6g} and a step of {step:.6g}; its header says "
+        f"K = {log.stiffness:.6g}, B = {log.damping:.6g}, {log.step:.6g}"
     )
+    return (Departure("other_wall", evidence, len(log.command)),)
 
 
 def _other_unit(log: LogRows) -> tuple[Departure, ...] | None:
     """Stiffness and damping that are a power of ten times the header's, however the velocity is filtered."""
-    scale = _scale(log)
+    scale = scale_in(log)
     if scale is None or not power_of_ten(scale.wall):
         return None
     stiffness, damping = scale.wall * log.stiffness, scale.wall * log.damping
@@ -363,51 +352,6 @@ def _other_unit(log: LogRows) -> tuple[Departure, ...] | None:
         f"B = {log.damping:.6g}"
     )
     return (Departure("other_unit", evidence, len(log.command), scale.wall),)
-
-
-def _fit(terms: Floats, command: Floats) -> Floats:
-    """Return the factors of terms, shape (N, terms), whose sum is nearest to the command; 0 for a term of zeros."""
-    size = np.abs(terms).max(axis=0)
-    used = size > 0
-    solution, *_ = np.linalg.lstsq(terms[:, used] / size[used], command, rcond=None)
-    values = np.zeros(len(size))
-    values[used] = solution / size[used]
-    return values
-
-
-@dataclass(frozen=True)
-class Scale:
-    """By which factors the step and the force of the wall in a logged command are other than those of its header."""
-
-    step: float
-    wall: float
-
-
-def power_of_ten(factor: float) -> bool:
-    """Return whether a factor is 10, 100, 0.1 and the like, up to `SCALE_TOLERANCE` and the sign."""
-    power = 10.0 ** np.rint(np.log10(abs(factor))) if factor else 1.0
-    return bool(power != 1.0 and abs(abs(factor) / power - 1) <= SCALE_TOLERANCE)
-
-
-def _scale(log: LogRows) -> Scale | None:
-    """Return the factors of a log, None where they do not explain its command, or too little of it is of the wall."""
-    terms = np.stack([log.step * log.after, -log.wall], axis=1)
-    values = _fit(terms, log.command)
-    left = log.command - np.matmul(terms, values)
-    share = np.abs(values[1] * terms[:, 1]).max() / np.abs(log.command).max(initial=np.finfo(np.float64).tiny)
-    told = share > TOLD and float(left @ left) <= UNTOLD * float(log.command @ log.command)
-    return Scale(*map(float, values)) if told else None
-
-
-def scale_of(batch: TrialBatch) -> Scale | None:
-    """Return the factors of the one log of a batch, however its velocity is filtered; None where they are not seen."""
-    response = find_response(batch)
-    if batch.step[0] == 0:
-        return None
-    if not response.has_edge[0]:  # a command of another sign or unit has no step of the size that is sought
-        jump = np.abs(np.diff(batch.command[:1, : int(batch.rows[0])], axis=1))
-        response = replace(response, edge_row=jump.argmax(axis=1) + 1)
-    return _scale(LogRows.of(batch, response, 0, external_force(batch)[0]))
 
 
 def _filtered(log: LogRows, clipped: Booleans | None = None) -> tuple[Departure, ...] | None:
