@@ -42,6 +42,9 @@ Code = Literal[
 ]
 """Why a log is refused, for programs: a closed list, explained in docs/logs.md. The words of reasons may change."""
 
+OTHER_COLUMNS: frozenset[Code] = frozenset({"no-profile", "header-missing", "column-missing"})
+"""Codes of a log that is of another form than its profile describes."""
+
 EXIT_OK = 0
 EXIT_ERROR = 1
 EXIT_USAGE = 2

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Collection
 from math import pi
 from typing import NamedTuple
 
@@ -67,6 +69,51 @@ _SPELLINGS = str.maketrans({"µ": "u", "μ": "u", "°": "deg", "·": "", "*": ""
 def find_unit(symbol: str) -> Unit | None:
     """Return the unit of a symbol (`mm`, `µm`, `N*m`, `°`), or None where it is not known."""
     return UNITS.get(symbol.strip().translate(_SPELLINGS))
+
+
+_IN_BRACKETS = re.compile(r"(.*?)[\s/_]*[\[(]([^\[\]()]+)[\])]\s*")
+_BEFORE_UNIT = re.compile(r"\s*/\s*|_|\s+in\s+")
+
+
+def unit_in_heading(heading: str, quantities: Collection[str]) -> tuple[str, str]:
+    """Return the name in the heading of a column, and the unit that stands behind it, empty where there is none.
+
+    Parameters
+    ----------
+    heading : str
+    quantities : collection of str
+        Physical quantities that the column may have; what stands in brackets is taken for a unit in any case.
+
+    Examples
+    --------
+    >>> [unit_in_heading(heading, ("length",)) for heading in ("x/mm", "x [mm]", "x_mm")]
+    [('x', 'mm'), ('x', 'mm'), ('x', 'mm')]
+    >>> unit_in_heading("m_1", ("length",)), unit_in_heading("force/torque", ("torque",))
+    (('m_1', ''), ('force/torque', ''))
+    """
+    if match := _IN_BRACKETS.fullmatch(heading):
+        return match[1], match[2]
+    if find_unit(heading) is None:  # a ratio such as N/mm
+        for sign in _BEFORE_UNIT.finditer(heading):
+            name, symbol = heading[: sign.start()], heading[sign.end() :]
+            unit = find_unit(symbol)
+            in_path = "/" in sign[0] and "/" in name
+            if name and not in_path and unit is not None and unit.quantity in quantities:
+                return name, symbol.strip()
+    return heading, ""
+
+
+def unit_between(symbol: str, factor: float, tolerance: float) -> str | None:
+    """Return the unit of the same quantity that is so many times another one, up to a relative tolerance.
+
+    >>> unit_between("m", 1.1e-3, 0.2)
+    'mm'
+    """
+    unit = find_unit(symbol)
+    if unit is None:
+        return None
+    others = (name for name, known in UNITS.items() if known.quantity == unit.quantity and known != unit)
+    return next((name for name in others if abs(UNITS[name].factor / (unit.factor * factor) - 1) <= tolerance), None)
 
 
 def factor_to_si(symbol: str, quantities: tuple[str, ...]) -> float:

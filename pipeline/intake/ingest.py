@@ -372,7 +372,8 @@ class _Ingest:
         record = record_of(source, read.sha256, error, self._digest(source))
         self.unread |= read.sha256 is None
         self._refused(source, record)
-        if not self.dry_run and not record.same_refusal(self.refused.get(source.key)):
+        former = self.refused.get(source.key)
+        if not self.dry_run and not record.same_refusal(former) and not record.knows_less(former):
             self.keeper.add(source, record)
 
     def _refused(self, source: Source, record: QuarantineRecord) -> None:

@@ -15,7 +15,7 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from pipeline.base.disk import NewFile, make_folders, publish_all, remove
-from pipeline.base.errors import REMEDY, Code, LogError, StoreError, UsageError
+from pipeline.base.errors import OTHER_COLUMNS, REMEDY, Code, LogError, StoreError, UsageError
 from pipeline.base.file_names import path_of_text, path_text, storable
 from pipeline.base.json_seal import sealed_json, unsealed_json
 from pipeline.base.provenance import digest
@@ -82,6 +82,12 @@ class QuarantineRecord(Record):
         """Return whether another record says the same of the same content; byte and excerpt follow from these."""
         place = {"byte": None, "excerpt": ()}
         return other is not None and self.model_copy(update=place) == other.model_copy(update=place)
+
+    def knows_less(self, other: QuarantineRecord | None) -> bool:
+        """Return whether its profile does not fit the file at all, while another one, which did, said what is wrong."""
+        if other is None or (self.size, self.mtime_ns) != (other.size, other.mtime_ns):
+            return False
+        return other.profile != self.profile and self.code in OTHER_COLUMNS and other.code not in OTHER_COLUMNS
 
 
 def quarantine_folder(processed: Path) -> Path:

@@ -161,6 +161,13 @@ def parse_header(lines: Iterable[str]) -> NativeHeader:
     missing = [key for key in _REQUIRED if key not in values]
     if missing:
         found = ", ".join([*values, *extra]) or "no `# key: value` line"
+        if not values:
+            raise LogError(
+                f"header has none of {', '.join(_REQUIRED)}; found {found}. Add a line `# key: <value>` for each, or "
+                "describe the file by a profile.",
+                1,
+                code="header-missing",
+            )
         raise LogError(
             f"header has no {' and no '.join(repr(key) for key in missing)}; found {found}. "
             + " ".join(f"Add a line `# {key}: <value>` with {_REQUIRED[key]}." for key in missing),

@@ -6,9 +6,10 @@ import errno
 import json
 import os
 import re
+import shlex
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NoReturn
@@ -122,6 +123,20 @@ def say(text: str) -> None:
     """Print a line of a result on stdout; a character that the terminal cannot show, or would obey, is escaped."""
     encoding = getattr(sys.stdout, "encoding", None) or "utf-8"
     _write(_harmless(text).encode(encoding, "backslashreplace").decode(encoding) + "\n")
+
+
+def grouped(told: Iterable[tuple[str, str]]) -> Iterator[str]:
+    """Yield what is told of places: equal texts once, with their number and the first place."""
+    groups: dict[str, list[str]] = {}
+    for place, text in told:
+        groups.setdefault(text, []).append(place)
+    for text, places in groups.items():
+        yield f"{places[0] if len(places) == 1 else f'{len(places)} logs, first {places[0]}'}: {text}"
+
+
+def draft_hint(log: str) -> str:
+    """Return what to do about a log of other columns than any profile reads."""
+    return f"Other columns? pipeline profile draft {shlex.quote(log)}"
 
 
 def note(text: str) -> None:

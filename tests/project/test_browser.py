@@ -21,6 +21,7 @@ from trial_pages import trial_page
 
 from pipeline.comparison.compare import Outcome
 from pipeline.rendering.report import report
+from pipeline.shell.profile.log_picture import look, page
 
 pytestmark = pytest.mark.browser
 playwright = pytest.importorskip("playwright.sync_api", reason="no Playwright: pip install -e '.[dev]'")
@@ -534,3 +535,18 @@ def test_no_number_at_the_plane_is_cut(browser: Any, measured: Path) -> None:
         page.keyboard.press("ArrowRight")
         page.wait_for_timeout(100)
         assert page.evaluate("window.cut") == []
+
+
+def test_a_picture_of_a_log_has_one_margin(browser: Any, tmp_path: Path) -> None:
+    log = tmp_path / "a.csv"
+    log.write_text("n,x\n" + "".join(f"{row},{row % 7}.5\n" for row in range(60)), encoding="utf-8")
+    (tmp_path / "look.html").write_text(page([look(log)]), encoding="utf-8")
+    for width in WIDTHS:
+        opened = browser.new_page(viewport={"width": width, "height": 900})
+        opened.goto((tmp_path / "look.html").as_uri())
+        parts = "['h1', 'main p', 'h3', 'figcaption', 'footer p']"
+        found = opened.evaluate(f"{parts}.map(part => document.querySelector(part).getBoundingClientRect().x)")
+        assert len(set(found)) == 1
+        assert found[0] >= 20
+        assert opened.evaluate("document.documentElement.scrollWidth") == width
+        opened.close()

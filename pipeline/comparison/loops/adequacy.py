@@ -141,6 +141,7 @@ _PARTS = "a device file whose [loop] table names what the device has beside mass
 _HELP = {
     "saturation": "a smaller step, or the command before it is clipped in the log",
     "velocity_filter": "a device file that declares the filter",
+    "other_unit": "the unit of the position, or of K and B, corrected in the profile (see `pipeline profile check`)",
 }
 
 

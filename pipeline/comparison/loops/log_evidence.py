@@ -31,6 +31,7 @@ _SENTENCES = {
     "step_not_a_step": "The external force is not the step that the header states.",
     "several_steps": "The external force has several steps.",
     "other_wall": "The command obeys another wall than the header states.",
+    "other_unit": "The command obeys another wall than the header states, by a power of ten.",
     "unknown": "The logged command is not that of the wall law.",
 }
 

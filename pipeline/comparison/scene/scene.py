@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from difflib import get_close_matches
 from pathlib import Path
 
 from pipeline.base.errors import DeviceError, StoreError, UsageError
@@ -73,9 +74,12 @@ def open_scene(
     stored = list_experiments(processed, device)
     if not stored:
         devices = list_devices(processed)
+        near = get_close_matches(device, devices, 1)
+        advice = f"Ingest logs first: pipeline ingest LOGS --processed {processed}"
+        if devices:
+            advice = f"Did you mean {near[0]}?" if near else "Name one of them."
         raise DeviceError(
-            f"{processed}: holds no logs of device {device!r}; found {', '.join(devices) or 'none at all'}. "
-            "Ingest logs first: pipeline ingest LOGS --processed " + str(processed)
+            f"{processed}: holds no logs of device {device!r}; found {', '.join(devices) or 'none at all'}. {advice}"
         )
     missing = [e for e in experiments or () if e not in stored]
     if missing:

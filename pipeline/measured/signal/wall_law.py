@@ -17,6 +17,7 @@ from pipeline.measured.signal.log_rows import ROUNDINGS, LogRows, stands_still
 from pipeline.measured.signal.lost_rows import EQUAL, PLATEAU, STILL_FLOORS, hidden_rows, is_equal, repeated_rows
 from pipeline.measured.signal.response import CHUNK, Response, external_force
 from pipeline.measured.signal.velocity_filter import VelocityFilterFound, find_filter
+from pipeline.measured.signal.wall_scale import fit, power_of_ten, scale_in
 from pipeline.records.batch import Booleans, Floats, TrialBatch
 
 PRINTED_IN_FULL = float(ROUNDINGS**2 * np.finfo(np.float64).eps)
@@ -44,9 +45,11 @@ CODES = (
     "repeated_rows",
     "velocity_filter",
     "other_wall",
+    "other_unit",
     "unknown",
 )
-"""What a log can be found to be beside the wall law. ``other_wall``: other K, B or sign than the header's."""
+"""What a log can be found to be beside the wall law. ``other_wall``: other K, B or sign than the header's;
+``other_unit``: K and B a power of ten off."""
 
 
 @dataclass(frozen=True)
@@ -325,21 +328,30 @@ def _other_wall(log: LogRows) -> tuple[Departure, ...] | None:
     """Another stiffness, damping, step or sign than the header's."""
     displacement = log.position - log.position[0]
     terms = np.stack([log.after.astype(np.float64), -displacement, -log.change / log.period], axis=1)
-    used = np.abs(terms).max(axis=0) > 0
-    solution, *_ = np.linalg.lstsq(terms[:, used] / np.abs(terms[:, used]).max(axis=0), log.command, rcond=None)
-    values = np.zeros(3)
-    values[used] = solution / np.abs(terms[:, used]).max(axis=0)
+    values = fit(terms, log.command)
     if log.off(np.matmul(terms, values).astype(np.float64)):
         return None
+    # what moves the command by less than its rounding is nothing
+    values[np.abs(values) * np.abs(terms).max(axis=0) <= log.rounding] = 0.0
     step, stiffness, damping = values
-    return (
-        Departure(
-            "other_wall",
-            f"the command obeys K = {stiffness:.6g}, B = {damping:.6g} and a step of {step:.6g}; its header says "
-            f"K = {log.stiffness:.6g}, B = {log.damping:.6g}, {log.step:.6g}",
-            len(log.command),
-        ),
+    evidence = (
+        f"the command obeys K = {stiffness:.6g}, B = {damping:.6g} and a step of {step:.6g}; its header says "
+        f"K = {log.stiffness:.6g}, B = {log.damping:.6g}, {log.step:.6g}"
     )
+    return (Departure("other_wall", evidence, len(log.command)),)
+
+
+def _other_unit(log: LogRows) -> tuple[Departure, ...] | None:
+    """Stiffness and damping that are a power of ten times the header's, however the velocity is filtered."""
+    scale = scale_in(log)
+    if scale is None or not power_of_ten(scale.wall):
+        return None
+    stiffness, damping = scale.wall * log.stiffness, scale.wall * log.damping
+    evidence = (
+        f"the command obeys about K = {stiffness:.3g}, B = {damping:.3g}; its header says K = {log.stiffness:.6g}, "
+        f"B = {log.damping:.6g}"
+    )
+    return (Departure("other_unit", evidence, len(log.command), scale.wall),)
 
 
 def _filtered(log: LogRows, clipped: Booleans | None = None) -> tuple[Departure, ...] | None:
@@ -377,6 +389,7 @@ _EXPLANATIONS: tuple[Callable[[LogRows], tuple[Departure, ...] | None], ...] = (
     _clipped,
     _one_sided,
     _offset,
+    _other_unit,
     _other_wall,
     _filtered,
     _hidden,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pipeline.base.errors import EXIT_QUARANTINED, UsageError
+from pipeline.base.errors import EXIT_QUARANTINED, OTHER_COLUMNS, UsageError
 from pipeline.base.outputs import check_output
 from pipeline.shell import console
 from pipeline.shell.commands.options import Json, Processed, ProfileFile
@@ -57,9 +57,8 @@ def check(
     if as_json:
         console.print_json(check_document(loaded, checked))
     else:
-        for sample in checked:
-            for line in check_lines(sample):
-                console.say(line)
+        for line in check_lines(loaded, checked):
+            console.say(line)
     if any(sample.reason is not None for sample in checked):
         raise typer.Exit(EXIT_QUARANTINED)
 
@@ -162,12 +161,18 @@ def list_(processed: Processed = Path("processed"), as_json: Json = False) -> No
     if as_json:
         console.print_json([{"id": record_id(record), **record.model_dump(mode="json")} for record in records])
         return
+    told = []
     for record in records:
         row = "" if record.row is None else f", row {record.row}"
         code = "" if record.code is None else f" [{record.code}]"
-        console.say(f"{record_id(record)}  {record.path}{row}{code}: {record.reason}")
-        if record.profile_line is not None:
-            console.say(f"{'':16}  profile: {'; '.join(record.profile_line.splitlines())}")
+        more = "" if record.profile_line is None else "\n" + " " * 18 + "profile: "
+        more += "; ".join((record.profile_line or "").splitlines())
+        told.append((f"{record_id(record)}  {record.path}{row}{code}", record.reason + more))
+    for line in console.grouped(told):
+        console.say(line)
+    other = [record.path for record in records if record.code in OTHER_COLUMNS]
+    if other:
+        console.say(console.draft_hint(other[0]))
     console.say(f"{len(records)} in quarantine")
 
 
@@ -235,9 +240,10 @@ def retry(
     else:
         accepted = report.ingested + report.skipped
         console.say(f"{len(records)} tried, {accepted} accepted, {len(report.quarantined)} refused, {len(gone)} gone")
-        for refusal in report.quarantined:
-            row = "" if refusal.row is None else f", row {refusal.row}"
-            console.say(f"{refusal.path}{row}: {refusal.reason}")
+        rows = ["" if refusal.row is None else f", row {refusal.row}" for refusal in report.quarantined]
+        refused = zip(report.quarantined, rows, strict=True)
+        for line in console.grouped((f"{refusal.path}{row}", refusal.reason) for refusal, row in refused):
+            console.say(line)
         for path in gone:
             folder = quarantine_folder(processed) / ids[path]
             console.say(f"{path}: is no longer there, or may not be looked at. Put it back, or remove {folder}.")

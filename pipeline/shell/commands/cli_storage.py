@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from pipeline.base.errors import EXIT_ERROR, EXIT_OK, EXIT_QUARANTINED, UsageError
+from pipeline.base.errors import EXIT_ERROR, EXIT_OK, EXIT_QUARANTINED, OTHER_COLUMNS, UsageError
 from pipeline.shell import console
 from pipeline.shell.commands.options import Json, Processed, ProfileFile, Store
 
@@ -76,6 +76,9 @@ def ingest(
     else:
         for line in _ingest_lines(document):
             console.say(line)
+        other = [refusal["path"] for refusal in document["quarantined"] if refusal["code"] in OTHER_COLUMNS]
+        if other and profile is None:
+            console.say(console.draft_hint(other[0]))
     if document["damaged"] or document["quarantined"]:
         raise typer.Exit(EXIT_ERROR if document["damaged"] else EXIT_QUARANTINED)
 
@@ -86,9 +89,7 @@ def _ingest_lines(report: Mapping[str, Any]) -> Iterable[str]:
     yield from console.table([counts], tuple(counts))
     if "plan" in report:
         yield from _plan_lines(report["plan"])
-    for refusal in report["quarantined"]:
-        row = "" if refusal["row"] is None else f", row {refusal['row']}"
-        yield f"{refusal['path']}{row}: {refusal['reason']}"
+    yield from console.grouped((_place(refusal), refusal["reason"]) for refusal in report["quarantined"])
     for warning in report["warnings"]:
         yield f"warning: {warning['path']}: {warning['warning']}"
     for source in report["changed"]:
@@ -96,6 +97,10 @@ def _ingest_lines(report: Mapping[str, Any]) -> Iterable[str]:
     yield from _listed("removed, its trials stay stored", report["removed"])
     yield from _listed("waiting, modified a moment ago", report["waiting"])
     yield from _listed("damaged", report["damaged"])
+
+
+def _place(refusal: Mapping[str, Any]) -> str:
+    return f"{refusal['path']}{'' if refusal['row'] is None else ', row ' + str(refusal['row'])}"
 
 
 def _plan_lines(plan: Iterable[Mapping[str, str]]) -> Iterable[str]:

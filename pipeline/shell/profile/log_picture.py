@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from pipeline import __version__
-from pipeline.base.errors import LogError, UsageError
+from pipeline.base.errors import OTHER_COLUMNS, LogError, UsageError
 from pipeline.device_data.devices import known_devices
 from pipeline.intake.reading import logs_of, motion_of
 from pipeline.intake.sources import find_sources
@@ -28,6 +28,7 @@ from pipeline.records.figure_records import Figure, RecordedColumn
 from pipeline.records.models import Motion
 from pipeline.rendering.figures.log_drawing import recorded, words
 from pipeline.rendering.report.page_template import fill_template
+from pipeline.shell.console import draft_hint
 from pipeline.shell.profile.profile_check import si_unit, step_of
 from pipeline.shell.profile.profile_draft import open_sample
 
@@ -78,7 +79,8 @@ def look(log: Path, profile: Profile | None = None) -> Picture:
         if profile is not None:
             raise LogError(f"{log}{row}: {error.reason}", error.row, code=error.code) from error
         note = f"Shown as it stands; `pipeline ingest` would refuse it{row}: {error.reason.split('. ')[0]}."
-        return Picture(str(log), (_as_it_stands(log),), (note,), ROWS)
+        hints = (draft_hint(str(log)),) if error.code in OTHER_COLUMNS else ()
+        return Picture(str(log), (_as_it_stands(log),), (note, *hints), ROWS)
     notes = [f"Read by profile {claimant.name}, in SI."]
     if len(outcome) > MOST_TRIALS:
         notes.append(f"The file holds {len(outcome)} trials; the first {MOST_TRIALS} are shown.")

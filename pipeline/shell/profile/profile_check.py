@@ -7,20 +7,18 @@ Nothing is stored. A file that would be refused is shown with the reason that `p
 from __future__ import annotations
 
 import json
-import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from pipeline.base.errors import LogError
-from pipeline.base.units import UNITS, find_unit
+from pipeline.base.units import UNITS
 from pipeline.device_data.devices import known_devices
 from pipeline.intake.reading import logs_of, motion_of
 from pipeline.intake.sources import find_sources
-from pipeline.measured.intervals import NORMAL_95
-from pipeline.measured.signal.lag import lags_of
-from pipeline.measured.signal.response import NO_ROW, external_force, find_response
+from pipeline.measured.signal.response import NO_ROW, find_response
+from pipeline.measured.signal.wall_scale import scale_of
 from pipeline.profiles.profile_columns import QUANTITIES, ColumnSource, PositionSource, TimeSource
 from pipeline.profiles.profile_model import CONDITION_QUANTITIES, CONDITIONS, Profile
 from pipeline.readers import Log, RawLog
@@ -31,21 +29,14 @@ from pipeline.readers.time_axis import step_flags
 from pipeline.records.batch import TrialBatch
 from pipeline.records.findings import Record
 from pipeline.records.models import Motion
+from pipeline.shell.console import grouped
+from pipeline.shell.profile.profile_warnings import late_velocity, other_scale, other_step, other_units
 
-FIRST_MOTION = 0.05
-"""Part of the largest excursion from which on the first motion after the step counts: above the quantum of coarse
-sensors, below the first swing."""
+NOTHING = 1e-15
+"""Size [SI] up to which a number is what rounding leaves of 0."""
 
-STEP_ROWS = 3
-"""Rows from the step on whose median is its size: one may flicker, and later ones may bear the filter of a velocity."""
-
-STEP_TOLERANCE = 0.1
-"""Part of the step by which its size may differ: a round number stands for what the controller commands."""
-
-LEAST_LAG = 0.5
-"""Lag of a velocity in sampling periods that any difference of two positions has."""
-
-_UNIT_IN_NAME = re.compile(r"[\[(]([^\[\]()]+)[\])]\s*$")
+SHORT = 3
+"""Trials of one file that are told in its line."""
 
 
 class CheckedCondition(Record):
@@ -73,7 +64,8 @@ class CheckedTrial(Record):
     """A trial that would be stored.
 
     ``time`` holds the flags of `pipeline.readers.time_axis.step_flags` and what was settled in the rows. ``step_row``
-    is the row of the step, counted from 0, ``step`` how it is known, or why it is not.
+    is the row of the step, counted from 0, ``step`` how it is known, or why it is not. ``scale`` are the factors by
+    which step and wall in the command are other than the conditions say; None where the log does not show them.
     """
 
     label: str | None
@@ -83,6 +75,7 @@ class CheckedTrial(Record):
     time: dict[str, float | int | None]
     step_row: int | None
     step: str
+    scale: tuple[float, float] | None
     warnings: tuple[str, ...]
 
 
@@ -166,6 +159,7 @@ def _trial(profile: Profile, name: str, log: Log, motion: Motion, hints: dict[st
         time=flags | dict(log.counts),
         step_row=step_row,
         step=step,
+        scale=None if (scale := scale_of(batch)) is None else (scale.step, scale.wall),
         warnings=(*log.warnings, *other_units(profile, said), *other_step(log, step_row, batch), *late_velocity(batch)),
     )
 
@@ -261,13 +255,32 @@ def si_unit(quantity: str) -> str:
     return next(symbol for symbol, unit in UNITS.items() if unit.quantity == quantity and unit.factor == 1.0)
 
 
-def check_lines(sample: CheckedSample) -> list[str]:
-    """Return a sample as lines for a reader."""
-    if sample.reason is not None:
-        row = "" if sample.row is None else f", row {sample.row}"
-        return [f"{sample.path}{row}: would be refused: {sample.reason}"]
-    count = "1 trial" if len(sample.trials) == 1 else f"{len(sample.trials)} trials"
-    lines = [f"{sample.path}: {count} would be stored"]
+def check_lines(profile: Profile, samples: Sequence[CheckedSample]) -> list[str]:
+    """Return samples as lines for a reader: the first that is read in full, of the others a line each."""
+    read = [sample for sample in samples if sample.reason is None]
+    lines = _full_lines(read[0]) if read else []
+    for sample in read[1:]:
+        lines.append(f"{sample.path}: {_stored_words(sample)}; {'; '.join(map(_short, sample.trials[:SHORT]))}")
+    told = [(sample.path, text) for sample in read[1:] for trial in sample.trials for text in trial.warnings]
+    lines += [f"warning: {line}" for line in grouped(told)]
+    rows = {sample.path: "" if sample.row is None else f", row {sample.row}" for sample in samples}
+    refused = ((sample.path + rows[sample.path], sample.reason) for sample in samples if sample.reason is not None)
+    lines += grouped((place, f"would be refused: {reason}") for place, reason in refused)
+    return lines + [f"warning: {text}" for text in other_scale(profile, _scales(samples))]
+
+
+def _stored_words(sample: CheckedSample) -> str:
+    return f"{'1 trial' if len(sample.trials) == 1 else f'{len(sample.trials)} trials'} would be stored"
+
+
+def _short(trial: CheckedTrial) -> str:
+    value = {condition.name: condition.value for condition in trial.conditions}
+    step = "no step is known" if trial.step_row is None else f"step in row {trial.step_row}"
+    return f"K = {value['stiffness']:.9g}, B = {value['damping']:.9g}, {trial.rows} rows, {step}"
+
+
+def _full_lines(sample: CheckedSample) -> list[str]:
+    lines = [f"{sample.path}: {_stored_words(sample)}"]
     for trial in sample.trials:
         if trial.label is not None:
             lines.append(f"trial {trial.label!r}")
@@ -277,9 +290,9 @@ def check_lines(sample: CheckedSample) -> list[str]:
         for column in trial.columns:
             said = f" (the file says {column.file_says})" if column.file_says else ""
             origin = f"{column.source} [{column.unit}]{said}" if column.unit else f"{column.source}{said}"
-            values = f"{column.first:.9g} to {column.last:.9g} {column.unit_si}"
+            values = f"{_shown(column.first):.9g} to {_shown(column.last):.9g} {column.unit_si}"
             lines.append(f"  {column.column:<20} {values:<32} from {origin}")
-        settled = {key: value for key, value in trial.time.items() if value}
+        settled = {key: value for key, value in trial.time.items() if value and abs(value) > NOTHING}
         lines.append(f"  {'rows':<20} {trial.rows}")
         times = ", ".join(f"{key} {value:.6g}" for key, value in settled.items())
         lines.append(f"  {'quality of time':<20} {times}")
@@ -290,73 +303,22 @@ def check_lines(sample: CheckedSample) -> list[str]:
     return lines
 
 
+def _shown(value: float) -> float:
+    """Return a number without what rounding leaves of 0, and without its sign."""
+    return value if abs(value) > NOTHING else 0.0
+
+
+def _scales(samples: Sequence[CheckedSample]) -> list[tuple[float, float]]:
+    return [trial.scale for sample in samples for trial in sample.trials if trial.scale is not None]
+
+
 def check_document(profile: Profile, samples: Sequence[CheckedSample]) -> dict[str, object]:
     """Return what was found as a JSON document."""
     refused = sum(sample.reason is not None for sample in samples)
     dumped = [json.loads(sample.model_dump_json()) for sample in samples]
-    return {"profile": profile.name, "samples": dumped, "refused": refused}
-
-
-def other_units(profile: Profile, said: Mapping[str, str]) -> list[str]:
-    """Return where a file states another unit than the profile.
-
-    Parameters
-    ----------
-    profile : Profile
-    said : mapping of str to str
-        Unit that the file states of each SI column; where it is empty, brackets behind the column's name are read.
-    """
-    found = []
-    for key, source in profile.column_sources().items():
-        if source.unit is None:
-            continue
-        brackets = _UNIT_IN_NAME.search(source.key)
-        stated = said.get(key) or (brackets[1] if brackets else "")
-        if (unit := find_unit(stated)) is not None and unit != find_unit(source.unit):
-            found.append(f"columns.{key}.unit is {source.unit!r}, but the file says {stated!r}: which is right?")
-    return found
-
-
-def other_step(log: Log, step_row: int | None, batch: TrialBatch) -> list[str]:
-    """Return where the command jumps by another step than the profile says, or the position goes against it.
-
-    Parameters
-    ----------
-    log : Log
-    step_row : int or None
-        Row of the step, counted from 0; None where it is not known.
-    batch : TrialBatch
-        The same log.
-    """
-    step = log.header.step
-    if step_row is None or step == 0:
-        return []
-    found = []
-    force = external_force(batch)[0]
-    before = force[:step_row] if step_row else np.zeros(1)
-    jump = float(np.median(force[step_row : step_row + STEP_ROWS]) - np.median(before))
-    # chatter before the step, fed through a filter of the velocity, shows how well the jump is known
-    if abs(jump - step) > STEP_TOLERANCE * abs(step) + float(np.ptp(before)):
-        found.append(f"the command jumps by {jump:.4g} in row {step_row}, but the step is {step:.4g}: which is right?")
-    moved = (log.position[step_row:] - log.position[step_row]) * np.sign(step)
-    # noise is seen before the step; a first motion that stands out of it tells the direction
-    noise = float(np.ptp(log.position[: step_row + 1]))
-    clear = np.flatnonzero(np.abs(moved) > max(2 * noise, FIRST_MOTION * float(np.abs(moved).max(initial=0.0))))
-    if len(clear) and moved[clear[0]] < 0:
-        found.append(
-            "the position moves against the step at first: check the signs of columns.command, columns.position and of "
-            "the step"
-        )
-    return found
-
-
-def late_velocity(batch: TrialBatch) -> list[str]:
-    """Return by how much the logged velocity of a sample is later than its position, where that is seen."""
-    (found,) = lags_of(batch)
-    lag, error = found.lag_s or 0.0, found.standard_error_s or 0.0
-    if abs(lag) <= NORMAL_95 * error or abs(lag) <= LEAST_LAG * batch.sampling_period_s[0]:
-        return []
-    return [
-        f"the logged velocity is {1e3 * lag:.3g} ms later than the position (± "
-        f"{1e3 * NORMAL_95 * error:.2g}): a filter, or a reading of another time; no cost or estimate uses it"
-    ]
+    return {
+        "profile": profile.name,
+        "samples": dumped,
+        "refused": refused,
+        "warnings": other_scale(profile, _scales(samples)),
+    }

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.base.errors import LogError, ProfileError, UsageError
-from pipeline.base.units import UNITS, find_unit
+from pipeline.base.units import UNITS, find_unit, unit_in_heading
 from pipeline.profiles.profile_columns import QUANTITIES
 from pipeline.profiles.profile_lines import QUESTION
 from pipeline.profiles.profile_model import Format, Profile
@@ -39,12 +39,20 @@ _ROLES = {
 }
 """Names that say beyond doubt what a column is, without their unit; symbols such as x or F do not."""
 
+_LIKELY = {
+    "time": r"(?!)",
+    "command": r"f|u|tau|m|kraft|moment|force|torque|(?:f|u)[ _-]?(?:cmd|soll|des)",
+    "position": r"x|q|s|phi|theta|pos.*|x[ _-]?(?:ist|act|meas)",
+}
+"""Names that a question gives as its possible answer."""
+
+_NAMED_WALL = re.compile(r"(?<![A-Za-z])([KB])([_=-]?)\d+\.?\d*", re.IGNORECASE)
+"""Stiffness or damping in the name of a file."""
+
 _SIGN_QUESTIONS = {
     "command": "does a positive command push towards greater positions (1), or against them (-1)?",
     "position": "do its numbers rise in the direction that counts as positive (1), or fall (-1)?",
 }
-
-_UNIT_BEHIND = re.compile(r"(.*?)\s*(?:[\[(]([^\])]*)[\])]|_(s|ms|us|ns|m|mm|um|rad|deg|n|nm))?\s*", re.IGNORECASE)
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,12 +138,16 @@ def _lines(sample: Sample) -> Iterator[str]:
     yield f"# Draft for {_toml(name)}. Where a question stands: set the key below it, then remove its line."
     yield f"name = {_toml(short or 'lab')}"
     yield f"format = {_toml(kind)}"
-    yield f"files = [{_toml('*' + suffix)}] # names of the logs"
+    yield f"files = [{_toml(_files(name, suffix))}] # names of the logs"
     for key, value in layout.keys.items():
         yield f"{key} = {_toml(value)}"
     for key, words in layout.questions.items():
         yield from _question(key, words, f"{key} = {_toml(',' if key == 'decimal' else 'latin-1')}")
     yield from _step_question()
+    wall = _wall_in_name(name.removesuffix(suffix))
+    if wall:
+        words = "does the file name hold stiffness and damping? Else put both into [constants]."
+        yield from _question("name_pattern", words, f"name_pattern = {_toml(wall)}")
     by_position = kind == "delimited" and not layout.keys.get("header", True)
     yield ""
     yield "# Columns of the file:"
@@ -146,11 +158,27 @@ def _lines(sample: Sample) -> Iterator[str]:
     if len(infos) > LISTED_COLUMNS:
         yield f"#   and {len(infos) - LISTED_COLUMNS} more"
     roles = {} if by_position else _roles(infos)
+    likely = _likely(sample, roles)
     frame = _frame(sample, roles)
     for key in QUANTITIES:
         if key in ("time", "command", "position"):
-            yield from _column(key, roles.get(key), infos, by_position, frame)
-    yield from _constants(name, frame, roles)
+            yield from _column(key, roles.get(key), likely.get(key), infos, by_position, frame)
+    yield from _constants(name, frame, wall)
+
+
+def _files(name: str, suffix: str) -> str:
+    """Return the pattern of the names of a file and of those beside it, which differ in their numbers."""
+    pattern = re.sub(r"-?\d+(?:[.,]\d+)*", "*", re.sub(r"[\[*?]", "?", name.removesuffix(suffix)))
+    return (pattern if "*" in pattern else "*") + suffix
+
+
+def _wall_in_name(stem: str) -> str:
+    """Return the pattern of a name that has a stiffness and a damping, empty where it has not one of each."""
+    found = [(match[1], match[2]) for match in _NAMED_WALL.finditer(stem)]
+    if sorted(letter.upper() for letter, _ in found) != ["B", "K"]:
+        return ""
+    groups = {"K": "stiffness", "B": "damping"}
+    return ".*".join(f"{letter}{sign}(?P<{groups[letter.upper()]}>[0-9]+[.]?[0-9]*)" for letter, sign in found)
 
 
 def _printable(line: str) -> str:
@@ -176,22 +204,45 @@ def _step_question() -> Iterator[str]:
     )
 
 
-def _bare(info: ColumnInfo) -> tuple[str, str]:
+def _bare(info: ColumnInfo, role: str) -> tuple[str, str]:
     """Return the last part of a name without its unit, and the unit that the file states there or in its hint."""
-    match = _UNIT_BEHIND.fullmatch(info.name.split(".")[-1].split("/")[-1])
-    bare, bracket, suffix = match.groups() if match else (info.name, None, None)
-    return bare.strip().lower(), bracket or suffix or info.hint
+    name, unit = unit_in_heading(info.name, QUANTITIES[role].values())
+    return re.split(r"[./]", name)[-1].strip().lower(), unit or info.hint
+
+
+def _numbers(infos: list[ColumnInfo]) -> list[ColumnInfo]:
+    return [info for info in infos if info.dtype != "text"]
+
+
+def _fitting(role: str, pattern: str, infos: list[ColumnInfo]) -> list[ColumnInfo]:
+    return [info for info in _numbers(infos) if re.fullmatch(pattern, _bare(info, role)[0])]
 
 
 def _roles(infos: list[ColumnInfo]) -> dict[str, ColumnInfo]:
     """Return the columns whose name says what they are, where one alone does."""
-    found = {}
-    numbers = [info for info in infos if info.dtype != "text"]
-    for role, pattern in _ROLES.items():
-        fits = [info for info in numbers if re.fullmatch(pattern, _bare(info)[0])]
-        if len(fits) == 1:
-            found[role] = fits[0]
+    fitting = {role: _fitting(role, pattern, infos) for role, pattern in _ROLES.items()}
+    return {role: fits[0] for role, fits in fitting.items() if len(fits) == 1}
+
+
+def _likely(sample: Sample, roles: dict[str, ColumnInfo]) -> dict[str, ColumnInfo]:
+    """Return a column of its own for each role: the one that is known, else one whose name or numbers look like it."""
+    found, clocks = dict(roles), [] if "time" in roles else _clocks(sample)
+    for role, pattern in _LIKELY.items():
+        left = [info for info in _numbers(sample.infos) if info not in found.values()]
+        good = clocks if role == "time" else _fitting(role, _ROLES[role], left) + _fitting(role, pattern, left)
+        if role not in found and (choice := [*(info for info in good if info in left), *left]):
+            found[role] = choice[0]
     return found
+
+
+def _clocks(sample: Sample) -> list[ColumnInfo]:
+    """Return the columns whose numbers rise in every row."""
+    numbers = _numbers(sample.infos)[:LISTED_COLUMNS]
+    try:
+        columns = sample.frame(tuple(info.name for info in numbers)).columns
+    except LogError:
+        return []
+    return [i for i in numbers if i.name in columns and (np.diff(columns[i.name].astype(np.float64)) > 0).all()]
 
 
 def _frame(sample: Sample, roles: dict[str, ColumnInfo]) -> Frame | None:
@@ -205,7 +256,12 @@ def _frame(sample: Sample, roles: dict[str, ColumnInfo]) -> Frame | None:
 
 
 def _column(
-    key: str, info: ColumnInfo | None, infos: list[ColumnInfo], by_position: bool, frame: Frame | None
+    key: str,
+    info: ColumnInfo | None,
+    likely: ColumnInfo | None,
+    infos: list[ColumnInfo],
+    by_position: bool,
+    frame: Frame | None,
 ) -> Iterator[str]:
     yield ""
     yield f"[columns.{key}]"
@@ -213,7 +269,7 @@ def _column(
         yield f"name = {_toml(info.name)}"
     else:
         part = "column" if by_position else "name"
-        numbers = [i.name for i in infos if i.dtype != "text"]
+        numbers = [i.name for i in _numbers(infos)]
         short = len(numbers) <= LISTED_CHOICES
         listed = f"One of 1 to {len(infos)}." if by_position else "One of those above."
         if short and not by_position:
@@ -223,10 +279,11 @@ def _column(
             "command": "the total force or torque that the controller commands",
             "position": "the position that the controller measures",
         }[key]
-        shown = numbers[0] if by_position else _toml(numbers[0])
+        name = numbers[0] if likely is None else likely.name
+        shown = name if by_position else _toml(name)
         yield from _question(f"columns.{key}.{part}", f"which column holds {what}? {listed}", f"{part} = {shown}")
     quantities = set(QUANTITIES[key].values())
-    stated = _bare(info)[1] if info is not None else ""
+    stated = _bare(likely, key)[1] if likely is not None else ""
     known = [symbol for symbol, unit in UNITS.items() if unit.quantity in quantities]
     match = find_unit(stated) if stated else None
     fits = match is not None and match.quantity in quantities
@@ -268,7 +325,7 @@ def _time_questions(info: ColumnInfo | None, frame: Frame | None) -> Iterator[st
         yield from _question("columns.time.duplicates", words, 'duplicates = "keep first"')
 
 
-def _constants(name: str, frame: Frame | None, roles: dict[str, ColumnInfo]) -> Iterator[str]:
+def _constants(name: str, frame: Frame | None, wall: str) -> Iterator[str]:
     attributes = {} if frame is None else dict(frame.attributes)
     yield ""
     if attributes:
@@ -278,7 +335,7 @@ def _constants(name: str, frame: Frame | None, roles: dict[str, ColumnInfo]) -> 
     yield "# Conditions that differ from file to file may come from name_pattern, [attributes], [condition_columns] or"
     yield "# [[file]]: then put the key there in place of the one below."
     numbers = re.findall(r"([A-Za-z]+)[_=-]?(-?\d+(?:\.\d+)?)", Path(name).stem)
-    if numbers:
+    if numbers and not wall:
         pattern = ".*".join(f"{letters}(?P<...>[-0-9.]+)" for letters, _ in numbers)
         yield f"# The file name has numbers; if they are conditions: name_pattern = {_toml(pattern)} (above all tables)"
     yield "[constants]"
@@ -291,5 +348,6 @@ def _constants(name: str, frame: Frame | None, roles: dict[str, ColumnInfo]) -> 
         "step": "size of the external step, in N or Nm; 0 where none was commanded",
         "sampling_period_s": "sampling period T of the controller, in s",
     }
-    for key, words in asked.items():
+    for key in list(asked)[2:] if wall else asked:
+        words = asked[key]
         yield from _question(f"constants.{key}", f"{words}?", f"{key} = {'0.001' if key == 'sampling_period_s' else 0}")

@@ -121,7 +121,8 @@ def verify_bundle(path: Path, progress: Callable[[str], None] | None = None) -> 
             with zipfile.ZipFile(path) as archive:
                 archive.extractall(folder)  # takes ".." and the like out of names
         except (OSError, zipfile.BadZipFile) as error:
-            raise UsageError(f"{path}: is no zip that can be read ({error}). Give one by `pipeline bundle`.") from error
+            why = getattr(error, "strerror", None) or error
+            raise UsageError(f"{path}: is no zip that can be read ({why}). Give one by `pipeline bundle`.") from error
         pages = sorted(folder.glob("*.html"))
         if len(pages) != 1:
             raise UsageError(

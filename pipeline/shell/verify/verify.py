@@ -219,7 +219,8 @@ def read_page(report: Path) -> str:
     try:
         return report.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise UsageError(f"{report}: cannot be read ({error}). Give a report by `pipeline compare`.") from error
+        why = getattr(error, "strerror", None) or error
+        raise UsageError(f"{report}: cannot be read ({why}). Give a report by `pipeline compare`.") from error
 
 
 def read_request(report: Path, parts: Parts) -> Request:

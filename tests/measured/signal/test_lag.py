@@ -8,7 +8,7 @@ import pytest
 from pipeline.base.errors import ParameterError
 from pipeline.measured.signal.lag import lags_of, velocity_lag
 from pipeline.records.batch import TrialBatch
-from pipeline.shell.profile.profile_check import late_velocity
+from pipeline.shell.profile.profile_warnings import late_velocity
 
 
 def swing(lag, *, n=400, seed=0, quantum=0.0, speed_quantum=0.0, jitter=0.2, gain=1.0, offset=0.0):

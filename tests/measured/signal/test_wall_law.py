@@ -195,8 +195,16 @@ def test_filter_with_a_clipped_command():
 
 
 def test_other_wall_than_the_header_says():
-    d = only(log(), "other_wall", K=2.0, B=0.03)
+    d = only(log(), "other_wall", K=1500.0, B=30.0)
     assert "K = 2000" in d.evidence
+    assert "B = 0 and" in only(log(B=0.0), "other_wall", K=1500.0, B=0.0).evidence
+
+
+@pytest.mark.parametrize("filtered", [None, lambda v, x: signal.lfilter(*signal.butter(2, 40.0, fs=1 / T), v)[-1]])
+def test_a_power_of_ten_is_called_so_with_and_without_a_filter(filtered):
+    t, u, x = log(filtered=filtered)
+    d = only((t, u, 1e3 * x), "other_unit")
+    assert d.value == pytest.approx(1e-3, rel=0.2)
 
 
 def test_another_signal_is_unknown():

@@ -1,0 +1,133 @@
+"""Where logs that read without a fault speak against their profile: units, signs, step, a velocity that is late."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from pipeline.base.units import find_unit, unit_between, unit_in_heading
+from pipeline.measured.intervals import NORMAL_95
+from pipeline.measured.signal.lag import lags_of
+from pipeline.measured.signal.response import external_force
+from pipeline.measured.signal.wall_scale import SCALE_TOLERANCE, Scale, power_of_ten
+from pipeline.profiles.profile_columns import QUANTITIES
+from pipeline.profiles.profile_model import Profile
+from pipeline.readers import Log
+from pipeline.records.batch import TrialBatch
+
+FIRST_MOTION = 0.05
+"""Part of the largest excursion from which on the first motion after the step counts: above the quantum of coarse
+sensors, below the first swing."""
+
+STEP_ROWS = 3
+"""Rows from the step on whose median is its size: one may flicker, and later ones may bear the filter of a velocity."""
+
+STEP_TOLERANCE = 0.1
+"""Part of the step by which its size may differ: a round number stands for what the controller commands."""
+
+LEAST_LAG = 0.5
+"""Lag of a velocity in sampling periods that any difference of two positions has."""
+
+
+def other_units(profile: Profile, said: Mapping[str, str]) -> list[str]:
+    """Return where a file states another unit than the profile.
+
+    Parameters
+    ----------
+    profile : Profile
+    said : mapping of str to str
+        Unit that the file states of each SI column; where it is empty, what stands behind the column's name is read.
+    """
+    found = []
+    for key, source in profile.column_sources().items():
+        if source.unit is None:
+            continue
+        stated = said.get(key) or unit_in_heading(source.key, QUANTITIES[key].values())[1]
+        if (unit := find_unit(stated)) is not None and unit != find_unit(source.unit):
+            found.append(f"columns.{key}.unit is {source.unit!r}, but the file says {stated!r}: which is right?")
+    return found
+
+
+def other_scale(profile: Profile, scales: Sequence[tuple[float, float]]) -> list[str]:
+    """Return which unit or sign all commands speak against, held against the wall law F - K (x - x_0) - B v.
+
+    Parameters
+    ----------
+    profile : Profile
+    scales : sequence of (float, float)
+        Factors of step and wall in each log that shows them.
+    """
+    if not scales:
+        return []
+    step, wall = np.median(np.array(scales), axis=0)
+    for each in scales:
+        if np.abs(np.array(each) / (step, wall) - 1).max() > SCALE_TOLERANCE:
+            return []
+    return _scale_words(profile, Scale(float(step), float(wall)), f"all {len(scales)} logs that show it")
+
+
+def _scale_words(profile: Profile, scale: Scale, where: str) -> list[str]:
+    found = []
+    if scale.step < 0 and scale.wall < 0:
+        found.append("has the sign reversed: columns.command.sign is probably wrong")
+    elif scale.wall < 0:
+        found.append("has K (x_0 - x) - B v with the sign reversed: columns.position.sign is probably wrong")
+    elif scale.step < 0:
+        found.append("has the step with the sign reversed: the sign of the step is probably wrong")
+    of_command = power_of_ten(scale.step) and abs(scale.wall / scale.step - 1) <= SCALE_TOLERANCE
+    key, factor = ("command", 1 / abs(scale.step)) if of_command else ("position", abs(scale.wall))
+    source = profile.column_sources().get(key)
+    stated = "" if source is None else source.unit or ""
+    unit = unit_between(stated, factor, SCALE_TOLERANCE)
+    if unit is not None or power_of_ten(scale.wall):
+        advice = "check the units of K, B and of both columns"
+        if unit is not None:
+            advice = f"the {key} is probably in {unit}, not in {stated}"
+        found.append(f"is {abs(scale.wall):.3g} times K (x_0 - x) - B v beside the step: {advice}")
+    return [f"the command {words} (so in {where})" for words in found]
+
+
+def other_step(log: Log, step_row: int | None, batch: TrialBatch) -> list[str]:
+    """Return where the command jumps by another step than the profile says, or the position goes against it.
+
+    Parameters
+    ----------
+    log : Log
+    step_row : int or None
+        Row of the step, counted from 0; None where it is not known.
+    batch : TrialBatch
+        The same log.
+    """
+    step = log.header.step
+    if step_row is None or step == 0:
+        return []
+    found = []
+    force = external_force(batch)[0]
+    before = force[:step_row] if step_row else np.zeros(1)
+    jump = float(np.median(force[step_row : step_row + STEP_ROWS]) - np.median(before))
+    # chatter before the step, fed through a filter of the velocity, shows how well the jump is known
+    if abs(jump - step) > STEP_TOLERANCE * abs(step) + float(np.ptp(before)):
+        found.append(f"the command jumps by {jump:.4g} in row {step_row}, but the step is {step:.4g}: which is right?")
+    moved = (log.position[step_row:] - log.position[step_row]) * np.sign(step)
+    # noise is seen before the step; a first motion that stands out of it tells the direction
+    noise = float(np.ptp(log.position[: step_row + 1]))
+    clear = np.flatnonzero(np.abs(moved) > max(2 * noise, FIRST_MOTION * float(np.abs(moved).max(initial=0.0))))
+    if len(clear) and moved[clear[0]] < 0:
+        found.append(
+            "the position moves against the step at first: check the signs of columns.command, columns.position and of "
+            "the step"
+        )
+    return found
+
+
+def late_velocity(batch: TrialBatch) -> list[str]:
+    """Return by how much the logged velocity of a sample is later than its position, where that is seen."""
+    (found,) = lags_of(batch)
+    lag, error = found.lag_s or 0.0, found.standard_error_s or 0.0
+    if abs(lag) <= NORMAL_95 * error or abs(lag) <= LEAST_LAG * batch.sampling_period_s[0]:
+        return []
+    return [
+        f"the logged velocity is {1e3 * lag:.3g} ms later than the position (± "
+        f"{1e3 * NORMAL_95 * error:.2g}): a filter, or a reading of another time; no cost or estimate uses it"
+    ]
