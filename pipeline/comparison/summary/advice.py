@@ -56,7 +56,8 @@ def region_to_use(result: ExperimentResult, stages: ExperimentStages) -> tuple[U
     Usable are stable trials at K > 0 that overshoot by at most `CALM`, as far as that is known. Where too few of them
     have a cost, the stiffest walls at the margin `FAR` are named.
     """
-    limits = measured_limits(result.boundary)
+    # a limit that nothing bounds from below is none to keep away from: those beside it are
+    limits = measured_limits([p for p in result.boundary if p.low is None or p.low > 0])
     if not limits.known.any():
         return None, "no stability limit is known"
     K, B = stages.column("response", "stiffness"), stages.column("response", "damping")
@@ -80,9 +81,7 @@ def region_to_use(result: ExperimentResult, stages: ExperimentStages) -> tuple[U
 
 
 def _too_few(criterion: str, known: int, stable: int) -> str:
-    return (
-        f"{known} of {stable} stable trials have a {criterion_name(criterion)}, and no {FEWEST} neighbours a good one"
-    )
+    return f"only {known} of {stable} stable trials have a {criterion_name(criterion)}; no {FEWEST} neighbours are good"
 
 
 def _described(

@@ -118,20 +118,20 @@ def optimal_costs(rows: Sequence[ComparisonRow]) -> str:
         row, parts = told[0]
         ends = range_text(lambda percent: percent_text(percent, 0), parts.model_low, parts.model_high)
         return (
-            f"; the least {criterion_name(row.criterion).partition(' (')[0]}, {size_text(parts.model)} "
+            f", the least {criterion_name(row.criterion).partition(' (')[0]}, {size_text(parts.model)} "
             f"{'above' if parts.model > 0 else 'below'} (95 %: {ends} %)"
         )
     middle = median(abs(parts.model) for _, parts in told)
     most = max((row.deviation_percent or 0.0 for row, _ in told), default=0.0)
-    far = f"; best trials up to {size_text(most)} more: tested points miss theory's optima" if most >= FAR_OFF else ""
-    return f"; optimal costs by {size_text(middle)} (median{far})"
+    far = f"; best trials up to {size_text(most)} above theory's optima, which no wall meets"
+    return f", costs on tested walls by {size_text(middle)}{far if most >= FAR_OFF else ''}"
 
 
 def _limits(lead: ExperimentResult, distance: DistanceScore) -> str:
     side = "above" if distance.median > 0 else "below"
     if 100 * abs(distance.median) < 0.1:
         return f"limits of experiment {lead.experiment} differ by less than 0.1 %"
-    return f"limits of experiment {lead.experiment} lie {size_text(100 * distance.median)} {side} it"
+    return f"limits of experiment {lead.experiment} lie {size_text(100 * distance.median)} {side} it in the median"
 
 
 def _stiffest(results: Sequence[ExperimentResult], units: Units) -> str:

@@ -79,7 +79,7 @@ def use_note(result: ExperimentResult) -> str:
     if result.use is None:
         return f"No walls to use are named: {result.use_reason}."
     return (
-        f"The stiffest walls that keep half the stiffness of the limit; which is best cannot be told, since "
+        f"Stiff walls, of at most half the stiffness of the limit; which one is best cannot be told, since "
         f"{result.use_reason}."
     )
 

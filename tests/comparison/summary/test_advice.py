@@ -44,6 +44,17 @@ def test_walls_of_a_course_are_stable_in_theory_and_their_costs_those_of_its_tri
     assert use_text(result.model_copy(update={"use": None}), UNITS["translation"]) == ""
 
 
+def test_a_limit_that_nothing_bounds_from_below_is_no_margin(falcon, falcon_outcome):
+    """The stiffest stable trial there says little: those beside it do not either, if their intervals are wide."""
+    result = falcon_outcome.result.experiments[0]
+    stages = ExperimentStages.stored(falcon.processed, "falcon", "1")
+    half = [p.model_copy(update={"low": p.low and 0.5 * p.low}) for p in result.boundary]
+    open_ = [p.model_copy(update={"estimate": None, "low": 0.0}) if i % 2 else p for i, p in enumerate(half)]
+    use, _ = region_to_use(result.model_copy(update={"boundary": tuple(open_)}), stages)
+    bounded = measured_limits([p for p in open_ if p.low])
+    assert use.point.margin <= room_at(bounded, np.array([use.point.damping]))[0] / use.point.stiffness + 1e-12
+
+
 def hidden(stages, monkeypatch, cost):
     """The stages with another settling time."""
     own = stages.sure_cost
@@ -71,7 +82,7 @@ def test_where_no_cost_tells_the_stiffest_walls_far_from_the_limit_are_named(fal
     assert "settle_2pct" not in use.costs
     named = result.model_copy(update={"use": use, "use_reason": why})
     assert "settling time, 2 % band:" not in use_text(named, UNITS["translation"])
-    assert "which is best cannot be told, since 0 of " in use_text(named, UNITS["translation"])
+    assert "which one is best cannot be told, since only 0 of " in use_text(named, UNITS["translation"])
 
 
 def test_walls_that_overshoot_far_are_not_named(falcon, falcon_outcome, monkeypatch):

@@ -38,7 +38,11 @@ def test_words_follow_the_overlap(data, result, overlap, word):
 
 @pytest.mark.parametrize(
     ("median", "words"),
-    [(0.057, "lie 5.7 % above it"), (-0.2, "lie 20 % below it"), (0.0002, "differ by less than 0.1 %")],
+    [
+        (0.057, "lie 5.7 % above it in the median"),
+        (-0.2, "lie 20 % below it in the median"),
+        (0.0002, "differ by less than 0.1 %"),
+    ],
 )
 def test_verdict_tells_how_far_the_limits_are_off(data, result, median, words):
     distance = result.experiments[0].scores[0].distance.model_copy(update={"median": median})
@@ -95,10 +99,10 @@ def row(model, percent):
 
 def test_optimal_costs_are_told_with_sign_and_interval_or_why_single_trials_lie_elsewhere():
     one = optimal_costs([row(-24.1, -20.3)])
-    assert one == "; the least energy cost, w = 0, 24 % below (95 %: \N{MINUS SIGN}42 to \N{MINUS SIGN}1 %)"
+    assert one == ", the least energy cost, w = 0, 24 % below (95 %: \N{MINUS SIGN}42 to \N{MINUS SIGN}1 %)"
     several = optimal_costs([row(0.01, 20.0), row(-0.02, 104.6)])
-    assert "by less than 0.1 % (median; best trials up to 105 % more: " in several
-    assert optimal_costs([row(0.01, 0.2), row(-0.02, 0.1)]).endswith("by less than 0.1 % (median)")
+    assert "by less than 0.1 %; best trials up to 105 % above theory's optima" in several
+    assert optimal_costs([row(0.01, 0.2), row(-0.02, 0.1)]).endswith("by less than 0.1 %")
     assert optimal_costs([]) == ""
 
 
