@@ -65,7 +65,7 @@ def test_from_a_foreign_csv_to_a_report(capsys):
     questions = outputs["pipeline profile check lab.toml lab/K4800_B24.csv"]
     assert "would be stored" in questions
     first = next(out + err for command, out, err in printed if command.startswith("pipeline profile check lab.toml"))
-    for key in ("columns.time.unit", "columns.command.name", "columns.command.sign", "constants.stiffness", "step_at"):
+    for key in ("columns.time.unit", "columns.command.name", "columns.command.sign", "name_pattern", "step_at"):
         assert f"'{key}': open question" in first
     # the page shows the first of them as it is printed
     (shown,) = re.findall(r"`(lab\.toml:\d+: key 'columns\.time\.unit': .*?)`", " ".join(PAGE.split()))

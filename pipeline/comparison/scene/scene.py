@@ -75,9 +75,8 @@ def open_scene(
     if not stored:
         devices = list_devices(processed)
         near = get_close_matches(device, devices, 1)
-        advice = f"Ingest logs first: pipeline ingest LOGS --processed {processed}"
-        if devices:
-            advice = f"Did you mean {near[0]}?" if near else "Name one of them."
+        first = "Name one of them, or ingest its logs" if devices else "Ingest logs first"
+        advice = f"Did you mean {near[0]}?" if near else f"{first}: pipeline ingest LOGS --processed {processed}"
         raise DeviceError(
             f"{processed}: holds no logs of device {device!r}; found {', '.join(devices) or 'none at all'}. {advice}"
         )
