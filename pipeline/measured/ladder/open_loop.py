@@ -9,8 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.fft import irfft, next_fast_len, rfft
-from scipy.linalg import expm
 
 from pipeline.loop.device_loop import DeviceLoop
 from pipeline.records.batch import Floats
@@ -30,6 +28,8 @@ class Commands:
     @classmethod
     def of(cls, force: Floats) -> Commands:
         """Return the commands [N, Nm] of trials, shape (n, N)."""
+        from scipy.fft import next_fast_len, rfft  # takes 0.2 s to load, for all that only reads stages, too
+
         rows = force.shape[1]
         size = next_fast_len(2 * rows, real=True)
         both = np.concatenate([force, np.ones((1, rows))])
@@ -40,6 +40,8 @@ class Commands:
 
         Unit: that of the command times T^2, per mass. The last row is the answer to a constant force of 1.
         """
+        from scipy.fft import irfft, rfft
+
         answer = rfft(pulse_response(loop, self.rows), self.size)
         return np.asarray(irfft(self.spectrum * answer, self.size, axis=1)[:, : self.rows])
 
@@ -85,6 +87,8 @@ def pulse_response(loop: DeviceLoop, rows: int) -> Floats:
 
 def moved(matrix: Floats, push: Floats, duration: float) -> tuple[Floats, Floats]:
     """Return transition (S, S) and input gain (S,) of a device over a time [T] with constant input."""
+    from scipy.linalg import expm
+
     n = len(push)
     both = np.zeros((n + 1, n + 1))
     both[:n, :n], both[:n, n] = matrix, push

@@ -152,7 +152,9 @@ def _odd_rows(batch: TrialBatch, response: Response) -> Booleans:
 def _departures(log: LogRows) -> Iterator[Departure]:
     """Yield what departs from the law: what shows by itself first, then what explains all that is left."""
     rows = _repeated(log) or _gaps(log)
-    off = np.abs(log.residual) > log.rounding
+    # a wall may rest beside the first reading by the error of that
+    error = abs(log.stiffness) * log.floor
+    off = np.abs(log.residual - np.clip(np.median(log.residual), -error, error)) > log.rounding
     if not off.any() or (rows is not None and rows.rows >= off.sum()):
         yield from filter(None, [rows])
         return
@@ -188,7 +190,7 @@ def _hidden(log: LogRows) -> tuple[Departure, ...] | None:
         Departure(
             "missing_rows",
             f"{len(rows)} single rows, first row {rows[0]}, fit the wall law only with a row missing before them",
-            len(rows),
+            int(log.after.sum()),
             float(len(rows)),
         ),
     )
@@ -258,16 +260,12 @@ def _offset(log: LogRows) -> tuple[Departure, ...] | None:
                 value,
             ),
         )
-    rows = np.flatnonzero(log.after)
-    if (
-        np.abs(log.residual[rows] - value).max() <= log.rounding
-        and np.abs(log.residual[: log.edge]).max() <= log.rounding
-    ):
+    if np.abs(log.residual - value * log.after).max() <= log.rounding:
         return (
             Departure(
                 "step_not_a_step",
                 f"the step is {log.step + value:.6g}, its header says {log.step:.6g}",
-                len(rows),
+                int(log.after.sum()),
                 log.step + value,
             ),
         )

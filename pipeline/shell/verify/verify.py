@@ -128,6 +128,11 @@ def verify(
             folder = store_of(logs, Path(temporary) / "found", request.excluded)
         lists = {logs.experiment: logs for logs in document.logs} if document else {}
         fresh = read_anew(device, folder, request.logs, lists, store, profiles, request.excluded)
+        if not fresh.read + fresh.kept:
+            raise StoreError(
+                f"{report}: none of its logs are in {logs or place}. Name the folder of stored tables by --processed, "
+                "or that of the logs by --logs."
+            )
         if (folder / "accuracy.json").is_file():
             shutil.copy(folder / "accuracy.json", store / "accuracy.json")
         say(f"computing anew: {fresh.read} trials from logs, {fresh.kept} from stored samples")

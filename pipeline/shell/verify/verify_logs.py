@@ -210,7 +210,7 @@ def _of_the_report(store: FreshStore, trials: pa.Table, said: ReportedLogs, list
     # the log that stands where one of the report stood shows what its change does to the numbers
     paths = [os.path.join(listed.folder, name) for name in listed.files]
     ours = pc.or_(_among(trials, "source_sha256", list(listed.files.values())), _among(trials, "source_path", paths))
-    if later := trials.num_rows - pc.sum(ours).as_py():
+    if later := trials.num_rows - (pc.sum(ours).as_py() or 0):
         store.notes.append(f"experiment {listed.experiment}: {later} trials were stored later and are left out")
     return trials.filter(ours)
 

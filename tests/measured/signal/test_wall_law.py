@@ -103,6 +103,13 @@ def test_constant_beside_the_law(value):
     assert only(log(force=force), "constant_force").value == pytest.approx(value)
 
 
+@pytest.mark.parametrize(("quanta", "codes"), [(2, []), (-2, []), (30, ["constant_force"])])
+def test_a_wall_that_rests_two_quanta_beside_the_first_reading_is_followed(quanta, codes):
+    force = (np.arange(500) >= 20) * 8.0 - 500.0 * 2e-6 * quanta
+    _, departures = found(log(K=500.0, B=0.0, b=20.0, force=force, quantum=2e-6, noise=1e-6), K=500.0, B=0.0)
+    assert [d.code for d in departures] == codes
+
+
 def test_step_of_another_size():
     assert only(log(step=7.5), "step_not_a_step").value == pytest.approx(7.5)
 

@@ -15,7 +15,7 @@ from pathlib import Path
 import pyarrow as pa
 import pytest
 
-from pipeline.base.errors import UsageError
+from pipeline.base.errors import StoreError, UsageError
 from pipeline.comparison.compare import compare
 from pipeline.comparison.figures.trial_data import trial_page
 from pipeline.intake.ingest import ingest
@@ -101,7 +101,7 @@ def quick(recomputed, monkeypatch):
 class FRESH:
     problems: tuple[()] = ()
     notes: tuple[()] = ()
-    read = kept = 0
+    read, kept = 1, 0
 
 
 def another_digit(text: str, number: int) -> str:
@@ -355,6 +355,15 @@ def test_other_files_and_folders_are_refused_with_what_to_do(desk, tmp_path):
         verify.verify(desk.report, tmp_path / "nowhere")
     with pytest.raises(UsageError, match="cannot be read"):
         verify.verify(tmp_path / "none.html")
+
+
+def test_a_store_of_another_device_is_refused_with_what_to_do(original, desk, tmp_path):
+    log = tmp_path / "raw" / "one.csv"
+    log.parent.mkdir()
+    log.write_text(original.logs()[40].read_text().replace("# device: falcon", "# device: other", 1))
+    ingest([log], tmp_path / "others")
+    with pytest.raises(StoreError, match=r"none of its logs are in .*--processed"):
+        verify.verify(desk.report, tmp_path / "others")
 
 
 def test_command_exits_with_status_1_and_names_the_cell(desk, quick):
