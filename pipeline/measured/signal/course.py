@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.measured.signal.response import external_force
+from pipeline.measured.signal.response import Response, external_force
 from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
 
 FALLING = 0.9
@@ -136,3 +136,11 @@ def _half_range(position: Floats, part: Booleans) -> Floats:
     low = np.min(np.where(part, position, np.inf), axis=1, initial=np.inf)
     result: Floats = np.where(high >= low, 0.5 * (high - low), 0.0)
     return result
+
+
+def in_first_swing(batch: TrialBatch, response: Response, change: Floats) -> Booleans:
+    """Return which motions have neither turned nor passed their final position: behind any wall these speed up."""
+    way, floor = np.sign(batch.step)[:, None], response.floor[:, None]
+    travel = np.abs(response.position_final_expected - response.position_start)[:, None]
+    moved = np.nan_to_num(batch.displacement)[:, 1:] * way
+    return np.asarray(~((change * way < -floor) | (moved > travel + floor)).any(axis=1))

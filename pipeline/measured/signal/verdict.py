@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.measured.signal.course import LASTING, Course, course_of, sizes
+from pipeline.measured.signal.course import LASTING, Course, course_of, in_first_swing, sizes
 from pipeline.measured.signal.edge import first_step_alone
 from pipeline.measured.signal.modes import FEWEST_SAMPLES, NARROW, WIDE, Growth, fastest_growth
 from pipeline.measured.signal.response import NOISE_FACTOR, Response, find_response
@@ -203,14 +203,15 @@ def _judge_wall(batch: TrialBatch, response: Response) -> Verdicts:
     rising = _rising(signal, count, response, enough & ~ideal & (falls | at_rest) & ~course.brakes)
     sunk = np.isnan(rising)
     rate = np.where(sunk, rate, rising)
-    grows &= enough & ~at_rest & sunk
+    early = in_first_swing(batch, response, change)
+    grows &= enough & ~at_rest & sunk & ~early
     falls = enough & (at_rest | falls) & ~grows & high & sunk
     verdict = np.where(grows, "unstable", np.where(falls, "stable", "undecided"))
     rate = np.where(falls & (rate > 0), np.nan, rate)
     reason = [
         _undecided(*each) if text == "undecided" else NOT_TOLD if np.isnan(r) else ""
         for text, r, *each in zip(
-            verdict, rate, enough, high, count, course.end, rising / batch.sampling_period_s, strict=True
+            verdict, rate, enough, high, early, count, course.end, rising / batch.sampling_period_s, strict=True
         )
     ]
     return Verdicts(verdict, rate / batch.sampling_period_s, tuple(reason))
@@ -259,7 +260,9 @@ def _rising(signal: Floats, count: Integers, response: Response, falls: Booleans
     return growth
 
 
-def _undecided(visible: bool, high: bool, samples: int, left: float, rate: float) -> str:
+def _undecided(visible: bool, high: bool, early: bool, samples: int, left: float, rate: float) -> str:
+    if early and visible:
+        return "the log ends before the motion turns or passes its final position: behind any wall it speeds up so far"
     if rate > 0:
         return f"a mode grows at {rate:.3g} 1/s in a motion that falls to an amplitude of {left:.3g}"
     if not visible:

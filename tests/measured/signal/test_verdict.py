@@ -132,3 +132,13 @@ def test_verdict_of_a_trial_does_not_depend_on_its_neighbours():
     together = judge(batch)
     alone = [judge(batch.select(np.array([i]))) for i in range(0, 40, 7)]
     assert [a.verdict[0] for a in alone] == together.verdict[::7].tolist()
+
+
+@pytest.mark.parametrize(("rows", "verdict"), [(60, "undecided"), (119, "undecided"), (300, "stable")])
+def test_a_log_that_ends_in_its_first_swing_tells_nothing(rows, verdict):
+    """A soft wall without damping of its own: until the motion turns it speeds up, as behind an unstable one."""
+    device = FALCON | {"mass": 0.3, "b": 2.0, "delay": 3, "step": 5.0, "travel": 1.0}
+    log = simulate(np.array([100.0]), np.zeros(1), **device, rows=rows, **FALCON_SENSOR)
+    found = judge(log)
+    assert found.verdict.tolist() == [verdict]
+    assert ("before the motion turns" in found.reason[0]) == (verdict == "undecided")
