@@ -138,7 +138,8 @@ def test_a_matlab_script_gives_the_costs_of_one_log(tmp_path: Path, monkeypatch:
         given = (K, log.attrs["step"], estimates["mass"], estimates["delay_samples"])
         words = [octave, "--no-gui", str(DOCS / "migrate.m"), "one.csv", *map(str, given)]
         by_hand = json.loads(subprocess.run(words, capture_output=True, text=True, check=True).stdout)
-        assert by_hand["settle_2pct"] == expected["settle_2pct"]
+        # noise decides by which sample a response is inside that touches the band, and x_0 is no single reading here
+        assert by_hand["settle_2pct"] == pytest.approx(expected["settle_2pct"], abs=1)
         assert by_hand["energy_step_w1"] == pytest.approx(expected["energy_step_w1"], rel=0.05)
         held += 1
         if held == 5:
