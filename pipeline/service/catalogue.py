@@ -159,11 +159,13 @@ class Trials:
 
     def once(self, key: str, make: Callable[[], Kept]) -> Kept:
         """Return what rests on this state alone; answers to what was asked a moment ago are kept."""
-        if key not in self._kept:
+        found = cast("Kept | None", self._kept.get(key))
+        if found is None:
+            found = make()
             if len(self._kept) >= KEPT:
-                self._kept.clear()
-            self._kept[key] = make()
-        return cast(Kept, self._kept[key])
+                self._kept.clear()  # another thread may do so at any time, too
+            self._kept[key] = found
+        return found
 
     def selected(
         self, asked: dict[str, str], ranges: dict[str, float], text: str = ""

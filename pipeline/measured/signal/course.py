@@ -139,7 +139,19 @@ def _half_range(position: Floats, part: Booleans) -> Floats:
 
 
 def in_first_swing(batch: TrialBatch, response: Response, change: Floats) -> Booleans:
-    """Return which motions have neither turned nor passed their final position: behind any wall these speed up."""
+    """Return which motions have neither turned nor passed their final position: behind any wall these speed up.
+
+    Parameters
+    ----------
+    batch, response : TrialBatch, Response
+        Of n trials with K other than 0; what is below the sensor's floor is no turn.
+    change : float64, shape (n, N - 1)
+        Way from each row to the next [m, rad].
+
+    Returns
+    -------
+    bool, shape (n,)
+    """
     way, floor = np.sign(batch.step)[:, None], response.floor[:, None]
     travel = np.abs(response.position_final_expected - response.position_start)[:, None]
     moved = np.nan_to_num(batch.displacement)[:, 1:] * way

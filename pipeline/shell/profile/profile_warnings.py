@@ -60,11 +60,10 @@ def other_scale(profile: Profile, scales: Sequence[tuple[float, float]]) -> list
     """
     if not scales:
         return []
-    step, wall = np.median(np.array(scales), axis=0)
-    for each in scales:
-        if np.abs(np.array(each) / (step, wall) - 1).max() > SCALE_TOLERANCE:
-            return []
-    return _scale_words(profile, Scale(float(step), float(wall)), f"all {len(scales)} logs that show it")
+    middle = np.median(np.array(scales), axis=0)
+    if (np.abs(np.array(scales) - middle) > SCALE_TOLERANCE * np.abs(middle)).any():
+        return []
+    return _scale_words(profile, Scale(*map(float, middle)), f"all {len(scales)} logs that show it")
 
 
 def _scale_words(profile: Profile, scale: Scale, where: str) -> list[str]:
