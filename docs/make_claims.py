@@ -6,7 +6,10 @@ simulates a small course of each kind of device in `pipeline.studies.coverage.ki
 logs of a device that nobody described, and holds the document against the truth (a minute a seed and base on a free
 core). The light-weight robot and a small motor take a quarter of the seeds; the motor turns without a wall, too.
 What is found of each course is a line of the file that ``--kept`` names, and is not found again in a second run but by
-``--again``; the table is made from that file, of a run that was broken off too.
+``--again``; both tables are made from that file, of a run that was broken off too.
+
+The second table counts the 95 % intervals of a course that hold what is true. Of a cost that is what the same trials
+give by a sensor without an error; where loops are no linear ones their limit is not known, and is not counted.
 """
 
 from __future__ import annotations
@@ -22,12 +25,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from pipeline.comparison.compare import compare
 from pipeline.device_data.devices import load_device
 from pipeline.intake.ingest import ingest
+from pipeline.measured.cost.settling_overshoot import overshoot, settling
+from pipeline.measured.signal.horizon import energy_terms
+from pipeline.measured.signal.response import find_response
+from pipeline.measured.signal.verdict import judge
 from pipeline.records.batch import Floats, TrialBatch
 from pipeline.records.findings import Estimate
+from pipeline.records.loop_records import Parameter
 from pipeline.records.models import Device
 from pipeline.records.results import ExperimentResult
 from pipeline.simulation.course import Course, write_course
@@ -35,6 +44,7 @@ from pipeline.simulation.radius import spectral_radius
 from pipeline.simulation.setup import setup_of
 from pipeline.simulation.simulate import simulate
 from pipeline.studies.coverage.kinds import kinds, record
+from pipeline.surface.stored import costs
 
 FILE = Path(__file__).with_name("coverage.md")
 SECTION = "## Devices that are not ideal"
@@ -81,8 +91,17 @@ BLIND = ("jitter_samples", "friction", "one_sided_wall", "force", "held_samples"
 UNSEEN = {"force_gain", "sampling_period"}
 """Causes that show against a device file alone, and none describes these devices."""
 
-Claims = tuple[str, tuple[str, ...], list[str], bool | None]
-"""Right, withheld or wrong; the causes named that are none; what is wrong; whether a true cause is named first."""
+CRITERIA = ("settle_2pct", "overshoot", "energy_step_w0", "energy_step_w1")
+"""Costs whose intervals are counted."""
+
+LONGER = 3
+"""Length of the trials that true costs are of, in that of the course's: their energies have no tail that is missing."""
+
+LEAST_SHARE, FEWEST = 0.86, 20
+"""Share of the intervals below which a kind of device is named, and intervals of a kind from which on it is."""
+
+Held = dict[str, tuple[int, int, int]]
+"""For each quantity how many intervals hold the truth, how many bear no warning, and how many there could be."""
 
 
 def true_limits(course: Course, damping: Floats) -> Floats:
@@ -159,31 +178,122 @@ def wrong_claims(course: Course, found: ExperimentResult, *, limits_are_known: b
     return wrong
 
 
-def claims(course: Course, expected: set[str], *, limits_are_known: bool) -> tuple[Claims, ExperimentResult]:
-    """Compare a course as that of a device that nobody described, and judge what is said of it."""
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        write_course(course, folder / "raw")
-        ingest([folder / "raw"], folder / "processed", jobs=1)
-        outcome = compare(course.device.name, folder / "processed", criteria=("settle_2pct", "energy_step_w0"))
+def compared(course: Course, folder: Path) -> tuple[ExperimentResult, pd.DataFrame]:
+    """Return what is said of a course as that of a device that nobody described, and the costs of its trials."""
+    write_course(course, folder / "raw")
+    ingest([folder / "raw"], folder / "processed", jobs=1)
+    outcome = compare(course.device.name, folder / "processed", criteria=CRITERIA)
     if outcome.result is None:
         raise RuntimeError("a comparison that is no dry run has a result")
     (found,) = outcome.result.experiments
+    table = costs(folder / "processed", course.device.name)
+    return found, by_wall(table[table["criterion"].isin(CRITERIA)])
+
+
+def true_costs(course: Course) -> pd.DataFrame:
+    """Return the costs of the same trials by a sensor without an error, and by the true delay and mass.
+
+    They last longer but with friction, which lets the device rest beside its final position: sums of energies grow.
+    """
+    batch, true = course.batch, {name: value for name, value, _ in truths(course)}
+    longer = 1 if course.device.loop_of(course.experiment).friction else LONGER
+    setup = replace(course.setup, quantum=0.0, noise=0.0, rows=longer * course.setup.rows)
+    stream = f"{course.device.name}/{course.experiment.name}"
+    exact = simulate(setup, batch.stiffness, batch.damping, seed=course.seed, stream=stream)
+    response = find_response(exact)
+    seen, delay = (exact, response, judge(exact, response)), int(true["delay_samples"])
+    energy = energy_terms(*seen, delay).summed(true["mass"])
+    found = {
+        "settle_2pct": settling(*seen, delay).samples["settle_2pct"],
+        "overshoot": overshoot(*seen).overshoot,
+        "energy_step_w0": energy[:, 0],
+        "energy_step_w1": energy[:, 1],
+    }
+    walls = {"stiffness": batch.stiffness, "damping": batch.damping, "trial_id": batch.trial_id}
+    return by_wall(pd.DataFrame(walls | found).melt(list(walls), var_name="criterion", value_name="truth"))
+
+
+def by_wall(table: pd.DataFrame) -> pd.DataFrame:
+    """Return costs by wall, criterion and number of the trial."""
+    wall = ["stiffness", "damping", "criterion"]
+    table = table.sort_values("trial_id")
+    return table.set_index([*wall, table.groupby(wall).cumcount()])
+
+
+def numbers(course: Course, found: ExperimentResult) -> Iterator[tuple[str, Estimate | Parameter | None, float]]:
+    """Yield name, what is said of it, and truth of each number that a device has."""
+    parts, loop, true = course.device.loop_of(course.experiment), found.loop, {n: t for n, t, _ in truths(course)}
+    lag = parts.actuator_lag_s
+    apart = loop is not None and loop.actuator_lag_s is not None
+    for name, truth in true.items():
+        if name == "delay_samples":
+            yield "delay", found.delay, truth + (0.0 if apart else lag / course.setup.sampling_period_s)
+        elif truth or name in ("mass", "damping"):
+            yield name.replace("_samples", "").replace("_", " "), found.estimates[name], truth
+    if lag:
+        yield "lag", loop.actuator_lag_s if loop else None, lag
+    if parts.velocity is not None and parts.velocity.kind == "butterworth":
+        told = loop.velocity if loop and loop.velocity else {}
+        yield "cut-off", told.get("cutoff_hz"), parts.velocity.cutoff_hz or 0.0
+    if parts.mode is not None:
+        yield "mode frequency", (loop.mode if loop and loop.mode else {}).get("frequency_hz"), parts.mode.frequency_hz
+
+
+def held(course: Course, found: ExperimentResult, table: pd.DataFrame, *, limits_are_known: bool) -> Held:
+    """Count the intervals of what is said of a course that hold the truth."""
+    result: Held = {}
+
+    def count(name: str, low: Any, high: Any, truth: Any, told: Any) -> None:
+        inside = told & (low <= truth) & (truth <= high)
+        before = result.get(name, (0, 0, 0))
+        result[name] = (before[0] + int(np.sum(inside)), before[1] + int(np.sum(told)), before[2] + np.size(told))
+
+    def bounds(each: Any) -> tuple[float, float]:
+        return tuple(np.nan if each is None or end is None else end for end in (each and each.low, each and each.high))
+
+    for name, each, truth in numbers(course, found):
+        low, high = bounds(each)
+        count(name, low, high, truth, low <= high and not getattr(each, "warning", None))
+    if limits_are_known:
+        limits = {"limit of the loop": found.loop_boundary or (), "measured limit": found.boundary}
+        for name, points in limits.items():
+            true = true_limits(course, np.array([point.damping for point in points]))
+            low, high = (np.array(ends) for ends in zip(*map(bounds, points), strict=True)) if points else ((), ())
+            some = true > LOW * true.max(initial=0.0)
+            count(name, low[some], high[some], true[some], (low <= high)[some]) if points else None
+    both = table.join(true_costs(course)["truth"], how="inner").dropna(subset="truth")
+    for criterion, rows in both.groupby(level="criterion"):
+        low, high = rows["low"].to_numpy(), rows["high"].to_numpy()
+        # what rounding leaves of a cost is no error of a sensor
+        least = 1e-6 * np.abs(rows["truth"].to_numpy())
+        count(str(criterion), low - least, high + least, rows["truth"].to_numpy(), low <= high)
+    return result
+
+
+def claims(course: Course, expected: set[str], *, limits_are_known: bool) -> dict[str, Any]:
+    """Return what is said of a course: right, withheld or wrong, false causes, the first one, and intervals."""
+    with tempfile.TemporaryDirectory() as folder:
+        found, table = compared(course, Path(folder))
     wrong = wrong_claims(course, found, limits_are_known=limits_are_known)
     first = bool(found.causes) and found.causes[0].code in expected if expected - UNSEEN else None
     setup, wall = course.setup, course.batch.stiffness > 0
     stable = spectral_radius(setup.plant, setup, course.batch.stiffness[wall], course.batch.damping[wall]) < 1
     expected |= {"coarse_sensor", "few_trials"}
     expected |= {code for code, none in (("no_stable_trial", ~stable), ("no_unstable_trial", stable)) if none.all()}
-    false = tuple(cause.code for cause in found.causes if cause.code not in expected)
     adequate = found.loop is not None and found.loop.adequate
-    return ("wrong" if wrong else "right" if adequate else "withheld", false, wrong, first), found
+    return {
+        "said": "wrong" if wrong else "right" if adequate else "withheld",
+        "causes": [cause.code for cause in found.causes if cause.code not in expected],
+        "wrong": wrong,
+        "first": first,
+        "held": held(course, found, table, limits_are_known=limits_are_known),
+    }
 
 
-def cases(base: Device, experiment: str) -> dict[str, Callable[[int], tuple[Claims, ExperimentResult]]]:
+def cases(base: Device, experiment: str) -> dict[str, Callable[[int], dict[str, Any]]]:
     """Return for each kind of a base device a function from a seed to what is said of it."""
 
-    def of(draw: Callable[..., object], seed: int) -> tuple[Claims, ExperimentResult]:
+    def of(draw: Callable[..., object], seed: int) -> dict[str, Any]:
         case = draw(seed)
         known = not any(part in key.split(".") for key in case.truth for part in BLIND)
         return claims(record(case, **SMALL), set(case.truth["causes"]), limits_are_known=known)
@@ -191,7 +301,7 @@ def cases(base: Device, experiment: str) -> dict[str, Callable[[int], tuple[Clai
     return {name: lambda seed, draw=draw: of(draw, seed) for name, draw in kinds(base, experiment).items()}
 
 
-def turning(steps: tuple[float, ...], offset: float, seed: int) -> tuple[Claims, ExperimentResult]:
+def turning(steps: tuple[float, ...], offset: float, seed: int) -> dict[str, Any]:
     """Judge what is said of the motor that turns without a wall against friction of two thirds of the least torque.
 
     ``steps`` are torques and ``offset`` a constant one, relative to the step of the device.
@@ -212,7 +322,7 @@ def turning(steps: tuple[float, ...], offset: float, seed: int) -> tuple[Claims,
     return claims(course, expected, limits_are_known=False)
 
 
-def every_case() -> Iterator[tuple[str, int, dict[str, Callable[[int], tuple[Claims, ExperimentResult]]]]]:
+def every_case() -> Iterator[tuple[str, int, dict[str, Callable[[int], dict[str, Any]]]]]:
     """Yield name, part of the seeds and cases of each base device."""
     yield "Falcon", 1, cases(load_device("falcon"), "1")
     yield "Light-weight robot", PER_BASE, cases(load_device("lwr"), "delay-3")
@@ -242,12 +352,10 @@ def find(options: argparse.Namespace) -> None:
             for kind, judged in of.items():
                 if (base, kind, seed) in known or (options.kind and kind not in options.kind):
                     continue
-                (said, causes, wrong, first), _ = judged(seed)
-                found = {"base": base, "kind": kind, "seed": seed, "said": said, "causes": causes, "wrong": wrong}
-                found["first"] = first
+                found = {"base": base, "kind": kind, "seed": seed} | judged(seed)
                 with options.kept.open("a", encoding="utf-8") as file:
                     file.write(json.dumps(found) + "\n")
-                print(base, seed, kind, said, *causes, *wrong, sep="; ", flush=True)
+                print(base, seed, kind, found["said"], *found["causes"], *found["wrong"], sep="; ", flush=True)
 
 
 def table(found: Mapping[tuple[str, str, int], dict[str, Any]]) -> list[str]:
@@ -285,12 +393,44 @@ def table(found: Mapping[tuple[str, str, int], dict[str, Any]]) -> list[str]:
     return lines
 
 
+def interval_table(found: Mapping[tuple[str, str, int], dict[str, Any]]) -> list[str]:
+    """Return the lines of the table of intervals."""
+    counted = {place: each["held"] for place, each in found.items() if each.get("held")}
+    lines = [
+        "",
+        f"The 95 % intervals of {len(counted)} of these courses, all kinds together: of how many courses a quantity "
+        "has some, how many there are, what share holds the truth; refused are those that bear a warning, or are none. "
+        f"Below {100 * LEAST_SHARE:.0f} % are named: kinds of a base with at least {FEWEST} intervals.",
+        "",
+        "| quantity | courses | intervals | hold the truth | refused | below |",
+        "|---|---|---|---|---|---|",
+    ]
+    for name in dict.fromkeys(name for each in counted.values() for name in each):
+        some = {place: each[name] for place, each in counted.items() if name in each}
+        inside, told, asked = (sum(each[i] for each in some.values()) for i in range(3))
+        courses = sum(each[1] > 0 for each in some.values())
+        cells: dict[tuple[str, str], list[int]] = {}
+        for (base, kind, _), each in some.items():
+            cell = cells.setdefault((base, kind), [0, 0])
+            cell[0], cell[1] = cell[0] + each[0], cell[1] + each[1]
+        low = [
+            f"{base}, {kind} {100 * h / n:.0f} % of {n}"
+            for (base, kind), (h, n) in cells.items()
+            if n >= FEWEST and h < LEAST_SHARE * n
+        ]
+        share = f"{100 * inside / told:.1f} %" if told else ""
+        refused = f"{100 * (1 - told / asked):.0f} %" if asked else ""
+        lines.append(f"| {name} | {courses} | {told} | {share} | {refused} | {'; '.join(low)} |")
+    return lines
+
+
 def main(options: argparse.Namespace) -> None:
     """Write the section."""
     with tempfile.TemporaryDirectory() as folder:
         options.kept = options.kept or Path(folder, "kept")
         find(options)
-        lines = table(lines_of(options.kept))
+        kept = lines_of(options.kept)
+        lines = table(kept) + interval_table(kept)
     before = FILE.read_text(encoding="utf-8").partition(SECTION)[0].rstrip()
     FILE.write_text("\n".join([before, "", *lines, ""]), encoding="utf-8")
 

@@ -23,7 +23,7 @@ from pipeline.measured.experiment.estimates import (
     velocity_lag,
     with_model_delay,
 )
-from pipeline.measured.experiment.fitted_device import explaining_device
+from pipeline.measured.experiment.fitted_device import explaining_device, fitted_device
 from pipeline.measured.stages.stages import STAGES, ExperimentStages
 from pipeline.records.findings import Estimate, Optimum
 from pipeline.records.loop_parts import LoopParts
@@ -126,7 +126,9 @@ def _with_loop(data: SceneData, stages: ExperimentStages, result: ExperimentResu
     found = dict(result.estimates)
     loop = estimated_range(result, stages.sampling_period_s)
     if not findings.loop.adequate:
-        found |= {name: _doubted(found[name]) for name in ("delay_samples", "mass", "damping")}
+        device = stages.once(fitted_device)
+        if device is None or not device.of_no_linear_loop:
+            found |= {name: _doubted(found[name]) for name in ("delay_samples", "mass", "damping")}
         reason = "needs an adequate loop; the table of loops says why this one is not"
         found["implied_delay"] = _without("samples", reason)
     elif findings.loop.parts_beside:
@@ -134,11 +136,11 @@ def _with_loop(data: SceneData, stages: ExperimentStages, result: ExperimentResu
         found["implied_delay"] = _without("samples", reason)
     elif loop is not None:
         mass, damping = found["mass"], found["damping"]
-        device = DeviceParameters(
+        known = DeviceParameters(
             *(loop.mass.value, loop.damping.value, stages.sampling_period_s),
             *(standard_error(mass), standard_error(damping)),
         )
-        found["implied_delay"] = implied_delay(stages.boundary_points, device)
+        found["implied_delay"] = implied_delay(stages.boundary_points, known)
     named = {name: getattr(findings, name) for name in LoopFindings.model_fields}
     return result.model_copy(update={**named, "estimates": found})
 

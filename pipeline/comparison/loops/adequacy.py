@@ -6,7 +6,7 @@ them, its parameters do not depend on the wall, and the measured limits are thos
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -54,12 +54,16 @@ class Doubt:
 
 @dataclass(frozen=True)
 class Shown:
-    """What the logs show of a loop: departures from the wall law, rest, the device that explains them, the filter."""
+    """What the logs show of a loop: departures from the wall law, rest, the device that explains them, the filter.
+
+    ``of_logs`` are the filters that single logs show.
+    """
 
     departures: list[LawDeparture]
     rest: RestForces
     fitted: FittedDevice | None
     velocity: VelocityFilter | None
+    of_logs: Sequence[VelocityFilter] = ()
 
     @property
     def known(self) -> set[str]:

@@ -11,7 +11,6 @@ from pipeline.comparison.loops.adequacy import Shown
 from pipeline.comparison.loops.log_evidence import coarse, friction_words, law_causes, rest_words
 from pipeline.comparison.loops.loop_range import MATTERS, LoopRange, explains, loop_delay
 from pipeline.comparison.loops.part_causes import part_causes
-from pipeline.measured.experiment.rest_forces import RestForces
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.findings import Estimate
 from pipeline.records.loop_records import Cause
@@ -21,11 +20,11 @@ from pipeline.rendering.labels import Units, percent_text, share_text, significa
 FEW = 10
 """Trials below which nothing that differs between trials can be told."""
 
-LEAST_SPREAD = 0.2
-"""Scatter of the onsets [samples] below which nothing jitters by whole samples."""
+APART, APART_ERRORS = 0.5, 4.0
+"""Distance from the median onset, in samples and in errors of one, beyond which a trial's delay is another one."""
 
-APART = 3.0
-"""Scatter of the onsets, in errors of one, from which on the delay differs from trial to trial."""
+OTHERS = 0.2
+"""Share of the trials with another delay from which on it jitters: two delays as likely make a half."""
 
 MOST = 5
 """Causes that are named of what single logs show."""
@@ -67,9 +66,9 @@ def direct_causes(
         parts = part_causes(stages, fitted, shown.velocity, units)
         found += [cause for cause in parts if all(cause.code != other.code for other in found)]
     elif not departures:  # a command that is not the wall law's tells of no force beside it
-        found += _force(result, shown.rest, units, stages)
+        found += _force(result, shown, units, stages)
     if loop is not None:
-        found += _jitter(result, loop)
+        found += _jitter(result, stages, loop)
         found += [] if not adequate or loop.parts.actuator_lag_s else [*_part_of_a_sample(result, loop)]
         found += _gain(result, loop, stated_mass)
     found += _sensor(stages)
@@ -77,8 +76,13 @@ def direct_causes(
     return tuple(found)
 
 
-def _force(result: ExperimentResult, rest: RestForces, units: Units, stages: ExperimentStages) -> Iterator[Cause]:
-    """A constant force or friction, by the estimates where they are and by where the device rests."""
+def _force(result: ExperimentResult, shown: Shown, units: Units, stages: ExperimentStages) -> Iterator[Cause]:
+    """A constant force or friction, by the estimates where they are and by where the device rests.
+
+    Friction of another kind than Coulomb's is found by the balance of all trials, and by the device that fits them
+    best, without being explained; either alone may be another part's likeness.
+    """
+    rest, fitted = shown.rest, shown.fitted
     constant, friction = (result.estimates.get(name) for name in ("constant_force", "friction"))
     walls = any(point.stable is not None for point in result.boundary)
     if constant is not None and _is_sure(constant) and (rest.tells or not walls):
@@ -94,11 +98,13 @@ def _force(result: ExperimentResult, rest: RestForces, units: Units, stages: Exp
             sentence=f"A constant force of about {significant(rest.typical, 2)} {unit} acts on the device.",
             evidence=rest_words(rest, unit),
         )
-    if friction is not None and (friction.low or 0.0) > 0 and (rest.tells or not walls):
+    both = fitted is not None and "friction" in fitted.parts
+    if friction is not None and (friction.low or 0.0) > 0 and (rest.tells or not walls or both):
+        also = ", and of the devices fitted to all trials the likeliest has friction" if both else ""
         yield Cause(
             code="coulomb_friction",
             sentence=friction_words(friction.value or 0.0, friction.unit, stages),
-            evidence=f"estimated from the logs, 95 %: {_interval(friction)}",
+            evidence=f"estimated from the logs, 95 %: {_interval(friction)}{also}",
         )
 
 
@@ -115,7 +121,7 @@ def _part_of_a_sample(result: ExperimentResult, loop: LoopRange) -> Iterator[Cau
         )
 
 
-def _jitter(result: ExperimentResult, loop: LoopRange) -> Iterator[Cause]:
+def _jitter(result: ExperimentResult, stages: ExperimentStages, loop: LoopRange) -> Iterator[Cause]:
     """Jitter of the delay: within trials, by an amount that matters, and between them.
 
     Friction and lag look like jitter within a trial; the first motion, which nothing but the step causes, comes after
@@ -124,18 +130,18 @@ def _jitter(result: ExperimentResult, loop: LoopRange) -> Iterator[Cause]:
     jitter = result.estimates.get("jitter_samples")
     if jitter is None or (jitter.low or 0.0) <= 0 or loop.effect(delay=jitter.low or 0.0) <= MATTERS:
         return
-    onset = result.estimates["delay_samples"].by_method.get("onset")
-    if (
-        onset is None
-        or not explains(result)
-        or (onset.spread or 0.0) <= max(APART * (onset.within or 0.0), LEAST_SPREAD)
-    ):
+    onset, error = (stages.column("delay", f"onset_{name}") for name in ("samples", "error"))
+    sure = error < APART / APART_ERRORS
+    if not explains(result) or not sure.any():
+        return
+    others = np.abs(onset - np.median(onset[sure]))[sure] > APART
+    if others.mean() < OTHERS:
         return
     yield Cause(
         code="delay_jitter",
         sentence=f"The delay jitters, by {significant(jitter.value or 0.0, 2)} samples within a trial.",
-        evidence=f"95 %: {_interval(jitter)}; the first motion comes after delays that scatter by "
-        f"{significant(onset.spread or 0.0, 2)} samples between trials",
+        evidence=f"95 %: {_interval(jitter)}; the first motion comes {significant(APART, 1)} samples or more earlier "
+        f"or later than in the median in {others.sum()} of {counted(len(others), 'trial')}",
     )
 
 

@@ -10,7 +10,7 @@ from pipeline.base.wording import listed
 from pipeline.comparison.loops.adequacy import Doubt, Shown, doubts
 from pipeline.comparison.loops.causes import direct_causes
 from pipeline.comparison.loops.fitted_loop import loop_range, mode_parameters, with_filter
-from pipeline.comparison.loops.log_evidence import LawDeparture, found_filter, law_departures
+from pipeline.comparison.loops.log_evidence import LawDeparture, filters_of_logs, found_filter, law_departures
 from pipeline.comparison.loops.loop_range import LoopRange, estimated_range, stated_range
 from pipeline.comparison.loops.loop_record import exact, filter_parameters, stated_parameters
 from pipeline.comparison.loops.passive_wall import passive_wall
@@ -49,7 +49,7 @@ def loop_findings(
     entry = next((e for e in device.experiments if e.name == stages.experiment), None) if device else None
     departures, rest = law_departures(stages), stages.once(rest_forces)
     fitted, velocity = stages.once(fitted_device), _filter(stages, departures)
-    shown = Shown(departures, rest, fitted, velocity)
+    shown = Shown(departures, rest, fitted, velocity, filters_of_logs(stages) if velocity else ())
     estimated = _estimated(result, stages, shown)
     period = device.sampling_period_s if device else stages.sampling_period_s
     parts = device.loop_of(entry) if device and entry else None
@@ -101,7 +101,7 @@ def _loop_result(
     check, fitted = result.model_check, shown.fitted
     explained = check.explained / check.trials if check and check.trials else None
     friction = result.estimates.get("friction")
-    numbers: dict[str, Any] = {"velocity": filter_parameters(shown.velocity) if shown.velocity else None}
+    numbers: dict[str, Any] = {"velocity": filter_parameters(shown.velocity, shown.of_logs) if shown.velocity else None}
     told = friction is not None and None not in (friction.value, friction.low, friction.high)
     if fitted is not None and fitted.holds:
         explained = fitted.explained / fitted.held_out

@@ -13,6 +13,7 @@ from pipeline.measured.experiment.rest_forces import RestForces
 from pipeline.measured.signal.velocity_filter import VelocityFilterFound
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.batch import Floats
+from pipeline.records.loop_parts import VelocityFilter
 from pipeline.records.loop_records import Cause, CauseCode
 from pipeline.rendering.labels import share_text, significant
 
@@ -91,8 +92,15 @@ def law_departures(stages: ExperimentStages) -> list[LawDeparture]:
 def found_filter(stages: ExperimentStages) -> VelocityFilterFound | None:
     """Return the velocity filter that most logs show, or None where they show none."""
     text = commonest(stages.texts("wall_law", "velocity_filter"))
-    if not text:
-        return None
+    return _found(text) if text else None
+
+
+def filters_of_logs(stages: ExperimentStages) -> list[VelocityFilter]:
+    """Return the velocity filter of each log that shows one."""
+    return [_found(text).declared for text in stages.texts("wall_law", "velocity_filter") if text]
+
+
+def _found(text: str) -> VelocityFilterFound:
     found = json.loads(text)
     return VelocityFilterFound(tuple(found["b"]), tuple(found["a"]), found["difference"], found["cutoff_hz"])
 

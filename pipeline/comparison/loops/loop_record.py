@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
-from pipeline.measured.signal.velocity_filter import VelocityFilterFound
+from collections.abc import Sequence
+
+import numpy as np
+
+from pipeline.measured.signal.velocity_filter import CUTOFF_DIGITS, VelocityFilterFound
 from pipeline.records.loop_parts import Butterworth, Difference, LoopParts, Mode, VelocityFilter
 from pipeline.records.loop_records import LoopResult, Parameter
 
@@ -27,14 +31,34 @@ def parts_of(loop: LoopResult) -> LoopParts:
     return LoopParts(velocity=velocity, actuator_lag_s=max(lag, 0.0), mode=mode)
 
 
-def filter_parameters(velocity: VelocityFilter) -> dict[str, Parameter]:
-    """Return a filter that logs show exactly, by the names of a device file."""
+def filter_parameters(velocity: VelocityFilter, of_logs: Sequence[VelocityFilter] = ()) -> dict[str, Parameter]:
+    """Return a filter by the names of a device file, its numbers as far apart as those of single logs are.
+
+    A single log shows its filter to within the rounding of its commands, and may show a rounder number.
+    """
+    numbers = _filter_numbers(velocity)
+    others = [found for found in map(_filter_numbers, of_logs) if found.keys() == numbers.keys()]
+    others = [found for found in others if found.get("order") == numbers.get("order")]
+    result = {}
+    for name, value in numbers.items():
+        low, high = np.quantile([found[name] for found in (numbers, *others)], (0.025, 0.975))
+        off = 0.5 * _last_digit(value) if of_logs and name == "cutoff_hz" else 0.0
+        result[name] = Parameter(value=value, low=min(low, value) - off, high=max(high, value) + off)
+    return result
+
+
+def _filter_numbers(velocity: VelocityFilter) -> dict[str, float]:
     if isinstance(velocity, Difference):
-        return {"samples": exact(float(velocity.samples))}
+        return {"samples": float(velocity.samples)}
     if isinstance(velocity, Butterworth):
-        return {"order": exact(float(velocity.order)), "cutoff_hz": exact(velocity.cutoff_hz)}
+        return {"order": float(velocity.order), "cutoff_hz": velocity.cutoff_hz}
     sides = (("b", velocity.b), ("a", velocity.a))
-    return {f"{name}{i}": exact(value) for name, values in sides for i, value in enumerate(values)}
+    return {f"{name}{i}": value for name, values in sides for i, value in enumerate(values)}
+
+
+def _last_digit(value: float) -> float:
+    """Return a unit of the last digit of a cut-off as it was rounded."""
+    return float(10.0 ** (np.floor(np.log10(value)) + 1 - CUTOFF_DIGITS))
 
 
 def stated_parameters(parts: LoopParts) -> dict[str, Parameter | dict[str, Parameter] | None]:

@@ -68,7 +68,7 @@ def _effect(
     if part in ("spring", "force"):
         rest = _rest_effect(part, stages, fitted)
         if rest > effect:
-            return rest, f"moves the rest positions by {significant(100 * rest, 2)} % in the median"
+            return rest, f"moves the rest positions by up to {significant(100 * rest, 2)} %"
     return effect, shown
 
 
@@ -99,13 +99,13 @@ def _viscous(stages: ExperimentStages, fitted: FittedDevice, loop: LoopRange) ->
 
 
 def _rest_effect(part: str, stages: ExperimentStages, fitted: FittedDevice) -> float:
-    """Return by what share of the final displacement a spring or a constant force moves the rest positions."""
+    """Return by what share of the final displacement a spring or a constant force moves rest positions at most."""
     K = stages.column("response", "stiffness")
     stable: Floats = K[(stages.verdicts.verdict == "stable") & (K > 0)]
     if not len(stable):
         return 0.0
     if part == "spring":
-        return abs(fitted.values["stiffness"]) / float(np.median(stable))
+        return abs(fitted.values["stiffness"]) / float(stable.min())
     step = float(np.median(np.abs(stages.trials.column("step").to_numpy())))
     return abs(fitted.values["constant_force"]) / step if step else 0.0
 

@@ -116,7 +116,8 @@ def energy_interval(
     The cost is `EnergyTerms.summed`, but unbiased and complete: noise adds its variance times k^w to the sum, and the
     sum ends at the horizon. The error by noise is carried on to first order, with the answer of the wall
     to each error. Independent parts (noise, mass, tail) are added as squares, each side for itself; the range
-    of the delay is added to them as it is: another delay drops samples or takes some in, and moves all indices.
+    of the delay is added to them as it is: another delay drops samples or takes some in, and moves all indices. So are
+    the energies of a response that rests beside its final position, which lie behind the horizon.
 
     There is no value where more than `LARGEST_TAIL` of it may lie beyond the horizon, or its decay is not known;
     where the interval is wider than `LARGEST_HALF_WIDTH`; where noise and quantum are not small beside the final
@@ -218,13 +219,14 @@ def _interval(
         sunk=terms.stop < batch.rows,
     )
     value = sums.over(sums.energy) - bias + tail.value
+    rest = _at_rest(batch, response, terms, sums)
     random = NORMAL_95**2 * (_sensor_error(sums) ** 2 + (given.mass_error * sums.over(terms.kinetic)) ** 2)
     with np.errstate(invalid="ignore"):
         high = value + np.sqrt(random + (tail.high - tail.value) ** 2)
         low = value - np.sqrt(random + (tail.value - tail.low) ** 2)
         shifts = [_shifted(value, d - given.delay_samples) - value for d in given.delays]
-        low, high = np.maximum(low + shifts[1], 0.0), high + shifts[0]
-        whole = np.isfinite(tail.high) & (tail.high <= LARGEST_TAIL * value)
+        low, high = np.maximum(low + shifts[1], 0.0), high + shifts[0] + rest
+        whole = np.isfinite(tail.high) & (tail.high + rest <= LARGEST_TAIL * value)
         trusted = whole & (high - low <= 2 * LARGEST_HALF_WIDTH * value)
     size = np.where(sums.known, np.abs(batch.step) / np.where(sums.known, batch.stiffness, 1.0), 1.0)
     clear = sums.known & (level <= LARGEST_LEVEL * size)
@@ -233,13 +235,29 @@ def _interval(
     reason = [a or b for a, b in zip(terms.reason, error.reason, strict=True)]
     for i in (i for i, text in enumerate(reason) if not text):
         reason[i] = (
-            _reason(whole[i], there[i], tail.high[i], value[i], (low[i], high[i]), int(horizon[i]))
+            _reason(whole[i], there[i], tail.high[i], rest[i], value[i], (low[i], high[i]), int(horizon[i]))
             if clear[i]
             else f"noise and quantum leave {level[i]:.3g} open, too much for a final displacement of {size[i]:.3g}"
         )
     value, low, high, bias, beyond = (np.where(there, part, np.nan) for part in (value, low, high, bias, tail.value))
     by_horizon = np.where(sums.known[:, None, None], by_horizon, np.nan)
     return EnergyInterval(value, low, high, bias, beyond, by_horizon, horizon, tuple(reason))
+
+
+def _at_rest(batch: TrialBatch, response: Response, terms: EnergyTerms, sums: _Sums) -> Floats:
+    """Return the energies behind the horizon of a response that rests beside its final position, shape (n, 3).
+
+    Friction holds it there: the plain sum grows by them as long as the log lasts. Beside it by less than the sensor
+    floor nothing is told.
+    """
+    column = np.arange(batch.position.shape[1])[None, :]
+    behind = batch.valid & (column >= terms.stop[:, None]) & sums.known[:, None]
+    number = np.maximum(behind.sum(axis=1), 1)
+    final = np.where(sums.known, response.position_final_expected, 0.0)
+    off = np.where(behind, batch.position - final[:, None], 0.0).sum(axis=1) / number
+    energy = np.where(np.abs(off) > response.floor, sums.spring * off**2, 0.0)
+    index = np.where(behind, column - terms.first[:, None], 0).astype(np.float64)
+    return np.stack([energy * np.where(behind, index**w, 0.0).sum(axis=1) for w in WEIGHTS], axis=1)
 
 
 def _until(of: Sampled, columns: int) -> Sampled:
@@ -296,12 +314,24 @@ def _by_horizon(sums: _Sums) -> Floats:
 
 
 def _reason(
-    whole: Booleans, there: Booleans, tail: Floats, value: Floats, ends: tuple[Floats, Floats], horizon: int
+    whole: Booleans,
+    there: Booleans,
+    tail: Floats,
+    rest: Floats,
+    value: Floats,
+    ends: tuple[Floats, Floats],
+    horizon: int,
 ) -> str:
     """Say why exponents of one trial have no value."""
     parts = []
     lost = [w for w in WEIGHTS if not whole[w]]
-    if lost and np.isfinite(tail[lost[-1]]):
+    if lost and rest[lost[-1]] > 0:
+        shares = ", ".join(f"w = {w}: {percent(rest[w] / value[w])}" for w in lost)
+        parts.append(
+            f"summed over {horizon} samples; it rests beside its final position, which adds {shares} of the cost by "
+            "the end of the log, and more in a longer one"
+        )
+    elif lost and np.isfinite(tail[lost[-1]]):
         shares = ", ".join(f"w = {w}: {percent(tail[w] / value[w])}" for w in lost)
         parts.append(f"summed over {horizon} samples; beyond them may lie {shares} of the cost: record longer")
     elif lost:

@@ -57,6 +57,11 @@ class FittedDevice:
         return holds(self.explained, self.held_out)
 
     @property
+    def of_no_linear_loop(self) -> bool:
+        """Whether it explains the trials by a part that linear theory cannot hold: its numbers stand, no limit does."""
+        return self.holds and not {"friction", "saturation"}.isdisjoint(self.parts)
+
+    @property
     def tells(self) -> bool:
         """Whether it explains enough of them for its parts to be real."""
         return self.explained >= TOLD * self.held_out

@@ -19,6 +19,9 @@ HIGHEST_ORDER = 4
 LONGEST_DIFFERENCE = 64
 """Samples of the longest difference that is looked for."""
 
+CUTOFF_DIGITS = 4
+"""Digits to which a cut-off is rounded where that explains the rows: nobody sets more."""
+
 FITTED_ROWS = 400
 """Rows from the edge on that a filter is found from: it needs ten, and noise is none."""
 
@@ -136,7 +139,7 @@ def _butterworth(
             options={"xatol": 1e-10},
         )  # fmt: skip
         exact = np.exp(best.x) * nyquist
-        for cutoff in (float(f"{exact:.4g}"), float(f"{exact:.8g}")):
+        for cutoff in (float(f"{exact:.{CUTOFF_DIGITS}g}"), float(f"{exact:.8g}")):
             if error(np.log(cutoff / nyquist), order) <= 2 * tolerance:
                 b, a = butter(order, cutoff / nyquist)
                 return VelocityFilterFound(tuple(b.tolist()), tuple(a.tolist()), cutoff_hz=cutoff)

@@ -151,8 +151,11 @@ def summarise(rungs: Sequence[Rung]) -> tuple[str, ...]:
 def _optima(rungs: Sequence[Rung]) -> list[str]:
     """How near a course comes to each optimum: by the cost of the trial that it chooses."""
     lines = []
-    for name in dict.fromkeys(r.quantity for r in rungs if r.quantity.startswith("optimum") and ": cost" in r.quantity):
-        here = [r for r in rungs if r.quantity == name and r.method == OPTIMUM_TWO]
+    chosen = [
+        r for r in rungs if r.quantity.startswith("optimum") and ": cost" in r.quantity and r.method == OPTIMUM_TWO
+    ]
+    for name in dict.fromkeys(r.quantity for r in chosen):
+        here = [r for r in chosen if r.quantity == name]
         full, enough = _fullest(here, OPTIMUM_TWO), _enough(here, WANTED)
         text = f"none reaches {percent(WANTED)}" if enough is None else f"{percent(WANTED)} takes {_size(enough[0])}"
         lines.append(
