@@ -194,14 +194,20 @@ def true_costs(course: Course) -> pd.DataFrame:
     """Return the costs of the same trials by a sensor without an error, and by the true delay and mass.
 
     They last longer but with friction, which lets the device rest beside its final position: sums of energies grow.
+    A spring holds the device at x_0 + F_0/(K + k).
     """
     batch, true = course.batch, {name: value for name, value, _ in truths(course)}
     longer = 1 if course.device.loop_of(course.experiment).friction else LONGER
     setup = replace(course.setup, quantum=0.0, noise=0.0, rows=longer * course.setup.rows)
     stream = f"{course.device.name}/{course.experiment.name}"
     exact = simulate(setup, batch.stiffness, batch.damping, seed=course.seed, stream=stream)
-    response = find_response(exact)
-    seen, delay = (exact, response, judge(exact, response)), int(true["delay_samples"])
+    response, wall = find_response(exact), exact.stiffness
+    verdicts, delay = judge(exact, response), int(true["delay_samples"])
+    if spring := true["device_stiffness"]:
+        exact = replace(exact, stiffness=np.where(wall > 0, wall + spring, wall))
+        final = response.position_start + exact.step / np.where(wall > 0, wall + spring, np.nan)
+        response = replace(response, position_final_expected=final)
+    seen = (exact, response, verdicts)
     energy = energy_terms(*seen, delay).summed(true["mass"])
     found = {
         "settle_2pct": settling(*seen, delay).samples["settle_2pct"],

@@ -90,7 +90,9 @@ def _spring(force: Floats, moved: Floats, reach: Floats) -> float:
     """Return k of force = -k moved where that explains the forces and none that is the same in all logs does."""
     weight = 1 / np.maximum(reach, SMALLEST) ** 2
     k = -float((weight * moved) @ force) / float((weight * moved) @ moved)
-    left, same = (int((np.abs(rest) > reach).sum()) for rest in (force + k * moved, force - np.median(force)))
+    # soft walls tell, and to those of one stiffness friction is a spring: the constant is theirs, too
+    constant = float(weight @ force) / float(weight.sum())
+    left, same = (int((np.abs(rest) > reach).sum()) for rest in (force + k * moved, force - constant))
     return k if k > 0 and not _are_many(left, len(force)) and _are_many(same, len(force)) else 0.0
 
 

@@ -17,12 +17,11 @@ from pipeline.records.batch import Floats
 
 def given_of(of: Experiment) -> Given:
     """Return what the stage takes from the whole experiment."""
-    return sensor_of(of, 0)
+    return sensor_of(of, 0, rest_spring(of))
 
 
-def sensor_of(of: Experiment, delay: int) -> Given:
+def sensor_of(of: Experiment, delay: int, spring: float) -> Given:
     """What a cost and the error of a reading take from all trials: a spring, the sensor, the usual motion at rest."""
-    spring = rest_spring(of)
     sensor = sensor_error(*(of.column("response", f"sensor_{name}") for name in ("noise", "quantum")))
     if not np.isfinite(sensor):
         return {"delay": delay, "sensor": None, "rest": 1.0, "spring": spring}
