@@ -20,7 +20,15 @@ from pipeline.studies.accuracy import run
 from pipeline.studies.accuracy.cost_ladders import NAMES, cost_ladders, whole_sum
 from pipeline.studies.accuracy.courses import CONDITIONS, course_rungs
 from pipeline.studies.accuracy.jitter import jitter_limit
-from pipeline.studies.accuracy.measured_advice import WANTED, advise, course_length, percent, trusted
+from pipeline.studies.accuracy.measured_advice import (
+    OPTIMUM_TWO,
+    WANTED,
+    _optima,
+    advise,
+    course_length,
+    percent,
+    trusted,
+)
 from pipeline.studies.accuracy.names import (
     AREA,
     BALANCE,
@@ -253,6 +261,15 @@ def test_course_length_says_when_longer_is_not_better_or_nothing_is_enough() -> 
     single = [course(RATES_TWO, n, e) for n, e in ((1, 0.05), (2, 0.009), (4, None))]
     assert "no course reaches" in course_length("X", single)
     assert course_length("Y", single) == "Y: no course was simulated."
+
+
+def test_an_optimum_without_a_course_of_two_passes_is_left_out() -> None:
+    planned = [
+        course("planned", n, e).model_copy(update={"quantity": "optimum of X: cost"}) for n, e in ((4, 0.1), (8, 0.02))
+    ]
+    both = [each.model_copy(update={"method": OPTIMUM_TWO, "quantity": "optimum of Y: cost"}) for each in planned]
+    (line,) = _optima([*planned, *both])
+    assert line.startswith("Optimum of Y")
 
 
 def test_trusted_rung_has_a_value_for_most_trials_and_is_quick() -> None:

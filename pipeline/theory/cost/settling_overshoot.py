@@ -238,7 +238,8 @@ def _are_done(loop: Loop, run: Active, asked: Asked, peaks: dict[str, Floats]) -
     motion = size + run.lever * np.abs(run.velocity)
     run.quiet = np.where(motion > limit, 0.0, run.quiet + 1)
     run.calm = np.where(motion > calm, 0.0, run.calm + 1)
-    done: Booleans = run.quiet * _BLOCK > loop.oldest_force + 2
+    # small at one check may be a moment between two motions: what is on its way has acted by the next
+    done: Booleans = (run.quiet - 1) * _BLOCK > loop.oldest_force + 2
     if not asked.bands:
         done |= np.maximum(peaks["overshoot"], peaks["overshoot_discrete"])[run.index] > asked.enough
     return done
@@ -274,7 +275,7 @@ def late_deviation(loop: Loop, alpha: object, beta: object, first: int, longest:
         if (k - first) % _BLOCK == _BLOCK - 1:
             motion = np.abs(run.position) + run.lever * np.abs(run.velocity)
             run.quiet = np.where(motion > _FADED * largest, 0.0, run.quiet + 1)
-            if np.all(run.quiet * _BLOCK > loop.oldest_force + 2):
+            if np.all((run.quiet - 1) * _BLOCK > loop.oldest_force + 2):
                 break
     return largest
 

@@ -130,8 +130,9 @@ def late_sample(loop: DeviceLoop, alpha: Floats, beta: Floats, first: int, longe
         run.advance(count)
     for count in _rounds(longest - first + 1, _BLOCK):
         run.advance(count)
-        largest = np.maximum(largest, np.abs(run.sensed).max(axis=0))
-        calm = np.where(run.size() > faded * largest, 0.0, calm + 1)
+        deviation = np.abs(run.sensed).max(axis=0)
+        largest = np.maximum(largest, deviation)
+        calm = np.where(np.maximum(run.size(), deviation) > faded * largest, 0.0, calm + 1)
         if np.all(calm * _BLOCK > run.memory):
             break
     return largest
@@ -281,7 +282,7 @@ def _advanced(run: Motion, found: _Found, bands: Sequence[float], samples: float
             last = ((size > band) * number).max(axis=0)
             found.settled[band][at] = np.where(last > 0, run.sample - count + last, found.settled[band][at])
         found.sampled_peak[at] = np.maximum(found.sampled_peak[at], sensed.max(axis=0))
-        done = (run.sample >= run.stop) | _finished(run, found, size[-1])
+        done = (run.sample >= run.stop) | _finished(run, found, size)
         if done.any():
             run = run.part(~done)
         if not len(run.index):
@@ -290,10 +291,13 @@ def _advanced(run: Motion, found: _Found, bands: Sequence[float], samples: float
 
 
 def _finished(run: Motion, found: _Found, size: Floats) -> Booleans:
-    """Return which points have nothing more to show, or are of no interest."""
+    """Return which points have nothing more to show, or are of no interest, by all deviations of a block, (count, n).
+
+    At one sample alone all states of the device may be small while a delayed force or a filter holds what is to come.
+    """
     asked, at = found.asked, run.index
     still = _SETTLED * min(asked.bands) if asked.bands else 1.0
-    motion, limit = run.size(), np.full(len(at), still)
+    motion, limit = np.maximum(run.size(), size.max(axis=0)), np.full(len(at), still)
     if asked.overshoot:
         limit = np.minimum(limit, np.maximum(_SETTLED * found.sampled_peak[at], asked.quiet))
     found.quiet[at] = np.where(motion > limit, 0.0, found.quiet[at] + 1)
@@ -302,7 +306,7 @@ def _finished(run: Motion, found: _Found, size: Floats) -> Booleans:
     if not asked.bands:
         done |= np.maximum(found.peak, found.sampled_peak)[at] > asked.enough
     elif not asked.overshoot:
-        late = (size > max(asked.bands)) & (run.sample > asked.cutoff) & np.isinf(run.stop)
+        late = (size[-1] > max(asked.bands)) & (run.sample > asked.cutoff) & np.isinf(run.stop)
         found.unfinished.append(at[late])
         found.restless.append(at[late])
         done |= late

@@ -190,3 +190,19 @@ def test_reasons_and_wrong_arguments():
         response = find_response(batch)
         with pytest.raises(ParameterError):
             energy_interval(batch, response, judge(batch, response), reading_error(batch, response), DELAY, **wrong)
+
+
+def test_a_response_that_rests_beside_its_final_position_has_what_the_log_adds():
+    """A constant force that comes up late stands for friction: it holds the device off for the rest of the log."""
+    K, B = np.array([3000.0, 6000.0]), np.array([70.0, 90.0])
+    batch = simulate(K, B, **FREE, quantum=2e-6, noise=5e-7)
+    row = np.arange(batch.position.shape[1])
+    off = dataclasses.replace(batch, position=batch.position + np.where(row > 120, 8e-6, 0.0))
+    far = dataclasses.replace(batch, position=batch.position + np.where(row > 120, 1e-4, 0.0))
+    near, beside, away = (interval(each) for each in (batch, off, far))
+    assert (find_response(batch).floor < 8e-6).all()
+    whole = energies(off, K)[0]
+    # of the plain sum noise is a part, too
+    assert (beside.high[:, 1] >= 0.97 * whole[:, 1]).all()
+    assert ((beside.high - beside.value)[:, 1] > 3 * (near.high - near.value)[:, 1]).all()
+    assert np.isnan(away.value[:, 2]).all()

@@ -26,8 +26,10 @@ from independent import (
 
 import pipeline.theory.cost.settling_overshoot
 from pipeline.base.errors import ParameterError
+from pipeline.loop.device_loop import loop_of
 from pipeline.loop.loop import Loop, Normalised
-from pipeline.theory.cost.settling_overshoot import transient_costs
+from pipeline.records.loop_parts import Coefficients, LoopParts
+from pipeline.theory.cost.settling_overshoot import late_deviation, transient_costs
 from pipeline.theory.stability.stability import boundary, is_stable, spectral_radius
 
 BANDS = (0.01, 0.02, 0.05)
@@ -266,3 +268,29 @@ def test_bands_must_be_fractions(bands: tuple[float, ...]) -> None:
 def test_points_without_a_final_position_are_refused(alpha: float, what: str) -> None:
     with pytest.raises(ParameterError, match=what):
         transient_costs(Loop(0, 0, 0), alpha, 0.5)
+
+
+@pytest.mark.parametrize(
+    ("loop", "alpha", "beta", "band"),
+    [
+        (Loop(0, 0.01, 0), 0.19794514, 1.58567338, 0.02),
+        (Loop(0, 0.05, 2), 0.01963576, 0.49473666, 0.01),
+        (
+            loop_of(
+                *(0.6299726022685423, 4.04685746699751, 0.0, 4.0, 1e-3),
+                LoopParts(velocity=Coefficients(kind="coefficients", b=(0.25, 0.5, 0.25), a=(1.0, -0.8))),
+            ),
+            *(0.0026778986868248684, 0.013788126921134135),
+            0.02,
+        ),
+    ],
+)
+def test_a_moment_of_rest_between_two_motions_is_not_the_end(loop, alpha, beta, band):
+    """Position and velocity pass zero together where the samples are checked; what is delayed moves them again."""
+    wall = (np.array([alpha]), np.array([beta]))
+    name = f"settle_{100 * band:g}pct_discrete"
+    quick = transient_costs(loop, *wall, (band,), overshoot=False, continuous=False)[name]
+    assert quick == transient_costs(loop, *wall, (band,))[name]
+    assert (
+        late_deviation(loop, *wall, int(quick[0]), 1000) <= band < late_deviation(loop, *wall, int(quick[0]) - 1, 1000)
+    )
