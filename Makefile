@@ -48,6 +48,7 @@ bench: .venv/.bench
 	$(BIN)/python benchmarks/measured.py
 	$(BIN)/python benchmarks/theory.py
 	$(BIN)/python benchmarks/loop.py
+	$(BIN)/python benchmarks/ladder.py
 	$(BIN)/python benchmarks/watch.py
 	$(BIN)/python benchmarks/growth_logs.py
 	$(BIN)/python benchmarks/growth_theory.py
