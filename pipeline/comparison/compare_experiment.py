@@ -120,6 +120,10 @@ def experiment_result(data: SceneData, stages: ExperimentStages, theory: Theory 
     return _with_loop(data, stages, result, units) if "wall_law" in needed else result
 
 
+_OF_A_LOOP = ("delay_samples", "mass", "damping", "device_stiffness")
+"""Estimates that hold as far as their loop does."""
+
+
 def _with_loop(data: SceneData, stages: ExperimentStages, result: ExperimentResult, units: Units) -> ExperimentResult:
     """Add the loop and what follows from it, and leave out or doubt what needs a better one."""
     findings = loop_findings(result, stages, data.device, units)
@@ -128,7 +132,7 @@ def _with_loop(data: SceneData, stages: ExperimentStages, result: ExperimentResu
     if not findings.loop.adequate:
         device = stages.once(fitted_device)
         if device is None or not device.of_no_linear_loop:
-            found |= {name: _doubted(found[name]) for name in ("delay_samples", "mass", "damping")}
+            found |= {name: _doubted(found[name]) for name in _OF_A_LOOP if name in found}
         reason = "needs an adequate loop; the table of loops says why this one is not"
         found["implied_delay"] = _without("samples", reason)
     elif findings.loop.parts_beside:

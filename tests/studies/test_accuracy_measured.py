@@ -346,7 +346,7 @@ def test_command_measures_one_part_alone(
 @pytest.mark.slow
 def test_full_measurement_answers_the_question() -> None:
     found = measure_measured()
-    assert len(found.course_length) == len(CONDITIONS)
+    assert {c.label for c in CONDITIONS} <= {line.partition(":")[0] for line in found.course_length}
     for condition in CONDITIONS:
         area = [r for r in found.rungs if r.quantity == f"{AREA}, {condition.label}" and r.method == RATES_TWO]
         enough = [r for r in area if r.error is not None and r.error <= WANTED]
