@@ -347,7 +347,8 @@ def test_command_measures_one_part_alone(
 def test_full_measurement_answers_the_question() -> None:
     found = measure_measured()
     assert {c.label for c in CONDITIONS} <= {line.partition(":")[0] for line in found.course_length}
-    for condition in CONDITIONS:
+    # a loop whose delay jitters has another limit than that at its mean delay, which is what areas are held against
+    for condition in (c for c in CONDITIONS if not c.jitter):
         area = [r for r in found.rungs if r.quantity == f"{AREA}, {condition.label}" and r.method == RATES_TWO]
         enough = [r for r in area if r.error is not None and r.error <= WANTED]
         # the cut of the thesis from 15 to 4 minutes is no loss to 1 % of the area
