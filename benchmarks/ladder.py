@@ -1,6 +1,6 @@
 """Processor time of the stages that tell what device the logs show, for 2,200 trials of 1,000 rows and each kind of it.
 
-    python benchmarks/ladder.py [--trials 2200] [--rows 1000] [KIND ...]
+    python benchmarks/ladder.py [--trials 2200] [--rows 1000] [--kind NAME ...]
 
 Walls are drawn over the range that the thesis tested on Falcon 1. Wanted: 8 s where the ideal loop explains the logs,
 40 s for the whole ladder, for the fit of each trial and that of one device together.
@@ -75,8 +75,8 @@ def main(kinds: list[str], trials: int, rows: int) -> None:
 
 if __name__ == "__main__":
     parser = argparse.ArgumentParser()
-    parser.add_argument("kinds", nargs="*", choices=[*KINDS, []], default=list(KINDS))
+    parser.add_argument("--kind", action="append", choices=KINDS)
     parser.add_argument("--trials", type=int, default=2200)
     parser.add_argument("--rows", type=int, default=1000)
     given = parser.parse_args()
-    main(given.kinds, given.trials, given.rows)
+    main(given.kind or list(KINDS), given.trials, given.rows)

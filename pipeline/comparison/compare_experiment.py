@@ -23,7 +23,7 @@ from pipeline.measured.experiment.estimates import (
     velocity_lag,
     with_model_delay,
 )
-from pipeline.measured.experiment.fitted_device import explaining_device, fitted_device
+from pipeline.measured.experiment.fitted_device import explaining_device
 from pipeline.measured.stages.stages import STAGES, ExperimentStages
 from pipeline.records.findings import Estimate, Optimum
 from pipeline.records.loop_parts import LoopParts
@@ -130,8 +130,8 @@ def _with_loop(data: SceneData, stages: ExperimentStages, result: ExperimentResu
     found = dict(result.estimates)
     loop = estimated_range(result, stages.sampling_period_s)
     if not findings.loop.adequate:
-        device = stages.once(fitted_device)
-        if device is None or not device.of_no_linear_loop:
+        device = stages.once(explaining_device)
+        if device is None or not device.is_nonlinear:
             found |= {name: _doubted(found[name]) for name in _OF_A_LOOP if name in found}
         reason = "needs an adequate loop; the table of loops says why this one is not"
         found["implied_delay"] = _without("samples", reason)

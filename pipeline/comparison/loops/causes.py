@@ -79,8 +79,8 @@ def direct_causes(
 def _force(result: ExperimentResult, shown: Shown, units: Units, stages: ExperimentStages) -> Iterator[Cause]:
     """A constant force or friction, by the estimates where they are and by where the device rests.
 
-    Friction of another kind than Coulomb's is found by the balance of all trials, and by the device that fits them
-    best, without being explained; either alone may be another part's likeness.
+    Friction with stiction is seen by the balance of all trials and by the likeliest device, though that explains few of
+    them; either alone may be another part's likeness.
     """
     rest, fitted = shown.rest, shown.fitted
     constant, friction = (result.estimates.get(name) for name in ("constant_force", "friction"))

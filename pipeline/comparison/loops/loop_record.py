@@ -37,11 +37,12 @@ def filter_parameters(velocity: VelocityFilter, of_logs: Sequence[VelocityFilter
     A single log shows its filter to within the rounding of its commands, and may show a rounder number.
     """
     numbers = _filter_numbers(velocity)
-    others = [found for found in map(_filter_numbers, of_logs) if found.keys() == numbers.keys()]
-    others = [found for found in others if found.get("order") == numbers.get("order")]
+    kind = (numbers.keys(), numbers.get("order"))
+    others = [found for found in map(_filter_numbers, of_logs) if (found.keys(), found.get("order")) == kind]
     result = {}
     for name, value in numbers.items():
         low, high = np.quantile([found[name] for found in (numbers, *others)], (0.025, 0.975))
+        # half of the last digit, as far as logs tell; a device file is exact
         off = 0.5 * _last_digit(value) if of_logs and name == "cutoff_hz" else 0.0
         result[name] = Parameter(value=value, low=min(low, value) - off, high=max(high, value) + off)
     return result

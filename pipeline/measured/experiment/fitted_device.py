@@ -57,9 +57,9 @@ class FittedDevice:
         return holds(self.explained, self.held_out)
 
     @property
-    def of_no_linear_loop(self) -> bool:
-        """Whether it explains the trials by a part that linear theory cannot hold: its numbers stand, no limit does."""
-        return self.holds and not {"friction", "saturation"}.isdisjoint(self.parts)
+    def is_nonlinear(self) -> bool:
+        """Whether it has a part that linear theory cannot hold: where it explains, its numbers stand, no limit does."""
+        return not {"friction", "saturation"}.isdisjoint(self.parts)
 
     @property
     def tells(self) -> bool:

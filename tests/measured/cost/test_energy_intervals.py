@@ -193,7 +193,7 @@ def test_reasons_and_wrong_arguments():
 
 
 def test_a_response_that_rests_beside_its_final_position_has_what_the_log_adds():
-    """A constant force that comes up late stands for friction: it holds the device off for the rest of the log."""
+    """Readings moved for the rest of the log stand for friction, which holds the device there."""
     K, B = np.array([3000.0, 6000.0]), np.array([70.0, 90.0])
     batch = simulate(K, B, **FREE, quantum=2e-6, noise=5e-7)
     row = np.arange(batch.position.shape[1])

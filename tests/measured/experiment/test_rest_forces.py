@@ -12,7 +12,7 @@ from labs import make_lab
 import pipeline
 from pipeline.comparison.scene.scene import open_scene
 from pipeline.device_data.devices import load_device
-from pipeline.measured.experiment.rest_forces import _spring as rest_forces_of_a_spring
+from pipeline.measured.experiment.rest_forces import _spring as spring_by_rests
 from pipeline.measured.experiment.rest_forces import rest_forces, rest_spring
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.loop_parts import LoopParts
@@ -41,8 +41,8 @@ def test_friction_in_soft_walls_of_one_stiffness_is_no_spring():
     reach = stiffness * (6e-5 + 2e-3 * moved)
     friction = np.where(stiffness < 1, -2e-4, 0.0)
     assert (np.abs(friction) > reach).sum() == 14
-    assert rest_forces_of_a_spring(friction, moved, reach) == 0.0
-    assert rest_forces_of_a_spring(-0.02 * moved, moved, reach) == pytest.approx(0.02)
+    assert spring_by_rests(friction, moved, reach) == 0.0
+    assert spring_by_rests(-0.02 * moved, moved, reach) == pytest.approx(0.02)
 
 
 def test_a_spring_is_told_by_where_the_device_rests(held):
