@@ -22,11 +22,11 @@ def edit(monkeypatch):
     edited = set()
 
     def edit_modules(*modules):
-        edited.update(module.__name__ for module in modules)
+        edited.update(Path(module.__file__) for module in modules)
         provenance.code_digest.cache_clear()
 
-    def source(module):
-        return original(module) + (b"# edited\n" if module in edited else b"")
+    def source(file):
+        return original(file) + (b"# edited\n" if file in edited else b"")
 
     monkeypatch.setattr(provenance, "_source", source)
     yield edit_modules

@@ -63,7 +63,7 @@ def against_experiments(
         say(f"device {device}, experiment {experiment}: estimates and costs")
         found.append(_gather(open_scene(device, processed, [experiment], criteria)))
     (a, a_theory, a_data), (b, b_theory, b_data) = found
-    code = code_digest(experiment_result.__module__, compare_pair.__module__)
+    code = code_digest("report")
     one, other = (
         Side(
             device=d,

@@ -10,7 +10,7 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from pipeline.base.disk import write_text
-from pipeline.base.provenance import code_digest, digest
+from pipeline.base.provenance import code_digest, digest, sha256
 from pipeline.comparison.compare_experiment import estimated_theories, experiment_result, motion_of, nominal_theories
 from pipeline.comparison.executors import Executor
 from pipeline.comparison.figures.figure_data import FigureBuilder, requests_of_delay_figure
@@ -47,7 +47,6 @@ from pipeline.records.results import (
 )
 from pipeline.rendering.labels import UNITS
 from pipeline.rendering.report.report import write as write_report
-from pipeline.rendering.report.report_scripts import page_files
 from pipeline.store.working_copy import origin
 from pipeline.theory.predictions import Predictions, Theory
 
@@ -259,7 +258,7 @@ def _plan_report(path: Path | None) -> PlannedStage:
 
 def report_code() -> str:
     """Return a hash of all that a report is made by: code, and the files that it loads."""
-    return code_digest(__name__, files=(*page_files(), *published_files()))
+    return digest([code_digest("report"), *(sha256(file.read_bytes()) for file in published_files())])
 
 
 def _report_key(data: SceneData, path: Path | None, accuracy: str, full: bool, notes: Sequence[Note]) -> str:

@@ -11,7 +11,7 @@ import pyarrow as pa
 from pipeline import __version__
 from pipeline.base.disk import if_writable
 from pipeline.base.errors import StoreError
-from pipeline.base.provenance import digest
+from pipeline.base.provenance import code_digest, digest
 from pipeline.measured.stages.stages import STAGES, ExperimentStages
 from pipeline.store.manifests import Manifest
 from pipeline.store.working_copy import Snapshot, publish, reopened, results_in, snapshot, take_results
@@ -98,4 +98,4 @@ def take(experiment: ExperimentStages, done: StagesDone) -> None:
 
 
 def _code() -> str:
-    return digest([__version__, *(stage.code for stage in STAGES.values())])
+    return digest([__version__, code_digest("stages")])

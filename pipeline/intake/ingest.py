@@ -255,7 +255,7 @@ class _Ingest:
         """Leave a note for the next run of the same command, which says nothing if that has to read a source again."""
         stored = ((source.key, source.size, source.mtime_ns) for source in self.kept if source.stands_alone)
         again = None if self.waiting or self.unread or self.damaged else repeated(report, tuple(notices))
-        self.look.remember(stored, None if again is None else again.model_dump(mode="json"), __name__)
+        self.look.remember(stored, None if again is None else again.model_dump(mode="json"))
 
     def _plan(self, source: Source, action: Action, reason: str) -> None:
         if self.dry_run:

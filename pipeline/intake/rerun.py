@@ -38,24 +38,13 @@ class Search:
     profile: str | None
     listed: dict[str, Listing] = field(default_factory=dict, compare=False)
 
-    def key(self, code: str) -> str:
-        """Return a hash of the search, and of the profiles and code by which it is done.
-
-        Parameters
-        ----------
-        code : str
-            Name of the module that searches and stores.
-
-        Raises
-        ------
-        ModuleNotFoundError
-            If there is no such module.
-        """
+    def key(self) -> str:
+        """Return a hash of the search, and of the profiles and code by which it is done."""
         given = self.profile is not None and os.path.isfile(self.profile)
         profiles = sorted((schema_folder() / "profiles").glob("*.toml")) + ([Path(str(self.profile))] if given else [])
         texts = [hashlib.sha256(path.read_bytes()).hexdigest() for path in profiles]
         place = [os.getcwd(), self.processed, *self.paths, str(self.profile)]
-        return digest([__version__, code_digest(code), place, texts])
+        return digest([__version__, code_digest("ingest"), place, texts])
 
 
 class Look:
@@ -108,7 +97,7 @@ class Look:
         """Return whether the store still is as the index says."""
         return self.store is None or self.store == _store(self.search.processed)
 
-    def remember(self, stored: Iterable[tuple[str, int, int]], report: Mapping[str, Any] | None, code: str) -> None:
+    def remember(self, stored: Iterable[tuple[str, int, int]], report: Mapping[str, Any] | None) -> None:
         """Write the note.
 
         Parameters
@@ -117,16 +106,14 @@ class Look:
             Logs that are stored under their path, beside those that were passed: size [byte] and time [ns] when read.
         report : mapping or None
             What the same command will report if nothing changes; None where it has to look at a file again.
-        code : str
-            Name of the module that searched and stored; by its code the note is known to hold still.
         """
         for path, size, mtime_ns in stored:
             folder, name = os.path.split(path)
             state = f"{size} {mtime_ns}"
             if folder in self._found and self._found[folder].plain.get(name) == state:
                 self._new[folder][name] = state
-        key = self.search.key(code)
-        head = {"key": key, "code": code, "store": _store(self.search.processed), "report": report}
+        key = self.search.key()
+        head = {"key": key, "store": _store(self.search.processed), "report": report}
         if report is not None:
             head["found"] = _digest(self._lines)
         with replacing(Path(self.search.processed) / NOTE_FILE) as stream:
@@ -163,7 +150,7 @@ def _believed(search: Search, first: Callable[[BinaryIO], bytes]) -> dict[str, A
     try:
         with open(Path(search.processed) / NOTE_FILE, "rb") as stream:
             head = unsealed_json(first(stream))
-        if head["key"] == search.key(head["code"]) and head["store"] == _store(search.processed):
+        if head["key"] == search.key() and head["store"] == _store(search.processed):
             return head
     except (OSError, ValueError, KeyError, TypeError, ModuleNotFoundError):
         pass

@@ -27,7 +27,6 @@ from pipeline.records.results import TheoryParameters
 from pipeline.theory.cost.maps import costs_at
 from pipeline.theory.device.outline import outline
 from pipeline.theory.device.passive_walls import passive_outline
-from pipeline.theory.optimum import optimum
 from pipeline.theory.optimum.optimum import optimal_point
 from pipeline.theory.optimum.search import OptimalPoint
 from pipeline.theory.stability.stability import Boundary, boundary
@@ -204,7 +203,7 @@ class Predictions:
                 write_text(self._file(loop), sealed_json(json.dumps(document, indent=1) + "\n"))
 
     def _file(self, loop: Loop) -> Path:
-        key = digest([*(repr(getattr(loop, part.name)) for part in fields(loop)), code_digest(optimum.__name__)])
+        key = digest([*(repr(getattr(loop, part.name)) for part in fields(loop)), code_digest("theory")])
         return self.folder / f"{key}.json"
 
     def _read(self, loop: Loop) -> dict[str, OptimalPoint]:

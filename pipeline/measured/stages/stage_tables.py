@@ -69,20 +69,6 @@ class Stage:
     derived: Callable[[Experiment, pa.Table], Columns] | None = None
     sprung: bool = False
 
-    @property
-    def code(self) -> str:
-        """Hash of the code that computes the stage: of its functions, and of all by which they are called."""
-        return code_digest(__name__, *self.modules)
-
-    @property
-    def modules(self) -> list[str]:
-        """Names of the modules of its functions, and of those that are handed to them."""
-        functions = list(filter(None, (self.rows, self.given, self.whole, self.derived)))
-        for function in functions:
-            if isinstance(function, partial):
-                functions += [function.func, *filter(callable, function.keywords.values())]
-        return sorted({function.__module__ for function in functions if not isinstance(function, partial)})
-
 
 @dataclass
 class StageTables:
@@ -176,7 +162,9 @@ class StageTables:
         """Return the key under which the result of a stage is valid."""
         made = self.stages[stage]
         spring = [self.spring] if made.sprung else []
-        return digest([stage, self.inputs_digest, made.code, *spring, *(self.key(need) for need in made.needs)])
+        return digest(
+            [stage, self.inputs_digest, code_digest("stages"), *spring, *(self.key(need) for need in made.needs)]
+        )
 
     def is_stored(self, stage: str) -> bool:
         """Return whether a result with the present key is stored."""
@@ -228,11 +216,7 @@ class StageTables:
 
     def _common(self, stage: str, given: Given) -> str:
         """Return a hash of all that the rows of a stage rest on beside their samples."""
-        return digest([stage, self._all_code(stage), given, self.rotation])
-
-    def _all_code(self, stage: str) -> list[str]:
-        made = self.stages[stage]
-        return [made.code, *(code for need in made.needs for code in self._all_code(need))]
+        return digest([stage, code_digest("stages"), given, self.rotation])
 
     def _computed(self, stage: str) -> pa.Table:
         made = self.stages[stage]
@@ -271,7 +255,7 @@ class StageTables:
         return schema.empty_table()
 
     def _stamp(self, stage: str, **more: str) -> Mapping[str, str]:
-        code = self.stages[stage].code
+        code = code_digest("stages")
         return stamp(stage=stage, key=self.key(stage), inputs=self.inputs_digest, code=code, **more)
 
     def column(self, stage: str, name: str) -> Floats:

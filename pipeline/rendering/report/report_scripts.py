@@ -9,7 +9,6 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
-from pathlib import Path
 from typing import Any
 
 from pipeline.rendering.report.page_template import TEMPLATES
@@ -34,13 +33,6 @@ def scripts(with_trials: bool) -> tuple[str, ...]:
         return (tables,)
     licence = f"/*! uPlot\n{_text(PLOT_LICENCE).strip()}\n*/\n"
     return tables, licence + _text(PLOT), "".join(_text(name) for name in TRIALS_SCRIPTS)
-
-
-def page_files() -> tuple[Path, ...]:
-    """Return all files that a page is made from besides code."""
-    found = [TEMPLATES / name for name in ("report.html.j2", "macros.html.j2", "report.css")]
-    found += [path for folder in ("report", "vendor") for path in (TEMPLATES / folder).iterdir()]
-    return tuple(sorted(found))
 
 
 def plot_style() -> str:

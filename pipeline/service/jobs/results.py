@@ -10,7 +10,7 @@ from typing import Any
 from pipeline.base.disk import write_text
 from pipeline.base.errors import DeviceError, PipelineError
 from pipeline.base.file_names import path_of_text
-from pipeline.base.provenance import code_digest, digest
+from pipeline.base.provenance import digest
 from pipeline.comparison.against_run import against_experiments
 from pipeline.comparison.compare import compare, report_code
 from pipeline.comparison.executors import LOCAL, executor_of
@@ -47,7 +47,7 @@ def key_of(settings: Settings, request: dict[str, Any]) -> str:
     known = known_devices()
     devices = [known[name].model_dump_json() if name in known else "" for name, _ in sides]
     states = [state_of(settings.processed, *side) for side in sides]
-    return digest([request, states, devices, report_code(), code_digest(__name__)])
+    return digest([request, states, devices, report_code()])
 
 
 def document_file(settings: Settings, key: str, report: bool = False) -> Path:

@@ -205,8 +205,7 @@ def test_key_changes_with_the_logs_and_the_code_but_not_with_time(falcon, edit):
     assert all(new != before[s] for s, new in keys(trials.slice(1)).items())
     assert keys(trials.take(pa.array(range(trials.num_rows - 1, -1, -1)))) == before
     edit(delay)
-    changed = {stage for stage, new in keys().items() if new != before[stage]}
-    assert changed == {"delay", "model", "ladder", "damping", "mass", "settling", "energy", "windows"}
+    assert all(new != before[stage] for stage, new in keys().items())
 
 
 @pytest.fixture

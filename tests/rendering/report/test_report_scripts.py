@@ -13,10 +13,9 @@ import pytest
 from report_data import HOSTILE, report_data
 from trial_pages import trial_page
 
-from pipeline.base.provenance import PACKAGE_FOLDER
 from pipeline.rendering.report import report, report_scripts
 from pipeline.rendering.report.page_template import TEMPLATES
-from pipeline.rendering.report.report_scripts import json_text, page_files, policy, scripts
+from pipeline.rendering.report.report_scripts import json_text, policy, scripts
 
 NAMES = (
     HOSTILE,
@@ -93,16 +92,6 @@ def test_scripts_build_no_code_and_no_markup_from_data() -> None:
         assert word not in own
     assert "</script" not in "".join(scripts(with_trials=True)).lower()
     assert not re.search(r"\beval\(|new Function|XMLHttpRequest|fetch\(", (TEMPLATES / report_scripts.PLOT).read_text())
-
-
-def test_every_file_of_the_page_counts_for_whether_a_report_is_still_valid() -> None:
-    names = [file.relative_to(PACKAGE_FOLDER).as_posix() for file in page_files()]
-    assert {
-        "rendering/templates/report.html.j2",
-        "rendering/templates/report/trials.js",
-        "rendering/templates/vendor/uPlot.iife.min.js",
-    } <= set(names)
-    assert list(page_files()) == sorted(page_files())
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])

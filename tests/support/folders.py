@@ -1,0 +1,35 @@
+"""What the modules of each folder of the package may import."""
+
+from __future__ import annotations
+
+DIRECTLY: dict[str, tuple[str, ...]] = {
+    "base": (),
+    "records": ("base",),
+    "device_data": ("records",),
+    "profiles": ("records",),
+    "readers": ("profiles",),
+    "store": ("records",),
+    "intake": ("readers", "store", "device_data"),
+    "repair": ("intake",),
+    "loop": ("records",),
+    "measured": ("loop", "store"),
+    "theory": ("loop",),
+    "simulation": ("device_data", "store", "loop"),
+    "rendering": ("records",),
+    "plan": ("store", "device_data", "measured", "theory"),
+    "comparison": ("profiles", "rendering", "plan"),
+    "surface": ("intake", "simulation", "comparison"),
+    # they hold estimators against simulated truth, whose exact costs and limits are those of theory
+    "studies": ("measured", "theory", "simulation", "rendering", "plan"),
+}
+"""Folders that the modules of a folder may import from, as in docs/architecture.md; and all that these may."""
+
+DIRECTLY["service"] = tuple(DIRECTLY)
+DIRECTLY["shell"] = tuple(DIRECTLY)
+
+
+def lower(folder: str) -> set[str]:
+    return {folder}.union(*(lower(other) for other in DIRECTLY[folder]))
+
+
+MAY_IMPORT = {folder: lower(folder) for folder in DIRECTLY}
