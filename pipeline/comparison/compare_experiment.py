@@ -15,7 +15,7 @@ from pipeline.comparison.scores.implied_delay import implied_delay
 from pipeline.comparison.scores.implied_slope import DeviceParameters
 from pipeline.comparison.summary.advice import region_to_use
 from pipeline.loop.device_loop import longest_delay
-from pipeline.measured.experiment.boundary_band import boundary_area
+from pipeline.measured.experiment.boundary_area import boundary_area
 from pipeline.measured.experiment.estimates import (
     by_joint_balance,
     standard_error,

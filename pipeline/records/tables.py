@@ -193,6 +193,7 @@ COLUMNS: dict[str, Column] = {
     "low": Column(_F, "N/m", "Nm/rad", "lower end of its 95 % interval", True),
     "high": Column(_F, "N/m", "Nm/rad", "upper end of its 95 % interval", True),
     "trials": _same(_I, "", "trials with K > 0 at that damping"),
+    "undecided": _same(_I, "", "undecided ones of them below the largest stable stiffness"),
 }
 
 _BESIDE = {
@@ -232,7 +233,7 @@ _NAMES = {
     },
     "ladder": "role parts explained held_out score numbers",
     "windows": "window_s mass_median mass_scatter trials reason",
-    "boundary": "damping stable unstable censored estimate low high trials",
+    "boundary": "damping stable unstable censored estimate low high trials undecided",
 }
 
 TABLES: dict[str, tuple[str, ...]] = {table: tuple(names.split()) for table, names in _NAMES.items()}

@@ -37,6 +37,7 @@ PARTS = (
     "of single trials against theory's (95 %); selection, the best single trial against that."
 )
 NOT_PUBLISHED = "not published"
+UNDECIDED_BELOW = "A trial below it is undecided: no evidence against it, and worth a look or a repetition."
 TESTED_RANGE_ENDED = "The tested range ended before an unstable trial."
 
 
@@ -282,8 +283,9 @@ def _limit_cells(
     name = experiment.experiment
     stable, unstable = (places.get((name, damping, k or 0.0), "") for k in (point.stable, point.unstable))
     marks = table.mark(note)
+    below = table.mark(UNDECIDED_BELOW if point.undecided else None)
     return {
-        f"{name}/stable": number(point.stable, stiffness_text, "no stable trial", trial=stable),
+        f"{name}/stable": number(point.stable, stiffness_text, "no stable trial", trial=stable, marks=below),
         f"{name}/unstable": missing(note or "no unstable trial", marks=marks)
         if point.unstable is None
         else Cell(point.unstable, stiffness_text(point.unstable), marks=marks, trial=unstable),
