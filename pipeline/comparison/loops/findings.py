@@ -13,6 +13,7 @@ from pipeline.comparison.loops.fitted_loop import loop_range, mode_parameters, w
 from pipeline.comparison.loops.log_evidence import LawDeparture, filters_of_logs, found_filter, law_departures
 from pipeline.comparison.loops.loop_range import LoopRange, estimated_range, stated_range
 from pipeline.comparison.loops.loop_record import exact, filter_parameters, stated_parameters
+from pipeline.comparison.loops.other_gains import other_gains
 from pipeline.comparison.loops.passive_wall import passive_wall
 from pipeline.measured.experiment.fitted_device import fitted_device
 from pipeline.measured.experiment.rest_forces import rest_forces
@@ -47,9 +48,11 @@ def loop_findings(
     the estimates.
     """
     entry = next((e for e in device.experiments if e.name == stages.experiment), None) if device else None
-    departures, rest = law_departures(stages), stages.once(rest_forces)
-    fitted, velocity = stages.once(fitted_device), _filter(stages, departures)
-    shown = Shown(departures, rest, fitted, velocity, filters_of_logs(stages) if velocity else ())
+    gains, rest = stages.once(other_gains), stages.once(rest_forces)
+    fitted = stages.once(fitted_device)
+    departures = [] if gains is not None and gains.most else law_departures(stages)
+    velocity = _filter(stages, departures)
+    shown = Shown(departures, rest, fitted, velocity, filters_of_logs(stages) if velocity else (), gains)
     estimated = _estimated(result, stages, shown)
     period = device.sampling_period_s if device else stages.sampling_period_s
     parts = device.loop_of(entry) if device and entry else None

@@ -7,6 +7,7 @@ from statistics import median
 
 from pipeline.base.wording import counted
 from pipeline.comparison.loops.log_evidence import law_departures
+from pipeline.comparison.loops.other_gains import other_gains
 from pipeline.comparison.scene.scene import SceneData
 from pipeline.comparison.summary.advice import use_text
 from pipeline.comparison.summary.causes import causes
@@ -56,7 +57,8 @@ def answer(
     """
     lead = max(range(len(results)), key=lambda i: (_worth(results[i]), -i))
     result, stages = results[lead], data.experiments[lead]
-    verdict = _verdict(results, result, rows, units)
+    gains = stages.once(other_gains)
+    verdict = gains.cause.sentence if gains and gains.most else _verdict(results, result, rows, units)
     if not verdict:
         return None
     shown = [cause.sentence for cause in result.causes] + causes(result, units)
@@ -152,8 +154,12 @@ def _marks(result: ExperimentResult, stages: ExperimentStages, units: Units) -> 
     """What the answer rests on: the wall law, the loop, and the limits."""
     if result.loop is None:
         return [_limit_mark(result, units)]
-    departures = law_departures(stages)
-    if departures:
+    departures, gains = law_departures(stages), stages.once(other_gains)
+    if gains is not None and gains.most:
+        return [Mark(name="wall_law", state="no", text=gains.cause.sentence)]
+    if gains is not None:
+        law = Mark(name="wall_law", state="partly", text=gains.cause.sentence)
+    elif departures:
         law = Mark(
             name="wall_law", state="no", text=f"Logs do not follow the wall law: {_clause(departures[0].sentence)}."
         )

@@ -54,13 +54,17 @@ CODES = (
 
 @dataclass(frozen=True)
 class Departure:
-    """One way in which a log departs from the wall law: code, a sentence with its numbers, rows concerned."""
+    """One way in which a log departs from the wall law: code, a sentence with its numbers, rows concerned.
+
+    ``obeyed`` are K, B and step of the wall that a command obeys which is another one than the header's.
+    """
 
     code: str
     evidence: str
     rows: int = 0
     value: float | None = None
     filter: VelocityFilterFound | None = None
+    obeyed: tuple[float, float, float] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -267,6 +271,7 @@ def _offset(log: LogRows) -> tuple[Departure, ...] | None:
                 f"the step is {log.step + value:.6g}, its header says {log.step:.6g}",
                 int(log.after.sum()),
                 log.step + value,
+                obeyed=(log.stiffness, log.damping, log.step + value),
             ),
         )
     return None
@@ -336,7 +341,8 @@ def _other_wall(log: LogRows) -> tuple[Departure, ...] | None:
         f"the command obeys K = {stiffness:.6g}, B = {damping:.6g} and a step of {step:.6g}; its header says "
         f"K = {log.stiffness:.6g}, B = {log.damping:.6g}, {log.step:.6g}"
     )
-    return (Departure("other_wall", evidence, len(log.command)),)
+    obeyed = (float(stiffness), float(damping), float(step))
+    return (Departure("other_wall", evidence, len(log.command), obeyed=obeyed),)
 
 
 def _other_unit(log: LogRows) -> tuple[Departure, ...] | None:
@@ -349,7 +355,8 @@ def _other_unit(log: LogRows) -> tuple[Departure, ...] | None:
         f"the command obeys about K = {stiffness:.3g}, B = {damping:.3g}; its header says K = {log.stiffness:.6g}, "
         f"B = {log.damping:.6g}"
     )
-    return (Departure("other_unit", evidence, len(log.command), scale.wall),)
+    obeyed = (stiffness, damping, scale.step * log.step)
+    return (Departure("other_unit", evidence, len(log.command), scale.wall, obeyed=obeyed),)
 
 
 def _filtered(log: LogRows, clipped: Booleans | None = None) -> tuple[Departure, ...] | None:
