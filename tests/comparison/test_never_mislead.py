@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import os
 import re
 
 import pytest
 
 import pipeline
+from pipeline.base.errors import ParameterError
 from pipeline.comparison.compare import compare
 from pipeline.device_data.devices import load_device
 from pipeline.intake.ingest import ingest
 from pipeline.simulation.course import run_course, write_course
+from pipeline.theory import predictions
+from pipeline.theory.optimum.optimum import optimal_point
 
 
 def ingested(folder, device, **options):
@@ -108,3 +112,24 @@ def test_single_logs_of_another_wall_are_left_out_by_name_and_the_rest_is_used(t
         )
     assert found.use.point.trial_id == rest.use.point.trial_id
     assert (found.passive, found.loop.adequate) == (rest.passive, True)
+
+
+def test_a_criterion_without_an_optimum_in_theory_is_a_row_with_a_reason(tmp_path, course, monkeypatch):
+    """A loop with a mode at the load may have no wall without overshoot: the other criteria are compared."""
+
+    def none_without_overshoot(loop, criterion):
+        if criterion.startswith("overshoot"):
+            raise ParameterError(f"{loop}: no point without overshoot was found.")
+        return optimal_point(loop, criterion)
+
+    monkeypatch.setattr(predictions, "optimal_point", none_without_overshoot)
+    monkeypatch.setattr(os, "cpu_count", lambda: 1)
+    page = tmp_path / "page.html"
+    _, result = compared(tmp_path, course, criteria=("overshoot", "energy_step_w0"), report=page)
+    theory = {row.criterion: row for row in result.tables if row.condition == "theory_discrete"}
+    assert (theory["overshoot"].cost, theory["overshoot"].note) == (None, "no point without overshoot was found")
+    assert theory["energy_step_w0"].cost > 0
+    assert "no point without overshoot was found" in page.read_text(encoding="utf-8")
+    # what is kept is read again
+    again = compare("lwr", tmp_path / "processed", criteria=("overshoot", "energy_step_w0")).result
+    assert [row.note for row in again.tables] == [row.note for row in result.tables]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from statistics import median
 
-from pipeline.base.wording import counted
+from pipeline.base.wording import counted, first_clause
 from pipeline.comparison.loops.log_evidence import law_departures
 from pipeline.comparison.loops.other_gains import other_gains
 from pipeline.comparison.scene.scene import SceneData
@@ -170,7 +170,7 @@ def _marks(result: ExperimentResult, stages: ExperimentStages, units: Units) -> 
     if loop.adequate:
         model = Mark(name="loop", state="yes", text=f"Mass, damping and delay explain {share}.")
     else:
-        reason = loop.reason.split("; ")[0]
+        reason = first_clause(loop.reason)
         told = f"{reason[:1].upper()}{reason[1:]}" if reason.startswith(_EXPLAINED) else f"{_NOT_ALL}: {reason}"
         model = Mark(name="loop", state="no", text=f"{told}.")
     return [law, model, _limit_mark(result, units)]
