@@ -121,19 +121,27 @@ def optimal_costs(rows: Sequence[ComparisonRow]) -> str:
         ends = range_text(lambda percent: percent_text(percent, 0), parts.model_low, parts.model_high)
         return (
             f", the least {criterion_name(row.criterion).partition(' (')[0]}, {size_text(parts.model)} "
-            f"{'above' if parts.model > 0 else 'below'} (95 %: {ends} %)"
+            f"{'above' if parts.model > 0 else 'below'} (95 %: {ends} %){'' if parts.steady else _FEW}"
         )
-    middle = median(abs(parts.model) for _, parts in told)
+    steady = [abs(parts.model) for _, parts in told if parts.steady]
+    middle = median(steady or [abs(parts.model) for _, parts in told])
     most = max((row.deviation_percent or 0.0 for row, _ in told), default=0.0)
     far = f"; best trials up to {size_text(most)} above theory's optima, which no wall meets"
-    return f", costs on tested walls by {size_text(middle)}{far if most >= FAR_OFF else ''}"
+    few = "" if steady else _FEW
+    return f", costs on tested walls by {size_text(middle)}{few}{far if most >= FAR_OFF else ''}"
+
+
+_FEW = ", which rests on few trials"
+FEW = 5
+"""Limits below which their median is one that a single trial may move."""
 
 
 def _limits(lead: ExperimentResult, distance: DistanceScore) -> str:
     side = "above" if distance.median > 0 else "below"
     if 100 * abs(distance.median) < 0.1:
         return f"limits of experiment {lead.experiment} differ by less than 0.1 %"
-    return f"limits of experiment {lead.experiment} lie {size_text(100 * distance.median)} {side} it in the median"
+    few = f" of {distance.dampings} only" if distance.dampings < FEW else ""
+    return f"limits of experiment {lead.experiment} lie {size_text(100 * distance.median)} {side} it in the median{few}"
 
 
 def _stiffest(results: Sequence[ExperimentResult], units: Units) -> str:
