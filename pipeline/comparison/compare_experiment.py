@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 
 from pipeline.base.wording import listed
-from pipeline.comparison.loops.findings import loop_findings
+from pipeline.comparison.loops.findings import loop_findings, with_large_motion
 from pipeline.comparison.loops.fitted_loop import fitted_estimates
 from pipeline.comparison.loops.loop_range import adequate_theory, estimated_range
 from pipeline.comparison.loops.other_gains import other_gains
@@ -154,7 +154,7 @@ def _with_loop(data: SceneData, stages: ExperimentStages, result: ExperimentResu
         )
         found["implied_delay"] = implied_delay(stages.boundary_points, known)
     named = {name: getattr(findings, name) for name in LoopFindings.model_fields}
-    return result.model_copy(update={**named, "estimates": found})
+    return with_large_motion(result.model_copy(update={**named, "estimates": found}), stages)
 
 
 def _doubted(estimate: Estimate) -> Estimate:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 
+import numpy as np
 import pytest
 
 import pipeline
@@ -12,6 +13,7 @@ from pipeline.base.errors import ParameterError
 from pipeline.comparison.compare import compare
 from pipeline.device_data.devices import load_device
 from pipeline.intake.ingest import ingest
+from pipeline.records.loop_parts import Friction, LoopParts
 from pipeline.simulation.course import run_course, write_course
 from pipeline.theory import predictions
 from pipeline.theory.optimum.optimum import optimal_point
@@ -133,3 +135,24 @@ def test_a_criterion_without_an_optimum_in_theory_is_a_row_with_a_reason(tmp_pat
     # what is kept is read again
     again = compare("lwr", tmp_path / "processed", criteria=("overshoot", "energy_step_w0")).result
     assert [row.note for row in again.tables] == [row.note for row in result.tables]
+
+
+def test_stable_with_friction_is_said_of_the_step_with_the_limit_of_large_motions_beside(tmp_path):
+    device = load_device("falcon").model_copy(update={"name": "rubbing"})
+    device = device.model_copy(update={"loop": LoopParts(friction=Friction(coulomb=0.7))})
+    page, folder = tmp_path / "page.html", ingested(tmp_path, device, seed=21, jitter=(), coarsen=8)
+    result = compare("rubbing", folder, criteria=("settle_2pct", "energy_step_w1"), report=page).result
+    (found,) = result.experiments
+    assert "coulomb_friction" in {cause.code for cause in found.causes}
+    true = device.experiments[0]
+    loop = pipeline.Loop(true.mass, true.damping, device.sampling_period_s, true.delay_samples)
+    edge = loop.boundary()
+    for point in found.boundary[1:-1]:
+        limit = np.interp(point.damping, edge["damping"], edge["stiffness"])
+        assert point.stiffness_large_motion == pytest.approx(limit, rel=0.02)
+    best = found.stiffest
+    assert best.stiffness_large_motion < best.stable
+    words = f"for this step; a harder push is unstable from {best.stiffness_large_motion:.0f} N/m on"
+    assert words in result.answer.verdict
+    assert found.use is None or found.use.point.margin_large_motion >= 1.25
+    assert "harder push" in page.read_text(encoding="utf-8")

@@ -23,6 +23,7 @@ from pipeline.rendering.labels import (
     range_text,
     share_text,
     size_text,
+    step_words,
     stiffness_text,
 )
 
@@ -100,7 +101,12 @@ def _verdict(
     if distance is None:
         return f"Theory predicts {word} where this device is stable."
     safe = ", but on the safe side," if word != "well" and _is_safe(distance) else ""
-    return f"Theory predicts {word}{safe} where this device is stable: {_limits(lead, distance)}{optimal_costs(rows)}."
+    held = ""
+    if (point := lead.stiffest) is not None and (large := step_words(point, units.stiffness)):
+        wall = f"{stiffness_text(point.stable or 0.0)} {units.stiffness}"
+        held = f". At B = {damping_text(point.damping)} {units.damping}, {wall} are stable{large}"
+    told = f"{_limits(lead, distance)}{optimal_costs(rows)}{held}"
+    return f"Theory predicts {word}{safe} where this device is stable: {told}."
 
 
 def _is_safe(distance: DistanceScore) -> bool:
@@ -147,13 +153,12 @@ def _limits(lead: ExperimentResult, distance: DistanceScore) -> str:
 def _stiffest(results: Sequence[ExperimentResult], units: Units) -> str:
     """Largest stable stiffness of the first experiment with a boundary, where there is no theory to compare it with."""
     for result in results:
-        stable = [(p.stable, p.damping) for p in result.boundary if p.stable is not None]
-        if stable:
-            stiffness, damping = max(stable)
+        if (point := result.stiffest) is not None:
             least = "at least " if any(p.censored for p in result.boundary) else ""
             return (
                 f"Experiment {result.experiment}: the largest stable stiffness measured is {least}"
-                f"{stiffness_text(stiffness)} {units.stiffness} (at B = {damping_text(damping)} {units.damping})."
+                f"{stiffness_text(point.stable or 0.0)} {units.stiffness} (at B = {damping_text(point.damping)} "
+                f"{units.damping}){step_words(point, units.stiffness)}."
             )
     return ""
 

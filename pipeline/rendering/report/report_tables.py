@@ -88,12 +88,16 @@ def boundary_table(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> T
         column = partial(Column, group=f"experiment {e.experiment}", why="not tested at this damping")
         columns += [column(f"{e.experiment}/{name}", name) for name in ("stable", "unstable")]
         columns.append(column(f"{e.experiment}/limit", "limit, 95 %"))
+        if any(p.stiffness_large_motion is not None for p in e.boundary):
+            columns.append(column(f"{e.experiment}/large", "harder push", show=stiffness_text))
         if any(p.truth is not None for p in e.boundary):
             columns.append(column(f"{e.experiment}/truth", "truth", show=stiffness_text))
     caption = (
         f"Largest stable and smallest unstable stiffness [{units.stiffness}] at each damping, and the limit by the "
         "growth rates of the trials around it"
     )
+    if any(p.stiffness_large_motion is not None for e in tested for p in e.boundary):
+        caption += "; with friction both hold for this step, and a harder push is unstable from the linear limit on"
     table = Table("boundary", caption, columns)
     for damping in sorted({p.damping for e in tested for p in e.boundary}):
         values: dict[str, Any] = {"damping": damping}
@@ -290,6 +294,7 @@ def _limit_cells(
         if point.unstable is None
         else Cell(point.unstable, stiffness_text(point.unstable), marks=marks, trial=unstable),
         f"{name}/limit": _limit_cell(point),
+        f"{name}/large": point.stiffness_large_motion,
         f"{name}/truth": point.truth,
     }
 

@@ -93,7 +93,7 @@ def test_least_cost_in_a_range_that_ends_before_the_optimum(criterion: str) -> N
 
 def test_a_model_part_that_single_trials_decide_is_told_as_one() -> None:
     """Leaving out any one trial of a steady one keeps it; without noise all are, of few noisy trials hardly any."""
-    a, b, expected = plane(6)
+    a, b, expected = plane(8)
     everything = np.ones(len(a), dtype=bool)
     moved = []
     for noise in (0.0, 0.5):
