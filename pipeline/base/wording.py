@@ -77,6 +77,30 @@ def commonest(reasons: Iterable[str]) -> str:
     return max(counts, key=counts.__getitem__) if (counts := Counter(filter(None, reasons))) else ""
 
 
+def of_most(reasons: Iterable[str]) -> str:
+    """Return the reason of most trials as the end of a sentence, nothing where none has one.
+
+    >>> of_most(["", "too short"]), of_most([""])
+    ('; most trials: too short', '')
+    """
+    told = commonest(reasons)
+    return f"; most trials: {told}" if told else ""
+
+
+def first_clause(text: str) -> str:
+    """Return what stands before the first semicolon that is in no brackets.
+
+    >>> first_clause("it is clipped (43 of 61 logs; at 8 N); more")
+    'it is clipped (43 of 61 logs; at 8 N)'
+    """
+    depth = 0
+    for place, sign in enumerate(text):
+        depth += (sign == "(") - (sign == ")")
+        if sign == ";" and depth == 0:
+            return text[:place]
+    return text
+
+
 def percent(share: float, places: int = 0) -> str:
     """Return a share as percent: ``5.6 %``, with a true minus sign."""
     return true_minus(f"{100 * share:.{places}f} %")

@@ -6,16 +6,17 @@ from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 
 from pipeline.base.wording import listed
-from pipeline.comparison.loops.findings import loop_findings
+from pipeline.comparison.loops.findings import loop_findings, with_large_motion
 from pipeline.comparison.loops.fitted_loop import fitted_estimates
 from pipeline.comparison.loops.loop_range import adequate_theory, estimated_range
+from pipeline.comparison.loops.other_gains import other_gains
 from pipeline.comparison.scene.origin import header_lines
 from pipeline.comparison.scene.scene import SceneData, needed_stages
 from pipeline.comparison.scores.implied_delay import implied_delay
 from pipeline.comparison.scores.implied_slope import DeviceParameters
 from pipeline.comparison.summary.advice import region_to_use
 from pipeline.loop.device_loop import longest_delay
-from pipeline.measured.experiment.boundary_band import boundary_area
+from pipeline.measured.experiment.boundary_area import boundary_area
 from pipeline.measured.experiment.estimates import (
     by_joint_balance,
     standard_error,
@@ -115,9 +116,16 @@ def experiment_result(data: SceneData, stages: ExperimentStages, theory: Theory 
         theory=theory.parameters if theory else None,
         header=header_lines(stages),
     )
-    use, why = region_to_use(result, stages)
-    result = result.model_copy(update={"use": use, "use_reason": why or None})
-    return _with_loop(data, stages, result, units) if "wall_law" in needed else result
+    gains = stages.once(other_gains)
+    if gains is not None and gains.most:
+        why = gains.cause.sentence.rstrip(".")
+        result = result.model_copy(update={"optimum": {}, "missing": dict.fromkeys(data.scene.criteria, why)})
+        use = None
+    else:
+        use, why = region_to_use(result, stages)
+    causes = () if gains is None else (gains.cause,)
+    result = result.model_copy(update={"use": use, "use_reason": why or None, "causes": causes})
+    return _with_loop(data, stages, result, units) if "delay" in needed else result
 
 
 _OF_A_LOOP = ("delay_samples", "mass", "damping", "device_stiffness")
@@ -146,7 +154,7 @@ def _with_loop(data: SceneData, stages: ExperimentStages, result: ExperimentResu
         )
         found["implied_delay"] = implied_delay(stages.boundary_points, known)
     named = {name: getattr(findings, name) for name in LoopFindings.model_fields}
-    return result.model_copy(update={**named, "estimates": found})
+    return with_large_motion(result.model_copy(update={**named, "estimates": found}), stages)
 
 
 def _doubted(estimate: Estimate) -> Estimate:
@@ -171,7 +179,7 @@ def _estimates(stages: ExperimentStages, needed: Collection[str], units: Units) 
             "device_stiffness": stiffness_estimate(stages),
             "constant_force": by_joint_balance(stages, "constant_force"),
         }
-    if "wall_law" in needed and (lag := velocity_lag(stages)) is not None:
+    if "delay" in needed and (lag := velocity_lag(stages)) is not None:
         found["velocity_lag"] = lag
     if "model" in needed:
         found["jitter_samples"] = stages.jitter_estimate

@@ -121,12 +121,15 @@ class TableBuilder:
         rows = []
         theory = self.theories.get(table.theory_from)
         for criterion in table.criteria:
-            discrete = theory and predictions.get(theory, f"{criterion}_discrete")
-            continuous = theory and predictions.get(theory, criterion)
-            if theory and discrete and continuous:
+            discrete = None if theory is None else predictions.get(theory, f"{criterion}_discrete")
+            continuous = None if theory is None else predictions.get(theory, criterion)
+            if theory is not None:
                 delay = theory.parameters.delay_samples
-                rows.append(self._row(table, criterion, "theory_discrete", delay, prediction=discrete))
-                rows.append(self._row(table, criterion, "theory_continuous", delay, prediction=continuous))
+                for name, found in (("discrete", discrete), ("continuous", continuous)):
+                    why = predictions.why(theory, f"{criterion}_discrete" if name == "discrete" else criterion)
+                    rows.append(
+                        self._row(table, criterion, f"theory_{name}", delay, prediction=found, missing=why or None)
+                    )
             for experiment in table.experiments:
                 result = measured[experiment]
                 optimum = result.optimum.get(criterion)
@@ -161,9 +164,10 @@ class TableBuilder:
             estimated = result.estimates["delay_samples"].value
             delay = theory.parameters.delay_samples if theory else estimated
             for criterion in table.criteria:
-                discrete = theory and predictions.get(theory, f"{criterion}_discrete")
-                if discrete:
-                    rows.append(self._row(table, criterion, "theory_discrete", delay, prediction=discrete))
+                discrete = None if theory is None else predictions.get(theory, f"{criterion}_discrete")
+                if theory is not None:
+                    why = predictions.why(theory, f"{criterion}_discrete") or None
+                    rows.append(self._row(table, criterion, "theory_discrete", delay, prediction=discrete, missing=why))
                 rows.append(
                     self._row(
                         *(table, criterion, "experiment", delay),

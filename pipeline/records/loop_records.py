@@ -9,6 +9,7 @@ from pydantic import Field
 from pipeline.records.findings import Record
 
 CauseCode = Literal[
+    "other_gains",
     "coulomb_friction",
     "velocity_filter",
     "actuator_lag",

@@ -142,7 +142,7 @@ class Deviation(Record):
 
     ``range`` and ``grid`` are theory's, since trials have a range and a grid; ``model`` is what theory misses of the
     measured cost freed from the noise of single trials, with its 95 % interval; ``selection`` is what the best single
-    trial differs from that.
+    trial differs from that. The model's part is ``steady`` where leaving out any single trial keeps it.
     """
 
     range: float
@@ -151,6 +151,7 @@ class Deviation(Record):
     selection: float
     model_low: float
     model_high: float
+    steady: bool = True
 
 
 class ComparisonRow(Record):

@@ -100,13 +100,17 @@ STIFFEST = "stiffness"
 
 
 class UsePoint(Record):
-    """The one tested wall of a region to set, with the costs of its trial and the limit over its stiffness."""
+    """The one tested wall of a region to set, with the costs of its trial and the limit over its stiffness.
+
+    ``margin_large_motion`` is that of large motions, where friction was found.
+    """
 
     stiffness: float
     damping: float
     trial_id: str
     costs: dict[str, float]
     margin: float
+    margin_large_motion: float | None = None
 
 
 class UseRegion(Record):
@@ -210,6 +214,12 @@ class ExperimentResult(Record):
     truth: Truth | None = None
     truth_held: TruthHeld | None = None
     saving: Saving | None = None
+
+    @property
+    def stiffest(self) -> BoundaryPoint | None:
+        """The limit with the largest stable stiffness, None where no trial is stable."""
+        known = [point for point in self.boundary if point.stable is not None]
+        return max(known, key=lambda point: (point.stable, point.damping), default=None)
 
     @property
     def delay(self) -> Estimate:

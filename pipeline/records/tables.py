@@ -110,6 +110,11 @@ COLUMNS: dict[str, Column] = {
     "law_codes": _same(_S, "", "why it departs: codes of `wall_law.CODES`, comma separated; empty where it does not"),
     "law_evidence": _same(_S, "", "the evidence for them, in words"),
     "law_rows": _same(_I, "", "rows concerned"),
+    "obeyed_stiffness": Column(
+        _F, "N/m", "Nm/rad", "stiffness that the command obeys, where it is not the stated one", True
+    ),
+    "obeyed_damping": Column(_F, "Ns/m", "Nms/rad", "damping of the same wall", True),
+    "obeyed_step": Column(_F, "N", "Nm", "step of the same command", True),
     "velocity_filter": _same(_S, "", "filter b(z)/a(z) of the velocity that the log shows, as JSON", True),
     "velocity_lag": _same(_F, "s", "how much later than the position the logged velocity is", True),
     "velocity_lag_error": _same(_F, "s", "standard error of it", True),
@@ -193,6 +198,7 @@ COLUMNS: dict[str, Column] = {
     "low": Column(_F, "N/m", "Nm/rad", "lower end of its 95 % interval", True),
     "high": Column(_F, "N/m", "Nm/rad", "upper end of its 95 % interval", True),
     "trials": _same(_I, "", "trials with K > 0 at that damping"),
+    "undecided": _same(_I, "", "undecided ones of them below the largest stable stiffness"),
 }
 
 _BESIDE = {
@@ -216,7 +222,8 @@ _NAMES = {
     "exclusions": "trial_id label device experiment source_path source_sha256 exclusion_reason excluded_since",
     "response": f"""{_TRIAL} verdict reason growth_per_s edge_row position_start
         position_final_expected position_final_measured sensor_quantum sensor_noise""",
-    "wall_law": f"""{_TRIAL} law_residual law_rounding law_codes law_evidence law_rows velocity_filter
+    "wall_law": f"""{_TRIAL} law_residual law_rounding law_codes law_evidence law_rows
+        obeyed_stiffness obeyed_damping obeyed_step velocity_filter
         velocity_lag velocity_lag_error""",
     "outcome": f"{_TRIAL} outcome evidence outcome_row band amplitude_end",
     "delay": f"{_TRIAL} delay_samples first_change_samples onset_samples onset_error reason",
@@ -232,7 +239,7 @@ _NAMES = {
     },
     "ladder": "role parts explained held_out score numbers",
     "windows": "window_s mass_median mass_scatter trials reason",
-    "boundary": "damping stable unstable censored estimate low high trials",
+    "boundary": "damping stable unstable censored estimate low high trials undecided",
 }
 
 TABLES: dict[str, tuple[str, ...]] = {table: tuple(names.split()) for table, names in _NAMES.items()}

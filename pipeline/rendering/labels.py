@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from pipeline.base.wording import true_minus
 from pipeline.records.criteria import CRITERIA, criterion_of
-from pipeline.records.findings import Estimate
+from pipeline.records.findings import BoundaryPoint, Estimate
 from pipeline.records.models import Motion
 
 MISSING = "–"
@@ -207,3 +207,11 @@ def _with_zeros(value: float, text: str, digits: int) -> str:
         return text
     places = max(digits - 1 - math.floor(math.log10(abs(value))), 0)
     return f"{value:.{places}f}".replace("-", "\N{MINUS SIGN}")
+
+
+def step_words(point: BoundaryPoint, unit: str) -> str:
+    """Return what a stable wall of a device with friction holds for, to stand behind its stiffness; else nothing."""
+    if point.stiffness_large_motion is None:
+        return ""
+    large = stiffness_text(point.stiffness_large_motion)
+    return f" for this step; a harder push is unstable from {large} {unit} on"

@@ -192,8 +192,8 @@ def boundary(processed: Place, device: str, experiment: str | None = None) -> pd
     pandas.DataFrame
         ``experiment``, ``damping`` [Ns/m, Nms/rad], ``stable`` and ``unstable`` [N/m, Nm/rad]: the smallest stiffness
         with an unstable trial and the largest stable one below it (NaN where there is none), ``censored``,
-        ``estimate``, ``low``, ``high`` [N/m, Nm/rad] (limit by the growth rates, 95 % interval), ``trials``. A row a
-        damping.
+        ``estimate``, ``low``, ``high`` [N/m, Nm/rad] (limit by the growth rates, 95 % interval), ``trials``,
+        ``undecided`` (those below the largest stable one). A row a damping.
 
     Raises
     ------

@@ -16,6 +16,7 @@ from typing import Any, Self
 from pydantic import BaseModel, ConfigDict
 
 from pipeline.base.disk import if_writable, write_text
+from pipeline.base.errors import ParameterError
 from pipeline.base.json_seal import sealed_json, unsealed_json
 from pipeline.base.process_pool import process_pool
 from pipeline.base.provenance import code_digest, digest, sha256
@@ -107,12 +108,24 @@ class Theory:
 Request = tuple[Loop, str]
 
 
+Found = OptimalPoint | str
+"""An optimum, or why there is none."""
+
+
 class _Kept(BaseModel):
     """A file of kept optima; what else it holds is for people."""
 
-    optima: dict[str, OptimalPoint]
+    optima: dict[str, Found]
 
     model_config = ConfigDict(allow_inf_nan=False)
+
+
+def _found(loop: Loop, criterion: str) -> Found:
+    """Return an optimum, or why theory has none: one criterion without one ends no comparison."""
+    try:
+        return optimal_point(loop, criterion)
+    except ParameterError as error:
+        return str(error).removeprefix(f"{loop}: ").rstrip(".")
 
 
 @dataclass
@@ -126,8 +139,8 @@ class Predictions:
     """
 
     folder: Path
-    _known: dict[Request, OptimalPoint] = field(default_factory=dict)
-    _pending: dict[Request, Future[OptimalPoint]] = field(default_factory=dict)
+    _known: dict[Request, Found] = field(default_factory=dict)
+    _pending: dict[Request, Future[Found]] = field(default_factory=dict)
     _pool: ExitStack = field(default_factory=ExitStack)
     _costs: dict[tuple[Loop, str, str], Floats] = field(default_factory=dict)
 
@@ -168,12 +181,12 @@ class Predictions:
         missing = self.missing(requests)
         workers = min(len(missing), os.cpu_count() or 1)
         if workers < 2:
-            self._store({request: optimal_point(*request) for request in missing})
+            self._store({request: _found(*request) for request in missing})
             return
         pool = self._pool.enter_context(process_pool(workers))
         # slow ones first, so that no processor ends up waiting for the last
         order = sorted(missing, key=lambda r: (_TURN.get(criterion_of(r[1]).family.name, 1), -r[0].delay))
-        self._pending = {request: pool.submit(optimal_point, *request) for request in order}
+        self._pending = {request: pool.submit(_found, *request) for request in order}
 
     def finish(self) -> None:
         """Wait for what `start` began, and keep it."""
@@ -181,24 +194,31 @@ class Predictions:
             found = {request: future.result() for request, future in self._pending.items()}
         except BrokenProcessPool:
             # a process was killed, or could not import the caller's main program (typed in, or without a guard)
-            found = {request: optimal_point(*request) for request in self._pending}
+            found = {request: _found(*request) for request in self._pending}
         self._store(found)
         self._pending = {}
         self._pool.close()
 
-    def get(self, theory: Theory, criterion: str) -> Prediction:
-        """Return an optimum that was asked for before, in physical units."""
-        return theory.physical(self._known[theory.loop, criterion])
+    def get(self, theory: Theory, criterion: str) -> Prediction | None:
+        """Return an optimum that was asked for before, in physical units; None where theory has none."""
+        found = self._known[theory.loop, criterion]
+        return None if isinstance(found, str) else theory.physical(found)
 
-    def cost(self, loop: Loop, criterion: str) -> float:
-        """Return the cost of an optimum that was asked for before."""
-        return self._known[loop, criterion].cost
+    def why(self, theory: Theory, criterion: str) -> str:
+        """Return why theory has no optimum that was asked for before, empty where it has one."""
+        found = self._known[theory.loop, criterion]
+        return found if isinstance(found, str) else ""
 
-    def _store(self, found: Mapping[Request, OptimalPoint]) -> None:
+    def cost(self, loop: Loop, criterion: str) -> float | None:
+        """Return the cost of an optimum that was asked for before; None where there is none."""
+        found = self._known[loop, criterion]
+        return None if isinstance(found, str) else found.cost
+
+    def _store(self, found: Mapping[Request, Found]) -> None:
         self._known |= found
         for loop in {loop for loop, _ in found}:
             points = self._read(loop) | {c: p for (other, c), p in found.items() if other == loop}
-            document = {"loop": repr(loop), "optima": {c: asdict(p) for c, p in sorted(points.items())}}
+            document = {"loop": repr(loop), "optima": {c: _plain(points[c]) for c in sorted(points)}}
             with if_writable():
                 write_text(self._file(loop), sealed_json(json.dumps(document, indent=1) + "\n"))
 
@@ -206,8 +226,12 @@ class Predictions:
         key = digest([*(repr(getattr(loop, part.name)) for part in fields(loop)), code_digest("theory")])
         return self.folder / f"{key}.json"
 
-    def _read(self, loop: Loop) -> dict[str, OptimalPoint]:
+    def _read(self, loop: Loop) -> dict[str, Found]:
         try:
             return _Kept.model_validate(unsealed_json(self._file(loop).read_bytes())).optima
         except (FileNotFoundError, ValueError):
             return {}  # nothing is kept, or not in this form, or it is damaged: it is computed anew
+
+
+def _plain(found: Found) -> Any:
+    return found if isinstance(found, str) else asdict(found)

@@ -53,10 +53,10 @@ def theory_maps(
     for criterion, cost in costs.items():
         lines = without_steps(cost) if criterion_of(criterion).family.whole else cost
         found = predictions.get(theory, f"{criterion}_discrete")
-        optimum = Optimum(stiffness=found.stiffness, damping=found.damping, cost=found.cost)
+        best = None if found is None else Optimum(stiffness=found.stiffness, damping=found.damping, cost=found.cost)
         curves = _optimal_curves(stiffness, damping, lines, criterion, exact=True)
         edge = theory_curve(theory, "boundary")
-        maps[criterion] = CostMap(label, "theory", stiffness, damping, cost, edge, optimum, *NO_TRIALS, *curves, lines)
+        maps[criterion] = CostMap(label, "theory", stiffness, damping, cost, edge, best, *NO_TRIALS, *curves, lines)
     return maps
 
 

@@ -150,7 +150,8 @@ class FigureBuilder:
         parameters = TheoryParameters(
             mass=1.0, damping=DAMPED, stiffness=0.0, sampling_period_s=1.0, delay_samples=delay, source="normalised"
         )
-        return predictions.get(Theory(parameters), f"{criterion}_discrete").cost
+        found = predictions.get(Theory(parameters), f"{criterion}_discrete")
+        return np.nan if found is None else found.cost
 
 
 def _cost(row: ComparisonRow | None) -> float:

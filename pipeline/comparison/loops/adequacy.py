@@ -14,6 +14,7 @@ import numpy as np
 from pipeline.base.wording import counted, listed
 from pipeline.comparison.loops.log_evidence import OF_THE_FORCE, LawDeparture, rest_words
 from pipeline.comparison.loops.loop_range import MATTERS, LoopRange, loop_delay
+from pipeline.comparison.loops.other_gains import OtherGains
 from pipeline.comparison.scores.overlap import measured_limits
 from pipeline.measured.experiment.fitted_device import FittedDevice
 from pipeline.measured.experiment.rest_forces import RestForces
@@ -56,7 +57,7 @@ class Doubt:
 class Shown:
     """What the logs show of a loop: departures from the wall law, rest, the device that explains them, the filter.
 
-    ``of_logs`` are the filters that single logs show.
+    ``of_logs`` are the filters that single logs show, ``gains`` the logs that obey another wall than stated.
     """
 
     departures: list[LawDeparture]
@@ -64,6 +65,7 @@ class Shown:
     fitted: FittedDevice | None
     velocity: VelocityFilter | None
     of_logs: Sequence[VelocityFilter] = ()
+    gains: OtherGains | None = None
 
     @property
     def known(self) -> set[str]:
@@ -106,6 +108,8 @@ def doubts(
     held = shown.known
     if parts is not None:
         held -= {"constant_force"} | (set() if parts.velocity else {"velocity_filter"})
+    if shown.gains is not None and shown.gains.most:
+        return [Doubt(shown.gains.cause.sentence.rstrip("."), _UNIT)]
     found = [
         Doubt(f"{each.sentence.rstrip('.')} ({each.shown})", _HELP.get(each.code, _LAW))
         for each in shown.departures
@@ -145,8 +149,8 @@ _PARTS = "a device file whose [loop] table names what the device has beside mass
 _HELP = {
     "saturation": "a smaller step, or the command before it is clipped in the log",
     "velocity_filter": "a device file that declares the filter",
-    "other_unit": "the unit of the position, or of K and B, corrected in the profile (see `pipeline profile check`)",
 }
+_UNIT = "the unit of the position, or of K, B and the step, corrected in the profile (see `pipeline profile check`)"
 
 
 def _force(units: Units) -> str:

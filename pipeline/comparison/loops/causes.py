@@ -61,7 +61,8 @@ def direct_causes(
     A cause whose effect on the limit is known and below `MATTERS` is not told.
     """
     departures, fitted = shown.departures, shown.fitted
-    found = law_causes(departures, stages)[:MOST]
+    found = [] if shown.gains is None else [shown.gains.cause]
+    found += law_causes(departures, stages)[:MOST]
     if fitted is not None and fitted.tells:
         parts = part_causes(stages, fitted, shown.velocity, units)
         found += [cause for cause in parts if all(cause.code != other.code for other in found)]

@@ -13,15 +13,19 @@ from pipeline.comparison.loops.fitted_loop import loop_range, mode_parameters, w
 from pipeline.comparison.loops.log_evidence import LawDeparture, filters_of_logs, found_filter, law_departures
 from pipeline.comparison.loops.loop_range import LoopRange, estimated_range, stated_range
 from pipeline.comparison.loops.loop_record import exact, filter_parameters, stated_parameters
+from pipeline.comparison.loops.other_gains import other_gains
 from pipeline.comparison.loops.passive_wall import passive_wall
-from pipeline.measured.experiment.fitted_device import fitted_device
+from pipeline.measured.experiment.fitted_device import explaining_device, fitted_device
 from pipeline.measured.experiment.rest_forces import rest_forces
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.loop_parts import LoopParts, VelocityFilter
 from pipeline.records.loop_records import LoopFindings, LoopLimit, LoopResult, Parameter
 from pipeline.records.models import Device
 from pipeline.records.results import ExperimentResult
-from pipeline.rendering.labels import Units
+from pipeline.rendering.labels import Units, significant
+
+NARROW = 1.25
+"""Least limit of large motions over the stiffness of a wall to use, as for the limit that was measured."""
 
 MOST_REASONS = 3
 """Reasons against a loop that are told: the gravest ones; others often follow from them."""
@@ -47,10 +51,12 @@ def loop_findings(
     the estimates.
     """
     entry = next((e for e in device.experiments if e.name == stages.experiment), None) if device else None
-    departures, rest = law_departures(stages), stages.once(rest_forces)
-    fitted, velocity = stages.once(fitted_device), _filter(stages, departures)
-    shown = Shown(departures, rest, fitted, velocity, filters_of_logs(stages) if velocity else ())
-    estimated = _estimated(result, stages, shown)
+    gains, rest = stages.once(other_gains), stages.once(rest_forces)
+    fitted = stages.once(fitted_device)
+    departures = [] if gains is not None and gains.most else law_departures(stages)
+    velocity = _filter(stages, departures)
+    shown = Shown(departures, rest, fitted, velocity, filters_of_logs(stages) if velocity else (), gains)
+    estimated = found_loop(result, stages, velocity)
     period = device.sampling_period_s if device else stages.sampling_period_s
     parts = device.loop_of(entry) if device and entry else None
     loop = estimated if entry is None or parts is None else stated_range(entry, parts, estimated, period)
@@ -88,11 +94,43 @@ def _filter(stages: ExperimentStages, departures: list[LawDeparture]) -> Velocit
     return found.declared if found is not None else None
 
 
-def _estimated(result: ExperimentResult, stages: ExperimentStages, shown: Shown) -> LoopRange | None:
-    """Return the loop of the device that explains the logs, with their filter; else that of the estimates."""
-    if shown.fitted is not None and shown.fitted.holds:
-        return loop_range(shown.fitted, stages.sampling_period_s, shown.velocity)
-    return with_filter(estimated_range(result, stages.sampling_period_s), shown.velocity)
+def found_loop(result: ExperimentResult, stages: ExperimentStages, velocity: VelocityFilter | None) -> LoopRange | None:
+    """Return the linear loop of the device that explains the logs, with their filter; else that of the estimates."""
+    fitted = stages.once(explaining_device)
+    if fitted is not None:
+        return loop_range(fitted, stages.sampling_period_s, velocity)
+    return with_filter(estimated_range(result, stages.sampling_period_s), velocity)
+
+
+def with_large_motion(result: ExperimentResult, stages: ExperimentStages) -> ExperimentResult:
+    """Return a result with causes, its limits with those of large motions beside them where its logs show friction.
+
+    Coulomb friction takes a part of a motion that falls with its size: to a large one it is none. A wall to use that
+    large motions make unstable is none.
+    """
+    if all(cause.code != "coulomb_friction" for cause in result.causes):
+        return result
+    loop = found_loop(result, stages, _filter(stages, law_departures(stages)))
+    if loop is None or not result.boundary:
+        return result
+    linear = loop.at_values(np.array([point.damping for point in result.boundary]))
+    points = tuple(
+        point.model_copy(update={"stiffness_large_motion": float(limit)})
+        for point, limit in zip(result.boundary, linear, strict=True)
+    )
+    result = result.model_copy(update={"boundary": points})
+    if (use := result.use) is None:
+        return result
+    limit = float(loop.at_values(np.array([use.point.damping]))[0])
+    margin = limit / use.point.stiffness
+    if margin >= NARROW:
+        point = use.point.model_copy(update={"margin_large_motion": margin})
+        return result.model_copy(update={"use": use.model_copy(update={"point": point})})
+    why = (
+        f"the best wall for this step has K = {significant(use.point.stiffness, 3)}, and a harder push is unstable "
+        f"from {significant(limit, 3)} on: friction holds less of it"
+    )
+    return result.model_copy(update={"use": None, "use_reason": why})
 
 
 def _loop_result(

@@ -73,12 +73,15 @@ class LawDeparture:
 def law_departures(stages: ExperimentStages) -> list[LawDeparture]:
     """Return how the logs of an experiment depart from the wall law, in the order of how many do.
 
-    A log that is clipped where it diverges shows how it ended, not another loop; it does not count.
+    A log that is clipped where it diverges shows how it ended, not another loop; it does not count. Nor do those that
+    obey another wall than stated: they are left out, see `other_gains`.
     """
     unstable = stages.verdicts.verdict == "unstable"
     codes = [set(filter(None, text.split(","))) for text in stages.texts("wall_law", "law_codes")]
     evidence, residual = stages.texts("wall_law", "law_evidence"), stages.column("wall_law", "law_residual")
-    held = sum(seen or bool(of) for seen, of in zip(np.isfinite(residual), codes, strict=True))
+    other = np.isfinite(stages.column("wall_law", "obeyed_stiffness"))
+    codes = [set() if off else each for each, off in zip(codes, other, strict=True)]
+    held = sum(seen or bool(of) for seen, of in zip(np.isfinite(residual) & ~other, codes, strict=True))
     found = []
     for code in _SENTENCES:
         logs = [i for i, each in enumerate(codes) if code in each and not (code == "saturation" and unstable[i])]

@@ -137,15 +137,12 @@ def needed_stages(data: SceneData) -> set[str]:
         needed |= {"outcome"}
     if data.overlay:
         needed |= required(("delay", "mass", "damping"))
-    # nothing is said of a device by its logs before they are held against the law that they were made by
-    needed |= {"wall_law"} if "delay" in needed else set()
     # where the ideal loop explains the logs, the stage is an empty table
-    return needed | {"ladder"} if {"wall_law", "model"} <= needed else needed
+    return needed | {"ladder"} if {"delay", "model"} <= needed else needed
 
 
 _LEFT_OUT = {  # but for what a report holds only by name
     "outcome": "neither the table of outcomes nor the trials are shown",
-    "wall_law": "no estimate is shown",
     "ladder": "no device is described: neither delay nor model is asked for",
     "delay": "neither the measured boundary nor a cost that is asked for needs the delay",
     "model": "neither mass nor damping nor settling time is asked for",

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pipeline.comparison.loops.loop_range import MATTERS
 from pipeline.loop.loop import Loop
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.batch import Booleans, Floats, Integers
@@ -177,7 +178,8 @@ def deviation(
     -----
     Smoothed is the logarithm of M/C, which varies little where C itself is curved. For the interval the errors of
     single trials about the smooth one change their signs at random, and the least cost is searched for anew; what that
-    gains from such errors widens the interval to both sides.
+    gains from such errors widens the interval to both sides. It is ``steady`` where no single trial decides it: asked
+    of those around the best point, and of theory's best.
     """
     free, ranged, trial = least
     grid = float(np.nanmin(expected))
@@ -200,7 +202,28 @@ def deviation(
         "model_low": best - half - np.log(grid),
         "model_high": best + half - np.log(grid),
     }
-    return Deviation(**{name: 100 * float(np.expm1(value)) for name, value in logs.items()})
+    around = np.unique(smooth.nearest[likely])
+    decisive = np.union1d(smooth.nearest[int(np.argmin(theory + level))], [int(np.argmin(theory))])
+    points = alpha[use][around], beta[use][around], theory[around], ratio[around]
+    steady = _is_steady(*points, np.flatnonzero(np.isin(around, decisive)), half)
+    return Deviation(**{name: 100 * float(np.expm1(value)) for name, value in logs.items()}, steady=steady)
+
+
+def _is_steady(alpha: Floats, beta: Floats, theory: Floats, ratio: Floats, decisive: Integers, half: float) -> bool:
+    """Return whether leaving out any one trial keeps the model's part: its sign, and half of its half interval."""
+
+    def model(kept: Booleans) -> float:
+        level = smooth_of(alpha[kept], beta[kept], ratio[kept]).of(ratio[kept])
+        return float((theory[kept] + level).min() - theory[kept].min())
+
+    every = np.ones(len(theory), dtype=np.bool_)
+    whole = model(every)
+    for place in decisive:
+        without = model(np.where(np.arange(len(every)) == place, False, every))
+        turned = without * whole < 0 and max(abs(without), abs(whole)) > MATTERS
+        if turned or abs(without - whole) > max(0.5 * half, MATTERS):
+            return False
+    return True
 
 
 def _least_in_range(loop: Loop, alpha: Floats, beta: Floats, criterion: str) -> float:

@@ -130,9 +130,9 @@ def _optimum(
     return OptimumScore(
         criterion=criterion,
         reference=table,
-        stiffness_percent=_percent(optimum.stiffness, prediction.stiffness),
-        damping_percent=_percent(optimum.damping, prediction.damping),
-        cost_percent=_percent(optimum.cost, prediction.cost),
+        stiffness_percent=_percent(optimum.stiffness, None if prediction is None else prediction.stiffness),
+        damping_percent=_percent(optimum.damping, None if prediction is None else prediction.damping),
+        cost_percent=_percent(optimum.cost, None if prediction is None else prediction.cost),
         censored=optimum.censored,
         polynomial=polynomial,
         polynomial_percent=_percent(optimum.cost, polynomial),

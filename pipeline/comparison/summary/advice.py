@@ -15,7 +15,7 @@ from pipeline.comparison.summary.rectangles import (
     room_of,
 )
 from pipeline.measured.stages.stages import ExperimentStages
-from pipeline.records.batch import Floats
+from pipeline.records.batch import Booleans, Floats
 from pipeline.records.findings import Optimum
 from pipeline.records.results import STIFFEST, CostRange, ExperimentResult, UsePoint, UseRegion
 from pipeline.rendering.labels import Units, criterion_name, significant
@@ -54,7 +54,7 @@ def region_to_use(result: ExperimentResult, stages: ExperimentStages) -> tuple[U
     Notes
     -----
     Usable are stable trials at K > 0 that overshoot by at most `CALM`, as far as that is known. Where too few of them
-    have a cost, the stiffest walls at the margin `FAR` are named.
+    have a cost, the stiffest walls at the margin `FAR` are named. The one to set has a cost and a clean log of its own.
     """
     # a limit that nothing bounds from below is none to keep away from: those beside it are
     limits = measured_limits([p for p in result.boundary if p.low is None or p.low > 0])
@@ -63,21 +63,32 @@ def region_to_use(result: ExperimentResult, stages: ExperimentStages) -> tuple[U
     K, B = stages.column("response", "stiffness"), stages.column("response", "damping")
     stable = (stages.verdicts.verdict == "stable") & (K > 0)
     over = stages.sure_cost("overshoot") if "overshoot" in result.optimum else np.zeros_like(K)
-    usable = stable & ~(over > CALM)
+    usable, clean = stable & ~(over > CALM), _clean(result, stages)
     found, why, region = recommended(result), "no criterion by which walls are chosen has a cost", None
     criterion = found[0] if found else STIFFEST
     if found:
         cost = stages.sure_cost(criterion)
-        tested = WallTrials(K, B, cost, levels(K, B, cost, usable), usable)
+        tested = WallTrials(K, B, cost, np.where(clean, levels(K, B, cost, usable), np.inf), usable)
         region = best_rectangle(tested, limits, NARROW)
         why = "" if region else _too_few(criterion, int((stable & np.isfinite(cost)).sum()), int(stable.sum()))
     if region is None:
         softness = np.where(K > 0, 1 / np.where(K > 0, K, 1.0), np.inf)
-        tested = WallTrials(K, B, softness, np.where(usable, softness, np.inf), usable)
+        tested = WallTrials(K, B, softness, np.where(usable & clean, softness, np.inf), usable)
         criterion, region = STIFFEST, best_rectangle(tested, limits, FAR)
         if region is None:
             return None, f"{why}; no {FEWEST} stable neighbours lie {FAR:g} times below the limit"
     return _described(criterion, tested, region, limits, result, stages), why
+
+
+SPOILT = ("no_step", "travel_limit", "too_short", "saturated", "disturbed")
+"""Outcomes of logs that tell nothing of the wall alone."""
+
+
+def _clean(result: ExperimentResult, stages: ExperimentStages) -> Booleans:
+    """Return which trials have a cost, and an outcome that is the wall's own where outcomes are known."""
+    costs = [np.isfinite(stages.sure_cost(name)) for name in result.optimum]
+    known = np.any(costs, axis=0) if costs else np.zeros(len(stages.verdicts.verdict), dtype=np.bool_)
+    return known & ~np.isin(stages.texts("outcome", "outcome"), SPOILT) if result.outcomes else known
 
 
 def _too_few(criterion: str, known: int, stable: int) -> str:

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from statistics import median
 
-from pipeline.base.wording import counted
+from pipeline.base.wording import counted, first_clause
 from pipeline.comparison.loops.log_evidence import law_departures
+from pipeline.comparison.loops.other_gains import other_gains
 from pipeline.comparison.scene.scene import SceneData
 from pipeline.comparison.summary.advice import use_text
 from pipeline.comparison.summary.causes import causes
@@ -22,6 +23,7 @@ from pipeline.rendering.labels import (
     range_text,
     share_text,
     size_text,
+    step_words,
     stiffness_text,
 )
 
@@ -56,7 +58,8 @@ def answer(
     """
     lead = max(range(len(results)), key=lambda i: (_worth(results[i]), -i))
     result, stages = results[lead], data.experiments[lead]
-    verdict = _verdict(results, result, rows, units)
+    gains = stages.once(other_gains)
+    verdict = gains.cause.sentence if gains and gains.most else _verdict(results, result, rows, units)
     if not verdict:
         return None
     shown = [cause.sentence for cause in result.causes] + causes(result, units)
@@ -98,7 +101,12 @@ def _verdict(
     if distance is None:
         return f"Theory predicts {word} where this device is stable."
     safe = ", but on the safe side," if word != "well" and _is_safe(distance) else ""
-    return f"Theory predicts {word}{safe} where this device is stable: {_limits(lead, distance)}{optimal_costs(rows)}."
+    held = ""
+    if (point := lead.stiffest) is not None and (large := step_words(point, units.stiffness)):
+        wall = f"{stiffness_text(point.stable or 0.0)} {units.stiffness}"
+        held = f". At B = {damping_text(point.damping)} {units.damping}, {wall} are stable{large}"
+    told = f"{_limits(lead, distance)}{optimal_costs(rows)}{held}"
+    return f"Theory predicts {word}{safe} where this device is stable: {told}."
 
 
 def _is_safe(distance: DistanceScore) -> bool:
@@ -119,31 +127,38 @@ def optimal_costs(rows: Sequence[ComparisonRow]) -> str:
         ends = range_text(lambda percent: percent_text(percent, 0), parts.model_low, parts.model_high)
         return (
             f", the least {criterion_name(row.criterion).partition(' (')[0]}, {size_text(parts.model)} "
-            f"{'above' if parts.model > 0 else 'below'} (95 %: {ends} %)"
+            f"{'above' if parts.model > 0 else 'below'} (95 %: {ends} %){'' if parts.steady else _FEW}"
         )
-    middle = median(abs(parts.model) for _, parts in told)
+    steady = [abs(parts.model) for _, parts in told if parts.steady]
+    middle = median(steady or [abs(parts.model) for _, parts in told])
     most = max((row.deviation_percent or 0.0 for row, _ in told), default=0.0)
     far = f"; best trials up to {size_text(most)} above theory's optima, which no wall meets"
-    return f", costs on tested walls by {size_text(middle)}{far if most >= FAR_OFF else ''}"
+    few = "" if steady else _FEW
+    return f", costs on tested walls by {size_text(middle)}{few}{far if most >= FAR_OFF else ''}"
+
+
+_FEW = ", which rests on few trials"
+FEW = 5
+"""Limits below which their median is one that a single trial may move."""
 
 
 def _limits(lead: ExperimentResult, distance: DistanceScore) -> str:
     side = "above" if distance.median > 0 else "below"
     if 100 * abs(distance.median) < 0.1:
         return f"limits of experiment {lead.experiment} differ by less than 0.1 %"
-    return f"limits of experiment {lead.experiment} lie {size_text(100 * distance.median)} {side} it in the median"
+    few = f" of {distance.dampings} only" if distance.dampings < FEW else ""
+    return f"limits of experiment {lead.experiment} lie {size_text(100 * distance.median)} {side} it in the median{few}"
 
 
 def _stiffest(results: Sequence[ExperimentResult], units: Units) -> str:
     """Largest stable stiffness of the first experiment with a boundary, where there is no theory to compare it with."""
     for result in results:
-        stable = [(p.stable, p.damping) for p in result.boundary if p.stable is not None]
-        if stable:
-            stiffness, damping = max(stable)
+        if (point := result.stiffest) is not None:
             least = "at least " if any(p.censored for p in result.boundary) else ""
             return (
                 f"Experiment {result.experiment}: the largest stable stiffness measured is {least}"
-                f"{stiffness_text(stiffness)} {units.stiffness} (at B = {damping_text(damping)} {units.damping})."
+                f"{stiffness_text(point.stable or 0.0)} {units.stiffness} (at B = {damping_text(point.damping)} "
+                f"{units.damping}){step_words(point, units.stiffness)}."
             )
     return ""
 
@@ -152,8 +167,12 @@ def _marks(result: ExperimentResult, stages: ExperimentStages, units: Units) -> 
     """What the answer rests on: the wall law, the loop, and the limits."""
     if result.loop is None:
         return [_limit_mark(result, units)]
-    departures = law_departures(stages)
-    if departures:
+    departures, gains = law_departures(stages), stages.once(other_gains)
+    if gains is not None and gains.most:
+        return [Mark(name="wall_law", state="no", text=gains.cause.sentence)]
+    if gains is not None:
+        law = Mark(name="wall_law", state="partly", text=gains.cause.sentence)
+    elif departures:
         law = Mark(
             name="wall_law", state="no", text=f"Logs do not follow the wall law: {_clause(departures[0].sentence)}."
         )
@@ -164,7 +183,7 @@ def _marks(result: ExperimentResult, stages: ExperimentStages, units: Units) -> 
     if loop.adequate:
         model = Mark(name="loop", state="yes", text=f"Mass, damping and delay explain {share}.")
     else:
-        reason = loop.reason.split("; ")[0]
+        reason = first_clause(loop.reason)
         told = f"{reason[:1].upper()}{reason[1:]}" if reason.startswith(_EXPLAINED) else f"{_NOT_ALL}: {reason}"
         model = Mark(name="loop", state="no", text=f"{told}.")
     return [law, model, _limit_mark(result, units)]

@@ -36,12 +36,16 @@ def causes(result: ExperimentResult, units: Units) -> list[str]:
     band = next((s.band for s in result.scores if s.band is not None), None)
     distance = first.distance
     if distance is not None and abs(distance.median) >= MATTERS:
-        texts += [_delay_alone(result)] if band is None else [_band(band, units)]
+        texts += [_delay_alone(result)] if band is None and not result.causes else []
+        texts += [] if band is None else [_band(band, units)]
     return [text for text in texts if text]
 
 
 def _delay_alone(result: ExperimentResult) -> str:
-    """Return that the delays that the logs leave open explain the limits by themselves, where they do."""
+    """Return that the delays that the logs leave open explain the limits by themselves, where they do.
+
+    Asked only where the logs show no cause: a wide range of delays explains what friction did.
+    """
     theory, delay = result.scores[0].parameters, result.estimates["delay_samples"]
     if delay.low is None or delay.high is None or delay.low == delay.high or too_late(delay):
         return ""

@@ -21,6 +21,7 @@ from pipeline.rendering.labels import (
     range_text,
     share_text,
     size_text,
+    step_words,
     stiffness_text,
 )
 
@@ -189,11 +190,17 @@ def _distance(result: ExperimentResult, units: Units) -> str:
         told = not stiffness.lower_bound or stiffness.deviation_percent > 0
         parts.append(
             f"the largest stable stiffness measured is {least}{stiffness_text(stiffness.measured)} {units.stiffness} "
-            f"(at B = {stiffness.measured_damping:g} {units.damping}), theory says {stiffness_text(stiffness.theory)} "
-            f"{units.stiffness} at {stiffness.theory_damping:.3g} {units.damping}"
+            f"(at B = {stiffness.measured_damping:g} {units.damping}), theory says "
+            f"{stiffness_text(stiffness.theory)} {units.stiffness} at {stiffness.theory_damping:.3g} {units.damping}"
             + (f" ({percent_text(stiffness.deviation_percent)} %)" if told else "")
+            + _for_step(result, units)
         )
     return f"Experiment {result.experiment}: {'; '.join(parts)}." if parts else ""
+
+
+def _for_step(result: ExperimentResult, units: Units) -> str:
+    words = step_words(result.stiffest, units.stiffness) if result.stiffest is not None else ""
+    return f"; the measured one is stable{words}" if words else ""
 
 
 def _device(results: Sequence[ExperimentResult]) -> str:

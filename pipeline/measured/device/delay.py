@@ -94,7 +94,6 @@ def first_change(batch: TrialBatch, response: Response) -> Delays:
             against,
             response.baseline_motion,
             response.floor,
-            limit,
             strict=True,
         )
     )
@@ -116,16 +115,12 @@ def _response(away: Floats, limit: Floats) -> Booleans:
     return moved
 
 
-def _reason(
-    has_edge: bool, edge_reason: str, seen: bool, against: bool, motion: float, floor: float, limit: float
-) -> str:
+def _reason(has_edge: bool, edge_reason: str, seen: bool, against: bool, motion: float, floor: float) -> str:
     if not has_edge:
         return f"delay not identifiable: {edge_reason}"
     if motion > 0:
-        return (
-            f"moving before the step: {motion:.3g} peak to peak, above the sensor floor of {floor:.3g}; "
-            "let the device come to rest before the step"
-        )
+        much = f", peak to peak {motion / floor:.3g} times what its sensor shows at rest" if floor > 0 else ""
+        return f"moving before the step{much}; let the device come to rest before the step"
     if against:
         return "the position moves against the step at first; check the signs of position, command and step"
-    return "" if seen else f"no position change above {limit:.3g} after the command edge"
+    return "" if seen else "no position change beyond what the sensor shows at rest after the command edge"

@@ -22,7 +22,7 @@ def measured_boundary(
     stiffness, damping : float64, shape (n,)
         Virtual stiffness K [N/m, Nm/rad] and damping B [Ns/m, Nms/rad] of the trials.
     verdict : array of str, shape (n,)
-        ``stable``, ``unstable`` or ``undecided``; the last is no evidence for either.
+        ``stable``, ``unstable`` or ``undecided``; the last is no evidence for either, and counted below a stable one.
 
     Returns
     -------
@@ -55,12 +55,14 @@ def measured_boundary(
     below = (said == "stable") & (k < unstable[column])
     stable = np.full(len(levels), -np.inf)
     np.maximum.at(stable, column[below], k[below])
+    undecided = np.bincount(column[(said == "undecided") & (k < stable[column])], minlength=len(levels))
     return tuple(
         BoundaryPoint(
             damping=float(b),
             stable=float(low) if np.isfinite(low) else None,
             unstable=float(high) if np.isfinite(high) else None,
             censored=not np.isfinite(high),
+            undecided=int(count),
         )
-        for b, low, high in zip(levels, stable, unstable, strict=True)
+        for b, low, high, count in zip(levels, stable, unstable, undecided, strict=True)
     )

@@ -1,4 +1,4 @@
-"""Measured stability limit as a value with a 95 % interval at each damping, and the area under it.
+"""Measured stability limit as a value with a 95 % interval at each damping.
 
 The growth rate of a trial passes smoothly through zero at the limit. It tells where the limit lies between the last
 stable and the first unstable trial, and how well that is known; the verdicts tell what is possible at all.
@@ -13,11 +13,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pipeline.base.errors import ParameterError
-from pipeline.base.wording import counted
 from pipeline.measured.experiment.boundary import measured_boundary
 from pipeline.measured.intervals import NORMAL_95, student_95
 from pipeline.records.batch import Booleans, Floats
-from pipeline.records.findings import BoundaryPoint, Estimate
+from pipeline.records.findings import BoundaryPoint
 
 NEAREST = 10
 """Trials next to the limit that are fitted: two coarse and the fine steps of a course (6.1.1), and some more."""
@@ -57,12 +56,9 @@ LARGEST_CONDITION = 1e10
 """Condition of the normal equations beyond which doubles keep fewer than six digits: trials at one stiffness."""
 
 
-LARGEST_UNLOCATED = 0.1
-"""Part of the area at dampings without a stable trial, or with none that surely grows, up to which the area is told,
-with what they leave open."""
-
-FAR = 2.0
-"""Stiffness, relative to that of the softest trial that seems to grow, beyond which no limit lies."""
+WITNESSES = 2
+"""Surely stable trials above an undecided one that outvote it: a motion that sinks below the sensor's floor before a
+mode has grown makes one stiff trial look stable."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,11 +121,12 @@ def boundary_band(
     not average out, and what a line misses of a rate that bends.
 
     The interval is cut to what the verdicts allow: from the stiffest stable trial below all unstable ones to the
-    softest unstable one above all stable ones, so that repeated trials that disagree widen it, and undecided ones do.
-    Verdicts within `CONCLUSIVE` standard errors of zero growth, and those that the sign of the growth contradicts, are
-    not counted. Where the scatter of the rates cannot be told, as with two of them, the allowed range is the interval
-    and the interpolation of two rates, or its middle, the value; a zero outside of it widens it. The limit can
-    therefore lie outside ``stable`` and ``unstable``, which are plain counts of verdicts.
+    softest unstable one above all stable ones, so that repeated trials that disagree widen it, and undecided ones do
+    that `WITNESSES` stiffer ones do not outvote. Verdicts within `CONCLUSIVE` standard errors of zero growth, and those
+    that the sign of the growth contradicts, are not counted. Where the scatter of the rates cannot be told, as with two
+    of them, the allowed range is the interval and the interpolation of two rates, or its middle, the value; a zero
+    outside of it widens it. The limit can therefore lie outside ``stable`` and ``unstable``, which are plain counts of
+    verdicts.
 
     The limit is that of walls with K >= 0. With jitter of the delay it is the limit of the jittering loop, which is
     not that of its mean delay.
@@ -185,75 +182,6 @@ def boundary_band(
     )
 
 
-def boundary_area(points: Sequence[BoundaryPoint], unit: str = "N^2 s/m^2") -> Estimate:
-    """Return the area under the measured boundary, K over B, with its 95 % interval.
-
-    Parameters
-    ----------
-    points : sequence of BoundaryPoint
-        As `boundary_band` returns them.
-    unit : str
-        Of stiffness times damping.
-
-    Returns
-    -------
-    Estimate
-        Its standard error is (high - low)/(2 `NORMAL_95`). No value, but a lower bound in ``low``, where a point has
-        no upper end, or an upper bound in ``high`` where those without an estimate bear more than
-        `LARGEST_UNLOCATED` of it. ``trials`` is the number of dampings.
-
-    Notes
-    -----
-    Trapezoids between the tested dampings, from the first to the last of them. An interval of width w stands for a
-    standard error of w/sqrt(12), that of a uniform distribution, which is more than that of a normal one; errors of
-    different dampings are taken as independent. What the boundary does between the dampings is no part of the error.
-    """
-    method = "trapezoids between the limits at the tested dampings"
-    used = [p for p in points if p.low is not None]
-    if len(used) < 2:
-        reason = f"limits at {counted(len(used), 'damping')}; an area needs two"
-        return Estimate(value=None, unit=unit, method=method, reason=reason, trials=len(used))
-    B, low = np.array([p.damping for p in used]), np.array([p.low for p in used], dtype=np.float64)
-    share = 0.5 * (np.diff(B, prepend=B[0]) + np.diff(B, append=B[-1]))
-    open_ended = np.array([p.high is None for p in used])
-    high = np.array([_far_end(p) for p in used])
-    if open_ended.any() and not share[open_ended] @ high[open_ended] <= LARGEST_UNLOCATED * (share @ low):
-        return Estimate(
-            value=None,
-            low=float(share @ low),
-            unit=unit,
-            method=method,
-            reason=f"at {int(open_ended.sum())} of {len(used)} dampings the tested range ended before an unstable "
-            "trial: a lower bound only",
-            trials=len(used),
-        )
-    limit = np.array([p.estimate for p in used], dtype=np.float64)
-    lost = np.isnan(limit)
-    unlocated = int(lost.sum())
-    # a limit that lies anywhere between two ends is told by their middle, as long as that is no part of the result
-    limit = np.where(lost, 0.5 * (low + high), limit)
-    if float(share[lost] @ high[lost]) > LARGEST_UNLOCATED * float(share @ limit):
-        return Estimate(
-            value=None,
-            high=float(share @ high),
-            unit=unit,
-            method=method,
-            reason=f"at {unlocated} of {len(used)} dampings no trial is surely stable: an upper bound only",
-            trials=len(used),
-        )
-    area = float(share @ limit)
-    error = float(np.sqrt((share**2) @ ((high - low) ** 2 / 12)))
-    reach = NORMAL_95 * error
-    return Estimate(value=area, low=area - reach, high=area + reach, unit=unit, method=method, trials=len(used))
-
-
-def _far_end(point: BoundaryPoint) -> float:
-    """Return the stiffness beyond which a limit does not lie: its end, or `FAR` times that of a trial that may grow."""
-    if point.high is not None:
-        return point.high
-    return np.inf if point.censored or point.unstable is None else FAR * point.unstable
-
-
 def _side_by_side(stiffness: Floats, damping: Floats, verdict: NDArray[np.str_], growth: Floats) -> _Columns:
     """Return the trials with K > 0 by damping, padded with NaN."""
     tried = stiffness > 0
@@ -296,7 +224,7 @@ def _allowed(c: _Columns, scatter: Floats) -> tuple[Floats, Floats]:
 
 
 def _may_grow(c: _Columns, scatter: Floats) -> Booleans:
-    """Trials that are not decided and rather grow, and stable ones behind a peak of the growth rate.
+    """Trials that are not decided and rather grow, unless outvoted, and stable ones behind a peak of the growth rate.
 
     The slowest mode of a rigid loop first dies away faster with K and then slower. Where the rate falls again, the mode
     that had been rising goes on, below the floor beside another one.
@@ -313,9 +241,17 @@ def _may_grow(c: _Columns, scatter: Floats) -> Booleans:
     peak[:, 2:-1] = (here < 0) & (change[:, :-2] > 0) & (change[:, 1:-1] > sure)
     peak[:, 2:-1] &= (-change[:, 2:] > np.maximum(sure, np.abs(here))) & (g[:, 3:] < g[:, 1:-2])
     first = np.where(peak, K, np.inf).min(axis=1, initial=np.inf)
+    behind = c.stable & (c.stiffness > first[:, None])
     undecided = ~c.stable & ~c.unstable & (np.nan_to_num(c.growth) > np.nan_to_num(clear))
-    result: Booleans = undecided | (c.stable & (c.stiffness > first[:, None]))
+    undecided &= c.stiffness > _outvoted(c, c.stable & ~behind & (c.growth < -np.nan_to_num(clear)))[:, None]
+    result: Booleans = undecided | behind
     return result
+
+
+def _outvoted(c: _Columns, sure: Booleans) -> Floats:
+    """Return the stiffness of each damping above which fewer than `WITNESSES` trials are surely stable."""
+    found: Floats = np.sort(np.where(sure, c.stiffness, 0.0), axis=1)[:, -WITNESSES:]
+    return found[:, 0] if found.shape[1] == WITNESSES else np.zeros(len(found))
 
 
 def _pooled(scatter: Floats) -> Floats:

@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from pipeline.base.wording import commonest, percent
+from pipeline.base.wording import of_most, percent
 from pipeline.measured.device import arm_stiffness, damping
 from pipeline.measured.device.forces import OPTIONAL, Forces, identify
 from pipeline.measured.experiment import aggregate
@@ -137,7 +137,7 @@ def mass_estimate(of: Stored) -> Estimate:
     corrected, plain = of.column("mass", "mass"), of.column("mass", "mass_momentum")
     thesis = aggregate.estimate_mass(corrected, plain, unit)
     if thesis.value is None:
-        why = f"{thesis.reason}; most trials: {commonest(of.texts('mass', 'reason'))}"
+        why = f"{thesis.reason}{of_most(of.texts('mass', 'reason'))}"
         thesis = thesis.model_copy(update={"reason": why})
     friction = combined(
         *(of, ("mass", "balance_mass", "balance_mass_error"), unit), "momentum balance with friction (and gravity)"
@@ -169,7 +169,7 @@ def by_joint_balance(of: Stored, term: Term) -> Estimate:
     found, unit = of.once(joint_forces), _UNITS[term][of.rotation]
     method = "joint balance of all trials"
     if found is None:
-        reason = f"no trial allows a balance over its motion; most trials: {commonest(of.texts('damping', 'reason'))}"
+        reason = f"no trial allows a balance over its motion{of_most(of.texts('damping', 'reason'))}"
         return Estimate(value=None, unit=unit, method=method, reason=reason)
     value, trials = found.value.get(term), found.trials
     if value is None:
@@ -180,7 +180,7 @@ def by_joint_balance(of: Stored, term: Term) -> Estimate:
             high=bound,
             unit=unit,
             method=method if bound is None else f"upper bound, as if there were no friction, by the {method}",
-            reason=_not_told(found, term),
+            reason=_not_told(of, found, term),
             trials=trials,
         )
     half, warning = found.half_width[term], None
@@ -216,7 +216,7 @@ def velocity_lag(of: Stored) -> Estimate | None:
     return combined(of, columns, "s", "integral of the logged velocity beside the position")
 
 
-def _not_told(found: Forces, term: Term) -> str:
+def _not_told(of: Stored, found: Forces, term: Term) -> str:
     if found.value:
         if term == "constant_force" and found.one_way:
             return f"all motion is one way, where a constant force and friction are one number; {REVERSAL}"
@@ -225,9 +225,12 @@ def _not_told(found: Forces, term: Term) -> str:
         "the motion does not tell Coulomb friction from inertia and damping: under one constant force, less force "
         "and less mass move alike"
     )
-    if term in found.bound:
-        text += "; the bound holds unless a constant force helps the motion"
-    return f"{text}; record steps of two sizes, or trials that oscillate against a wall"
+    bound = found.bound.get(term)
+    if bound is not None:
+        text += f"; it is at most {bound:.3g} {_UNITS[term][of.rotation]} unless a constant force helps the motion"
+    # steps of several sizes that are there did not tell it either
+    sizes = "" if len(set(np.abs(of.step_sizes).round(12).tolist())) > 1 else "steps of two sizes, or "
+    return f"{text}; record {sizes}trials that oscillate against a wall"
 
 
 def model_mass(of: Stored) -> Estimate:
@@ -265,9 +268,7 @@ def _by_model(of: Stored, name: str, unit: str) -> Estimate:
     )
     if estimate.value is not None:
         return estimate
-    return estimate.model_copy(
-        update={"reason": f"{NOT_EXPLAINED}; most trials: {commonest(of.texts('model', 'reason'))}"}
-    )
+    return estimate.model_copy(update={"reason": f"{NOT_EXPLAINED}{of_most(of.texts('model', 'reason'))}"})
 
 
 def _decay(of: Stored, mass: float, delay: float, unit: str) -> Estimate:

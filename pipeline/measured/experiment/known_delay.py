@@ -6,7 +6,7 @@ from math import ceil, floor
 
 import numpy as np
 
-from pipeline.base.wording import commonest
+from pipeline.base.wording import of_most
 from pipeline.measured.device.onset import SURE_ERROR
 from pipeline.measured.experiment.stored import Stored, combined
 from pipeline.measured.intervals import CONFIDENCE
@@ -103,9 +103,7 @@ def delay_estimate(of: Stored) -> Estimate:
     plain = np.nan_to_num(of.column("delay", "first_change_samples"), nan=NO_ROW).astype(np.int64)
     best = estimate_delay(found, sampling_period_s=of.sampling_period_s)
     if best.value is None:
-        best = best.model_copy(
-            update={"reason": f"{best.reason}; most trials: {commonest(of.texts('delay', 'reason'))}"}
-        )
+        best = best.model_copy(update={"reason": f"{best.reason}{of_most(of.texts('delay', 'reason'))}"})
     onset = combined(
         of, ("delay", "onset_samples", "onset_error"), "samples", "onset of motion, by the motion that the quantum hid"
     )

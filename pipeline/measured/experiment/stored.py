@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, Protocol, TypeVar
 
-from pipeline.base.wording import commonest
+from pipeline.base.wording import of_most
 from pipeline.measured.experiment.combine import combine
 from pipeline.records.batch import Floats
 from pipeline.records.findings import Estimate
@@ -28,6 +28,10 @@ class Stored(Protocol):
     def sampling_period_s(self) -> float:
         """Sampling period T [s]."""
 
+    @property
+    def step_sizes(self) -> Floats:
+        """Step F_0 of each trial by its header [N, Nm]."""
+
     def column(self, stage: str, name: str) -> Floats:
         """Numeric column of a stage, null as NaN."""
 
@@ -44,7 +48,7 @@ class Stored(Protocol):
 def combined(of: Stored, columns: tuple[str, str, str], unit: str, method: str) -> Estimate:
     """Return the value of an experiment from stage, column of values and column of errors of its trials."""
     stage, value, error = columns
-    reasons = f"; most trials: {commonest(of.texts(stage, 'reason'))}" if stage != "wall_law" else ""
+    reasons = of_most(of.texts(stage, "reason")) if stage != "wall_law" else ""
     return combine(
         *(of.column(stage, value), of.column(stage, error), of.texts(stage, "trial_id"), unit, method),
         f"no trial has a value with an interval{reasons}",

@@ -54,13 +54,14 @@ CODES = (
 
 @dataclass(frozen=True)
 class Departure:
-    """One way in which a log departs from the wall law: code, a sentence with its numbers, rows concerned."""
+    """One way in which a log departs from the wall law; ``obeyed`` are K, B and step that another wall has."""
 
     code: str
     evidence: str
     rows: int = 0
     value: float | None = None
     filter: VelocityFilterFound | None = None
+    obeyed: tuple[float, float, float] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -267,6 +268,7 @@ def _offset(log: LogRows) -> tuple[Departure, ...] | None:
                 f"the step is {log.step + value:.6g}, its header says {log.step:.6g}",
                 int(log.after.sum()),
                 log.step + value,
+                obeyed=(log.stiffness, log.damping, log.step + value),
             ),
         )
     return None
@@ -331,25 +333,25 @@ def _other_wall(log: LogRows) -> tuple[Departure, ...] | None:
         return None
     # what moves the command by less than its rounding is nothing
     values[np.abs(values) * np.abs(terms).max(axis=0) <= log.rounding] = 0.0
-    step, stiffness, damping = values
+    step, stiffness, damping = map(float, values)
     evidence = (
         f"the command obeys K = {stiffness:.6g}, B = {damping:.6g} and a step of {step:.6g}; its header says "
         f"K = {log.stiffness:.6g}, B = {log.damping:.6g}, {log.step:.6g}"
     )
-    return (Departure("other_wall", evidence, len(log.command)),)
+    return (Departure("other_wall", evidence, len(log.command), obeyed=(stiffness, damping, step)),)
 
 
 def _other_unit(log: LogRows) -> tuple[Departure, ...] | None:
     """Stiffness and damping that are a power of ten times the header's, however the velocity is filtered."""
-    scale = scale_in(log)
-    if scale is None or not power_of_ten(scale.wall):
+    if (scale := scale_in(log)) is None or not power_of_ten(scale.wall):
         return None
     stiffness, damping = scale.wall * log.stiffness, scale.wall * log.damping
     evidence = (
         f"the command obeys about K = {stiffness:.3g}, B = {damping:.3g}; its header says K = {log.stiffness:.6g}, "
         f"B = {log.damping:.6g}"
     )
-    return (Departure("other_unit", evidence, len(log.command), scale.wall),)
+    found = (stiffness, damping, scale.step * log.step)
+    return (Departure("other_unit", evidence, len(log.command), scale.wall, obeyed=found),)
 
 
 def _filtered(log: LogRows, clipped: Booleans | None = None) -> tuple[Departure, ...] | None:

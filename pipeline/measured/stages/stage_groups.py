@@ -12,8 +12,9 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from pipeline.measured.signal.response import Response, declare_edge, find_response
+from pipeline.measured.signal.response import NO_ROW, Response, declare_edge, find_response
 from pipeline.measured.signal.sample_grid import SampleGrid, sample_grid
+from pipeline.measured.signal.stated_wall import OtherWalls, other_walls
 from pipeline.measured.signal.verdict import Verdicts
 from pipeline.records.batch import Booleans, Integers, TrialBatch
 
@@ -78,17 +79,31 @@ class TrialGroup:
         some.found = self.found.select(index)
         return some
 
-    def held_by(self, spring: float) -> TrialGroup:
-        """Return the trials as costs see them where a spring k holds the device; the group itself for k = 0.
+    @cached_property
+    def other_walls(self) -> OtherWalls:
+        """Which commands obey another wall than their headers state."""
+        return self.once(other_walls)
 
-        It rests at x_0 + F_0/(K + k), and the wall that stores the energy has K + k (5.7).
+    def held_by(self, spring: float) -> TrialGroup:
+        """Return the trials as costs see them where a spring k holds the device; the group itself where it is the same.
+
+        It rests at x_0 + F_0/(K + k), and the wall that stores the energy has K + k (5.7). A log whose command obeys
+        another wall than stated has no start of a response by which costs in these units would count.
         """
-        if not spring:
+        other, found, logged = self.other_walls.reason, self.found, self.logged
+        if not spring and not any(other):
             return self
-        wall = self.logged.stiffness
-        held = TrialGroup(replace(self.logged, stiffness=np.where(wall > 0, wall + spring, wall)), self.verdicts)
-        shift = self.logged.step / np.where(wall > 0, wall + spring, np.nan)
-        held.found = replace(self.found, position_final_expected=self.found.position_start + shift)
+        if spring:
+            wall = logged.stiffness
+            logged = replace(logged, stiffness=np.where(wall > 0, wall + spring, wall))
+            shift = logged.step / np.where(wall > 0, wall + spring, np.nan)
+            found = replace(found, position_final_expected=found.position_start + shift)
+        held = TrialGroup(logged, self.verdicts)
+        held.found = replace(
+            found,
+            edge_row=np.where([bool(text) for text in other], NO_ROW, found.edge_row),
+            edge_reason=tuple(text or why for text, why in zip(other, found.edge_reason, strict=True)),
+        )
         return held
 
     def beginning(self) -> tuple[TrialGroup, Integers]:
@@ -127,7 +142,7 @@ class TrialGroup:
 
     def _of(self, batch: TrialBatch) -> TrialGroup:
         group = TrialGroup(batch, self.verdicts)
-        group.found = self.grid.response
+        group.found, group.other_walls = self.grid.response, self.other_walls
         return group
 
     @cached_property

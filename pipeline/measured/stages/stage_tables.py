@@ -273,6 +273,11 @@ class StageTables:
         """Return a text column of a stage, null as an empty string."""
         return [text or "" for text in self.table(stage).column(name).to_pylist()]
 
+    @property
+    def step_sizes(self) -> Floats:
+        """Step F_0 of each trial by its header [N, Nm]."""
+        return np.asarray(self.trials.column("step").to_numpy(), dtype=np.float64)
+
     @cached_property
     def verdicts(self) -> Verdicts:
         """Verdict of each trial, as stored."""

@@ -13,13 +13,14 @@ from pipeline.measured.stages.stage_groups import Columns, Given, TrialGroup
 
 def columns(of: TrialGroup, given: Given) -> Columns:
     """Return the columns of the stage for some trials."""
-    law, lags = wall_law(of.batch, of.found), lags_of(of.batch)
+    law, lags, obeyed = of.once(wall_law), lags_of(of.batch), of.other_walls.obeyed
     return conditions(of) | {
         "law_residual": law.residual,
         "law_rounding": law.rounding,
         "law_codes": [",".join(each.code for each in found) for found in law.departures],
         "law_evidence": ["; ".join(each.evidence for each in found) for found in law.departures],
         "law_rows": [max((each.rows for each in found), default=0) for found in law.departures],
+        **{f"obeyed_{name}": obeyed[:, i] for i, name in enumerate(("stiffness", "damping", "step"))},
         "velocity_filter": [_filter(found) for found in law.departures],
         "velocity_lag": [each.lag_s for each in lags],
         "velocity_lag_error": [each.standard_error_s for each in lags],

@@ -46,7 +46,7 @@ STAGES: dict[str, Stage] = {
     "response": Stage(rows=stage_response.columns),
     "wall_law": Stage(("response",), stage_wall_law.columns),
     "outcome": Stage(("response",), stage_outcome.columns, stage_outcome.given_of),
-    "boundary": Stage(("response",), whole=stage_boundary.columns),
+    "boundary": Stage(("response", "wall_law"), whole=stage_boundary.columns),
     "delay": Stage(("response",), stage_delay.columns),
     "model": Stage(("response",), stage_model.columns),
     "ladder": Stage(("response", "wall_law", "model"), whole=stage_ladder.columns),
@@ -127,18 +127,20 @@ class ExperimentStages(StageTables):
     def optimum(self, criterion: str) -> Optimum | None:
         """Return the best trial by a criterion, or None where no trial has that cost."""
         cost, _ = self.cost(criterion)
-        table = self.table("response")
+        trials, floor = self.texts("response", "trial_id"), self.floor(criterion)
+        # what obeys another wall than stated was not tested there
+        stated = np.flatnonzero(np.isnan(self.column("wall_law", "obeyed_stiffness")))
         best = aggregate.choose_optimum(
-            cost,
-            self.column("response", "stiffness"),
-            self.column("response", "damping"),
-            tuple(table.column("trial_id").to_pylist()),
-            unstable=self.verdicts.verdict == "unstable",
-            floor=self.floor(criterion),
+            cost[stated],
+            self.column("response", "stiffness")[stated],
+            self.column("response", "damping")[stated],
+            tuple(trials[i] for i in stated),
+            unstable=self.verdicts.verdict[stated] == "unstable",
+            floor=None if floor is None else floor[stated],
         )
         if best is None:
             return None
-        trial = list(self.texts("response", "trial_id")).index(str(best.trial_id))
+        trial = trials.index(str(best.trial_id))
         low, high = (float(ends[trial]) for ends in self.cost_interval(criterion))
         return best.model_copy(
             update={"cost_low": None if np.isnan(low) else low, "cost_high": None if np.isnan(high) else high}

@@ -7,7 +7,7 @@ from typing import Any
 
 from pipeline.records.criteria import criterion_of
 from pipeline.records.models import Motion
-from pipeline.records.results import ComparisonResult, ExperimentResult
+from pipeline.records.results import ComparisonResult, ExperimentResult, UsePoint
 from pipeline.records.trial_codec import NO_TRIALS, TrialPage
 from pipeline.rendering.labels import (
     UNITS,
@@ -42,12 +42,18 @@ def use_facts(result: ExperimentResult, units: Units) -> dict[str, str]:
             f"B = {damping_text(point.damping)} {units.damping}"
         ),
         **{criterion_name(name).partition(" (")[0]: _with_time(result, name, point.costs[name]) for name in names},
-        "limit": f"at least {significant(point.margin, 2)} times as stiff",
+        "limit": f"at least {significant(point.margin, 2)} times as stiff{_harder(point)}",
         f"{use.trials} walls around": (
             f"K = {range_text(stiffness_text, use.stiffness_low, use.stiffness_high)} {units.stiffness}, "
             f"B = {range_text(damping_text, use.damping_low, use.damping_high)} {units.damping}{costs}"
         ),
     }
+
+
+def _harder(point: UsePoint) -> str:
+    if point.margin_large_motion is None:
+        return ""
+    return f" for this step, {significant(point.margin_large_motion, 2)} times for a harder push"
 
 
 def _with_time(result: ExperimentResult, name: str, cost: float) -> str:

@@ -37,6 +37,7 @@ PARTS = (
     "of single trials against theory's (95 %); selection, the best single trial against that."
 )
 NOT_PUBLISHED = "not published"
+UNDECIDED_BELOW = "A trial below it is undecided: no evidence against it, and worth a look or a repetition."
 TESTED_RANGE_ENDED = "The tested range ended before an unstable trial."
 
 
@@ -87,12 +88,16 @@ def boundary_table(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> T
         column = partial(Column, group=f"experiment {e.experiment}", why="not tested at this damping")
         columns += [column(f"{e.experiment}/{name}", name) for name in ("stable", "unstable")]
         columns.append(column(f"{e.experiment}/limit", "limit, 95 %"))
+        if any(p.stiffness_large_motion is not None for p in e.boundary):
+            columns.append(column(f"{e.experiment}/large", "harder push", show=stiffness_text))
         if any(p.truth is not None for p in e.boundary):
             columns.append(column(f"{e.experiment}/truth", "truth", show=stiffness_text))
     caption = (
         f"Largest stable and smallest unstable stiffness [{units.stiffness}] at each damping, and the limit by the "
         "growth rates of the trials around it"
     )
+    if any(p.stiffness_large_motion is not None for e in tested for p in e.boundary):
+        caption += "; with friction both hold for this step, and a harder push is unstable from the linear limit on"
     table = Table("boundary", caption, columns)
     for damping in sorted({p.damping for e in tested for p in e.boundary}):
         values: dict[str, Any] = {"damping": damping}
@@ -282,12 +287,14 @@ def _limit_cells(
     name = experiment.experiment
     stable, unstable = (places.get((name, damping, k or 0.0), "") for k in (point.stable, point.unstable))
     marks = table.mark(note)
+    below = table.mark(UNDECIDED_BELOW if point.undecided else None)
     return {
-        f"{name}/stable": number(point.stable, stiffness_text, "no stable trial", trial=stable),
+        f"{name}/stable": number(point.stable, stiffness_text, "no stable trial", trial=stable, marks=below),
         f"{name}/unstable": missing(note or "no unstable trial", marks=marks)
         if point.unstable is None
         else Cell(point.unstable, stiffness_text(point.unstable), marks=marks, trial=unstable),
         f"{name}/limit": _limit_cell(point),
+        f"{name}/large": point.stiffness_large_motion,
         f"{name}/truth": point.truth,
     }
 

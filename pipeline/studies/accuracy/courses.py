@@ -11,7 +11,8 @@ import numpy as np
 
 from pipeline.measured.experiment.aggregate import choose_optimum
 from pipeline.measured.experiment.boundary import measured_boundary
-from pipeline.measured.experiment.boundary_band import boundary_area, boundary_band
+from pipeline.measured.experiment.boundary_area import boundary_area
+from pipeline.measured.experiment.boundary_band import boundary_band
 from pipeline.records.accuracy import Rung
 from pipeline.records.batch import Booleans, Floats, Integers
 from pipeline.records.findings import BoundaryPoint

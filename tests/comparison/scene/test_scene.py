@@ -8,7 +8,7 @@ from pipeline.measured.stages.stages import STAGES
 
 # What each quantity needs, from the definitions (6.1.4, 6.2.2): overshoot and boundary need neither delay nor mass,
 # settling needs the delay, energy delay and mass; the mass comes from the model or is corrected by the damping
-ALWAYS = {"response", "outcome", "boundary"}
+ALWAYS = {"response", "wall_law", "outcome", "boundary"}
 NEEDED = {
     ("overshoot",): ALWAYS | {"overshoot"},
     ("settle_2pct",): ALWAYS | {"wall_law", "delay", "model", "ladder", "settling"},

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from pipeline.comparison.scores.overlap import measured_limits
 from pipeline.comparison.summary.advice import CALM, FAR, recommended, region_to_use, use_text
@@ -83,6 +84,25 @@ def test_where_no_cost_tells_the_stiffest_walls_far_from_the_limit_are_named(fal
     named = result.model_copy(update={"use": use, "use_reason": why})
     assert "settling time, 2 % band:" not in use_text(named, UNITS["translation"])
     assert "which one is best cannot be told, since only 0 of " in use_text(named, UNITS["translation"])
+
+
+@pytest.mark.parametrize("spoilt", ["disturbed", "without costs"])
+def test_the_wall_to_set_has_a_clean_trial_with_costs(falcon, falcon_outcome, monkeypatch, spoilt):
+    """Where settling times are missing, the stiffest walls are named: not one whose own trial was bumped."""
+    result = falcon_outcome.result.experiments[0]
+    stages = ExperimentStages.stored(falcon.processed, "falcon", "1")
+    hidden(stages, monkeypatch, np.full(len(stages.sure_cost("settle_2pct")), np.nan))
+    ids, chosen = stages.texts("response", "trial_id"), []
+    own, texts = stages.sure_cost, stages.texts
+    for _ in range(3):
+        chosen.append(region_to_use(result, stages)[0].point.trial_id)
+        off = np.isin(ids, chosen)
+        if spoilt == "disturbed":
+            ended = np.where(off, "disturbed", texts("outcome", "outcome")).tolist()
+            monkeypatch.setattr(stages, "texts", lambda s, n, e=ended: e if n == "outcome" else texts(s, n))
+        else:
+            monkeypatch.setattr(stages, "sure_cost", lambda name, off=off: np.where(off, np.nan, own(name)))
+    assert len(set(chosen)) == 3
 
 
 def test_walls_that_overshoot_far_are_not_named(falcon, falcon_outcome, monkeypatch):

@@ -100,6 +100,10 @@ def row(model, percent):
 def test_optimal_costs_are_told_with_sign_and_interval_or_why_single_trials_lie_elsewhere():
     one = optimal_costs([row(-24.1, -20.3)])
     assert one == ", the least energy cost, w = 0, 24 % below (95 %: \N{MINUS SIGN}42 to \N{MINUS SIGN}1 %)"
+    alone = row(-24.1, -20.3)
+    alone = alone.model_copy(update={"deviation": alone.deviation.model_copy(update={"steady": False})})
+    assert optimal_costs([alone]) == f"{one}, which rests on few trials"
+    assert optimal_costs([alone, row(0.01, 0.2), row(-0.02, 0.1)]).endswith("by less than 0.1 %")
     several = optimal_costs([row(0.01, 20.0), row(-0.02, 104.6)])
     assert "by less than 0.1 %; best trials up to 105 % above theory's optima" in several
     assert optimal_costs([row(0.01, 0.2), row(-0.02, 0.1)]).endswith("by less than 0.1 %")

@@ -7,7 +7,7 @@ from report_data import BOUND
 
 from pipeline.comparison.summary.advice import passive_choice
 from pipeline.comparison.summary.causes import causes
-from pipeline.records.loop_records import PassiveWall
+from pipeline.records.loop_records import Cause, PassiveWall
 from pipeline.records.score_records import BandScore, Departure
 from pipeline.rendering.labels import UNITS
 
@@ -57,6 +57,9 @@ def test_delays_that_the_logs_leave_open_are_told_where_they_explain_the_limits_
     jittering = shifted.model_copy(update={"estimates": result.estimates | {"delay_samples": delay}})
     (text,) = causes(jittering, FALCON)
     assert text.startswith("Delays of 3 to 6 samples in the logs (theory: 4) could alone explain ")
+    # beside what the logs show, a wide range of delays is no cause
+    friction = Cause(code="coulomb_friction", sentence="The device has Coulomb friction of 0.9 N.", evidence="")
+    assert causes(jittering.model_copy(update={"causes": (friction,)}), FALCON) == []
     sure = delay.model_copy(update={"high": 3.0})
     assert causes(shifted.model_copy(update={"estimates": result.estimates | {"delay_samples": sure}}), FALCON) == []
 

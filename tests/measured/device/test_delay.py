@@ -60,7 +60,8 @@ def test_a_trial_that_moves_before_the_step_has_no_delay():
     response = dataclasses.replace(find_response(moving), edge_row=np.array([20]))
     found = first_change(moving, response)
     assert found.delay_samples.tolist() == [-1]
-    assert found.reason[0].startswith("moving before the step: 8e-06 peak to peak")
+    assert found.reason[0].startswith("moving before the step, peak to peak ")
+    assert "times what its sensor shows at rest; let the device come to rest" in found.reason[0]
 
 
 def test_a_declared_step_row_replaces_the_baseline():

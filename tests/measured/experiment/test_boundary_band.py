@@ -10,7 +10,8 @@ import pytest
 from pipeline.base.errors import ParameterError
 from pipeline.comparison.scores.overlap import measured_limits
 from pipeline.device_data.devices import load_device
-from pipeline.measured.experiment.boundary_band import boundary_area, boundary_band
+from pipeline.measured.experiment.boundary_area import boundary_area
+from pipeline.measured.experiment.boundary_band import boundary_band
 from pipeline.measured.intervals import NORMAL_95
 from pipeline.measured.signal.verdict import judge
 from pipeline.records.findings import BoundaryPoint
@@ -150,6 +151,24 @@ def test_without_rates_the_bracket_is_the_interval():
 
 def test_undecided_trials_widen_the_interval():
     assert unknown([200.0, 400.0, 600.0], ["stable", "undecided", "unstable"]) == (400.0, 200.0, 600.0)
+
+
+def test_an_undecided_trial_below_stable_ones_is_remarked_on_and_no_more():
+    """A course with jitter at B = 176 Ns/m, and one at B = 112 Ns/m: single trials far below the limit seem to grow."""
+    K = np.array([1600.0, 2400, 3200, 4000, 4480, 4640, 4800, 5600])
+    growth = np.array([-3.1, 1.2, -6.3, -5.0, -2.4, -2.1, 0.9, 2.6])
+    said = np.array(["stable", "undecided", *["stable"] * 4, *["unstable"] * 2])
+    (point,) = boundary_band(K, np.full(8, 176.0), said, growth)
+    assert point.undecided == 1
+    decided = np.delete(np.arange(8), 1)
+    (without,) = boundary_band(K[decided], np.full(7, 176.0), said[decided], growth[decided])
+    assert (point.low, point.high) == pytest.approx((without.low, without.high), rel=0.01)
+    assert 4400 < point.low < point.estimate < point.high
+    # one below the limit itself leaves open where that lies
+    said[5], growth[5] = "undecided", 0.5
+    (near,) = boundary_band(K, np.full(8, 176.0), said, growth)
+    assert (near.stable, near.undecided) == (4480, 1)
+    assert near.low < 4640
 
 
 def test_growth_that_begins_below_a_stable_trial_widens_the_interval():
