@@ -273,7 +273,7 @@ def _column(
     edges = walls(max(of.bottom, aim.lowest), top, estimate, told.error, width, largest)
     # neither walls next to undecided ones, nor what a rig that rounds made another wall of
     away = ASIDE * width
-    barred = [(wall - away, wall + away) for wall in open_walls] + rig.rounded(of, half)
+    barred = [(wall - away, wall + away) for wall in open_walls] + rig.rounded(of, half, away)
     for low, high in barred:
         edges = edges[(edges < low) | (edges > high) | (edges == edges[0]) | (edges == edges[-1])]
     chance = chances(edges, value, told.error if told.adequate else inf)

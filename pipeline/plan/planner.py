@@ -8,10 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
+from pipeline.base.disk import if_writable
 from pipeline.base.errors import UsageError
+from pipeline.base.lock import holder
 from pipeline.plan.answer import Area, Best, Limit, Next, Plan
 from pipeline.plan.course import Course, Wish, beginning, open_course, stated_loop, wanted_dampings
-from pipeline.plan.limits import Aim, Column, State, order, state
+from pipeline.plan.limits import GENTLE_START, START, Aim, Column, State, order, state
 from pipeline.plan.optimum import Foreseen, Search, look_for
 from pipeline.plan.requests import Requests, requests_folder, snapped, write_requests
 
@@ -23,6 +25,12 @@ NOTES = {
     "from below": "told by the decay of stable walls and by the loop of all logs",
 }
 """What is said of a damping that is done for a reason of its own."""
+
+BESIDE = (
+    "{} plans this experiment, too: both name the same walls, and each would be measured twice. End one of them, or "
+    "give each its own dampings (--dampings)"
+)
+"""What is said where another planner runs beside a rig."""
 
 NOWHERE = (
     "no damping is left at which the rig sets walls as asked: mend that, and remove the folder `.plan` of the store"
@@ -59,16 +67,23 @@ def plan(name: str, processed: Path, experiment: str | None = None, wish: Wish |
     wish = wish or Wish()
     course = open_course(name, processed, experiment, wish)
     answer = plan_of(course, wish)
-    remember(course, answer, processed)
+    folder = requests_folder(processed, course.name, course.experiment)
+    if (other := holder(folder)) is not None:
+        return with_remark(answer, BESIDE.format(other))
+    if processed.is_dir():
+        with if_writable():
+            write_requests(folder, asked_of(course, answer))
     return answer
 
 
-def remember(course: Course, answer: Plan, processed: Path) -> Requests:
-    """Keep what is asked for, in a store that is there, and return it with all that was asked before."""
-    asked = course.requests.asking([(wall.stiffness, wall.damping) for wall in answer.next], course.walls)
-    if processed.is_dir():
-        write_requests(requests_folder(processed, course.name, course.experiment), asked)
-    return asked
+def asked_of(course: Course, answer: Plan) -> Requests:
+    """Return what is asked for now, with all that was asked before."""
+    return course.requests.asking([(wall.stiffness, wall.damping) for wall in answer.next], course.walls)
+
+
+def with_remark(answer: Plan, remark: str) -> Plan:
+    """Return a plan of which something more is to be said."""
+    return answer.model_copy(update={"remarks": (*answer.remarks, remark)})
 
 
 def plan_of(course: Course, wish: Wish) -> Plan:
@@ -227,7 +242,10 @@ def _search(course: Course, wish: Wish, found: State, aim: Aim) -> Search:
         limits[i] = np.clip(limits[i], column.bracket.bottom, min(column.bracket.top, aim.highest))
     if not limits.max() > aim.lowest:
         raise UsageError(f"device {course.name!r}: no wall is expected to be stable, so that none has a cost.")
-    return look_for(course.tried, np.array(aim.dampings), limits, wish.criterion, by, OPTIMUM_ACCURACY, wish.count)
+    if not len(course.tried):
+        limits *= GENTLE_START if aim.gentle else START
+    about = wish.criterion, by, OPTIMUM_ACCURACY, wish.count
+    return look_for(course.tried, np.array(aim.dampings), limits, *about, course.requests)
 
 
 def _walls_of(search: Search, course: Course, wish: Wish, found: State, aim: Aim) -> tuple[Next, ...]:

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.base.disk import if_writable, write_text
+from pipeline.base.disk import write_text
 from pipeline.plan.verdicts import Bracket, Tried
 from pipeline.records.batch import Floats
 from pipeline.store.names import folder_name
@@ -27,6 +27,9 @@ SAME = 0.002
 
 IN_VAIN = 3
 """Requests that were answered by other walls, after which the rig is taken at its word."""
+
+BEYOND = 0.25
+"""How far beyond a wall that was rounded its neighbours are thought to be, relative to what was rounded off."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,13 +50,13 @@ class Answers:
         closed = of.low is not None and of.high is not None and int(inside.sum()) >= IN_VAIN
         return closed or of.top - of.bottom <= 1.01 * self.step
 
-    def rounded(self, of: Bracket, least: float) -> list[tuple[float, float]]:
-        """Return ranges of K that become another wall: from what was asked for to what was logged.
+    def rounded(self, of: Bracket, least: float, aside: float) -> list[tuple[float, float]]:
+        """Return ranges of K that become another wall: from what was asked for to what was logged, and ``aside`` of it.
 
         Where the other end of the bracket is not known yet, they reach twice as far and at least ``least``, so that
         the next request leaves them.
         """
-        ranges = [(min(pair), max(pair)) for pair in self.missed.tolist()]
+        ranges = [(min(pair) - aside, max(pair) + aside) for pair in self.missed.tolist()]
         if of.low is None or of.high is None:
             far = [(max(2 * abs(asked - logged), least), logged) for asked, logged in self.missed.tolist()]
             ranges += [(logged - off, logged + off) for off, logged in far]
@@ -138,6 +141,16 @@ class Requests:
         finest = float(np.diff(np.unique(stiffness)).min(initial=np.inf))
         return [replace(own, step=step) for own in found] if finest > 0.9 * step else found
 
+    def as_set(self, stiffness: Floats, damping: Floats) -> tuple[Floats, Floats]:
+        """Return walls as the rig sets them: all from what was asked for, and a little beyond, to what it logged."""
+        found = [stiffness, damping]
+        # who does something else once in a while rounds nothing
+        for asked, logged in self.others if len(self.others) > self.kept else ():
+            for i, (ask, log) in enumerate(zip(asked, logged, strict=True)):
+                low, high = sorted((ask + BEYOND * (ask - log), log))
+                found[i] = np.where((found[i] >= low) & (found[i] <= high), log, found[i])
+        return found[0], found[1]
+
     def remark(self, rotation: bool) -> str | None:
         """Return what is to be said of a rig that logs other walls than were asked for."""
         if not self.others:
@@ -178,9 +191,8 @@ def read_requests(folder: Path) -> Requests:
 
 
 def write_requests(folder: Path, requests: Requests) -> None:
-    """Keep what was asked for, where the store may be written."""
-    with if_writable():
-        write_text(folder / "asked.json", json.dumps(asdict(requests)))
+    """Keep what was asked for."""
+    write_text(folder / "asked.json", json.dumps(asdict(requests)))
 
 
 def walls_of(stiffness: Floats, damping: Floats) -> tuple[Wall, ...]:
