@@ -20,8 +20,8 @@ from pipeline.base.errors import UsageError
 from pipeline.service.settings import Settings
 from pipeline.service.unix_socket import listening
 
-BACKLOG = 2048
-"""Connections that the system keeps until they are accepted."""
+BACKLOG, AT_ONCE = 2048, 16
+"""Connections that the system keeps until they are accepted, and that are accepted before those too many are closed."""
 
 
 class Connection(H11Protocol):
@@ -94,13 +94,23 @@ class Connection(H11Protocol):
             self.transport.abort()
 
 
+class _Server(uvicorn.Server):
+    """The server; asyncio has one number for what it accepts at once and what the system keeps."""
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Begin to listen."""
+        await super().startup(sockets)
+        for each in sockets or ():
+            each.listen(BACKLOG)
+
+
 def server_of(app: ASGIApp, settings: Settings) -> uvicorn.Server:
     """Return the server of an application."""
     protocol = partial(Connection, held={}, settings=settings)
-    return uvicorn.Server(
+    return _Server(
         uvicorn.Config(
             app, http=protocol, log_config=None, access_log=False, server_header=False, proxy_headers=False,  # type: ignore[arg-type]
-            timeout_graceful_shutdown=5, backlog=BACKLOG,
+            timeout_graceful_shutdown=5, backlog=AT_ONCE,
         )
     )  # fmt: skip
 
