@@ -64,9 +64,18 @@ def make_folders(folders: Iterable[Path]) -> None:
             here = here.parent
         for new in reversed(missing):
             with suppress(FileExistsError):  # another process may have made it meanwhile
-                os.mkdir(new)
+                os.mkdir(new, readable_in(new.parent, 0o777))
             parents[new.parent] = None
     _for_each(sync_folder, list(parents))
+
+
+def readable_in(folder: Path, mode: int = _READABLE) -> int:
+    """Return the mode of what is made in a folder: who may not enter that may not read this, wherever it is moved."""
+    try:
+        around = os.stat(folder).st_mode & 0o777
+    except FileNotFoundError:
+        return mode
+    return mode & (around | 0o600 | around >> 2 & 0o111)
 
 
 def _for_each(work: Callable[[Item], None], items: Sequence[Item]) -> None:
@@ -163,7 +172,7 @@ class NewFile:
         self._folder = folder
         self._temporary = folder / f".{_short(label)}.{secrets.token_hex(8)}{TEMPORARY_ENDING}"
         # opened here: Python closes every stream that was begun, and tells from 3.13 on where that fails
-        number = os.open(self._temporary, _NEW, 0o600 if like else _READABLE)
+        number = os.open(self._temporary, _NEW, 0o600 if like else readable_in(folder))
         self._raw = _Descriptor(self._temporary, number)
         if like and hasattr(os, "fchmod"):
             os.fchmod(self._raw.number, _shared_mode(like, os.fstat(self._raw.number)))

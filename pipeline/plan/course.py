@@ -20,6 +20,7 @@ from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.plan.fitted import Climb, Fitted, at_once, learn
 from pipeline.plan.forecast import Forecast
 from pipeline.plan.model import Range
+from pipeline.plan.requests import NOTHING_ASKED, Requests, Wall, read_requests, requests_folder, walls_of
 from pipeline.plan.verdicts import Tried
 from pipeline.records.batch import TrialBatch
 from pipeline.records.models import Device, Experiment
@@ -83,7 +84,7 @@ class Wish:
 class Course:
     """Trials of one experiment so far, and where it started: the file's experiment where there is one.
 
-    ``fitted`` is the device that its logs show.
+    ``fitted`` is the device that its logs show; ``walls`` are those of all logs, and ``requests`` what was asked for.
     """
 
     name: str
@@ -96,6 +97,8 @@ class Course:
     step: float
     rotation: bool
     fitted: Fitted | None = None
+    walls: tuple[Wall, ...] = ()
+    requests: Requests = NOTHING_ASKED
 
 
 def open_course(
@@ -105,6 +108,7 @@ def open_course(
     wish: Wish,
     known: Fitted | None = None,
     look: Climb = at_once,
+    requests: Requests | None = None,
 ) -> Course:
     """Return the stored trials of an experiment; errors as of `plan`.
 
@@ -116,12 +120,15 @@ def open_course(
         The device that fewer logs have shown.
     look : Climb
         What looks for the parts of the device.
+    requests : Requests, optional
+        What was asked for so far; by default what the store says.
     """
     device = read_device(Path(name)) if name.endswith(".toml") else known_devices().get(name)
     name = device.name if device else name
     stored = list_experiments(processed, name) if processed.is_dir() else []
     chosen = _experiment(name, experiment, stored, device)
     of_file = next((e for e in device.experiments if e.name == chosen), None) if device else None
+    requests = requests if requests is not None else read_requests(requests_folder(processed, name, chosen))
     if chosen not in stored:
         if device is None:
             raise DeviceError(f"device {name!r}: no device file and no log of it in {processed}; {RANGE_NEEDED}.")
@@ -129,7 +136,7 @@ def open_course(
         nothing = np.empty(0)
         tried = Tried(nothing, nothing, np.empty(0, dtype="<U9"), nothing)
         about = device.sampling_period_s, device.duration_s - device.baseline_s, device.step
-        return Course(name, chosen, tried, device, of_file, *about, device.motion == "rotation")
+        return Course(name, chosen, tried, device, of_file, *about, device.motion == "rotation", None, (), requests)
     trials = read_trials(processed, name, chosen)
     stages = ExperimentStages(processed, name, chosen, trials, spring=declared_spring(device, chosen))
     columns = {key: stages.column("response", key) for key in ("stiffness", "damping", "growth_per_s")}
@@ -147,6 +154,7 @@ def open_course(
         force,
         cost,
     )
+    walls = walls_of(tried.stiffness, tried.damping)
     period = float(np.median(trials.column("sampling_period_s").to_numpy()))
     return Course(
         name,
@@ -159,6 +167,8 @@ def open_course(
         float(np.max(np.abs(trials.column("step").to_numpy()))),
         "rotation" in trials.column("motion").to_pylist(),
         learnt(processed, trials, known, look),
+        walls,
+        requests.answered(walls),
     )
 
 

@@ -11,6 +11,7 @@ from pipeline.plan.evidence import Evidence, evidence, informative, told_by_rate
 from pipeline.plan.fitted import Fitted
 from pipeline.plan.forecast import INADEQUATE, Forecast, forecast, found_misfit
 from pipeline.plan.model import Range, foretold
+from pipeline.plan.requests import NOTHING_ASKED, Answers, Requests
 from pipeline.plan.split import Split, best_split
 from pipeline.plan.verdicts import Bracket, Tried, bracket
 from pipeline.records.batch import Booleans, Floats
@@ -44,6 +45,9 @@ UNTOLD = 3
 
 LEAST = 0.01
 """Largest limit below which no stable wall is looked for any more, relative to that expected at first."""
+
+START, GENTLE_START = 0.5, 0.3
+"""Stiffest first wall, relative to the limit that a device file predicts: a file may state half the true delay."""
 
 HIGHER = 1.3
 """How far above the largest limit known a limit is looked for, relative to it."""
@@ -128,7 +132,14 @@ class State:
         return sum(_trials_left(column) for column in self.columns)
 
 
-def state(tried: Tried, aim: Aim, around: Range, start: Forecast | None = None, device: Fitted | None = None) -> State:
+def state(
+    tried: Tried,
+    aim: Aim,
+    around: Range,
+    start: Forecast | None = None,
+    device: Fitted | None = None,
+    requests: Requests = NOTHING_ASKED,
+) -> State:
     """Return what is known and left to do at each damping.
 
     Parameters
@@ -142,6 +153,8 @@ def state(tried: Tried, aim: Aim, around: Range, start: Forecast | None = None, 
         What is known before any trial; used where there is none.
     device : Fitted, optional
         The device that the logs show.
+    requests : Requests
+        What was asked for so far.
     """
     levels = np.unique(np.concatenate([tried.damping, aim.dampings]))
     rows = {float(b): tried.select(tried.damping == b) for b in levels}
@@ -163,10 +176,17 @@ def state(tried: Tried, aim: Aim, around: Range, start: Forecast | None = None, 
         Expected(float(v), float(e), ahead.adequate, ahead.explains, bool(b))
         for v, e, b in zip(value, error, ended, strict=True)
     ]
+    by_rig = requests.by_damping([found[b] for b in aim.dampings], aim.dampings, tried.stiffness)
     columns = tuple(
-        _column(b, found[b], rows[b], told, aim, around.trial_s, largest)
-        for b, told in zip(wanted.tolist(), expected, strict=True)
+        _column(b, found[b], rows[b], told, aim, around.trial_s, largest, rig)
+        for b, told, rig in zip(wanted.tolist(), expected, by_rig, strict=True)
     )
+    if start is not None and not len(tried):
+        share = GENTLE_START if aim.gentle else START
+        columns = tuple(
+            replace(c, wall=min(c.wall, share * max(v, aim.accuracy * largest))) if c.wall is not None else c
+            for c, v in zip(columns, value.tolist(), strict=True)
+        )
     return State(columns, largest, ahead)
 
 
@@ -216,15 +236,24 @@ def region_ended(dampings: Floats, ends: Floats) -> Booleans:
 
 
 def _column(
-    damping: float, of: Bracket, own: Tried, told: Expected, aim: Aim, trial_s: float, largest: float
+    damping: float,
+    of: Bracket,
+    own: Tried,
+    told: Expected,
+    aim: Aim,
+    trial_s: float,
+    largest: float,
+    rig: Answers,
 ) -> Column:
     value = told.limit
     top = min(of.top, aim.highest, own.stiffness[own.force > aim.force].min(initial=inf))
     width, half = CLOSE * aim.accuracy * largest, aim.accuracy * largest
+    of = replace(of, again=tuple(wall for wall in of.again if rig.sets(wall)))
     if of.again:
         return Column(damping, of, float(np.clip(value, of.bottom, top)), None, of.again[0], "contradiction")
     if of.high is not None and of.high - of.bottom <= width:
         doubted = doubtful_ends(own, of, trial_s, gentle=aim.gentle, explains=told.explains)
+        doubted = tuple(wall for wall in doubted if rig.sets(wall))
         if doubted:
             again = replace(of, again=doubted)
             return Column(damping, again, float(np.clip(value, of.bottom, top)), None, doubted[0], "weak")
@@ -235,21 +264,27 @@ def _column(
     estimate = float(np.clip(value, of.bottom, of.top))
     if of.bottom >= 0.99 * top or top <= aim.lowest:
         return Column(damping, of, estimate, None, None, "limit of the tests")
+    if rig.ends(of):
+        return Column(damping, of, estimate, None, None, "step of the rig")
     if aim.gentle and told.explains and told.beyond and value < half:
         return Column(damping, of, estimate, None, None, "beyond the region")
     if aim.gentle and from_below(own, of, half, told):
         return Column(damping, of, estimate, None, None, "from below")
     edges = walls(max(of.bottom, aim.lowest), top, estimate, told.error, width, largest)
-    for wall in open_walls:
-        edges = edges[(np.abs(edges - wall) > ASIDE * width) | (edges == edges[0]) | (edges == edges[-1])]
+    # neither walls next to undecided ones, nor what a rig that rounds made another wall of
+    away = ASIDE * width
+    barred = [(wall - away, wall + away) for wall in open_walls] + rig.rounded(of, half, away)
+    for low, high in barred:
+        edges = edges[(edges < low) | (edges > high) | (edges == edges[0]) | (edges == edges[-1])]
     chance = chances(edges, value, told.error if told.adequate else inf)
     split = best_split(edges, chance, width, GENTLE_PRICE if aim.gentle else 1.0)
     if split is None:
-        return Column(damping, of, estimate, None)
+        return Column(damping, of, estimate, None, None, "step of the rig" if len(rig.missed) else "")
     wall = float(edges[split.place])
     if aim.gentle:
         safe = _safe(own, told, half)
-        wall = min(wall, safe) if safe > of.bottom + 0.2 * half else wall
+        free = not any(low <= safe <= high for low, high in barred)
+        wall = min(wall, safe) if free and safe > of.bottom + 0.2 * half else wall
     return Column(damping, of, estimate, split, wall, nothing=of.bottom == 0 and value < half)
 
 

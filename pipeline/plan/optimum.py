@@ -13,8 +13,9 @@ from scipy.special import erf
 
 from pipeline.loop.device_loop import general
 from pipeline.loop.loop import Loop, Normalised
+from pipeline.plan.requests import NOTHING_ASKED, SAME, Requests
 from pipeline.plan.verdicts import Tried
-from pipeline.records.batch import Floats
+from pipeline.records.batch import Booleans, Floats
 from pipeline.records.criteria import criterion_of
 from pipeline.theory.cost.pointcosts import point_costs_by_name
 from pipeline.theory.device.outline import limits
@@ -62,6 +63,9 @@ FINALISTS, BESIDE = 150, ((-0.004, 0.0), (0.004, 0.0), (0.0, -0.004), (0.0, 0.00
 
 NO_COST = 1.0
 """Logarithm by which a wall without a cost counts as worse than expected: it keeps the search away."""
+
+OFTEN = 2
+"""Trials of one wall after which its cost is known."""
 
 OFFSET = 0.01
 """Added to costs that may be zero, so that they have a logarithm: one percent of overshoot is as good as none."""
@@ -114,7 +118,14 @@ class Search:
 
 
 def look_for(
-    tried: Tried, dampings: Floats, highest: Floats, criterion: str, by: Foreseen | None, accuracy: float, count: int
+    tried: Tried,
+    dampings: Floats,
+    highest: Floats,
+    criterion: str,
+    by: Foreseen | None,
+    accuracy: float,
+    count: int,
+    requests: Requests = NOTHING_ASKED,
 ) -> Search:
     """Return walls to try and whether the best cost is found.
 
@@ -130,6 +141,8 @@ def look_for(
     accuracy : float
         By which the best trial may be worse than the best wall, relative.
     count : int
+    requests : Requests
+        What was asked for so far: only walls that the rig sets are looked at.
 
     Notes
     -----
@@ -139,12 +152,13 @@ def look_for(
     """
     offset = OFFSET if criterion_of(criterion).family.levels else 0.0
     scale = np.array([float(dampings[-1]) or 1.0, max(float(highest.max()), 1e-300)])
-    K, B, ahead = _places(dampings, highest, criterion, by, offset)
+    K, B, ahead = _places(dampings, highest, criterion, by, offset, requests)
     seen, value = _seen(tried, dampings, highest, criterion, by, offset)
     cost = np.log(tried.cost + offset)
     known = np.isfinite(cost)
     best = _best(tried, cost, criterion, by)
     place, seen = np.column_stack([B, K]) / scale, seen / scale
+    walls_tried = np.column_stack([tried.damping, tried.stiffness]) / scale
     walls, done = [], False
     region, least = None, None
     for number in range(count):
@@ -152,19 +166,27 @@ def look_for(
         mean = mean + ahead
         record = float(cost[best]) if best is not None else np.inf
         gain = _gain(record - mean, spread) if best is not None else _hope(mean, spread, place)
-        top = np.argsort(-gain, kind="stable")[:FINALISTS]
+        top = np.argsort(-np.where(_known(place, walls_tried), -np.inf, gain), kind="stable")[:FINALISTS]
         around = mean[top] + _beside(K[top], B[top], ahead[top], criterion, by, offset)
         again = _gain(record - around, spread[top]) if best is not None else _hope(around, spread[top], place[top])
-        pick = int(top[np.argmax(again)])
+        pick = int(top[np.argmax(np.where(_known(place[top], walls_tried), -np.inf, again))])
         if number == 0:
             lowest = float((mean - SURE * spread).min())
             done = _is_done(int(known.sum()), record, lowest, accuracy, by)
             least = float(np.exp(mean.min()) - offset)
             near = mean <= mean.min() + np.log1p(accuracy)
-            region = (float(K[near].min()), float(K[near].max()), float(B[near].min()), float(B[near].max()))
+            own = [] if best is None else [best]  # a wall that is called the best is one of the best
+            in_K, in_B = np.append(K[near], tried.stiffness[own]), np.append(B[near], tried.damping[own])
+            region = (float(in_K.min()), float(in_K.max()), float(in_B.min()), float(in_B.max()))
         walls.append((float(K[pick]), float(B[pick]), float(np.exp(mean[pick]) - offset)))
         seen, value = np.vstack([seen, place[pick]]), np.append(value, mean[pick] - ahead[pick])
     return Search(tuple(walls), done, best, least, region if by is not None else None)
+
+
+def _known(place: Floats, walls: Floats) -> Booleans:
+    """Return which places are walls that were tried `OFTEN`: another trial of them tells nothing."""
+    near = (np.abs(place[:, None, :] - walls[None, :, :]) <= SAME).all(axis=2)
+    return np.asarray(near.sum(axis=1) >= OFTEN)
 
 
 def _is_done(costs: int, record: float, lowest: float, accuracy: float, by: Foreseen | None) -> bool:
@@ -185,12 +207,12 @@ def _best(tried: Tried, cost: Floats, criterion: str, by: Foreseen | None) -> in
 
 
 def _places(
-    dampings: Floats, highest: Floats, criterion: str, by: Foreseen | None, offset: float
+    dampings: Floats, highest: Floats, criterion: str, by: Foreseen | None, offset: float, requests: Requests
 ) -> tuple[Floats, Floats, Floats]:
     """Return K, B and the logarithm of the foretold cost of walls that may be tried: a grid, denser at its best."""
     B = np.linspace(dampings[0], dampings[-1], DAMPINGS) if len(dampings) > 1 else dampings
     K, B = np.outer(np.interp(B, dampings, highest), SHARES).ravel(), np.repeat(B, len(SHARES))
-    K, B = K[K > 0], B[K > 0]
+    K, B = requests.as_set(K[K > 0], B[K > 0])
     cost = _foretold(K, B, criterion, by, offset)
     cell = float(np.ptp(dampings)) / (DAMPINGS - 1)
     for reach, starts in ZOOMS if by is not None and np.isfinite(cost).any() else ():
@@ -199,7 +221,7 @@ def _places(
             more_B.append(B[best] + reach * cell * np.repeat(ZOOM, len(ZOOM)))
             more_K.append(K[best] + reach * np.interp(B[best], dampings, highest) * SPACING * np.tile(ZOOM, len(ZOOM)))
         near_B = np.clip(np.concatenate(more_B), dampings[0], dampings[-1])
-        near_K = np.concatenate(more_K)
+        near_K, near_B = requests.as_set(np.concatenate(more_K), near_B)
         some = (near_K > 0) & (near_K <= HIGHEST * np.interp(near_B, dampings, highest))
         K, B = np.append(K, near_K[some]), np.append(B, near_B[some])
         cost = np.append(cost, _foretold(near_K[some], near_B[some], criterion, by, offset))

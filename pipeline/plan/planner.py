@@ -2,24 +2,40 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import ceil, floor, inf, log10
 from pathlib import Path
 
 import numpy as np
 
+from pipeline.base.disk import if_writable
 from pipeline.base.errors import UsageError
+from pipeline.base.lock import holder
 from pipeline.plan.answer import Area, Best, Limit, Next, Plan
 from pipeline.plan.course import Course, Wish, beginning, open_course, stated_loop, wanted_dampings
-from pipeline.plan.limits import Aim, Column, State, order, state
+from pipeline.plan.limits import GENTLE_START, START, Aim, Column, State, order, state
 from pipeline.plan.optimum import Foreseen, Search, look_for
+from pipeline.plan.requests import Requests, requests_folder, snapped, write_requests
 
 NOTES = {
     "undecided": "not told: verdicts stay undecided between low and high",
     "limit of the tests": "the walls that may be tried end there",
     "beyond the region": "not tried: a softer damping has shown that the stable region ends before",
+    "step of the rig": "the rig sets no wall between low and high",
     "from below": "told by the decay of stable walls and by the loop of all logs",
 }
 """What is said of a damping that is done for a reason of its own."""
+
+BESIDE = (
+    "{} plans this experiment, too: both name the same walls, and each would be measured twice. End one of them, or "
+    "give each its own dampings (--dampings)"
+)
+"""What is said where another planner runs beside a rig."""
+
+NOWHERE = (
+    "no damping is left at which the rig sets walls as asked: mend that, and remove the folder `.plan` of the store"
+)
+"""What is said of a rig that logs another damping each time."""
 
 OPTIMUM_ACCURACY = 0.05
 """By which the best trial may be worse than the best wall, relative."""
@@ -50,15 +66,43 @@ def plan(name: str, processed: Path, experiment: str | None = None, wish: Wish |
     """
     wish = wish or Wish()
     course = open_course(name, processed, experiment, wish)
-    return plan_of(course, wish)
+    answer = plan_of(course, wish)
+    folder = requests_folder(processed, course.name, course.experiment)
+    if (other := holder(folder)) is not None:
+        return with_remark(answer, BESIDE.format(other))
+    if processed.is_dir():
+        with if_writable():
+            write_requests(folder, asked_of(course, answer))
+    return answer
+
+
+def asked_of(course: Course, answer: Plan) -> Requests:
+    """Return what is asked for now, with all that was asked before."""
+    return course.requests.asking([(wall.stiffness, wall.damping) for wall in answer.next], course.walls)
+
+
+def with_remark(answer: Plan, remark: str) -> Plan:
+    """Return a plan of which something more is to be said."""
+    return answer.model_copy(update={"remarks": (*answer.remarks, remark)})
 
 
 def plan_of(course: Course, wish: Wish) -> Plan:
     """Return which walls to try next, from trials that are in memory."""
-    dampings = wanted_dampings(course, wish)
+    dampings = course.requests.reachable(wanted_dampings(course, wish), course.tried.damping)
+    if not dampings:
+        said = (course.requests.remark(course.rotation) or "", NOWHERE)
+        return Plan(
+            next=(),
+            done=True,
+            boundary=(),
+            trials_used=len(course.tried),
+            trials_expected=len(course.tried),
+            remarks=said,
+        )
+    course = replace(course, tried=snapped(course.tried, dampings))
     aim = aim_of(course, wish, dampings)
     around, start = beginning(course, dampings)
-    found = state(course.tried, aim, around, start, course.fitted)
+    found = state(course.tried, aim, around, start, course.fitted, course.requests)
     limits = tuple(
         Limit(
             damping=c.damping, estimate=c.estimate, low=c.bracket.low, high=c.bracket.high, note=NOTES.get(c.note, "")
@@ -124,7 +168,9 @@ def area_of(found: State) -> Area | None:
 
 def _remarks(course: Course, found: State) -> tuple[str, ...]:
     """Return what the plan rests on: contradictions, and whether a loop explains the logs."""
-    said = [
+    differ = course.requests.remark(course.rotation)
+    said = [] if differ is None else [differ]
+    said += [
         f"stable walls lie above unstable ones at B = {c.damping:g}, each tried three times: the lowest limit counts"
         for c in found.columns
         if c.bracket.lasting
@@ -196,7 +242,10 @@ def _search(course: Course, wish: Wish, found: State, aim: Aim) -> Search:
         limits[i] = np.clip(limits[i], column.bracket.bottom, min(column.bracket.top, aim.highest))
     if not limits.max() > aim.lowest:
         raise UsageError(f"device {course.name!r}: no wall is expected to be stable, so that none has a cost.")
-    return look_for(course.tried, np.array(aim.dampings), limits, wish.criterion, by, OPTIMUM_ACCURACY, wish.count)
+    if not len(course.tried):
+        limits *= GENTLE_START if aim.gentle else START
+    about = wish.criterion, by, OPTIMUM_ACCURACY, wish.count
+    return look_for(course.tried, np.array(aim.dampings), limits, *about, course.requests)
 
 
 def _walls_of(search: Search, course: Course, wish: Wish, found: State, aim: Aim) -> tuple[Next, ...]:

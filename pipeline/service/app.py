@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import logging
 import sqlite3
-from collections.abc import AsyncIterator
-from contextlib import asynccontextmanager, nullcontext
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
 from itertools import chain
 from typing import Any
 
 from anyio import to_thread
-from fastapi import FastAPI, Request
+from fastapi import Depends, FastAPI, Request
 from fastapi.exceptions import RequestValidationError
 from pydantic import ValidationError
 from starlette.exceptions import HTTPException
@@ -20,6 +20,7 @@ from starlette.types import ASGIApp
 
 from pipeline import __version__
 from pipeline.base.errors import PipelineError, UsageError
+from pipeline.service import connections
 from pipeline.service.catalogue import Catalogue
 from pipeline.service.database import Database
 from pipeline.service.jobs.renewal import Renewal
@@ -32,14 +33,13 @@ from pipeline.service.pages.opinions import opinions
 from pipeline.service.problems import TITLES, Problem, full_disk, problem_of
 from pipeline.service.problems import answer as answer_of
 from pipeline.service.rest import api
-from pipeline.service.rest.answers import describe
+from pipeline.service.rest.answers import describe, only_known
 from pipeline.service.rest.remarks import remarks
 from pipeline.service.rest.theory import Theory
 from pipeline.service.rest.theory_routes import theories
 from pipeline.service.security import Guard
 from pipeline.service.settings import Settings
 from pipeline.service.shared import Service
-from pipeline.service.unix_socket import listening
 from pipeline.service.uploads import remove_unacknowledged
 
 ROUTERS = (api.api, remarks, theories, pages.pages, comparing, opinions, doors)
@@ -88,7 +88,7 @@ def create_app(settings: Settings) -> ASGIApp:
     app.openapi = lambda: describe(app)  # type: ignore[method-assign]
     app.state.service = service
     for router in ROUTERS:
-        app.include_router(router)
+        app.include_router(router, dependencies=[Depends(only_known)] if router.prefix else [])
     _answer_errors(app, service)
     return Guard(app, settings, database, metrics)
 
@@ -136,15 +136,8 @@ def _methods(request: Request) -> set[str]:
     return set[str]().union(*(getattr(route, "methods", ()) for route in found))
 
 
-def serve(settings: Settings) -> None:
-    """Serve until a signal asks for an end."""
-    import uvicorn
-
+def serve(settings: Settings, say: Callable[[str], None]) -> None:
+    """Serve until a signal asks for an end; the address is said once it can be reached."""
     logging.getLogger("pipeline.service").setLevel(logging.INFO)
     logging.basicConfig(format="%(message)s")
-    app = create_app(settings)
-    with listening(settings.unix_socket) if settings.unix_socket else nullcontext() as listener:
-        uvicorn.run(
-            app, host=settings.host, port=settings.port, fd=listener.fileno() if listener else None, log_config=None,
-            access_log=False, server_header=False, proxy_headers=False, timeout_graceful_shutdown=5,
-        )  # fmt: skip
+    connections.serve(create_app(settings), settings, say)

@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import secrets
 import sqlite3
 import threading
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Literal
 
@@ -58,7 +59,7 @@ def hashed(secret: str) -> str:
 
 
 class Database:
-    """The service's own file; one connection a thread.
+    """The service's own file, which nobody else may read; one connection a thread.
 
     Parameters
     ----------
@@ -68,8 +69,13 @@ class Database:
 
     def __init__(self, folder: Path) -> None:
         make_folder(folder)
+        with suppress(PermissionError):  # a folder of somebody else is as he made it
+            os.chmod(folder, 0o700)
         self.file = folder / "service.sqlite"
         self._local = threading.local()
+        with suppress(PermissionError):
+            os.close(os.open(self.file, os.O_RDWR | os.O_CREAT, 0o600))
+            os.chmod(self.file, 0o600)
         if self.run("PRAGMA user_version")[0][0] == 0:
             self.run("PRAGMA journal_mode = WAL")
             self._connection.executescript(_SCHEMA + "PRAGMA user_version = 1;")

@@ -19,6 +19,7 @@ TITLES = {
     404: "Not found",
     405: "Method not allowed",
     406: "No such form",
+    409: "Not as things are",
     408: "The client is too slow",
     413: "Too large",
     422: "A value is wrong",

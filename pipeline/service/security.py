@@ -15,12 +15,12 @@ import secrets
 import time
 from collections.abc import Mapping
 from http.cookies import CookieError, SimpleCookie
-from urllib.parse import parse_qsl, urlsplit
+from urllib.parse import parse_qsl, urlencode, urlsplit
 
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from pipeline.service.database import ROLES, Database, Role
+from pipeline.service.database import ROLES, Database, Role, hashed
 from pipeline.service.metrics import Metrics
 from pipeline.service.problems import Problem, answer
 from pipeline.service.rates import Rates
@@ -83,7 +83,8 @@ class Guard:
             scope["state"]["role"] = self._role(scope)
             cookies = cookies_of(scope)
             scope["state"]["session"] = cookies.get(SESSION)
-            body = _Body(receive, self._most(scope), self.settings.body_s)
+            logs = scope["path"] in UPLOADS
+            body = _Body(receive, self.settings.max_request if logs else SMALL, self.settings.body_s, whole=not logs)
             body.check(Headers(scope=scope))
             await self.app(scope, body, sending)
         except Problem as problem:
@@ -95,9 +96,6 @@ class Guard:
             self.metrics.answered(scope["method"], route, status, seconds)
             line = {"id": request_id, "method": scope["method"], "path": scope["path"], "status": status}
             LOG.info(json.dumps({**line, "ms": round(1e3 * seconds, 1)}))
-
-    def _most(self, scope: Scope) -> int:
-        return self.settings.max_request if scope["path"] in UPLOADS else SMALL
 
     def _role(self, scope: Scope) -> Role:
         """Return what the sender may do; raise where he may not do this."""
@@ -111,19 +109,22 @@ class Guard:
         if any(name.lower() in ("token", "access_token", "api_key") for name, _ in _query(scope)):
             raise Problem(400, "A token in an address ends in logs. Send it as `Authorization: Bearer`.", where="query")
         address = (scope.get("client") or ("",))[0]
-        try:
-            role, bearer = self._known(headers, cookies_of(scope), scope["path"])
-        except Problem:  # who guesses tokens has a new one each time, and one address
-            self._limit(address)
-            raise
-        self._limit(headers.get("authorization") or cookies_of(scope).get(SESSION) or address)
+        role, secret = self._known(headers, cookies_of(scope))
+        # who is not known has an address and nothing else: the words that he sends may be others each time
+        self._limit(hashed(secret) if secret else address)
+        program = "authorization" in headers
+        if role is None and program:
+            raise Problem(401, "The token is not known. `pipeline token create` makes one.", where="Authorization")
+        if role is None and scope["path"] not in OPEN and not scope["path"].startswith("/static/"):
+            raise Problem(401, "Send a token as `Authorization: Bearer`, or log in at /login.", where="Authorization")
+        role = role or "viewer"
         if self.settings.read_only:
             role = "viewer"
         needed = _needed(scope)
         if scope["path"] not in OPEN and ROLES.index(role) < ROLES.index(needed):
             why = "The server is read-only." if self.settings.read_only else "Ask for a token with a higher role."
             raise Problem(403, f"This needs the role {needed}. {why}", expected=needed, found=role)
-        if scope["method"] not in SAFE and not bearer and scope["path"].startswith("/api/"):
+        if scope["method"] not in SAFE and not program and scope["path"].startswith("/api/"):
             self._check_script(headers, cookies_of(scope))
         return role
 
@@ -134,21 +135,18 @@ class Guard:
             retry = {"Retry-After": str(math.ceil(wait_s))}
             raise Problem(429, "These are too many requests. Ask again later.", retry, expected=most)
 
-    def _known(self, headers: Headers, cookies: Mapping[str, str], path: str) -> tuple[Role, bool]:
-        """Return the role, and whether a token was sent that no browser adds by itself."""
+    def _known(self, headers: Headers, cookies: Mapping[str, str]) -> tuple[Role | None, str]:
+        """Return the role, None of somebody unknown, and the token or session that tells it."""
         given = headers.get("authorization")
         if given is not None:
             scheme, _, token = given.partition(" ")
-            role = self.database.role_of(token.strip()) if scheme.lower() == "bearer" else None
-            if role is None:
-                raise Problem(401, "The token is not known. `pipeline token create` makes one.", where="Authorization")
-            return role, True
-        if self.settings.loopback:
-            return "admin", False
-        role = self.database.role_of_session(cookies[SESSION]) if SESSION in cookies else None
-        if role is None and path not in OPEN and not path.startswith("/static/"):
-            raise Problem(401, "Send a token as `Authorization: Bearer`, or log in at /login.", where="Authorization")
-        return role or "viewer", False
+            role, secret = self.database.role_of(token.strip()) if scheme.lower() == "bearer" else None, token.strip()
+        elif self.settings.loopback:
+            return "admin", ""
+        else:
+            secret = cookies.get(SESSION, "")
+            role = self.database.role_of_session(secret) if secret else None
+        return role, secret if role else ""
 
     def _check_script(self, headers: Headers, cookies: Mapping[str, str]) -> None:
         """Refuse a change by a browser that no page of this server asked for; programs send no cookies."""
@@ -168,11 +166,11 @@ def form_token(database: Database, browser: str) -> str:
 
 
 class _Body:
-    """The body of a request: as large as allowed, and not slower."""
+    """The body of a request: as large as allowed, and there in time: all of it, or with logs the next piece."""
 
-    def __init__(self, receive: Receive, most: int, silence_s: float) -> None:
-        self.receive, self.most, self.silence_s, self.seen = receive, most, silence_s, 0
-        self.ended = False
+    def __init__(self, receive: Receive, most: int, wait_s: float, *, whole: bool) -> None:
+        self.receive, self.most, self.wait_s, self.whole, self.seen = receive, most, wait_s, whole, 0
+        self.ended, self.until = False, time.monotonic() + wait_s
 
     def check(self, headers: Headers) -> None:
         length = headers.get("content-length", "0")
@@ -190,9 +188,10 @@ class _Body:
         if self.ended:
             return await self.receive()  # waits for the end of the connection
         try:
-            message = await asyncio.wait_for(self.receive(), self.silence_s)
+            left_s = self.until - time.monotonic() if self.whole else self.wait_s
+            message = await asyncio.wait_for(self.receive(), max(left_s, 0.1))
         except TimeoutError:
-            raise Problem(408, f"Nothing came for {self.silence_s:g} s.", where="body") from None
+            raise Problem(408, f"The body did not come within {self.wait_s:g} s.", where="body") from None
         self.seen += len(message.get("body", b""))
         self.ended = not message.get("more_body", False)
         self._within(self.seen)
@@ -206,7 +205,8 @@ async def _refuse(problem: Problem, scope: Scope, receive: Receive, send: Send) 
     page = scope["method"] == "GET" and not scope["path"].startswith("/api/")
     if problem.status == 401 and page and "text/html" in accept:
         response.status_code = 303
-        response.headers["location"] = "/login"
+        asked = f"{scope['path']}?{scope['query_string'].decode('latin-1')}".rstrip("?")
+        response.headers["location"] = "/login" if asked == "/" else f"/login?{urlencode({'next': asked})}"
     await send({"type": "http.response.start", "status": response.status_code, "headers": response.raw_headers})
     await send({"type": "http.response.body", "body": response.body, "more_body": True})
     try:

@@ -3,11 +3,25 @@
 from __future__ import annotations
 
 import ipaddress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 RATE = 3000
 """Requests a minute: 50 a second are more than a page or a program of a lab asks for."""
+
+
+MOST_CONNECTIONS = 512
+"""Of one address, which may be that of a proxy for all others."""
+
+
+def half_of_files() -> int:
+    """Return how many connections leave as many open files to everything else, at most `MOST_CONNECTIONS`."""
+    try:
+        import resource
+    except ImportError:  # Windows has no such limit
+        return MOST_CONNECTIONS
+    most = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+    return MOST_CONNECTIONS if most < 0 else min(MOST_CONNECTIONS, most // 2)
 
 
 @dataclass(frozen=True)
@@ -34,8 +48,11 @@ class Settings:
         Where is listened instead of at an address.
     executor : str
         What computes the stages of experiments, as ``--executor`` names it.
-    body_s, theory_s, wait_s : float
-        Longest silence of a client that sends, time for a theory, and wait of a request for a job [s].
+    connections : int
+        Connections that one address may hold open.
+    header_s, body_s, theory_s, wait_s : float
+        Time for the header of a request, and for its body; with logs the longest silence in it; time for a theory, and
+        wait of a request for a job [s].
     """
 
     processed: Path
@@ -50,6 +67,8 @@ class Settings:
     renew: bool = True
     unix_socket: Path | None = None
     executor: str = "local"
+    connections: int = field(default_factory=half_of_files)
+    header_s: float = 10.0
     body_s: float = 30.0
     theory_s: float = 20.0
     wait_s: float = 20.0

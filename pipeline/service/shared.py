@@ -24,7 +24,7 @@ from pipeline.service.metrics import Metrics
 from pipeline.service.problems import Problem
 from pipeline.service.rest import theory
 from pipeline.service.settings import Settings
-from pipeline.store.exclusions import read_exclusions
+from pipeline.store.exclusions import read_exclusions, split_trials
 from pipeline.store.samples import load_batch
 from pipeline.store.storage import list_devices, list_experiments, read_trials
 
@@ -85,12 +85,27 @@ class Service:
                 )
         return [name for name in stored if not asked or name in asked]
 
+    def used(self, device: str, asked: list[str] | None) -> list[str]:
+        """Return experiments of a device of which some trial is in use; all that are named have to be."""
+        names = self.experiments(device, asked)
+        excluded = read_exclusions(self.settings.processed)
+        empty = []
+        for name in names if excluded else ():
+            if not split_trials(read_trials(self.settings.processed, device, name), excluded)[0].num_rows:
+                empty.append(name)
+        if empty and (asked or empty == names):
+            raise Problem(
+                409, "All trials of this experiment are excluded by hand. Use one again.",
+                where=f"{device}, experiment {empty[0]}", expected="a trial in use", found="none",
+            )  # fmt: skip
+        return [name for name in names if name not in empty]
+
     def comparison(self, asked: ComparisonRequest) -> tuple[str, str | None]:
         """Return the key of a comparison, and the job that makes it; no job where it is there."""
-        names = self.experiments(asked.device, asked.experiments)
+        names = self.used(asked.device, asked.experiments)
         request: dict[str, Any] = {"device": asked.device, "experiments": names, "criteria": asked.criteria}
         if asked.against:
-            self.experiments(asked.against.device, [asked.against.experiment])
+            self.used(asked.against.device, [asked.against.experiment])
             if len(names) != 1:
                 raise Problem(422, "One experiment is compared against another one.", where="experiments",
                               expected="one name", found=names)  # fmt: skip
@@ -166,11 +181,12 @@ class Service:
 
     def experiment(self, device: str, experiment: str) -> tuple[dict[str, Any] | None, str | None]:
         """Return the document of an experiment, or the job that makes it."""
-        self.experiments(device, [experiment])
+        self.used(device, [experiment])
         return self._kept("experiment", {"device": device, "experiments": [experiment], "criteria": None})
 
     def drawn(self, device: str, experiment: str, trial: str) -> tuple[dict[str, Any] | None, str | None]:
         """Return the figures of a trial, or the job that draws them."""
+        self.used(device, [experiment])
         asked = {"device": device, "experiments": [experiment], "criteria": None, "trial": trial}
         return self._kept("trial", asked)
 

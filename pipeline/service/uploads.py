@@ -41,6 +41,9 @@ PIECE = 1 << 20
 """Bytes that are written at a time."""
 
 
+_NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
+
+
 @dataclass
 class _Part:
     """A part of a form: a field, or a file that is written while it comes."""
@@ -183,7 +186,8 @@ class Upload:
             raise Problem(422, "Two files have one name. Send one of them by itself.", where=name)
         make_folders([path.parent])
         self._part.name, self._part.path = name, path
-        self._part.stream = path.open("xb")  # closed at the end of the part
+        # closed at the end of the part
+        self._part.stream = os.fdopen(os.open(path, _NEW, 0o600), "wb")
         self.files.append(self._part)
 
     def _data(self, data: bytes, start: int, end: int) -> None:

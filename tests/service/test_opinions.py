@@ -53,8 +53,10 @@ def test_all_of_an_experiment(three):
     (found,) = three.get("experiments?device=new%20rig").content["items"]
     assert found["verdicts"] == {"excluded": 8}
     answer = three.get("experiments/new%20rig/1/estimates")
-    assert (answer.status, "excluded by hand" in answer.content["detail"]) == (503, True)
+    assert (answer.status, "excluded by hand" in answer.content["detail"]) == (409, True)
     assert "excluded by hand" in page(three, at)
+    assert three.ask("POST", "comparisons", document={"device": "new rig"}).status == 409
+    assert three.ask("POST", "comparisons", document=TWO).status in (200, 202), "others are compared"
     assert browser.send("/exclusions", at, of=of, again="yes").status == 303
     three.all_done()
     assert verdicts(three) == before

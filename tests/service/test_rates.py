@@ -64,6 +64,26 @@ def test_a_token_or_address_that_asks_too_often_is_told(tmp_path):
 
 
 @pytest.mark.parametrize(
+    "words", [{"Cookie": "pipeline-session={}"}, {"Authorization": "Bearer {}"}, {"Authorization": "bearer {}"}]
+)
+@pytest.mark.parametrize("path", ["devices", "/login"])
+def test_invented_words_do_not_pass_the_rate(tmp_path, words, path):
+    settings = settings_of(tmp_path, host="0.0.0.0", rate=30)
+    Database(settings.data).create_token("viewer", "")
+    with serving(settings) as client:
+        answers = [client.get(path, **{name: word.format(i) for name, word in words.items()}) for i in range(8)]
+        assert answers[-1].status == 429
+
+
+def test_one_token_is_one_sender_however_it_is_written(tmp_path):
+    settings = settings_of(tmp_path, host="0.0.0.0", rate=30)
+    token = Database(settings.data).create_token("viewer", "")
+    with serving(settings) as client:
+        spelled = ("Bearer", "bearer", "BEARER", "BeAreR", "bEARER", "BEarer", "bearER", "bEaReR")
+        assert [client.get("devices", Authorization=f"{word} {token}").status for word in spelled][-1] == 429
+
+
+@pytest.mark.parametrize(
     ("options", "expected"), [({}, 0), ({"host": "0.0.0.0"}, 3000), ({"rate": 5}, 5), ({"host": "::", "rate": 0}, 0)]
 )
 def test_the_usual_rate(tmp_path, options, expected):

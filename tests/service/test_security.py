@@ -3,9 +3,11 @@
 import errno
 import io
 import socket
+import sys
 import time
 import zipfile
 from http.client import HTTPConnection
+from types import SimpleNamespace
 
 import pytest
 from served import form, serving
@@ -125,6 +127,43 @@ def test_a_revoked_token_ends_its_logins(guarded):
     assert guarded.ask("GET", "devices", headers=headers).status == 200
     guarded.database.run("DELETE FROM tokens WHERE role = 'viewer'")
     assert guarded.ask("GET", "devices", headers=headers).status == 401
+
+
+def test_a_login_ends_after_half_a_day(guarded, monkeypatch):
+    headers = {"Cookie": f"pipeline-session={guarded.database.login(guarded.tokens['viewer'])}"}
+    for hours, status in ((0.0, 200), (11.9, 200), (12.1, 401)):
+        later = time.time() + 3600 * hours
+        clock = SimpleNamespace(time=lambda later=later: later)
+        monkeypatch.setattr("pipeline.service.database.time", clock)
+        assert guarded.ask("GET", "devices", headers=headers).status == status
+    # and what has ended is forgotten with the next login
+    guarded.database.login(guarded.tokens["viewer"])
+    assert len(guarded.database.run("SELECT 1 FROM sessions")) == 1
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="has no such modes")
+def test_only_its_owner_reads_what_the_service_keeps(empty, logs):
+    Database(empty.settings.data).create_token("viewer", "")
+    _, job = empty.upload([*logs[:3], ("below/bad.csv", b"nonsense")])
+    assert job["state"] == "done"
+    empty.all_done()
+    assert empty.get("experiments/falcon/1/causes").status in (200, 202)
+    empty.all_done()
+    found = [empty.settings.data, *empty.settings.data.rglob("*")]
+    assert {path.name for path in found} >= {"service.sqlite", "logs", "documents", "bad.csv"}
+    loose = {
+        str(path): oct(path.stat().st_mode & 0o777) for path in found if path.exists() and path.stat().st_mode & 0o077
+    }
+    assert loose == {}
+
+
+def test_a_folder_of_an_earlier_version_is_closed(tmp_path):
+    settings = settings_of(tmp_path)
+    Database(settings.data).close()
+    settings.data.chmod(0o755)
+    (settings.data / "service.sqlite").chmod(0o644)
+    Database(settings.data)
+    assert [path.stat().st_mode & 0o077 for path in (settings.data, settings.data / "service.sqlite")] == [0, 0]
 
 
 def test_a_cookie_alone_changes_nothing(guarded):

@@ -11,9 +11,8 @@ from http.cookies import SimpleCookie
 from types import SimpleNamespace
 from urllib.parse import urlencode
 
-import uvicorn
-
 from pipeline.service.app import create_app
+from pipeline.service.connections import server_of
 
 BOUNDARY = "a-boundary"
 HTML = {"Accept": "text/html"}
@@ -113,8 +112,7 @@ def serving(settings):
     """Serve while the block runs; yields a client."""
     with socket.socket() as listener:
         listener.bind(("127.0.0.1", 0))
-        config = uvicorn.Config(create_app(settings), log_config=None, access_log=False)
-        server = uvicorn.Server(config)
+        server = server_of(create_app(settings), settings)
         thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]}, daemon=True)
         thread.start()
         while not server.started:

@@ -14,7 +14,7 @@ doors = APIRouter(include_in_schema=False, default_response_class=HTMLResponse)
 @doors.get("/login")
 def login(service: Shared, request: Request) -> Response:
     """Show the form that asks for a token."""
-    return page_of(service, request, "login.html.j2", wrong=False)
+    return page_of(service, request, "login.html.j2", wrong=False, following=_following(request))
 
 
 @doors.post("/login")
@@ -23,9 +23,9 @@ async def enter(service: Shared, request: Request) -> Response:
     fields = await fields_of(service, request)
     session = await run_in_threadpool(service.database.login, fields.get("secret", [""])[0].strip())
     if session is None:
-        return page_of(service, request, "login.html.j2", 401, wrong=True)
+        return page_of(service, request, "login.html.j2", 401, wrong=True, following=_following(request))
     secure = request.headers.get("x-forwarded-proto") == "https"
-    return RedirectResponse("/", 303, {"set-cookie": cookie(SESSION, session, secure)})
+    return RedirectResponse(_following(request), 303, {"set-cookie": cookie(SESSION, session, secure)})
 
 
 @doors.post("/logout")
@@ -34,3 +34,13 @@ async def leave(service: Shared, request: Request) -> Response:
     await fields_of(service, request)
     await run_in_threadpool(service.database.logout, cookies_of(request.scope).get(SESSION, ""))
     return RedirectResponse("/login", 303)
+
+
+def _following(request: Request) -> str:
+    """Return the page that somebody wanted who had to log in first: one of this server, else the first one.
+
+    Browsers take a backslash for a slash, drop blanks, and read two slashes as another server.
+    """
+    asked = request.query_params.get("next", "/")
+    own = asked.startswith("/") and asked[1:2] not in ("/", "\\") and all(" " < sign != "\\" for sign in asked)
+    return asked if own else "/"

@@ -14,7 +14,7 @@ import numpy as np
 from fastapi import APIRouter, Query, Request
 from fastapi.responses import FileResponse, HTMLResponse, RedirectResponse, Response
 from markupsafe import Markup
-from pydantic import field_validator
+from pydantic import ConfigDict, field_validator
 from starlette.concurrency import run_in_threadpool
 
 from pipeline.intake.quarantine import list_quarantine
@@ -93,7 +93,9 @@ def one_experiment(service: Shared, request: Request, device: Segment, experimen
 
 
 class TrialForm(api.TrialQuery):
-    """The same as a form sends it: an empty field asks for nothing."""
+    """The same as a form sends it: an empty field asks for nothing, and one that is not here is refused."""
+
+    model_config = ConfigDict(extra="forbid")
 
     format: Literal["", "csv"] = ""
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from typing import Any, Generic, Literal, TypeVar
 
-from fastapi import FastAPI
+from fastapi import FastAPI, Request
 from fastapi.openapi.utils import get_openapi
 from pydantic import BaseModel, ConfigDict, create_model
 
 from pipeline.records.findings import BoundaryPoint, Estimate, Optimum
 from pipeline.records.loop_records import Cause
-from pipeline.service.problems import MEDIA, TITLES
+from pipeline.service.problems import MEDIA, TITLES, Problem
 from pipeline.theory.cases import POINT_COSTS
 
 Item = TypeVar("Item")
@@ -221,11 +221,20 @@ def problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
     return {status: {"description": TITLES[status], "content": {MEDIA: {"schema": schema}}} for status in statuses}
 
 
-EVERYWHERE = problems(400, 401, 403, 408, 413, 422, 429, 503, 507)
+EVERYWHERE = problems(400, 401, 403, 408, 409, 413, 422, 429, 503, 507)
 """Answers that every route may give."""
 
 NAMED = problems(404)
 """Answer of a route that names something."""
+
+
+def only_known(request: Request) -> None:
+    """Refuse a parameter in an address that its route does not have: a filter with a slip would ask for all."""
+    operation = request.app.openapi()["paths"][request.scope["route"].path][request.method.lower()]
+    known = sorted(each["name"] for each in operation.get("parameters", ()) if each["in"] == "query")
+    for name in request.query_params:
+        if name not in known:
+            raise Problem(422, "There is no such parameter.", where=name, expected=known or "none", found=name)
 
 
 def describe(app: FastAPI) -> dict[str, Any]:

@@ -37,7 +37,7 @@ EVENT_S = 0.3
 """Time between two looks at a job that somebody watches [s]."""
 
 REPORT_POLICY = (
-    "sandbox allow-scripts allow-popups; default-src 'none'; style-src 'unsafe-inline'; img-src data:; "
+    "sandbox allow-scripts allow-popups allow-downloads; default-src 'none'; style-src 'unsafe-inline'; img-src data:; "
     "script-src 'unsafe-inline'"
 )
 

@@ -159,7 +159,8 @@ def _print_limits(answer: Plan) -> None:
     """Print what is known of the limits."""
     for limit in answer.boundary:
         value = "not told" if limit.estimate is None else f"{limit.estimate:.5g}"
-        ends = f"stable at {limit.low or 0:.5g}" + ("" if limit.high is None else f", unstable at {limit.high:.5g}")
+        ends = "no stable wall" if limit.low is None else f"stable at {limit.low:.5g}"
+        ends += ", no unstable wall" if limit.high is None else f", unstable at {limit.high:.5g}"
         console.say(f"B = {limit.damping:g}: limit {value} ({ends}){'; ' + limit.note if limit.note else ''}")
     if answer.area is not None:
         console.say(f"area {answer.area.estimate:.5g}, between {answer.area.low:.5g} and {answer.area.high:.5g}")

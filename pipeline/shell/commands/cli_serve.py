@@ -73,9 +73,7 @@ def serve(
         unix_socket=unix_socket,
         executor=executor,
     )
-    place = unix_socket or f"http://{f'[{host}]' if ':' in host else host}:{port}/"
-    console.note(f"{place} (Ctrl-C ends it)")
-    run(settings)
+    run(settings, lambda place: console.note(f"{place} (Ctrl-C ends it)"))
 
 
 @token_app.command("create")

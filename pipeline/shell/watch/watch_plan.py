@@ -5,9 +5,11 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
+from contextlib import ExitStack
 from pathlib import Path
 
 from pipeline.base.errors import StoreError
+from pipeline.base.lock import holder, writing
 from pipeline.base.process_pool import process_pool
 from pipeline.intake.ingest import ingest
 from pipeline.measured.ladder.device import Device
@@ -16,7 +18,8 @@ from pipeline.measured.ladder.trials import LadderTrials
 from pipeline.plan.answer import Plan
 from pipeline.plan.course import Wish, open_course
 from pipeline.plan.fitted import Fitted, at_once
-from pipeline.plan.planner import plan_of
+from pipeline.plan.planner import BESIDE, asked_of, plan_of, with_remark
+from pipeline.plan.requests import Requests, requests_folder, write_requests
 from pipeline.shell.watch.watch_files import Arrivals, look_at
 
 INTERVAL_S, SETTLE_S = 0.1, 0.3
@@ -68,12 +71,14 @@ def watch_plan(
     stopped : callable
         Asked between two looks.
     """
-    with process_pool(1) as pool:
+    with process_pool(1) as pool, ExitStack() as held:
         look = Beside(pool)
         arrivals = Arrivals(SETTLE_S)
         arrivals.update(look_at(folders, (), (processed,)).states, time.monotonic() - SETTLE_S)
         known: Fitted | None = None
         told: set[tuple[str, str]] = set()
+        asked: Requests | None = None
+        beside: str | None = None
         first = True
         while not stopped():
             now = time.monotonic()
@@ -95,9 +100,24 @@ def watch_plan(
                 if (path, reason) not in told:
                     refused(f"refused: {path}: {reason}")
             told |= set(new)
-            course = open_course(name, processed, experiment, wish, known, look)
+            course = open_course(name, processed, experiment, wish, known, look, asked)
             known, answer = course.fitted, plan_of(course, wish)
-            emit(answer)
+            folder = requests_folder(processed, course.name, course.experiment)
+            if first:
+                beside = _alone(folder, held)
+            asked = asked_of(course, answer)
+            if beside is None:
+                write_requests(folder, asked)
+            emit(answer if beside is None else with_remark(answer, beside))
             if answer.done:
                 return
             first = False
+
+
+def _alone(folder: Path, held: ExitStack) -> str | None:
+    """Hold the place of the planner of an experiment; return what is to be said where another one has it."""
+    try:
+        held.enter_context(writing(folder, 0.0))
+    except StoreError:
+        return BESIDE.format(holder(folder))
+    return None

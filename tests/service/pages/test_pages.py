@@ -3,6 +3,8 @@
 import html
 import re
 import shutil
+from pathlib import Path
+from urllib.parse import urlencode
 
 import pytest
 from served import HTML, Browser, form, page, serving
@@ -168,6 +170,48 @@ def test_a_login(tmp_path):
         session = dict(browser.cookies)["pipeline-session"].value
         assert browser.send("/logout", "/").status == 303
         assert client.get("devices", Cookie=f"pipeline-session={session}").status == 401
+
+
+AWAY = ("//evil.example", "https://evil.example/", "/\\evil.example", "/\t/evil.example", "javascript:x", "", "x")
+
+
+def test_a_login_leads_to_the_page_that_was_asked_for(tmp_path):
+    settings = Settings(tmp_path / "processed", tmp_path / "reports", host="0.0.0.0")
+    token = Database(settings.data).create_token("viewer", "")
+    wanted = "/trials?q=a%2Fb&sort=-stiffness"
+    with serving(settings) as client:
+        browser = Browser(client)
+        answer = browser.ask("GET", wanted)
+        assert answer.status == 303
+        door = answer.headers["location"]
+        assert door.startswith("/login?")
+        assert browser.send(door, door, secret="hp_wrong").status == 401
+        assert browser.send(door, door, secret=token).headers["location"] == wanted
+        assert browser.ask("GET", wanted).status == 200
+        for address in AWAY:
+            door = f"/login?{urlencode({'next': address})}"
+            assert "evil" not in page(client, door)
+            assert browser.send(door, door, secret=token).headers["location"] == "/", address
+
+
+@pytest.mark.browser
+def test_figures_of_a_served_report_are_saved(served, compared):
+    sync = pytest.importorskip("playwright.sync_api")
+    chromium = shutil.which("chromium")
+    if chromium is None:
+        pytest.skip("no chromium")
+    with sync.sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+        tab = browser.new_page()
+        tab.goto(f"http://127.0.0.1:{served.port}/api/v1/comparisons/{compared[2]}/report")
+        for name, begins in (("CSV", b""), ("SVG", b"<svg")):
+            with tab.expect_download(timeout=20_000) as saving:
+                tab.get_by_role("button", name=re.compile(rf"as {name}$")).first.click()
+            content = Path(saving.value.path()).read_bytes()
+            assert saving.value.suggested_filename.endswith(f".{name.lower()}")
+            assert content.startswith(begins)
+            assert len(content) > 100
+        browser.close()
 
 
 @pytest.mark.browser

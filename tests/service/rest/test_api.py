@@ -3,6 +3,7 @@
 import csv
 import io
 import json
+import re
 
 import numpy as np
 import pyarrow as pa
@@ -277,3 +278,21 @@ def test_other_methods_are_told_which_there_are(served):
             answer = served.ask(method, path.replace("{", "").replace("}", ""))
             assert answer.status == 405
             assert answer.headers["allow"].split(", ") == sorted(map(str.upper, methods))
+
+
+UNKNOWN = ("health?x=1", "devices?limitt=2", "trials?verdikt=stable", "trials?limit=1&limits=2", "experiments?q=x",
+           "jobs?state=done", "theory/optimum?criterion=settle_2pct&delays=4", "/trials?verdikt=stable")  # fmt: skip
+
+
+@pytest.mark.parametrize("path", UNKNOWN)
+def test_an_unknown_parameter_is_refused_and_named(served, path):
+    answer = served.get(path)
+    assert answer.status == 422
+    name = path.partition("?")[2].split("&")[-1].partition("=")[0]
+    assert name in answer.content["where"]
+
+
+def test_the_id_of_a_trial_is_16_digits(served):
+    ids = [t["id"] for t in served.get("trials?limit=1000").content["items"]]
+    assert len(set(ids)) == len(ids) > 100
+    assert all(re.fullmatch("[0-9a-f]{16}", name) for name in ids)

@@ -1,0 +1,156 @@
+"""Connections of clients: a header has to be whole in time, and no address may hold all that the system has.
+
+A server opens a file for each connection; one that says half a header, or nothing, holds it without a token.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import socket
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from functools import partial
+
+import h11
+import uvicorn
+from starlette.types import ASGIApp
+from uvicorn.protocols.http.h11_impl import H11Protocol
+
+from pipeline.base.errors import UsageError
+from pipeline.service.settings import Settings
+from pipeline.service.unix_socket import listening
+
+BACKLOG, AT_ONCE = 2048, 16
+"""Connections that the system keeps until they are accepted, and that are accepted before those too many are closed."""
+
+
+class Connection(H11Protocol):
+    """A connection that is closed where its header is late, or too many others of its address wait for theirs.
+
+    Parameters
+    ----------
+    held : dict
+        The connections of each address that are open, in the order in which they came.
+    settings : Settings
+    """
+
+    def __init__(self, *given: object, held: dict[str, dict[Connection, None]], settings: Settings, **more: object):
+        super().__init__(*given, **more)  # type: ignore[arg-type]
+        self.held, self.settings = held, settings
+        self.late: asyncio.TimerHandle | None = None
+
+    @property
+    def headless(self) -> bool:
+        """Whether no request is under way: none has begun, or its header is not whole."""
+        return self.conn.their_state is h11.IDLE and self.conn.our_state is h11.IDLE
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """Count a connection; where its address has too many, one without a header makes room, or this one goes."""
+        super().connection_made(transport)
+        own = self.held.setdefault(self.address, {})
+        if len(own) >= self.settings.connections:
+            goes = next((one for one in own if one.headless), self)
+            goes.transport.abort()
+            own.pop(goes, None)
+            if goes is self:
+                return
+        own[self] = None
+        self._wait()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Forget a connection."""
+        super().connection_lost(exc)
+        if self.late is not None:
+            self.late.cancel()
+        own = self.held.get(self.address, {})
+        own.pop(self, None)
+        if not own:
+            self.held.pop(self.address, None)
+
+    def data_received(self, data: bytes) -> None:
+        """Take what comes; the time of a header goes on until it is whole."""
+        super().data_received(data)
+        if not self.headless:
+            self._cancel()
+        elif self.late is None:
+            self._wait()
+
+    @property
+    def address(self) -> str:
+        """Where it comes from; all at a path in the file system are one."""
+        return self.client[0] if self.client else ""
+
+    def _wait(self) -> None:
+        self.late = self.loop.call_later(self.settings.header_s, self._end)
+
+    def _cancel(self) -> None:
+        if self.late is not None:
+            self.late.cancel()
+            self.late = None
+
+    def _end(self) -> None:
+        self.late = None
+        if self.headless:
+            self.transport.abort()
+
+
+class _Server(uvicorn.Server):
+    """The server; asyncio has one number for what it accepts at once and what the system keeps."""
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Begin to listen."""
+        await super().startup(sockets)
+        for each in sockets or ():
+            each.listen(BACKLOG)
+
+
+def server_of(app: ASGIApp, settings: Settings) -> uvicorn.Server:
+    """Return the server of an application."""
+    protocol = partial(Connection, held={}, settings=settings)
+    return _Server(
+        uvicorn.Config(
+            app, http=protocol, log_config=None, access_log=False, server_header=False, proxy_headers=False,  # type: ignore[arg-type]
+            timeout_graceful_shutdown=5, backlog=AT_ONCE,
+        )
+    )  # fmt: skip
+
+
+@contextmanager
+def listener_of(settings: Settings) -> Iterator[socket.socket]:
+    """Listen where a server is to be reached.
+
+    Raises
+    ------
+    UsageError
+        If that is not to be had.
+    """
+    if settings.unix_socket:
+        with listening(settings.unix_socket) as found:
+            yield found
+        return
+    family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
+    try:
+        found = socket.create_server((settings.host, settings.port), family=family, backlog=BACKLOG)
+    except OSError as error:
+        raise UsageError(
+            f"--host {settings.host} --port {settings.port}: cannot be listened at ({error}). Choose another port, or "
+            "end what listens there."
+        ) from error
+    with found:
+        yield found
+
+
+def address_of(settings: Settings, found: socket.socket) -> str:
+    """Return where a server is reached, for people."""
+    if settings.unix_socket:
+        return str(settings.unix_socket)
+    host = f"[{settings.host}]" if ":" in settings.host else settings.host
+    return f"http://{host}:{found.getsockname()[1]}/"
+
+
+def serve(app: ASGIApp, settings: Settings, say: Callable[[str], None]) -> None:
+    """Serve until a signal asks for an end; the address is said once it can be reached."""
+    server = server_of(app, settings)
+    with listener_of(settings) as found, suppress(KeyboardInterrupt):
+        say(address_of(settings, found))
+        server.run(sockets=[found])
