@@ -196,7 +196,7 @@ def check(
     else:
         for line in _check_lines(found):
             console.say(line)
-    if any(damage.lost or damage.remedy == "set aside" or not repair for damage in found.damage):
+    if any(damage.lost or damage.remedy in ("set aside", "forget") or not repair for damage in found.damage):
         raise typer.Exit(EXIT_ERROR)
 
 
