@@ -17,6 +17,7 @@ Code = Literal[
     "not-a-number",
     "no-value",
     "not-finite",
+    "out-of-range",
     "time-backwards",
     "time-wrong",
     "condition-missing",

@@ -19,6 +19,7 @@ from pathlib import Path
 
 from pipeline.base.disk import make_folder
 from pipeline.base.errors import StoreError, UsageError
+from pipeline.base.inventory import listed
 
 LOCK_FILE = ".lock"
 
@@ -84,7 +85,8 @@ def writing(processed: Path, wait_s: float = WAIT_S, say: Callable[[str], None] 
     try:
         waited = _acquire(descriptor, path, wait_s, say)
         _note(descriptor)
-        yield waited
+        with listed(processed):
+            yield waited
         os.ftruncate(descriptor, 0)
     finally:
         os.close(descriptor)  # lets the lock go

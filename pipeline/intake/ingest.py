@@ -17,7 +17,6 @@ from pipeline.base.errors import LogError, StoreError, UsageError
 from pipeline.base.file_names import path_of_text, path_text, storable
 from pipeline.base.lock import WAIT_S, writing
 from pipeline.base.process import Ended
-from pipeline.base.regular_files import is_gone
 from pipeline.device_data.devices import known_devices
 from pipeline.intake.compaction import merge_small
 from pipeline.intake.ingest_report import (
@@ -31,6 +30,7 @@ from pipeline.intake.ingest_report import (
     repeated,
     when_stopped,
 )
+from pipeline.intake.known import Known, outcome_for
 from pipeline.intake.quarantine import Keeper, QuarantineRecord, list_quarantine, record_of, release
 from pipeline.intake.reading import Read, batches_of, in_order, read_and_check
 from pipeline.intake.rerun import Look, Search
@@ -55,6 +55,7 @@ def ingest(
     jobs: int | None = None,
     dry_run: bool = False,
     rehash: bool = False,
+    replace: bool = False,
     progress: Callable[[int, int], None] | None = None,
     settle_s: float = 0.0,
     growing: Collection[str] = (),
@@ -78,6 +79,9 @@ def ingest(
         Read and validate, write nothing, and say for each source what would be done.
     rehash : bool
         Look at the content also where size and modification time are unchanged.
+    replace : bool
+        Whether trials of another device give way where their log is read as one of this device now; by default such a
+        log is refused.
     progress : callable, optional
         Called with (logs done, logs found).
     settle_s : float
@@ -133,10 +137,10 @@ def ingest(
             if not dry_run:
                 repair(processed, superseded=look.store is None)
             digests = {p: p.digest() for p in profiles}
-            run = _Ingest(processed, dry_run, rehash, digests, look, progress)
+            run = _Ingest(processed, dry_run, rehash, replace, digests, look, progress)
             if run.damaged and look.store is not None:  # the note passes logs of damaged batches, too
                 look, sources = looked(False)
-                run = _Ingest(processed, dry_run, rehash, digests, look, progress)
+                run = _Ingest(processed, dry_run, rehash, replace, digests, look, progress)
             settled, waiting = by_rest(sources, settle_s, frozenset(growing))
             run.found += len(settled)
             present = look.passed.union(source.key for source in sources)
@@ -166,11 +170,13 @@ class _Ingest:
         processed: Path,
         dry_run: bool,
         rehash: bool,
+        replace: bool,
         digests: dict[Profile, str],
         look: Look,
         progress: Callable[[int, int], None] | None,
     ) -> None:
         self.processed, self.dry_run, self.rehash, self.digests = processed, dry_run, rehash, digests
+        self.replace = replace
         self.look, self.found, self.progress = look, len(look.passed), progress
         self.ingested, self.skipped = 0, len(look.passed)
         self.refusals: list[Refusal] = []
@@ -187,20 +193,14 @@ class _Ingest:
         self.stored = StoredSources(processed, self.damaged)
         self.refused = {record.path: record for record in list_quarantine(processed, self.damaged)}
         self.replaced: set[tuple[str, str, str]] = set()
-        # hash of a content -> hash of its profile, and its path
-        self.known: dict[str, str] = {}
-        self.place: dict[str, str] = {}
-        # hash of a content -> path where it stood, and nothing stands any more
-        self.gone: dict[str, str] = {}
+        self.known = Known(digests)
         self.renamed: set[str] = set()
 
     def process(self, sources: list[Source], jobs: int, present: Set[str]) -> None:
         """Decide on every source and store what is new; `present` are the paths of all that was found."""
         unsettled = [source for source in sources if not self._settled_unread(source)]
         # a source that is looked at again enters after that
-        self.place, self.known = self.stored.whole(but={source.key for source in unsettled})
-        away = [(sha256, path) for sha256, path in self.place.items() if path not in present]
-        self.gone = {sha256: path for sha256, path in away if is_gone(path_of_text(path))}
+        self.known.fill(self.stored, {source.key for source in unsettled}, present)
         # stored sources come first: a log that was copied and touched is recognised at its old place
         unsettled.sort(key=lambda source: (source.key not in self.stored, source.key))
         read = partial(self._read, use_threads=jobs > 2)
@@ -268,7 +268,12 @@ class _Ingest:
         stored, refused = self.stored.get(source.key), self.refused.get(source.key)
         # what could not be read may be readable now: permissions leave size and time alone; old records have no code
         readable = refused is not None and refused.sha256 is not None and refused.code is not None
-        if refused and readable and sign == (refused.size, refused.mtime_ns, refused.profile_sha256):
+        if (
+            refused
+            and readable
+            and not self.replace
+            and sign == (refused.size, refused.mtime_ns, refused.profile_sha256)
+        ):
             self._refused(source, refused)
         elif stored and stored.whole and sign == (stored.size, stored.mtime_ns, stored.profile_sha256):
             self._skip(source, "unchanged: size and modification time")
@@ -282,11 +287,7 @@ class _Ingest:
         return self.digests[source.profile] if source.profile else None
 
     def _read(self, sources: list[Source], use_threads: bool) -> list[Read]:
-        profile, known = sources[0].profile, self.known
-        if self.gone and profile is not None and profile.reads_names:
-            known = known.copy()  # other threads add to it
-            for sha256 in list(self.gone):
-                known.pop(sha256, None)
+        known = self.known.unread(sources[0].profile)
         return read_and_check(sources, known, self._digest(sources[0]), use_threads)[0]
 
     def _settle(self, read: Read) -> None:
@@ -306,43 +307,41 @@ class _Ingest:
         former = self.stored.get(source.key)
         same = former is not None and (former.sha256, former.profile_sha256) == (sha256, profile_sha256)
         stored_here = same and former is not None and former.whole
-        # the stored source of this content, now read by another profile, or stored in part
         reprofiled = former is not None and former.sha256 == sha256
-        known = self.known.get(sha256)
-        gone = self.gone.get(sha256) if logs is not None and profile.reads_names else None
+        one = self.known.identity(sha256, profile_sha256, source.key)
+        known, other = self.known.find(sha256, one)
+        gone = self.known.gone.get(sha256) if logs is not None and profile.reads_names else None
         if gone is not None:
             # another name may state other conditions: a corrected name is no copy
-            known = None
+            known = other = None
         if logs is None or stored_here or known == profile_sha256 or (known and not reprofiled):
-            other = self.place.get(sha256)
-            self.known.setdefault(sha256, profile_sha256)
-            self.place.setdefault(sha256, source.key)
+            if known is None:
+                self.known.add(one, profile_sha256, source.key)
             self._skip(source, "unchanged content" if other in (None, source.key) else f"same content as {other}")
             if profile.reads_names and other is not None and path_of_text(other).name != source.path.name:
                 text = f"has the content of {other} under another name; left out. Remove the one that is wrong."
                 self.warnings.append(LogWarning(path=source.shown, warning=text))
             if former is not None and not (same and other in (None, source.key)):
                 # what stands here now is stored at another place, by this run where it stood here before
-                outcome = f"its content is now that of {other}; its former trials were removed"
+                moved = f"its content is now that of {other}; its former trials were removed"
                 if same:
-                    outcome = f"{other} now has the same content; its trials are stored as those of that log"
-                self._replace(source, former, outcome)
+                    moved = f"{other} now has the same content; its trials are stored as those of that log"
+                self._replace(source, former, moved)
             return
-        accepted = accepted_logs(source, sha256, logs, profile, profile_sha256, self.motions)
+        outcome = None if former is None else outcome_for(former, source, sha256, logs, self.replace)
+        accepted = accepted_logs(source, sha256, logs, profile, profile_sha256, self.motions, gone)
         # from here on nothing is refused
         self.kept.append(source)
-        self.known[sha256] = profile_sha256
-        self.place[sha256] = source.key
+        self.known.add(one, profile_sha256, source.key)
         self.ingested += 1
         if gone is not None:
-            self._rename(source, self.gone.pop(sha256))
+            self._rename(source, self.known.gone.pop(sha256))
         texts = dict.fromkeys(text for log in logs for text in log.warnings)
         self.warnings += [LogWarning(path=source.shown, warning=storable(text)) for text in texts]
         reason = why_ingested(former, sha256, profile_sha256) if gone is None else f"its name was {gone}"
         self._plan(source, "ingest", reason)
         if former is not None and not same:
-            changed = former.sha256 != sha256
-            self._replace(source, former, "its trials were replaced by those of the new content" if changed else None)
+            self._replace(source, former, outcome)
         if not self.dry_run:
             # an interrupted run may have stored some trials of this source
             present = former.trials if former is not None and same else frozenset[str]()
@@ -381,7 +380,8 @@ class _Ingest:
         self.refusals.append(refusal)
         self._plan(source, "refuse", refusal.reason)
         former = self.stored.get(source.key)
-        if former is not None and former.sha256 != record.sha256:
+        # without a hash nobody has seen other bytes, but for a file that has become too long to be read
+        if former is not None and former.sha256 != record.sha256 and (record.sha256 or record.code == "too-large"):
             outcome = "its new content is refused; the trials of the former one stay stored"
             self.changed.append(ChangedSource(path=source.shown, outcome=outcome))
 

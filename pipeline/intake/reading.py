@@ -13,7 +13,7 @@ from itertools import islice
 from pipeline.base.errors import LogError
 from pipeline.base.file_names import storable
 from pipeline.base.regular_files import open_regular
-from pipeline.intake.sources import Source
+from pipeline.intake.sources import Source, identity
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers import Log, RawLog, reader_of
 from pipeline.readers.limits import LARGEST_LOG
@@ -70,7 +70,7 @@ def read_and_check(
     sources : sequence of Source
         All claimed by the same profile, or by none; at most some MB together, which are held in memory.
     known : mapping of str to str
-        Hash of the profile that read a stored content, by the hash of that content; such a source is not parsed.
+        Hash of the profile that read a stored log, by what it is (`sources.identity`); such a source is not parsed.
     profile_sha256 : str or None
         Hash of their profile.
     use_threads : bool
@@ -94,7 +94,8 @@ def read_and_check(
             reads[index] = Read(source, None, error)
             continue
         size += seen.size
-        if known.get(sha256) == profile_sha256:
+        one = sha256 if source.profile is None else identity(sha256, source.profile, source.key)
+        if known.get(one) == profile_sha256:
             reads[index] = Read(seen, sha256, None)
         else:
             raws[index], loaded[index] = raw, (seen, sha256)

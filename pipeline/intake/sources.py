@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import os
 import stat
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence, Set
+from contextlib import suppress
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from pathlib import Path
 
 from pipeline.base.errors import Code, UsageError
@@ -14,8 +17,9 @@ from pipeline.base.file_names import path_of_text, path_text
 from pipeline.base.regular_files import OutsideError, is_gone, real_file
 from pipeline.intake.bags import bag_of, may_belong
 from pipeline.intake.listing import Notice, list_folders
+from pipeline.profiles.patterns import find_groups
 from pipeline.profiles.profile_files import claim
-from pipeline.profiles.profile_model import Profile
+from pipeline.profiles.profile_model import CONDITION_QUANTITIES, Profile
 
 
 @dataclass(frozen=True)
@@ -138,6 +142,24 @@ def removed_below(folders: Sequence[Path], stored: Iterable[str], present: Set[s
             # what may not be looked at is told as such; a folder in the place of a log is none
             if is_gone(path) or path.is_dir():
                 yield key
+
+
+def identity(sha256: str, profile: Profile, path: str) -> str:
+    """Return what a log is: its content, with what the profile reads from its name."""
+    if not profile.reads_names:
+        return sha256
+    name = path_of_text(path).name
+    told = (find_groups(profile.name_pattern, name) if profile.name_pattern else None) or {}
+    for key in told.keys() & CONDITION_QUANTITIES:
+        with suppress(ValueError):  # 2 and 2.0 are the same
+            told[key] = str(float(told[key]))
+    entries = [entry.match for entry in profile.file if fnmatchcase(name.lower(), entry.match.lower())]
+    return f"{sha256} {json.dumps([told, entries], sort_keys=True)}"
+
+
+def content_of(one: str) -> str:
+    """Return the hash of the content in what `identity` returns."""
+    return one.partition(" ")[0]
 
 
 def by_rest(sources: Sequence[Source], settle_s: float, growing: frozenset[str]) -> tuple[list[Source], list[Source]]:

@@ -6,7 +6,7 @@ import json
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor, Future
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import count, islice
 from pathlib import Path
 from typing import Any
@@ -28,7 +28,7 @@ from pipeline.records.models import Motion
 from pipeline.records.table_files import GROUP_ROWS
 from pipeline.records.tables import to_arrow
 from pipeline.store.batch_files import NewBatch, next_number, publish_batches
-from pipeline.store.storage import samples_folder, trials_folder
+from pipeline.store.storage import FORMERLY, samples_folder, trials_folder
 from pipeline.store.working_copy import publish
 
 PUBLISHED_TOGETHER = 8
@@ -60,9 +60,17 @@ class Accepted:
 
 
 def accepted_logs(
-    source: Source, sha256: str, logs: Sequence[Log], profile: Profile, profile_sha256: str, known: Mapping[str, Motion]
+    source: Source,
+    sha256: str,
+    logs: Sequence[Log],
+    profile: Profile,
+    profile_sha256: str,
+    known: Mapping[str, Motion],
+    formerly: str | None = None,
 ) -> list[Accepted]:
     """Return the trials of a source that was read; `known` is the motion of each device that has a device file.
+
+    ``formerly`` is the path under which it is stored, where it was renamed.
 
     Raises
     ------
@@ -70,6 +78,9 @@ def accepted_logs(
         If a log cannot be stored (`reading.motion_of`).
     """
     name = path_text(source.path.name) if profile.reads_names else None
+    if formerly is not None:
+        headers = [replace(log.header, extra=log.header.extra | {FORMERLY: formerly}) for log in logs]
+        logs = [replace(log, header=header) for log, header in zip(logs, headers, strict=True)]
     return [
         Accepted(
             trial_id(sha256, log.label, name),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Set
+from collections.abc import Callable, Collection, Iterator, Mapping, Set
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -30,6 +30,9 @@ class StoredSource(NamedTuple):
         Ids of its trials.
     whole : bool
         Whether these are all that the source holds: an interrupted run may have written some of them.
+    devices : frozenset of str
+    profile : str
+        Name of the profile.
     """
 
     sha256: str
@@ -38,6 +41,8 @@ class StoredSource(NamedTuple):
     mtime_ns: int
     trials: frozenset[str]
     whole: bool
+    devices: frozenset[str]
+    profile: str
 
     def keys(self, path: str) -> set[tuple[str, str, str]]:
         """Return its trials as `drop_superseded` takes them."""
@@ -51,7 +56,7 @@ class StoredSources(Mapping[str, StoredSource]):
     """
 
     def __init__(self, processed: Path, damaged: dict[Path, str] | None = None) -> None:
-        columns = ["source_trials", "source_size", *VERSION_COLUMNS]
+        columns = ["source_trials", "source_size", "device", "profile", *VERSION_COLUMNS]
         self._table, _ = read_versions(processed, None, None, columns, damaged)
         self._columns: dict[str, list[Any]] = {}
         paths = self._column("source_path")
@@ -67,8 +72,12 @@ class StoredSources(Mapping[str, StoredSource]):
         last = self._last[path]
         names = (*_CONTENT, "source_size", "source_mtime_ns")
         sha256, profile_sha256, size, mtime_ns = (self._column(name)[last] for name in names)
-        trials = frozenset(self._column("trial_id")[row] for row in self._several.get(path, (last,)))
-        return StoredSource(sha256, profile_sha256, size, mtime_ns, trials, self._is_whole(path, last))
+        rows = self._several.get(path, (last,))
+        trials, devices = (frozenset(self._column(name)[row] for row in rows) for name in ("trial_id", "device"))
+        profile: str = self._column("profile")[last]
+        return StoredSource(
+            sha256, profile_sha256, size, mtime_ns, trials, self._is_whole(path, last), devices, profile
+        )
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._last)
@@ -76,14 +85,15 @@ class StoredSources(Mapping[str, StoredSource]):
     def __len__(self) -> int:
         return len(self._last)
 
-    def whole(self, but: Set[str]) -> tuple[dict[str, str], dict[str, str]]:
-        """Return path and profile's hash of all sources but some that are stored as a whole, by hash of the content."""
+    def whole(self, but: Set[str], identity: Callable[[str, str, str], str]) -> tuple[dict[str, str], dict[str, str]]:
+        """Return path and profile's hash of all sources but some that are stored as a whole, by what they are.
+
+        ``identity`` is called with the hashes of content and profile, and the path.
+        """
         contents, profiles = map(self._column, _CONTENT)
         rows = {path: row for path, row in self._last.items() if path not in but and self._is_whole(path, row)}
-        return (
-            {contents[row]: path for path, row in rows.items()},
-            {contents[row]: profiles[row] for row in rows.values()},
-        )
+        ones = {identity(contents[row], profiles[row], path): (path, profiles[row]) for path, row in rows.items()}
+        return {one: path for one, (path, _) in ones.items()}, {one: profile for one, (_, profile) in ones.items()}
 
     def _is_whole(self, path: str, last: int) -> bool:
         trials: int = self._column("source_trials")[last]

@@ -50,6 +50,13 @@ MOST_PERIODS = 2.0**53
 LONGEST_S = 1e100
 """Largest time, and sampling period [s]: sums and squares of it are finite, and no clock shows more."""
 
+LARGEST = {"command": 1e7, "position": 1e5, "force": 1e7, "velocity": 1e6}
+"""Largest size of a reading [SI]: more than 100 km or 16,000 turns, 1,000 t and 1,000 km/s are no readings but signs of
+missing values (1e20, 3.4e38) or numbers in another unit; one such cell would spoil the numbers of a whole device."""
+
+LARGEST_CONDITION = 1e12
+"""Largest stiffness, damping and step [SI]: steel of a metre has 1e11 N/m."""
+
 LARGEST_JSON = 64 << 20
 """Bytes of a JSON file: 10^5 records of 600 characters; numbers as objects take forty times their text."""
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pipeline.base.errors import LogError
-from pipeline.readers.limits import LONGEST_S, MOST_PERIODS
+from pipeline.readers.limits import LARGEST, LARGEST_CONDITION, LONGEST_S, MOST_PERIODS
 from pipeline.records.batch import Floats, Integers
 from pipeline.records.native import NativeHeader
 
@@ -75,8 +75,9 @@ def check_samples(
     Raises
     ------
     LogError
-        If there are fewer than two samples, a step of 0 is said to be in some row, a value is not finite, time does
-        not increase strictly, or no sampling period can count it (`MOST_PERIODS`, `LONGEST_S`).
+        If there are fewer than two samples, a step of 0 is said to be in some row, a value is not finite or lies out
+        of the range of readings (`LARGEST`), time does not increase strictly, or no sampling period can count it
+        (`MOST_PERIODS`, `LONGEST_S`).
     """
 
     def place(at: int) -> int | None:
@@ -114,6 +115,21 @@ def check_samples(
                 f"{name} is {values[at]}; expected a finite number. Repair the row, or leave this log out.",
                 place(at),
                 code="not-finite",
+            )
+        if (beyond := np.abs(values) > LARGEST.get(name, np.inf)).any():
+            at = int(np.argmax(beyond))
+            raise LogError(
+                f"{name} is {values[at]:.6g}; expected at most {LARGEST[name]:g} [SI], no reading is larger. Is it a "
+                "sign of a missing value (then declare it by `sentinels`), or is the unit another? Repair the row, or "
+                "leave this log out.",
+                place(at),
+                code="out-of-range",
+            )
+    for name in ("stiffness", "damping", "step"):
+        if abs(value := getattr(header, name)) > LARGEST_CONDITION:
+            raise LogError(
+                f"{name} is {value:.6g}; expected at most {LARGEST_CONDITION:g} [SI]. Correct its number or unit.",
+                code="out-of-range",
             )
     increasing = time[1:] > time[:-1]
     if not increasing.all():

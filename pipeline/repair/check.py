@@ -16,6 +16,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from pipeline.base.inventory import missing
 from pipeline.base.json_seal import DamageError, unsealed_json
 from pipeline.base.provenance import sha256 as hash_of
 from pipeline.base.seal import footer_of, mended, sealed, verify
@@ -34,9 +35,12 @@ from pipeline.store.storage import EXCLUSIONS_FILE, partner_of, read_versions
 DAMAGED_FOLDER = "damaged"
 """Folder below `processed` for files of which something could not be saved; nothing there is ever removed."""
 
-Remedy = Literal["restore", "save", "remove", "set aside"]
+DELETED = "was stored and has been deleted: put it back, or ingest its logs again"
+
+Remedy = Literal["restore", "save", "remove", "set aside", "forget"]
 """What is done with a damaged file: made as it was written; its readable trials kept and the others read again from
-their logs; removed, since it is computed anew; moved away, where nobody can tell what it said."""
+their logs; removed, since it is computed anew; moved away, where nobody can tell what it said; no longer missed, where
+it was deleted."""
 
 
 class LostTrial(Record):
@@ -60,7 +64,7 @@ class Damage(Record):
     file : str
         Below `processed`; of a batch the samples file, where both are damaged.
     fault : str
-    remedy : {"restore", "save", "remove", "set aside"}
+    remedy : {"restore", "save", "remove", "set aside", "forget"}
     trials, read_again : int
         Trials that the file holds, and those of them that are read again from their logs.
     lost : tuple of LostTrial
@@ -168,8 +172,11 @@ def look(processed: Path, alone: bool, progress: Callable[[int, int], None] | No
         if progress:
             progress(done, len(files))
     batches = _batches(processed, tables, faults, alone)
-    rest = tuple(Fault(file, faults[file]) for file in (*tables["stages"], *others) if file in faults)
-    return Findings(batches, rest, len(files), size, unsealed)
+    rest = [Fault(file, faults[file]) for file in (*tables["stages"], *others) if file in faults]
+    halves = {half for trials in batches for half in (trials, partner_of(trials))}
+    deleted = [processed / name for name in missing(processed)]
+    rest += [Fault(file, DELETED) for file in deleted if file not in halves]
+    return Findings(batches, tuple(rest), len(files), size, unsealed)
 
 
 def table_is_sealed(file: Path) -> bool:
@@ -340,6 +347,8 @@ def foreseen(processed: Path, findings: Findings, profiles: Sequence[Profile]) -
 
 def remedy_of(file: Path) -> Remedy:
     """Return what is done with a damaged file that is none of a batch."""
+    if not file.exists():
+        return "forget"
     if file.name == EXCLUSIONS_FILE:
         return "set aside" if restored_exclusions(file) is None else "restore"
     return "set aside" if file.name == RECORD_FILE else "remove"

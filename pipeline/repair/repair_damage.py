@@ -15,6 +15,7 @@ import pyarrow as pa
 
 from pipeline.base.disk import move, remove, replacing, sync_folder, write_text
 from pipeline.base.errors import StoreError
+from pipeline.base.inventory import forget
 from pipeline.base.lock import WAIT_S, holder, writing
 from pipeline.intake.quarantine import RECORD_FILE
 from pipeline.intake.versions import repair as finish_writers
@@ -90,6 +91,7 @@ def check(
             damage = tuple(_repaired(processed, findings, profiles))
             # trials files that were restored may hold what was superseded since
             finish_writers(processed)
+            forget(processed)
             return _report(findings, damage, True)
     except OSError as error:
         raise StoreError(
@@ -132,7 +134,7 @@ def _repaired(processed: Path, findings: Findings, profiles: Sequence[Profile]) 
             beside = fault.file.parent.iterdir() if fault.file.name == RECORD_FILE else [fault.file]
             for file in sorted(beside):
                 move(file, _free(processed, file))
-        else:
+        elif remedy == "remove":
             remove(fault.file)
             sync_folder(fault.file.parent)
         yield damage_of(processed, {fault.file: fault.text}, remedy)

@@ -13,6 +13,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from pipeline.base.disk import remove, sync_folder
+from pipeline.base.errors import StoreError
+from pipeline.base.inventory import missing
 from pipeline.base.provenance import stamp
 from pipeline.records.findings import Record
 from pipeline.records.table_files import read_table, write_table
@@ -51,9 +53,14 @@ def read_exclusions(processed: Path) -> dict[Key, Exclusion]:
     Raises
     ------
     StoreError
-        If the file is damaged: what is excluded is then not known, and nothing may be computed.
+        If the file is damaged or was deleted: what is excluded is then not known, and nothing may be computed.
     """
     file = processed / EXCLUSIONS_FILE
+    if not file.exists() and EXCLUSIONS_FILE in missing(processed):
+        raise StoreError(
+            f"{file}: was deleted, so that nobody knows which trials are excluded. Put it back, or let `pipeline check "
+            "--repair` forget it: all trials are then in use."
+        )
     found = [Exclusion(**row) for row in read_table(file).to_pylist()] if file.exists() else []
     return {one.key: one for one in found}
 

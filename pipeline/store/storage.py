@@ -12,6 +12,7 @@ samples again that were merged into another file (`samples.load_batch`).
 
 from __future__ import annotations
 
+import json
 import os
 import time
 from collections.abc import Callable
@@ -195,8 +196,11 @@ def read_trials(
     return table.filter(pa.array(newest_versions(table))).select(wanted)
 
 
-VERSION_COLUMNS = ("source_path", "trial_id", "source_sha256", "profile_sha256", "source_mtime_ns")
+VERSION_COLUMNS = ("source_path", "trial_id", "source_sha256", "profile_sha256", "source_mtime_ns", "extra")
 """Columns that tell versions of a trial apart."""
+
+FORMERLY = "formerly"
+"""Key in ``extra`` of a trial whose log was renamed: the path under which it stood before."""
 
 BATCH = "batch_number"
 """Column that `read_versions` adds."""
@@ -274,8 +278,8 @@ def _rows(file: Path, schema: pa.Schema, damaged: dict[Path, str] | None) -> pa.
 def newest_versions(table: pa.Table) -> Booleans:
     """Return which rows of `read_versions` are the newest of their source path, each trial once.
 
-    Newer is the higher batch number; among files without one, the later modification of the source. A log that stands
-    under two paths, as while one is renamed, is returned under the newer.
+    Newer is the higher batch number; among files without one, the later modification of the source. A log that was
+    renamed is returned under its present path (`FORMERLY`), also where its former trials are not removed yet.
     """
     paths, sources = (table.column(name).to_pylist() for name in ("source_path", "source_sha256"))
     if len(set(paths)) == len(set(sources)) == len(paths):
@@ -283,10 +287,14 @@ def newest_versions(table: pa.Table) -> Booleans:
     trials, profiles = (table.column(name).to_pylist() for name in ("trial_id", "profile_sha256"))
     stamps, numbers = (table.column(name).to_numpy() for name in ("source_mtime_ns", BATCH))
     order = np.lexsort((np.arange(len(paths)), stamps, numbers)).tolist()
-    newest = {paths[row]: (sources[row], profiles[row]) for row in order}
-    current = [row for row in order if newest[paths[row]] == (sources[row], profiles[row])]
-    place = {sources[row]: paths[row] for row in current}
-    kept = {trials[row]: row for row in current if place[sources[row]] == paths[row]}
+    extra = table.column("extra").to_pylist()
+    newest: dict[str, tuple[str, str]] = {}
+    for row in order:
+        newest[paths[row]] = sources[row], profiles[row]
+        former = str(json.loads(extra[row]).get(FORMERLY)) if FORMERLY in extra[row] else ""
+        if newest.get(former, ("", ""))[0] == sources[row] and former != paths[row]:
+            del newest[former]
+    kept = {trials[row]: row for row in order if newest.get(paths[row]) == (sources[row], profiles[row])}
     mask = np.zeros(table.num_rows, dtype=np.bool_)
     mask[list(kept.values())] = True
     return mask

@@ -189,8 +189,9 @@ class StageTables:
         """Return the result of a stage: from memory, from its file, or by computing and storing it."""
         if stage not in self._tables:
             if self.is_stored(stage):
-                self._tables[stage] = read_table(self._file(stage))
-            else:
+                with suppress(StoreError):  # what is damaged is computed anew
+                    self._tables[stage] = read_table(self._file(stage))
+            if stage not in self._tables:
                 self._tables[stage] = self._computed(stage)
                 with if_writable():
                     write_table(self._file(stage), self._tables[stage])

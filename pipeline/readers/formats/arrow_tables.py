@@ -32,8 +32,16 @@ empty text. Attributes are the metadata of the file and, as ``<column>@<key>``, 
 def frame_here(name: str, data: bytes, wanted: Sequence[str]) -> Frame:
     """Do what `read_frame` does, in the worker process."""
     schema = _schema(name, data)
+    names = [key for key, _ in _leaves(schema)]
     leaves = dict(_leaves(schema))
     check_columns(name, len(leaves))
+    for key in wanted or names:
+        if names.count(key) > 1 or schema.names.count(_vector_of(key)) > 1:
+            raise LogError(
+                f"{name}: column {key!r} stands {names.count(key) or 2} times in the file; expected it once, since "
+                "nobody can tell which is meant. Name the columns apart where the file is written.",
+                code="header-missing",
+            )
     for key in wanted:
         if key not in leaves and _vector_of(key) not in leaves:
             raise unknown_column(name, key, list(leaves))

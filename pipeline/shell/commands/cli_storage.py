@@ -34,6 +34,9 @@ def ingest(
     rehash: Annotated[
         bool, typer.Option("--rehash", help="Look at the content even where size and time are unchanged.")
     ] = False,
+    replace: Annotated[
+        bool, typer.Option("--replace", help="Logs of another device by now replace its trials; else refused.")
+    ] = False,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Read and check, write nothing; say for each log what would be done.")
     ] = False,
@@ -58,7 +61,7 @@ def ingest(
         raise UsageError(f"jobs must be at least 1, found {jobs}. Leave it out for one per processor.")
     # a store by URL has no note of the last ingest
     search = None if is_url(processed) else Search(tuple(map(str, paths)), processed, profile)
-    document = None if search is None or dry_run or rehash else recall(search)
+    document = None if search is None or dry_run or rehash or replace else recall(search)
     if document is None:
         from pipeline.intake.ingest import ingest as ingest_logs
         from pipeline.store.working_copy import stored_by
@@ -66,6 +69,7 @@ def ingest(
         with console.progress("ingest", "logs", as_json) as advance:
             note = None if as_json else console.note
             how: dict[str, Any] = {"jobs": jobs, "dry_run": dry_run, "rehash": rehash, "search": search}
+            how["replace"] = replace
             how |= {"progress": advance, "wait_s": wait, "say": note}
             report = stored_by(processed, lambda folder: ingest_logs(paths, folder, profile, **how))
         document = report.model_dump(mode="json")
@@ -192,7 +196,7 @@ def check(
     else:
         for line in _check_lines(found):
             console.say(line)
-    if any(damage.lost or damage.remedy == "set aside" or not repair for damage in found.damage):
+    if any(damage.lost or damage.remedy in ("set aside", "forget") or not repair for damage in found.damage):
         raise typer.Exit(EXIT_ERROR)
 
 
