@@ -62,8 +62,7 @@ def usable(batch: TrialBatch) -> TrialBatch:
 
 def _judge(batch: TrialBatch, name: str, values: Floats, scale: Floats, reason: list[str]) -> None:
     """Set the reasons of the trials with an impossible reading in one column."""
-    # a force that a log lacks is none
-    own = batch.valid & ~(np.isnan(values).all(axis=1, keepdims=True) if name == "force" else False)
+    own = batch.valid if name != "force" else batch.valid & ~np.isnan(values).all(axis=1, keepdims=True)
     rows = own.sum(axis=1)
     trial = np.arange(len(batch))
     # padding, and what is no number, come last

@@ -19,8 +19,9 @@ from pipeline.records.criteria import SETTLING_BANDS
 NO_OVERSHOOT = 1e-12
 """Overshoot that counts as none (footnote 4 of 5.2.2), and so the smallest upper end."""
 
-SWING = 2.0
-"""Longest time on one side of the final position, or twice that before it is first passed, in a full swing."""
+SWING = 1.25
+"""Time inside a band relative to the longest time on one side of the final position, from which on no slower swing
+passes it: of a motion that passes once a quarter of a swing may be all that is seen."""
 
 CREEP = 0.8
 """Ratio of successive changes of a creep up to which its end is told: a passage of the band has 1."""
@@ -114,8 +115,8 @@ def settling_interval(
     The ends are the settling times for a band wider and narrower by what noise and quantum leave open of one
     reading: the last sample outside decides, and it is one reading. A larger delay moves cost index 0, and so
     shortens the settling time. The settling time jumps where the response just touches the band: there the
-    interval spans half a period of the response or more. There is no upper end unless the last full swing lies inside
-    the band, or a creep that ends there: the response may merely pass it.
+    interval spans half a period of the response or more. There is no upper end unless the last swing lies inside the
+    band, or a creep that ends there: the response may merely pass it.
     """
     low_delay, high_delay = delay_bounds(delay_samples, delay_range)
     first = np.maximum(response.edge_row, 0) + delay_samples
@@ -125,7 +126,7 @@ def settling_interval(
     offset = np.where(counted, batch.position - response.position_final_expected[:, None], 0.0)
     distance = np.abs(offset)
     margin = NORMAL_95 * np.nan_to_num(error.deviation)
-    swing = _longest_swing(offset, margin, first)
+    swing = _longest_swing(offset, 2 * margin, first)
     low: dict[str, Floats] = {}
     high: dict[str, Floats] = {}
     missing: list[list[str]] = [[] for _ in range(len(batch))]
@@ -152,18 +153,18 @@ def settling_interval(
 
 
 def _longest_swing(offset: Floats, margin: Floats, first: Integers) -> Floats:
-    """Return the length of the longest full swing about the final position [samples], shape (n,); inf without one."""
+    """Return the longest time on one side of the final position [samples], shape (n,); inf where it is not passed."""
     column = np.arange(offset.shape[1])[None, :]
     side = np.where(np.abs(offset) > margin, np.sign(offset), 0.0)
-    # the side of the last reading that surely lies on one
+    # the side of the last reading that surely lies on one: four standard errors away
     since = np.maximum.accumulate(np.where(side != 0, column, 0), axis=1)
     side = np.take_along_axis(side, since, axis=1)
     passes = side[:, 1:] * side[:, :-1] < 0
     passed = np.maximum.accumulate(np.where(passes, column[:, 1:], -1), axis=1)
     before = np.concatenate([np.full((len(offset), 1), -1), passed[:, :-1]], axis=1)
-    gap = np.where(before >= 0, column[:, 1:] - before, SWING * (column[:, 1:] - first[:, None]))
+    gap = column[:, 1:] - np.where(before >= 0, before, first[:, None])
     longest = np.max(np.where(passes, gap, 0.0), axis=1, initial=0.0)
-    result: Floats = np.where(longest > 0, SWING * longest, np.inf)
+    result: Floats = np.where(longest > 0, longest, np.inf)
     return result
 
 
@@ -172,7 +173,7 @@ def _stays(
 ) -> Booleans:
     """Whether a response that is in a band from a row on will stay there, shape (n,).
 
-    Its longest swing fits into the stay, in which it does not grow; or it creeps to a place inside.
+    The stay is longer than its swings (`SWING`), and the motion does not grow in it; or it creeps to a place inside.
     """
     column = np.arange(offset.shape[1])[None, :]
     stay = rows - entry
@@ -183,17 +184,17 @@ def _stays(
         np.max(np.where(half, np.abs(offset), 0.0), axis=1, initial=0.0)
         for half in ((part >= 0) & (part < 3), part >= 3)
     )
-    swings = (stay >= swing) & (late <= early + noise)
+    swings = (stay >= SWING * swing) & (late <= early + 2 * noise)
     thirds = [part // 2 == number for number in range(3)]
     count = np.maximum(np.stack([third.sum(axis=1) for third in thirds]), 1)
     mean = np.stack([np.where(third, offset, 0.0).sum(axis=1) for third in thirds]) / count
     before, after = np.diff(mean, axis=0)
     known = NORMAL_95 * noise / np.sqrt(count.min(axis=0))
-    ratio = np.divide(after, before, out=np.ones(len(offset)), where=np.abs(before) > known)
-    slows = (ratio >= 0) & (ratio <= CREEP)
-    end = mean[2] + np.where(slows, after * ratio / (1 - np.where(slows, ratio, 0.0)), 0.0)
-    rests = (np.abs(before) <= known) & (np.abs(after) <= 2 * known)
-    creeps = (SWING * stay >= entry - first) & (slows | rests) & (np.abs(end) <= width)
+    slows = np.abs(after) <= np.maximum(CREEP * np.abs(before), 2 * known)
+    ratio = np.divide(after, before, out=np.zeros(len(offset)), where=np.abs(before) > known)
+    ratio = np.clip(ratio, 0.0, CREEP)
+    end = mean[2] + after * ratio / (1 - ratio)
+    creeps = (2 * stay >= entry - first) & slows & (np.abs(end) <= width)
     result: Booleans = swings | creeps
     return result
 
