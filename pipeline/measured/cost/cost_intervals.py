@@ -13,11 +13,18 @@ from pipeline.measured.cost.reading_error import ReadingError
 from pipeline.measured.cost.settling_overshoot import SETTLED_SAMPLES, Overshoot, Settling
 from pipeline.measured.intervals import CONFIDENCE, NORMAL_95
 from pipeline.measured.signal.response import Response
-from pipeline.records.batch import Floats, TrialBatch
+from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
 from pipeline.records.criteria import SETTLING_BANDS
 
 NO_OVERSHOOT = 1e-12
 """Overshoot that counts as none (footnote 4 of 5.2.2), and so the smallest upper end."""
+
+SWING = 1.25
+"""Time inside a band relative to the longest time on one side of the final position, from which on no slower swing
+passes it: of a motion that passes once a quarter of a swing may be all that is seen."""
+
+CREEP = 0.8
+"""Ratio of successive changes of a creep up to which its end is told: a passage of the band has 1."""
 
 LAST_PART = 5
 """Part of the response (a fifth) at its end that bounds what comes after: it holds a swing of most responses."""
@@ -108,15 +115,18 @@ def settling_interval(
     The ends are the settling times for a band wider and narrower by what noise and quantum leave open of one
     reading: the last sample outside decides, and it is one reading. A larger delay moves cost index 0, and so
     shortens the settling time. The settling time jumps where the response just touches the band: there the
-    interval spans half a period of the response or more.
+    interval spans half a period of the response or more. There is no upper end unless the last swing lies inside the
+    band, or a creep that ends there: the response may merely pass it.
     """
     low_delay, high_delay = delay_bounds(delay_samples, delay_range)
     first = np.maximum(response.edge_row, 0) + delay_samples
     column = np.arange(batch.position.shape[1])[None, :]
     counted = batch.valid & (column >= first[:, None])
     known = np.array([not text for text in error.reason], dtype=np.bool_)
-    distance = np.abs(batch.position - response.position_final_expected[:, None])
+    offset = np.where(counted, batch.position - response.position_final_expected[:, None], 0.0)
+    distance = np.abs(offset)
     margin = NORMAL_95 * np.nan_to_num(error.deviation)
+    swing = _longest_swing(offset, 2 * margin, first)
     low: dict[str, Floats] = {}
     high: dict[str, Floats] = {}
     missing: list[list[str]] = [[] for _ in range(len(batch))]
@@ -128,15 +138,65 @@ def settling_interval(
             outside = counted & ~(distance <= width[:, None] + sign * margin)
             ends.append(np.where(outside.any(axis=1), column.size - np.argmax(outside[:, ::-1], axis=1), first))
         settled = batch.rows - ends[1] >= SETTLED_SAMPLES
+        settled &= _stays(offset, margin, first, ends[1], batch.rows, swing, width)
         low[name] = np.where(told & known, np.maximum(ends[0] - first - (high_delay - delay_samples), 0), np.nan)
         high[name] = np.where(told & known & settled, ends[1] - first + (delay_samples - low_delay), np.nan)
         for i in np.flatnonzero(told & known & ~settled):
-            missing[i].append(f"{name}: with the error of the sensor it may not have settled by the end of the log")
+            missing[i].append(
+                f"{name}: it may not have settled by the end of the log, no full swing is inside the band"
+            )
     reason = tuple(
         "; ".join(part for part in (cost, unknown, *parts) if part)
         for cost, unknown, parts in zip(found.reason, error.reason, missing, strict=True)
     )
     return SettlingInterval(low, high, reason)
+
+
+def _longest_swing(offset: Floats, margin: Floats, first: Integers) -> Floats:
+    """Return the longest time on one side of the final position [samples], shape (n,); inf where it is not passed."""
+    column = np.arange(offset.shape[1])[None, :]
+    side = np.where(np.abs(offset) > margin, np.sign(offset), 0.0)
+    # the side of the last reading that surely lies on one: four standard errors away
+    since = np.maximum.accumulate(np.where(side != 0, column, 0), axis=1)
+    side = np.take_along_axis(side, since, axis=1)
+    passes = side[:, 1:] * side[:, :-1] < 0
+    passed = np.maximum.accumulate(np.where(passes, column[:, 1:], -1), axis=1)
+    before = np.concatenate([np.full((len(offset), 1), -1), passed[:, :-1]], axis=1)
+    gap = column[:, 1:] - np.where(before >= 0, before, first[:, None])
+    longest = np.max(np.where(passes, gap, 0.0), axis=1, initial=0.0)
+    result: Floats = np.where(longest > 0, longest, np.inf)
+    return result
+
+
+def _stays(
+    offset: Floats, margin: Floats, first: Integers, entry: Integers, rows: Integers, swing: Floats, width: Floats
+) -> Booleans:
+    """Whether a response that is in a band from a row on will stay there, shape (n,).
+
+    The stay is longer than its swings (`SWING`), and the motion does not grow in it; or it creeps to a place inside.
+    """
+    column = np.arange(offset.shape[1])[None, :]
+    stay = rows - entry
+    noise = np.take_along_axis(margin, np.maximum(rows - 1, 0)[:, None], axis=1)[:, 0]
+    part = (column - entry[:, None]) * 6 // np.maximum(stay, 1)[:, None]
+    part = np.where((part >= 0) & (column < rows[:, None]), part, -1)
+    early, late = (
+        np.max(np.where(half, np.abs(offset), 0.0), axis=1, initial=0.0)
+        for half in ((part >= 0) & (part < 3), part >= 3)
+    )
+    swings = (stay >= SWING * swing) & (late <= early + 2 * noise)
+    thirds = [part // 2 == number for number in range(3)]
+    count = np.maximum(np.stack([third.sum(axis=1) for third in thirds]), 1)
+    mean = np.stack([np.where(third, offset, 0.0).sum(axis=1) for third in thirds]) / count
+    before, after = np.diff(mean, axis=0)
+    known = NORMAL_95 * noise / np.sqrt(count.min(axis=0))
+    slows = np.abs(after) <= np.maximum(CREEP * np.abs(before), 2 * known)
+    ratio = np.divide(after, before, out=np.zeros(len(offset)), where=np.abs(before) > known)
+    ratio = np.clip(ratio, 0.0, CREEP)
+    end = mean[2] + after * ratio / (1 - ratio)
+    creeps = (2 * stay >= entry - first) & slows & (np.abs(end) <= width)
+    result: Booleans = swings | creeps
+    return result
 
 
 def overshoot_interval(

@@ -46,6 +46,7 @@ OUTCOMES = {
     "too_short": "too short",
     "disturbed": "disturbed",
     "no_step": "no step",
+    "unusable": "unusable",
 }
 
 OUTCOME_NOTES = {
