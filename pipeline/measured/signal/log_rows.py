@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pipeline.measured.signal.digits import FULL_DIGITS, format_of, full_resolution, is_single, resolution, stated_resolution
 from pipeline.measured.signal.response import Response
 from pipeline.records.batch import Booleans, Floats, TrialBatch
 
 ROUNDINGS = 16.0
 """Units of rounding of the terms of the law up to which its residual is rounding: they are a dozen operations."""
 
-ON_GRID = 1e-4
-"""Distance from a multiple of a power of ten, relative to that power, of numbers printed with as many decimals."""
-
-MOST_DECIMALS = 9
-"""More decimals than these tell a number like one printed in full: its rounding is below every sensor's."""
+SINGLE = float(np.finfo(np.float32).eps / np.finfo(np.float64).eps)
+"""A unit of rounding of single precision in that of double."""
 
 CAUGHT_UP = 1.3
 """Way in the row after one that was held, relative to the way before it: twice at an even speed."""
@@ -26,7 +26,12 @@ CAUGHT_UP = 1.3
 
 @dataclass(frozen=True, eq=False)
 class LogRows:
-    """One log: rows as arrays of shape (N,), and its conditions."""
+    """One log: rows as arrays of shape (N,), and its conditions.
+
+    ``of_command`` and ``of_position`` are what the digits of a number leave open, ``left_open`` what those of K and B
+    do; ``kept`` are the rows that a law must explain. ``readings`` says whether positions may be the readings that the
+    controller had, most likely first: where commands are printed in full, or with digits that positions do not need.
+    """
 
     stiffness: float
     damping: float
@@ -37,65 +42,104 @@ class LogRows:
     time: Floats
     command: Floats
     position: Floats
-    external: Floats
-    rounding: float
-    change: Floats = field(init=False)
-    residual: Floats = field(init=False)
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "change", np.diff(self.position, prepend=self.position[:1]))
-        object.__setattr__(self, "residual", self.external - self.step * self.after)
+    of_command: Floats
+    of_position: Floats
+    left_open: tuple[float, float]
+    arithmetic: float
+    kept: Booleans
+    readings: tuple[bool, ...]
 
     @classmethod
-    def of(cls, batch: TrialBatch, response: Response, i: int, external: Floats) -> LogRows:
-        """Return the rows of a trial of a batch, with its `external_force`."""
+    def of(cls, batch: TrialBatch, response: Response, i: int) -> LogRows:
+        """Return the rows of a trial of a batch."""
         rows = slice(0, int(batch.rows[i]))
         command, position = batch.command[i, rows], batch.position[i, rows]
         K, B, T = float(batch.stiffness[i]), float(batch.damping[i]), float(batch.sampling_period_s[i])
-        of_command = _resolution(command)
-        # the difference of two rounded positions is off by twice the rounding of one
-        printed = of_command > ROUNDINGS * _rounding(command)
-        of_position = _resolution(position) if printed else _rounding(position)
-        rounding = ROUNDINGS * _rounding(external[rows]) + of_command + (2 * abs(K) + 2 * abs(B) / T) * of_position
-        if not printed:
-            rounding *= ROUNDINGS
+        arithmetic = ROUNDINGS * float(np.finfo(np.float64).eps)
+        of_position = resolution(position)
+        (digits, decimal), (own, own_decimal) = format_of(command), format_of(position)
+        readings: tuple[bool, ...] = (False,)
+        if digits == FULL_DIGITS and not is_single(command):
+            readings = (True,)
+        elif own == FULL_DIGITS or (own < digits and own_decimal > decimal):
+            readings = (True, False)
+            of_position = np.maximum(of_position, 0.5 * float(response.sensor_quantum[i]))
         return cls(
             *(K, B, float(batch.step[i]), T, int(response.edge_row[i]), float(response.floor[i])),
-            *(batch.time[i, rows], command, position, external[rows], rounding),
+            *(batch.time[i, rows], command, position, resolution(command), of_position),
+            (stated_resolution(K), stated_resolution(B)),
+            arithmetic * SINGLE / ROUNDINGS if is_single(command) else arithmetic,
+            *(np.ones(len(position), dtype=np.bool_), readings),
         )
 
-    @property
+    @cached_property
+    def change(self) -> Floats:
+        """Change of the position since the row before [m, rad]."""
+        result: Floats = np.diff(self.position, prepend=self.position[:1])
+        return result
+
+    @cached_property
+    def displacement(self) -> Floats:
+        """Position from where the wall rests [m, rad]."""
+        return self.position - self.position[0]
+
+    @cached_property
+    def wall(self) -> Floats:
+        """Force of the wall by the law [N, Nm]."""
+        return self.stiffness * self.displacement + self.damping / self.period * self.change
+
+    @cached_property
+    def external(self) -> Floats:
+        """What the command holds beside the wall [N, Nm]."""
+        return self.command + self.wall
+
+    @cached_property
+    def residual(self) -> Floats:
+        """What it holds beside wall and step [N, Nm]."""
+        return self.external - self.step * self.after
+
+    @cached_property
+    def rounding(self) -> Floats:
+        """Largest residual that the digits of the log leave open in each row [N, Nm]."""
+        K, B = abs(self.stiffness), abs(self.damping) / self.period
+        of_displacement = self.of_position + self.of_position[0]
+        of_change = self.of_position + np.append(self.of_position[:1], self.of_position[:-1])
+        displacement, change = np.abs(self.displacement), np.abs(self.change)
+        terms = np.abs(self.command) + abs(self.step) + K * displacement + B * change
+        stated = self.left_open[0] * displacement + self.left_open[1] / self.period * change
+        result: Floats = self.of_command + K * of_displacement + B * of_change + stated + self.arithmetic * terms
+        return result
+
+    @cached_property
     def after(self) -> Booleans:
         """Rows from the edge on."""
         result: Booleans = np.arange(len(self.position)) >= self.edge
         return result
 
     @property
-    def wall(self) -> Floats:
-        """Force of the wall by the law [N, Nm]."""
-        return self.external - self.command
+    def each_reading(self) -> Iterator[LogRows]:
+        """The log if its positions are the readings that the controller had, on whatever grid, or if they are rounded."""
+        exact = replace(self, of_position=full_resolution(self.position))
+        return (exact if as_read else self for as_read in self.readings)
+
+    def without(self, rows: Booleans) -> LogRows:
+        """Return the log with rows that no law must explain."""
+        return replace(self, kept=self.kept & ~rows)
+
+    def moved(self, rows: int) -> LogRows:
+        """Return the log with commands so many rows earlier; its edge is the first row beyond half the step."""
+        own = slice(max(rows, 0), len(self.command) + min(rows, 0))
+        other = slice(max(-rows, 0), len(self.command) + min(-rows, 0))
+        commands = {name: getattr(self, name)[own] for name in ("command", "of_command")}
+        others = {name: getattr(self, name)[other] for name in ("time", "position", "of_position")}
+        # a row is none of both where either was
+        found = replace(self, **commands, **others, kept=self.kept[own] & self.kept[other])
+        return replace(found, edge=int(np.argmax(found.external * np.sign(self.step) > 0.5 * abs(self.step))))
 
     def off(self, predicted: NDArray[np.floating[Any]], rows: Booleans | None = None) -> bool:
-        """Whether the command is not the predicted one, over some rows or all."""
-        error = np.abs(self.command - predicted)
-        return bool((error if rows is None else error[rows]).max(initial=0.0) > self.rounding)
-
-
-def _rounding(values: Floats) -> float:
-    return float(np.finfo(np.float64).eps * np.nanmax(np.abs(values), initial=0.0))
-
-
-def _resolution(values: Floats) -> float:
-    """Return half the last digit that numbers were printed with, or rounding where they were printed in full."""
-    finite = values[np.isfinite(values)]
-    exact = _rounding(finite)
-    if np.array_equal(finite.astype(np.float32).astype(np.float64), finite):
-        exact = float(np.finfo(np.float32).eps * np.abs(finite).max(initial=0.0))
-    for decimals in range(MOST_DECIMALS + 1):
-        scaled = finite * 10.0**decimals
-        if (np.abs(scaled - np.rint(scaled)) < ON_GRID).all() and len(np.unique(np.rint(scaled))) > 2:
-            return max(0.5 * 10.0**-decimals, exact)
-    return exact
+        """Whether the command is not the predicted one, over some rows or all that are kept."""
+        some = self.kept if rows is None else self.kept & rows
+        return bool((np.abs(self.command - predicted)[some] > self.rounding[some]).any())
 
 
 def stands_still(change: Floats, after: Booleans, least: float | Floats) -> Booleans:

@@ -13,11 +13,14 @@ PLATEAU = 2
 EQUAL = 1e-12
 """Relative difference of commands that are the same number."""
 
-MOST_SPIKES = 0.34
+MOST_SPIKES = 0.15
 """Largest share of rows off the law that single lost or repeated rows cause; with more, nothing is single."""
 
 STILL_FLOORS = 3.0
 """Change of position on both sides of a row, in sensor floors, between which a device cannot stand still for a row."""
+
+STILL_DIGITS = 12.0
+"""The same in half units of the last digit that was printed."""
 
 
 def hidden_rows(log: LogRows) -> Integers:
@@ -43,18 +46,11 @@ def repeated_rows(log: LogRows, *, by_law: bool = True) -> Integers:
 
     ``by_law`` counts those, too, that only the plain wall law tells from a device that is slow.
     """
-    still = stands_still(log.change, log.after, STILL_FLOORS * log.floor + EQUAL * np.ptp(log.position))
-    # a device may be too slow for that, but a wall that sees it rest does not command what it did while it moved,
-    # unless that is a limit of its
-    same = log.after & (log.change == 0) & (np.diff(log.command, prepend=np.nan) == 0)
-    for limit in (log.command.min(), log.command.max(), log.step):
-        same &= ~is_equal(log.command, float(limit))
+    least = STILL_FLOORS * log.floor + EQUAL * np.ptp(log.position) + STILL_DIGITS * log.of_position
+    still = stands_still(log.change, log.after, least)
     off = np.abs(log.residual) > log.rounding
-    # the row behind is off the law, too, as the reading before it is not there; behind a missing row it is not
-    still |= (
-        by_law & same & off & np.append(off[1:], False) & (np.abs(np.diff(log.residual, prepend=0.0)) > log.rounding)
-    )
-    still[1:] |= same[1:] & still[:-1]  # twice in a row
+    # the row behind is off the law, too, as the reading before it is not there
+    still |= by_law & log.after & (log.change == 0) & off & np.append(off[1:], False)
     rows = np.flatnonzero(still)
     return rows if len(rows) >= PLATEAU else rows[:0]
 

@@ -75,7 +75,7 @@ def sample_grid(batch: TrialBatch, response: Response) -> SampleGrid:
         index = np.concatenate([[0], np.cumsum(np.maximum(steps[i, : rows - 1], 1))]).astype(np.int64)
         seen = np.ones(rows, dtype=np.bool_)
         if response.edge_row[i] > 0:
-            log = LogRows.of(batch, response, i, external)
+            log = LogRows.of(batch, response, i)
             seen[repeated_rows(log)] = False
             hidden = 0 if gap[i].any() else _untold(log, seen)
         else:

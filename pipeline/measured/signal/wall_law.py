@@ -2,23 +2,26 @@
 
 The law is u_k = F_k - K (x_k - x_0) - B (x_k - x_{k-1})/T with F_k = 0 before the edge and F_0 from it on. Of a
 controller that applies it nothing but rounding is left in u + K (x - x_0) + B dx/T - F. What is left otherwise has a
-shape by which its cause is known: a command that is clipped, a wall that pushes only, another step, rows that are
-missing or repeated, a velocity that is filtered.
+shape by which its cause is known. Candidates are held against the command in the order of what they leave free, and
+one that leaves more than the digits of the log leave open in any row is none: a command of another row, one that is
+clipped or whose rate is, a wall that pushes only, another step, rows that are missing or repeated, a velocity that is
+filtered.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from pipeline.measured.signal.log_rows import ROUNDINGS, LogRows, stands_still
 from pipeline.measured.signal.lost_rows import EQUAL, PLATEAU, STILL_FLOORS, hidden_rows, is_equal, repeated_rows
 from pipeline.measured.signal.response import CHUNK, Response, external_force
+from pipeline.measured.signal.stamps import ODD, Stamps, read_stamps
 from pipeline.measured.signal.velocity_filter import VelocityFilterFound, find_filter
 from pipeline.measured.signal.wall_scale import fit, power_of_ten, scale_in
-from pipeline.records.batch import Booleans, Floats, TrialBatch
+from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
 
 PRINTED_IN_FULL = float(ROUNDINGS**2 * np.finfo(np.float64).eps)
 """Rounding of the law relative to its largest force where all numbers are printed in full, as `LogRows.of` has it."""
@@ -29,11 +32,17 @@ LONGEST_RAMP = 0.25
 LEVEL_ROWS = 5
 """Rows for which the external force must stay on a level to be a step of its own."""
 
+FEWEST_AT_LIMIT = 3
+"""Rows whose command changes by the same that show a limit of that."""
+
 MOST_LEVELS = 12
 """Levels beyond which an external force is no staircase."""
 
 EXPLAINED = 1e-6
-"""Part of the damping force that a filter may leave unexplained, beside rounding: what is found is exact or not it."""
+"""Part of what a filter changes that it may leave unexplained, beside rounding: what is found is exact or not it."""
+
+CLIPPED = 1e-3
+"""Part of a limit by which what a filtered wall demands may stay below it: its filter is known as well as that."""
 
 CODES = (
     "saturation",
@@ -43,6 +52,10 @@ CODES = (
     "several_steps",
     "missing_rows",
     "repeated_rows",
+    "command_shifted",
+    "rate_limit",
+    "sampling_period",
+    "scattered_stamps",
     "velocity_filter",
     "other_wall",
     "other_unit",
@@ -102,9 +115,8 @@ def wall_law(batch: TrialBatch, response: Response) -> WallLaw:
 
     Notes
     -----
-    Positions and command are taken as printed. Rounding of the command is that of its last decimal, or of double
-    (single) precision; positions count as rounded in print only where the command is, since the quantum of a sensor
-    is on a grid of decimals, too, and is what the controller saw.
+    What the digits of command, position, K and B leave open in a row is no departure (`digits`). A quantum of a sensor
+    is on a grid of decimals, too, and is what the controller saw: a law is tried with positions as they are first.
 
     Source: Hulin 2017, eqs. 3.9 and 3.10 (wall), sec. 6.1.1 (command as logged).
     """
@@ -118,8 +130,8 @@ def wall_law(batch: TrialBatch, response: Response) -> WallLaw:
         off, least = _largest_residual(some, of, external)
         residual[place], rounding[place] = off / size, least / size
         for i in np.flatnonzero(seen & ((off > least) | _odd_rows(some, of))):
-            log = LogRows.of(some, of, int(i), external[i])
-            rounding[place.start + i] = log.rounding / size[i]
+            log = LogRows.of(some, of, int(i))
+            rounding[place.start + i] = log.rounding.max() / size[i]
             departures[place.start + i] = tuple(_departures(log))
     for i in np.flatnonzero(response.steps > 1):
         found = Departure("several_steps", response.edge_reason[i], int(batch.rows[i]), float(response.steps[i]))
@@ -136,9 +148,8 @@ def _largest_residual(batch: TrialBatch, response: Response, external: Floats) -
 
 def _odd_rows(batch: TrialBatch, response: Response) -> Booleans:
     """Return which logs skip rows by their stamps, or stand still in single rows, shape (n,)."""
-    odd: Booleans = np.any(np.diff(batch.time, axis=1) > 1.5 * batch.sampling_period_s[:, None], axis=1, keepdims=True)[
-        :, 0
-    ]
+    steps = np.diff(batch.time, axis=1) / batch.sampling_period_s[:, None]
+    odd: Booleans = np.any(np.abs(steps - 1) > ODD, axis=1, keepdims=True)[:, 0]
     change = np.diff(batch.position, axis=1, prepend=batch.position[:, :1])
     # most logs of a device that is read exactly never stand still after the step
     after = np.arange(change.shape[1]) >= response.edge_row[:, None]
@@ -150,66 +161,83 @@ def _odd_rows(batch: TrialBatch, response: Response) -> Booleans:
 
 
 def _departures(log: LogRows) -> Iterator[Departure]:
-    """Yield what departs from the law: what shows by itself first, then what explains all that is left."""
-    rows = _repeated(log) or _gaps(log)
-    # a wall may rest beside the first reading by the error of that
+    """Yield what departs from the law: what the stamps show, then the rows and the law that explain the command."""
+    stamps = read_stamps(log.time, log.period)
+    yield from (told := [*_by_stamps(stamps, log)])
+    log = replace(log, period=stamps.period).without(np.append(0, stamps.skipped) > 0)
+    held, repeats = repeated_rows(log, by_law=False), repeated_rows(log)
+    found = _explained(log)
+    if found is None and len(repeats):
+        held, found = repeats, _explained(log.without(_beside(repeats, len(log.command))))
+    if found is None:
+        held, found = repeats[:0], _hidden(replace(log, kept=np.ones_like(log.kept)))
+    codes = {each.code for each in told}
+    yield from (each for each in (*_repeated(log, held), *(found or ())) if each.code not in codes)
+    if found is None:
+        off = log.kept & (np.abs(log.residual) > log.rounding)
+        text = f"the logged command departs from the wall law by up to {np.abs(log.residual[log.kept]).max():.3g}"
+        yield Departure("unknown", f"{text}, in {int(off.sum())} of {len(off)} rows", int(off.sum()))
+
+
+def _beside(rows: Integers, count: int) -> Booleans:
+    """Return those rows and the ones behind them: a change that is too small makes the next too large."""
+    result = np.zeros(count + 1, dtype=np.bool_)
+    result[rows] = result[rows + 1] = True
+    return result[:count]
+
+
+def _explained(log: LogRows) -> tuple[Departure, ...] | None:
+    """Return the first candidate that leaves nothing in any row; none where each leaves something.
+
+    Positions on a grid may be the readings that the controller had, or rounded when they were printed.
+    """
+    tried = (candidate(reading) for reading in log.each_reading for candidate in _CANDIDATES)
+    return next((found for found in tried if found is not None), None)
+
+
+def _by_stamps(stamps: Stamps, log: LogRows) -> Iterator[Departure]:
+    gaps = np.flatnonzero(stamps.skipped)
+    if stamps.period != log.period:
+        text = f"rows are {stamps.period:.4g} s apart by their stamps, the header says {log.period:.4g} s"
+        yield Departure("sampling_period", text, len(log.time), stamps.period)
+    if len(gaps):
+        lost = int(stamps.skipped.sum())
+        yield Departure("missing_rows", f"the stamps skip {lost} rows, first after row {gaps[0]}", len(gaps), lost)
+    elif stamps.odd:
+        text = f"stamps scatter by {stamps.scatter:.2g} of a period about even ones, and no row is missing"
+        yield Departure("scattered_stamps", text, stamps.odd, stamps.scatter)
+
+
+def _repeated(log: LogRows, rows: Integers) -> Iterator[Departure]:
+    if len(rows):
+        both = int((log.command[rows] == log.command[rows - 1]).sum())
+        what = "rows repeat the one before" if both > len(rows) / 2 else "readings of the position are held"
+        text = f"{len(rows)} {what} while the device moves, first row {rows[0]}"
+        yield Departure("repeated_rows", text, len(rows), float(len(rows)))
+
+
+def _plain(log: LogRows) -> tuple[Departure, ...] | None:
+    """The law itself; a wall may rest beside the first reading by the error of that."""
     error = abs(log.stiffness) * log.floor
-    off = np.abs(log.residual - np.clip(np.median(log.residual), -error, error)) > log.rounding
-    if not off.any() or (rows is not None and rows.rows >= off.sum()):
-        yield from filter(None, [rows])
-        return
-    # each row beside a missing or repeated one looks like a step
-    explanations = (each for each in _EXPLANATIONS if rows is None or each is not _other_step)
-    found = next(filter(None, (explanation(log) for explanation in explanations)), ())
-    if found and rows is not None and rows.code == "repeated_rows":
-        rows = _repeated(log, by_law=False)  # the law that explains all has the rows as they are
-    yield from filter(None, [rows, *found])
-    if not found and rows is None:
-        size = np.abs(log.residual).max()
-        yield Departure(
-            "unknown",
-            f"the logged command departs from the wall law by up to {size:.3g}, in {int(off.sum())} of {len(off)} rows",
-            int(off.sum()),
-        )
+    beside = np.clip(np.median(log.residual[log.kept]), -error, error)
+    return None if log.off(log.command - log.residual + beside) else ()
 
 
-def _gaps(log: LogRows) -> Departure | None:
-    """Rows that the stamps skip."""
-    gaps = np.flatnonzero(np.rint(np.diff(log.time) / log.period) > 1)
-    if not len(gaps):
-        return None
-    lost = int((np.rint(np.diff(log.time) / log.period)[gaps] - 1).sum())
-    return Departure("missing_rows", f"the stamps skip {lost} rows, first after row {gaps[0]}", len(gaps), lost)
+def _late(log: LogRows) -> tuple[Departure, ...] | None:
+    """A command that stands in the row behind its position, or before it."""
+    for rows, how in ((1, "late"), (-1, "early")):
+        if _plain(log.moved(rows)) is not None:
+            text = f"the logged command is that of the wall law, one row {how}"
+            return (Departure("command_shifted", text, len(log.command), float(rows)),)
+    return None
 
 
 def _hidden(log: LogRows) -> tuple[Departure, ...] | None:
     rows = hidden_rows(log)
     if not len(rows):
         return None
-    return (
-        Departure(
-            "missing_rows",
-            f"{len(rows)} single rows, first row {rows[0]}, fit the wall law only with a row missing before them",
-            int(log.after.sum()),
-            float(len(rows)),
-        ),
-    )
-
-
-def _repeated(log: LogRows, *, by_law: bool = True) -> Departure | None:
-    rows = repeated_rows(log, by_law=by_law)
-    if not len(rows):
-        return None
-    both = int((log.command[rows] == log.command[rows - 1]).sum())
-    what = "rows repeat the one before" if both > len(rows) / 2 else "readings of the position are held"
-    # the row after a repeated one is off the law, too
-    off = int((np.abs(log.residual) > log.rounding).sum())
-    return Departure(
-        "repeated_rows",
-        f"{len(rows)} {what} while the device moves, first row {rows[0]}",
-        off if off <= 2 * len(rows) else len(rows),
-        float(len(rows)),
-    )
+    text = f"{len(rows)} single rows, first row {rows[0]}, fit the wall law only with a row missing before them"
+    return (Departure("missing_rows", text, int(log.after.sum()), float(len(rows))),)
 
 
 def _clipped(log: LogRows) -> tuple[Departure, ...] | None:
@@ -220,21 +248,35 @@ def _clipped(log: LogRows) -> tuple[Departure, ...] | None:
     at = [is_equal(log.command, limit) for limit in (low, high)]
     beyond = [(demand < low - log.rounding) & at[0], (demand > high + log.rounding) & at[1]]
     count = int(beyond[0].sum() + beyond[1].sum())
-    if count < PLATEAU:
+    if count < PLATEAU or log.off(demand, ~beyond[0] & ~beyond[1]):
         return None
-    found = Departure(
-        "saturation",
-        f"the logged command is clipped at {high if beyond[1].any() else low:.4g} in {count} rows",
-        count,
-        float(max(abs(low) if beyond[0].any() else 0.0, abs(high) if beyond[1].any() else 0.0)),
-    )
-    free = ~(at[0] & beyond[0]) & ~(at[1] & beyond[1])
-    return (found,) if not log.off(demand, free) else None
+    limit = float(max(abs(low) if beyond[0].any() else 0.0, abs(high) if beyond[1].any() else 0.0))
+    text = f"the logged command is clipped at {high if beyond[1].any() else low:.4g} in {count} rows"
+    return (Departure("saturation", text, count, limit),)
+
+
+def _slow(log: LogRows) -> tuple[Departure, ...] | None:
+    """A command that changes by no more than a limit from row to row."""
+    # a step that rises slowly is half of itself too late
+    log = replace(log, edge=int(np.argmax(np.abs(log.command - log.command[0]) > log.rounding)))
+    before = np.append(0.0, log.command[:-1])
+    change = log.command - before
+    limit = float(np.abs(change).max())
+    at = np.abs(np.abs(change) - limit) <= log.of_command + np.append(0.0, log.of_command[:-1]) + EQUAL * limit
+    if limit >= abs(log.step) * (1 - EQUAL) or at.sum() < FEWEST_AT_LIMIT:
+        return None
+    demand = log.step * log.after - log.wall - before
+    if log.off(before + np.clip(demand, -limit, limit), ~at) or (at & (demand * change <= 0)).any():
+        return None
+    if (at & (np.abs(demand) < limit - 2 * log.rounding)).any():
+        return None
+    text = f"the logged command changes by at most {limit:.4g} from row to row, in {int(at.sum())} rows by that"
+    return (Departure("rate_limit", text, int(at.sum()), limit),)
 
 
 def _one_sided(log: LogRows) -> tuple[Departure, ...] | None:
     """A wall that exists on one side of its surface, or that only pushes."""
-    inside = (log.position - log.position[0]) * np.sign(log.step) > 0
+    inside = log.displacement * np.sign(log.step) > 0
     pushing = np.maximum(log.wall * np.sign(log.step), 0.0) * np.sign(log.step)
     force = log.step * log.after
     for predicted, how in (
@@ -242,8 +284,8 @@ def _one_sided(log: LogRows) -> tuple[Departure, ...] | None:
         (force - np.where(inside, pushing, 0.0), "is there on one side of x_0 and only pushes"),
         (force - pushing, "only pushes and never pulls"),
     ):
-        if not log.off(predicted):
-            rows = int((np.abs(log.residual) > log.rounding).sum())
+        rows = int((np.abs(log.residual) > log.rounding).sum())
+        if rows and not log.off(predicted):
             return (Departure("unilateral_wall", f"the wall {how}: {rows} rows without its force", rows),)
     return None
 
@@ -251,86 +293,48 @@ def _one_sided(log: LogRows) -> tuple[Departure, ...] | None:
 def _offset(log: LogRows) -> tuple[Departure, ...] | None:
     """A constant beside the law, from the first row on or from the step on."""
     value = float(np.median(log.residual[log.after]))
-    if np.abs(log.residual - value).max() <= log.rounding:
-        return (
-            Departure(
-                "constant_force",
-                f"the command holds a constant {value:.4g} beside the wall law",
-                len(log.residual),
-                value,
-            ),
-        )
-    if np.abs(log.residual - value * log.after).max() <= log.rounding:
-        return (
-            Departure(
-                "step_not_a_step",
-                f"the step is {log.step + value:.6g}, its header says {log.step:.6g}",
-                int(log.after.sum()),
-                log.step + value,
-            ),
-        )
+    if not log.off(log.command - log.residual + value):
+        text = f"the command holds a constant {value:.4g} beside the wall law"
+        return (Departure("constant_force", text, len(log.residual), value),)
+    if not log.off(log.command - log.residual + value * log.after):
+        text = f"the step is {log.step + value:.6g}, its header says {log.step:.6g}"
+        return (Departure("step_not_a_step", text, int(log.after.sum()), log.step + value),)
     return None
 
 
 def _other_step(log: LogRows) -> tuple[Departure, ...] | None:
-    """An external force that rises over several rows, or in several steps.
-
-    A quantum, gains and a ramp that are decimals make numbers that look printed with few of them; the force at the end
-    of the log shows what its rounding is.
-    """
-    end = log.external[len(log.external) // 2 :]
-    seen = float(np.ptp(end)) + PRINTED_IN_FULL * float(np.abs(end).max())
-    return _levels(log, log.rounding) or (_levels(log, seen) if seen < log.rounding else None)
-
-
-def _levels(log: LogRows, rounding: float) -> tuple[Departure, ...] | None:
+    """An external force that rises over several rows, or in several steps, and rests on each level."""
     e = log.external
-    turns = np.flatnonzero(np.abs(np.diff(e)) > 2 * rounding) + 1
-    if not len(turns):
+    turns = np.flatnonzero(np.abs(np.diff(e)) > log.rounding[1:] + log.rounding[:-1]) + 1
+    starts = np.append(0, turns)
+    lengths = np.diff(np.append(starts, len(e)))
+    stays = lengths >= LEVEL_ROWS
+    levels = [float(np.median(e[s : s + n])) for s, n in zip(starts, lengths, strict=True)]
+    force = np.repeat(levels, lengths)
+    if len(turns) < 2 or not stays[0] or log.off(log.command - e + force):
         return None
-    starts = np.concatenate([[0], turns])
-    lengths = np.diff(np.concatenate([starts, [len(e)]]))
     first, last = int(turns[0]), int(turns[-1])
-    level = float(e[last])
     ramp = last - first + 1
-    rising = np.diff(e[first - 1 : last + 1]) * np.sign(level) > 0
-    if (
-        ramp > 1
-        and ramp <= max(LONGEST_RAMP * len(e), 2)
-        and rising.all()
-        and lengths[1:-1].max(initial=1) < LEVEL_ROWS
-    ):
-        return (
-            Departure(
-                "step_not_a_step",
-                f"the step rises over {ramp} rows, from row {first} to row {last}, to {level:.4g}",
-                ramp,
-                float(ramp),
-            ),
-        )
-    levels = [(int(s), float(e[s])) for s, length in zip(starts, lengths, strict=True) if length >= LEVEL_ROWS]
-    if 2 < len(levels) <= MOST_LEVELS and lengths[lengths < LEVEL_ROWS].sum() <= LEVEL_ROWS * len(levels):
-        text = ", ".join(f"{value:.4g} from row {row}" for row, value in levels[1:])
-        return (
-            Departure(
-                "several_steps",
-                f"the external force has {len(levels) - 1} steps: {text}",
-                len(e) - log.edge,
-                float(len(levels) - 1),
-            ),
-        )
-    return None
+    rising = np.diff(force[first - 1 : last + 1]) * np.sign(levels[-1]) > 0
+    if ramp <= max(LONGEST_RAMP * len(e), 2) and rising.all():
+        text = f"the step rises over {ramp} rows, from row {first} to row {last}, to {levels[-1]:.4g}"
+        return (Departure("step_not_a_step", text, ramp, float(ramp)),)
+    if not stays.all() or len(levels) > MOST_LEVELS:
+        return None
+    told = ", ".join(f"{level:.4g} from row {row}" for level, row in zip(levels[1:], turns, strict=True))
+    text = f"the external force has {len(turns)} steps: {told}"
+    return (Departure("several_steps", text, len(e) - log.edge, float(len(turns))),)
 
 
 def _other_wall(log: LogRows) -> tuple[Departure, ...] | None:
     """Another stiffness, damping, step or sign than the header's."""
-    displacement = log.position - log.position[0]
-    terms = np.stack([log.after.astype(np.float64), -displacement, -log.change / log.period], axis=1)
-    values = fit(terms, log.command)
+    terms = np.stack([log.after.astype(np.float64), -log.displacement, -log.change / log.period], axis=1)
+    weight = (log.kept / log.rounding)[:, None]
+    values = fit(terms * weight, log.command * weight[:, 0])
     if log.off(np.matmul(terms, values).astype(np.float64)):
         return None
     # what moves the command by less than its rounding is nothing
-    values[np.abs(values) * np.abs(terms).max(axis=0) <= log.rounding] = 0.0
+    values[(np.abs(values * terms) <= log.rounding[:, None]).all(axis=0)] = 0.0
     step, stiffness, damping = values
     evidence = (
         f"the command obeys K = {stiffness:.6g}, B = {damping:.6g} and a step of {step:.6g}; its header says "
@@ -356,10 +360,10 @@ def _filtered(log: LogRows, clipped: Booleans | None = None) -> tuple[Departure,
     """A filter of the velocity: over N samples, else recursive, of the lowest order; some rows may be clipped."""
     if log.damping == 0:
         return None
-    force = log.step * log.after - log.stiffness * (log.position - log.position[0])
+    force = log.step * log.after - log.stiffness * log.displacement
     output = (force - log.command) * (log.period / log.damping)
-    tolerance = log.rounding * log.period / abs(log.damping) + EXPLAINED * float(np.abs(log.change).max())
-    free = np.ones_like(log.after) if clipped is None else ~clipped
+    tolerance = log.rounding * log.period / abs(log.damping) + EXPLAINED * float(np.abs(output - log.change).max())
+    free = log.kept if clipped is None else log.kept & ~clipped
     found = find_filter(log.change, output, free, tolerance, log.period)
     if found is None:
         return None
@@ -375,24 +379,36 @@ def _filtered_and_clipped(log: LogRows) -> tuple[Departure, ...] | None:
     clipped &= ~is_equal(log.command, log.step)
     limit, rows = float(np.abs(log.command).max()), int(clipped.sum())
     found = _filtered(log, clipped) if rows >= PLATEAU else None
-    if found is None:
+    if found is None or found[0].filter is None:
         return None
-    return (
-        Departure("saturation", f"the logged command is clipped at {limit:.4g} in {rows} rows", rows, limit),
-        *found,
-    )
+    from scipy.signal import lfilter
+
+    velocity = lfilter(found[0].filter.b, found[0].filter.a, log.change) / log.period
+    demand = log.step * log.after - log.stiffness * log.displacement - log.damping * velocity
+    if (demand / log.command < 1 - CLIPPED)[clipped].any():
+        return None
+    text = f"the logged command is clipped at {limit:.4g} in {rows} rows"
+    return (Departure("saturation", text, rows, limit), *found)
 
 
-_EXPLANATIONS: tuple[Callable[[LogRows], tuple[Departure, ...] | None], ...] = (
+def _filtered_and_late(log: LogRows) -> tuple[Departure, ...] | None:
+    """A filter of the velocity in a command that stands in the row behind its position."""
+    found = _filtered(log.moved(1))
+    return found and (Departure("command_shifted", "the logged command is late by a row", len(log.command), 1.0), *found)
+
+
+_CANDIDATES: tuple[Callable[[LogRows], tuple[Departure, ...] | None], ...] = (
+    _plain,
+    _late,
+    _offset,
     _clipped,
     _one_sided,
-    _offset,
     _other_unit,
+    _other_step,
+    _slow,
     _other_wall,
     _filtered,
-    _hidden,
-    _other_step,
     _filtered_and_clipped,
+    _filtered_and_late,
 )
-"""In order: what leaves nothing in any row before what explains single ones, which a slow device and a coarse sensor
-make look like missing rows or steps."""
+"""In the order of the numbers that they leave free: none, a limit or a constant, three, those of a filter, a row each."""
