@@ -188,3 +188,18 @@ def repeated(batch, share, seed=0):
             if random.random() < share:
                 command[i, k], position[i, k] = command[i, k - 1], position[i, k - 1]
     return replace(batch, command=command, position=position)
+
+
+def write(batch, folder, *, text="%.17g", device="bench", times="%.17g", numbers=None):
+    """Write a course as native logs, columns by a printf format or one of `FORMATS`; K and B in the header in full."""
+    folder.mkdir(parents=True, exist_ok=True)
+    if text in FORMATS and not text.startswith("%.") or " " in text:
+        batch, text = written(batch, text), "%.17g"
+    for i, rows in enumerate(batch.rows.tolist()):
+        header = (
+            f"# device: {device}\n# experiment: 1\n# stiffness: {batch.stiffness[i]!r}\n# damping: {batch.damping[i]!r}\n"
+            f"# step: {batch.step[i]!r}\n# sampling_period_s: {batch.sampling_period_s[i]!r}\ntime_s,command,position\n"
+        ).replace("np.float64(", "").replace(")", "")
+        columns = zip(*(getattr(batch, name)[i, :rows].tolist() for name in ("time", "command", "position")), strict=True)
+        body = "".join(f"{times % t},{text % u},{text % x}\n" for t, u, x in columns)
+        (folder / f"{batch.trial_id[i]}.csv").write_text(header + body)

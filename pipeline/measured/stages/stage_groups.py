@@ -12,8 +12,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from pipeline.measured.law.sample_grid import SampleGrid, sample_grid
 from pipeline.measured.signal.response import Response, declare_edge, find_response
-from pipeline.measured.signal.sample_grid import SampleGrid, sample_grid
 from pipeline.measured.signal.verdict import Verdicts
 from pipeline.records.batch import Booleans, Integers, TrialBatch
 

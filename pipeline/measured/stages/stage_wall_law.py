@@ -5,8 +5,9 @@ from __future__ import annotations
 import json
 from dataclasses import asdict
 
+from pipeline.measured.law.candidates import Departure
+from pipeline.measured.law.wall_law import wall_law
 from pipeline.measured.signal.lag import lags_of
-from pipeline.measured.signal.wall_law import Departure, wall_law
 from pipeline.measured.stages.stage_columns import conditions
 from pipeline.measured.stages.stage_groups import Columns, Given, TrialGroup
 

@@ -10,15 +10,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.measured.signal.digits import FULL_DIGITS, format_of, full_resolution, is_single, resolution, stated_resolution
+from pipeline.measured.law.digits import full_resolution, printed, stated_resolution
 from pipeline.measured.signal.response import Response
 from pipeline.records.batch import Booleans, Floats, TrialBatch
 
 ROUNDINGS = 16.0
 """Units of rounding of the terms of the law up to which its residual is rounding: they are a dozen operations."""
 
-SINGLE = float(np.finfo(np.float32).eps / np.finfo(np.float64).eps)
-"""A unit of rounding of single precision in that of double."""
+SINGLE_ROUNDINGS = 1.0
+"""The same where commands are of single precision: less than its own digit leaves open."""
+
+_EPS, _SINGLE = float(np.finfo(np.float64).eps), float(np.finfo(np.float32).eps)
 
 CAUGHT_UP = 1.3
 """Way in the row after one that was held, relative to the way before it: twice at an even speed."""
@@ -28,9 +30,9 @@ CAUGHT_UP = 1.3
 class LogRows:
     """One log: rows as arrays of shape (N,), and its conditions.
 
-    ``of_command`` and ``of_position`` are what the digits of a number leave open, ``left_open`` what those of K and B
-    do; ``kept`` are the rows that a law must explain. ``readings`` says whether positions may be the readings that the
-    controller had, most likely first: where commands are printed in full, or with digits that positions do not need.
+    ``of_command`` and ``of_position`` are what the digits of a number leave open, ``coarser`` what those of a position
+    do if it was rounded, though it may be the reading as it was; ``left_open`` what those of K and B do. ``kept`` are
+    the rows that a law must explain.
     """
 
     stiffness: float
@@ -39,6 +41,7 @@ class LogRows:
     period: float
     edge: int
     floor: float
+    quantum: float
     time: Floats
     command: Floats
     position: Floats
@@ -47,7 +50,7 @@ class LogRows:
     left_open: tuple[float, float]
     arithmetic: float
     kept: Booleans
-    readings: tuple[bool, ...]
+    coarser: Floats | None = None
 
     @classmethod
     def of(cls, batch: TrialBatch, response: Response, i: int) -> LogRows:
@@ -55,22 +58,27 @@ class LogRows:
         rows = slice(0, int(batch.rows[i]))
         command, position = batch.command[i, rows], batch.position[i, rows]
         K, B, T = float(batch.stiffness[i]), float(batch.damping[i]), float(batch.sampling_period_s[i])
-        arithmetic = ROUNDINGS * float(np.finfo(np.float64).eps)
-        of_position = resolution(position)
-        (digits, decimal), (own, own_decimal) = format_of(command), format_of(position)
-        readings: tuple[bool, ...] = (False,)
-        if digits == FULL_DIGITS and not is_single(command):
-            readings = (True,)
-        elif own == FULL_DIGITS or (own < digits and own_decimal > decimal):
-            readings = (True, False)
-            of_position = np.maximum(of_position, 0.5 * float(response.sensor_quantum[i]))
+        of_command, of_position = printed(command), printed(position)
+        exact = full_resolution(position)
+        # of positions with fewer digits than a file has room for, the digits are those of the sensor
+        finer = of_position.digits < of_command.digits and of_position.decimal > of_command.decimal
+        read = of_command.in_full or of_position.in_full or (finer and not of_position.single)
         return cls(
-            *(K, B, float(batch.step[i]), T, int(response.edge_row[i]), float(response.floor[i])),
-            *(batch.time[i, rows], command, position, resolution(command), of_position),
+            *(K, B, float(batch.step[i]), T, int(response.edge_row[i])),
+            *(float(response.floor[i]), float(response.sensor_quantum[i])),
+            *(batch.time[i, rows], command, position, of_command.half, exact if read else of_position.half),
             (stated_resolution(K), stated_resolution(B)),
-            arithmetic * SINGLE / ROUNDINGS if is_single(command) else arithmetic,
-            *(np.ones(len(position), dtype=np.bool_), readings),
+            ROUNDINGS * _EPS if not of_command.single else SINGLE_ROUNDINGS * _SINGLE,
+            np.ones(len(position), dtype=np.bool_),
+            of_position.half if read and not of_command.in_full else None,
         )
+
+    @property
+    def readings(self) -> Iterator[LogRows]:
+        """The log if its positions are what the controller read, where they may be, and if they were rounded."""
+        yield self
+        if self.coarser is not None:
+            yield replace(self, of_position=self.coarser, coarser=None)
 
     @cached_property
     def change(self) -> Floats:
@@ -81,7 +89,8 @@ class LogRows:
     @cached_property
     def displacement(self) -> Floats:
         """Position from where the wall rests [m, rad]."""
-        return self.position - self.position[0]
+        result: Floats = self.position - self.position[0]
+        return result
 
     @cached_property
     def wall(self) -> Floats:
@@ -116,12 +125,6 @@ class LogRows:
         result: Booleans = np.arange(len(self.position)) >= self.edge
         return result
 
-    @property
-    def each_reading(self) -> Iterator[LogRows]:
-        """The log if its positions are the readings that the controller had, on whatever grid, or if they are rounded."""
-        exact = replace(self, of_position=full_resolution(self.position))
-        return (exact if as_read else self for as_read in self.readings)
-
     def without(self, rows: Booleans) -> LogRows:
         """Return the log with rows that no law must explain."""
         return replace(self, kept=self.kept & ~rows)
@@ -133,7 +136,8 @@ class LogRows:
         commands = {name: getattr(self, name)[own] for name in ("command", "of_command")}
         others = {name: getattr(self, name)[other] for name in ("time", "position", "of_position")}
         # a row is none of both where either was
-        found = replace(self, **commands, **others, kept=self.kept[own] & self.kept[other])
+        coarser = None if self.coarser is None else self.coarser[other]
+        found = replace(self, **commands, **others, kept=self.kept[own] & self.kept[other], coarser=coarser)
         return replace(found, edge=int(np.argmax(found.external * np.sign(self.step) > 0.5 * abs(self.step))))
 
     def off(self, predicted: NDArray[np.floating[Any]], rows: Booleans | None = None) -> bool:

@@ -65,8 +65,8 @@ def read_stamps(time: Floats, period: float) -> Stamps:
 
     Notes
     -----
-    A row is late by as many periods as rows are missing before it, and by what its stamp is late and clocks differ. What
-    is left of that among the stamps behind it, at the least, are rows that are missing; the rest comes and goes.
+    A row is late by as many periods as rows are missing before it, and by what its stamp is late and clocks differ.
+    What is left of that among the stamps behind it, at the least, are rows that are missing; the rest comes and goes.
     """
     steps = np.diff(time)
     none = np.zeros(len(steps), dtype=np.int64)

@@ -6,6 +6,8 @@ column did shows in its numbers: the fewest digits that have them all.
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 
 from pipeline.records.batch import Booleans, Floats
@@ -28,56 +30,79 @@ STATED_DIGITS = 5
 _EPS, _SINGLE = float(np.finfo(np.float64).eps), float(np.finfo(np.float32).eps)
 
 
-def format_of(values: Floats) -> tuple[int, float]:
-    """Return the fewest digits that have all numbers of a column, and half a unit in their last decimal, 0 for none."""
-    size = _size(values)
-    if len(np.unique(size)) < FEWEST_NUMBERS:
-        return FULL_DIGITS, 0.0
-    digits = next((n for n in range(1, FULL_DIGITS) if _on_grid(size, n - 1 - _exponent(size)).all()), FULL_DIGITS)
-    return digits, _of_decimals(size)
+@dataclass(frozen=True, eq=False)
+class Printed:
+    """How a column was printed.
+
+    Parameters
+    ----------
+    digits : int
+        Fewest significant digits that have all numbers, at most `FULL_DIGITS`.
+    decimal : float
+        Half a unit in the last decimal that all numbers have, 0 for none.
+    single : bool
+        Whether they are, or were before they were printed, of single precision.
+    half : float64, shape (N,)
+        Half a unit in the last digit of each number; 0 for 0 and for NaN.
+    """
+
+    digits: int
+    decimal: float
+    single: bool
+    half: Floats
+
+    @property
+    def in_full(self) -> bool:
+        """Whether the digits leave nothing open but rounding of doubles."""
+        return self.digits == FULL_DIGITS and not self.single
 
 
-def resolution(values: Floats) -> Floats:
-    """Return half a unit in the last digit of each number of a column, shape (N,); 0 for 0 and for NaN.
+def printed(values: Floats) -> Printed:
+    """Return how a column was printed, shape (N,), in its own unit or in degrees.
 
     Notes
     -----
     Numbers with decimals have as many significant digits as their size allows, and few where they are small: of both
     the coarser counts. No number is better than `FULL_DIGITS` digits.
     """
-    size, full = _size(values), full_resolution(values)
-    digits, decimal = format_of(values)
-    result: Floats = np.maximum(_half(size, digits), decimal)
+    found = _printed(np.where(np.isfinite(values), np.abs(values), 0.0))
+    if found.digits < FULL_DIGITS or found.single:
+        return found
+    degrees = _printed(np.rad2deg(np.where(np.isfinite(values), np.abs(values), 0.0)))
+    if degrees.digits == FULL_DIGITS:
+        return found
+    return replace(degrees, half=np.deg2rad(degrees.half), decimal=float(np.deg2rad(degrees.decimal)), single=False)
+
+
+def _printed(size: Floats) -> Printed:
+    full = _half(size, FULL_DIGITS)
+    if len(np.unique(size)) < FEWEST_NUMBERS:
+        return Printed(FULL_DIGITS, 0.0, False, full)
+    digits, decimal = _digits(size), _of_decimals(size)
+    half = np.maximum(_half(size, digits), decimal)
     single = size.astype(np.float32).astype(np.float64)
-    exactly = np.array_equal(single, size)
-    if not size.any():
-        return full
-    if exactly or (SINGLE_DIGITS[0] <= digits <= SINGLE_DIGITS[1] and (np.abs(single - size) <= result).all()):
-        # a number that is exactly one of single precision has the digits of that, however few it could be printed with
-        result = result * (not exactly or digits < SINGLE_DIGITS[0]) + 0.5 * _SINGLE * size
-    return np.maximum(result, full)
+    if np.array_equal(single, size):
+        # single precision has its own digits; fewer are those of print
+        half = np.maximum(half * (digits < SINGLE_DIGITS[0]), 0.5 * _SINGLE * size)
+        return Printed(digits, decimal, True, np.maximum(half, full))
+    rounded = SINGLE_DIGITS[0] <= digits <= SINGLE_DIGITS[1] and bool((np.abs(single - size) <= half).all())
+    return Printed(digits, decimal, rounded, np.maximum(half + 0.5 * _SINGLE * size * rounded, full))
 
 
 def full_resolution(values: Floats) -> Floats:
     """Return half a unit in the last digit of numbers that are printed in full, shape (N,)."""
-    return _half(_size(values), FULL_DIGITS)
-
-
-def is_single(values: Floats) -> bool:
-    """Return whether a column was computed or stored in single precision, as far as it shows."""
-    size = _size(values)
-    return bool((resolution(values) >= 0.5 * _SINGLE * size).all() and size.any())
+    return _half(np.where(np.isfinite(values), np.abs(values), 0.0), FULL_DIGITS)
 
 
 def stated_resolution(value: float) -> float:
     """Return half a unit in the last digit of a number of a header, 0 where it has few digits."""
     size = np.abs(np.array([value]))
-    digits = next((n for n in range(1, FULL_DIGITS) if _on_grid(size, n - 1 - _exponent(size)).all()), FULL_DIGITS)
+    digits = _digits(size)
     return float(_half(size, digits)[0]) if digits >= STATED_DIGITS else 0.0
 
 
-def _size(values: Floats) -> Floats:
-    return np.where(np.isfinite(values), np.abs(values), 0.0)
+def _digits(size: Floats) -> int:
+    return next((n for n in range(1, FULL_DIGITS) if _on_grid(size, n - 1 - _exponent(size)).all()), FULL_DIGITS)
 
 
 def _exponent(size: Floats) -> Floats:

@@ -106,7 +106,7 @@ def _recursive(change: Floats, output: Floats, known: Booleans, tolerance: Float
         unknown = np.any([_delayed((~known).astype(np.float64), i) > 0 for i in (0, *back)], axis=0)
         rows = np.flatnonzero(~unknown)
         terms = np.stack(columns, axis=1)
-        if len(rows) < 4 * terms.shape[1]:
+        if len(rows) < 4 * terms.shape[1] or (np.abs(output - change) <= tolerance)[rows].all():
             return None
         # a row says as much as its digits do
         fitted = rows[rows >= np.argmax(change != 0)][:FITTED_ROWS]

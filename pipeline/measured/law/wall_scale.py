@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.measured.signal.log_rows import LogRows
+from pipeline.measured.law.log_rows import LogRows
 from pipeline.measured.signal.response import find_response
 from pipeline.records.batch import Floats, TrialBatch
 
