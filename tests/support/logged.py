@@ -190,16 +190,25 @@ def repeated(batch, share, seed=0):
     return replace(batch, command=command, position=position)
 
 
-def write(batch, folder, *, text="%.17g", device="bench", times="%.17g", numbers=None):
+def write(batch, folder, *, text="%.17g", device="bench"):
     """Write a course as native logs, columns by a printf format or one of `FORMATS`; K and B in the header in full."""
     folder.mkdir(parents=True, exist_ok=True)
-    if text in FORMATS and not text.startswith("%.") or " " in text:
+    if " " in text or not text.startswith("%"):
         batch, text = written(batch, text), "%.17g"
     for i, rows in enumerate(batch.rows.tolist()):
-        header = (
-            f"# device: {device}\n# experiment: 1\n# stiffness: {batch.stiffness[i]!r}\n# damping: {batch.damping[i]!r}\n"
-            f"# step: {batch.step[i]!r}\n# sampling_period_s: {batch.sampling_period_s[i]!r}\ntime_s,command,position\n"
-        ).replace("np.float64(", "").replace(")", "")
-        columns = zip(*(getattr(batch, name)[i, :rows].tolist() for name in ("time", "command", "position")), strict=True)
-        body = "".join(f"{times % t},{text % u},{text % x}\n" for t, u, x in columns)
-        (folder / f"{batch.trial_id[i]}.csv").write_text(header + body)
+        names = ("stiffness", "damping", "step", "sampling_period_s")
+        header = "".join(f"# {name}: {float(getattr(batch, name)[i])!r}\n" for name in names)
+        columns = (getattr(batch, name)[i, :rows].tolist() for name in ("time", "command", "position"))
+        body = "".join(f"{t:.17g},{text % u},{text % x}\n" for t, u, x in zip(*columns, strict=True))
+        start = f"# device: {device}\n# experiment: 1\n{header}time_s,command,position\n"
+        (folder / f"{batch.trial_id[i]}.csv").write_text(start + body)
+
+
+def lab(rig, n, seed=0, **controller):
+    """A course as a lab records it: at each damping the stiffness rises until trials are unstable."""
+    random = np.random.default_rng(seed)
+    columns = max(3, int(np.sqrt(n)))
+    beta = np.repeat(np.linspace(0.1, 0.8, columns), n // columns) / (rig.delay + 1)
+    rising = np.tile(np.linspace(0.15, 1.6, n // columns), columns) * (1 + 0.02 * random.standard_normal(len(beta)))
+    walls = {"K": rising * beta / (rig.delay + 1) * rig.mass / rig.T**2, "B": beta * rig.mass / rig.T}
+    return record(rig, seed=seed, **walls, **controller)

@@ -7,17 +7,20 @@ missing moves all stamps behind it, a late stamp only itself.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.records.batch import Floats, Integers
+from pipeline.records.batch import Floats, Integers, TrialBatch
 
 OTHER_PERIOD = 1.2
 """Ratio of the usual distance of stamps and the sampling period, or its inverse, from which on one of both is wrong."""
 
 PERIOD_DIGITS = 4
 """Digits of a period that stamps show."""
+
+EVEN = 0.01
+"""Part of a period up to which distances of stamps are even: models of the motion allow as much."""
 
 ODD = 0.5
 """Part of a period by which the distance of two stamps differs from it where rows are looked for between them."""
@@ -51,13 +54,16 @@ class Stamps:
     scatter : float
         Standard deviation from even distances, in periods.
     odd : int
-        Stamps that are off by more than half a period though no row is missing.
+        Distances that are off by more than half a period though no row is missing.
+    scatters : bool
+        Whether each stamp is off by itself: where control is uneven, what one distance is too long is not made up for.
     """
 
     skipped: Integers
     period: float
-    scatter: float
-    odd: int
+    scatter: float = 0.0
+    odd: int = 0
+    scatters: bool = False
 
 
 def read_stamps(time: Floats, period: float) -> Stamps:
@@ -70,12 +76,12 @@ def read_stamps(time: Floats, period: float) -> Stamps:
     """
     steps = np.diff(time)
     none = np.zeros(len(steps), dtype=np.int64)
-    if len(time) < FEWEST_ROWS or (np.abs(steps / period - 1) <= ODD).all():
-        return Stamps(none, period, 0.0, 0)
+    if len(time) < FEWEST_ROWS or (np.abs(steps / period - 1) <= EVEN).all():
+        return Stamps(none, period)
     usual = float(np.median(steps))
     if not period / OTHER_PERIOD < usual < period * OTHER_PERIOD:
         usual = float(f"{usual:.{PERIOD_DIGITS}g}")  # nobody sets more digits
-        return Stamps(read_stamps(time, usual).skipped, usual, 0.0, 0)
+        return Stamps(read_stamps(time, usual).skipped, usual)
     late = (time - time[0]) / period - np.arange(len(time))
     stays = late
     whole = np.rint(steps / period)
@@ -88,7 +94,22 @@ def read_stamps(time: Floats, period: float) -> Stamps:
         level += skipped[row - 1]
         level += FOLLOWED * float(np.clip(late[row] - level, -ODD, ODD))
     rest = late - np.append(0, np.cumsum(skipped))
-    return Stamps(skipped, period, float(np.std(rest)), int((np.abs(np.diff(rest)) > ODD).sum()))
+    apart = np.diff(rest)
+    odd, scatter = int((np.abs(apart) > ODD).sum()), float(np.std(rest))
+    return Stamps(skipped, period, scatter, odd, scatter < float(np.std(apart)))
+
+
+def even(batch: TrialBatch) -> TrialBatch:
+    """Return trials with the stamps of their samples where those of the log scatter; rows that are missing stay so."""
+    steps = np.diff(batch.time, axis=1) / batch.sampling_period_s[:, None]
+    uneven = np.flatnonzero((np.abs(steps - 1) > EVEN).any(axis=1))
+    time = batch.time.copy() if len(uneven) else batch.time
+    for i in uneven.tolist():
+        rows, period = int(batch.rows[i]), float(batch.sampling_period_s[i])
+        stamps = read_stamps(time[i, :rows], period)
+        if stamps.scatters:
+            time[i, :rows] = time[i, 0] + period * np.append(0, np.cumsum(stamps.skipped + 1))
+    return replace(batch, time=time) if len(uneven) else batch
 
 
 def _behind(values: Floats, rows: int, of: Callable[..., Floats]) -> Floats:

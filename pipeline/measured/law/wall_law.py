@@ -194,7 +194,7 @@ def _by_stamps(stamps: Stamps, log: LogRows) -> Iterator[Departure]:
     if len(gaps):
         lost = int(stamps.skipped.sum())
         yield Departure("missing_rows", f"the stamps skip {lost} rows, first after row {gaps[0]}", len(gaps), lost)
-    elif stamps.odd:
+    elif stamps.odd and stamps.scatters:
         text = f"stamps scatter by {stamps.scatter:.2g} of a period about even ones, and no row is missing"
         yield Departure("scattered_stamps", text, stamps.odd, stamps.scatter)
 

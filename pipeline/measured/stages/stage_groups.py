@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from pipeline.measured.law.sample_grid import SampleGrid, sample_grid
+from pipeline.measured.law.stamps import even
 from pipeline.measured.signal.response import Response, declare_edge, find_response
 from pipeline.measured.signal.verdict import Verdicts
 from pipeline.records.batch import Booleans, Integers, TrialBatch
@@ -63,10 +64,12 @@ class TrialGroup:
         """The trials; at an operating point of a device without a wall, forces count from the level before the step.
 
         What holds the device there, gravity or a friction at its limit, is as large, so that the motion is that of the
-        change alone. A wall has its operating point in the position at which it rests.
+        change alone. A wall has its operating point in the position at which it rests. Stamps that scatter are those of
+        the samples that they count.
         """
         level = np.where(self.logged.stiffness == 0, self.found.level, 0.0)
-        return self.logged.relative_to(level) if level.any() else self.logged
+        batch = even(self.logged)
+        return batch.relative_to(level) if level.any() else batch
 
     def select(self, which: Booleans) -> TrialGroup:
         """Return the trials picked by a mask; the group itself where it picks all."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 from pipeline.measured.law.candidates import Departure
 from pipeline.measured.law.wall_law import wall_law
@@ -14,7 +14,7 @@ from pipeline.measured.stages.stage_groups import Columns, Given, TrialGroup
 
 def columns(of: TrialGroup, given: Given) -> Columns:
     """Return the columns of the stage for some trials."""
-    law, lags = wall_law(of.batch, of.found), lags_of(of.batch)
+    law, lags = wall_law(replace(of.batch, time=of.logged.time), of.found), lags_of(of.logged)
     return conditions(of) | {
         "law_residual": law.residual,
         "law_rounding": law.rounding,
