@@ -8,6 +8,7 @@ from collections.abc import Collection, Mapping, Sequence
 from pipeline.base.wording import listed
 from pipeline.comparison.loops.findings import loop_findings, with_large_motion
 from pipeline.comparison.loops.fitted_loop import fitted_estimates
+from pipeline.comparison.loops.log_evidence import law_departures
 from pipeline.comparison.loops.loop_range import adequate_theory, estimated_range
 from pipeline.comparison.loops.other_gains import other_gains
 from pipeline.comparison.scene.origin import header_lines
@@ -134,6 +135,10 @@ _OF_A_LOOP = ("delay_samples", "mass", "damping", "device_stiffness")
 
 def _with_loop(data: SceneData, stages: ExperimentStages, result: ExperimentResult, units: Units) -> ExperimentResult:
     """Add the loop and what follows from it, and leave out or doubt what needs a better one."""
+    if any(each.code == "command_shifted" for each in law_departures(stages)):
+        reason = "the command is logged in another row than its position, and the delay is off by as many samples"
+        others = {**result.estimates, "delay_samples": _without("samples", reason)}
+        result = result.model_copy(update={"estimates": others})
     findings = loop_findings(result, stages, data.device, units)
     found = dict(result.estimates)
     loop = estimated_range(result, stages.sampling_period_s)

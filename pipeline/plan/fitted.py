@@ -18,8 +18,8 @@ from pipeline.measured.ladder.ladder import FEWEST_TRIALS, Rung, climb
 from pipeline.measured.ladder.parts import GROUPS
 from pipeline.measured.ladder.search import covariance_of, judged, search
 from pipeline.measured.ladder.trials import LadderTrials, windowed
+from pipeline.measured.law.wall_law import wall_law
 from pipeline.measured.signal.response import Response, find_response
-from pipeline.measured.signal.wall_law import wall_law
 from pipeline.plan.forecast import Foretold
 from pipeline.records.batch import Floats, TrialBatch
 from pipeline.records.loop_parts import VelocityFilter

@@ -10,8 +10,7 @@ from pipeline.comparison.figures.figure_response import LONGEST_SHOWN
 from pipeline.comparison.loops.loop_range import adequate_theory
 from pipeline.loop.device_loop import general
 from pipeline.measured.fit.ghost import simulate_ghost
-from pipeline.measured.signal.edge import external_force
-from pipeline.measured.signal.log_rows import LogRows
+from pipeline.measured.law.log_rows import LogRows
 from pipeline.measured.stages.stage_groups import TrialGroup
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.batch import Floats
@@ -45,7 +44,7 @@ def trial_figure(stages: ExperimentStages, result: ExperimentResult, trial: str,
     batch, found = group.batch, group.found
     edge = max(int(found.edge_row[0]), 0)
     rows = min(int(batch.rows[0]), edge + LONGEST_SHOWN)
-    log = LogRows.of(group.logged, found, 0, external_force(group.logged)[0])
+    log = LogRows.of(group.logged, found, 0)
     beside, missing = _beside(stages, result, trial, group, rows)
     stiffness = float(batch.stiffness[0])
     course = TrialCourse(
@@ -54,7 +53,7 @@ def trial_figure(stages: ExperimentStages, result: ExperimentResult, trial: str,
         float(batch.step[0]) / stiffness if stiffness > 0 else np.nan,
         tuple(beside),
         log.residual[:rows],
-        log.rounding,
+        float(log.rounding.max()),
     )
     simulated = bool(own.column("simulated")[0].as_py())
     law = _law(stages, trial, course.residual, course.rounding, UNITS[motion].stiffness.partition("/")[0])

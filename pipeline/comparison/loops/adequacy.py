@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.base.wording import counted, listed
-from pipeline.comparison.loops.log_evidence import OF_THE_FORCE, LawDeparture, rest_words
+from pipeline.comparison.loops.log_evidence import OF_NO_LOOP, LawDeparture, rest_words
 from pipeline.comparison.loops.loop_range import MATTERS, LoopRange, loop_delay
 from pipeline.comparison.loops.other_gains import OtherGains
 from pipeline.comparison.scores.overlap import measured_limits
@@ -69,8 +69,8 @@ class Shown:
 
     @property
     def known(self) -> set[str]:
-        """Departures that the loop holds, or that concern the external force alone."""
-        found = set(OF_THE_FORCE)
+        """Departures that the loop holds, or that concern the external force or the stamps alone."""
+        found = set(OF_NO_LOOP)
         found |= {"velocity_filter"} if self.velocity is not None else set()
         return found | ({"constant_force"} if self.explained else set())
 
@@ -147,6 +147,8 @@ def doubts(
 _LAW = "log the command that the controller computes by the wall law, before filter and limit, with every row"
 _PARTS = "a device file whose [loop] table names what the device has beside mass, damping and delay"
 _HELP = {
+    "command_shifted": "command and position of the same sample in a row; the delay is as many samples off as rows",
+    "sampling_period": "the sampling period by which the stamps are apart, in the header",
     "saturation": "a smaller step, or the command before it is clipped in the log",
     "velocity_filter": "a device file that declares the filter",
 }

@@ -7,18 +7,27 @@ from dataclasses import dataclass
 from typing import get_args
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pipeline.base.wording import commonest, counted
 from pipeline.measured.experiment.rest_forces import RestForces
-from pipeline.measured.signal.velocity_filter import VelocityFilterFound
+from pipeline.measured.law.velocity_filter import VelocityFilterFound
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.batch import Floats
 from pipeline.records.loop_parts import VelocityFilter
 from pipeline.records.loop_records import Cause, CauseCode
 from pipeline.rendering.labels import share_text, significant
 
-SOME_LOGS = 0.03
-"""Share of logs up to which a departure is an accident of single trials."""
+SOME_LOGS, FEWEST_LOGS = 0.03, 3
+"""Share and number of logs up to, and below, which a departure is an accident of single trials; all of fewer logs."""
+
+GAINS = 33
+"""Frequencies at which filters are compared."""
+
+SAME_FILTER = 0.05
+"""Difference of the gains of two filters, at any frequency, up to which they are one: logs show theirs by rounding."""
+
+Complexes = NDArray[np.complex128]
 
 CODES = frozenset(get_args(CauseCode))
 
@@ -29,6 +38,10 @@ _SENTENCES = {
     "missing_rows": "Rows are missing in the logs.",
     "repeated_rows": "Rows or readings of the position are repeated.",
     "velocity_filter": "The velocity of the wall law is filtered.",
+    "command_shifted": "The logged command is that of another row than its position.",
+    "rate_limit": "The rate of the command is limited.",
+    "sampling_period": "The sampling period is another one than the header states.",
+    "scattered_stamps": "The time stamps scatter, but no row is missing.",
     "step_not_a_step": "The external force is not the step that the header states.",
     "several_steps": "The external force has several steps.",
     "other_wall": "The command obeys another wall than the header states.",
@@ -41,13 +54,15 @@ SETTLING = 0.02
 """Friction relative to the step from which on settling times depend on it: half width of the usual band."""
 
 IMITATED = {
-    "several_steps": ("missing_rows", "repeated_rows", "velocity_filter", "saturation"),
-    "missing_rows": ("saturation",),
+    "several_steps": {"missing_rows": 1.0, "repeated_rows": 1.0, "velocity_filter": 1.0, "saturation": 1.0},
+    "step_not_a_step": {"rate_limit": 1.0},
+    "missing_rows": {"saturation": 1.0, "repeated_rows": 0.25},
+    "repeated_rows": {"missing_rows": 0.25},
 }
-"""Departures, and others by which single logs look like them."""
+"""Departures, and others by which single logs look like them: of how many logs of another one more must show it."""
 
-OF_THE_FORCE = ("step_not_a_step", "several_steps")
-"""Departures of the external force: the wall is as it should be, and the model knows the command."""
+OF_NO_LOOP = ("step_not_a_step", "several_steps", "scattered_stamps")
+"""Departures of the external force and of the stamps: the wall is as it should be, and the model knows the command."""
 
 
 @dataclass(frozen=True)
@@ -85,17 +100,32 @@ def law_departures(stages: ExperimentStages) -> list[LawDeparture]:
     found = []
     for code in _SENTENCES:
         logs = [i for i, each in enumerate(codes) if code in each and not (code == "saturation" and unstable[i])]
-        if len(logs) > SOME_LOGS * held:
+        if len(logs) > SOME_LOGS * held and len(logs) >= min(FEWEST_LOGS, held):
             found.append(LawDeparture(code, len(logs), held, commonest(evidence[i] for i in logs)))
     logs_of = {each.code: each.logs for each in found}
-    found = [e for e in found if all(e.logs > logs_of.get(other, 0) for other in IMITATED.get(e.code, ()))]
+    found = [e for e in found if all(e.logs > n * logs_of.get(o, 0) for o, n in IMITATED.get(e.code, {}).items())]
     return sorted(found, key=lambda each: -each.logs)
 
 
 def found_filter(stages: ExperimentStages) -> VelocityFilterFound | None:
-    """Return the velocity filter that most logs show, or None where they show none."""
-    text = commonest(stages.texts("wall_law", "velocity_filter"))
-    return _found(text) if text else None
+    """Return the velocity filter that most logs which show one agree on, None where they do not.
+
+    A controller has the same filter in all trials. What differs from log to log is another thing than a filter.
+    """
+    texts = [text for text in stages.texts("wall_law", "velocity_filter") if text]
+    gains = np.array([_gain(_found(text)) for text in texts])
+    told = commonest(texts)
+    if not told:
+        return None
+    apart = np.abs(gains - _gain(_found(told))).max(axis=1)
+    return _found(told) if (apart <= SAME_FILTER).mean() > 0.5 else None
+
+
+def _gain(found: VelocityFilterFound) -> Complexes:
+    """Return the gain of a filter between rest and half the sampling frequency."""
+    z = np.exp(-1j * np.linspace(0, np.pi, GAINS))
+    gain = np.polyval(np.array(found.b[::-1], dtype=complex), z) / np.polyval(np.array(found.a[::-1], dtype=complex), z)
+    return np.asarray(gain, dtype=np.complex128)
 
 
 def filters_of_logs(stages: ExperimentStages) -> list[VelocityFilter]:
@@ -124,8 +154,10 @@ def law_causes(departures: list[LawDeparture], stages: ExperimentStages) -> list
         if each.code not in CODES or (each.code == "velocity_filter" and each.logs <= 0.5 * each.of):
             continue
         sentence = each.sentence
-        velocity = found_filter(stages) if each.code == "velocity_filter" else None
-        if velocity is not None:
+        if each.code == "velocity_filter":
+            velocity = found_filter(stages)
+            if velocity is None:
+                continue
             sentence = f"The velocity of the wall law {velocity.words()}."
         found.append(Cause.model_validate({"code": each.code, "sentence": sentence, "evidence": each.shown}))
     return found

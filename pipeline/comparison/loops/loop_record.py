@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pipeline.measured.signal.velocity_filter import CUTOFF_DIGITS, VelocityFilterFound
+from pipeline.measured.law.velocity_filter import CUTOFF_DIGITS, VelocityFilterFound
 from pipeline.records.loop_parts import Butterworth, Difference, LoopParts, Mode, VelocityFilter
 from pipeline.records.loop_records import LoopResult, Parameter
 

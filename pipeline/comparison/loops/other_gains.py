@@ -8,7 +8,7 @@ from pathlib import PurePath
 import numpy as np
 
 from pipeline.base.wording import counted, listed
-from pipeline.measured.signal.stated_wall import OTHER_WALL
+from pipeline.measured.law.stated_wall import OTHER_WALL
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.batch import Floats
 from pipeline.records.loop_records import Cause

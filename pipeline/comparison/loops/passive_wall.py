@@ -21,6 +21,9 @@ DIGITS = 4
 SPARE = 1e-4
 """Part of the damping that is kept back: a hundred times what the frequencies that are looked at can miss."""
 
+FEWEST_TRIALS = 10
+"""Trials without which nobody is told that a wall is safe: what differs between trials shows from ten on."""
+
 _TRIES = 200
 """Steps of two units of the last digit by which a stiffness is lowered: 4 % in all, where rounding costs 0.1 %."""
 
@@ -36,10 +39,13 @@ def passive_wall(loop: LoopRange, result: ExperimentResult) -> tuple[PassiveWall
 
     Notes
     -----
+    A passive wall is named where limits were measured on both sides of it, or at it, and in no course of few trials.
     The device has the least damping at the lower end of b, less what an operator has of it. The stiffness is rounded
     down and the rounded pair is held against passivity, the limits of theory over all intervals, and the measured
     limits, interpolated between the dampings: the stable region is convex there, so that a chord of it lies inside.
     """
+    if result.trials < FEWEST_TRIALS:
+        return None, f"{result.trials} trials are too few to promise stability with every hand; record {FEWEST_TRIALS}"
     damping = loop.damping.low - loop.held
     if damping <= 0:
         return None, (
@@ -53,7 +59,11 @@ def passive_wall(loop: LoopRange, result: ExperimentResult) -> tuple[PassiveWall
         return None, "the delay may be longer than theory is computed for"
     highest, wall_damping = _stiffest(loop, loops, damping)
     wall_damping = _rounded(wall_damping)
-    stiffness = _rounded_down(min(highest, _stable_everywhere(loop, wall_damping), _measured(result, wall_damping)))
+    measured = _measured(result, wall_damping)
+    if measured is None:
+        where = f"beside a damping of {wall_damping:g}, that of the stiffest passive wall"
+        return None, f"no limit was measured {where}: record stable and unstable trials there"
+    stiffness = _rounded_down(min(highest, _stable_everywhere(loop, wall_damping), measured))
     # a smaller stiffness at the same damping needs less, down to none but that for B itself
     for _ in range(_TRIES):
         if stiffness <= 0 or _holds(loop, loops, stiffness, wall_damping):
@@ -116,16 +126,16 @@ def _stable_everywhere(loop: LoopRange, damping: float) -> float:
     return float(loop.band(np.array([damping]))[0][0]) * (1 - SPARE)
 
 
-def _measured(result: ExperimentResult, damping: float) -> float:
-    """Return the lower end of the measured limits at a damping, infinite outside those that were tested to their end.
+def _measured(result: ExperimentResult, damping: float) -> float | None:
+    """Return the lower end of the measured limits at a damping, None outside those that were tested to their end.
 
     Where no trial was stable, all that is known is the softest unstable one.
     """
     limits = measured_limits(result.boundary)
     ended = limits.known & ~limits.censored
     where = limits.damping[ended]
-    if not len(where) or not where[0] <= damping <= where[-1]:
-        return np.inf
+    if not len(where) or not where[0] <= damping <= where[-1] or not (limits.low[ended] > 0).any():
+        return None
     least = np.where(limits.low[ended] > 0, limits.low[ended], limits.high[ended])
     return float(np.interp(damping, where, least))
 

@@ -12,9 +12,11 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from pipeline.measured.law.sample_grid import SampleGrid, sample_grid
+from pipeline.measured.law.stamps import even
+from pipeline.measured.law.stated_wall import OtherWalls, other_walls
+from pipeline.measured.law.wall_law import WallLaw, wall_law
 from pipeline.measured.signal.response import NO_ROW, Response, declare_edge, find_response
-from pipeline.measured.signal.sample_grid import SampleGrid, sample_grid
-from pipeline.measured.signal.stated_wall import OtherWalls, other_walls
 from pipeline.measured.signal.verdict import Verdicts
 from pipeline.records.batch import Booleans, Integers, TrialBatch
 
@@ -64,10 +66,12 @@ class TrialGroup:
         """The trials; at an operating point of a device without a wall, forces count from the level before the step.
 
         What holds the device there, gravity or a friction at its limit, is as large, so that the motion is that of the
-        change alone. A wall has its operating point in the position at which it rests.
+        change alone. A wall has its operating point in the position at which it rests. Stamps that scatter are those of
+        the samples that they count.
         """
         level = np.where(self.logged.stiffness == 0, self.found.level, 0.0)
-        return self.logged.relative_to(level) if level.any() else self.logged
+        batch = even(self.logged)
+        return batch.relative_to(level) if level.any() else batch
 
     def select(self, which: Booleans) -> TrialGroup:
         """Return the trials picked by a mask; the group itself where it picks all."""
@@ -80,9 +84,14 @@ class TrialGroup:
         return some
 
     @cached_property
+    def law(self) -> WallLaw:
+        """How the logged commands obey the wall law, by stamps as logged."""
+        return wall_law(replace(self.batch, time=self.logged.time), self.found)
+
+    @cached_property
     def other_walls(self) -> OtherWalls:
         """Which commands obey another wall than their headers state."""
-        return self.once(other_walls)
+        return other_walls(self.law)
 
     def held_by(self, spring: float) -> TrialGroup:
         """Return the trials as costs see them where a spring k holds the device; the group itself where it is the same.

@@ -5,15 +5,15 @@ from __future__ import annotations
 import json
 from dataclasses import asdict
 
+from pipeline.measured.law.candidates import Departure
 from pipeline.measured.signal.lag import lags_of
-from pipeline.measured.signal.wall_law import Departure, wall_law
 from pipeline.measured.stages.stage_columns import conditions
 from pipeline.measured.stages.stage_groups import Columns, Given, TrialGroup
 
 
 def columns(of: TrialGroup, given: Given) -> Columns:
     """Return the columns of the stage for some trials."""
-    law, lags, obeyed = of.once(wall_law), lags_of(of.batch), of.other_walls.obeyed
+    law, lags, obeyed = of.law, lags_of(of.logged), of.other_walls.obeyed
     return conditions(of) | {
         "law_residual": law.residual,
         "law_rounding": law.rounding,

@@ -17,8 +17,8 @@ from pipeline.base.units import UNITS
 from pipeline.device_data.devices import known_devices
 from pipeline.intake.reading import logs_of, motion_of
 from pipeline.intake.sources import find_sources
+from pipeline.measured.law.wall_scale import scale_of
 from pipeline.measured.signal.response import NO_ROW, find_response
-from pipeline.measured.signal.wall_scale import scale_of
 from pipeline.profiles.profile_columns import QUANTITIES, ColumnSource, PositionSource, TimeSource
 from pipeline.profiles.profile_model import CONDITION_QUANTITIES, CONDITIONS, Profile
 from pipeline.readers import Log, RawLog

@@ -8,9 +8,9 @@ import numpy as np
 
 from pipeline.base.units import find_unit, unit_between, unit_in_heading
 from pipeline.measured.intervals import NORMAL_95
+from pipeline.measured.law.wall_scale import SCALE_TOLERANCE, Scale, power_of_ten
 from pipeline.measured.signal.lag import lags_of
 from pipeline.measured.signal.response import external_force
-from pipeline.measured.signal.wall_scale import SCALE_TOLERANCE, Scale, power_of_ten
 from pipeline.profiles.profile_columns import QUANTITIES
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers import Log

@@ -9,8 +9,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.measured.signal.log_rows import LogRows
-from pipeline.measured.signal.lost_rows import STILL_FLOORS, hidden_rows, repeated_rows
+from pipeline.measured.law.log_rows import LogRows
+from pipeline.measured.law.lost_rows import STILL_FLOORS
+from pipeline.measured.law.stamps import ODD, read_stamps
+from pipeline.measured.law.wall_law import account
 from pipeline.measured.signal.response import NO_ROW, Response, external_force
 from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
 
@@ -59,27 +61,26 @@ def sample_grid(batch: TrialBatch, response: Response) -> SampleGrid:
 
     Notes
     -----
-    Rows are missing where stamps are two periods apart or more, or where the wall law shows it; those that only the law
+    Rows are missing where stamps count them (`stamps`), or where the wall law shows it; those that only the law
     shows are not counted reliably, and such a trial has no edge any more. A row that repeats the one before, or a
     reading that was held, stands for a sample that is interpolated. Trials of which no row is in doubt are returned as
     they are.
     """
     with np.errstate(invalid="ignore"):
-        steps = np.rint(np.diff(batch.time, axis=1) / batch.sampling_period_s[:, None])
-    gap = np.nan_to_num(steps) > 1
-    suspect = np.flatnonzero(gap.any(axis=1) | _doubtful(batch, response))
+        odd = np.abs(np.diff(batch.time, axis=1) / batch.sampling_period_s[:, None] - 1) > ODD
+    suspect = np.flatnonzero(odd.any(axis=1) | _doubtful(batch, response))
     filled, reason, trials = np.zeros(len(batch), dtype=np.int64), {}, {}
-    force = external_force(batch.select(suspect)) if len(suspect) else np.empty((0, 0))
-    for i, external in zip(suspect.tolist(), force, strict=True):
+    for i in suspect.tolist():
         rows = int(batch.rows[i])
-        index = np.concatenate([[0], np.cumsum(np.maximum(steps[i, : rows - 1], 1))]).astype(np.int64)
-        seen = np.ones(rows, dtype=np.bool_)
+        seen, hidden = np.ones(rows, dtype=np.bool_), 0
         if response.edge_row[i] > 0:
-            log = LogRows.of(batch, response, i, external)
-            seen[repeated_rows(log)] = False
-            hidden = 0 if gap[i].any() else _untold(log, seen)
+            of = account(LogRows.of(batch, response, i))
+            skipped = of.stamps.skipped
+            seen[of.repeated] = False
+            hidden = 0 if skipped.any() else of.lost if of.departures is not None else _untold(of.log, seen)
         else:
-            hidden = 0
+            skipped = read_stamps(batch.time[i, :rows], float(batch.sampling_period_s[i])).skipped
+        index = np.concatenate([[0], np.cumsum(skipped + 1)])
         filled[i] = index[-1] + 1 - seen.sum()
         reason[i] = _refused(index, int(response.edge_row[i]), int(filled[i]), hidden)
         trials[i] = index, seen
@@ -106,13 +107,13 @@ def _doubtful(batch: TrialBatch, response: Response) -> Booleans:
 
 
 def _untold(log: LogRows, seen: Booleans) -> int:
-    """Number of rows off the wall law before which rows are missing, or that no repeated row explains.
+    """Number of rows off the wall law that no repeated row explains, where there are some.
 
     The residual of such a row is the damping force of the way that its change is wrong by: a small part of all of the
     way counts as none.
     """
     if seen.all():
-        return len(hidden_rows(log))
+        return 0
     off = np.abs(log.residual) > log.rounding
     repeated = ~seen
     repeated[1:] |= ~seen[:-1]

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.measured.signal.response import Response
-from pipeline.measured.signal.wall_law import wall_law
-from pipeline.records.batch import Floats, TrialBatch
+from pipeline.measured.law.wall_law import WallLaw
+from pipeline.records.batch import Floats
 
 OTHER_WALL = 0.02
 """Departure from the stated law, relative to the step, from which on the wall is another one: a course brackets its
@@ -26,10 +25,9 @@ class OtherWalls:
     reason: tuple[str, ...]
 
 
-def other_walls(batch: TrialBatch, response: Response) -> OtherWalls:
+def other_walls(law: WallLaw) -> OtherWalls:
     """Return which commands obey another wall or step than stated."""
-    law = wall_law(batch, response)
-    obeyed, reason = np.full((len(batch), 3), np.nan), [""] * len(batch)
+    obeyed, reason = np.full((len(law.departures), 3), np.nan), [""] * len(law.departures)
     for i, found in enumerate(law.departures):
         other = next((each for each in found if each.obeyed is not None), None)
         if other is not None and law.residual[i] > OTHER_WALL:

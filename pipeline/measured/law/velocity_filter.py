@@ -22,6 +22,9 @@ LONGEST_DIFFERENCE = 64
 CUTOFF_DIGITS = 4
 """Digits to which a cut-off is rounded where that explains the rows: nobody sets more."""
 
+ROUNDED_CUTOFF = 2.0
+"""Units of rounding that a filter with a rounded cut-off may leave unexplained."""
+
 FITTED_ROWS = 400
 """Rows from the edge on that a filter is found from: it needs ten, and noise is none."""
 
@@ -58,7 +61,7 @@ class VelocityFilterFound:
 
 
 def find_filter(
-    change: Floats, output: Floats, rows: Booleans, tolerance: float, sampling_period_s: float
+    change: Floats, output: Floats, rows: Booleans, tolerance: Floats, sampling_period_s: float
 ) -> VelocityFilterFound | None:
     """Return the filter from a change of position to its filtered value, or None where none explains the rows.
 
@@ -68,10 +71,14 @@ def find_filter(
         dx and what the wall law takes for it [m, rad], from rest.
     rows : bool, shape (N,)
         Rows whose output is known: the command is not clipped.
-    tolerance : float
+    tolerance : float64, shape (N,)
         Rounding of the output [m, rad].
     sampling_period_s : float
         T [s].
+
+    Notes
+    -----
+    At an even speed a filter gives that speed: its gain at rest is 1. What has another one is another wall law.
     """
     found = _difference(change, output, rows, tolerance) or _recursive(change, output, rows, tolerance)
     if found is None or found.difference:
@@ -79,39 +86,49 @@ def find_filter(
     return _butterworth(change, output, rows, found, tolerance, sampling_period_s) or found
 
 
-def _difference(change: Floats, output: Floats, rows: Booleans, tolerance: float) -> VelocityFilterFound | None:
+def _difference(change: Floats, output: Floats, rows: Booleans, tolerance: Floats) -> VelocityFilterFound | None:
     displacement = np.cumsum(change)
     for samples in range(2, min(LONGEST_DIFFERENCE, len(output) - 1) + 1):
         mean = (displacement - _delayed(displacement, samples)) / samples
-        if np.abs(output - mean)[rows].max(initial=0.0) <= tolerance:
+        if (np.abs(output - mean) <= tolerance)[rows].all():
             return VelocityFilterFound((1 / samples,) * samples, difference=samples)
     return None
 
 
-def _recursive(change: Floats, output: Floats, known: Booleans, tolerance: float) -> VelocityFilterFound | None:
-    """Return the filter of lowest order, by y_k + sum a_i y_{k-i} = sum b_j dx_{k-j}."""
+def _recursive(change: Floats, output: Floats, known: Booleans, tolerance: Floats) -> VelocityFilterFound | None:
+    """Return the filter of lowest order, by y_k - dx_k = sum a_i (dx_k - y_{k-i}) + sum b_j (dx_{k-j} - dx_k).
+
+    That is the equation of a filter whose gain at rest is 1, b_0 = 1 + sum a_i - sum b_j.
+    """
     for order in range(1, HIGHEST_ORDER + 1):
         back = range(1, order + 1)
-        columns = [-_delayed(output, i) for i in back] + [_delayed(change, j) for j in (0, *back)]
+        columns = [change - _delayed(output, i) for i in back] + [_delayed(change, j) - change for j in back]
         unknown = np.any([_delayed((~known).astype(np.float64), i) > 0 for i in (0, *back)], axis=0)
         rows = np.flatnonzero(~unknown)
         terms = np.stack(columns, axis=1)
-        if len(rows) < 4 * terms.shape[1]:
+        if len(rows) < 4 * terms.shape[1] or (np.abs(output - change) <= tolerance)[rows].all():
             return None
+        # a row says as much as its digits do
         fitted = rows[rows >= np.argmax(change != 0)][:FITTED_ROWS]
-        scale = np.abs(terms[fitted]).max(axis=0)
+        weighed = terms[fitted] / tolerance[fitted, None]
+        scale = np.abs(weighed).max(axis=0)
         scale[scale == 0] = 1.0
-        coefficients = np.linalg.lstsq(terms[fitted] / scale, output[fitted], rcond=None)[0] / scale
-        error = np.abs(terms @ coefficients - output)[rows].max()
-        a, b = (1.0, *coefficients[:order].tolist()), tuple(coefficients[order:].tolist())
+        wanted = (output - change)[fitted] / tolerance[fitted]
+        coefficients = np.linalg.lstsq(weighed / scale, wanted, rcond=None)[0] / scale
+        error = np.abs(terms @ coefficients - (output - change))
+        feedback, forward = coefficients[:order], coefficients[order:]
+        a, b = (1.0, *feedback.tolist()), (float(1 + feedback.sum() - forward.sum()), *forward.tolist())
         # one unit of rounding in each term of the sum
-        if error <= tolerance * (1 + np.abs(coefficients).sum()) and np.abs(np.roots(a)).max() < 1:
+        allowed = abs(b[0]) * tolerance + sum(
+            (abs(a[i]) * (i < len(a)) + abs(b[i]) * (i > 0)) * _delayed(tolerance, i) for i in (0, *back)
+        )
+        if (error <= allowed)[rows].all() and np.abs(np.roots(a)).max() < 1:
             return VelocityFilterFound(b, a)
     return None
 
 
 def _butterworth(
-    change: Floats, output: Floats, rows: Booleans, near: VelocityFilterFound, tolerance: float, period: float
+    change: Floats, output: Floats, rows: Booleans, near: VelocityFilterFound, tolerance: Floats, period: float
 ) -> VelocityFilterFound | None:
     """Return the Butterworth filter near a recursive one, of its order or a higher one, if one explains all rows.
 
@@ -130,7 +147,7 @@ def _butterworth(
 
     def error(logarithm: float, order: int) -> float:
         b, a = butter(order, min(np.exp(logarithm), 1 - 1e-9))
-        return float(np.abs(lfilter(b, a, change) - output)[rows].max())
+        return float((np.abs(lfilter(b, a, change) - output) / tolerance)[rows].max())
 
     for order in range(len(near.a) - 1, HIGHEST_ORDER + 1):
         width = np.log(2.0)
@@ -140,7 +157,7 @@ def _butterworth(
         )  # fmt: skip
         exact = np.exp(best.x) * nyquist
         for cutoff in (float(f"{exact:.{CUTOFF_DIGITS}g}"), float(f"{exact:.8g}")):
-            if error(np.log(cutoff / nyquist), order) <= 2 * tolerance:
+            if error(np.log(cutoff / nyquist), order) <= ROUNDED_CUTOFF:
                 b, a = butter(order, cutoff / nyquist)
                 return VelocityFilterFound(tuple(b.tolist()), tuple(a.tolist()), cutoff_hz=cutoff)
     return None

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.measured.signal.log_rows import LogRows
-from pipeline.measured.signal.response import external_force, find_response
+from pipeline.measured.law.log_rows import LogRows
+from pipeline.measured.signal.response import find_response
 from pipeline.records.batch import Floats, TrialBatch
 
 SCALE_TOLERANCE = 0.2
@@ -62,4 +62,4 @@ def scale_of(batch: TrialBatch) -> Scale | None:
     if not response.has_edge[0]:  # a command of another sign or unit has no step of the size that is sought
         jump = np.abs(np.diff(batch.command[:1, : int(batch.rows[0])], axis=1))
         response = replace(response, edge_row=jump.argmax(axis=1) + 1)
-    return scale_in(LogRows.of(batch, response, 0, external_force(batch)[0]))
+    return scale_in(LogRows.of(batch, response, 0))

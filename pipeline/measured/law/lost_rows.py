@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.measured.signal.log_rows import LogRows, stands_still
+from pipeline.measured.law.log_rows import LogRows, stands_still
 from pipeline.records.batch import Booleans, Floats, Integers
 
 PLATEAU = 2
@@ -18,6 +18,12 @@ MOST_SPIKES = 0.34
 
 STILL_FLOORS = 3.0
 """Change of position on both sides of a row, in sensor floors, between which a device cannot stand still for a row."""
+
+STILL_DIGITS = 60.0
+"""The same in half units of the last digit: a quantum of a few of these is not seen as one."""
+
+GRID = 0.05
+"""Part of a quantum that a reading may be off its grid."""
 
 
 def hidden_rows(log: LogRows) -> Integers:
@@ -34,8 +40,18 @@ def hidden_rows(log: LogRows) -> Integers:
     part = log.residual[moving] * log.period / (log.damping * log.change[moving])
     single = off & ~np.roll(off, 1)
     if np.median(part) > 0 and np.mean((part > -1) & (part < 2)) > 0.9 and single.sum() > 0.7 * off.sum():
-        return np.flatnonzero(off)
+        return np.flatnonzero(off) if _on_grid(log, off) else none
     return none
+
+
+def _on_grid(log: LogRows, off: Booleans) -> bool:
+    """Return whether the readings that would be missing lie on the grid of the sensor, as far as digits tell."""
+    scale = log.period / abs(log.damping)
+    tolerance = GRID * log.quantum + scale * log.rounding[off]
+    lost = scale * np.abs(log.residual[off])
+    told = tolerance < 2 * GRID * log.quantum
+    away = np.abs(lost - np.rint(lost / log.quantum) * log.quantum) if log.quantum else lost
+    return bool((away <= tolerance)[told].all())
 
 
 def repeated_rows(log: LogRows, *, by_law: bool = True) -> Integers:
@@ -43,18 +59,12 @@ def repeated_rows(log: LogRows, *, by_law: bool = True) -> Integers:
 
     ``by_law`` counts those, too, that only the plain wall law tells from a device that is slow.
     """
-    still = stands_still(log.change, log.after, STILL_FLOORS * log.floor + EQUAL * np.ptp(log.position))
-    # a device may be too slow for that, but a wall that sees it rest does not command what it did while it moved,
-    # unless that is a limit of its
-    same = log.after & (log.change == 0) & (np.diff(log.command, prepend=np.nan) == 0)
-    for limit in (log.command.min(), log.command.max(), log.step):
-        same &= ~is_equal(log.command, float(limit))
+    least = STILL_FLOORS * log.floor + EQUAL * np.ptp(log.position) + STILL_DIGITS * log.of_position
+    still = stands_still(log.change, log.after, least)
+    # the row itself is off the law where the device moved before, the row behind where it moves on
     off = np.abs(log.residual) > log.rounding
-    # the row behind is off the law, too, as the reading before it is not there; behind a missing row it is not
-    still |= (
-        by_law & same & off & np.append(off[1:], False) & (np.abs(np.diff(log.residual, prepend=0.0)) > log.rounding)
-    )
-    still[1:] |= same[1:] & still[:-1]  # twice in a row
+    same = np.diff(log.command, prepend=np.nan) == 0
+    still |= by_law & log.after & (log.change == 0) & ((same & off) | ((same | off) & np.append(off[1:], False)))
     rows = np.flatnonzero(still)
     return rows if len(rows) >= PLATEAU else rows[:0]
 

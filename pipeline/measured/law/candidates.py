@@ -1,0 +1,273 @@
+"""What may have made a logged command: the wall law itself, and the laws that controllers and loggers make of it.
+
+A candidate says of a log which departures it has, none of them, or that it does not explain the log: that a row is left
+in which the command is another one, by more than the digits of the log leave open.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pipeline.measured.law.log_rows import LogRows
+from pipeline.measured.law.lost_rows import EQUAL, PLATEAU, hidden_rows, is_equal
+from pipeline.measured.law.velocity_filter import VelocityFilterFound, find_filter
+from pipeline.measured.law.wall_scale import fit, power_of_ten, scale_in
+from pipeline.records.batch import Booleans
+
+LONGEST_RAMP = 0.25
+"""Part of the rows after the edge that a ramped step may take."""
+
+LEVEL_ROWS = 5
+"""Rows for which the external force must stay on a level to be a step of its own."""
+
+FEWEST_AT_LIMIT = 3
+"""Rows whose command changes by the same that show a limit of that."""
+
+MOST_LEVELS = 12
+"""Levels beyond which an external force is no staircase."""
+
+EXPLAINED = 1e-6
+"""Part of what a filter changes that it may leave unexplained, beside rounding: what is found is exact or not it."""
+
+CLIPPED = 1e-3
+"""Part of a limit by which what a filtered wall demands may stay below it: its filter is known as well as that."""
+
+
+@dataclass(frozen=True)
+class Departure:
+    """One way in which a log departs from the wall law; ``obeyed`` are K, B and step that another wall has."""
+
+    code: str
+    evidence: str
+    rows: int = 0
+    value: float | None = None
+    filter: VelocityFilterFound | None = None
+    obeyed: tuple[float, float, float] | None = None
+
+
+def explanation(log: LogRows) -> tuple[Departure, ...] | None:
+    """Return the first candidate that leaves nothing in any row; none where each leaves something.
+
+    Positions on a grid may be the readings that the controller had, or rounded when they were printed.
+    """
+    tried = (candidate(reading) for reading in log.readings for candidate in CANDIDATES)
+    return next((found for found in tried if found is not None), None)
+
+
+def _plain(log: LogRows) -> tuple[Departure, ...] | None:
+    """The law itself; a wall may rest beside the first reading by the error of that."""
+    error = abs(log.stiffness) * log.floor
+    beside = (0.0, np.clip(np.median(log.residual[log.kept]), -error, error))
+    return None if all(log.off(log.command - log.residual + each) for each in beside) else ()
+
+
+def _late(log: LogRows) -> tuple[Departure, ...] | None:
+    """A command that stands in the row behind its position, or before it."""
+    for rows, how in ((1, "late"), (-1, "early")):
+        if _plain(log.moved(rows)) is not None:
+            text = f"the logged command is that of the wall law, one row {how}"
+            return (Departure("command_shifted", text, len(log.command), float(rows)),)
+    return None
+
+
+def hidden(log: LogRows) -> tuple[Departure, ...] | None:
+    """Return rows that are missing before others by the law alone, None where they do not explain the log."""
+    rows = hidden_rows(log)
+    if not len(rows):
+        return None
+    text = f"{len(rows)} single rows, first row {rows[0]}, fit the wall law only with a row missing before them"
+    return (Departure("missing_rows", text, len(rows), float(len(rows))),)
+
+
+def _clipped(log: LogRows) -> tuple[Departure, ...] | None:
+    demand = log.step * log.after - log.wall
+    low, high = float(log.command.min()), float(log.command.max())
+    if is_equal(np.array([low, high]), log.step).any():
+        return None  # a command that never passes the step is that of a wall that never pulls
+    at = [is_equal(log.command, limit) for limit in (low, high)]
+    beyond = [(demand < low - log.rounding) & at[0], (demand > high + log.rounding) & at[1]]
+    count = int(beyond[0].sum() + beyond[1].sum())
+    if count < PLATEAU or log.off(demand, ~beyond[0] & ~beyond[1]):
+        return None
+    limit = float(max(abs(low) if beyond[0].any() else 0.0, abs(high) if beyond[1].any() else 0.0))
+    text = f"the logged command is clipped at {high if beyond[1].any() else low:.4g} in {count} rows"
+    return (Departure("saturation", text, count, limit),)
+
+
+def _slow(log: LogRows) -> tuple[Departure, ...] | None:
+    """A command that changes by no more than a limit from row to row."""
+    before = np.append(0.0, log.command[:-1])
+    change = log.command - before
+    limit = float(np.abs(change).max())
+    at = np.abs(np.abs(change) - limit) <= log.of_command + np.append(0.0, log.of_command[:-1]) + EQUAL * limit
+    if limit >= abs(log.step) * (1 - EQUAL) or at.sum() < FEWEST_AT_LIMIT:
+        return None
+    # half of a step that rises slowly is late; the first row is at the limit
+    log = replace(log, edge=int(np.argmax(at & (change * log.step > 0))))
+    demand = log.step * log.after - log.wall - before
+    of_change = log.of_command + np.append(0.0, log.of_command[:-1])
+    if (np.abs(change - np.clip(demand, -limit, limit)) > log.rounding + of_change)[log.kept].any():
+        return None
+    at &= np.abs(demand) > limit + log.rounding
+    if at.sum() < FEWEST_AT_LIMIT:
+        return None
+    text = f"the logged command changes by at most {limit:.4g} from row to row, in {int(at.sum())} rows by that"
+    return (Departure("rate_limit", text, int(at.sum()), limit),)
+
+
+def _one_sided(log: LogRows) -> tuple[Departure, ...] | None:
+    """A wall that exists on one side of its surface, or that only pushes."""
+    inside = log.displacement * np.sign(log.step) > 0
+    pushing = np.maximum(log.wall * np.sign(log.step), 0.0) * np.sign(log.step)
+    force = log.step * log.after
+    for predicted, how in (
+        (force - np.where(inside, log.wall, 0.0), "is there on one side of x_0 only"),
+        (force - np.where(inside, pushing, 0.0), "is there on one side of x_0 and only pushes"),
+        (force - pushing, "only pushes and never pulls"),
+    ):
+        rows = int((np.abs(log.residual) > log.rounding).sum())
+        if rows and not log.off(predicted):
+            return (Departure("unilateral_wall", f"the wall {how}: {rows} rows without its force", rows),)
+    return None
+
+
+def _offset(log: LogRows) -> tuple[Departure, ...] | None:
+    """A constant beside the law, from the first row on or from the step on."""
+    value = _constant(log, log.kept)
+    if value is not None:
+        text = f"the command holds a constant {value:.4g} beside the wall law"
+        return (Departure("constant_force", text, len(log.residual), value),)
+    value = _constant(log, log.kept & log.after)
+    if value is not None and not log.off(log.command - log.residual, ~log.after):
+        text = f"the step is {log.step + value:.6g}, its header says {log.step:.6g}"
+        obeyed = (log.stiffness, log.damping, log.step + value)
+        return (Departure("step_not_a_step", text, int(log.after.sum()), log.step + value, obeyed=obeyed),)
+    return None
+
+
+def _constant(log: LogRows, rows: Booleans | slice) -> float | None:
+    """Return the constant that a residual is in some rows, None where it is none."""
+    residual, rounding = log.residual[rows], log.rounding[rows]
+    low, high = (residual - rounding).max(initial=-np.inf), (residual + rounding).min(initial=np.inf)
+    return float(low + high) / 2 if low <= high else None
+
+
+def _other_step(log: LogRows) -> tuple[Departure, ...] | None:
+    """An external force that rises over several rows, or in several steps, and rests on each level."""
+    e = log.external
+    turns = np.flatnonzero(np.abs(np.diff(e)) > log.rounding[1:] + log.rounding[:-1]) + 1
+    ends = np.append(turns, len(e))
+    starts, lengths = np.append(0, turns), np.diff(ends, prepend=0)
+    from_zero = replace(log, step=0.0)
+    found = [_constant(from_zero, slice(a, b)) for a, b in zip(starts, ends, strict=True)]
+    levels = [level for level in found if level is not None]
+    stays = lengths >= LEVEL_ROWS
+    if len(turns) < 2 or not stays[0] or len(levels) < len(found):
+        return None
+    force = np.repeat(levels, lengths)
+    first, last = int(turns[0]), int(turns[-1])
+    ramp = last - first + 1
+    rising = np.diff(force[first - 1 : last + 1]) * np.sign(levels[-1]) > 0
+    if ramp <= max(LONGEST_RAMP * len(e), 2) and rising.all():
+        text = f"the step rises over {ramp} rows, from row {first} to row {last}, to {levels[-1]:.4g}"
+        return (Departure("step_not_a_step", text, ramp, float(ramp)),)
+    if not stays.all() or len(levels) > MOST_LEVELS:
+        return None
+    told = ", ".join(f"{level:.4g} from row {row}" for level, row in zip(levels[1:], turns, strict=True))
+    text = f"the external force has {len(turns)} steps: {told}"
+    return (Departure("several_steps", text, len(e) - log.edge, float(len(turns))),)
+
+
+def _other_wall(log: LogRows) -> tuple[Departure, ...] | None:
+    """Another stiffness, damping, step or sign than the header's."""
+    terms = np.stack([log.after.astype(np.float64), -log.displacement, -log.change / log.period], axis=1)
+    weight = (log.kept / log.rounding)[:, None]
+    values = fit(terms * weight, log.command * weight[:, 0])
+    if log.off(np.matmul(terms, values).astype(np.float64)):
+        return None
+    # what moves the command by less than its rounding is nothing
+    values[(np.abs(values * terms) <= log.rounding[:, None]).all(axis=0)] = 0.0
+    step, stiffness, damping = map(float, values)
+    evidence = (
+        f"the command obeys K = {stiffness:.6g}, B = {damping:.6g} and a step of {step:.6g}; its header says "
+        f"K = {log.stiffness:.6g}, B = {log.damping:.6g}, {log.step:.6g}"
+    )
+    return (Departure("other_wall", evidence, len(log.command), obeyed=(stiffness, damping, step)),)
+
+
+def _other_unit(log: LogRows) -> tuple[Departure, ...] | None:
+    """Stiffness and damping that are a power of ten times the header's, however the velocity is filtered."""
+    scale = scale_in(log)
+    if scale is None or not power_of_ten(scale.wall):
+        return None
+    stiffness, damping = scale.wall * log.stiffness, scale.wall * log.damping
+    evidence = (
+        f"the command obeys about K = {stiffness:.3g}, B = {damping:.3g}; its header says K = {log.stiffness:.6g}, "
+        f"B = {log.damping:.6g}"
+    )
+    obeyed = (stiffness, damping, scale.step * log.step)
+    return (Departure("other_unit", evidence, len(log.command), scale.wall, obeyed=obeyed),)
+
+
+def _filtered(log: LogRows, clipped: Booleans | None = None) -> tuple[Departure, ...] | None:
+    """A filter of the velocity: over N samples, else recursive, of the lowest order; some rows may be clipped."""
+    if log.damping == 0:
+        return None
+    force = log.step * log.after - log.stiffness * log.displacement
+    output = (force - log.command) * (log.period / log.damping)
+    tolerance = log.rounding * log.period / abs(log.damping) + EXPLAINED * float(np.abs(output - log.change).max())
+    free = log.kept if clipped is None else log.kept & ~clipped
+    found = find_filter(log.change, output, free, tolerance, log.period)
+    if found is None:
+        return None
+    mean = f"is the mean over {found.difference} samples"
+    how = mean if found.difference else f"has a filter of order {len(found.a) - 1}"
+    return (Departure("velocity_filter", f"the velocity of the wall law {how}", len(output), filter=found),)
+
+
+def _filtered_and_clipped(log: LogRows) -> tuple[Departure, ...] | None:
+    """A filter of the velocity in the rows in which the command stands at no limit."""
+    # a command that never passes the step is not clipped there
+    clipped = is_equal(log.command, log.command.min()) | is_equal(log.command, log.command.max())
+    clipped &= ~is_equal(log.command, log.step)
+    limit, rows = float(np.abs(log.command).max()), int(clipped.sum())
+    found = _filtered(log, clipped) if rows >= PLATEAU else None
+    if found is None or found[0].filter is None:
+        return None
+    from scipy.signal import lfilter
+
+    velocity = lfilter(found[0].filter.b, found[0].filter.a, log.change) / log.period
+    demand = log.step * log.after - log.stiffness * log.displacement - log.damping * velocity
+    if (demand * np.sign(log.command) < (1 - CLIPPED) * np.abs(log.command))[clipped].any():
+        return None
+    text = f"the logged command is clipped at {limit:.4g} in {rows} rows"
+    return (Departure("saturation", text, rows, limit), *found)
+
+
+def _filtered_and_late(log: LogRows) -> tuple[Departure, ...] | None:
+    """A filter of the velocity in a command that stands in the row behind its position."""
+    found = _filtered(log.moved(1))
+    return found and (
+        Departure("command_shifted", "the logged command is late by a row", len(log.command), 1.0),
+        *found,
+    )
+
+
+CANDIDATES: tuple[Callable[[LogRows], tuple[Departure, ...] | None], ...] = (
+    _plain,
+    _late,
+    _offset,
+    _clipped,
+    _one_sided,
+    _other_unit,
+    _other_step,
+    _slow,
+    _other_wall,
+    _filtered,
+    _filtered_and_clipped,
+    _filtered_and_late,
+)
+"""In the order of the numbers that they leave free: none, a limit or a constant, three, those of a filter."""
