@@ -10,6 +10,7 @@ from pipeline.comparison.loops.findings import loop_findings, with_large_motion
 from pipeline.comparison.loops.fitted_loop import fitted_estimates
 from pipeline.comparison.loops.log_evidence import law_departures
 from pipeline.comparison.loops.loop_range import adequate_theory, estimated_range
+from pipeline.comparison.loops.other_gains import SHORT as OTHER_WALL
 from pipeline.comparison.loops.other_gains import other_gains
 from pipeline.comparison.scene.origin import header_lines
 from pipeline.comparison.scene.scene import SceneData, needed_stages
@@ -119,7 +120,7 @@ def experiment_result(data: SceneData, stages: ExperimentStages, theory: Theory 
     )
     gains = stages.once(other_gains)
     if gains is not None and gains.most:
-        why = gains.cause.sentence.rstrip(".")
+        why = OTHER_WALL
         result = result.model_copy(update={"optimum": {}, "missing": dict.fromkeys(data.scene.criteria, why)})
         use = None
     else:

@@ -17,6 +17,8 @@ from pipeline.rendering.labels import range_text, significant
 MOST = 0.5
 """Share of logs with other gains from which on what is stated is wrong, and not a log: nothing is told in its units."""
 
+SHORT = "the command obeys another wall than the headers state"
+
 NAMED = 10
 """Logs that are named; the others are undecided in the list of trials, each with its reason."""
 

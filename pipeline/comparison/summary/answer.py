@@ -169,7 +169,7 @@ def _marks(result: ExperimentResult, stages: ExperimentStages, units: Units) -> 
         return [_limit_mark(result, units)]
     departures, gains = law_departures(stages), stages.once(other_gains)
     if gains is not None and gains.most:
-        return [Mark(name="wall_law", state="no", text=gains.cause.sentence)]
+        return [Mark(name="wall_law", state="no", text="The logs do not follow the wall that they state.")]
     if gains is not None:
         law = Mark(name="wall_law", state="partly", text=gains.cause.sentence)
     elif departures:
