@@ -209,8 +209,8 @@ def main(trials: int) -> None:
     )
     file = Path(__file__).parent / "coverage.md"
     _, section, devices = file.read_text(encoding="utf-8").partition(
-        "\n## Devices that are not ideal"
-    )  # make_claims.py
+        "\n## What is not covered"
+    )  # and what make_claims.py writes
     file.write_text(text + section + devices, encoding="utf-8")
 
 

@@ -34,6 +34,9 @@ WINDOW = 7
 CATCH_UP = 40
 """Rows after which stamps that were written late are in time again."""
 
+NORMAL_MEDIAN = 0.6745
+"""Median distance from the mean in standard deviations of a normal distribution."""
+
 FOLLOWED = 0.1
 """Part of what a stamp is off by that the next ones are expected to be off by, too: two clocks drift apart."""
 
@@ -95,8 +98,13 @@ def read_stamps(time: Floats, period: float) -> Stamps:
         level += FOLLOWED * float(np.clip(late[row] - level, -ODD, ODD))
     rest = late - np.append(0, np.cumsum(skipped))
     apart = np.diff(rest)
-    odd, scatter = int((np.abs(apart) > ODD).sum()), float(np.std(rest))
-    return Stamps(skipped, period, scatter, odd, scatter < float(np.std(apart)))
+    odd, scatter = int((np.abs(apart) > ODD).sum()), _scatter(rest)
+    return Stamps(skipped, period, scatter, odd, scatter < _scatter(apart))
+
+
+def _scatter(values: Floats) -> float:
+    """Return the standard deviation of most values: among stamps that scatter a gap is found a few rows off."""
+    return float(np.median(np.abs(values - np.median(values))) / NORMAL_MEDIAN)
 
 
 def even(batch: TrialBatch) -> TrialBatch:

@@ -138,7 +138,8 @@ def _butterworth(
     from scipy.optimize import minimize_scalar
     from scipy.signal import butter, freqz, lfilter
 
-    angles, gain = freqz(near.b, near.a, 2048)
+    with np.errstate(divide="ignore", invalid="ignore"):  # a pole may be as near to 1 as rounding
+        angles, gain = freqz(near.b, near.a, 2048)
     below = np.flatnonzero(np.abs(gain) < np.sqrt(0.5) * np.abs(gain[0]))
     if not len(below) or below[0] == 0:
         return None

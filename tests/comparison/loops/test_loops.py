@@ -58,7 +58,11 @@ def test_an_adequate_loop_is_the_true_one_and_its_passive_wall_is_stable(compare
     # the whole factor is that of the same delay, also where a coarse sensor shows the first motion late
     factor = found.estimates["delay_samples"]
     assert (factor.value, factor.high) == (floor(course.setup.delay_samples), factor.value + 1)
-    assert radius(course, found.passive.stiffness, found.passive.damping) < 1
+    # stability with every hand is promised with limits measured beside the wall, and from ten trials on
+    measured = name not in ("few trials", "only unstable")
+    assert (found.passive is not None) == measured, found.passive_reason
+    if measured:
+        assert radius(course, found.passive.stiffness, found.passive.damping) < 1
     for limit in found.loop_boundary:
         assert limit.low <= limit.stiffness <= limit.high
         if limit.stiffness > 1000:  # nearer to either end of the boundary a limit in percent says nothing

@@ -27,6 +27,13 @@ def loop(device, delay, share):
     return LoopRange(*(Parameter(value=v, low=low, high=high) for v, low, high in numbers), 0.0, T)
 
 
+def measured(limit=1e9, trials=20):
+    """A course with limits measured at two dampings, far above any passive wall where no other is given."""
+    bracket = {"stable": limit, "unstable": limit + 2, "low": limit, "high": limit + 2, "estimate": limit + 1}
+    points = tuple(BoundaryPoint(damping=B, censored=False, **bracket) for B in (0.0, 40.0))
+    return SimpleNamespace(boundary=points, trials=trials)
+
+
 def needed_damping(stiffness, damping, delay):
     """b that passivity needs at the frequencies up to Nyquist, from the folded sums themselves (integer or not)."""
     omega = np.linspace(1e-3, 1, 400) * np.pi / T
@@ -42,7 +49,7 @@ def needed_damping(stiffness, damping, delay):
 @pytest.mark.parametrize("share", [1e-3, 0.02])
 def test_the_named_wall_is_passive_and_stable_for_all_that_the_intervals_leave_open(device, delay, share):
     found = loop(device, delay, share)
-    wall, reason = passive_wall(found, SimpleNamespace(boundary=()))
+    wall, reason = passive_wall(found, measured())
     assert reason is None
     corners = product(*((p.low, p.high) for p in (found.mass, found.damping, found.delay_samples)))
     for mass, damping, late in corners:
@@ -54,9 +61,20 @@ def test_the_named_wall_is_passive_and_stable_for_all_that_the_intervals_leave_o
 
 
 def test_the_named_wall_is_never_above_a_measured_limit():
-    free, _ = passive_wall(loop(FALCON, 4.0, 1e-3), SimpleNamespace(boundary=()))
+    free, _ = passive_wall(loop(FALCON, 4.0, 1e-3), measured())
     limit = 0.8 * free.stiffness
-    bracket = {"stable": limit, "unstable": limit + 2, "low": limit, "high": limit + 2, "estimate": limit + 1}
-    points = tuple(BoundaryPoint(damping=B, censored=False, **bracket) for B in (0.0, 40.0))
-    wall, _ = passive_wall(loop(FALCON, 4.0, 1e-3), SimpleNamespace(boundary=points))
+    wall, _ = passive_wall(loop(FALCON, 4.0, 1e-3), measured(limit))
     assert limit * 0.999 < wall.stiffness <= limit
+
+
+@pytest.mark.parametrize(
+    ("course", "why"),
+    [
+        (SimpleNamespace(boundary=(), trials=20), "no limit was measured beside a damping of"),
+        (measured(trials=9), "9 trials are too few"),
+    ],
+)
+def test_no_wall_is_named_without_a_measured_limit_beside_it_or_in_few_trials(course, why):
+    wall, reason = passive_wall(loop(FALCON, 4.0, 1e-3), course)
+    assert wall is None
+    assert why in reason

@@ -1,0 +1,120 @@
+"""Courses as loggers write them: no cause by digits, stamps and readings alone, and each real one as what it is."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+
+import pytest
+from logged import FORMATS, RIGS, lab, repeated, scattered, thinned, written
+from scipy import signal
+
+from pipeline.measured.law.wall_law import wall_law
+from pipeline.measured.signal.response import find_response
+
+FEW = 3
+"""Logs below which nothing is concluded of a course."""
+
+FAST = [("falcon", "%.6g"), ("motor", "%.9g"), ("motor", "float32"), ("robot", "%.9f"), ("robot", "degrees")]
+ALL = [(rig, text) for rig in RIGS for text in FORMATS]
+
+
+def named(batch):
+    """How many logs show each departure."""
+    response = find_response(batch)
+    found = wall_law(batch, response).departures
+    return Counter(each.code for departures in found for each in departures)
+
+
+def butterworth(order):
+    return {"ba": signal.butter(order, 40, fs=1000)}
+
+
+def cases(fast, slow):
+    return [*fast, *(pytest.param(*case, marks=pytest.mark.slow) for case in slow if case not in fast)]
+
+
+@pytest.mark.parametrize(("rig", "text"), cases(FAST, ALL))
+@pytest.mark.parametrize(
+    "trials", [25, pytest.param(8, marks=pytest.mark.slow), pytest.param(100, marks=pytest.mark.slow)]
+)
+def test_digits_are_no_departure(rig, text, trials):
+    found = named(written(lab(RIGS[rig], trials, seed=501), text))
+    assert {code: logs for code, logs in found.items() if logs >= FEW} == {}
+
+
+SENSORS = {"decimal": 2e-6, "binary": 2.0**-18, "coarse": 2e-5, "ideal": 0.0}
+
+
+@pytest.mark.parametrize("sensor", SENSORS)
+@pytest.mark.parametrize(("rig", "text"), cases([("falcon", "%.6g"), ("motor", "%.10g")], ALL))
+def test_digits_of_any_sensor_are_no_departure(rig, text, sensor):
+    found = named(written(lab(replace(RIGS[rig], quantum=SENSORS[sensor]), 16, seed=502), text))
+    assert {code: logs for code, logs in found.items() if logs >= FEW} == {}
+
+
+REAL = {
+    "butterworth 1": (butterworth(1), "velocity_filter"),
+    "butterworth 2": (butterworth(2), "velocity_filter"),
+    "difference": ({"samples": 4}, "velocity_filter"),
+    "clipped": ({"clip": 0.7}, "saturation"),
+    "late": ({"late": 1}, "command_shifted"),
+    "ramp": ({"ramp": 6}, "step_not_a_step"),
+    "held": ({"slow": 2}, "repeated_rows"),
+}
+SHAPES = ["%.17g", "%.9g", "%.6g", "float32"]
+
+
+@pytest.mark.parametrize(
+    ("rig", "what", "text"),
+    cases(
+        [("falcon", "butterworth 2", "%.6g"), ("motor", "difference", "%.9g"), ("robot", "late", "%.6g"),
+         ("motor", "late", "%.17g"), ("robot", "clipped", "float32"), ("falcon", "held", "%.17g")],
+        [(rig, what, text) for rig in RIGS for what in REAL for text in SHAPES],
+    ),
+)  # fmt: skip
+def test_what_a_controller_does_is_found_in_few_digits_too(rig, what, text):
+    options, code = REAL[what]
+    if "clip" in options:
+        options = {"clip": options["clip"] * RIGS[rig].step}
+    found = named(written(lab(RIGS[rig], 16, seed=503, **options), text))
+    assert found[code] >= (8 if what == "held" else 13), found
+    assert {other: logs for other, logs in found.items() if other not in (code, "unknown") and logs >= FEW} == {}
+
+
+ROWS = {
+    "gaps": (lambda batch: thinned(batch, 0.02, 5), "missing_rows"),
+    "hidden gaps": (lambda batch: thinned(batch, 0.02, 5, shown=False), "missing_rows"),
+    "gaps among scattered stamps": (lambda batch: scattered(thinned(batch, 0.02, 5), seed=5), "missing_rows"),
+    "repeated": (lambda batch: repeated(batch, 0.03, 5), "repeated_rows"),
+    "scattered stamps": (lambda batch: scattered(batch, seed=5), "scattered_stamps"),
+    "halved period": (lambda b: replace(b, sampling_period_s=b.sampling_period_s / 2), "sampling_period"),
+}
+
+
+@pytest.mark.parametrize("rig", ["falcon", *(pytest.param(r, marks=pytest.mark.slow) for r in ("motor", "robot"))])
+@pytest.mark.parametrize("what", ROWS)
+def test_what_a_logger_does_is_named(rig, what):
+    change, code = ROWS[what]
+    found = named(change(lab(RIGS[rig], 25, seed=504)))
+    assert found[code] >= 18, found
+    assert {other: logs for other, logs in found.items() if other != code and logs >= FEW} == {}
+
+
+@pytest.mark.parametrize("rig", ["falcon", *(pytest.param(r, marks=pytest.mark.slow) for r in ("motor", "robot"))])
+def test_other_velocities_and_signals_are_no_departure_with_a_name(rig):
+    device = RIGS[rig]
+    coarse = replace(device, quantum=10 * device.quantum)
+    adaptive = lab(coarse, 16, seed=505, window=15, band=coarse.quantum)
+    assert set(named(adaptive)) <= {"unknown"}
+    setpoint = device.step / float(sorted(adaptive.stiffness)[8])
+    error = lab(device, 16, seed=505, error_of=setpoint)
+    for sign in (1, -1):
+        assert set(named(replace(error, position=sign * error.position))) <= {"unknown"}
+
+
+@pytest.mark.parametrize("rig", ["falcon", *(pytest.param(r, marks=pytest.mark.slow) for r in ("motor", "robot"))])
+def test_a_limited_rate_is_named_where_it_shows(rig):
+    found = named(lab(RIGS[rig], 16, seed=506, slew=0.12 * RIGS[rig].step))
+    assert found["rate_limit"] >= FEW
+    assert set(found) <= {"rate_limit", "step_not_a_step", "unknown"}
