@@ -275,7 +275,9 @@ def _sensor_error(sums: _Sums) -> Floats:
     columns = error.weight.shape[1]
     # a length that does not depend on other trials
     length = 1 << (2 * columns - 1).bit_length()
-    answer = np.conj(np.fft.rfft(error.weight, length))
+    weight = np.nan_to_num(error.fed_back)[:, None] * error.weight
+    weight[:, :1] = 1.0
+    answer = np.conj(np.fft.rfft(weight, length))
     position, speed = sums.spring[:, None] * terms.error, sums.inertia[:, None] * terms.change
     result = []
     for k in sums.weight:
@@ -286,7 +288,7 @@ def _sensor_error(sums: _Sums) -> Floats:
         # the first reading is the reference of all others
         square = (each**2).sum(axis=1) + each.sum(axis=1) ** 2
         result.append(np.nan_to_num(error.sensor) * np.sqrt(square))
-    first_order = np.stack(result, axis=1) * error.excess[:, None]
+    first_order = np.stack(result, axis=1) * np.minimum(error.excess, 1.0)[:, None]
     # what the squares of the errors add to the variance, white: it counts where little else is left
     total: Floats = np.sqrt(
         first_order**2 + 2 * np.stack([((k * sums.noise) ** 2).sum(axis=1) for k in sums.weight], axis=1)
