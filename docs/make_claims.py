@@ -194,11 +194,12 @@ def true_costs(course: Course) -> pd.DataFrame:
     """Return the costs of the same trials by a sensor without an error, and by the true delay and mass.
 
     They last longer but with friction, which lets the device rest beside its final position: sums of energies grow.
-    A spring holds the device at x_0 + F_0/(K + k). What a log has lost or repeated happened all the same.
+    A spring holds the device at x_0 + F_0/(K + k). What a log has lost or repeated happened all the same, and a sample
+    that is held is an error of the sensor.
     """
     batch, true = course.batch, {name: value for name, value, _ in truths(course)}
     longer = 1 if course.device.loop_of(course.experiment).friction else LONGER
-    whole = course.setup.hidden.model_copy(update={"lost_rows": 0.0, "repeated_rows": 0.0})
+    whole = course.setup.hidden.model_copy(update={"lost_rows": 0.0, "repeated_rows": 0.0, "held_samples": 0.0})
     setup = replace(course.setup, quantum=0.0, noise=0.0, rows=longer * course.setup.rows, hidden=whole)
     stream = f"{course.device.name}/{course.experiment.name}"
     exact = simulate(setup, batch.stiffness, batch.damping, seed=course.seed, stream=stream)

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from not_ideal import simulate
 
 from pipeline.measured.signal.response import find_response
 from pipeline.records.readings import usable
-from tests.support.not_ideal import simulate
 
 
 def batch_of(K=(400.0, 2000.0, 6000.0, 60000.0), **more):

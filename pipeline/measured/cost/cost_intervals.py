@@ -26,6 +26,9 @@ passes it: of a motion that passes once a quarter of a swing may be all that is 
 CREEP = 0.8
 """Ratio of successive changes of a creep up to which its end is told: a passage of the band has 1."""
 
+CREEP_STAY = 3
+"""Part of the time up to a band that a creep must stay in it: less is left in it by an overshoot that passes."""
+
 LAST_PART = 5
 """Part of the response (a fifth) at its end that bounds what comes after: it holds a swing of most responses."""
 
@@ -194,7 +197,7 @@ def _stays(
     ratio = np.divide(after, before, out=np.zeros(len(offset)), where=np.abs(before) > known)
     ratio = np.clip(ratio, 0.0, CREEP)
     end = mean[2] + after * ratio / (1 - ratio)
-    creeps = (2 * stay >= entry - first) & slows & (np.abs(end) <= width)
+    creeps = (CREEP_STAY * stay >= entry - first) & slows & (np.abs(end) <= width)
     result: Booleans = swings | creeps
     return result
 

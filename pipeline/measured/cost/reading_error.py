@@ -19,6 +19,10 @@ from pipeline.records.batch import Booleans, Floats, TrialBatch
 UNIFORM_VARIANCE = 1.0 / 12.0
 """Variance of rounding to a grid, in squared quanta, for a motion of more than a quantum."""
 
+POOLED = 4.0
+"""Noise of a baseline relative to the median, or to the quantum, up to which it is the sensor's: that of ten rows
+scatters by a quarter."""
+
 LAST_PART = 5
 """Part of the response (a fifth) at its end in which its motion at rest is seen, and before it once more."""
 
@@ -42,7 +46,9 @@ class ReadingError:
     sensor : float64, shape (n,)
         Standard deviation of the error of one reading [m, rad], noise and quantum; the same for all trials.
     excess : float64, shape (n,)
-        Motion at rest at the end of the log relative to what the sensor explains, 1 or more.
+        Motion at rest at the end of the log relative to what the sensor explains.
+    fed_back : float64, shape (n,)
+        Size of what the loop made of earlier errors, relative to what the weights tell, 1 or more.
     weight : float64, shape (n, N)
         Answer of a reading to an error of 1 m (1 rad) j samples before, as the wall feeds it back: 1 for
         j = 0, 0 behind the end of the log.
@@ -57,6 +63,7 @@ class ReadingError:
 
     sensor: Floats
     excess: Floats
+    fed_back: Floats
     weight: Floats
     weight_noise: Floats
     change_noise: Floats
@@ -93,17 +100,22 @@ def sensor_error(noise: Floats, quantum: Floats) -> float:
     Parameters
     ----------
     noise, quantum : float64, shape (n,)
-        Of each trial [m, rad]; NaN where not known. The median of many short baselines is far surer than each of them.
+        Of each trial [m, rad]; NaN where not known. Pooled over many short baselines it is far surer than in each; of
+        several quanta, which a trial that hardly moves does not show, the usual one counts.
     """
-    variance = np.maximum(noise**2, UNIFORM_VARIANCE * quantum**2)
-    seen = np.isfinite(variance)
-    return as_known(float(np.sqrt(np.median(variance[seen])))) if seen.any() else float("nan")
+    seen = np.isfinite(noise) & np.isfinite(quantum)
+    if not seen.any():
+        return float("nan")
+    # noise is pooled without the baselines that a push or a chatter moves; a baseline within a quantum shows none
+    square = noise[seen] ** 2
+    usual = square[square <= POOLED**2 * max(float(np.median(square)), float(np.median(quantum[seen])) ** 2)]
+    return as_known(float(np.sqrt(usual.mean() + UNIFORM_VARIANCE * np.median(quantum[seen]) ** 2)))
 
 
 def usual_rest(rest: Floats) -> float:
-    """Return the motion at rest that trials without any of their own take: the median of the others, 1 or more."""
+    """Return the motion at rest that trials without any of their own take: the median of the others; 1 without any."""
     rests = np.isfinite(rest)
-    return max(as_known(float(np.median(rest[rests]))), 1.0) if rests.any() else 1.0
+    return as_known(float(np.median(rest[rests]))) if rests.any() else 1.0
 
 
 def as_known(value: float, error: float | None = None) -> float:
@@ -174,8 +186,8 @@ def reading_error(
     rests, shifts all later ones as an error that lasts. The variance is the sum of squares. The weights are noisy
     themselves, which adds a known variance to each square: it is taken off.
 
-    The sensor is taken as one for all trials, as in one experiment: the median over the trials of the variance of
-    their baselines' noise, or of rounding where that is larger. Errors are taken as independent from reading to
+    The sensor is taken as one for all trials, as in one experiment: the variance of their baselines' noise, pooled,
+    and that of rounding. Errors are taken as independent from reading to
     reading; a motion of less than a quantum a sample makes them dependent. Where the quantum is a tenth of the
     final displacement the weights are mostly noise.
 
@@ -209,16 +221,17 @@ def reading_error(
         np.concatenate([getattr(part, name) for part in found])
         for name in ("weight", "weight_noise", "change_noise", "rest")
     )
-    excess = np.maximum(np.where(np.isfinite(own), own, usual_rest(own) if rest is None else rest), 1.0)
-    deviation, change = np.empty((n, columns)), np.empty((n, columns))
+    excess = np.where(np.isfinite(own), own, usual_rest(own) if rest is None else rest)
+    deviation, change, fed_back = np.empty((n, columns)), np.empty((n, columns)), np.empty(n)
     for (some, part), variances in zip(batch.portions(CHUNK), found, strict=True):
         hidden = ~(known[some, None] & part.valid)
         end = np.maximum(part.rows - 1, 0)[:, None]
         answered = np.take_along_axis(variances.answered, end, axis=1)
-        # the reading's own error is the sensor's; what exceeds it moves the device
-        gain = 1.0 + (excess[some, None] ** 2 - 1) * (1 + 1 / np.where(answered > 0, answered, np.inf))
+        # the reading's own error is the sensor's; the rest of what is seen moves the device, more or less than told
+        gain = np.maximum(1.0 + (excess[some, None] ** 2 - 1) * (1 + 1 / np.where(answered > 0, answered, np.inf)), 0.0)
+        fed_back[some] = np.sqrt(np.maximum(gain[:, 0], 1.0))
         # slow motion, which hardly adds to the changes from reading to reading
-        square = variances.kept + np.maximum(gain, 1.0) * variances.answered
+        square = variances.kept + gain * variances.answered
         for result, value in ((deviation, square), (change, variances.change)):
             result[some] = np.where(hidden, np.nan, each[some, None] * np.sqrt(value))
             # the first reading is its own reference
@@ -226,6 +239,7 @@ def reading_error(
     return ReadingError(
         sensor=each,
         excess=excess,
+        fed_back=fed_back,
         weight=weight,
         weight_noise=weight_noise,
         change_noise=change_noise,

@@ -22,7 +22,7 @@ LIMITS = {
     "gamma": (0.0, 1.0),
     "lag": (1e-3, 64.0),
     "force": (-np.inf, np.inf),
-    "turn": (-6.0, 0.9),
+    "turn": (-6.0, 1.6),
     "ratio": (-9.0, 0.0),
     "share": (-3.5, 3.5),
     "coulomb": (0.0, np.inf),

@@ -14,13 +14,16 @@ import numpy as np
 
 from pipeline.measured.explained import holds
 from pipeline.measured.ladder.device import Device
-from pipeline.measured.ladder.parts import GROUPS, LIGHT, PARTS, likeliest, parts_of, without
+from pipeline.measured.ladder.parts import GROUPS, LIGHT, PARTS, RIVALS, likeliest, parts_of, without
 from pipeline.measured.ladder.search import covariance_of, judged, search
 from pipeline.measured.ladder.trials import LadderTrials
 from pipeline.records.batch import Floats
 
 MISSED = 6.0
 """Fall of the held-out logarithm of the likelihood by which a part is missed: odds of 400 to 1."""
+
+LIKENESS = 20.0
+"""As `MISSED`, for a fast mode in place of a lag: it has two numbers more, which few trials hardly tell."""
 
 WORTH = 0.1
 """Share of what a device lacks to explain the trials that another part must bring: less is but its likeness."""
@@ -118,9 +121,20 @@ def climb(trials: LadderTrials, ideal: Device, groups: Sequence[Sequence[str]] =
         now = more[0]
         bases = [now.device]
     now, less = _pruned(fitted, held, now)
+    rivals = _rivals(fitted, held, now)
+    for rival in rivals:
+        if rival.holds and rival.score - now.score > MISSED:
+            tried, now = [*tried, now], rival
+    tried += rivals
     others = [rung for rung in (*tried, *less) if not set(now.parts) <= set(rung.parts)]
     others.sort(key=lambda rung: -rung.score)
-    alike = [r for r in others if r.holds and len(r.parts) == len(now.parts) and now.score - r.score <= MISSED]
+    alike = [
+        rung
+        for rung in others
+        if rung.holds
+        and len(rung.parts) == len(now.parts)
+        and now.score - rung.score <= (LIKENESS if rung in rivals else MISSED)
+    ]
     # of what does not hold with few trials more of them tell nothing
     best, covariance = _refined(trials if now.holds else few, now.device)
     return Ladder(best, covariance, tried[0], others[0] if others else None, tuple(alike))
@@ -161,6 +175,14 @@ def _more(
         if any(rung.holds for rung in found):
             break
     return sorted(found, key=lambda rung: -rung.score)
+
+
+def _rivals(fitted: LadderTrials, held: LadderTrials, now: Rung) -> list[Rung]:
+    """Return the devices with a fast mode in place of a lag: both hold back what follows a command."""
+    if "lag" not in now.parts or now.device.sensor:
+        return []
+    base = without(now.device, "lag")
+    return [_rung(fitted, held, likeliest(fitted, starts(fitted, base))) for starts in RIVALS]
 
 
 def _pruned(fitted: LadderTrials, held: LadderTrials, now: Rung) -> tuple[Rung, list[Rung]]:

@@ -9,6 +9,7 @@ import numpy as np
 from pipeline.measured.ladder.device import Device, Sensor
 from pipeline.measured.ladder.search import search
 from pipeline.measured.ladder.trials import LadderTrials
+from pipeline.records.batch import Floats
 
 FEW_STEPS = 3
 """Steps of a search that only shows whether a start is worth more."""
@@ -21,6 +22,9 @@ BOUNDS, BELOW = (0.0, 0.3, 0.6), 0.95
 
 TURNS = np.geomspace(0.02, 1.5, 24)
 """Angles of a mode to start from [rad a sample], 20 % apart, which a step may bridge: 3 to 240 Hz at 1 kHz."""
+
+FAST = np.geomspace(1.2, 4.5, 7)
+"""Angles of modes that a lag may be taken for [rad a sample]: 190 to 720 Hz at 1 kHz, which readings hardly show."""
 
 LIGHT, HEAVY = {"share": -1.7}, {"share": 0.0}
 """A far mass to start from, a seventh of all, or a half: what is heavy delays, and the delay is less."""
@@ -53,7 +57,7 @@ def _saturation(trials: LadderTrials, device: Device) -> list[Device]:
     return [device.having(bound=bound) for bound in np.log(bounds).tolist()]
 
 
-def _mode(sensor: Sensor) -> Callable[[LadderTrials, Device], list[Device]]:
+def _mode(sensor: Sensor, turns: Floats = TURNS) -> Callable[[LadderTrials, Device], list[Device]]:
     def starts(trials: LadderTrials, device: Device) -> list[Device]:
         """Return the likeliest of many starts, found without the friction that takes time."""
         numbers = device.without("coulomb").numbers
@@ -61,7 +65,7 @@ def _mode(sensor: Sensor) -> Callable[[LadderTrials, Device], list[Device]]:
             Device(
                 numbers | {"turn": float(np.log(turn)), "ratio": -3.5, **far, "delay": late * numbers["delay"]}, sensor
             )
-            for turn in TURNS
+            for turn in turns
             for far, late in ((LIGHT, 1.0), (HEAVY, 0.5))
         ]
         return [Device(device.numbers | quick.numbers, sensor) for quick in likeliest(trials, tried)]
@@ -89,6 +93,9 @@ PARTS: dict[str, tuple[tuple[str, ...], Callable[[LadderTrials, Device], list[De
     "mode at the load": (("turn", "ratio", "share"), _mode("load")),
 }
 """Names of the numbers of each part, and the starts of a search for it."""
+
+RIVALS = (_mode("motor", FAST),)
+"""Starts of what a lag may be the likeness of, for a device without the lag."""
 
 GROUPS = (("spring", "force", "lag"), ("saturation",), ("mode at the motor", "mode at the load"), ("friction",))
 """Parts by the time that they take to look for."""

@@ -8,14 +8,15 @@ from typing import Any
 import numpy as np
 
 from pipeline.measured.explained import EXPLAINED
+from pipeline.measured.intervals import NORMAL_95
 from pipeline.measured.ladder.device import LIMITS, Device
-from pipeline.measured.ladder.ladder import FEWEST_TRIALS, Rung, climb
+from pipeline.measured.ladder.ladder import FEWEST_TRIALS, Ladder, Rung, climb
 from pipeline.measured.ladder.parts import GROUPS
 from pipeline.measured.ladder.physical import in_si
 from pipeline.measured.ladder.trials import LadderTrials, spread_over_plane, windowed
 from pipeline.measured.stages.stage_given import Experiment
 from pipeline.measured.stages.stage_groups import Columns, Given, TrialGroup
-from pipeline.records.batch import Booleans
+from pipeline.records.batch import Booleans, Floats
 from pipeline.records.tables import TABLES
 
 OF_NO_MATTER = {"velocity_filter", "constant_force", "step_not_a_step", "several_steps", "scattered_stamps"}
@@ -42,7 +43,7 @@ def columns(of: Experiment) -> Columns:
     found = climb(trials, Device(start), GROUPS[:1] if explained else GROUPS)
     if explained and (found.ideal.holds or not found.best.parts or not found.best.holds):
         return {name: [] for name in TABLES["ladder"]}
-    numbers = in_si(found.best.device, found.covariance, T)
+    numbers = in_si(found.best.device, _covering(found), T)
     others = [("alike", rung) for rung in found.alike]
     if found.next_best is not None:
         others.append(("next best", found.next_best))
@@ -65,6 +66,15 @@ def columns(of: Experiment) -> Columns:
         "score": [rung.score for _, rung in rungs],
         "numbers": [json.dumps(each) for each in shown] + [None] * len(others),
     }
+
+
+def _covering(found: Ladder) -> Floats:
+    """Return the covariance of the best device's numbers, with a delay that holds those of the devices like it."""
+    covariance, place = found.covariance.copy(), found.best.device.names.index("delay")
+    delay = found.best.device.numbers["delay"]
+    apart = max((abs(rung.device.numbers["delay"] - delay) for rung in found.alike), default=0.0)
+    covariance[place, place] += (apart / NORMAL_95) ** 2
+    return covariance
 
 
 def _named(rung: Rung) -> str:

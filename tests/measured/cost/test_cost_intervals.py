@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
+import not_ideal
 import numpy as np
 import pytest
 from sensor_trials import DELAY, EDGE, FEWEST, FREE, SENSORS, measured, trials, truth
@@ -252,3 +253,24 @@ def test_reasons():
     assert isinstance(short, TrialBatch)
     with pytest.raises(ParameterError, match="delay"):
         reading_error(short, find_response(short), -1)
+
+
+@pytest.mark.parametrize("seed", range(300, 306))
+def test_a_slow_swing_that_passes_a_band_has_no_upper_end(seed):
+    """Walls so soft that logs end within a swing or two, by a simulator of its own; some with a fast mode on top."""
+    random = np.random.default_rng(seed)
+    rows = int(random.choice([300, 500]))
+    w = 2 * np.pi / (10 ** random.uniform(-0.5, 0.5, 20) * rows * 1e-3)
+    ratio, mode = 10 ** random.uniform(-1.5, 0.2, 20), ((40.0, 0.05, 0.1) if seed % 2 else None)
+    K, B = 0.58 * w**2, 2 * ratio * 0.58 * w
+    device = {"b": 0.2, "delay": 3.0, "seed": seed, "mode": mode}
+    batch = not_ideal.simulate(K, B, rows=rows, quantum=1e-4 * np.median(8 / K), **device)
+    _, exact = not_ideal.simulate(K, B, rows=8 * rows, truth=True, **device)
+    response, error = find_response(batch), reading_error(batch, find_response(batch), 3)
+    found = settling(batch, response, judge(batch, response), 3)
+    interval = settling_interval(batch, response, error, found, 3)
+    for name, band in SETTLING_BANDS.items():
+        true = last_outside((exact - 8 / K[:, None])[:, EDGE + 3 :], band * 8 / K)
+        told = np.isfinite(interval.high[name])
+        assert (true[told] <= interval.high[name][told] + 10).all()
+        assert (true[told] <= rows).all()

@@ -94,3 +94,29 @@ def test_trials_are_taken_evenly_from_the_plane():
     assert usable[chosen].all()
     assert set(B[chosen]) == set(B)
     assert spread_over_plane(K[:5], B[:5], np.ones(5, bool)).tolist() == [0, 1, 2, 3, 4]
+
+
+def _climbed(n, seed, **features):
+    random = np.random.default_rng(seed)
+    K, B = random.uniform(500, 9000, n), random.uniform(5, 60, n)
+    batch = simulate(K, B, delay=3.0, quantum=1e-6, noise=1e-6, rows=300, travel=0.5, seed=seed, **features)
+    K, B, trials, _ = windows(TrialGroup(batch), {"chosen": list(batch.trial_id)})
+    ideal = {"gain": float(np.log(1e-6 / 0.58)), "delta": 4e-3 / 0.58, "delay": 3.3}
+    return climb(trials.select(np.lexsort((K, B))), Device(ideal))
+
+
+@pytest.mark.parametrize(("n", "seed", "mode"), [(8, 15, (320.0, 0.05, 0.1)), (25, 13, (400.0, 0.03, 0.15))])
+def test_a_fast_mode_at_the_motor_is_not_called_a_lag_with_confidence(n, seed, mode):
+    found = _climbed(n, seed, mode=mode)
+    devices = [found.best, *found.alike]
+    # semi-implicit steps of a twentieth of a sample are 0.025 samples late
+    assert any("mode at the motor" in rung.parts for rung in devices)
+    delays = [rung.device.numbers["delay"] for rung in devices]
+    assert min(delays) - 0.05 <= 3.0 <= max(delays) + 0.05
+
+
+@pytest.mark.parametrize(("n", "seed", "lag"), [(25, 16, 0.002), (25, 17, 0.001)])
+def test_a_lag_stays_a_lag(n, seed, lag):
+    found = _climbed(n, seed, lag=lag)
+    assert found.best.parts == ("lag",)
+    assert found.alike == ()
