@@ -12,6 +12,16 @@ from pipeline.readers.limits import LARGEST, LARGEST_CONDITION, LONGEST_S, MOST_
 from pipeline.records.batch import Floats, Integers
 from pipeline.records.native import NativeHeader
 
+GAP = 30.0
+"""Distance of a reading from the middle of its log, relative to the farthest of all nearer ones and to their range,
+from which on no motion gives it: an unstable loop that grows tenfold a sample leaves gaps of ten."""
+
+OUTSIDE = 20
+"""Part of the readings (a twentieth) at either end that their range leaves out: a few bad ones do not move it."""
+
+LONGEST_PAUSE = 1e6
+"""Longest time between two rows in sampling periods: minutes at 1 kHz are no pause within one response."""
+
 
 @dataclass(frozen=True)
 class RawLog:
@@ -76,8 +86,8 @@ def check_samples(
     ------
     LogError
         If there are fewer than two samples, a step of 0 is said to be in some row, a value is not finite or lies out
-        of the range of readings (`LARGEST`), time does not increase strictly, or no sampling period can count it
-        (`MOST_PERIODS`, `LONGEST_S`).
+        of the range of readings (`LARGEST`, `stray`), time does not increase strictly or pauses for `LONGEST_PAUSE`,
+        or no sampling period can count it (`MOST_PERIODS`, `LONGEST_S`).
     """
 
     def place(at: int) -> int | None:
@@ -131,6 +141,16 @@ def check_samples(
                 f"{name} is {value:.6g}; expected at most {LARGEST_CONDITION:g} [SI]. Correct its number or unit.",
                 code="out-of-range",
             )
+    travel = abs(header.step) / header.stiffness if header.stiffness > 0 else 0.0
+    for name, readings, scale in (("position", position, travel), ("velocity", velocity, 0.0)):
+        row_off = None if readings is None else stray(readings, scale)
+        if readings is not None and row_off is not None:
+            raise LogError(
+                f"{name} is {readings[row_off]:.6g}, the others lie about {np.median(readings):.6g}: a gap that no "
+                "motion leaves. Repair the row, or leave this log out.",
+                place(row_off),
+                code="out-of-range",
+            )
     increasing = time[1:] > time[:-1]
     if not increasing.all():
         at = int(np.argmin(increasing)) + 1
@@ -140,8 +160,38 @@ def check_samples(
             place(at),
             code="time-backwards",
         )
+    pause = np.diff(time)
+    if pause.max() > LONGEST_PAUSE * header.sampling_period_s:
+        at = int(np.argmax(pause)) + 1
+        raise LogError(
+            f"time is {time[at]:.9g} s after {time[at - 1]:.9g} s, more than {LONGEST_PAUSE:g} sampling periods later; one "
+            "response has no such pause. Repair the row, or leave this log out.",
+            place(at),
+            code="time-wrong",
+        )
     _check_period(header.sampling_period_s, float(time[0]), float(time[-1]), place(0))
     return Log(header, time, command, position, force, velocity)
+
+
+def stray(readings: Floats, scale: float) -> int | None:
+    """Return the first row whose reading no motion gives: a lost bit, a counter that ran over, a missing value.
+
+    Parameters
+    ----------
+    readings : float64, shape (rows,)
+    scale : float
+        What the readings are expected to change by at least, in their unit; 0 where that is not known.
+    """
+    rows = len(readings)
+    few, middle = rows // OUTSIDE, rows // 2
+    ordered = np.partition(readings, (few, middle, rows - 1 - few))
+    typical = max(float(ordered[rows - 1 - few] - ordered[few]), scale)
+    distance = np.abs(readings - ordered[middle])
+    if typical == 0 or distance.max() <= GAP * typical:
+        return None
+    nearer = np.sort(distance)
+    beyond = nearer[1:] > GAP * np.maximum(nearer[:-1], typical)
+    return int(np.argmax(distance >= nearer[1:][beyond].min())) if beyond.any() else None
 
 
 def _check_period(period: float, first: float, last: float, row: int | None) -> None:

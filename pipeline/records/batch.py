@@ -20,7 +20,7 @@ SAMPLED = ("time", "command", "position", "force", "velocity")
 NO_STEP_ROW = -1
 """Stands for the command edge of a trial that declares none."""
 
-_OPTIONAL = (*SAMPLED, "step_row", "integrated", "unusable")
+_OPTIONAL = (*SAMPLED, "step_row", "integrated")
 
 _CONDITIONS = ("stiffness", "damping", "step", "sampling_period_s")
 
@@ -46,8 +46,6 @@ class TrialBatch:
         Declared row of the command edge, -1 for trials whose log shows it; None where no trial declares one.
     integrated : bool, shape (n,), optional
         Whether positions are integrals of a sensor's velocity, so that their grid is none of a sensor; None for none.
-    unusable : array of str, shape (n,), optional
-        Why a log is unusable, empty for the others; None where all can be used. Its samples are at rest instead.
     """
 
     trial_id: tuple[str, ...]
@@ -63,7 +61,6 @@ class TrialBatch:
     velocity: Floats | None = None
     step_row: Integers | None = None
     integrated: Booleans | None = None
-    unusable: NDArray[np.str_] | None = None
 
     def __len__(self) -> int:
         return len(self.trial_id)
@@ -85,8 +82,6 @@ class TrialBatch:
         joined.update(np.array([self.rows[trial], declared], dtype=np.int64).data)
         if self.integrated is not None and self.integrated[trial]:
             joined.update(b"integrated")
-        if self.unusable is not None:
-            joined.update(str(self.unusable[trial]).encode())
         for name in SAMPLED:
             values = getattr(self, name)
             if values is not None and not np.isnan(own := values[trial, : self.rows[trial]]).all():
@@ -135,9 +130,7 @@ class TrialBatch:
         """Return the trials of several batches, one at least, as one, padded to the longest."""
         declared = [np.full(len(p), NO_STEP_ROW) if p.step_row is None else p.step_row for p in parts]
         integrated = [np.zeros(len(p), dtype=np.bool_) if p.integrated is None else p.integrated for p in parts]
-        unusable = [np.full(len(p), "") if p.unusable is None else p.unusable for p in parts]
         return cls(
-            unusable=None if all(part.unusable is None for part in parts) else np.concatenate(unusable),
             integrated=None if all(part.integrated is None for part in parts) else np.concatenate(integrated),
             trial_id=tuple(name for part in parts for name in part.trial_id),
             step_row=None if all(part.step_row is None for part in parts) else np.concatenate(declared),

@@ -15,7 +15,6 @@ import pyarrow as pa
 from pipeline.base.errors import REMEDY, StoreError
 from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
 from pipeline.records.groups import TrialGroups, group_trials, padded_length
-from pipeline.records.readings import usable
 from pipeline.records.table_files import open_table
 from pipeline.store.storage import ATTEMPTS, read_trials
 from pipeline.store.working_copy import bring
@@ -49,14 +48,10 @@ def load_batch(processed: Path, trials: pa.Table) -> TrialBatch:
 
 
 def load_groups(processed: Path, trials: pa.Table) -> TrialGroups:
-    """Read the samples of trials in groups of like length, unusable logs at rest (`readings`).
-
-    Parameters and errors as those of `load_batch`, which returns readings as they are stored.
-    """
+    """Read the samples of trials in groups of like length; parameters and errors as those of `load_batch`."""
     trials = in_order(trials)
     places = group_trials(trials.column("rows").to_numpy())
-    parts = _load(processed, trials, places, lambda rows: padded_length(rows)[0])
-    return TrialGroups(tuple(places), tuple(map(usable, parts)))
+    return TrialGroups(tuple(places), tuple(_load(processed, trials, places, lambda rows: padded_length(rows)[0])))
 
 
 def in_order(trials: pa.Table) -> pa.Table:
@@ -118,8 +113,7 @@ def _batch(trials: pa.Table, samples: dict[str, Floats]) -> TrialBatch:
         time=samples.get("time_s", nothing),
         command=samples.get("command", nothing),
         position=samples.get("position", nothing),
-        force=present["force"],
-        velocity=present["velocity"],
+        **present,
         step_row=_declared_step_rows(trials.column("extra").to_pylist()),
         integrated=_integrated(trials.column("extra").to_pylist()),
     )

@@ -13,7 +13,6 @@ from pipeline.comparison.figures.boundary_curves import too_late
 from pipeline.comparison.scene.scene import SceneData
 from pipeline.loop.device_loop import longest_delay
 from pipeline.loop.loop import LARGEST_DELAY
-from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.criteria import ENERGY, members
 from pipeline.records.findings import DRIFTS, Estimate, Trend
 from pipeline.records.models import Device
@@ -63,7 +62,6 @@ def warnings_of(data: SceneData, results: Sequence[ExperimentResult]) -> tuple[s
             f"{counted(len(data.excluded), 'trial')} of {where} {verb} excluded by hand and {verb} used for no number: "
             "the table of excluded trials has the reasons."
         )
-    warnings += [text for stages in data.experiments for text in _unusable(stages)]
     few = [r.experiment for r in results if r.trials < FEW_TRIALS]
     if few:
         where = _named(few, len(results))
@@ -89,18 +87,6 @@ def warnings_of(data: SceneData, results: Sequence[ExperimentResult]) -> tuple[s
         warnings.append(f"The device {data.scene.device!r} has no device file: {by}.")
     warnings += _estimates(results)
     return tuple(warnings)
-
-
-def _unusable(stages: ExperimentStages) -> Iterator[str]:
-    """Yield for each log with an impossible reading its name, and what is wrong with it."""
-    paths = dict(zip(*(stages.trials.column(name).to_pylist() for name in ("trial_id", "source_path")), strict=True))
-    names, outcomes, evidence = (stages.texts("outcome", name) for name in ("trial_id", "outcome", "evidence"))
-    for name, outcome, why in zip(names, outcomes, evidence, strict=True):
-        if outcome == "unusable":
-            yield (
-                f"Experiment {stages.experiment}, {paths[name]} (trial {name}): {why}. It is used for no number: "
-                "repair its row and ingest it again, or exclude it."
-            )
 
 
 def _estimates(results: Sequence[ExperimentResult]) -> list[str]:

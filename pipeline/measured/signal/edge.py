@@ -100,9 +100,7 @@ def find_edges(batch: TrialBatch, samples: int = EDGE_SAMPLES) -> Edges:
         steps = _steps(force, step, batch.damping[i]) if step else []
         count[i] = len(steps)
         raised = _from_level(force, step, samples) if step else None
-        if batch.unusable is not None and batch.unusable[i]:
-            reason = f"unusable log: {batch.unusable[i]}"
-        elif step == 0:
+        if step == 0:
             reason = "no step was commanded (step is 0)"
         elif len(steps) > 1:
             row[i], reason = NO_ROW, _told(force, steps)

@@ -26,7 +26,6 @@ from pipeline.measured.signal.verdict import Verdicts
 from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
 
 OUTCOMES = (
-    "unusable",
     "no_step",
     "travel_limit",
     "too_short",
@@ -152,10 +151,10 @@ def classify(
 
     Notes
     -----
-    The first that holds, in the order of `OUTCOMES`: an impossible reading; no identifiable step; ended outside the
-    travel or stood at a stop; too few samples of free motion to say anything; command clipped; moved by a force beside
-    the command, or at rest elsewhere than at x_0 + F_0/K; growing; an oscillation that lasts outside the band; not yet
-    in the band for good; settled. A limit cycle inside the band is settled.
+    The first that holds, in the order of `OUTCOMES`: no identifiable step; ended outside the travel or stood at a
+    stop; too few samples of free motion to say anything; command clipped; moved by a force beside the command, or
+    at rest elsewhere than at x_0 + F_0/K; growing; an oscillation that lasts outside the band; not yet in the band
+    for good; settled. A limit cycle inside the band is settled.
 
     The band is 2 % of the final displacement, or the sensor floor where that is wider. K <= 0 has no final
     position: such a trial diverged or moves.
@@ -180,8 +179,6 @@ def classify(
     moved = (push.first_row >= 0) | end.rests_elsewhere | unmoved
     grows = verdicts.verdict == "unstable"
     since = np.where(push.first_row >= 0, push.first_row, NO_ROW)
-
-    unusable = np.full(n, "") if batch.unusable is None else batch.unusable
 
     def edge_text(i: int) -> str:
         return response.edge_reason[i]
@@ -228,7 +225,6 @@ def classify(
 
     none = np.full(n, NO_ROW)
     rules: tuple[tuple[str, Booleans, Integers, Callable[[int], str]], ...] = (
-        ("unusable", unusable != "", none, edge_text),
         ("no_step", ~response.has_edge, none, edge_text),
         ("travel_limit", outside >= 0, outside, travel_text),
         ("too_short", (free < FEWEST_SAMPLES) & ~unmoved & ~(travel <= band), none, short_text),

@@ -46,7 +46,6 @@ OUTCOMES = {
     "too_short": "too short",
     "disturbed": "disturbed",
     "no_step": "no step",
-    "unusable": "unusable",
 }
 
 OUTCOME_NOTES = {
