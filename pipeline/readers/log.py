@@ -164,8 +164,8 @@ def check_samples(
     if pause.max() > LONGEST_PAUSE * header.sampling_period_s:
         at = int(np.argmax(pause)) + 1
         raise LogError(
-            f"time is {time[at]:.9g} s after {time[at - 1]:.9g} s, more than {LONGEST_PAUSE:g} sampling periods later; one "
-            "response has no such pause. Repair the row, or leave this log out.",
+            f"time is {time[at]:.9g} s after {time[at - 1]:.9g} s, more than {LONGEST_PAUSE:g} sampling periods later; "
+            "one response has no such pause. Repair the row, or leave this log out.",
             place(at),
             code="time-wrong",
         )

@@ -1,4 +1,4 @@
-"""What is said of a course by the way its logs were written: nothing that they leave open, no wall that is unsafe."""
+"""What is said of a course by the way its logs were written: nothing that they leave open, and no unsafe wall."""
 
 from __future__ import annotations
 
