@@ -273,8 +273,8 @@ def _column(
     edges = walls(max(of.bottom, aim.lowest), top, estimate, told.error, width, largest)
     # neither walls next to undecided ones, nor what a rig that rounds made another wall of
     away = ASIDE * width
-    barred = [(wall - away, wall + away) for wall in open_walls] + rig.rounded(of, half, away)
-    for low, high in barred:
+    rounded = rig.rounded(of, half, away)
+    for low, high in [(wall - away, wall + away) for wall in open_walls] + rounded:
         edges = edges[(edges < low) | (edges > high) | (edges == edges[0]) | (edges == edges[-1])]
     chance = chances(edges, value, told.error if told.adequate else inf)
     split = best_split(edges, chance, width, GENTLE_PRICE if aim.gentle else 1.0)
@@ -283,7 +283,7 @@ def _column(
     wall = float(edges[split.place])
     if aim.gentle:
         safe = _safe(own, told, half)
-        free = not any(low <= safe <= high for low, high in barred)
+        free = not any(low <= safe <= high for low, high in rounded)
         wall = min(wall, safe) if free and safe > of.bottom + 0.2 * half else wall
     return Column(damping, of, estimate, split, wall, nothing=of.bottom == 0 and value < half)
 

@@ -28,6 +28,9 @@ LEASE_S = 10.0
 ATTEMPTS = 3
 """Times that a job is begun; a worker that dies with it each time was killed by it."""
 
+FIRST = "upload stages experiment comparison trial"
+"""Kinds of jobs as they are taken: logs and their verdicts before what is looked at, figures last."""
+
 SESSION_S = 12 * 3600.0
 """Life of a login [s]."""
 
@@ -134,16 +137,13 @@ class Database:
         return name
 
     def claim(self, owner: str) -> dict[str, Any] | None:
-        """Take the oldest job that waits, or whose worker was not heard of; None where there is none.
-
-        Jobs of the kind ``stages``, for which nobody waits, come last.
-        """
+        """Take a job that waits, or whose worker was not heard of, by `FIRST`; None where there is none."""
         now = time.time()
         rows = self.run(
             "UPDATE jobs SET state = 'running', owner = ?, lease = ?, changed = ? WHERE "
             "number = (SELECT number FROM jobs WHERE state = 'queued' OR (state = 'running' AND lease < ?) "
-            "ORDER BY kind = 'stages', number LIMIT 1) RETURNING *",
-            *(owner, now + LEASE_S, now, now),
+            "ORDER BY instr(?, kind), number LIMIT 1) RETURNING *",
+            *(owner, now + LEASE_S, now, now, FIRST),
         )
         return dict(rows[0]) if rows else None
 

@@ -211,7 +211,18 @@ def test_a_killed_worker_is_followed_by_another(empty, logs, tmp_path):
     assert database.run("SELECT owner FROM jobs WHERE id = ?", job)[0]["owner"] != first
 
 
-def test_jobs_that_nobody_waits_for_come_last(tmp_path):
+def test_logs_and_verdicts_come_before_what_is_looked_at(tmp_path):
+    database = Database(tmp_path)
+    for number in range(3):
+        database.add_job("trial", {}, f"{number}")
+    kinds = ("comparison", "trial", "experiment", "stages", "upload")
+    for kind in kinds:
+        database.add_job(kind, {}, kind)
+    taken = [database.claim("one")["kind"] for _ in range(8)]
+    assert taken == ["upload", "stages", "experiment", "comparison", *["trial"] * 4]
+
+
+def test_verdicts_are_asked_for_once_and_come_after_logs(tmp_path):
     database = Database(tmp_path)
     stages = database.add_job("stages", {}, "stages")
     assert database.add_job("stages", {}, "stages") == stages
