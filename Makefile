@@ -50,9 +50,7 @@ bench: .venv/.bench
 	$(BIN)/python benchmarks/loop.py
 	$(BIN)/python benchmarks/ladder.py
 	$(BIN)/python benchmarks/watch.py
-	$(BIN)/python benchmarks/growth_logs.py
-	$(BIN)/python benchmarks/growth_theory.py
-	$(BIN)/python benchmarks/growth_trials.py
+	$(BIN)/python benchmarks/growth.py
 	$(BIN)/python benchmarks/report.py --verify
 	$(BIN)/python benchmarks/plan.py
 

@@ -20,7 +20,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from growth import PIPELINE
+from timing import PIPELINE
 
 REAL = Path(__file__).parents[2] / "shared" / "real"
 LEFT_OUT = {"provenance", "report", "logs", "version", "seconds", "stages"}

@@ -23,9 +23,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from timing import MIB, PIPELINE
 
 RESULTS = Path(__file__).parent / "results"
-PIPELINE = [sys.executable, "-c", "from pipeline.shell.cli import run; run()"]
 LOGS = (2200, 22_000)
 ROWS = 620
 """Makes a log of 31 KB, 2,200 of which are 68 MB; numbers have 17 digits, as simulated and recorded ones have."""
@@ -36,7 +36,6 @@ BODIES = 2200
 ONE_MORE = 10
 """Logs that are added one by one; the slowest counts."""
 
-MIB = 1 << 20
 
 BARE = """
 import sys

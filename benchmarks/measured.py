@@ -11,8 +11,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
-import subprocess
 import sys
 import tempfile
 import time
@@ -22,6 +20,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
+from timing import run
 
 TRIALS, ROWS = 2200, 1000
 LIMIT_S = 6.0
@@ -32,8 +31,6 @@ FREE_TRIALS = 20
 
 DELAY, MASS, MASS_ERROR = 4, 0.58, 0.001
 """Delay factor, mass [kg] and its standard error that the costs are computed with; the range of the delay is +-1."""
-
-MIB = 1 << 20
 
 Result = TypeVar("Result")
 
@@ -110,19 +107,8 @@ def measure(folder: Path, trials: int, rows: int, jitter: bool) -> tuple[dict[st
     """Return what a process of its own computed, and its peak memory [MiB]."""
     file = folder / f"{jitter}.npz"
     simulate_trials(file, trials, rows, jitter)
-    command = [sys.executable, __file__, "--compute", str(file)]
-    environment = os.environ | {"OPENBLAS_NUM_THREADS": "1"}
-    with tempfile.TemporaryFile() as out:
-        process = subprocess.Popen(command, env=environment, stdout=out)
-        # wait4 gives the usage of this child alone, RUSAGE_CHILDREN that of all so far
-        _, status, usage = os.wait4(process.pid, 0)
-        process.returncode = os.waitstatus_to_exitcode(status)
-        out.seek(0)
-        text = out.read().decode()
-    if process.returncode != 0:
-        sys.exit(f"{' '.join(command)}: exit status {process.returncode}")
-    scale = 1 if sys.platform == "darwin" else 1024  # ru_maxrss: bytes on macOS, KiB elsewhere
-    return json.loads(text), usage.ru_maxrss * scale / MIB
+    spent = run([sys.executable, __file__, "--compute", str(file)])
+    return json.loads(spent.output), spent.mebibytes
 
 
 def main() -> None:

@@ -2,7 +2,7 @@
 
     python benchmarks/plan.py [--seeds 20] [--first 0] [--kind ideal] [--goal gentle] [--out FILE.json]
 
-Devices are variations of the Falcon (`pipeline.studies.planning.rig`), whose file the planner is given without what the
+Devices are variations of the Falcon (`tests/support/rigs.py`), whose file the planner is given without what the
 kind adds. Verdicts are those of simulated logs of 0.4 s with quantum and noise, as a rig would give them, also for the
 truth: where the verdicts of 200 walls of a damping change. Costs are measured from the same logs; the true best cost is
 the exact one of theory, with friction that of a dense grid of logs. A row a kind, medians over the seeds; nothing
@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -22,9 +23,9 @@ from typing import Any
 import numpy as np
 
 from pipeline.plan.course import Wish, wanted_dampings
-from pipeline.studies.planning.best_cost import look_for_best
-from pipeline.studies.planning.rig import KINDS, Rig
-from pipeline.studies.planning.searches import as_in_the_thesis, at_random, bisected, error_of, planned
+
+sys.path.append(str(Path(__file__).parents[1] / "tests" / "support"))
+from rigs import KINDS, Rig, as_in_the_thesis, at_random, bisected, error_of, look_for_best, planned
 
 MOST = dict.fromkeys(KINDS, 50) | {"ideal": 30}
 GENTLE_TRIALS, GENTLE_UNSTABLE, OPTIMUM_TRIALS, WRONG, ACCURACY, COST = 65, 0.25, 60, 0.05, 0.02, 0.05

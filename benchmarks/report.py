@@ -14,11 +14,11 @@ import shutil
 import subprocess
 import sys
 import tempfile
-import time
 from importlib.util import find_spec
 from pathlib import Path
 
-PIPELINE = [sys.executable, "-c", "from pipeline.shell.cli import run; run()"]
+from timing import PIPELINE, run
+
 MB = 1e6
 
 FULL_S = 40.0
@@ -38,11 +38,7 @@ overlays = ["theory"]
 
 def seconds(words: list[str], folder: Path) -> float:
     """Wall time of a command [s]."""
-    began = time.perf_counter()
-    process = subprocess.run([*PIPELINE, *words], cwd=folder, capture_output=True, text=True)
-    if process.returncode:
-        sys.exit(f"{' '.join(words)}: exit status {process.returncode}\n{process.stderr[-2000:]}")
-    return time.perf_counter() - began
+    return run([*PIPELINE, *words], folder).seconds
 
 
 def copy_samples(processed: Path, target: Path) -> None:

@@ -11,18 +11,17 @@ import argparse
 import json
 import os
 import platform
-import subprocess
 import sys
 import tempfile
 import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from timing import PIPELINE, run
+
 RESULTS = Path(__file__).parent / "results"
 ROWS = (400, 1000)
 PERIOD_S = 1e-3
-PIPELINE = [sys.executable, "-c", "from pipeline.shell.cli import run; run()"]
-MIB = 1 << 20
 
 SECONDS = {
     "simulate": 15.0,
@@ -63,23 +62,6 @@ class Measurement:
     memory_mib: float
 
 
-def run(command: list[str], cwd: Path) -> tuple[float, float, float, str]:
-    """Return wall time [s], processor time [s], peak memory [MiB] and stdout of a process; stop where it fails."""
-    with tempfile.TemporaryFile() as out:
-        began = time.perf_counter()
-        process = subprocess.Popen(command, cwd=cwd, stdout=out, stderr=subprocess.DEVNULL)
-        # wait4 gives the usage of this child (and of its own children) alone, RUSAGE_CHILDREN that of all so far
-        _, status, usage = os.wait4(process.pid, 0)
-        seconds = time.perf_counter() - began
-        process.returncode = os.waitstatus_to_exitcode(status)
-        out.seek(0)
-        text = out.read().decode()
-    if process.returncode != 0:
-        sys.exit(f"{' '.join(command)}: exit status {process.returncode}; run it by hand to see why.")
-    scale = 1 if sys.platform == "darwin" else 1024  # ru_maxrss: bytes on macOS, KiB elsewhere
-    return seconds, usage.ru_utime + usage.ru_stime, usage.ru_maxrss * scale / MIB, text
-
-
 def starts(folder: Path) -> list[Measurement]:
     """Time to the first answer: best of five, the files being in memory then."""
     commands = {
@@ -88,8 +70,8 @@ def starts(folder: Path) -> list[Measurement]:
     }
     found = []
     for stage, command in commands.items():
-        seconds, processor, memory, _ = min(run(command, folder) for _ in range(5))
-        found.append(Measurement(None, stage, seconds, SECONDS[stage], processor, memory))
+        best = min((run(command, folder) for _ in range(5)), key=lambda spent: spent.seconds)
+        found.append(Measurement(None, stage, best.seconds, SECONDS[stage], best.processor, best.mebibytes))
     return found
 
 
@@ -112,12 +94,12 @@ def spine(folder: Path, rows: int) -> tuple[list[Measurement], dict[str, float]]
     }
     found = []
     for stage, command in commands.items():
-        seconds, processor, memory, text = run(command, folder)
+        spent = run(command, folder)
         if not stage:
             continue
-        if stage == "estimates and costs":
-            seconds = json.loads(text)["seconds"]  # without the start of Python
-        found.append(Measurement(rows, stage, seconds, SECONDS[stage], processor, memory))
+        # without the start of Python
+        seconds = json.loads(spent.output)["seconds"] if stage == "estimates and costs" else spent.seconds
+        found.append(Measurement(rows, stage, seconds, SECONDS[stage], spent.processor, spent.mebibytes))
     logs = list((folder / "raw").rglob("*.csv"))
     sizes = {
         "logs": len(logs),

@@ -2,8 +2,8 @@
 
     python benchmarks/theory.py [--quick] [name ...]
 
-A comparison is a function that returns a `Row` and stands in `COMPARISONS`; the limits are in `theory_limits`. Nothing
-here fails on a slow machine.
+A comparison is a function that returns a `Row` and stands in `COMPARISONS`, a wanted time one in `LIMITS`; limits of
+accuracy are tests (docs/verification.md). Nothing here fails on a slow machine.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet as pq
-from theory_limits import LIMITS, tables_c_as_a_process
 from timing import fastest, once, run
 
 from pipeline.loop.loop import Loop
@@ -173,6 +172,38 @@ def map_by_python_control() -> Row:
     difference = float(np.abs(energies[0] / exact - 1)[ended].max())
     return Row("map, python-control (60 points)", other_s, ours_s, 100, difference)
 
+
+@dataclass(frozen=True)
+class Limit:
+    """One absolute number: what is reached and what is wanted, as printed, and whether it holds."""
+
+    name: str
+    reached: str
+    wanted: str
+    holds: bool
+
+
+TABLES_C = """
+from pipeline.studies.thesis_tables import recomputed_tables
+rows = sum(len(list(found)) for _, _, found in recomputed_tables(("C.1", "C.2", "C.3"), workers=1))
+assert rows == 171, rows
+"""
+
+
+def tables_c_as_a_process(quick: bool) -> Limit:
+    """All 171 rows of Tables C.1 to C.3 in one process."""
+    seconds = once(partial(run, [sys.executable, "-c", TABLES_C]))
+    return Limit("Tables C.1 to C.3, 171 rows, process", f"{seconds:.1f} s", "60 s", seconds <= 60)
+
+
+def boundary_as_a_process(quick: bool) -> Limit:
+    """The command `theory boundary` with all of its start."""
+    command = [sys.executable, "-m", "pipeline", "theory", "boundary", "--delay", "8"]
+    seconds = fastest(partial(run, command))
+    return Limit("theory boundary --delay 8, process", f"{seconds:.2f} s", "0.6 s", seconds <= 0.6)
+
+
+LIMITS: list[Callable[[bool], Limit]] = [tables_c_as_a_process, boundary_as_a_process]
 
 COMPARISONS: list[Callable[[], Row]] = [
     boundary_of_five_delays,

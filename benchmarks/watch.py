@@ -21,13 +21,12 @@ import time
 from pathlib import Path
 from typing import Any
 
+from timing import MIB, PIPELINE
+
 RESULTS = Path(__file__).parent / "results"
 LOGS, IDLE_S = 2200, 10.0
 LIMITS = {"idle share [%]": 1.0}
 """Share of one processor that a watch may take while nothing happens."""
-
-PIPELINE = [sys.executable, "-c", "from pipeline.shell.cli import run; run()"]
-MIB = 1 << 20
 
 
 def usage(process: subprocess.Popen[str]) -> tuple[float, float]:

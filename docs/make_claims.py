@@ -2,7 +2,7 @@
 
     python docs/make_claims.py [seeds [first seed]] [--kept FILE] [--base NAME ...] [--kind NAME ...] [--again]
 
-simulates a small course of each kind of device in `pipeline.studies.coverage.kinds` for each seed, compares it as the
+simulates a small course of each kind of device in `tests/support/kinds.py` for each seed, compares it as the
 logs of a device that nobody described, and holds the document against the truth (a minute a seed and base on a free
 core). The light-weight robot and a small motor take a quarter of the seeds; the motor turns without a wall, too.
 What is found of each course is a line of the file that ``--kept`` names, and is not found again in a second run but by
@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
@@ -43,8 +44,10 @@ from pipeline.simulation.course import Course, write_course
 from pipeline.simulation.radius import spectral_radius
 from pipeline.simulation.setup import setup_of
 from pipeline.simulation.simulate import simulate
-from pipeline.studies.coverage.kinds import kinds, record
 from pipeline.surface.stored import costs
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "support"))
+from kinds import kinds, record
 
 FILE = Path(__file__).with_name("coverage.md")
 SECTION = "## Devices that are not ideal"

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from pipeline.surface.logs import read_log as read_log
     from pipeline.surface.logs import simulate as simulate
     from pipeline.surface.physical_loop import Loop as Loop
+    from pipeline.surface.published import human_arms as human_arms
     from pipeline.surface.stored import boundary as boundary
     from pipeline.surface.stored import costs as costs
     from pipeline.surface.stored import devices as devices
@@ -34,6 +35,7 @@ _PUBLIC = {
     "surface.stored": ("devices", "experiments", "trials", "samples", "estimates", "boundary", "optima", "costs"),
     "surface.comparisons": ("Comparison", "compare", "load"),
     "surface.physical_loop": ("Loop",),
+    "surface.published": ("human_arms",),
 }
 """Public names by the module that defines them."""
 
@@ -47,6 +49,7 @@ __all__ = [
     "devices",
     "estimates",
     "experiments",
+    "human_arms",
     "ingest",
     "load",
     "optima",

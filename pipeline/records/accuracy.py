@@ -27,8 +27,8 @@ class Rung(Record):
     """One method at one setting: its largest error, and the least time [s] of repeated runs.
 
     ``error`` is None where the method gave no number at all (division by zero, no convergence). Rungs of the measured
-    branch also have ``missing``, the share of trials without a value; those of courses the number of ``trials`` and
-    ``device_seconds``, the measuring time on the device [s].
+    branch also have ``missing``, the share of trials without a value, and those of an experiment the number of its
+    ``trials``.
     """
 
     quantity: str
@@ -38,7 +38,6 @@ class Rung(Record):
     seconds: float
     missing: float | None = None
     trials: int | None = None
-    device_seconds: float | None = None
 
 
 class LeftOut(Record):
@@ -64,24 +63,10 @@ class Sweep(Record):
     wrong_verdicts: int | None = None
 
 
-class Advice(Record):
-    """Which method to trust for a quantity, in one sentence made from the numbers."""
-
-    quantity: str
-    text: str
-
-
 class MeasuredAccuracy(Record):
-    """The part of the measured branch: its rungs, what they come to, and what was simulated.
-
-    ``course_length`` says how long a course of experiments must be, one sentence for each simulated device.
-    """
+    """The part of the measured branch: errors of estimators and costs on simulated truth."""
 
     rungs: tuple[Rung, ...]
-    advice: tuple[Advice, ...]
-    course_length: tuple[str, ...]
-    summary: tuple[str, ...]
-    conditions: tuple[str, ...]
     seconds: float
 
 
@@ -99,10 +84,7 @@ class AccuracyReport(Record):
     rungs: tuple[Rung, ...] = ()
     sweeps: tuple[Sweep, ...] = ()
     left_out: tuple[LeftOut, ...] = ()
-    advice: tuple[Advice, ...] = ()
     seconds: float = 0.0
-    summary: tuple[str, ...] = ()
-    distrusted: tuple[str, ...] = ()
     measured_branch: MeasuredAccuracy | None = None
 
 

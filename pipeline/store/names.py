@@ -18,7 +18,7 @@ _RESERVED = re.compile(r"(con|prn|aux|nul|com\d|lpt\d) *(\.|$)", re.IGNORECASE)
 """Names that Windows keeps for its devices, with any ending."""
 
 _OWN_PAGES = ("index", "accuracy", "theory")
-"""Pages beside the reports of devices: `pipeline watch`, `pipeline accuracy`, `pipeline theory figures`."""
+"""Pages beside the reports of devices: `pipeline watch`, `pipeline accuracy`; `theory` was one of earlier versions."""
 
 _AGAINST = "-against"
 """Part of the names of pages that set two experiments, or two versions of a report, against each other."""

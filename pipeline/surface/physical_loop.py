@@ -6,21 +6,26 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 import pandas as pd
 from pydantic import ValidationError
+from scipy.optimize import minimize_scalar
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop import loop as normalised
-from pipeline.loop.device_loop import loop_of, wall_units
+from pipeline.loop.device_loop import general, loop_of, wall_units
+from pipeline.loop.response import response
 from pipeline.records.batch import Floats
 from pipeline.records.loop_parts import LoopParts
 from pipeline.records.models import Motion
 from pipeline.surface.frames import units_of
 from pipeline.theory.cases import POINT_COSTS, optimum_document, points_of_loop
 from pipeline.theory.cost.theory_map import MAP_DEFAULT, CostMap
+from pipeline.theory.device.passive_walls import passive_outline, required_damping
 from pipeline.theory.device_cases import islands_in_si
+from pipeline.theory.optimum.curves import Curve, best_damping, best_stiffness
 from pipeline.theory.stability.stability import boundary, spectral_radius
 
 
@@ -221,6 +226,113 @@ class Loop:
             box=box and (box["alpha_low"] * K, box["alpha_high"] * K, box["beta_low"] * B, box["beta_high"] * B),
         )
 
+    def best_damping(self, stiffness: object, criterion: str) -> pd.DataFrame:
+        """Return the best damping for each stiffness by a criterion.
+
+        Parameters
+        ----------
+        stiffness : float or array_like, shape (n,)
+            K [N/m, Nm/rad].
+        criterion : str
+            Such as ``settle_2pct``, ``overshoot_discrete``, ``energy_step_w0``, ``pole_radius``, ``damping``.
+
+        Returns
+        -------
+        pandas.DataFrame
+            ``stiffness``, ``damping``, ``cost``, ``damping_low``, ``damping_high`` (ends of the equally good dampings,
+            of which ``damping`` is the middle). NaN where no damping makes the wall stable.
+
+        Raises
+        ------
+        ParameterError
+            For an unknown criterion, or values that are not finite.
+
+        Source: Hulin 2017, secs. 5.1 and 5.2.
+        """
+        K = np.atleast_1d(np.asarray(stiffness, dtype=np.float64))
+        found = best_damping(self._normalised, criterion, K / self._scale.stiffness)
+        return self._curve("stiffness", "damping", found)
+
+    def best_stiffness(self, damping: object, criterion: str) -> pd.DataFrame:
+        """Return the best stiffness for each damping; as `best_damping` with both exchanged."""
+        B = np.atleast_1d(np.asarray(damping, dtype=np.float64))
+        found = best_stiffness(self._normalised, criterion, B / self._scale.damping)
+        return self._curve("damping", "stiffness", found)
+
+    def passive(self) -> pd.DataFrame:
+        """Return the boundary of the passive walls, those that are stable whoever holds the device.
+
+        Returns
+        -------
+        pandas.DataFrame
+            ``damping`` [Ns/m, Nms/rad], ``stiffness`` [N/m, Nm/rad], in order along the boundary and closed; ``attrs``
+            has ``stiffness_max`` and ``damping_at_stiffness_max``. All zero where the device has no damping of its own.
+
+        Raises
+        ------
+        ParameterError
+            If the position is sensed beyond a vibration mode: no wall is passive then.
+
+        Source: Hulin 2017, ch. 4; for delays that are no whole number of samples docs/definitions.md.
+        """
+        loop, delta = general(self._normalised), self.damping / self._scale.damping
+        alpha, beta = passive_outline(loop, delta)
+        best = np.zeros(2)
+        if delta > 0:
+            top = int(np.clip(alpha.argmax(), 2, len(alpha) - 3))
+            ends = beta[top - 1] / alpha[top - 1], beta[top + 1] / alpha[top + 1]
+            one = np.ones(1)
+            found = minimize_scalar(
+                lambda slope: required_damping(loop, one, slope * one)[0], bounds=ends, options={"xatol": 1e-13}
+            )
+            best = delta / found.fun * np.array([1.0, found.x])
+        closed = {"damping": np.append(beta, beta[0]), "stiffness": np.append(alpha, alpha[0])}
+        frame = self._frame({name: values * getattr(self._scale, name) for name, values in closed.items()})
+        frame.attrs["stiffness_max"] = float(best[0]) * self._scale.stiffness
+        frame.attrs["damping_at_stiffness_max"] = float(best[1]) * self._scale.damping
+        return frame
+
+    def response(
+        self,
+        stiffness: float,
+        damping: float,
+        samples: int = 50,
+        *,
+        signal: Literal["step", "impulse"] = "step",
+        per_sample: int = 20,
+    ) -> pd.DataFrame:
+        """Return the motion after a unit step of the force, or a unit impulse, exact also between samples.
+
+        Parameters
+        ----------
+        stiffness, damping : float
+            Of one wall, stable or not.
+        samples : int
+            Length in sampling periods.
+        signal : {"step", "impulse"}
+            1 N (1 Nm) of the command, or a hit of 1 Ns (1 Nms) on the device.
+        per_sample : int
+            Points in each sampling period; ``frame[::per_sample]`` are the samples.
+
+        Returns
+        -------
+        pandas.DataFrame
+            ``time_s``, ``position`` [m, rad].
+
+        Raises
+        ------
+        ParameterError
+            For another signal, or if sizes are out of range.
+        """
+        alpha, beta = stiffness / self._scale.stiffness, damping / self._scale.damping
+        chi = response(self._normalised, alpha, beta, signal, samples, per_sample)
+        # a hit moves the mass itself, a command what the gain makes of it
+        unit = self._scale.stiffness if signal == "step" else self._scale.damping * self._parts.force_gain
+        time = np.arange(len(chi)) * self.sampling_period_s / per_sample
+        frame = pd.DataFrame({"time_s": time, "position": chi / unit})
+        frame.attrs["units"] = units_of(("time_s", "position"), {self.motion})
+        return frame
+
     def map(self, size: int = 251, criteria: Sequence[str] = MAP_DEFAULT) -> pd.DataFrame:
         """Return costs on a grid over the bounding box of the stable region, both ends included.
 
@@ -234,8 +346,9 @@ class Loop:
         Returns
         -------
         pandas.DataFrame
-            ``stiffness``, ``damping``, ``stable``, a column for each criterion (NaN where there is no cost); damping
-            changes slowest, so that ``frame["overshoot"].to_numpy().reshape(size, size)`` has a row a damping.
+            ``stiffness``, ``damping``, ``stable``, a column for each criterion (NaN where there is no cost;
+            ``damping_ratio`` for the criterion ``damping``); damping changes slowest:
+            ``frame["overshoot"].to_numpy().reshape(size, size)`` has a row a damping.
 
         Raises
         ------
@@ -249,6 +362,8 @@ class Loop:
         grid = CostMap(self._normalised, size, criteria)
         blocks = list(grid.blocks())
         costs = {name: np.concatenate([block.costs[name] for block in blocks]) for name in grid.names}
+        if "damping" in costs:  # the name of the walls' own column
+            costs["damping_ratio"] = costs.pop("damping")
         return self._frame(
             {
                 "stiffness": np.concatenate([block.alpha for block in blocks]) * self._scale.stiffness,
@@ -257,6 +372,12 @@ class Loop:
                 **costs,
             }
         )
+
+    def _curve(self, given: str, best: str, found: Curve) -> pd.DataFrame:
+        """Return an optimal curve in SI."""
+        unit, columns = getattr(self._scale, best), {given: found.given * getattr(self._scale, given)}
+        columns |= {best: found.best * unit, "cost": found.cost}
+        return self._frame({**columns, f"{best}_low": found.low * unit, f"{best}_high": found.high * unit})
 
     def _frame(self, columns: dict[str, np.ndarray]) -> pd.DataFrame:
         frame = pd.DataFrame(columns)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from kinds import kinds
 
 from pipeline.device_data.devices import load_device
 from pipeline.loop.device_loop import general, loop_of, wall_units
@@ -14,7 +15,6 @@ from pipeline.plan.fitted import Fitted, at_once, first_guess, learn
 from pipeline.plan.forecast import Foretold, found_misfit
 from pipeline.simulation.setup import setup_of
 from pipeline.simulation.simulate import simulate
-from pipeline.studies.coverage.kinds import kinds
 from pipeline.theory.device.outline import limits
 
 DAMPINGS = np.array([20.0, 60.0, 100.0])

@@ -35,7 +35,6 @@ COMMANDS = {
     "theory boundary": ["--delay", "--gamma", "--delta", "--device", "--experiment", "--robust", "--json"],
     "theory optimum": ["--criterion", "--delay", "--gamma", "--delta", "--device", "--signal", "--json"],
     "theory tables": ["--table", "--json"],
-    "theory figures": ["--figure", "--out", "--json"],
     "accuracy": ["--only", "--quick", "--out", "--processed", "--json"],
     "theory map": ["--delay", "--gamma", "--delta", "--device", "--size", "--criteria", "--out", "--json"],
 }
@@ -442,7 +441,7 @@ def test_wrong_comparisons_are_refused(call, course, arguments, status, message,
 @pytest.mark.parametrize(
     "words",
     [
-        *(["theory", "figures", "--figure", "3.6", "--out"], ["theory", "map", "--delay", "1", "--out"]),
+        ["theory", "map", "--delay", "1", "--out"],
         *(
             ["accuracy", "--quick", "--out"],
             ["profile", "draft", "s.csv", "--out"],

@@ -1,7 +1,6 @@
-"""Accuracy of the measured branch: what is taken as the truth, the ladders, their sentences, page and command."""
+"""Accuracy of the measured branch: what is taken as the truth, the ladders, page and command."""
 
 import json
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -18,19 +17,7 @@ from pipeline.simulation.simulate import simulate
 from pipeline.studies.accuracy import page as page_of
 from pipeline.studies.accuracy import run
 from pipeline.studies.accuracy.cost_ladders import NAMES, cost_ladders, whole_sum
-from pipeline.studies.accuracy.courses import CONDITIONS, course_rungs
-from pipeline.studies.accuracy.jitter import jitter_limit
-from pipeline.studies.accuracy.measured_advice import (
-    OPTIMUM_TWO,
-    WANTED,
-    _optima,
-    advise,
-    course_length,
-    percent,
-    trusted,
-)
 from pipeline.studies.accuracy.names import (
-    AREA,
     BALANCE,
     COMPLETE,
     CORRECTED,
@@ -39,25 +26,13 @@ from pipeline.studies.accuracy.names import (
     MODEL,
     MODEL_THIN,
     ONSET,
-    RATES_ONE,
-    RATES_TWO,
     WHOLE,
     nth,
-    words,
 )
 from pipeline.studies.accuracy.parameter_ladders import parameter_rungs
-from pipeline.studies.accuracy.run import assemble, measure, measure_measured
+from pipeline.studies.accuracy.run import measure
 from pipeline.studies.accuracy.rungs import BUDGET, mean, median
-from pipeline.studies.accuracy.truth import (
-    SLOWEST,
-    Trials,
-    draw_pairs,
-    draw_trials,
-    joined,
-    truth_of,
-)
-
-FALCON = CONDITIONS[0]
+from pipeline.studies.accuracy.truth import SLOWEST, Trials, draw_pairs, draw_trials, joined, truth_of
 
 
 @pytest.fixture(scope="module")
@@ -71,13 +46,8 @@ def costs() -> list[Rung]:
 
 
 @pytest.fixture(scope="module")
-def courses() -> list[Rung]:
-    return list(course_rungs(FALCON, (3, 12), 1))
-
-
-@pytest.fixture(scope="module")
-def measured(parameters: list[Rung], costs: list[Rung], courses: list[Rung]) -> MeasuredAccuracy:
-    return assemble([*parameters, *costs, *courses], (FALCON.label,), 1.0)
+def measured(parameters: list[Rung], costs: list[Rung]) -> MeasuredAccuracy:
+    return MeasuredAccuracy(rungs=(*parameters, *costs), seconds=1.0)
 
 
 @pytest.fixture(scope="module")
@@ -130,18 +100,6 @@ def test_true_costs_are_those_of_a_long_ideal_log() -> None:
         assert values == pytest.approx(exact[name], rel=1e-9)
     found = settling(trials.batch, trials.response, trials.verdicts, 4).samples["settle_2pct"]
     assert found.tolist() == exact["settle_2pct"].tolist()
-
-
-def test_limit_of_a_jittering_loop_without_spread_is_that_of_its_delay() -> None:
-    truth = truth_of("falcon", "1")
-    setup = replace(truth.setup(), jitter_samples=(4,))
-    damping = np.array([20.0, 100.0, 160.0, 220.0])
-    found = jitter_limit(setup, damping, 18000.0)
-    assert found[:3] == pytest.approx([limit_by_bisection(b, 4) for b in damping[:3]], rel=2e-3)  # of the parabola
-    assert found[3] == 0.0
-    wide = jitter_limit(replace(setup, jitter_samples=(3, 4, 5)), damping[1:2], 18000.0)
-    # delays between those of 3 and 5 samples, and newer commands replace late ones: the mean lies below 4
-    assert limit_by_bisection(100.0, 4) < wide[0] < limit_by_bisection(100.0, 3)
 
 
 def test_trials_are_stable_seeded_and_may_be_cut() -> None:
@@ -210,116 +168,23 @@ def test_costs_need_their_corrections(costs: list[Rung]) -> None:
     assert short["80 rows"].missing > short["400 rows"].missing
 
 
-def test_more_trials_measure_boundary_and_optimum_better(courses: list[Rung]) -> None:
-    by = {(r.quantity.removesuffix(f", {FALCON.label}"), r.method, r.setting): r for r in courses}
-    for quantity in (AREA, "limit of stability", "optimum of energy: cost"):
-        method = "least cost, two passes" if quantity.startswith("optimum") else RATES_TWO
-        fine, coarse = (by[quantity, method, setting] for setting in ("every 3rd step", "every 12th step"))
-        assert fine.error is not None
-        assert coarse.error is not None
-        assert fine.error < coarse.error
-        assert fine.trials is not None
-        assert coarse.trials is not None
-        assert fine.trials > 4 * coarse.trials
-        assert fine.device_seconds == pytest.approx(0.40 * fine.trials)
-    one, two = (by[AREA, method, "every 3rd step"] for method in (RATES_ONE, RATES_TWO))
-    assert one.trials is not None
-    assert two.trials is not None
-    assert one.trials < two.trials
-    assert by[AREA, RATES_TWO, "every 3rd step"].error == pytest.approx(0.0, abs=0.01)
-
-
-# what is made of them
-
-
-def course(method: str, trials: int, error: float | None) -> Rung:
-    return Rung(
-        quantity=f"{AREA}, X",
-        method=method,
-        setting=f"{trials}",
-        error=error,
-        seconds=1.0,
-        trials=trials,
-        device_seconds=60.0 * trials,
-    )
-
-
-def test_course_length_is_the_shortest_that_no_chance_explains() -> None:
-    lucky = [course(RATES_TWO, n, e) for n, e in ((1, 0.001), (2, 0.05), (4, 0.009), (8, 0.002), (16, 0.001))]
-    text = course_length("X", [*lucky, course(RATES_ONE, 12, 0.03)])
-    assert f"a course must take 4 trials, 4.0 minutes on the device: 4, {RATES_TWO}" in text
-    assert f"not reached with {RATES_ONE} ({percent(0.03)} with the longest course)" in text
-    assert text.endswith(f"The longest course, 16 trials (16.0 min), has {percent(0.001)}.")
-
-
-def test_course_length_says_when_longer_is_not_better_or_nothing_is_enough() -> None:
-    worse = [course(RATES_TWO, n, e) for n, e in ((1, 0.05), (2, 0.009), (4, 0.006), (8, 0.02))]
-    assert (
-        f"More than 4 trials (4.0 min) is not better: the longest course, 8 trials (8.0 min), has {percent(0.02)}"
-        in (course_length("X", worse))
-    )
-    single = [course(RATES_TWO, n, e) for n, e in ((1, 0.05), (2, 0.009), (4, None))]
-    assert "no course reaches" in course_length("X", single)
-    assert course_length("Y", single) == "Y: no course was simulated."
-
-
-def test_an_optimum_without_a_course_of_two_passes_is_left_out() -> None:
-    planned = [
-        course("planned", n, e).model_copy(update={"quantity": "optimum of X: cost"}) for n, e in ((4, 0.1), (8, 0.02))
-    ]
-    both = [each.model_copy(update={"method": OPTIMUM_TWO, "quantity": "optimum of Y: cost"}) for each in planned]
-    (line,) = _optima([*planned, *both])
-    assert line.startswith("Optimum of Y")
-
-
-def test_trusted_rung_has_a_value_for_most_trials_and_is_quick() -> None:
-    def rung(setting: str, error: float | None, seconds: float, missing: float = 0.0) -> Rung:
-        return Rung(
-            quantity="delay", method=setting, setting="one setting", error=error, seconds=seconds, missing=missing
-        )
-
-    rungs = [rung("a", 1e-9, 1.0, missing=0.5), rung("b", 0.01, 1.0), rung("c", 0.011, 0.1), rung("d", None, 0.1, 1.0)]
-    best = trusted("delay", rungs)
-    assert best is not None
-    assert best.method == "c"
-    text = advise("delay", rungs)
-    assert text.startswith("Trust c: error 0.011 samples in 100 ms a trial.")
-    assert "a cannot be recommended" in text
-    assert advise("mass", rungs) == "No method gives nine of ten trials a value."
-
-
 def test_words() -> None:
     assert [nth(n, "row") for n in (1, 2, 3, 4, 12)] == [
         *("every row", "every 2nd row", "every 3rd row", "every 4th row", "every 12th row")
-    ]
-    assert [percent(e) for e in (None, 0.0, 1e-7, 0.0123, 7.84)] == [
-        *("no number", "0\N{NO-BREAK SPACE}%", "less than 0.001\N{NO-BREAK SPACE}%"),
-        *("1.2\N{NO-BREAK SPACE}%", "784\N{NO-BREAK SPACE}%"),
     ]
 
 
 # page, JSON and command
 
 
-def test_every_quantity_has_a_heading_advice_and_card(report: AccuracyReport, page: str) -> None:
+def test_page_shows_every_rung_in_one_picture_and_one_table(report: AccuracyReport, page: str) -> None:
     measured = report.measured_branch
     assert measured is not None
-    quantities = set(dict.fromkeys(r.quantity for r in measured.rungs))
-    begins = tuple(begin for group in words()["groups"] for begin in group["begins"])
-    assert {name for name in quantities if not name.startswith(begins)} == set()
-    assert {a.quantity for a in measured.advice} == quantities
-    assert page.count('role="img"') == len(quantities) + 1  # the area has a second one, over the run time
-    assert 'id="sec-ladders"' not in page
+    assert page.count('role="img"') == 1
+    assert page.count("<tr><td>") == len(measured.rungs)
+    assert 'id="sec-theory"' not in page
     ids = [part.split('"')[0] for part in page.split(' id="')[1:]]
     assert len(ids) == len(set(ids))
-
-
-def test_page_says_how_many_minutes_a_course_takes(report: AccuracyReport, page: str) -> None:
-    assert report.measured_branch is not None
-    sentence = report.measured_branch.course_length[0].split(". ")[0]
-    assert sentence.startswith(FALCON.label)
-    assert "minutes on the device" in sentence
-    assert sentence in page
 
 
 def test_record_survives_json(report: AccuracyReport) -> None:
@@ -336,22 +201,7 @@ def test_command_measures_one_part_alone(
     arguments = ["accuracy", "--only", "measured", "--quick", "--out", str(out), "--processed", str(processed)]
     shown = CliRunner().invoke(cli.app, arguments)
     assert shown.exit_code == 0
-    assert measured.course_length[0] in shown.stdout
     document = json.loads(out.with_suffix(".json").read_text(encoding="utf-8"))
     assert document["rungs"] == []
     assert MeasuredAccuracy.model_validate(document["measured_branch"]) == measured
     assert accuracy.stored(processed) is None  # reports of comparisons show the theory's numbers
-
-
-@pytest.mark.slow
-def test_full_measurement_answers_the_question() -> None:
-    found = measure_measured()
-    assert {c.label for c in CONDITIONS} <= {line.partition(":")[0] for line in found.course_length}
-    # a loop whose delay jitters has another limit than that at its mean delay, which is what areas are held against
-    for condition in (c for c in CONDITIONS if not c.jitter):
-        area = [r for r in found.rungs if r.quantity == f"{AREA}, {condition.label}" and r.method == RATES_TWO]
-        enough = [r for r in area if r.error is not None and r.error <= WANTED]
-        # the cut of the thesis from 15 to 4 minutes is no loss to 1 % of the area
-        assert min(r.device_seconds or np.inf for r in enough) < 240, condition.label
-    quick = measure_measured(quick=True)
-    assert {(r.quantity, r.method) for r in quick.rungs} <= {(r.quantity, r.method) for r in found.rungs}

@@ -8,14 +8,14 @@ import independent
 import numpy as np
 import pytest
 
-import pipeline.studies.thesis.tables as module
+import pipeline.studies.thesis_tables as module
 from pipeline.base.errors import ParameterError
 from pipeline.device_data.published_theory import THEORY_TABLES, PublishedPoint, published_points
 from pipeline.loop.loop import Loop
 from pipeline.shell.cli import run
 from pipeline.shell.console import table
-from pipeline.studies.thesis.table_text import document, summary_line, table_lines
-from pipeline.studies.thesis.tables import FLAT, LIMIT, MARKS, ROUNDING, Entry, TheoryRow, count_marks, recompute
+from pipeline.studies.thesis_table_text import document, summary_line, table_lines
+from pipeline.studies.thesis_tables import FLAT, LIMIT, MARKS, ROUNDING, Entry, TheoryRow, count_marks, recompute
 from pipeline.theory.cost.energy import energy_costs
 from pipeline.theory.optimum.search import where_stable
 from pipeline.theory.stability.stability import boundary

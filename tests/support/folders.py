@@ -20,7 +20,7 @@ DIRECTLY: dict[str, tuple[str, ...]] = {
     "comparison": ("profiles", "rendering", "plan"),
     "surface": ("intake", "simulation", "comparison"),
     # they hold estimators against simulated truth, whose exact costs and limits are those of theory
-    "studies": ("measured", "theory", "simulation", "rendering", "plan"),
+    "studies": ("measured", "theory", "simulation", "rendering"),
 }
 """Folders that the modules of a folder may import from, as in docs/architecture.md; and all that these may."""
 

@@ -4,6 +4,7 @@ import mpmath as mp
 import numpy as np
 import pytest
 from general_devices import Example, ManyDigits
+from independent import simulate
 from simulated import spectral_radius
 
 import pipeline
@@ -135,3 +136,91 @@ def test_walls_that_are_none():
         FALCON.map(criteria="overshoot")
     with pytest.raises(ParameterError, match="supported are"):
         FALCON.optimum("speed")
+
+
+GENERAL = {
+    "velocity": {"kind": "butterworth", "order": 2, "cutoff_hz": 80.0},
+    "actuator_lag_s": 0.001,
+    "mode": {"frequency_hz": 60.0, "damping_ratio": 0.05, "mass": 0.1, "sensor": "motor"},
+    "operator": {"mass": 0.15, "damping": 5.0, "stiffness": 300.0},
+    "force_gain": 0.8,
+}
+
+
+@pytest.mark.parametrize("delay", [0, 1, 2.5, 3.2])
+@pytest.mark.parametrize("signal", ["step", "impulse"])
+def test_response_is_that_of_the_independently_stepped_loop(delay, signal):
+    mass, period, K, B = 0.58, 0.001, 2500.0, 21.0
+    found = pipeline.Loop(mass, 4.0, period, delay, 90.0).response(K, B, 40, signal=signal, per_sample=10)
+    parts = (int(10 * delay), 10) if delay % 1 else (delay, 1)
+    physical = {"mass": mass, "period": period, "gamma": 90.0, "delta": 4.0}
+    motion = simulate(K, B, delay=parts, samples=40, signal=signal, fine=10, **physical)
+    every = motion.every // 10
+    truth = motion.x[::every]
+    assert found["time_s"].to_numpy() == pytest.approx(np.arange(401) * 1e-4)
+    assert found["position"].to_numpy() == pytest.approx(truth, abs=1e-10 * np.abs(truth).max())
+
+
+def test_response_of_a_device_with_parts_ends_where_its_springs_say():
+    loop = pipeline.Loop(0.5, 3.0, 0.001, 2.4, 40.0, **GENERAL)
+    found = loop.response(1000.0, 8.0, 4000, per_sample=1)["position"]
+    # 1 N of the command is 0.8 N; so much of the wall's stiffness is felt, beside the device's and the hand's springs
+    assert found.iloc[-1] == pytest.approx(0.8 / (0.8 * 1000.0 + 40.0 + 300.0), rel=1e-6)
+    hit = loop.response(1000.0, 8.0, 4000, per_sample=1, signal="impulse")["position"]
+    # without force yet the near side, 0.55 kg of 0.65, has all of the momentum
+    assert hit.iloc[1] == pytest.approx(1e-3 / 0.55, rel=0.02)
+    assert abs(hit.iloc[-1]) < 1e-6 * hit.max()
+
+
+def test_response_without_any_stiffness_creeps_at_the_speed_that_damping_allows():
+    found = pipeline.Loop(1.0, 0.0, 1.0, 1).response(0.0, 0.25, 400, per_sample=1)["position"]
+    assert np.diff(found)[-1] == pytest.approx(4.0, rel=1e-9)
+
+
+def test_response_refuses_what_it_cannot_give():
+    for words in ({"signal": "ramp"}, {"samples": 0}, {"per_sample": 0}, {"samples": 1 << 20, "per_sample": 16}):
+        with pytest.raises(ParameterError, match="expected"):
+            FALCON.response(100.0, 1.0, **words)
+
+
+@pytest.mark.parametrize("criterion", ["settle_2pct", "energy_step_w1", "pole_radius"])
+def test_best_damping_and_stiffness_are_not_beaten_by_their_neighbours(criterion):
+    loop = pipeline.Loop(0.58, 4.0, 0.001, 2)
+    for given, found in (
+        ("stiffness", loop.best_damping([1500.0, 6000.0], criterion)),
+        ("damping", loop.best_stiffness([40.0, 90.0], criterion)),
+    ):
+        other = {"stiffness": "damping", "damping": "stiffness"}[given]
+        for row in found.to_dict("records"):
+            name = "spectral_radius" if criterion == "pole_radius" else criterion
+            around = np.sort(np.append(row[other] * np.linspace(0.9, 1.1, 21), row[other] * (1 + 1e-7)))
+            costs = loop.points(**{given: row[given], other: around})[name]
+            assert row["cost"] <= np.nanmin(costs) * (1 + 1e-6)
+    assert found.attrs["units"]["stiffness"] == "N/m"
+    assert np.isnan(loop.best_damping(1e9, criterion)["damping"]).all()
+
+
+@pytest.mark.parametrize("delay", [0, 1, 4])
+def test_passive_walls_are_those_of_the_thesis_in_si(delay):
+    mass, damping, period = 0.3, 2.5, 0.002
+    found = pipeline.Loop(mass, damping, period, delay).passive()
+    # Source: Hulin 2017, eq. 4.11
+    assert found.attrs["stiffness_max"] == pytest.approx(
+        2 * damping / period * np.tan(np.pi / (4 * (delay + 1))), rel=1e-7
+    )
+    assert found["stiffness"].max() <= found.attrs["stiffness_max"] * (1 + 1e-9)
+    assert found["damping"].min() == pytest.approx(-damping)
+    assert found.iloc[0].tolist() == found.iloc[-1].tolist()
+    K, B = found["stiffness"].to_numpy(), found["damping"].to_numpy()
+    inside = (1e-9 * K.max() < K) & (np.abs(B) < 0.999 * damping)
+    # Colgate and Schenkel: b > K T/2 + |B|, without delay
+    if delay == 0:
+        assert K[inside] * period / 2 + np.abs(B[inside]) == pytest.approx(damping, rel=1e-6)
+    assert pipeline.Loop(mass, 0.0, period, delay).passive().attrs["stiffness_max"] == 0.0
+
+
+def test_a_map_of_the_damping_ratio_keeps_the_damping_of_the_walls():
+    found = pipeline.Loop(1.0, 0.0, 1.0, 1).map(11, ["damping"])
+    assert found["damping"].is_monotonic_increasing
+    assert found["damping"].max() == pytest.approx(2 * np.sqrt(2) - 2, rel=1e-9)
+    assert found["damping_ratio"].max() <= 1.0

@@ -28,6 +28,7 @@ SIGNATURES = {
     "Comparison": ["result", "compute"],
     "compare": ["device", "processed", "experiments", "criteria", "full"],
     "load": ["report"],
+    "human_arms": [],
     "Loop": [
         *("mass", "damping", "sampling_period_s", "delay_samples", "stiffness", "motion"),
         *("velocity", "actuator_lag_s", "force_gain", "mode", "operator"),

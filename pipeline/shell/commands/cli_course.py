@@ -146,8 +146,7 @@ def accuracy(
 ) -> None:
     """Measure error against run time of every method of theory and measured branch, and write a page.
 
-    The part on the measured branch says how long a course of experiments must be. Reports of comparisons show the
-    part on the theory while code and machine are unchanged.
+    Reports of comparisons show the part on the theory while code and machine are unchanged.
 
     Example: pipeline accuracy --quick
     """
@@ -166,14 +165,8 @@ def accuracy(
     if as_json:
         console.print_json(report.model_dump(mode="json"))
         return
-    columns = ("quantity", "error", "time", "other", "compared")
     if report.rungs:
-        for line in console.table(page.summary_rows(report), columns):
+        for line in console.table(page.summary_rows(report), ("quantity", "error", "time", "other", "other time")):
             console.say(line)
-    for text in (*report.summary, *report.distrusted):
-        console.say(text)
-    if report.measured_branch is not None:
-        for text in (*report.measured_branch.course_length, *report.measured_branch.summary):
-            console.say(text)
     console.say(f"{report.machine['processor']}, Python {report.machine['python']}, numpy {report.machine['numpy']}")
     console.say(f"report: {out}")

@@ -224,8 +224,8 @@ def tables(
     Example: pipeline theory tables --table C.1 --table C.2
     """
     from pipeline.device_data.published_theory import THEORY_TABLES
-    from pipeline.studies.thesis import table_text
-    from pipeline.studies.thesis import tables as theory
+    from pipeline.studies import thesis_table_text as table_text
+    from pipeline.studies import thesis_tables as theory
 
     rows: list[theory.TheoryRow] = []
     for name, count, of_table in theory.recomputed_tables(table or THEORY_TABLES):
@@ -242,38 +242,6 @@ def tables(
         console.print_json(table_text.document(rows))
         return
     console.say(table_text.summary_line(rows))
-
-
-@app.command("figures")
-def figures(
-    out: Annotated[Path, typer.Option("--out", help="HTML file to write.")] = Path("reports/theory.html"),
-    figure: Annotated[
-        list[str] | None,
-        typer.Option("--figure", help="Such as 3.6; may be given again. All where not given."),
-    ] = None,
-    as_json: Json = False,
-) -> None:
-    """Data figures 3.5 to 5.16 of the thesis, computed anew, on one page.
-
-    Example: pipeline theory figures --figure 3.6 --figure 5.4 --out theory.html
-    """
-    from pipeline.studies.thesis import figures as theory
-
-    check_output(out, "--out")
-    asked = tuple(dict.fromkeys(figure or theory.NUMBERS))
-    computed = theory.compute(asked)  # refuses an unknown number before the drawing library is loaded
-    from pipeline.studies.thesis import page
-
-    drawn = []
-    with console.progress("theory figures", "figures", silent=as_json) as advance:
-        for done in computed:
-            drawn.append(done)
-            advance(len(drawn), len(asked))
-    page.write(drawn, out)
-    if as_json:
-        console.print_json({"file": str(out), "figures": [done.number for done in drawn]})
-        return
-    console.say(f"{out}: {len(drawn)} figures")
 
 
 def _loop(delay: float | None, gamma: float, delta: float) -> Loop:

@@ -19,16 +19,10 @@ SETTLE = "band about x₀ + F₀/K"
 LARGEST = "largest reading"
 WHOLE = "sum over the whole log"
 COMPLETE = "bias taken off, tail added"
-RATES_TWO = "growth rates, two passes"
-RATES_ONE = "growth rates, one pass"
-OPTIMUM_TWO = "least cost, two passes"
 """Methods, as the page names them."""
 
-RECOMMENDED = frozenset({MODEL, SETTLE, LARGEST, COMPLETE, RATES_TWO, OPTIMUM_TWO})
+RECOMMENDED = frozenset({MODEL, SETTLE, LARGEST, COMPLETE})
 """What comparisons use where they can; it stands out in the figures."""
-
-AREA = "area under the boundary"
-LIMITS = "limit of stability"
 
 
 def nth(step: int, what: str) -> str:
@@ -41,5 +35,5 @@ def nth(step: int, what: str) -> str:
 
 @cache
 def words() -> dict[str, Any]:
-    """Return meanings of quantities, paths of sweeps, headings, and what is left out, from ``words.toml`` beside it."""
+    """Return meanings of quantities, paths of sweeps, and what is left out, from ``words.toml`` beside it."""
     return tomllib.loads(Path(__file__).with_name("words.toml").read_text(encoding="utf-8"))

@@ -1,37 +1,44 @@
-"""The accuracy page: one self-contained HTML file from a finished measurement."""
+"""The accuracy page: tables and one picture, error against run time, from a finished measurement."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
+
+import numpy as np
 
 from pipeline.base.disk import write_text
-from pipeline.base.wording import duration, error_text
-from pipeline.records.accuracy import OURS, WRONG, AccuracyReport, Advice, MeasuredAccuracy, Rung, Sweep
+from pipeline.base.wording import duration, error_text, power_of_ten
+from pipeline.records.accuracy import OURS, WRONG, AccuracyReport, Rung, Sweep
 from pipeline.rendering.report.page_template import fill_template
-from pipeline.studies.accuracy.figures import SIZE, Look, ladder, sweep
-from pipeline.studies.accuracy.measured_advice import MOST_MISSING, WANTED, error_of, minutes, percent
-from pipeline.studies.accuracy.names import AREA, RECOMMENDED, words
-from pipeline.studies.accuracy.rungs import grouped, sorted_by
-from pipeline.studies.accuracy.theory_advice import compared, fails, longest, name_of, place_of
-from pipeline.studies.figure import Panel
+from pipeline.studies.accuracy.names import RECOMMENDED, words
+from pipeline.studies.accuracy.rungs import grouped
 
-MEASURED = Look("error", leading=RECOMMENDED, smallest=1e-6, most_missing=MOST_MISSING)
-"""Look of the measured branch: no experiment tells anything to a millionth."""
+COLUMNS = 3
+"""Panels of the picture side by side."""
+
+WIDTH, HEIGHT = 4.0, 3.0
+"""Size of a panel [in]."""
+
+SMALLEST = 1e-17
+"""Error that stands for 0 on a logarithmic axis: below the rounding of a double near 1."""
 
 
 def render(report: AccuracyReport) -> str:
     """Return the page as one HTML document."""
+    measured = report.measured_branch.rungs if report.measured_branch else ()
     return fill_template(
         "accuracy.html.j2",
         report=report,
-        ladders=list(_ladders(report)),
-        paths=list(_paths(report.sweeps)),
-        wrong=error_text(WRONG),
         summary=summary_rows(report),
-        measured_groups=_groups(report.measured_branch) if report.measured_branch else [],
+        paths=list(_paths(report.sweeps)),
+        parts=[
+            {"name": name, "title": title, "svg": picture(rungs, f"picture-{name}"), "rows": list(map(_row, rungs))}
+            for name, title, rungs in (("theory", "Theory", report.rungs), ("measured", "Measured branch", measured))
+            if rungs
+        ],
+        wrong=error_text(WRONG),
+        meaning=words()["meaning"],
     )
 
 
@@ -41,107 +48,74 @@ def write(report: AccuracyReport, path: Path) -> None:
 
 
 def summary_rows(report: AccuracyReport) -> tuple[dict[str, str], ...]:
-    """Return one row a quantity: error and time of this package, and the quickest other within `WRONG`."""
-    return tuple(_summary_row(name, here, report.sweeps) for name, here in grouped(report.rungs, "quantity").items())
+    """Return one row a quantity: error and time of this package, and the quickest other method within `WRONG`."""
+    rows = []
+    for quantity, rungs in grouped(report.rungs, "quantity").items():
+        ours = next((r for r in rungs if r.method == OURS), None)
+        good = [r for r in rungs if r.method != OURS and r.error is not None and r.error <= WRONG]
+        other = min(good, key=lambda r: r.seconds, default=None)
+        rows.append(
+            {
+                "quantity": quantity,
+                "error": error_text(ours.error) if ours else "–",
+                "time": duration(ours.seconds) if ours else "–",
+                "other": f"{other.method}, {other.setting}".removesuffix(", one setting") if other else "none measured",
+                "other time": duration(other.seconds) if other else "–",
+            }
+        )
+    return tuple(rows)
 
 
-def _summary_row(quantity: str, rungs: Sequence[Rung], sweeps: Sequence[Sweep]) -> dict[str, str]:
-    row = {"quantity": quantity, "error": "–", "time": "–", "other": "none measured", "compared": "–"}
-    ours = next((r for r in rungs if r.method == OURS), None)
-    good = [r for r in rungs if r.method != OURS and r.error is not None and r.error <= WRONG]
-    other = min(good, key=lambda r: r.seconds, default=None)
-    if ours:
-        row |= {"error": error_text(ours.error), "time": duration(ours.seconds)}
-    if other:
-        row["other"] = name_of(other)
-    if ours and other:
-        warning = ", but fails in hard cases" if fails(other.method, sweeps) else ""
-        row["compared"] = compared(other.seconds, ours.seconds) + warning
-    return row
+def picture(rungs: Sequence[Rung], identifier: str) -> str:
+    """Return error (abscissa) against run time, a panel a quantity and a line a method, as one ``<svg>``."""
+    import matplotlib  # takes half a second that other commands do without
+    from matplotlib.figure import Figure
+    from matplotlib.ticker import LogLocator
+
+    from pipeline.rendering.figures import style
+
+    quantities = grouped(rungs, "quantity")
+    lines = -(-len(quantities) // COLUMNS)
+    with matplotlib.rc_context(style.RC | {"font.size": 8.0, "axes.titlesize": 9.0, "legend.fontsize": 6.5}):
+        drawing = Figure(figsize=(COLUMNS * WIDTH, lines * HEIGHT), dpi=72, layout="constrained")
+        panels = drawing.subplots(lines, COLUMNS, squeeze=False).ravel()
+        for axes in panels[len(quantities) :]:
+            axes.set_visible(False)
+        for axes, (quantity, of) in zip(panels, quantities.items(), strict=False):
+            axes.set(xscale="log", yscale="log", title=quantity, xlabel="error", ylabel="run time [s]")
+            for number, (method, known) in enumerate(grouped((r for r in of if r.error is not None), "method").items()):
+                leading = method == OURS or method in RECOMMENDED
+                error = np.maximum([r.error or 0.0 for r in known], SMALLEST)
+                look = {"color": style.INK, "marker": "*", "ms": 9} if leading else {"marker": "o", "ms": 3}
+                look.setdefault("color", style.SERIES[number % (len(style.SERIES) - 1)])
+                axes.plot(error, [r.seconds for r in known], label=method, **look)
+            for axis in (axes.xaxis, axes.yaxis):
+                axis.set_major_locator(LogLocator(numticks=5))
+                axis.set_major_formatter(lambda value, _: power_of_ten(round(np.log10(value))))
+            axes.minorticks_off()
+            axes.legend()
+        text = "; ".join(f"{r.quantity} by {r.method}, {r.setting}: {r.error} in {r.seconds:.1e} s" for r in rungs)
+        return style.svg(drawing, identifier, "Error against run time of every method", text)
 
 
-def _drawn(panel: Panel, identifier: str) -> str:
-    from pipeline.studies.drawing import draw_panel  # with its library, half a second that other commands do without
-
-    return draw_panel(panel, identifier, SIZE)
-
-
-def _text(quantity: str, advice: Sequence[Advice]) -> str:
-    return next((a.text for a in advice if a.quantity == quantity), "")
-
-
-def _ladders(report: AccuracyReport) -> Iterator[dict[str, Any]]:
-    """Cards of the theory."""
-    for i, (name, rungs) in enumerate(grouped(report.rungs, "quantity").items()):
-        yield {
-            "name": name,
-            "meaning": words()["meaning"].get(name, ""),
-            "svg": _drawn(ladder(name, rungs, Look()), f"ladder-{i}"),
-            "advice": _text(name, report.advice),
-            "columns": ("error", "time"),
-            "rows": [(r.method, r.setting, (error_text(r.error), duration(r.seconds))) for r in rungs],
-        }
+def _paths(sweeps: Sequence[Sweep]) -> Iterator[dict[str, object]]:
+    """Extreme cases with what happened to each method."""
+    for name, path in words()["sweeps"].items():
+        rows = [
+            {
+                "method": s.method,
+                "starts": "right to the end" if s.starts is None else f"wrong from {s.starts:.3g} on",
+                "fine": s.starts is None,
+                "worst": error_text(s.worst),
+                "verdicts": "" if s.wrong_verdicts is None else f"{s.wrong_verdicts} of {len(s.x)}",
+            }
+            for s in sweeps
+            if s.sweep == name
+        ]
+        if rows:
+            yield {"path": path, "rows": rows}
 
 
-def _paths(sweeps: Sequence[Sweep]) -> Iterator[dict[str, Any]]:
-    """Cards of numerical stability."""
-    for i, (name, path) in enumerate(words()["sweeps"].items()):
-        found = [s for s in sweeps if s.sweep == name]
-        if not found:
-            continue
-        panel = sweep(path["title"], path["abscissa"], found, rising=path.get("rising", False))
-        rows = [_sweep_row(s) for s in found]
-        yield {"path": path, "svg": _drawn(panel, f"sweep-{i}"), "rows": rows, "longest": longest(found)}
-
-
-def _sweep_row(s: Sweep) -> dict[str, str | bool]:
-    return {
-        "method": s.method,
-        "starts": place_of(s) or "nowhere",
-        "fine": s.starts is None,
-        "worst": error_text(s.worst),
-        "verdicts": "" if s.wrong_verdicts is None else f"{s.wrong_verdicts} of {len(s.x)}",
-    }
-
-
-def _groups(measured: MeasuredAccuracy) -> list[dict[str, Any]]:
-    """Headings of the measured branch with their cards, in the order of what a reader asks first."""
-    rungs = {name: sorted_by(of, "method") for name, of in grouped(measured.rungs, "quantity").items()}
-    found = []
-    for group in words()["groups"]:
-        names = [name for begin in group["begins"] for name in rungs if name.startswith(begin)]
-        cards = [card for name in names for card in _cards(name, list(rungs).index(name), rungs[name], measured)]
-        if cards:
-            found.append({"group": group, "cards": cards})
-    return found
-
-
-def _cards(name: str, index: int, rungs: list[Rung], measured: MeasuredAccuracy) -> Iterator[dict[str, Any]]:
-    """Cards of a quantity of the measured branch: one a figure, of which the first bears words and table."""
-    text = next(text for begin, text in words()["measured_meaning"].items() if name.startswith(begin))
-    advice, rows = _text(name, measured.advice), [_row(r) for r in rungs]
-    device = rungs[0].device_seconds is not None
-    columns = ("trials", "on the device", "error", "run time") if device else ("without value", "error", "time")
-    known = any(r.error is not None for r in rungs)
-    for title, look in _looks(name, device and known).items():
-        end = "" if title == name else "-run"
-        svg = _drawn(ladder(title, rungs, look), f"measured-{index}{end}") if known else ""
-        yield {"name": title, "meaning": text, "svg": svg, "advice": advice, "columns": columns, "rows": rows}
-        advice, rows = "", []
-
-
-def _looks(name: str, device: bool) -> dict[str, Look]:
-    """Figures of a quantity by title: over the time on the device where there is one, that of the area over both."""
-    run = replace(MEASURED, error="error [samples]" if name.startswith("delay") else "error")
-    if not device:
-        return {name: run}
-    if name.startswith(AREA):
-        run = replace(run, wanted=WANTED)
-    over_device = replace(run, time="time on the device [min]", seconds=minutes)
-    return {name: over_device} | ({f"{name}: run time": run} if name.startswith(AREA) else {})
-
-
-def _row(rung: Rung) -> tuple[str, str, tuple[str, ...]]:
-    device = rung.device_seconds is not None
-    effort = (str(rung.trials), f"{minutes(rung):.2g} min") if device else (percent(rung.missing or 0.0),)
-    return rung.method, rung.setting, (*effort, error_of(rung), duration(rung.seconds))
+def _row(rung: Rung) -> tuple[str, ...]:
+    missing = "" if rung.missing is None else f"{rung.missing:.0%}"
+    return rung.quantity, rung.method, rung.setting, error_text(rung.error), duration(rung.seconds), missing

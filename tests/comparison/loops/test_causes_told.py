@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from kinds import kinds, record
 
 import pipeline
 from pipeline.comparison.compare import compare
@@ -12,7 +13,6 @@ from pipeline.intake.ingest import ingest
 from pipeline.records.loop_parts import Butterworth, Difference
 from pipeline.records.models import Device
 from pipeline.simulation.course import write_course
-from pipeline.studies.coverage.kinds import kinds, record
 from pipeline.surface.stored import costs
 
 SMALL = {"coarsen": 8, "duration_s": 0.4}

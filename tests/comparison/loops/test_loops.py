@@ -6,13 +6,13 @@ from math import floor
 
 import numpy as np
 import pytest
+from kinds import kinds, record
 
 from pipeline.comparison.compare import compare
 from pipeline.device_data.devices import load_device
 from pipeline.intake.ingest import ingest
 from pipeline.simulation.course import Course, write_course
 from pipeline.simulation.radius import spectral_radius
-from pipeline.studies.coverage.kinds import kinds, record
 
 KINDS = kinds(load_device("falcon"))
 SEED = 71

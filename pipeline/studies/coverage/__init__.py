@@ -1,1 +1,0 @@
-"""How often statements about devices that are not ideal hold the truth: the kinds of such devices."""

@@ -1,0 +1,243 @@
+"""Tables B.1 to B.4, C.1 to C.3 and 5.1 computed anew, beside the printed numbers.
+
+Every printed number gets one mark. ``equal``: the computed number rounds to it. ``within``: it differs by no more than
+the print allows, in one of three ways that are named with it (`ROUNDING`, `FLAT`, `LIMIT`). ``erratum``: it cannot be
+met, for a reason that is kept with the printed number. ``unexplained``: none of these. Nothing is tuned to the print:
+what is computed depends on the parameters of the loop and the criterion alone.
+
+Source: Hulin 2017, Table 5.1, appendices B and C.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Future
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from pipeline.base.process_pool import process_pool
+from pipeline.device_data.published_theory import THEORY_TABLES, PrintedNumber, PublishedPoint, published_points
+from pipeline.loop.loop import Loop
+from pipeline.records.criteria import ENERGY, criterion_of
+from pipeline.theory.cost.energy import energy_costs
+from pipeline.theory.cost.pointcosts import point_costs_by_name
+from pipeline.theory.optimum.optimum import impulse_energy_limit, optimal_point
+from pipeline.theory.optimum.rules import POINT_CRITERIA, marked_point, scaling_factor
+from pipeline.theory.optimum.search import where_stable
+
+Mark = Literal["equal", "within", "erratum", "unexplained"]
+
+MARKS: tuple[Mark, ...] = ("equal", "within", "erratum", "unexplained")
+
+ROUNDING = "rounding"
+"""Within one unit of the last printed digit: half of it is rounding, the other half the error of the printed result."""
+
+FLAT = "flat optimum"
+"""Among the points that round to the printed one, one has the optimal cost to the printed digits of the cost."""
+
+LIMIT = "limit"
+"""The optimum is a limit on alpha = -gamma, and the printed cost that of a point whose alpha rounds to -gamma."""
+
+_SLACK = 1e-6
+"""Share of a unit by which a difference of exactly half a unit may exceed it by rounding of the decimal fraction."""
+
+_BOX = 11
+"""Points along each axis of the box of points that round to the printed one."""
+
+_LONGEST = 120
+"""Samples of a response; poles and energies, the criteria that are looked at, do not need them."""
+
+_NEAR = 5e-5
+"""Largest alpha + gamma that rounds to 0 in the four digits in which Tables C print alpha."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A printed number with the computed one.
+
+    Parameters
+    ----------
+    name : str
+        One of `published_theory.QUANTITIES`.
+    printed : str
+    computed : float
+    mark : {"equal", "within", "erratum", "unexplained"}
+    tolerance : str or None
+        For ``within``: `ROUNDING`, `FLAT` or `LIMIT`.
+    reason : str or None
+        Of an erratum, and what `FLAT` and `LIMIT` found.
+    """
+
+    name: str
+    printed: str
+    computed: float
+    mark: Mark
+    tolerance: str | None = None
+    reason: str | None = None
+
+
+@dataclass(frozen=True)
+class TheoryRow:
+    """A row of Tables C or 5.1, or one of the two points of a row of Tables B.
+
+    Parameters
+    ----------
+    table, criterion : str
+    delay, gamma, delta : float
+    attained : bool
+        False where the optimum is a limit that no stable point reaches.
+    entries : tuple of Entry
+        All printed numbers of the row.
+    """
+
+    table: str
+    criterion: str
+    delay: float
+    gamma: float
+    delta: float
+    attained: bool
+    entries: tuple[Entry, ...]
+
+
+def recompute(point: PublishedPoint) -> TheoryRow:
+    """Return a printed point with all its numbers computed anew.
+
+    Raises
+    ------
+    ParameterError
+        For a criterion that is not known.
+    """
+    loop = Loop(point.gamma, point.delta, point.delay)
+    attained = True
+    if point.criterion in POINT_CRITERIA:
+        place = marked_point(loop, point.criterion)
+        values = {"alpha": place.alpha, "beta": place.beta}
+        if point.percent is not None:
+            largest = "alpha" if point.criterion == "alpha_max" else "beta"
+            undelayed = marked_point(Loop(point.gamma, point.delta, 0.0), point.criterion)
+            values["percent"] = 100 * values[largest] / getattr(undelayed, largest)
+    else:
+        optimum = optimal_point(loop, point.criterion)
+        attained = optimum.attained
+        values = {"alpha": optimum.alpha, "beta": optimum.beta, "cost": optimum.cost}
+        if point.scaling is not None:
+            values["scaling"] = scaling_factor(point.criterion, point.delay, point.gamma, point.delta)
+    entries = tuple(_entry(point, name, printed, values, attained) for name, printed in point.printed().items())
+    return TheoryRow(point.table, point.criterion, point.delay, point.gamma, point.delta, attained, entries)
+
+
+def _entry(point: PublishedPoint, name: str, printed: PrintedNumber, values: dict[str, float], attained: bool) -> Entry:
+    computed = values[name]
+
+    def marked(mark: Mark, tolerance: str | None = None, reason: str | None = None) -> Entry:
+        return Entry(name, printed.text, computed, mark, tolerance, reason)
+
+    units = abs(computed - printed.value) / printed.unit
+    if units <= 0.5 + _SLACK:
+        return marked("equal")
+    if units <= 1 + _SLACK:
+        return marked("within", ROUNDING)
+    if name in point.erratum_of:
+        return marked("erratum", reason=point.erratum)
+    if name in ("alpha", "beta"):
+        reason = _flatness(point, values["cost"]) if "cost" in values else None
+        return marked("within", FLAT, reason) if reason else marked("unexplained")
+    reason = None if attained else _distance(point, printed, values, values["cost"] / computed)
+    return marked("within", LIMIT, reason) if reason else marked("unexplained")
+
+
+def _flatness(point: PublishedPoint, optimal: float) -> str | None:
+    """What is found among the points that round to the printed one, if it is the optimal cost to its printed digits."""
+    loop, printed = Loop(point.gamma, point.delta, point.delay), point.printed()
+    continuous = point.criterion == "pole_radius" or criterion_of(point.criterion).family is ENERGY
+    if not continuous or not {"alpha", "beta", "cost"} <= set(printed):
+        return None
+    alpha, beta = (
+        printed[name].value + printed[name].unit * np.linspace(-0.5, 0.5, _BOX) for name in ("alpha", "beta")
+    )
+    cost = where_stable(
+        loop, lambda a, b, _: point_costs_by_name(loop, a, b, (point.criterion,), _LONGEST)[point.criterion]
+    )
+    least = float(cost(np.repeat(alpha, _BOX), np.tile(beta, _BOX), np.inf).min())
+    if abs(least - optimal) > 0.5 * printed["cost"].unit:
+        return None
+    return f"the cost of a point that rounds to the printed one is {least:.7g}, that of the optimum {optimal:.7g}"
+
+
+def _distance(point: PublishedPoint, printed: PrintedNumber, values: dict[str, float], factor: float) -> str | None:
+    """What the cost is next to the line alpha = -gamma, if the printed one lies between that and its limit.
+
+    ``factor`` is that between costs and the printed number: 1 for a cost.
+    """
+    loop = Loop(point.gamma, point.delta, point.delay)
+    if not point.criterion.startswith("energy_impulse_w0"):
+        return None
+    beta = PrintedNumber(point.beta).value if point.beta else values["beta"]
+    at = np.array([beta])
+    limit = float(impulse_energy_limit(loop, at, point.criterion)[0]) / factor
+    near = float(energy_costs(loop, np.array([_NEAR - loop.gamma]), at, "impulse")[point.criterion][0]) / factor
+    if not limit - 0.5 * printed.unit <= printed.value <= near + 0.5 * printed.unit:
+        return None
+    return f"{limit:.7g} on the line alpha = -gamma, {near:.7g} at a distance of {_NEAR:g}, which alpha does not show"
+
+
+def recomputed_tables(
+    tables: Sequence[str] = THEORY_TABLES, workers: int | None = None
+) -> Iterator[tuple[str, int, Iterator[TheoryRow]]]:
+    """Compute tables anew, in the order asked for.
+
+    Parameters
+    ----------
+    tables : sequence of str
+        Of `published_theory.THEORY_TABLES`.
+    workers : int, optional
+        Processes to compute in; as many as there are processors if not given.
+
+    Yields
+    ------
+    (str, int, iterator of TheoryRow)
+        Name of a table, the number of its rows, and its rows as they are finished; all of them have to be taken
+        before the next table.
+
+    Raises
+    ------
+    ParameterError
+        For an unknown table.
+
+    Notes
+    -----
+    About 30 s on one core for C.1 to C.3, 4 s for 5.1, and half a second for each of B.1 to B.4.
+    """
+    points = published_points(tables)
+    rows = {name: [point for point in points if point.table == name] for name in tables}
+    searched = [point for point in points if point.criterion not in POINT_CRITERIA]
+    count = min(workers or os.cpu_count() or 1, len(searched))
+    if count < 2:
+        for name, of_table in rows.items():
+            yield name, len(of_table), map(recompute, of_table)
+        return
+    with process_pool(count) as pool:
+        pending = {point: pool.submit(recompute, point) for point in searched}
+        for name, of_table in rows.items():
+            yield name, len(of_table), (_result(point, pending) for point in of_table)
+
+
+def _result(point: PublishedPoint, pending: dict[PublishedPoint, Future[TheoryRow]]) -> TheoryRow:
+    if point not in pending:
+        return recompute(point)
+    try:
+        return pending[point].result()
+    except BrokenProcessPool:
+        # a process was killed, or could not import the caller's main program (typed in, or without a guard)
+        return recompute(point)
+
+
+def count_marks(rows: Sequence[TheoryRow]) -> dict[Mark, int]:
+    """Return how many printed numbers have each mark."""
+    found = Counter(entry.mark for row in rows for entry in row.entries)
+    return {mark: found[mark] for mark in MARKS}

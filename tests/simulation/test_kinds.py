@@ -1,0 +1,45 @@
+"""Every kind of device can be simulated, is drawn anew by its seed alone, and is what its truth says."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from kinds import FEW, kinds, record
+
+from pipeline.device_data.devices import load_device
+
+KINDS = kinds(load_device("falcon"))
+SHORT = {"coarsen": 23, "duration_s": 0.25}
+
+
+@pytest.mark.parametrize("name", sorted(KINDS))
+def test_every_kind_simulates_a_short_course(name: str) -> None:
+    case = KINDS[name](3)
+    course = record(case, **SHORT)
+    assert len(course.batch) >= min(FEW, 2)
+    assert np.isfinite(course.batch.position[course.batch.valid]).all()
+    assert np.isfinite(course.batch.command[course.batch.valid]).all()
+    kept = {"all": {"stable", "unstable"}, "stable": {"stable", "undecided"}, "unstable": {"unstable"}}
+    if case.keep != "few":
+        assert set(course.verdict) >= kept[case.keep] - {"undecided"}
+    if case.keep in ("stable", "unstable"):
+        assert set(course.verdict) <= kept[case.keep]
+
+
+@pytest.mark.parametrize("name", ["all parts", "gravity", "ideal"])
+def test_a_seed_names_the_device(name: str) -> None:
+    one, again, other = (KINDS[name](seed) for seed in (5, 5, 6))
+    assert one == again
+    assert one.device.experiments[0].mass != other.device.experiments[0].mass
+
+
+def test_the_stated_device_is_ideal_and_the_true_one_holds_what_was_drawn() -> None:
+    case = KINDS["all parts"](1)
+    true, stated = case.device, case.stated
+    assert stated.loop_of(stated.experiments[0]) == type(stated.loop)()
+    parts = true.loop_of(true.experiments[0])
+    assert parts.mode is not None
+    assert parts.friction is not None
+    assert parts.mode.mass == case.truth["loop.mode.mass"]
+    assert parts.friction.coulomb == case.truth["loop.friction.coulomb"]
+    assert true.experiments[0].mass == stated.experiments[0].mass == case.truth["mass"]
