@@ -128,8 +128,8 @@ def region(loop: Loop) -> Region:
     Notes
     -----
     The first branch encloses the region if beta grows along it, alpha has one maximum and returns to -gamma, all
-    other branches and the line of z = -1 pass outside, and the count of unstable poles inside is 0. Otherwise all
-    branches are kept.
+    other branches, also where they pass alpha = -gamma, and the line of z = -1 lie outside, and the count of unstable
+    poles inside is 0. Otherwise all branches are kept.
     """
     c = curve(loop)
     angle = _angles(c)
@@ -146,12 +146,22 @@ def region(loop: Loop) -> Region:
             limit = np.interp(p.beta[others], b, a, left=-np.inf, right=-np.inf)
             room = 1 + _APART
             outside = bool(((width[others] <= 0) | (width[others] >= room * (limit + loop.gamma))).all())
+            # what enters between two samples enters by the line alpha = -gamma
+            meets = _passings(width[end - 1 :], p.beta[end - 1 :])
+            beyond = _APART * (b[-1] - b[0])
+            outside &= bool(((meets < b[0] - beyond) | (meets > b[-1] + beyond)).all())
             line = a + 2 * b
             beside = bool(c.level > line.max() * room or c.level < min(line.min(), -loop.gamma + 2 * float(b[0])))
             middle = int(np.argmax(a))
             if outside and beside and _unstable_poles(c, p.alpha, p.beta, middle) == 0:
                 return Region(loop, c, cells_between(c, angle[:end]), None)
     return Region(loop, c, None, cells_between(c, _with_extrema(c, angle, p.beta_slope)))
+
+
+def _passings(width: Floats, beta: Floats) -> Floats:
+    """Return beta where the width between successive points passes zero."""
+    at = np.flatnonzero((width[:-1] > 0) != (width[1:] > 0))
+    return beta[at] + width[at] / (width[at] - width[at + 1]) * (beta[at + 1] - beta[at])
 
 
 def _unstable_poles(c: Curve, alpha: Floats, beta: Floats, index: int) -> int:
@@ -346,40 +356,45 @@ def is_inside(loop: Loop, alpha: object, beta: object) -> Booleans:
     return np.asarray(result)
 
 
-def is_well_inside(loop: Loop, alpha: Floats, beta: Floats, share: float = 1e-9) -> Booleans:
+def is_well_inside(loop: Loop, alpha: Floats, beta: Floats, share: float = 1e-9, *, islands: bool = True) -> Booleans:
     """Return where points are stable and stay so when alpha is moved either way by a share of alpha + gamma, (n,).
 
-    Costs of points closer to the boundary are sums over billions of samples, and rounding errors.
+    Costs of points closer to the boundary are sums over billions of samples, and rounding errors. Without ``islands``
+    a wall counts only if every softer one at its damping is stable too, down to alpha -> 0.
     """
     away = share * (alpha + loop.gamma)
-    inside = is_inside(loop, alpha, beta)
-    return inside & is_inside(loop, alpha + away, beta) & is_inside(loop, alpha - away, beta)
+    return np.asarray((away > 0) & (_margins(loop, alpha, beta, islands=islands) > away))
 
 
-def _margins(loop: Loop, alpha: Floats, beta: Floats) -> Floats:
+def _margins(loop: Loop, alpha: Floats, beta: Floats, *, islands: bool = True) -> Floats:
+    """Return the distance of alpha to the nearer end of its stable interval, below zero where it is in none, (n,)."""
     levels, of = np.unique(beta, return_inverse=True)
     found = stable_intervals(loop, levels)
+    kept = np.flatnonzero(islands | (found.low <= 0))
+    index, low, high = found.index[kept], found.low[kept], found.high[kept]
     result = np.full(len(alpha), -np.inf)
-    counts = np.bincount(found.index, minlength=len(levels))
+    counts = np.bincount(index, minlength=len(levels))
     start = np.cumsum(counts) - counts
     for number in range(int(counts.max(initial=0))):  # as many rounds as a line has stable intervals: few
         has = np.flatnonzero(counts[of] > number)
         row = start[of[has]] + number
-        inner = np.minimum(alpha[has] - found.low[row], found.high[row] - alpha[has])
-        result[has] = np.maximum(result[has], inner)
+        result[has] = np.maximum(result[has], np.minimum(alpha[has] - low[row], high[row] - alpha[has]))
     unknown = np.flatnonzero(np.isin(of, found.doubtful))
     if len(unknown):
-        result[unknown] = np.where(is_stable(loop, alpha[unknown], beta[unknown]), np.finfo(float).tiny, -np.inf)
+        result[unknown] = np.where(is_stable(loop, alpha[unknown], beta[unknown]), np.inf, -np.inf)
     return result
 
 
-def stiffness_limit(loop: Loop, beta: object) -> Floats:
+def stiffness_limit(loop: Loop, beta: object, *, islands: bool = True) -> Floats:
     """Return the largest stable alpha at each beta, -inf where there is none; both (n,), errors as of `is_inside`.
+
+    Without ``islands`` up to which every softer wall is stable too, down to alpha -> 0.
 
     Source: Hulin 2017, sec. 3.4.
     """
     _, b = as_points(0.0, beta)
     found = stable_intervals(loop, b)
+    kept = np.flatnonzero(islands | (found.low <= 0))
     result = np.full(len(b), -np.inf)
-    np.maximum.at(result, found.index, found.high)
+    np.maximum.at(result, found.index[kept], found.high[kept])
     return result
