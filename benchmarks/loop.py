@@ -33,8 +33,8 @@ from pipeline.theory.cost.settling_overshoot import transient_costs
 from pipeline.theory.cost.theory_map import CostMap
 from pipeline.theory.device.crossings import branches, on_circle
 from pipeline.theory.device.outline import limits, outline
+from pipeline.theory.stability.boundary import boundary
 from pipeline.theory.stability.region import stiffness_limit
-from pipeline.theory.stability.stability import boundary
 
 RICH = {
     "lag": 1.5,

@@ -21,7 +21,8 @@ from pipeline.surface.frames import units_of
 from pipeline.theory.cases import POINT_COSTS, optimum_document, points_of_loop
 from pipeline.theory.cost.theory_map import MAP_DEFAULT, CostMap
 from pipeline.theory.device_cases import islands_in_si
-from pipeline.theory.stability.stability import boundary, spectral_radius
+from pipeline.theory.stability.boundary import boundary
+from pipeline.theory.stability.stability import spectral_radius
 
 
 @dataclass(frozen=True)

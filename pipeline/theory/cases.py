@@ -24,8 +24,9 @@ from pipeline.theory.cost.settling_overshoot import LONGEST
 from pipeline.theory.cost.theory_map import check_criteria
 from pipeline.theory.optimum.optimum import optimal_point
 from pipeline.theory.optimum.rules import POINT_CRITERIA, marked_point
+from pipeline.theory.stability.boundary import boundary
 from pipeline.theory.stability.robust import robust_outline
-from pipeline.theory.stability.stability import boundary, spectral_radius, stable_by_radius
+from pipeline.theory.stability.stability import spectral_radius, stable_by_radius
 
 CASE_COLUMNS = ("alpha", "beta", "gamma", "delta", "delay")
 

@@ -11,7 +11,8 @@ import numpy as np
 
 from pipeline.loop.loop import Loop
 from pipeline.records.batch import Floats
-from pipeline.theory.stability.stability import boundary, boundary_points, spectral_radius
+from pipeline.theory.stability.boundary import boundary
+from pipeline.theory.stability.stability import boundary_points, spectral_radius
 
 Window = tuple[float, float, float, float]
 """Lowest and highest alpha, lowest and highest beta."""

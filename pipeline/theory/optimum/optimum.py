@@ -35,8 +35,9 @@ from pipeline.theory.optimum.search import (
     search,
     where_stable,
 )
+from pipeline.theory.stability.boundary import boundary
 from pipeline.theory.stability.region import stiffness_limit
-from pipeline.theory.stability.stability import boundary, boundary_points, spectral_radius
+from pipeline.theory.stability.stability import boundary_points, spectral_radius
 
 UNDAMPED_LOSS = 1e-9
 """Distance of a damping ratio from 1 that is rounding: a threefold pole is split by 1e-5, which costs 2e-10."""

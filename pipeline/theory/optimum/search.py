@@ -28,8 +28,8 @@ from pipeline.loop.device_loop import DeviceLoop
 from pipeline.loop.loop import Loop
 from pipeline.records.batch import Floats
 from pipeline.theory.device.outline import limits
+from pipeline.theory.stability.boundary import boundary
 from pipeline.theory.stability.region import is_well_inside
-from pipeline.theory.stability.stability import boundary
 
 Cost = Callable[[Floats, Floats, float], Floats]
 """Cost of points; the last argument is the best cost known, points that are worse may be given infinity."""

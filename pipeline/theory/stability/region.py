@@ -10,7 +10,7 @@ Source: Hulin 2017, sec. 3.4; counting of crossings in place of gridding and pol
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -235,31 +235,42 @@ def solve(c: Curve, cells: Cells, cell: Indices, target: Floats, axis: str) -> F
     return np.asarray(root)
 
 
-def _first_limit(r: Region, first: Cells, beta: Floats) -> Floats:
-    """Alpha on the first branch at given beta; -inf where it has no stable point."""
+def _first_limit(r: Region, first: Cells, beta: Floats) -> tuple[Floats, Floats]:
+    """Alpha on the first branch at given beta, -inf where it has no stable point, and its angle theta."""
     at = np.searchsorted(first.beta_high, beta)
     inside = (beta > first.beta_low[0]) & (at < len(first.low))
     cell = at[inside]
     root = solve(r.curve, first, cell, beta[inside], "beta")
     alpha = curve_points(r.curve, root).alpha
-    result = np.full(len(beta), -np.inf)
+    result, angle = np.full(len(beta), -np.inf), np.full(len(beta), np.nan)
     result[inside] = np.where(alpha > -r.loop.gamma, alpha, -np.inf)
-    return result
+    angle[inside] = np.where(root < 0, root + np.pi, root)
+    return result, angle
 
 
 @dataclass(frozen=True, eq=False)
 class Intervals:
     """Stable intervals of alpha, shape (n,): index of their beta, lower and upper end, beta by beta and upwards.
 
-    ``outline`` is a number for the pair of branches that bound an interval. ``doubtful`` are the indices of beta at
-    which the count does not come out and nothing can be said.
+    ``low_of`` and ``high_of`` are numbers of the branches that bound an interval (0 is the line alpha = -gamma), of an
+    ideal loop that several bound; ``low_angle`` and ``high_angle`` the angles of the poles there, pi on the line of
+    z = -1. ``doubtful`` are the indices of beta at which the count does not come out and nothing can be said.
     """
 
     index: Indices
     low: Floats
     high: Floats
-    outline: Indices
+    low_of: Indices
+    high_of: Indices
+    low_angle: Floats
+    high_angle: Floats
     doubtful: Indices
+
+    @classmethod
+    def plain(cls, index: Indices, low: Floats, high: Floats) -> Intervals:
+        """Return intervals of which no branch is told."""
+        none, unknown = np.zeros(len(index), np.intp), np.full(len(index), np.nan)
+        return cls(index, low, high, none, none, unknown, unknown, none[:0])
 
 
 def stable_intervals(loop: Loop, beta: object) -> Intervals:
@@ -267,23 +278,20 @@ def stable_intervals(loop: Loop, beta: object) -> Intervals:
     _, b = as_points(0.0, beta)
     if isinstance(loop, DeviceLoop):
         found = stretches(loop, b)
-        return Intervals(found.index, found.low, found.high, found.outline, np.zeros(0, np.intp))
+        return Intervals.plain(found.index, found.low, found.high)
     r = region(loop)
     if r.first is not None:
-        limit = _first_limit(r, r.first, b)
+        limit, angle = _first_limit(r, r.first, b)
         index = np.flatnonzero(limit > -np.inf)
-        return Intervals(index, np.full(len(index), -loop.gamma), limit[index], 0 * index, np.zeros(0, np.intp))
+        plain = Intervals.plain(index, np.full(len(index), -loop.gamma), limit[index])
+        return replace(plain, high_of=plain.high_of + 2, high_angle=angle[index])
     assert r.cells is not None
     chunk = max(1, _PAIRS // len(r.cells.low))
     parts = [_counted(r, r.cells, b[i : i + chunk]) for i in range(0, len(b), chunk)]
-    offsets = range(0, len(b), chunk)
-    return Intervals(
-        np.concatenate([p.index + o for p, o in zip(parts, offsets, strict=True)]),
-        np.concatenate([p.low for p in parts]),
-        np.concatenate([p.high for p in parts]),
-        np.concatenate([p.outline for p in parts]),
-        np.concatenate([p.doubtful + o for p, o in zip(parts, offsets, strict=True)]),
-    )
+    for part, offset in zip(parts, range(0, len(b), chunk), strict=True):
+        part.index[:] += offset
+        part.doubtful[:] += offset
+    return Intervals(*(np.concatenate([getattr(p, field.name) for p in parts]) for field in fields(Intervals)))
 
 
 def _counted(r: Region, cells: Cells, beta: Floats) -> Intervals:
@@ -298,14 +306,16 @@ def _counted(r: Region, cells: Cells, beta: Floats) -> Intervals:
     index = [which, everyone]
     jump = [np.where(rising, 2, -2), np.where(beta > c.start, -1, 1)]
     source = [2 + cells.stretch[cell], np.zeros(n, np.intp)]
+    angle = [np.where(root < 0, root + np.pi, root), np.zeros(n)]
     if np.isfinite(c.level):
         at.append(c.level - 2 * beta)
         index.append(everyone)
         jump.append(np.where(beta < cells.beta_high[-1], -1, 1))
         source.append(np.ones(n, np.intp))
+        angle.append(np.full(n, np.pi))
     a, i, j = np.concatenate(at), np.concatenate(index), np.concatenate(jump)
     order = np.lexsort((a, i))
-    a, i, j, of = a[order], i[order], j[order], np.concatenate(source)[order]
+    a, i, j, of, theta = a[order], i[order], j[order], np.concatenate(source)[order], np.concatenate(angle)[order]
     base = c.whole + 1 + c.zeros_outside()
     total = np.cumsum(j)
     last = np.searchsorted(i, everyone, side="right") - 1
@@ -316,8 +326,9 @@ def _counted(r: Region, cells: Cells, beta: Floats) -> Intervals:
     doubtful |= count[last] != base + _extra_zero(c, 1)
     stable = np.flatnonzero((count[:-1] == 0) & (i[1:] == i[:-1]) & (a[:-1] >= -r.loop.gamma) & (a[1:] > a[:-1]))
     stable = stable[~doubtful[i[stable]]]
-    outline = of[stable] * (len(cells.low) + 2) + of[stable + 1]
-    return Intervals(i[stable], a[stable], a[stable + 1], outline, np.flatnonzero(doubtful))
+    above = stable + 1
+    ends = a[stable], a[above], of[stable], of[above], theta[stable], theta[above]
+    return Intervals(i[stable], *ends, np.flatnonzero(doubtful))
 
 
 def is_inside(loop: Loop, alpha: object, beta: object) -> Booleans:
@@ -352,7 +363,7 @@ def is_inside(loop: Loop, alpha: object, beta: object) -> Booleans:
     lowest = np.where(first.rises | first.falls, lowest, -np.inf)
     result &= a < highest[cell]
     open_ = np.flatnonzero(result & (a >= lowest[cell]))
-    result[open_] = a[open_] < _first_limit(r, first, b[open_])
+    result[open_] = a[open_] < _first_limit(r, first, b[open_])[0]
     return np.asarray(result)
 
 
