@@ -24,7 +24,7 @@ from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import LARGEST_DELAY, Loop, Normalised
 from pipeline.loop.many_digits import Digits, as_exact, as_floats, bilinear, exponential, many_digits, total
 from pipeline.loop.plant import Flow
-from pipeline.loop.velocity_filter import filter_in_w, filter_in_z, filter_order, per_sample
+from pipeline.loop.velocity_filter import filter_in_w, filter_in_z, filter_order, filter_steps, per_sample
 from pipeline.records.batch import Floats
 
 if TYPE_CHECKING:  # its classes take longer to load than a short command to run
@@ -205,7 +205,9 @@ class DeviceLoop(Loop):
         first.
         """
         whole, gains = self.pushes
-        b, a = self.filter_in_z
+        with many_digits(self.digits):
+            *parts, keep, rise = filter_steps(self.velocity)
+            b, a = (as_floats(part) for part in parts)
         p, f, delay = len(whole), len(b) - 1, self.oldest_force
         n = p + 1 + f + delay
         matrix, push = np.zeros((n, n)), np.zeros(n)
@@ -215,15 +217,15 @@ class DeviceLoop(Loop):
         difference = position.copy()
         difference[p] = -1.0
         matrix[p] = position
-        # transposed direct form: v = b0 u + s1, s_i' = s_{i+1} + b_i u - a_i v
         velocity += b[0] * difference
         if f:
             velocity[p + 1] += 1.0
             for i in range(1, f + 1):
                 row = matrix[p + i]
                 row += b[i] * difference - a[i] * velocity
+                row[p + i] += keep
                 if i < f:
-                    row[p + i + 1] += 1.0
+                    row[p + i + 1] += rise
         for segment, gain in zip(self.segments, gains, strict=True):
             if segment.age == 0:
                 push[:p] += as_floats(gain)

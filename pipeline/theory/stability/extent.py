@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop, as_points
 from pipeline.records.batch import Booleans, Floats
-from pipeline.theory.stability.branches import curve_points
-from pipeline.theory.stability.region import Cells, Region, region, solve, stable_intervals, stiffness_limit
+from pipeline.theory.stability.branches import Cells, curve_points
+from pipeline.theory.stability.region import Region, region, solve, stable_intervals, stiffness_limit
 from pipeline.theory.stability.stability import bisect
 
 _SWEEP = 400

@@ -11,16 +11,25 @@ Source: Hulin 2017, sec. 3.4; counting of crossings in place of gridding and pol
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from functools import cached_property, lru_cache
+from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.loop.device_loop import DeviceLoop
 from pipeline.loop.loop import Loop, as_points
 from pipeline.records.batch import Booleans, Floats
 from pipeline.theory.device.crossings import stretches
-from pipeline.theory.stability.branches import FOLD, Curve, beta_above_start, curve, curve_points, folded
+from pipeline.theory.stability.branches import (
+    FOLD,
+    Cells,
+    Curve,
+    Indices,
+    beta_above_start,
+    cells_between,
+    curve,
+    curve_points,
+    folded,
+)
 from pipeline.theory.stability.stability import bisect, is_stable
 
 _PER_TURN = 48
@@ -46,46 +55,6 @@ _CONVERGED = 1e-10
 
 _PAIRS = 4_000_000
 """Pairs of a damping and a cell looked at together; bounds memory to some 10 MB."""
-
-Indices = NDArray[np.intp]
-
-
-@dataclass(frozen=True, eq=False)
-class Cells:
-    """Stretches of the branches on which beta is monotone: folded angles, beta and alpha at both ends, shape (n,)."""
-
-    low: Floats
-    high: Floats
-    beta_low: Floats
-    beta_high: Floats
-    alpha_low: Floats
-    alpha_high: Floats
-    rises: Booleans
-    """Whether alpha grows (or falls: False in both) along the whole cell."""
-    falls: Booleans
-
-    @cached_property
-    def stretch(self) -> Indices:
-        """Number of the stretch between two extrema of beta that a cell belongs to."""
-        rising = self.beta_high > self.beta_low
-        return np.cumsum(np.append(False, rising[1:] != rising[:-1])).astype(np.intp)
-
-
-def cells_between(c: Curve, angle: Floats) -> Cells:
-    """Cells between successive angles; the pair that stands for the fold itself is left out."""
-    p = curve_points(c, angle)
-    keep = (angle[:-1] < 0) == (angle[1:] < 0)
-    a, b, slope = p.alpha, p.beta, np.where(angle == 0, np.sign(p.alpha_slope[1]), p.alpha_slope)
-    return Cells(
-        low=angle[:-1][keep],
-        high=angle[1:][keep],
-        beta_low=b[:-1][keep],
-        beta_high=b[1:][keep],
-        alpha_low=a[:-1][keep],
-        alpha_high=a[1:][keep],
-        rises=((slope[:-1] > 0) & (slope[1:] > 0))[keep],
-        falls=((slope[:-1] < 0) & (slope[1:] < 0))[keep],
-    )
 
 
 def _angles(c: Curve) -> Floats:
