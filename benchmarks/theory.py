@@ -23,8 +23,9 @@ from timing import fastest, once, run
 from pipeline.loop.loop import Loop
 from pipeline.theory.cost.energy import energy_costs
 from pipeline.theory.cost.theory_map import CostMap, bounding_box
+from pipeline.theory.stability.boundary import boundary
 from pipeline.theory.stability.region import is_inside, region, stiffness_limit
-from pipeline.theory.stability.stability import boundary, spectral_radius
+from pipeline.theory.stability.stability import spectral_radius
 
 ENDED = 64
 """Points that settle into 2 % before this sample: what the peer leaves out after 512 is then below rounding."""

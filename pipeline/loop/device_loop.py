@@ -24,7 +24,7 @@ from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import LARGEST_DELAY, Loop, Normalised
 from pipeline.loop.many_digits import Digits, as_exact, as_floats, bilinear, exponential, many_digits, total
 from pipeline.loop.plant import Flow
-from pipeline.loop.velocity_filter import filter_in_w, filter_in_z, filter_order, per_sample
+from pipeline.loop.velocity_filter import filter_in_w, filter_in_z, filter_order, filter_steps, per_sample
 from pipeline.records.batch import Floats
 
 if TYPE_CHECKING:  # its classes take longer to load than a short command to run
@@ -95,7 +95,7 @@ class DeviceLoop(Loop):
     Raises
     ------
     ParameterError
-        If a parameter is out of range, or delay and filter together are longer than 96 samples.
+        If a parameter is out of range, or delay and filter together are longer than 96 samples (256 without parts).
     """
 
     lag: float = 0.0
@@ -107,7 +107,8 @@ class DeviceLoop(Loop):
             if not math.isfinite(value) or value < 0:
                 raise ParameterError(f"{name} = {value}: expected a finite number that is not negative.")
         order = self.delay + filter_order(self.velocity)
-        if order > LARGEST_ORDER:
+        plain = self.velocity is None and self.mode is None and self.lag == 0
+        if order > (LARGEST_DELAY if plain else LARGEST_ORDER):
             raise ParameterError(
                 f"delay and velocity filter together last {order:g} samples: expected at most {LARGEST_ORDER}."
             )
@@ -122,24 +123,25 @@ class DeviceLoop(Loop):
     def device(self) -> tuple[Floats, Floats, Floats]:
         """Continuous device: its matrix (n, n), the input's column (n,) and the row of the sensed position (n,).
 
-        States: position and velocity of the motor's side; with a mode the far mass's relative to these; with a lag the
-        actuator's force.
+        States: position and velocity of the centre of mass; with a mode the distance of the far mass from it, and its
+        rate; with a lag the actuator's force. So a blow on however light a near side is one of 1 in each.
         """
         mode = self.mode or Vibration(0.0, 0.0, 0.0, False)
         count = 2 + 2 * (self.mode is not None)
         near = 1.0 - mode.far_mass
+        motor = np.array([1.0, -mode.far_mass / near])[: count // 2]
+        held = -np.kron(motor, [self.gamma, self.delta])
         matrix, push, sensor = np.zeros((count, count)), np.zeros(count), np.zeros(count)
-        matrix[0, 1] = sensor[0] = 1.0
-        matrix[1, :2] = -self.gamma / near, -self.delta / near
-        push[1] = 1 / near
+        matrix[0, 1] = push[1] = 1.0
+        matrix[1] = held
+        sensor[::2] = motor
         if self.mode is not None:
-            spring = np.array([mode.stiffness, mode.damping])
-            matrix[1, 2:] = spring / near
             matrix[2, 3] = 1.0
-            matrix[3, :2] = -matrix[1, :2]
-            matrix[3, 2:] = -spring * (1 / mode.far_mass + 1 / near)
-            push[3] = -1 / near
-            sensor[2] = mode.sensor_far
+            matrix[3] = -held
+            matrix[3, 2:] -= np.array([mode.stiffness, mode.damping]) * (1 / mode.far_mass + 1 / near)
+            push[3] = -1.0
+            if mode.sensor_far:
+                sensor[2] = 1.0
         if self.lag == 0:
             return matrix, push, sensor
         lagged = np.zeros((count + 1, count + 1))
@@ -203,7 +205,9 @@ class DeviceLoop(Loop):
         first.
         """
         whole, gains = self.pushes
-        b, a = self.filter_in_z
+        with many_digits(self.digits):
+            *parts, keep, rise = filter_steps(self.velocity)
+            b, a = (as_floats(part) for part in parts)
         p, f, delay = len(whole), len(b) - 1, self.oldest_force
         n = p + 1 + f + delay
         matrix, push = np.zeros((n, n)), np.zeros(n)
@@ -213,15 +217,15 @@ class DeviceLoop(Loop):
         difference = position.copy()
         difference[p] = -1.0
         matrix[p] = position
-        # transposed direct form: v = b0 u + s1, s_i' = s_{i+1} + b_i u - a_i v
         velocity += b[0] * difference
         if f:
             velocity[p + 1] += 1.0
             for i in range(1, f + 1):
                 row = matrix[p + i]
                 row += b[i] * difference - a[i] * velocity
+                row[p + i] += keep
                 if i < f:
-                    row[p + i + 1] += 1.0
+                    row[p + i + 1] += rise
         for segment, gain in zip(self.segments, gains, strict=True):
             if segment.age == 0:
                 push[:p] += as_floats(gain)
@@ -278,10 +282,9 @@ class DeviceLoop(Loop):
         p = len(self.device[1])
         z = np.zeros((len(alpha), self.states))
         if signal == "impulse":
-            blow = 1 / (1 - (self.mode.far_mass if self.mode else 0.0))
-            z[:, 1] = blow
+            z[:, 1] = 1.0
             if self.mode is not None:
-                z[:, 3] = -blow
+                z[:, 3] = -1.0
             return z
         if signal != "step":
             raise ParameterError(f"signal = {signal!r}: expected 'step' or 'impulse'.")
@@ -295,6 +298,11 @@ class DeviceLoop(Loop):
 def general(loop: Loop) -> DeviceLoop:
     """Return a loop as a general one, also where it is ideal."""
     return loop if isinstance(loop, DeviceLoop) else DeviceLoop(loop.gamma, loop.delta, loop.delay)
+
+
+def has_general(loop: Loop) -> bool:
+    """Return whether `general` takes a loop: not an ideal one whose motion ends within 1e-7 samples."""
+    return isinstance(loop, DeviceLoop) or max(loop.gamma, loop.delta) <= LARGEST_RATE
 
 
 def wall_units(mass: float, sampling_period_s: float, parts: LoopParts) -> Normalised:

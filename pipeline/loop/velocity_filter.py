@@ -64,3 +64,28 @@ def filter_in_z(velocity: VelocityFilter | None) -> tuple[Digits, Digits]:
         for part in filter_in_w(velocity)
     )
     return b / a[0], a / a[0]
+
+
+def filter_steps(velocity: VelocityFilter | None) -> tuple[Digits, Digits, float, float]:
+    """Return a realisation by states s_i: v = b_0 u + s_1 and s_i(k + 1) = keep s_i + rise s_{i+1} + b_i u - a_i v.
+
+    That of powers of 1/z has keep = 0 and rise = 1. Poles of a low cut-off lie so close to z = 1 that it loses all
+    digits; a Butterworth filter is one in powers of z - 1, its states in units of the cut-off.
+    """
+    b, a = filter_in_z(velocity)
+    if velocity is None or velocity.kind != "butterworth":
+        return b, a, 0.0, 1.0
+    n = len(a) - 1
+    moved = [_shifted(part[::-1]) for part in (b, a)]  # in powers of z - 1, lowest first
+    rise = float(abs(moved[1][0])) ** (1 / n)
+    unit = as_exact([1, *(Decimal(rise) ** (i - 1) for i in range(1, n + 1))])
+    return moved[0][::-1] / unit, moved[1][::-1] / unit, 1.0, rise
+
+
+def _shifted(polynomial: Digits) -> Digits:
+    """Return p(x + 1)."""
+    result = as_exact([0])
+    for coefficient in polynomial[::-1]:
+        result = np.append(result, as_exact([0])) + np.append(as_exact([0]), result)
+        result[0] += coefficient
+    return np.asarray(result[: len(polynomial)], dtype=object)

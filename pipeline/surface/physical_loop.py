@@ -26,7 +26,8 @@ from pipeline.theory.cost.theory_map import MAP_DEFAULT, CostMap
 from pipeline.theory.device.passive_walls import passive_outline, required_damping
 from pipeline.theory.device_cases import islands_in_si
 from pipeline.theory.optimum.curves import Curve, best_damping, best_stiffness
-from pipeline.theory.stability.stability import boundary, spectral_radius
+from pipeline.theory.stability.boundary import boundary
+from pipeline.theory.stability.stability import spectral_radius
 
 
 @dataclass(frozen=True)

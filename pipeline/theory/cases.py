@@ -18,14 +18,15 @@ import numpy as np
 from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop
 from pipeline.records.batch import Floats
-from pipeline.records.criteria import CRITERIA, DISCRETE, ENERGY, with_discrete
+from pipeline.records.criteria import CRITERIA, DISCRETE, ENERGY, criterion_of, with_discrete
 from pipeline.theory.cost.pointcosts import point_costs_by_name
 from pipeline.theory.cost.settling_overshoot import LONGEST
 from pipeline.theory.cost.theory_map import check_criteria
 from pipeline.theory.optimum.optimum import optimal_point
 from pipeline.theory.optimum.rules import POINT_CRITERIA, marked_point
+from pipeline.theory.stability.boundary import boundary
 from pipeline.theory.stability.robust import robust_outline
-from pipeline.theory.stability.stability import boundary, spectral_radius, stable_by_radius
+from pipeline.theory.stability.stability import spectral_radius, stable_by_radius
 
 CASE_COLUMNS = ("alpha", "beta", "gamma", "delta", "delay")
 
@@ -203,7 +204,10 @@ def _reason(loop: Loop, alpha: float, radius: float, missing: list[str]) -> str 
         return "unstable"
     if radius >= 1 - MARGINAL:
         return f"spectral radius within {MARGINAL:g} of 1: costs would be rounding errors"
-    return f"still moves after {LONGEST} samples: no {', '.join(missing)}" if missing else None
+    reasons: dict[str, list[str]] = {f"still moves after {LONGEST} samples": [], "its sum is lost in rounding": []}
+    for name in missing:
+        reasons[list(reasons)[criterion_of(name).family is ENERGY]].append(name)
+    return "; ".join(f"{why}: no {', '.join(names)}" for why, names in reasons.items() if names) or None
 
 
 def boundary_document(loop: Loop, robust: bool = False, points: int = 400) -> dict[str, Any]:

@@ -30,7 +30,7 @@ from pipeline.theory.device.outline import outline
 from pipeline.theory.device.passive_walls import passive_outline
 from pipeline.theory.optimum.optimum import optimal_point
 from pipeline.theory.optimum.search import OptimalPoint
-from pipeline.theory.stability.stability import Boundary, boundary
+from pipeline.theory.stability.boundary import Boundary, boundary
 
 _TURN = {"overshoot": 0, "energy": 2}
 """Families whose optima take the most time, and the least; all others are 1."""

@@ -18,7 +18,7 @@ from pipeline.studies.thesis_table_text import document, summary_line, table_lin
 from pipeline.studies.thesis_tables import FLAT, LIMIT, MARKS, ROUNDING, Entry, TheoryRow, count_marks, recompute
 from pipeline.theory.cost.energy import energy_costs
 from pipeline.theory.optimum.search import where_stable
-from pipeline.theory.stability.stability import boundary
+from pipeline.theory.stability.boundary import boundary
 
 
 def printed(criterion: str, table: str, gamma: float = 0.0, delta: float = 0.0) -> PublishedPoint:

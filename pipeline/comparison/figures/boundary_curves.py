@@ -89,7 +89,7 @@ def passive_curve(theory: Theory) -> Curve | None:
     p = theory.parameters
     if p.damping <= 0:
         return None
-    if p.loop.words():
+    if p.loop.words() or not p.delay_samples.is_integer():  # (4.8) holds for whole samples of delay
         return _passive_of_device(theory)
     angle = np.linspace(0.0, boundary_angle(p.delay_samples), PASSIVE_POINTS)
     kappa, eta = passive_boundary(p.delay_samples, angle)
@@ -102,7 +102,7 @@ def passive_curve(theory: Theory) -> Curve | None:
 
 
 def _passive_of_device(theory: Theory) -> Curve | None:
-    """Passive region with lag and filter; none where the position is sensed beyond a mode, or where it is a dot."""
+    """Passive region of any delay, lag and filter; none where the sensor is beyond a mode, or where it is a dot."""
     found = theory.passive_outline
     if found is None or found[0].max() < SEEN * theory.boundary.alpha_max:
         return None

@@ -7,13 +7,12 @@ from math import floor, log10
 
 import numpy as np
 
-from pipeline.comparison.loops.loop_range import IDEAL, LoopPoint, LoopRange
+from pipeline.comparison.loops.loop_range import LoopPoint, LoopRange
 from pipeline.comparison.scores.overlap import measured_limits
 from pipeline.loop.device_loop import general, longest_delay, wall_units
 from pipeline.records.loop_records import PassiveWall
 from pipeline.records.results import ExperimentResult
-from pipeline.theory.device.passive_walls import passive_outline, required_damping
-from pipeline.theory.stability.fractional_passivity import needed_damping, stiffest_passive
+from pipeline.theory.device.passive_walls import required_damping, stiffest_passive
 
 DIGITS = 4
 """Digits with which a passive wall is named; what is named is checked."""
@@ -57,7 +56,7 @@ def passive_wall(loop: LoopRange, result: ExperimentResult) -> tuple[PassiveWall
     loops = _loops(loop)
     if not loops:
         return None, "the delay may be longer than theory is computed for"
-    highest, wall_damping = _stiffest(loop, loops, damping)
+    highest, wall_damping = _stiffest(loops, damping)
     wall_damping = _rounded(wall_damping)
     measured = _measured(result, wall_damping)
     if measured is None:
@@ -76,17 +75,13 @@ def passive_wall(loop: LoopRange, result: ExperimentResult) -> tuple[PassiveWall
     return PassiveWall(stiffness=stiffness, damping=wall_damping), None
 
 
-def _stiffest(loop: LoopRange, loops: list[LoopPoint], damping: float) -> tuple[float, float]:
+def _stiffest(loops: list[LoopPoint], damping: float) -> tuple[float, float]:
     """Return stiffness and damping of the stiffest wall that is passive with all of some loops."""
-    if loop.parts == IDEAL:
-        kappa, ratio = min(stiffest_passive(each.delay_samples) for each in loops)
-        return kappa * damping / loop.sampling_period_s, ratio * damping
     found = []
     for each in loops:
         units = wall_units(each.mass, each.sampling_period_s, each.parts)
-        alpha, beta = passive_outline(general(each.loop), damping / units.damping)
-        best = int(np.argmax(alpha))
-        found.append((float(alpha[best]) * units.stiffness, float(beta[best]) * units.damping))
+        alpha, beta = stiffest_passive(general(each.loop), damping / units.damping)
+        found.append((alpha * units.stiffness, beta * units.damping))
     return min(found)
 
 
@@ -148,8 +143,6 @@ def _holds(loop: LoopRange, loops: list[LoopPoint], stiffness: float, damping: f
 
 def _needed(point: LoopPoint, stiffness: float, damping: float) -> float:
     """Return the damping [Ns/m, Nms/rad] that a wall needs of the device."""
-    if point.parts == IDEAL:
-        return float(needed_damping(point.delay_samples, [stiffness * point.sampling_period_s], [damping])[0])
     units = wall_units(point.mass, point.sampling_period_s, point.parts)
     wall = np.array([stiffness / units.stiffness]), np.array([damping / units.damping])
     return float(required_damping(general(point.loop), *wall)[0]) * units.damping

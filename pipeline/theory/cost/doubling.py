@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.base.errors import ParameterError
 from pipeline.records.batch import Floats
 from pipeline.theory.cost.refinement import Sums
 
@@ -35,24 +34,28 @@ def weighted_sums(matrix: Floats, initial: Floats) -> Sums:
 
 
 def doubled(matrix: Floats, addends: Sums) -> Sums:
-    """Solutions of X_0 = R_0 + A X_0 A', X_1 = R_1 + A (X_1 + X_0) A', X_2 = R_2 + A (X_2 + 2 X_1 + X_0) A'."""
+    """Solutions of X_0 = R_0 + A X_0 A', X_1 = R_1 + A (X_1 + X_0) A', X_2 = R_2 + A (X_2 + 2 X_1 + X_0) A'.
+
+    NaN where they do not converge: of a matrix that is not stable, or is not to the digits of a double.
+    """
     x0, x1, x2 = addends
     power, count = matrix, 1.0
-    for _ in range(_DOUBLINGS):
-        turned = np.swapaxes(power, 1, 2)
-        with np.errstate(over="ignore", invalid="ignore"):  # the sums of an unstable point overflow: refused below
+    with np.errstate(over="ignore", invalid="ignore"):
+        for _ in range(_DOUBLINGS):
+            turned = np.swapaxes(power, 1, 2)
             add2 = power @ (x2 + 2 * count * x1 + count * count * x0) @ turned
             add1 = power @ (x1 + count * x0) @ turned
             add0 = power @ x0 @ turned
             x0, x1, x2 = x0 + add0, x1 + add1, x2 + add2
             total = size(x2)
-        if not np.isfinite(total).all():
-            break
-        if np.all(size(add2) <= _CONVERGED * total) and np.all(size(add0) <= _CONVERGED * size(x0)):
-            return x0, x1, x2
-        power = power @ power
-        count *= 2
-    raise ParameterError("an energy sum does not converge: a point is not stable; check `stability.is_stable` first.")
+            ended = (size(add2) <= _CONVERGED * total) & (size(add0) <= _CONVERGED * size(x0))
+            if np.all(ended | ~np.isfinite(total)):
+                break
+            power = power @ power
+            count *= 2
+    for sums in (x0, x1, x2):
+        sums[~ended] = np.nan
+    return x0, x1, x2
 
 
 def size(matrices: Floats) -> Floats:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.loop.device_loop import DeviceLoop
+from pipeline.loop.device_loop import DeviceLoop, general, has_general
 from pipeline.loop.loop import Loop
 from pipeline.loop.plant import turning_time
 from pipeline.records.batch import Floats
@@ -45,7 +45,18 @@ def _transients(loop: Loop, alpha: Floats, beta: Floats, names: Sequence[str], f
     if blocks and len(bands) == 1 and _can_march(loop):
         found = step_transients(loop, alpha, beta, bands[0], longest=follow.longest, quiet=follow.quiet)
         # a single band is not named in the march
-        return found | {n: found[n.replace(criterion_of(n).name, "settle")] for n in names if criterion_of(n).band}
+        found |= {n: found[n.replace(criterion_of(n).name, "settle")] for n in names if criterion_of(n).band}
+        rest = np.flatnonzero(np.isnan([found[name] for name in names]).any(axis=0))
+        told = _followed(loop, alpha[rest], beta[rest], names, bands, follow)
+        for name in names:
+            found[name][rest] = told[name]
+        return found
+    return _followed(loop, alpha, beta, names, bands, follow)
+
+
+def _followed(
+    loop: Loop, alpha: Floats, beta: Floats, names: Sequence[str], bands: Sequence[float], follow: Following
+) -> dict[str, Floats]:
     continuous = any(not name.endswith(DISCRETE) for name in names)
     overshoot = any(criterion_of(name).band is None for name in names)
     return transient_costs(
@@ -70,7 +81,7 @@ def _poles(loop: Loop, alpha: Floats, beta: Floats, names: Sequence[str], _: Fol
 def _rises(loop: Loop, alpha: Floats, beta: Floats, names: Sequence[str], follow: Following) -> dict[str, Floats]:
     """Rise times; stability is not needed, so that they are also told along the edge of the stable region."""
     asked = alpha, beta, [share - 1.0 for share in RISE_LEVELS], follow.longest, "rise_time" in names
-    exact, sampled = first_reached(loop, *asked) if isinstance(loop, DeviceLoop) else _first_reached(loop, *asked)
+    exact, sampled = first_reached(general(loop), *asked) if has_general(loop) else _first_reached(loop, *asked)
     return {"rise_time": exact[-1] - exact[0], f"rise_time{DISCRETE}": sampled[-1] - sampled[0]}
 
 

@@ -1,7 +1,8 @@
 """Settling time and overshoot of the loop's step response, from the exact motion between samples.
 
-The deviation from the final position is advanced sample by sample for all points at once; points leave the
-computation as soon as nothing that is asked for can change any more.
+`device.step_response` computes them; what follows here is for devices whose own motion ends within 1e-7 samples. The
+deviation from the final position is advanced sample by sample for all points at once; points leave the computation as
+soon as nothing that is asked for can change any more.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pipeline.base.errors import ParameterError
-from pipeline.loop.device_loop import DeviceLoop
+from pipeline.loop.device_loop import general, has_general
 from pipeline.loop.loop import Loop, as_points
 from pipeline.loop.plant import turning_time
 from pipeline.records.batch import Booleans, Floats, Integers
@@ -83,6 +84,7 @@ class Active:
     forces: list[Floats]
     quiet: Floats = field(init=False)
     calm: Floats = field(init=False)
+    motion: Floats = field(init=False)
 
     @classmethod
     def start(cls, loop: Loop, alpha: Floats, beta: Floats) -> Active:
@@ -94,10 +96,11 @@ class Active:
     def __post_init__(self) -> None:
         self.quiet = np.zeros_like(self.alpha)
         self.calm = np.zeros_like(self.alpha)
+        self.motion = np.zeros_like(self.alpha)
 
     def keep(self, mask: np.ndarray) -> None:
         """Go on with some of the points only."""
-        for name in ("index", "alpha", "beta", "position", "before", "velocity", "lever", "quiet", "calm"):
+        for name in ("index", "alpha", "beta", "position", "before", "velocity", "lever", "quiet", "calm", "motion"):
             setattr(self, name, getattr(self, name)[mask])
         self.forces = [f[mask] for f in self.forces]
 
@@ -118,6 +121,8 @@ class Active:
             yield time, segment.duration, u, position, velocity
             self.position, self.velocity = position, velocity
             time += segment.duration
+        # a burst may last a sample: of the largest since the last look, not of the one at a look
+        self.motion = np.maximum(self.motion, np.abs(self.position) + self.lever * np.abs(self.velocity))
 
 
 def transient_costs(
@@ -148,7 +153,7 @@ def transient_costs(
     continuous : bool
         Whether the motion between samples is asked for, besides the samples.
     longest : int
-        Samples after which a point that still moves gets no result.
+        Samples after which a point that still moves, and of which its modes tell nothing, gets no result.
     quiet : float
         Deviation below which a response without overshoot so far is no longer followed; a map that is only drawn
         does not need the default.
@@ -177,7 +182,7 @@ def transient_costs(
     if any(not 0 < band < 1 for band in bands):
         raise ParameterError(f"bands = {list(bands)}: expected fractions between 0 and 1, such as 0.02.")
     asked = Asked(bands, overshoot, continuous, longest, quiet, cutoff, enough, unfinished_overshoot)
-    return step_costs(loop, a, b, asked) if isinstance(loop, DeviceLoop) else _followed(loop, a, b, asked)
+    return step_costs(general(loop), a, b, asked) if has_general(loop) else _followed(loop, a, b, asked)
 
 
 def _followed(loop: Loop, a: Floats, b: Floats, asked: Asked) -> dict[str, Floats]:
@@ -230,14 +235,13 @@ def _followed(loop: Loop, a: Floats, b: Floats, asked: Asked) -> dict[str, Float
 
 def _are_done(loop: Loop, run: Active, asked: Asked, peaks: dict[str, Floats]) -> Booleans:
     """Count the blocks for which points have hardly moved, and return which need no longer be followed."""
-    size = np.abs(run.position)
     calm = _SETTLED * min(asked.bands) if asked.bands else 1.0
-    limit = np.full(len(size), calm)
+    limit = np.full(len(run.index), calm)
     if asked.overshoot:
         limit = np.minimum(limit, np.maximum(_SETTLED * peaks["overshoot_discrete"][run.index], asked.quiet))
-    motion = size + run.lever * np.abs(run.velocity)
-    run.quiet = np.where(motion > limit, 0.0, run.quiet + 1)
-    run.calm = np.where(motion > calm, 0.0, run.calm + 1)
+    run.quiet = np.where(run.motion > limit, 0.0, run.quiet + 1)
+    run.calm = np.where(run.motion > calm, 0.0, run.calm + 1)
+    run.motion[:] = 0.0
     # small at one check may be a moment between two motions: what is on its way has acted by the next
     done: Booleans = (run.quiet - 1) * _BLOCK > loop.oldest_force + 2
     if not asked.bands:
@@ -262,8 +266,8 @@ def late_deviation(loop: Loop, alpha: object, beta: object, first: int, longest:
         Samples after which the largest deviation so far is returned.
     """
     a, b = as_points(alpha, beta)
-    if isinstance(loop, DeviceLoop):
-        return late_sample(loop, a, b, first, longest, _FADED)
+    if has_general(loop):
+        return late_sample(general(loop), a, b, first, longest, _FADED)
     run = Active.start(loop, a, b)
     largest = np.zeros(len(a))
     for k in range(1, longest + 1):
@@ -273,8 +277,8 @@ def late_deviation(loop: Loop, alpha: object, beta: object, first: int, longest:
             continue
         largest = np.maximum(largest, np.abs(run.position))
         if (k - first) % _BLOCK == _BLOCK - 1:
-            motion = np.abs(run.position) + run.lever * np.abs(run.velocity)
-            run.quiet = np.where(motion > _FADED * largest, 0.0, run.quiet + 1)
+            run.quiet = np.where(run.motion > _FADED * largest, 0.0, run.quiet + 1)
+            run.motion[:] = 0.0
             if np.all((run.quiet - 1) * _BLOCK > loop.oldest_force + 2):
                 break
     return largest

@@ -13,8 +13,9 @@ from pipeline.loop.loop import Loop, Normalised
 from pipeline.records.batch import Booleans, Floats
 from pipeline.records.criteria import CRITERIA, REPORTED, with_discrete
 from pipeline.theory.cost.pointcosts import point_costs_by_name
+from pipeline.theory.stability.boundary import boundary
 from pipeline.theory.stability.region import is_inside, is_well_inside
-from pipeline.theory.stability.stability import boundary, boundary_points
+from pipeline.theory.stability.stability import boundary_points
 
 MAP_CRITERIA = tuple(c.name for c in CRITERIA.values() if not c.optimum_only)
 """Criteria of a map; those of a response also as ``_discrete``."""

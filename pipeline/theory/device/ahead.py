@@ -7,6 +7,7 @@ state. As `cost.march` does for ideal loops, whose three slowest modes it reads 
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import lru_cache
 from math import comb
 
@@ -32,6 +33,9 @@ _SHORTEST = 8.0
 _WIDER = 4.0
 """Growth of the window where nothing outside the band was met in it."""
 
+_FEW_STATES = 32
+"""States up to which modes of 4,096 points fit a memory of some 100 MB."""
+
 _STRAIGHT = 1e-3
 """Angle of a pole [rad/sample] that counts as none for the window: 3,800 samples."""
 
@@ -41,16 +45,17 @@ class Outlook:
 
     Parameters
     ----------
-    run, everyone : Motion
-        The points; all points that were started with them.
+    run : Motion
+        The points.
+    past : Modes
+        Theirs.
 
     Notes
     -----
     ``run`` are those of which modes tell, ``unknown`` the others.
     """
 
-    def __init__(self, run: Motion, everyone: Motion) -> None:
-        past = modes(run.loop, everyone.alpha, everyone.beta, "step").part(run.index - everyone.index[0])
+    def __init__(self, run: Motion, past: Modes) -> None:
         off = np.abs(past.at(run.sample) - run.state)[: len(run.scale)]
         known = (off * run.scale).sum(axis=0) <= _REPRODUCED * run.size()  # nan compares false
         self.run, self.unknown, self.past = run.part(known), run.part(~known), past.part(known)
@@ -104,6 +109,21 @@ class Outlook:
         room, fastest = np.maximum(peak - sensed.sum(axis=2).real.max(axis=1), 0.0), step.max(axis=1)
         below = (np.sqrt(fastest**2 + 2 * bend * room) - fastest) / bend
         return np.asarray(np.maximum(below, step.min(axis=1) / bend))
+
+
+def outlooks(run: Motion, everyone: Motion) -> Iterator[Outlook]:
+    """Yield what modes tell of points, of which some may be unknown; ``everyone`` are all that were started with them.
+
+    Modes of few states are those of everyone, since energies take them too; of many states they would fill the memory.
+    """
+    states = run.loop.states
+    if states <= _FEW_STATES:
+        yield Outlook(run, modes(run.loop, everyone.alpha, everyone.beta, "step").part(run.index - everyone.index[0]))
+        return
+    together = max(1, TOGETHER * _FEW_STATES**2 // (4 * states**2))
+    for first in range(0, len(run.index), together):
+        some = run.part(slice(first, first + together))
+        yield Outlook(some, modes(run.loop, some.alpha, some.beta, "step"))
 
 
 def earlier(run: Motion) -> Motion:

@@ -82,13 +82,15 @@ class Branches:
 class OnCircle:
     """alpha + beta N = -1/G on the unit circle, over s; polynomials in s, as Decimal.
 
-    beta = -twist/((1 + s)^delay turn), turn = rate size, alpha = -stretch/((1 + s)^delay size) - beta level/filter.
+    beta = -twist/((1 + s)^delay turn), turn = rate size, alpha = -stretch/((1 + s)^delay size) - beta level/filter,
+    which is rise/((1 + s)^delay turn).
     """
 
     delay: int
     twist: Digits
     rate: Digits
     turn: Digits
+    rise: Digits
     stretch: Digits
     size: Digits
     level: Digits
@@ -105,8 +107,14 @@ def on_circle(loop: DeviceLoop) -> OnCircle:
         top, bottom = product(two_w, g.velocity), product(one_more, g.filter)
         rate = product(top, _mirrored(bottom))
         size, square = _even(product(g.force, _mirrored(g.force))), _even(product(bottom, _mirrored(bottom)))
-        twist, turn = product(_odd(inverse), square), product(_odd(rate), size)
-        return OnCircle(g.delay, twist, _odd(rate), turn, _even(inverse), size, _even(rate), square)
+        twist, turn, stretch, level = (
+            product(_odd(inverse), square),
+            product(_odd(rate), size),
+            _even(inverse),
+            _even(rate),
+        )
+        rise = total(product(_odd(inverse), level), -product(stretch, _odd(rate)))
+        return OnCircle(g.delay, twist, _odd(rate), turn, rise, stretch, size, level, square)
 
 
 @lru_cache(maxsize=64)
@@ -114,13 +122,7 @@ def branches(loop: DeviceLoop) -> Branches:
     """Return what is known of a loop's crossings once."""
     c = on_circle(loop)
     with many_digits(loop.digits):
-        rise = as_exact([1, 1])
-        # beta' = 0 without the factor (1 + s)^(delay - 1)
-        slope = total(
-            product(rise, total(product(derivative(c.twist), c.turn), -product(c.twist, derivative(c.turn)))),
-            -c.delay * product(c.twist, c.turn),
-        )
-        turning = positive_roots(slope, loop.digits)
+        turning = positive_roots(_bend(c, c.twist), loop.digits)
         inner = {root: _beta(c, root) for root in turning} | dict.fromkeys(positive_roots(c.rate, loop.digits))
         edges = [_END, *sorted(root for root in inner if _END < root < 1 / _END), 1 / _END]
         values = [inner[s] if s in inner else _beta(c, s) for s in edges]
@@ -142,6 +144,25 @@ def branches(loop: DeviceLoop) -> Branches:
             *_at_minus_one(loop),
             _unstable_when_stiff(loop),
         )
+
+
+@lru_cache(maxsize=64)
+def turning_dampings(loop: DeviceLoop) -> Floats:
+    """Return every beta, in order, at which stable stretches may begin or end, join, or their ends have an extremum.
+
+    Between two of these each end of a stretch is monotone in beta, and soft walls (alpha -> 0 or -gamma) are all stable
+    or all not: along the branches alpha or beta turns there, or alpha passes 0 or -gamma. What is left are corners,
+    where two branches cross.
+    """
+    c, b = on_circle(loop), branches(loop)
+    with many_digits(loop.digits):
+        whole = product(power(as_exact([1, 1]), c.delay), c.turn)
+        levels = [total(c.rise, Decimal(level) * whole) for level in sorted({0.0, loop.gamma})]
+        roots = [root for polynomial in (_bend(c, c.rise), *levels) for root in positive_roots(polynomial, loop.digits)]
+        dampings = [float(_beta(c, root)) for root in roots if value(c.turn, root) != 0]
+    line = [(b.last + level) / b.last_slope for level in (0.0, loop.gamma)] if b.last_slope else []
+    known = np.concatenate([dampings, b.beta_low, b.beta_high, line])
+    return np.unique(known[np.isfinite(known)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,6 +272,12 @@ def _rounded(loop: DeviceLoop) -> Floats:
         upwards[i, : len(part)] = as_floats(part)
         downwards[i, : len(part)] = as_floats(part)[::-1]
     return np.stack([upwards, downwards])
+
+
+def _bend(c: OnCircle, over: Digits) -> Digits:
+    """Return the slope of over/((1 + s)^delay turn) without its positive factors."""
+    plain = total(product(derivative(over), c.turn), -product(over, derivative(c.turn)))
+    return total(product(as_exact([1, 1]), plain), -c.delay * product(over, c.turn))
 
 
 def _beta(c: OnCircle, s: Decimal) -> Decimal:

@@ -13,26 +13,29 @@ from pipeline.theory.device.pieces import DEGREE, pieces, starts
 
 
 @lru_cache(maxsize=64)
-def _interval(loop: DeviceLoop) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return what a sampling interval makes of the loop's state, each as rows (r, states) and the force's part (r,).
+def _interval(loop: DeviceLoop) -> Floats:
+    """Return what a sampling interval makes of what it starts with, shape (rows, columns).
 
-    First what is `DeviceLoop.seen`; then sensed position, filtered velocity, the next state, and for each piece the
-    position at its end and the velocities at both ends.
+    Columns: the loop's state but the forces of former samples, and the wall's force in each of `segments`. Rows: sensed
+    position, filtered velocity and the next state but the forces; then for each piece the position at its end and the
+    velocities at both ends.
     """
     free, push, position, velocity = loop.open_loop
     newest, sensor = loop.states - loop.oldest_force - 1, loop.device[2]
-    seen, seen_force = np.eye(len(sensor) + len(loop.segments), loop.states), np.zeros(len(sensor) + len(loop.segments))
-    for row, segment in enumerate(loop.segments, len(sensor)):
-        seen[row] = np.eye(loop.states)[newest + segment.age] * (segment.age > 0)
-        seen_force[row] = segment.age == 0
+    own = newest + 1
+    ages = [segment.age for segment in loop.segments]
+    forces = [free[:own, newest + age] if age else push[:own] for age in ages]
+    seen = np.zeros((len(sensor) + len(ages), own + len(ages)))
+    seen[: len(sensor), : len(sensor)], seen[len(sensor) :, own:] = np.eye(len(sensor)), np.eye(len(ages))
     ends = [
-        row @ given
+        row @ given @ seen
         for piece, given in zip(pieces(loop), starts(loop), strict=True)
         for row in (sensor @ np.column_stack([piece.transition, piece.gain]), piece.speed[0], piece.speed.sum(axis=0))
     ]
-    rows = np.array([position, velocity, *free, *(row @ seen for row in ends)])
-    by_force = np.concatenate([[0.0, 0.0], push, [row @ seen_force for row in ends]])
-    return seen, seen_force, rows, by_force
+    state = np.column_stack([free[:own, :own], *forces])
+    known = np.zeros((2, own + len(ages)))
+    known[:, :own] = position[:own], velocity[:own]
+    return np.array([*known, *state, *ends])
 
 
 class Motion:
@@ -56,10 +59,8 @@ class Motion:
     def __init__(self, loop: DeviceLoop, alpha: Floats, beta: Floats, *, between: bool) -> None:
         self.loop, self.index, self.alpha, self.beta = loop, np.arange(len(alpha)), alpha, beta
         self.pieces = pieces(loop) if between else ()
-        _, _, rows, by_force = _interval(loop)
-        count = 2 + loop.states + 3 * len(self.pieces)
-        self.rows, self.by_force = rows[:count], by_force[:count]
-        self.driven = np.flatnonzero(self.by_force)
+        self.own = loop.states - loop.oldest_force
+        self.rows = _interval(loop)[: 2 + self.own + 3 * len(self.pieces)]
         self.state = np.ascontiguousarray(loop.starts(alpha, "step").T)
         self.scale = _levers(loop, alpha)
         self.sample = np.zeros(len(alpha))
@@ -67,19 +68,26 @@ class Motion:
 
     def advance(self, count: int) -> None:
         """Move by so many sampling intervals, at least one."""
-        n = self.loop.states
-        self.made, self.force = (
-            np.empty((count, *self.rows.shape[:1], len(self.index))),
-            np.empty((count, len(self.index))),
-        )
-        self.first, state = self.state, self.state
-        for made, force in zip(self.made, self.force, strict=True):
-            np.matmul(self.rows, state, out=made)
-            force[:] = -self.alpha * made[0] - self.beta * made[1]
-            for row in self.driven:
-                made[row] += self.by_force[row] * force
-            state = made[2 : 2 + n]
-        self.state, self.sample = state, self.sample + count
+        own, delay, n = self.own, self.loop.oldest_force, len(self.index)
+        ages = [segment.age for segment in self.loop.segments]
+        self.made = np.empty((count, len(self.rows), n))
+        force = np.empty((delay + count, n))  # in order of time
+        force[:delay] = self.state[own:][::-1]
+        start = np.empty((count, own + len(ages), n))
+        state, minus_alpha, minus_beta = self.state[:own], -self.alpha, -self.beta
+        law = self.rows[:2, :own]
+        for k, (given, made) in enumerate(zip(start, self.made, strict=True)):
+            given[:own] = state
+            position, speed = law @ state
+            np.multiply(minus_alpha, position, out=force[delay + k])
+            force[delay + k] += minus_beta * speed
+            for row, age in enumerate(ages, own):
+                given[row] = force[delay + k - age]
+            np.matmul(self.rows, given, out=made)
+            state = made[2 : 2 + own]
+        self.start = start
+        self.state = np.concatenate([state, force[count:][::-1]])
+        self.sample = self.sample + count
 
     @property
     def position(self) -> Floats:
@@ -89,25 +97,23 @@ class Motion:
     @property
     def sensed(self) -> Floats:
         """Positions at the end of each of the latest intervals, shape (count, n)."""
-        return np.asarray(self.loop.open_loop[2] @ self.made[:, 2 : 2 + self.loop.states])
+        return np.asarray(self.loop.open_loop[2][: self.own] @ self.made[:, 2 : 2 + self.own])
 
     def ends(self) -> Floats:
         """Return the latest intervals' pieces: position at start and end, velocity at both; (4, count pieces, n)."""
         count, each, n = len(self.made), len(self.pieces), len(self.index)
         result = np.empty((4, count, each, n))
-        result[1:] = np.moveaxis(self.made[:, 2 + self.loop.states :].reshape(count, each, 3, n), 2, 0)
+        result[1:] = np.moveaxis(self.made[:, 2 + self.own :].reshape(count, each, 3, n), 2, 0)
         result[0, :, 0], result[0, :, 1:] = self.made[:, 0], result[1, :, :-1]
         return result.reshape(4, count * each, n)
 
     def motion(self, row: Integers, point: Integers) -> Floats:
         """Return the coefficients of the sensed position over pieces, numbered as by `ends`; shape (13, events)."""
-        seen, seen_force, _, _ = _interval(self.loop)
-        result, interval = np.empty((DEGREE + 1, len(row))), row // len(self.pieces)
+        result, interval, device = np.empty((DEGREE + 1, len(row))), row // len(self.pieces), len(self.loop.device[2])
         for number, (piece, given) in enumerate(zip(self.pieces, starts(self.loop), strict=True)):
             some = np.flatnonzero(row % len(self.pieces) == number)
-            k, at, rows = interval[some], point[some], piece.place @ given
-            state = np.where(k > 0, self.made[k - 1, 2 : 2 + self.loop.states, at].T, self.first[:, at])
-            result[:, some] = (rows @ seen) @ state + (rows @ seen_force)[:, None] * self.force[k, at]
+            began = self.start[interval[some], :, point[some]].T
+            result[:, some] = (piece.place @ given) @ np.concatenate([began[:device], began[self.own :]])
         return result
 
     def size(self) -> Floats:
@@ -142,7 +148,8 @@ def _levers(loop: DeviceLoop, alpha: Floats) -> Floats:
     if loop.mode is not None:
         near = 1 - loop.mode.far_mass
         turn = np.sqrt(loop.mode.stiffness * (1 / near + 1 / loop.mode.far_mass))
-        rows += [np.ones_like(lever), np.minimum(lever, 1 / turn)]
+        sensed = abs(loop.device[2][2])
+        rows += [sensed * np.ones_like(lever), sensed * np.minimum(lever, 1 / turn)]
     if loop.lag > 0:
         rows.append(loop.lag * lever)
     return np.array(rows)

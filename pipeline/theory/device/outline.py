@@ -11,20 +11,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.loop.device_loop import DeviceLoop
-from pipeline.records.batch import Booleans, Floats
-from pipeline.theory.device.crossings import branches, points_at, polished, stretches
+from pipeline.records.batch import Floats, Integers
+from pipeline.theory.device.crossings import polished, stretches, turning_dampings
 
-_PER_CELL = 32
-"""Places of each cell whose dampings are looked at first."""
+_NODES = np.concatenate([[1e-9], 0.5 * (1 - np.cos(np.pi * np.linspace(0, 1, 9)[1:-1])), [1 - 1e-9]])
+"""Places between two dampings at which stretches change: next to both, where limits still have 11 digits, and where
+corners are noticed."""
 
-_SECTIONS = 32
-"""Parts of an interval of damping that are looked at together: a call costs as much as hundreds of dampings."""
+_MIDDLE = len(_NODES) // 2
 
-_EDGE_ROUNDS = 11
-"""32^11 = 2^55: the damping at which limits begin or end, to the last bit of a double."""
+_HALVINGS = 60
+"""A gap between two dampings to the last bit of a double."""
 
-_PEAK_ROUNDS = 9
-"""16^9 = 7e10: the damping of the stiffest wall, about which the limit is flat."""
+_MOST_CORNERS = 8
+"""Corners between two neighbours that are told apart; more than one is rare."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +55,7 @@ class Outline:
     beta, alpha : float64, shape (n,)
         In order of beta; empty where no soft wall is stable.
     islands : float64, shape (i, 3)
-        As of `Limits`, at these beta and at those of stable walls without a limit.
+        As of `Limits`: at these beta, and between the first and the last at which anything is stable.
     alpha_max, beta_at_alpha_max : float
         The stiffest wall of all, islands left out; nan where there is none.
     """
@@ -100,68 +100,62 @@ def outline(loop: DeviceLoop, points: int = 400) -> Outline:
     ----------
     loop : DeviceLoop
     points : int
-        Number of dampings of the outline, >= 8, spread over its parts and denser towards their ends.
+        Number of dampings of the outline, >= 8, spread over its parts and denser towards their ends; both sides of
+        every corner and jump come beside these.
+
+    Notes
+    -----
+    Nothing is sampled to find where limits begin, end, jump or turn: `crossings.turning_dampings` are all of these but
+    corners, and corners are met where neighbours are bounded by other branches.
     """
-    tried = _dampings(loop)
-    known = limits(loop, tried, exact=False)
-    ends = _ends(loop, tried, np.isfinite(known.alpha))
-    if not len(ends):
+    turning = turning_dampings(loop)
+    gaps = np.diff(turning)
+    nodes = turning[:-1, None] + gaps[:, None] * _NODES
+    marks = nodes[:, [0, -1]].ravel()
+    marks = np.append(marks, _corners(loop, np.unique(nodes)))
+    known = limits(loop, np.unique(np.append(nodes, marks)), exact=False)
+    # what holds in the middle of a gap holds all over it
+    holds = np.isfinite(limits(loop, nodes[:, _MIDDLE], exact=False).alpha)
+    inside = np.concatenate([[False], holds, [False]])
+    low, high = turning[np.flatnonzero(inside[1:] > inside[:-1])], turning[np.flatnonzero(inside[1:] < inside[:-1])]
+    if not len(low):
         return Outline(np.zeros(0), np.zeros(0), known.islands, np.nan, np.nan)
-    widths = ends[:, 1] - ends[:, 0]
-    parts = []
-    for (low, _high), width in zip(ends, widths, strict=True):
-        count = max(8, int(points * width / widths.sum()))
-        parts.append(low + width * 0.5 * (1 - np.cos(np.pi * np.linspace(0, 1, count))))
-    beta = np.concatenate(parts)
-    stiffest = _stiffest(loop, np.sort(np.concatenate([tried, beta])))
-    beta = np.unique(np.append(beta, stiffest))
-    found = limits(loop, beta)
-    beta, alpha = beta[np.isfinite(found.alpha)], found.alpha[np.isfinite(found.alpha)]
-    without = known.islands[~((known.islands[:, :1] >= ends[:, 0]) & (known.islands[:, :1] <= ends[:, 1])).any(axis=1)]
+    counts = np.maximum(8, points * (high - low) / (high - low).sum()).astype(int)
+    spread = [
+        start + (end - start) * 0.5 * (1 - np.cos(np.pi * np.linspace(0, 1, count)[1:-1]))
+        for start, end, count in zip(low, high, counts, strict=True)
+    ]
+    beta = np.unique(np.concatenate([marks, *spread]))
+    alpha = limits(loop, beta).alpha
+    beta, alpha = beta[np.isfinite(alpha)], alpha[np.isfinite(alpha)]
+    for end in (low, high):  # known to the last bit, where a limit can only be told beside it
+        beta[np.abs(beta[:, None] - end).argmin(axis=0)] = end
     best = int(np.argmax(alpha))
-    islands = np.concatenate([found.islands, without])
-    return Outline(beta, alpha, islands[np.argsort(islands[:, 0])], float(alpha[best]), float(beta[best]))
+    return Outline(beta, alpha, known.islands, float(alpha[best]), float(beta[best]))
 
 
-def _dampings(loop: DeviceLoop) -> Floats:
-    """Return dampings of places all along the branches where alpha is no spring that pulls, in order."""
-    b = branches(loop)
-    share = (np.arange(_PER_CELL) + 0.5) / _PER_CELL
-    place = (b.low[:, None] + (b.high - b.low)[:, None] * share).ravel()
-    alpha, beta = points_at(loop, place)
-    turning = b.beta_low[np.isfinite(b.beta_low)]
-    # the line of a pole at z = -1 bounds what the branches leave open
-    far = (b.last + loop.gamma) / b.last_slope if b.last_slope and np.isfinite(b.last) else 0.0
-    line = far * np.linspace(0, 1, _PER_CELL + 1)
-    return np.unique(np.concatenate([beta[np.isfinite(beta) & (alpha > -loop.gamma)], turning, line]))
+def _corners(loop: DeviceLoop, levels: Floats) -> Floats:
+    """Return both sides of each damping between levels, in order, at which other branches begin to bound."""
+    known = _bounds(loop, levels)
+    low, high, left, right = levels[:-1], levels[1:], known[:-1], known[1:]
+    corners = [np.zeros(0)]
+    for _ in range(_MOST_CORNERS):
+        differ = left != right
+        low, high, left, right = (values[differ] for values in (low, high, left, right))
+        if not len(low):
+            break
+        good, bad = low, high
+        for _ in range(_HALVINGS):
+            middle = 0.5 * (good + bad)
+            same = _bounds(loop, middle) == left
+            good, bad = np.where(same, middle, good), np.where(same, bad, middle)
+        corners += [good, bad]
+        low, left = bad, _bounds(loop, bad)
+    return np.concatenate(corners)
 
 
-def _ends(loop: DeviceLoop, beta: Floats, has: Booleans) -> Floats:
-    """Return the first and last damping of each part that has limits, shape (parts, 2)."""
-    padded = np.concatenate([[False], has, [False]])
-    changes = np.flatnonzero(padded[1:] != padded[:-1])
-    inner, outer = (
-        np.where(padded[1:][changes], changes, changes - 1),
-        np.where(padded[1:][changes], changes - 1, changes),
-    )
-    good, bad = beta[inner], beta[np.clip(outer, 0, len(beta) - 1)]
-    share = np.linspace(0, 1, _SECTIONS + 1)
-    for _ in range(_EDGE_ROUNDS):
-        between = good[:, None] + share * (bad - good)[:, None]
-        holds = np.isfinite(limits(loop, between.ravel(), exact=False).alpha).reshape(between.shape)
-        holds[:, 0] = True
-        last = np.where(holds.all(axis=1), _SECTIONS, holds.argmin(axis=1) - 1)
-        row = np.arange(len(good))
-        good, bad = between[row, last], between[row, np.minimum(last + 1, _SECTIONS)]
-    return good.reshape(-1, 2)
-
-
-def _stiffest(loop: DeviceLoop, beta: Floats) -> float:
-    """Return the damping of the stiffest wall: the best of those given, then zooms around it."""
-    for _ in range(_PEAK_ROUNDS):
-        alpha = limits(loop, beta, exact=False).alpha
-        best = int(np.nanargmax(alpha))
-        low, high = beta[max(best - 1, 0)], beta[min(best + 1, len(beta) - 1)]
-        beta = np.append(np.linspace(low, high, _SECTIONS + 1), beta[best])
-        beta.sort()
-    return float(beta[np.nanargmax(limits(loop, beta, exact=False).alpha)])
+def _bounds(loop: DeviceLoop, beta: Floats) -> Integers:
+    """Return a number for the branches that bound what is stable at each beta."""
+    found, result = stretches(loop, beta), np.zeros(len(beta), np.intp)
+    np.add.at(result, found.index, (found.outline + 1) ** 2)
+    return result

@@ -29,6 +29,9 @@ angle, is continued to 0 to 1e-9."""
 
 _DIRECTIONS = 181
 
+_ROUNDS = 3
+"""Looks at directions, each between the neighbours of the best one before."""
+
 _ZOOMS = 12
 """Zooms onto the worst angle, each to a quarter: a flat maximum to 1e-13."""
 
@@ -67,7 +70,22 @@ def required_damping(loop: DeviceLoop, alpha: Floats, beta: Floats) -> Floats:
 
 def passive_outline(loop: DeviceLoop, delta: float) -> tuple[Floats, Floats]:
     """Return the outline of the passive region, alpha and beta, from (0, -delta) on; of zeros where delta is 0."""
-    angle = np.linspace(-0.5 * np.pi, 0.5 * np.pi, _DIRECTIONS)
+    return _reached(loop, delta, np.linspace(-0.5 * np.pi, 0.5 * np.pi, _DIRECTIONS))
+
+
+def stiffest_passive(loop: DeviceLoop, delta: float) -> tuple[float, float]:
+    """Return alpha and beta of the stiffest passive wall; the region is convex, so that it has one peak."""
+    low, high = -0.5 * np.pi, 0.5 * np.pi
+    for _ in range(_ROUNDS):
+        angle = np.linspace(low, high, _DIRECTIONS)
+        alpha, beta = _reached(loop, delta, angle)
+        best = int(np.argmax(alpha))
+        low, high = angle[max(best - 1, 0)], angle[min(best + 1, _DIRECTIONS - 1)]
+    return float(alpha[best]), float(beta[best])
+
+
+def _reached(loop: DeviceLoop, delta: float, angle: Floats) -> tuple[Floats, Floats]:
+    """Return the last passive walls in directions, of which 0 is that of alpha."""
     # dampings are wider than stiffnesses by about the delay: directions are even in alpha (delay + lag + 1/2), beta
     alpha, beta = np.cos(angle) / (loop.delay + loop.lag + 0.5), np.sin(angle)
     reach = delta / required_damping(loop, alpha, beta)

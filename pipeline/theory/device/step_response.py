@@ -14,7 +14,7 @@ import numpy as np
 
 from pipeline.loop.device_loop import DeviceLoop
 from pipeline.records.batch import Booleans, Floats, Integers
-from pipeline.theory.device.ahead import Outlook, earlier
+from pipeline.theory.device.ahead import earlier, outlooks
 from pipeline.theory.device.modes import TOGETHER
 from pipeline.theory.device.motion import Motion, joined
 from pipeline.theory.device.pieces import DEGREE
@@ -30,6 +30,9 @@ _AT_ONCE = 512
 
 _FIRST = 64
 """Samples before modes are looked at."""
+
+_LOOK = 0.25
+"""Samples of a point, times the square of its states, that take as long as a look: the modes of many are slow."""
 
 _AGAIN = 32
 """Samples before those that may still overshoot are looked at again: about what a look costs."""
@@ -226,29 +229,37 @@ class _Found:
 def _follow(run: Motion, found: _Found) -> None:
     """Follow points until all is known, or modes tell where they settle."""
     asked, everyone, climbing = found.asked, run, [run.part(slice(0))]
-    for samples in _rounds(asked.longest, _FIRST):
+    look = run.loop.states**2 * _LOOK
+    for samples in _rounds(asked.longest, max(_FIRST, int(look))):
         run = _marched(run, found, asked.bands, samples)
         if not len(run.index):
             break
-        view = Outlook(run, everyone)
-        run = view.unknown
-        for band in asked.bands:
-            ahead = view.before_the_end(band)
-            found.ahead[band].append(found.in_reach(ahead, band))
-        if asked.overshoot:
-            climbing.append(view.before_a_peak(found.known_peak(view.run)))
+        unknown = [run.part(slice(0))]
+        for view in outlooks(run, everyone):
+            unknown.append(view.unknown)
+            for band in asked.bands:
+                ahead = view.before_the_end(band)
+                found.ahead[band].append(found.in_reach(ahead, band))
+            if asked.overshoot:
+                climbing.append(view.before_a_peak(found.known_peak(view.run)))
+        run = joined(unknown)
     found.restless.append(run.index[found.calm[run.index] * _BLOCK <= run.memory])
     found.unfinished.append(run.index)
     run, left = joined(climbing), asked.longest
     while left > 0:  # falls
-        samples = min(_AGAIN * (1 + min(_FEW // max(len(run.index), 1), _LONGER)), left)
+        samples = min(max(_AGAIN, int(look)) * (1 + min(_FEW // max(len(run.index), 1), _LONGER)), left)
         left -= samples
         found.quiet[run.index] = 0  # some were moved ahead
         run = _marched(run, found, (), samples)
         if not len(run.index):
             break
-        view = Outlook(run, everyone)
-        run = joined([view.before_a_peak(found.known_peak(view.run)), view.unknown])
+        run = joined(
+            [
+                part
+                for view in outlooks(run, everyone)
+                for part in (view.before_a_peak(found.known_peak(view.run)), view.unknown)
+            ]
+        )
     found.unfinished.append(run.index)
 
 

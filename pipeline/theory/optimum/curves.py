@@ -24,7 +24,8 @@ from pipeline.theory.optimum.optimum import (
     nearest_to_line,
 )
 from pipeline.theory.optimum.search import Cost, where_stable
-from pipeline.theory.stability.stability import boundary, spectral_radius
+from pipeline.theory.stability.boundary import boundary
+from pipeline.theory.stability.stability import spectral_radius
 
 _LONGEST = 1024
 """Samples after which a response of a curve counts as not settled; the curves of Fig. 5.4 end at about 60."""

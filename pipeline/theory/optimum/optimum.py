@@ -28,13 +28,16 @@ from pipeline.theory.optimum.search import (
     SMOOTH,
     OptimalPoint,
     bounding_box,
+    box,
+    chart,
     grid,
     region,
     search,
     where_stable,
 )
+from pipeline.theory.stability.boundary import boundary
 from pipeline.theory.stability.region import stiffness_limit
-from pipeline.theory.stability.stability import boundary, boundary_points, spectral_radius
+from pipeline.theory.stability.stability import boundary_points, spectral_radius
 
 UNDAMPED_LOSS = 1e-9
 """Distance of a damping ratio from 1 that is rounding: a threefold pole is split by 1e-5, which costs 2e-10."""
@@ -101,7 +104,7 @@ def _least(loop: Loop, criterion: str) -> OptimalPoint:
 
     def at(place: Floats) -> tuple[Floats, Floats]:
         """The edge by its angle, a general loop's by its damping."""
-        return (stiffness_limit(loop, place), place) if general else boundary_points(loop, place)
+        return (stiffness_limit(loop, place, islands=False), place) if general else boundary_points(loop, place)
 
     def cost(alpha: Floats, beta: Floats, _: float) -> Floats:
         return point_costs_by_name(loop, alpha, beta, (criterion,), longest)[criterion]
@@ -113,7 +116,7 @@ def _least(loop: Loop, criterion: str) -> OptimalPoint:
         found[steep] = cost(alpha[steep], beta[steep], best)
         return np.where(np.isnan(found), np.inf, found)
 
-    lowest, border = float(region(loop)[0][0]), boundary(loop)
+    lowest, border = float(box(loop)[0][0]), boundary(loop)
     ends = border.beta if general else border.theta
     edge = search_lines(along, ends[:1], ends[-1:])
     inside = search(loop, cost, SMOOTH)
@@ -154,10 +157,10 @@ def _settling(loop: Loop, alpha: Floats, beta: Floats, band: float, best: float)
 
 def _smallest_radius(loop: Loop) -> OptimalPoint:
     """Smallest pole modulus; where three real poles meet there, their place in closed form."""
-    low, high = region(loop, inset=0.0)
-
+    (low, high), place = region(loop, inset=0.0), chart(loop)
     radius = where_stable(loop, lambda alpha, beta, _: spectral_radius(loop, alpha, beta))
-    alpha, beta, cost = search_plane(radius, low, high, levels=_KINK_LEVELS)
+    *at, cost = search_plane(lambda a, b, best: radius(*place(a, b), best), low, high, levels=_KINK_LEVELS)
+    alpha, beta = (float(values[0]) for values in place(*(np.array([value]) for value in at)))
     exact = threefold_pole(loop, cost)
     if exact is not None and abs(exact[2] - cost) <= _CORNER * 10:
         away = max(abs(exact[0] - alpha) / (high[0] - low[0]), abs(exact[1] - beta) / (high[1] - low[1]))
@@ -172,7 +175,7 @@ def _most_damped(loop: Loop) -> OptimalPoint:
     With delay the best points lie next to the line alpha = -gamma and to beta = 0, so both are searched by orders of
     magnitude.
     """
-    low, high = region(loop, inset=0.0)
+    low, high = box(loop, inset=0.0)
     width, largest = float(high[0] - low[0]), float(max(high[1], -low[1]))
     unit = _CREEP * largest
 
@@ -204,14 +207,14 @@ def _most_damped(loop: Loop) -> OptimalPoint:
 
 def _least_impulse_energy(loop: Loop, criterion: str) -> OptimalPoint:
     """Optimum of E_0 after an impulse: along the limit alpha -> -gamma, or inside where that should be less."""
-    low, high = region(loop, _IMPULSE_INSET)
+    low, high = box(loop)
     nearest = nearest_to_line(loop)
 
     def cost(alpha: Floats, beta: Floats, _: float) -> Floats:
         # closer to the line the limit stands for the cost, which a search must not gain on by rounding
         return np.where(alpha >= nearest, energy_costs(loop, alpha, beta, "impulse")[criterion], np.inf)
 
-    inside = search(loop, cost, SMOOTH, (low, high))
+    inside = search(loop, cost, SMOOTH, region(loop, _IMPULSE_INSET))
     end = np.array([low[1]]), np.array([high[1]])
     line = search_lines(lambda _, beta, __: impulse_energy_limit(loop, beta, criterion), *end, coarse=61, levels=12)
     if line.cost[0] <= inside.cost:
@@ -221,7 +224,7 @@ def _least_impulse_energy(loop: Loop, criterion: str) -> OptimalPoint:
 
 def nearest_to_line(loop: Loop) -> float:
     """Return the alpha below which the limit alpha -> -gamma stands for the impulse energy w = 0."""
-    return _NEAR_LINE * (float(region(loop)[1][0]) + loop.gamma) - loop.gamma
+    return _NEAR_LINE * (float(box(loop)[1][0]) + loop.gamma) - loop.gamma
 
 
 def impulse_energy_limit(loop: Loop, beta: Floats, criterion: str = "energy_impulse_w0") -> Floats:
@@ -267,7 +270,7 @@ def _settling_region(loop: Loop, band: float, criterion: str) -> OptimalPoint:
         return costs[criterion]
 
     # a first number that can surely be had; below it, each number is tried in turn
-    alpha, beta = grid(*region(loop), JUMPING.coarse)
+    alpha, beta = chart(loop)(*grid(*region(loop), JUMPING.coarse))
     tried = where_stable(loop, samples_to_settle)(alpha, beta, np.inf)
     index = int(np.argmin(tried))
     if not np.isfinite(tried[index]):
@@ -283,8 +286,8 @@ def _settling_region(loop: Loop, band: float, criterion: str) -> OptimalPoint:
     def feasible(alpha: Floats, beta: Floats, _: float) -> Floats:
         return np.where(deviation(alpha, beta, np.inf, samples) <= band, 0.0, np.inf)
 
-    box = bounding_box(where_stable(loop, feasible), np.array([point.alpha, point.beta]), region(loop))
-    return OptimalPoint(0.5 * (box[0] + box[1]), 0.5 * (box[2] + box[3]), float(samples), box)
+    ends = bounding_box(where_stable(loop, feasible), np.array([point.alpha, point.beta]), box(loop))
+    return OptimalPoint(0.5 * (ends[0] + ends[1]), 0.5 * (ends[2] + ends[3]), float(samples), ends)
 
 
 SEARCHES = {"settling": _soonest_settled, "overshoot": _stiffest, "energy": _least_energy, "poles": _best_poles}

@@ -14,7 +14,7 @@ from pipeline.loop.loop import Loop
 from pipeline.records.batch import Floats
 from pipeline.theory.cost.poles import never_overshoots
 from pipeline.theory.cost.settling_overshoot import NO_OVERSHOOT, transient_costs
-from pipeline.theory.optimum.search import OptimalPoint, region, where_stable
+from pipeline.theory.optimum.search import OptimalPoint, box, where_stable
 
 _FLOORS = (0.2, 0.05, 0.01)
 """Shares of the stable stiffness from which on the edge is looked for; it lies near 0.35, and softer walls creep."""
@@ -50,7 +50,7 @@ def stiffest_without_overshoot(loop: Loop, *, continuous: bool = True, at_all: b
 
     Source: Hulin 2017, sec. 5.2.2 with footnote 4.
     """
-    _, high = region(loop)
+    _, high = box(loop)
     name = "overshoot" if continuous else "overshoot_discrete"
 
     def clean(alpha: Floats, beta: Floats, _: float) -> Floats:

@@ -15,7 +15,7 @@ from pipeline.records.batch import Floats
 from pipeline.records.criteria import OVERSHOOT, criterion_of
 from pipeline.theory.cost.poles import pole_settling_time
 from pipeline.theory.optimum.optimum import optimal_point
-from pipeline.theory.stability.stability import boundary
+from pipeline.theory.stability.boundary import boundary
 
 POINT_CRITERIA = ("alpha_max", "beta_max", "ziegler_nichols")
 """Points of the plane that are no optimum of a cost."""

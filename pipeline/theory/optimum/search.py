@@ -5,7 +5,9 @@ jump; pole radius and damping have kinks where poles meet. Methods that follow s
 compares values.
 
 Why it finds the global optimum. The first grid covers the bounding box of the whole stable region; points outside
-have an infinite cost, so none is left out and none is found that does not exist. Several of the best grid points that
+have an infinite cost, so none is left out and none is found that does not exist. The region of a general loop may be a
+narrow horn in its box, so its grids are even along the outline and in the share of the limit (`chart`). Islands are
+left out: a wall is no optimum if a softer one at its damping is unstable. Several of the best grid points that
 lie apart are followed, so the valley of the optimum is found if one of them lies in it; costs of this loop vary on the
 scale of the region (their valleys are as long as the region, and about 0.1 of it wide), the first cells are 1/24 to
 1/60 of it. A corner looks the same at every scale, so a grid of 15 x 15 points around it always has points inside it,
@@ -22,16 +24,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.base.errors import ParameterError
+from pipeline.loop.device_loop import DeviceLoop
 from pipeline.loop.loop import Loop
 from pipeline.records.batch import Floats
+from pipeline.theory.device.outline import limits
+from pipeline.theory.stability.boundary import boundary
 from pipeline.theory.stability.region import is_well_inside
-from pipeline.theory.stability.stability import boundary
 
 Cost = Callable[[Floats, Floats, float], Floats]
 """Cost of points; the last argument is the best cost known, points that are worse may be given infinity."""
 
 Chart = Callable[[Floats, Floats], tuple[Floats, Floats]]
-"""From the coordinates of a search to alpha and beta."""
+"""From the coordinates of a search to alpha and beta, shape (n,) each."""
 
 
 @dataclass(frozen=True)
@@ -73,11 +77,11 @@ _INSET = 0.05
 
 
 def where_stable(loop: Loop, cost: Cost) -> Cost:
-    """Return the cost with infinity where the loop is unstable or the cost is not defined."""
+    """Return the cost with infinity where the loop or a softer wall is unstable, or the cost is not defined."""
 
     def guarded(alpha: Floats, beta: Floats, best: float) -> Floats:
         result = np.full(len(alpha), np.inf)
-        usable = np.flatnonzero(is_well_inside(loop, alpha, beta))
+        usable = np.flatnonzero(is_well_inside(loop, alpha, beta, islands=False))
         if len(usable):
             values = cost(alpha[usable], beta[usable], best)
             result[usable] = np.where(np.isnan(values), np.inf, values)
@@ -92,7 +96,7 @@ def grid(low: Floats, high: Floats, size: int) -> tuple[Floats, Floats]:
     return first.ravel(), second.ravel()
 
 
-def region(loop: Loop, inset: float = _INSET) -> tuple[Floats, Floats]:
+def box(loop: Loop, inset: float = _INSET) -> tuple[Floats, Floats]:
     """Return the lower and upper corner (alpha, beta) of the stable region, a little inside the line alpha = -gamma."""
     border = boundary(loop)
     width = border.alpha_max + loop.gamma
@@ -102,13 +106,34 @@ def region(loop: Loop, inset: float = _INSET) -> tuple[Floats, Floats]:
     )
 
 
-def search(
-    loop: Loop,
-    cost: Cost,
-    grids: Grids = JUMPING,
-    bounds: tuple[Floats, Floats] | None = None,
-    chart: Chart | None = None,
-) -> OptimalPoint:
+def region(loop: Loop, inset: float = _INSET) -> tuple[Floats, Floats]:
+    """Return the corners of the stable region in the coordinates of `chart`."""
+    return (np.array([inset, 0.0]), np.ones(2)) if isinstance(loop, DeviceLoop) else box(loop, inset)
+
+
+def chart(loop: Loop) -> Chart:
+    """Return the coordinates of a loop's searches: of an ideal one alpha and beta.
+
+    Of a general one the share of alpha + gamma in its limit, and the way along the outline as a share of its length,
+    with the region's height and width as units.
+    """
+    if not isinstance(loop, DeviceLoop):
+        return lambda alpha, beta: (alpha, beta)
+    border = boundary(loop)
+    reach = border.beta[-1] - border.beta[0], border.alpha_max + loop.gamma
+    way = np.abs(np.diff(border.beta)) / reach[0] + np.abs(np.diff(border.alpha)) / reach[1]
+    along = np.append(0.0, np.cumsum(way) / way.sum())
+
+    def place(share: Floats, way: Floats) -> tuple[Floats, Floats]:
+        rows, of = np.unique(way, return_inverse=True)
+        beta = np.interp(rows, along, border.beta)
+        limit = limits(loop, beta, exact=False).alpha
+        return share * (limit[of] + loop.gamma) - loop.gamma, beta[of]
+
+    return place
+
+
+def search(loop: Loop, cost: Cost, grids: Grids = JUMPING, bounds: tuple[Floats, Floats] | None = None) -> OptimalPoint:
     """Return the global minimum of a cost over the stable region.
 
     Parameters
@@ -119,20 +144,16 @@ def search(
     grids : Grids
     bounds : tuple of float64, shape (2,), optional
         Corners of the first grid, in coordinates of the chart; the stable region if not given.
-    chart : Chart, optional
-        Coordinates in which the grids are even; alpha and beta if not given.
 
     Raises
     ------
     ParameterError
         If no point of the first grid is stable and has this cost.
     """
-    guarded = where_stable(loop, cost)
-    if chart is not None:
-        place, plain = chart, guarded
+    plain, place = where_stable(loop, cost), chart(loop)
 
-        def guarded(first: Floats, second: Floats, best: float) -> Floats:
-            return plain(*place(first, second), best)
+    def guarded(first: Floats, second: Floats, best: float) -> Floats:
+        return plain(*place(first, second), best)
 
     low, high = bounds or region(loop)
     first, second = grid(low, high, grids.coarse)
@@ -150,9 +171,7 @@ def search(
         left &= (np.abs(first - first[index]) > 3 * cell[0]) | (np.abs(second - second[index]) > 3 * cell[1])
     if best is None:
         raise ParameterError(f"{loop}: no point of the stable region has this cost.")
-    if chart is None:
-        return best
-    alpha, beta = chart(np.array([best.alpha]), np.array([best.beta]))
+    alpha, beta = place(np.array([best.alpha]), np.array([best.beta]))
     return OptimalPoint(float(alpha[0]), float(beta[0]), best.cost)
 
 

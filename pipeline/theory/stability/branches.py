@@ -17,15 +17,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.polynomial.legendre import leggauss
+from numpy.typing import NDArray
 
 from pipeline.loop.loop import Loop
-from pipeline.records.batch import Floats
+from pipeline.records.batch import Booleans, Floats
 
 FOLD = 2.5
 """Angle [rad] from which on angles are counted from pi, as negative numbers: close to pi that keeps their digits."""
+
+Indices = NDArray[np.intp]
 
 _GAUSS = leggauss(60)
 """60 points integrate exp(-80 x) over [0, 1] to rounding; no integrand here varies more."""
@@ -210,6 +214,44 @@ def curve_points(c: Curve, angle: Floats) -> CurvePoints:
         beta=beta,
         alpha_slope=slope.real - beta_slope * square - beta * sine,
         beta_slope=beta_slope,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Cells:
+    """Stretches of the branches on which beta is monotone: folded angles, beta and alpha at both ends, shape (n,)."""
+
+    low: Floats
+    high: Floats
+    beta_low: Floats
+    beta_high: Floats
+    alpha_low: Floats
+    alpha_high: Floats
+    rises: Booleans
+    """Whether alpha grows (or falls: False in both) along the whole cell."""
+    falls: Booleans
+
+    @cached_property
+    def stretch(self) -> Indices:
+        """Number of the stretch between two extrema of beta that a cell belongs to."""
+        rising = self.beta_high > self.beta_low
+        return np.cumsum(np.append(False, rising[1:] != rising[:-1])).astype(np.intp)
+
+
+def cells_between(c: Curve, angle: Floats) -> Cells:
+    """Cells between successive angles; the pair that stands for the fold itself is left out."""
+    p = curve_points(c, angle)
+    keep = (angle[:-1] < 0) == (angle[1:] < 0)
+    a, b, slope = p.alpha, p.beta, np.where(angle == 0, np.sign(p.alpha_slope[1]), p.alpha_slope)
+    return Cells(
+        low=angle[:-1][keep],
+        high=angle[1:][keep],
+        beta_low=b[:-1][keep],
+        beta_high=b[1:][keep],
+        alpha_low=a[:-1][keep],
+        alpha_high=a[1:][keep],
+        rises=((slope[:-1] > 0) & (slope[1:] > 0))[keep],
+        falls=((slope[:-1] < 0) & (slope[1:] < 0))[keep],
     )
 
 

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop, as_points
 from pipeline.records.batch import Booleans, Floats
-from pipeline.theory.stability.branches import curve_points
-from pipeline.theory.stability.region import Cells, Region, region, solve, stable_intervals, stiffness_limit
+from pipeline.theory.stability.branches import Cells, curve_points
+from pipeline.theory.stability.region import Region, region, solve, stable_intervals, stiffness_limit
 from pipeline.theory.stability.stability import bisect
 
 _SWEEP = 400
@@ -25,6 +25,9 @@ _SWEEP = 400
 
 _ZOOMS = 24
 """Rounds of a search that narrows to a fifth each time: to rounding, for corners; a flat maximum needs half of them."""
+
+_BRANCHES = 1 << 12
+"""More than the branches between two of which an interval may lie."""
 
 _MOST_CORNERS = 20
 """Corners between two neighbours of a sweep that are told apart; more than one is rare."""
@@ -173,7 +176,7 @@ def _outline(loop: Loop, beta: Floats) -> NDArray[np.intp]:
     """Number for the branches that bound the region on each line of beta; the same branches have the same number."""
     found = stable_intervals(loop, beta)
     result = np.zeros(len(beta), dtype=np.intp)
-    np.add.at(result, found.index, (found.outline + 1) ** 2)
+    np.add.at(result, found.index, (found.low_of * _BRANCHES + found.high_of + 1) ** 2)
     return result
 
 
@@ -202,6 +205,15 @@ def _corners(loop: Loop, r: Region) -> Floats:
         corners += [first, after]
         low, left = after, _outline(loop, after)
     return np.unique(np.concatenate(corners))
+
+
+def smooth_levels(loop: Loop, points: int, also: float) -> Floats:
+    """Return dampings, in order, over the range of stable ones: both sides of each corner, even ones, and another."""
+    bottom, top = damping_range(loop)
+    even = bottom + (top - bottom) * 0.5 * (1 - np.cos(np.pi * np.linspace(0, 1, points)))
+    r = region(loop)
+    corners = np.zeros(0) if r.first is not None else _corners(loop, r)
+    return np.unique(np.concatenate([corners, even, [also]]))
 
 
 def _peak(r: Region, first: Cells) -> tuple[int, float]:

@@ -10,17 +10,26 @@ Source: Hulin 2017, sec. 3.4; counting of crossings in place of gridding and pol
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from dataclasses import dataclass, fields, replace
+from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pipeline.loop.device_loop import DeviceLoop
 from pipeline.loop.loop import Loop, as_points
 from pipeline.records.batch import Booleans, Floats
 from pipeline.theory.device.crossings import stretches
-from pipeline.theory.stability.branches import FOLD, Curve, beta_above_start, curve, curve_points, folded
+from pipeline.theory.stability.branches import (
+    FOLD,
+    Cells,
+    Curve,
+    Indices,
+    beta_above_start,
+    cells_between,
+    curve,
+    curve_points,
+    folded,
+)
 from pipeline.theory.stability.stability import bisect, is_stable
 
 _PER_TURN = 48
@@ -46,46 +55,6 @@ _CONVERGED = 1e-10
 
 _PAIRS = 4_000_000
 """Pairs of a damping and a cell looked at together; bounds memory to some 10 MB."""
-
-Indices = NDArray[np.intp]
-
-
-@dataclass(frozen=True, eq=False)
-class Cells:
-    """Stretches of the branches on which beta is monotone: folded angles, beta and alpha at both ends, shape (n,)."""
-
-    low: Floats
-    high: Floats
-    beta_low: Floats
-    beta_high: Floats
-    alpha_low: Floats
-    alpha_high: Floats
-    rises: Booleans
-    """Whether alpha grows (or falls: False in both) along the whole cell."""
-    falls: Booleans
-
-    @cached_property
-    def stretch(self) -> Indices:
-        """Number of the stretch between two extrema of beta that a cell belongs to."""
-        rising = self.beta_high > self.beta_low
-        return np.cumsum(np.append(False, rising[1:] != rising[:-1])).astype(np.intp)
-
-
-def cells_between(c: Curve, angle: Floats) -> Cells:
-    """Cells between successive angles; the pair that stands for the fold itself is left out."""
-    p = curve_points(c, angle)
-    keep = (angle[:-1] < 0) == (angle[1:] < 0)
-    a, b, slope = p.alpha, p.beta, np.where(angle == 0, np.sign(p.alpha_slope[1]), p.alpha_slope)
-    return Cells(
-        low=angle[:-1][keep],
-        high=angle[1:][keep],
-        beta_low=b[:-1][keep],
-        beta_high=b[1:][keep],
-        alpha_low=a[:-1][keep],
-        alpha_high=a[1:][keep],
-        rises=((slope[:-1] > 0) & (slope[1:] > 0))[keep],
-        falls=((slope[:-1] < 0) & (slope[1:] < 0))[keep],
-    )
 
 
 def _angles(c: Curve) -> Floats:
@@ -128,8 +97,8 @@ def region(loop: Loop) -> Region:
     Notes
     -----
     The first branch encloses the region if beta grows along it, alpha has one maximum and returns to -gamma, all
-    other branches and the line of z = -1 pass outside, and the count of unstable poles inside is 0. Otherwise all
-    branches are kept.
+    other branches, also where they pass alpha = -gamma, and the line of z = -1 lie outside, and the count of unstable
+    poles inside is 0. Otherwise all branches are kept.
     """
     c = curve(loop)
     angle = _angles(c)
@@ -146,12 +115,22 @@ def region(loop: Loop) -> Region:
             limit = np.interp(p.beta[others], b, a, left=-np.inf, right=-np.inf)
             room = 1 + _APART
             outside = bool(((width[others] <= 0) | (width[others] >= room * (limit + loop.gamma))).all())
+            # what enters between two samples enters by the line alpha = -gamma
+            meets = _passings(width[end - 1 :], p.beta[end - 1 :])
+            beyond = _APART * (b[-1] - b[0])
+            outside &= bool(((meets < b[0] - beyond) | (meets > b[-1] + beyond)).all())
             line = a + 2 * b
             beside = bool(c.level > line.max() * room or c.level < min(line.min(), -loop.gamma + 2 * float(b[0])))
             middle = int(np.argmax(a))
             if outside and beside and _unstable_poles(c, p.alpha, p.beta, middle) == 0:
                 return Region(loop, c, cells_between(c, angle[:end]), None)
     return Region(loop, c, None, cells_between(c, _with_extrema(c, angle, p.beta_slope)))
+
+
+def _passings(width: Floats, beta: Floats) -> Floats:
+    """Return beta where the width between successive points passes zero."""
+    at = np.flatnonzero((width[:-1] > 0) != (width[1:] > 0))
+    return beta[at] + width[at] / (width[at] - width[at + 1]) * (beta[at + 1] - beta[at])
 
 
 def _unstable_poles(c: Curve, alpha: Floats, beta: Floats, index: int) -> int:
@@ -225,31 +204,42 @@ def solve(c: Curve, cells: Cells, cell: Indices, target: Floats, axis: str) -> F
     return np.asarray(root)
 
 
-def _first_limit(r: Region, first: Cells, beta: Floats) -> Floats:
-    """Alpha on the first branch at given beta; -inf where it has no stable point."""
+def _first_limit(r: Region, first: Cells, beta: Floats) -> tuple[Floats, Floats]:
+    """Alpha on the first branch at given beta, -inf where it has no stable point, and its angle theta."""
     at = np.searchsorted(first.beta_high, beta)
     inside = (beta > first.beta_low[0]) & (at < len(first.low))
     cell = at[inside]
     root = solve(r.curve, first, cell, beta[inside], "beta")
     alpha = curve_points(r.curve, root).alpha
-    result = np.full(len(beta), -np.inf)
+    result, angle = np.full(len(beta), -np.inf), np.full(len(beta), np.nan)
     result[inside] = np.where(alpha > -r.loop.gamma, alpha, -np.inf)
-    return result
+    angle[inside] = np.where(root < 0, root + np.pi, root)
+    return result, angle
 
 
 @dataclass(frozen=True, eq=False)
 class Intervals:
     """Stable intervals of alpha, shape (n,): index of their beta, lower and upper end, beta by beta and upwards.
 
-    ``outline`` is a number for the pair of branches that bound an interval. ``doubtful`` are the indices of beta at
-    which the count does not come out and nothing can be said.
+    ``low_of`` and ``high_of`` are numbers of the branches that bound an interval (0 is the line alpha = -gamma), of an
+    ideal loop that several bound; ``low_angle`` and ``high_angle`` the angles of the poles there, pi on the line of
+    z = -1. ``doubtful`` are the indices of beta at which the count does not come out and nothing can be said.
     """
 
     index: Indices
     low: Floats
     high: Floats
-    outline: Indices
+    low_of: Indices
+    high_of: Indices
+    low_angle: Floats
+    high_angle: Floats
     doubtful: Indices
+
+    @classmethod
+    def plain(cls, index: Indices, low: Floats, high: Floats) -> Intervals:
+        """Return intervals of which no branch is told."""
+        none, unknown = np.zeros(len(index), np.intp), np.full(len(index), np.nan)
+        return cls(index, low, high, none, none, unknown, unknown, none[:0])
 
 
 def stable_intervals(loop: Loop, beta: object) -> Intervals:
@@ -257,23 +247,20 @@ def stable_intervals(loop: Loop, beta: object) -> Intervals:
     _, b = as_points(0.0, beta)
     if isinstance(loop, DeviceLoop):
         found = stretches(loop, b)
-        return Intervals(found.index, found.low, found.high, found.outline, np.zeros(0, np.intp))
+        return Intervals.plain(found.index, found.low, found.high)
     r = region(loop)
     if r.first is not None:
-        limit = _first_limit(r, r.first, b)
+        limit, angle = _first_limit(r, r.first, b)
         index = np.flatnonzero(limit > -np.inf)
-        return Intervals(index, np.full(len(index), -loop.gamma), limit[index], 0 * index, np.zeros(0, np.intp))
+        plain = Intervals.plain(index, np.full(len(index), -loop.gamma), limit[index])
+        return replace(plain, high_of=plain.high_of + 2, high_angle=angle[index])
     assert r.cells is not None
     chunk = max(1, _PAIRS // len(r.cells.low))
     parts = [_counted(r, r.cells, b[i : i + chunk]) for i in range(0, len(b), chunk)]
-    offsets = range(0, len(b), chunk)
-    return Intervals(
-        np.concatenate([p.index + o for p, o in zip(parts, offsets, strict=True)]),
-        np.concatenate([p.low for p in parts]),
-        np.concatenate([p.high for p in parts]),
-        np.concatenate([p.outline for p in parts]),
-        np.concatenate([p.doubtful + o for p, o in zip(parts, offsets, strict=True)]),
-    )
+    for part, offset in zip(parts, range(0, len(b), chunk), strict=True):
+        part.index[:] += offset
+        part.doubtful[:] += offset
+    return Intervals(*(np.concatenate([getattr(p, field.name) for p in parts]) for field in fields(Intervals)))
 
 
 def _counted(r: Region, cells: Cells, beta: Floats) -> Intervals:
@@ -288,14 +275,16 @@ def _counted(r: Region, cells: Cells, beta: Floats) -> Intervals:
     index = [which, everyone]
     jump = [np.where(rising, 2, -2), np.where(beta > c.start, -1, 1)]
     source = [2 + cells.stretch[cell], np.zeros(n, np.intp)]
+    angle = [np.where(root < 0, root + np.pi, root), np.zeros(n)]
     if np.isfinite(c.level):
         at.append(c.level - 2 * beta)
         index.append(everyone)
         jump.append(np.where(beta < cells.beta_high[-1], -1, 1))
         source.append(np.ones(n, np.intp))
+        angle.append(np.full(n, np.pi))
     a, i, j = np.concatenate(at), np.concatenate(index), np.concatenate(jump)
     order = np.lexsort((a, i))
-    a, i, j, of = a[order], i[order], j[order], np.concatenate(source)[order]
+    a, i, j, of, theta = a[order], i[order], j[order], np.concatenate(source)[order], np.concatenate(angle)[order]
     base = c.whole + 1 + c.zeros_outside()
     total = np.cumsum(j)
     last = np.searchsorted(i, everyone, side="right") - 1
@@ -306,8 +295,9 @@ def _counted(r: Region, cells: Cells, beta: Floats) -> Intervals:
     doubtful |= count[last] != base + _extra_zero(c, 1)
     stable = np.flatnonzero((count[:-1] == 0) & (i[1:] == i[:-1]) & (a[:-1] >= -r.loop.gamma) & (a[1:] > a[:-1]))
     stable = stable[~doubtful[i[stable]]]
-    outline = of[stable] * (len(cells.low) + 2) + of[stable + 1]
-    return Intervals(i[stable], a[stable], a[stable + 1], outline, np.flatnonzero(doubtful))
+    above = stable + 1
+    ends = a[stable], a[above], of[stable], of[above], theta[stable], theta[above]
+    return Intervals(i[stable], *ends, np.flatnonzero(doubtful))
 
 
 def is_inside(loop: Loop, alpha: object, beta: object) -> Booleans:
@@ -342,44 +332,49 @@ def is_inside(loop: Loop, alpha: object, beta: object) -> Booleans:
     lowest = np.where(first.rises | first.falls, lowest, -np.inf)
     result &= a < highest[cell]
     open_ = np.flatnonzero(result & (a >= lowest[cell]))
-    result[open_] = a[open_] < _first_limit(r, first, b[open_])
+    result[open_] = a[open_] < _first_limit(r, first, b[open_])[0]
     return np.asarray(result)
 
 
-def is_well_inside(loop: Loop, alpha: Floats, beta: Floats, share: float = 1e-9) -> Booleans:
+def is_well_inside(loop: Loop, alpha: Floats, beta: Floats, share: float = 1e-9, *, islands: bool = True) -> Booleans:
     """Return where points are stable and stay so when alpha is moved either way by a share of alpha + gamma, (n,).
 
-    Costs of points closer to the boundary are sums over billions of samples, and rounding errors.
+    Costs of points closer to the boundary are sums over billions of samples, and rounding errors. Without ``islands``
+    a wall counts only if every softer one at its damping is stable too, down to alpha -> 0.
     """
     away = share * (alpha + loop.gamma)
-    inside = is_inside(loop, alpha, beta)
-    return inside & is_inside(loop, alpha + away, beta) & is_inside(loop, alpha - away, beta)
+    return np.asarray((away > 0) & (_margins(loop, alpha, beta, islands=islands) > away))
 
 
-def _margins(loop: Loop, alpha: Floats, beta: Floats) -> Floats:
+def _margins(loop: Loop, alpha: Floats, beta: Floats, *, islands: bool = True) -> Floats:
+    """Return the distance of alpha to the nearer end of its stable interval, below zero where it is in none, (n,)."""
     levels, of = np.unique(beta, return_inverse=True)
     found = stable_intervals(loop, levels)
+    kept = np.flatnonzero(islands | (found.low <= 0))
+    index, low, high = found.index[kept], found.low[kept], found.high[kept]
     result = np.full(len(alpha), -np.inf)
-    counts = np.bincount(found.index, minlength=len(levels))
+    counts = np.bincount(index, minlength=len(levels))
     start = np.cumsum(counts) - counts
     for number in range(int(counts.max(initial=0))):  # as many rounds as a line has stable intervals: few
         has = np.flatnonzero(counts[of] > number)
         row = start[of[has]] + number
-        inner = np.minimum(alpha[has] - found.low[row], found.high[row] - alpha[has])
-        result[has] = np.maximum(result[has], inner)
+        result[has] = np.maximum(result[has], np.minimum(alpha[has] - low[row], high[row] - alpha[has]))
     unknown = np.flatnonzero(np.isin(of, found.doubtful))
     if len(unknown):
-        result[unknown] = np.where(is_stable(loop, alpha[unknown], beta[unknown]), np.finfo(float).tiny, -np.inf)
+        result[unknown] = np.where(is_stable(loop, alpha[unknown], beta[unknown]), np.inf, -np.inf)
     return result
 
 
-def stiffness_limit(loop: Loop, beta: object) -> Floats:
+def stiffness_limit(loop: Loop, beta: object, *, islands: bool = True) -> Floats:
     """Return the largest stable alpha at each beta, -inf where there is none; both (n,), errors as of `is_inside`.
+
+    Without ``islands`` up to which every softer wall is stable too, down to alpha -> 0.
 
     Source: Hulin 2017, sec. 3.4.
     """
     _, b = as_points(0.0, beta)
     found = stable_intervals(loop, b)
+    kept = np.flatnonzero(islands | (found.low <= 0))
     result = np.full(len(b), -np.inf)
-    np.maximum.at(result, found.index, found.high)
+    np.maximum.at(result, found.index[kept], found.high[kept])
     return result

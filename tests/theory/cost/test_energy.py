@@ -25,7 +25,7 @@ from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop, Normalised
 from pipeline.theory.cost.doubling import weighted_sums
 from pipeline.theory.cost.energy import energy_costs
-from pipeline.theory.stability.stability import boundary
+from pipeline.theory.stability.boundary import boundary
 
 RANDOM = stable_walls(random_loops(60, seed=21), each=5, seed=22, slowest=0.85)
 EXTREME = extreme_cases()
@@ -214,10 +214,13 @@ def test_weighted_sums_of_a_single_mode() -> None:
 
 
 @pytest.mark.parametrize("factor", [1.0001, 1.5, 100.0])
-def test_unstable_points_are_refused(factor: float) -> None:
+def test_unstable_points_have_no_energy_and_end_nothing(factor: float) -> None:
     border = boundary(Loop(0, 0, 1))
-    with pytest.raises(ParameterError, match="not stable"):
-        energy_costs(Loop(0, 0, 1), [0.07, border.alpha_max * factor], [0.4, border.beta_at_alpha_max])
+    found = energy_costs(Loop(0, 0, 1), [0.07, border.alpha_max * factor], [0.4, border.beta_at_alpha_max])
+    alone = energy_costs(Loop(0, 0, 1), [0.07], [0.4])
+    for name, values in found.items():
+        assert np.isnan(values[1])
+        assert values[0] == pytest.approx(alone[name][0], rel=1e-12)
 
 
 @pytest.mark.parametrize(

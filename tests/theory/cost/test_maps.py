@@ -8,7 +8,8 @@ from pipeline.records.criteria import REPORTED
 from pipeline.theory.cost.energy import energy_costs
 from pipeline.theory.cost.maps import cost_maps
 from pipeline.theory.cost.settling_overshoot import transient_costs
-from pipeline.theory.stability.stability import boundary, is_stable, spectral_radius
+from pipeline.theory.stability.boundary import boundary
+from pipeline.theory.stability.stability import is_stable, spectral_radius
 
 LOOP = Normalised(0.58, 1e-3).loop(0.0, 4.0, 4)
 

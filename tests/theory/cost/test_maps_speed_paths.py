@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop
 from pipeline.theory.cost import energy
 from pipeline.theory.cost.march import step_transients
+from pipeline.theory.cost.pointcosts import point_costs_by_name
 from pipeline.theory.cost.settling_overshoot import transient_costs
 from pipeline.theory.cost.slowmodes import slow_modes
 from pipeline.theory.cost.theory_map import bounding_box
@@ -65,9 +65,13 @@ def test_linear_equations_give_the_plain_sums_over_samples(loop):
         np.testing.assert_allclose(found[f"energy_step_w{w}_discrete"], sums[w], rtol=1e-10)
 
 
-def test_many_points_with_unstable_ones_are_refused_as_before():
-    with pytest.raises(ParameterError, match="not stable"):
-        energy.energy_costs(Loop(0, 0, 1), np.full(200, 0.5), np.linspace(0.01, 0.5, 200))
+def test_unstable_points_among_many_have_no_energy():
+    loop, alpha, beta = Loop(0, 0, 1), np.repeat([0.5, 0.05], 100), np.tile(np.linspace(0.2, 0.5, 100), 2)
+    found = energy.energy_costs(loop, alpha, beta)["energy_step_w1"]
+    assert np.isnan(found[:100]).all()
+    np.testing.assert_allclose(
+        found[100:], energy.energy_costs(loop, alpha[100:], beta[100:])["energy_step_w1"], rtol=1e-10
+    )
 
 
 @pytest.mark.parametrize("loop", LOOPS, ids=str)
@@ -79,11 +83,13 @@ def test_march_in_blocks_gives_the_costs_of_the_plain_march(loop):
     for name, values in found.items():
         expected = plain[names.get(name, name)]
         both = np.isfinite(values) & np.isfinite(expected)
-        # the plain march gives up slow points that the modes still tell
-        assert np.isfinite(values[np.isfinite(expected)]).all()
         assert np.isfinite(values[radius < 0.999]).all()
         assert both.sum() > 0.3 * len(alpha)
-        np.testing.assert_allclose(values[both], expected[both], rtol=1e-11, atol=1e-12, err_msg=name)
+        # rounding of the slowest pole, 5e-14, counts as often as it turns until a slow response has settled
+        off = np.abs(values - expected)[both]
+        assert (off <= 1e-12 + expected[both] * np.maximum(1e-11, 5e-14 / (1 - radius[both]))).all(), name
+        by_name = point_costs_by_name(loop, alpha, beta, [names.get(name, name)], 1 << 14, 1e-13, part=True)
+        assert np.isfinite(by_name[names.get(name, name)][np.isfinite(expected)]).all()
 
 
 def test_settling_beyond_any_horizon_is_found():

@@ -74,7 +74,7 @@ def test_a_wall_next_to_its_limit_settles_when_its_slowest_pole_says():
 def test_walls_next_to_the_limit_end(seed):
     """The envelope may lie so far above the slow motion that the window before its end is too long to follow."""
     loop = general(loop_of(*random_device(np.random.default_rng(seed), "").arguments))
-    beta = np.linspace(*outline(loop, 8).beta[[1, -2]], 5)
+    beta = np.linspace(*outline(loop, 8).beta[[0, -1]], 7)[1:-1]
     alpha = limits(loop, beta, exact=True).alpha
     near = np.concatenate([alpha * (1 - 1e-9), alpha * 0.3])
     found = transient_costs(loop, near, np.tile(beta, 2), (0.02,), longest=1 << 14)

@@ -15,8 +15,9 @@ from pipeline.records.loop_parts import Coefficients, LoopParts
 from pipeline.theory.device.crossings import right_half
 from pipeline.theory.device.outline import limits, outline
 from pipeline.theory.device.real_roots import positive_roots
+from pipeline.theory.stability.boundary import boundary
 from pipeline.theory.stability.region import is_inside, stiffness_limit
-from pipeline.theory.stability.stability import boundary, spectral_radius
+from pipeline.theory.stability.stability import spectral_radius
 
 
 @pytest.fixture(autouse=True)
@@ -117,7 +118,9 @@ def test_a_loop_that_nothing_stabilises_has_an_empty_outline():
     assert np.isnan(found.alpha_max)
 
 
-@pytest.mark.parametrize("arguments", [{"lag": -1.0}, {"delay": 120.0}, {"lag": 1e-9}, {"delta": np.nan}])
+@pytest.mark.parametrize(
+    "arguments", [{"lag": -1.0}, {"delay": 120.0, "lag": 1.0}, {"delay": 257.0}, {"lag": 1e-9}, {"delta": np.nan}]
+)
 def test_loops_out_of_range_are_refused(arguments):
     with pytest.raises(ParameterError, match="expected"):
         DeviceLoop(**{"gamma": 0.0, "delta": 0.01, "delay": 2.0, **arguments})

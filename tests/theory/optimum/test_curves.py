@@ -14,7 +14,8 @@ from pipeline.theory.cost.settling_overshoot import transient_costs
 from pipeline.theory.optimum.curves import CURVE_CRITERIA, best_damping, best_stiffness
 from pipeline.theory.optimum.optimum import optimal_point
 from pipeline.theory.optimum.search import where_stable
-from pipeline.theory.stability.stability import boundary, spectral_radius
+from pipeline.theory.stability.boundary import boundary
+from pipeline.theory.stability.stability import spectral_radius
 
 FREE = [Loop(0.0, 0.0, d) for d in (0, 1, 2)]
 

@@ -13,7 +13,8 @@ from pipeline.theory.cost.energy import energy_costs
 from pipeline.theory.cost.poles import damping_ratio
 from pipeline.theory.cost.settling_overshoot import transient_costs
 from pipeline.theory.optimum.optimum import SEARCHES, optimal_point
-from pipeline.theory.stability.stability import boundary, is_stable, spectral_radius
+from pipeline.theory.stability.boundary import boundary
+from pipeline.theory.stability.stability import is_stable, spectral_radius
 
 STARTS = 300
 

@@ -20,9 +20,8 @@ from places import SHARED
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop
+from pipeline.theory.stability.boundary import Boundary, boundary
 from pipeline.theory.stability.stability import (
-    Boundary,
-    boundary,
     boundary_points,
     is_stable,
     spectral_radius,
