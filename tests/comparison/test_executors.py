@@ -23,8 +23,8 @@ from pipeline.intake.ingest import ingest
 from pipeline.measured.stages import stage_tables
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.store import objects
+from pipeline.store.mirror import opened, stored_by
 from pipeline.store.storage import list_experiments
-from pipeline.store.working_copy import opened, stored_by
 
 NEEDED = {"response", "boundary", "delay", "outcome"}
 ALL = NEEDED | {"model", "damping", "mass", "energy", "settling", "overshoot", "windows", "wall_law", "ladder"}

@@ -8,16 +8,16 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 from clusters import Seaweed, dask
 from labs import copied_experiments
+from pipeline.store.manifests import list_manifests, read_manifest
 
 from pipeline.base.errors import StoreError
 from pipeline.comparison.executors import executor_of
 from pipeline.device_data.devices import load_device
 from pipeline.intake.ingest import ingest
 from pipeline.measured.stages.stages import ExperimentStages
-from pipeline.store.manifests import list_manifests, read_manifest
+from pipeline.store.mirror import opened
 from pipeline.store.objects import Objects
 from pipeline.store.storage import list_experiments, read_trials
-from pipeline.store.working_copy import opened
 
 pytestmark = pytest.mark.slow
 

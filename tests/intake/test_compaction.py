@@ -9,11 +9,11 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from native_logs import short_log
+from pipeline.intake.compaction import compact, find_orphans
 from stored import check_whole, stored_rows
 
 from pipeline.base.errors import StoreError
 from pipeline.intake import compaction
-from pipeline.intake.compaction import compact, find_orphans
 from pipeline.intake.ingest import ingest
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records import table_files

@@ -9,6 +9,8 @@ from pathlib import Path
 import pytest
 from labs import Lab, make_lab
 from native_logs import log_text
+from pipeline.intake.compaction import compact
+from pipeline.repair.repair_damage import check
 from typer.testing import CliRunner
 
 import pipeline
@@ -17,18 +19,16 @@ from pipeline.base.errors import EXIT_USAGE, DeviceError, StoreError, UsageError
 from pipeline.comparison.against_run import against_document, against_experiments, read_document
 from pipeline.comparison.compare import compare
 from pipeline.device_data.devices import load_device
-from pipeline.intake.compaction import compact
 from pipeline.intake.exclude import exclude, use_again
 from pipeline.intake.ingest import ingest
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.rendering.report.report_against import render
 from pipeline.rendering.report.report_parts import take_apart
-from pipeline.repair.repair_damage import check
 from pipeline.shell.cli import application
 from pipeline.shell.status import status
 from pipeline.shell.verify.verify import verify
 from pipeline.shell.watch.watch_pass import _inputs
-from pipeline.store.exclusions import read_exclusions
+from pipeline.store.corrections import read_exclusions
 from pipeline.store.storage import EXCLUSIONS_FILE, read_trials
 
 pytestmark = pytest.mark.usefixtures("one_process")

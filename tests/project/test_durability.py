@@ -7,12 +7,12 @@ from pathlib import Path
 import pytest
 from failing_disk import FailingOs, after_power_loss, files_of, generator
 from native_logs import short_log
+from pipeline.intake.compaction import compact, find_orphans
 from stored import check_whole, stored_rows
 
 from pipeline.base import disk, lock
 from pipeline.base.errors import StoreError
 from pipeline.intake import compaction
-from pipeline.intake.compaction import compact, find_orphans
 from pipeline.intake.ingest import ingest
 
 

@@ -19,12 +19,12 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from native_logs import FAULTS, GOOD, log_text
+from pipeline.intake.excerpt import LONGEST_SHOWN, excerpt_of
 from places import ROOT
 
 from pipeline.base.errors import Code, LogError, ProfileError, UsageError
 from pipeline.base.file_names import path_of_text, path_text, storable
 from pipeline.base.regular_files import open_regular
-from pipeline.intake.excerpt import LONGEST_SHOWN, excerpt_of
 from pipeline.intake.ingest import ingest
 from pipeline.intake.quarantine import RECORD_FILE, list_quarantine
 from pipeline.intake.sources import find_sources

@@ -11,9 +11,9 @@ import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pipeline.base.seal import MARK
 
 from pipeline.base.errors import StoreError
-from pipeline.base.seal import MARK
 from pipeline.intake.ingest import ingest
 from pipeline.records.native import NativeHeader, format_header
 from pipeline.records.table_files import read_table, write_table

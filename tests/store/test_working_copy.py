@@ -8,20 +8,20 @@ from datetime import timedelta
 
 import pytest
 from native_logs import short_log
+from pipeline.intake.compaction import compact
+from pipeline.store.manifests import ConflictError, read_manifest
 
 from pipeline.base.errors import DeviceError, StoreError
 from pipeline.comparison.scene.scene import open_scene
 from pipeline.intake import compaction
-from pipeline.intake.compaction import compact
 from pipeline.intake.exclude import exclude
 from pipeline.intake.ingest import ingest
 from pipeline.store import working_copy
-from pipeline.store.exclusions import read_exclusions
-from pipeline.store.manifests import ConflictError, read_manifest
+from pipeline.store.corrections import read_exclusions
+from pipeline.store.mirror import opened, publish, stored_by
 from pipeline.store.objects import Objects
 from pipeline.store.samples import load_batch
 from pipeline.store.storage import list_experiments, read_trials
-from pipeline.store.working_copy import opened, publish, stored_by
 
 
 def write_logs(folder, stiffnesses, experiment="1"):

@@ -17,6 +17,7 @@ from pathlib import Path
 import pytest
 from command_lines import fault
 from native_logs import FAULTS, log_text
+from pipeline.repair.repair_damage import check
 from places import ROOT
 from report_data import document_without_places
 
@@ -28,7 +29,6 @@ from pipeline.device_data.devices import load_device
 from pipeline.intake.ingest import ingest
 from pipeline.intake.quarantine import list_quarantine
 from pipeline.rendering.report.report_parts import take_apart
-from pipeline.repair.repair_damage import check
 from pipeline.shell.cli import run
 from pipeline.shell.commands.cli_watch import line_of
 from pipeline.shell.watch import watch, watch_pass

@@ -10,12 +10,12 @@ from pathlib import Path
 
 import pytest
 from native_logs import FAULTS, HEADER_LINES, log_text, short_log, with_cell
+from pipeline.intake.compaction import compact
 from stored import check_whole
 
 from pipeline.base import lock
 from pipeline.base.errors import StoreError, UsageError
 from pipeline.intake import compaction, quarantine
-from pipeline.intake.compaction import compact
 from pipeline.intake.ingest import ingest
 from pipeline.shell.status import status
 from pipeline.shell.watch.watch_pass import PassRequest, run_pass
