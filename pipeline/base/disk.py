@@ -84,7 +84,8 @@ def remove_all(files: Iterable[Path]) -> None:
     """Remove files, those that are there; on the disk when this returns."""
     folders = set()
     for file in files:
-        file.unlink(missing_ok=True)
+        with suppress(FileNotFoundError):
+            os.unlink(file)
         folders.add(file.parent)
     for folder in sorted(folders):
         if folder.is_dir():
@@ -126,7 +127,8 @@ class NewFile:
         """Remove what was written, if it was not published."""
         with suppress(OSError, ValueError):  # what is left in memory is not wanted, and a full disk does not take it
             self.stream.close()
-        self._temporary.unlink(missing_ok=True)
+        with suppress(FileNotFoundError):
+            os.unlink(self._temporary)
 
 
 @contextmanager

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from pipeline.base.disk import remove_all, remove_temporary
 from pipeline.base.errors import LogError, StoreError, UsageError
-from pipeline.base.file_names import path_text, storable
+from pipeline.base.file_names import path_of_text, path_text, storable
 from pipeline.base.lock import WAIT_S, writing
 from pipeline.base.process import Ended
 from pipeline.base.provenance import digest
@@ -39,6 +39,7 @@ from pipeline.profiles.profile_files import load_profile, shipped_profiles
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers import Log
 from pipeline.store.batch_files import merge_small, tidy
+from pipeline.store.corrections import carry
 from pipeline.store.mirror import renewed
 from pipeline.store.storage import check_version
 
@@ -187,6 +188,8 @@ class _Ingest:
         self.places = self.stored.places(set())
         self.gone: dict[tuple[str, str], list[str]] = {}
         self.taken: dict[str, StoredSource] = {}
+        self.carried: dict[str, str] = {}
+        """Id of each trial that was renamed, and the one that it has now."""
 
     def pass_by(self, path: str, size: int, mtime_ns: int) -> bool:
         """Skip a file that is stored as it is; return whether it is."""
@@ -221,6 +224,8 @@ class _Ingest:
                 raise
         if self.dry_run:
             return
+        if self.carried:
+            carry(self.processed, self.carried)
         if self.replaced or renewed(self.processed, "trials"):
             tidy(self.processed, self.replaced)
         for folder in sorted(self.writer.folders):
@@ -377,6 +382,9 @@ class _Ingest:
         if gone is not None:
             # a corrected name is no copy: its trials give way to those that are read by the present one
             self.renamed.add(gone)
+            for one, trial in zip(accepted, self.stored[gone].trials, strict=False):
+                one.row["formerly"] = gone
+                self.carried[trial] = one.row["trial_id"]
             told = f"is now {source.shown}; its trials were read anew"
             self._replace(source, gone, self.stored[gone], told, shown=gone)
         reason = _why(former, sha256, profile_sha256) if gone is None else f"its name was {gone}"
@@ -400,6 +408,9 @@ class _Ingest:
         if other is None:
             self.places.add(source.key, sha256, former.trials if former else ())
         self._skip(source, "unchanged content" if other in (None, source.key) else f"same content as {other}")
+        if source.profile.reads_names and other is not None and path_of_text(other).name != source.path.name:
+            text = f"has the content of {other} under another name; left out. Remove the one that is wrong."
+            self.warnings.append(LogWarning(path=source.shown, warning=text))
         if former is not None and other not in (None, source.key):
             # what stands here now is stored at another place, by this run where it stood here before
             outcome = f"its content is now that of {other}; its former trials were removed"

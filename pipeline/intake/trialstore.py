@@ -68,6 +68,7 @@ def accepted_logs(
                 "profile": profile.name,
                 "profile_sha256": profile_sha256,
                 "motion": motion,
+                "formerly": None,
             },
         )
         for log in logs

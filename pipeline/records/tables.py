@@ -67,6 +67,7 @@ COLUMNS: dict[str, Column] = {
     "time_quality": _same(_S, "", "gaps, drops, jitter, and what was settled in the rows, as JSON"),
     # where it came from
     "source_path": _same(_S, "", "source log as found"),
+    "formerly": _same(_S, "", "where its log stood before it was renamed, and its trials were read anew", True),
     "source_sha256": _same(_S, "", "SHA-256 of the source log (of both files, in order, for a pair)"),
     "source_trials": _same(_I, "", "number of trials that the source holds"),
     "source_size": _same(_I, "byte", "size of the source log"),
@@ -218,8 +219,8 @@ _TRIAL = "trial_id samples_sha256 stiffness damping"
 _NAMES = {
     "trials": """
         trial_id label device experiment motion stiffness damping step sampling_period_s added_delay_samples grip
-        simulated rows extra time_quality source_path source_sha256 source_trials source_size source_mtime_ns profile
-        profile_sha256 claims package_version stored_ns time_s command position force velocity raw_time raw_count""",
+        simulated rows extra time_quality source_path formerly source_sha256 source_trials source_size source_mtime_ns
+        profile profile_sha256 claims package_version stored_ns time_s command position force velocity raw_time raw_count""",
     "corrections": """trial_id label device experiment source_path source_sha256 exclusion_reason excluded_since
         moved_device moved_experiment deleted corrected_ns""",
     "response": f"""{_TRIAL} verdict reason growth_per_s edge_row position_start

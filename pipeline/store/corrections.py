@@ -113,6 +113,14 @@ def write_corrections(processed: Path, new: Iterable[Correction]) -> None:
     remove_all(old for old in former if old != path)
 
 
+def carry(processed: Path, ids: Mapping[str, str]) -> None:
+    """Let corrections of trials hold for those of another id, too: their logs were renamed."""
+    known = read_corrections(processed)
+    new = [known[old].model_copy(update={"trial_id": now}) for old, now in ids.items() if old in known]
+    if new:
+        write_corrections(processed, new)
+
+
 def read_exclusions(processed: Path) -> dict[Key, Exclusion]:
     """Return the exclusions of a store; order and errors as those of `read_corrections`."""
     fields = list(Exclusion.model_fields)

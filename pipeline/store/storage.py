@@ -36,7 +36,7 @@ Result = TypeVar("Result")
 
 TABLE = ".parquet"
 
-VERSION_COLUMNS = ("source_path", "trial_id", "source_sha256", "profile_sha256", "stored_ns")
+VERSION_COLUMNS = ("source_path", "trial_id", "source_sha256", "profile_sha256", "stored_ns", "formerly")
 """Columns that tell versions of a trial apart."""
 
 FILE = "file_index"
@@ -279,14 +279,18 @@ def newest_versions(table: pa.Table) -> Booleans:
     A log that stands under two paths, as while one is renamed, is returned under the one that was stored later.
     """
     paths, sources = (table.column(name).to_pylist() for name in ("source_path", "source_sha256"))
-    if len(set(paths)) == len(set(sources)) == len(paths):
+    formerly = table.column("formerly")
+    if len(set(paths)) == len(set(sources)) == len(paths) and formerly.null_count == len(paths):
         return np.ones(table.num_rows, dtype=np.bool_)
-    trials, profiles = (table.column(name).to_pylist() for name in ("trial_id", "profile_sha256"))
+    trials, profiles, before = (table.column(name).to_pylist() for name in ("trial_id", "profile_sha256", "formerly"))
     order = np.argsort(table.column("stored_ns").to_numpy(), kind="stable").tolist()
-    newest = {paths[row]: (sources[row], profiles[row]) for row in order}
-    current = [row for row in order if newest[paths[row]] == (sources[row], profiles[row])]
-    place = {sources[row]: paths[row] for row in current}
-    kept = {trials[row]: row for row in current if place[sources[row]] == paths[row]}
+    newest: dict[str, tuple[str, str] | None] = {}
+    for row in order:
+        newest[paths[row]] = (sources[row], profiles[row])
+        if before[row] is not None and newest.get(before[row]) == newest[paths[row]]:
+            newest[before[row]] = None  # renamed
+    # of a trial that stands under two paths the newer counts
+    kept = {trials[row]: row for row in order if newest[paths[row]] == (sources[row], profiles[row])}
     mask = np.zeros(table.num_rows, dtype=np.bool_)
     mask[list(kept.values())] = True
     return mask

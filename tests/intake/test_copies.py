@@ -75,10 +75,6 @@ class Lab:
         pairs = [zip(*(t.column(c).to_pylist() for c in ("source_path", "stiffness")), strict=True) for t in tables]
         return sorted((Path(path).name, stiffness) for rows in pairs for path, stiffness in rows)
 
-    def hashes(self) -> Counter[str]:
-        tables = [pq.read_table(file) for file in self.processed.glob("trials/**/*.parquet")]
-        return Counter(value for t in tables for value in t.column("source_sha256").to_pylist())
-
 
 @pytest.fixture(autouse=True)
 def quick_disk(monkeypatch):
@@ -138,7 +134,7 @@ def test_a_rename_that_is_interrupted_is_finished(named, monkeypatch):
     named.ingest()
     log.rename(named.logs / "K900_a.csv")
     with monkeypatch.context() as patch:
-        patch.setattr("pipeline.intake.ingest.drop_superseded", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+        patch.setattr("pipeline.intake.ingest.tidy", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
         with pytest.raises(KeyboardInterrupt):
             named.ingest()
     assert len(named.rows()) == 2, "both stand there for a moment"
@@ -165,14 +161,16 @@ def test_a_renamed_log_that_is_refused_keeps_its_former_trials(named, monkeypatc
     assert named.rows() == [("K900_a.csv", 900.0)]
 
 
-def test_a_copy_under_another_name_is_skipped_while_the_original_is_there(named):
+def test_a_copy_under_another_name_is_another_trial_where_the_name_tells_other_conditions(named):
     (named.logs / "K100_a.csv").write_text(body(1))
     named.ingest()
     shutil.copy(named.logs / "K100_a.csv", named.logs / "K900_a.csv")
+    shutil.copy(named.logs / "K100_a.csv", named.logs / "K100_b.csv")
     report = named.ingest()
-    assert (report.skipped, named.rows()) == (2, [("K100_a.csv", 100.0)])
+    assert (report.ingested, report.skipped) == (1, 2)
+    assert named.rows() == [("K100_a.csv", 100.0), ("K900_a.csv", 900.0)]
     (warning,) = report.warnings
-    assert (Path(warning.path).name, "K100_a.csv" in warning.warning) == ("K900_a.csv", True)
+    assert (Path(warning.path).name, "K100_a.csv" in warning.warning) == ("K100_b.csv", True)
 
 
 def test_a_native_log_that_moved_is_not_read_again(native):
@@ -212,25 +210,23 @@ def work(lab: Lab, rng: random.Random, new: int, named: bool) -> None:
 
 @pytest.mark.parametrize("is_named", [False, True])
 @pytest.mark.parametrize("seed", range(2))
-def test_whatever_is_done_to_the_folder_each_content_is_stored_once(tmp_path, seed, is_named):
+def test_whatever_is_done_to_the_folder_each_log_is_stored_once(tmp_path, seed, is_named):
     lab = Lab(tmp_path, named=is_named)
     rng = random.Random(seed)
     for new in range(15):
         for part in range(rng.randrange(1, 4)):
             work(lab, rng, 3 * new + part, is_named)
         lab.ingest(rehash=rng.random() < 0.3)
-        stored = lab.hashes()
+        kept = columns(lab, "source_sha256", "stiffness", "source_path")
+        # a name that tells no condition makes no other trial of the same bytes
+        stored = Counter((sha256, k if is_named else None) for sha256, k, _ in kept)
         assert set(stored.values()) <= {1}
-        names: dict[str, set[str]] = {}
-        for file in lab.logs.iterdir():
-            names.setdefault(hash_of(file), set()).add(file.name)
-        assert set(names) <= set(stored), "what lies in the folder is stored"
-        for path, sha256, stiffness in columns(lab, "source_path", "source_sha256", "stiffness"):
-            present = names.get(sha256)
-            if present is None:
+        assert len(lab.rows()) == len(kept)
+        present = {(hash_of(f), float(f.name[1:].split("_")[0]) if is_named else None) for f in lab.logs.iterdir()}
+        assert present <= set(stored), "what lies in the folder is stored"
+        for sha256, k, path in kept:
+            if (sha256, k if is_named else None) not in present:
                 assert not Path(path).exists(), "only of a removed log the trials stay"
-            elif is_named:
-                assert stiffness in {float(name[1:].split("_")[0]) for name in present}
 
 
 def hash_of(file: Path) -> str:

@@ -16,11 +16,12 @@ from places import SHARED
 
 from pipeline.base import disk
 from pipeline.base.errors import ProfileError, StoreError, UsageError
-from pipeline.intake import compaction, reading
 from pipeline.intake import ingest as ingest_module
+from pipeline.intake import reading
 from pipeline.intake.ingest import ingest
 from pipeline.intake.quarantine import list_quarantine
 from pipeline.records.native import NativeHeader, format_header
+from pipeline.store import batch_files
 from pipeline.store.samples import load_batch
 from pipeline.store.storage import list_devices, list_experiments, read_trials
 
@@ -285,7 +286,7 @@ def test_batches_and_threads_do_not_change_what_is_stored(tmp_path, processed, m
     assert counts(ingest([logs], processed, jobs=1)) == (41, 40, 0, 1)
     monkeypatch.setattr(reading, "BATCH_LOGS", 3)
     monkeypatch.setattr(ingest_module, "PENDING_BYTES", 2000)
-    monkeypatch.setattr(compaction, "MOST_SMALL", 1000)
+    monkeypatch.setattr(batch_files, "MOST_SMALL", 1000)
     seen = []
     second = tmp_path / "second"
     report = ingest([logs], second, jobs=3, progress=lambda done, found: seen.append((done, found)))
