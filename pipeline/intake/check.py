@@ -30,12 +30,12 @@ from pipeline.profiles.profile_model import Profile
 from pipeline.records.findings import Record
 from pipeline.records.models import Motion
 from pipeline.store.batch_files import NewBatch
-from pipeline.store.storage import TABLE, read_versions
+from pipeline.store.storage import FILE, TABLE, read_versions
 
 DAMAGED_FOLDER = "damaged"
 """Folder below `processed` for damaged files that cannot be made again; nothing there is ever removed."""
 
-_IDENTITY = ["trial_id", "source_path", "source_sha256", "profile"]
+_IDENTITY = ("trial_id", "source_path", "source_sha256", "profile")
 
 Remedy = Literal["save", "remove", "set aside"]
 """What is done with a damaged file: its trials read again or kept, and the file set aside; removed, since it is made
@@ -184,7 +184,7 @@ def _set_aside(processed: Path, file: Path, remedy: Remedy) -> None:
     sync_folder(file.parent)
 
 
-def _rows(file: Path, columns: list[str] | None) -> Iterator[pa.Table | int]:
+def _groups(file: Path, columns: list[str] | None) -> Iterator[pa.Table | int]:
     """Yield each group of rows of a damaged file that can be read, or how many rows one has that cannot."""
     try:
         stored = pq.ParquetFile(file, page_checksum_verification=True)
@@ -199,7 +199,12 @@ def _rows(file: Path, columns: list[str] | None) -> Iterator[pa.Table | int]:
 
 
 def _known_rows(file: Path) -> list[dict[str, str]]:
-    return [row for group in _rows(file, _IDENTITY) if not isinstance(group, int) for row in group.to_pylist()]
+    """Return what can be read of the identity of each trial of a damaged file; empty words for what cannot."""
+    parts: dict[str, list[str]] = {name: [] for name in _IDENTITY}
+    for name, values in parts.items():
+        for group in _groups(file, [name]):
+            values += [""] * group if isinstance(group, int) else group.column(0).to_pylist()
+    return [dict(zip(parts, row, strict=True)) for row in zip(*parts.values(), strict=True)]
 
 
 def _as_they_were(rows: Sequence[Mapping[str, str]], known: Mapping[str, Profile]) -> dict[str, list[Path]]:
@@ -210,7 +215,7 @@ def _as_they_were(rows: Sequence[Mapping[str, str]], known: Mapping[str, Profile
     found: dict[str, list[Path]] = defaultdict(list)
     for name, sources in wanted.items():
         for path, sha256 in sources.items() if name in known else ():
-            with suppress(LogError, UsageError, OSError):
+            with suppress(LogError, UsageError, OSError, ValueError):
                 (source,) = find_sources([path_of_text(path)], (known[name],))
                 if load_source(source)[1] == sha256:
                     found[name].append(source.path)
@@ -220,7 +225,7 @@ def _as_they_were(rows: Sequence[Mapping[str, str]], known: Mapping[str, Profile
 def _read_again(
     processed: Path, files: Sequence[Path], known: Mapping[str, Profile], profile: str | None, wait_s: float
 ) -> set[str]:
-    """Ingest the logs of damaged files that are as they were; return the trials that are stored then."""
+    """Ingest the logs of damaged files that are as they were; return the paths of all that is stored then."""
     rows = [row for file in files for row in _known_rows(file)]
     for name, paths in _as_they_were(rows, known).items():
         own = profile if profile is not None and load_profile(profile).name == name else name
@@ -229,9 +234,9 @@ def _read_again(
 
 
 def _stored(processed: Path, without: Sequence[Path]) -> set[str]:
-    table, files, _ = read_versions(processed, None, None, ["trial_id"], {})
-    rows = zip(table.column("trial_id").to_pylist(), table.column("file_index").to_pylist(), strict=True)
-    return {trial for trial, index in rows if files[index] not in without}
+    table, files, _ = read_versions(processed, None, None, ["source_path"], {})
+    rows = zip(table.column("source_path").to_pylist(), table.column(FILE).to_pylist(), strict=True)
+    return {path for path, index in rows if files[index] not in without}
 
 
 def _save(
@@ -247,18 +252,18 @@ def _save(
     if again is None:
         there = {os.fspath(path) for paths in _as_they_were(rows, known).values() for path in paths}
         stored = _stored(processed, damaged)
-        stored |= {row["trial_id"] for row in rows if os.fspath(path_of_text(row["source_path"])) in there}
+        stored |= {row["source_path"] for row in rows if os.fspath(path_of_text(row["source_path"])) in there}
     else:
         stored = again
     kept: set[str] = set()
     new: NewBatch | None = None
     try:
-        for group in _rows(file, None):
+        for group in _groups(file, None):
             if isinstance(group, int):
                 continue
-            ids = group.column("trial_id").to_pylist()
-            wanted = pa.array([trial not in stored for trial in ids])
-            kept |= set(ids) - stored
+            paths = group.column("source_path").to_pylist()
+            wanted = pa.array([path not in stored for path in paths])
+            kept |= set(paths) - stored
             if again is not None and wanted.true_count:
                 row = group.slice(0, 1).to_pylist()[0]
                 place = row["device"], row["experiment"], cast(Motion, row["motion"])
@@ -269,15 +274,15 @@ def _save(
     finally:
         if new is not None:
             new.discard()
-    lost = [row for row in rows if row["trial_id"] not in stored | kept]
+    lost = [row for row in rows if row["source_path"] not in stored | kept]
     name = file.relative_to(processed).as_posix()
     found = Damage(
         file=name,
         fault=fault,
         remedy="save" if rows else "set aside",
         trials=len(rows),
-        read_again=sum(row["trial_id"] in stored for row in rows),
-        kept=len(kept),
+        read_again=sum(row["source_path"] in stored for row in rows),
+        kept=sum(row["source_path"] in kept for row in rows),
         lost=tuple(LostTrial(trial_id=row["trial_id"], source_path=row["source_path"]) for row in lost),
     )
     if again is not None:

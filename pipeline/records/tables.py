@@ -220,7 +220,8 @@ _NAMES = {
     "trials": """
         trial_id label device experiment motion stiffness damping step sampling_period_s added_delay_samples grip
         simulated rows extra time_quality source_path formerly source_sha256 source_trials source_size source_mtime_ns
-        profile profile_sha256 claims package_version stored_ns time_s command position force velocity raw_time raw_count""",
+        profile profile_sha256 claims package_version stored_ns
+        time_s command position force velocity raw_time raw_count""",
     "corrections": """trial_id label device experiment source_path source_sha256 exclusion_reason excluded_since
         moved_device moved_experiment deleted corrected_ns""",
     "response": f"""{_TRIAL} verdict reason growth_per_s edge_row position_start

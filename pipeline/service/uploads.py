@@ -22,6 +22,9 @@ from starlette.requests import Request
 
 from pipeline.base.disk import make_folder, sync_folder
 from pipeline.base.errors import ProfileError
+from pipeline.base.file_names import path_text
+from pipeline.intake.quarantine import list_quarantine
+from pipeline.intake.sources import find_sources
 from pipeline.profiles.profile_files import load_profile, shipped_profiles
 from pipeline.service.database import Database
 from pipeline.service.problems import Problem
@@ -103,35 +106,60 @@ class Upload:
         profile = _profile(self.fields.get("profile", ""))
         if not self.files:
             raise Problem(422, "There is no file in the form.", where="files", expected="one or more")
-        listed, new, seen = [], [], set[str]()
+        known, again = self._known(database, profile)
+        listed, new, refused = [], [], set[str]()
         for part in self.files:
-            sha256 = part.sha256.hexdigest()
-            known = sha256 in seen or self._is_stored(database, sha256, profile)
-            seen.add(sha256)
-            if known:
-                assert part.path is not None, "it was written"
+            assert part.path is not None, "it was written"
+            if part.path in known:
                 part.path.unlink()
             else:
-                new.append((part, sha256))
-            state = "skipped" if known else "queued"
-            listed.append({"name": part.name, "size": part.size, "sha256": sha256, "state": state})
-        self._sync([part.path for part, _ in new if part.path is not None])
+                new.append(part)
+            refused |= {again[part.path]} if part.path in again else set()
+            state = "skipped" if part.path in known - again.keys() else "queued"
+            listed.append({"name": part.name, "size": part.size, "sha256": part.sha256.hexdigest(), "state": state})
+        self._sync([part.path for part in new if part.path is not None])
         with database.transaction():
-            for part, sha256 in new:
-                database.run(
-                    "INSERT INTO uploads VALUES (?, ?, ?, ?, ?)", sha256, profile, self.name, str(part.path), part.name
-                )
-            request = {"folder": self.name, "profile": profile, "skipped": len(listed) - len(new)}
+            for part in new:
+                place = (self.name, str(part.path), part.name)
+                database.run("INSERT INTO uploads VALUES (?, ?, ?, ?, ?)", part.sha256.hexdigest(), profile, *place)
+            skipped = sum(file["state"] == "skipped" for file in listed)
+            request = {"folder": self.name, "profile": profile, "skipped": skipped, "again": sorted(refused)}
             job = database.add_job("upload", request, job=self.name)
         return {"job": job, "files": listed}
 
-    def _is_stored(self, database: Database, sha256: str, profile: str) -> bool:
+    def _known(self, database: Database, profile: str) -> tuple[set[Path], dict[Path, str]]:
+        """Return the files that lie here from before, and of those that were refused the path of the log they are.
+
+        What is read of a log depends on the name and on the files beside it, too: known is a log all of whose files
+        were uploaded together under these names.
+        """
+        known: set[Path] = set()
+        again: dict[Path, str] = {}
+        parts = {part.path: part for part in self.files if part.path is not None}
+        refused = {record.path for record in list_quarantine(self.settings.processed, {})}
+        seen = set[tuple[tuple[str, str], ...]]()
+        for source in find_sources([self.folder], (load_profile(profile),) if profile else shipped_profiles()):
+            files = [file for file in source.files if file in parts]
+            names = tuple((file.name, parts[file].sha256.hexdigest()) for file in files)
+            places = [self._places(database, sha256, profile, name) for name, sha256 in names]
+            before = sorted(set.intersection(*places)) if places else []
+            if names in seen or before:
+                known.update(files)
+            seen.add(names)
+            for folder in before:
+                if (log := path_text(os.path.abspath(folder / source.path.name))) in refused:
+                    again |= dict.fromkeys(files, log)
+        return known, again
+
+    def _places(self, database: Database, sha256: str, profile: str, name: str) -> set[Path]:
+        """Return the folders in which a content lies under a name, uploaded before for the same profile."""
         rows = database.run(
             "SELECT path, job FROM uploads JOIN jobs ON jobs.id = uploads.job WHERE sha256 = ? AND profile = ? "
             "AND state NOT IN ('cancelled', 'failed')",
             *(sha256, profile),
         )
-        return any(self._path(row["job"], row["path"]).is_file() for row in rows)
+        places = [self._path(row["job"], row["path"]) for row in rows]
+        return {place.parent for place in places if place.name == name and place.is_file()}
 
     def _path(self, job: str, path: str) -> Path:
         """Return where an upload lies; its path is that of before, where a backup was restored elsewhere."""

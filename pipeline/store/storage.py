@@ -190,7 +190,13 @@ def read_trials(
         If a file is damaged, or others write there all the time.
     """
     wanted = list(OF_TRIALS) if columns is None else columns
-    corrections = {key: one for key, one in read_corrections(processed).items() if one.changes_place}
+    corrections = {}
+    try:
+        corrections = {key: one for key, one in read_corrections(processed).items() if one.changes_place}
+    except StoreError as error:
+        if damaged is None:
+            raise
+        damaged[processed / "corrections"] = str(error)
     needed = [*wanted, *VERSION_COLUMNS, *(("device", "experiment") if corrections else ())]
     tables = []
     places: list[tuple[str | None, str | None]] = [(device, experiment)]

