@@ -175,7 +175,7 @@ class _Ingest:
         self.damaged: dict[Path, str] = {}
         claims = digest(sorted(digests.values()))
         self.stored = StoredSources(processed, claims, self.damaged, without)
-        self.writer = TrialWriter(processed, PENDING_BYTES, claims, self.stored.latest_ns)
+        self.writer = TrialWriter(processed, PENDING_BYTES, claims, self.stored.latest)
         if not dry_run and not without:
             for name in ("trials", "quarantine", "corrections"):
                 remove_temporary(processed / name, deep=True)

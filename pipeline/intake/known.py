@@ -69,7 +69,7 @@ class StoredSources(Mapping[str, StoredSource]):
     """
 
     def __init__(self, processed: Path, claims: str, damaged: dict[Path, str], without: Sequence[Path] = ()) -> None:
-        columns = ["source_size", "source_mtime_ns", "source_trials", "device", "profile", "claims"]
+        columns = ["source_size", "source_trials", "device", "profile", "claims"]
         self.table, self.files, self.replaced = read_versions(
             processed, None, None, [*columns, *VERSION_COLUMNS], damaged
         )
@@ -89,9 +89,9 @@ class StoredSources(Mapping[str, StoredSource]):
                 self._several.setdefault(paths[row], []).append(row)
 
     @property
-    def latest_ns(self) -> int:
-        """Time of the newest version."""
-        return int(np.max(self.table.column("stored_ns").to_numpy(), initial=0))
+    def latest(self) -> int:
+        """Highest version."""
+        return int(np.max(self.table.column("version").to_numpy(), initial=0))
 
     def tidy(self) -> bool:
         """Drop former versions that an interrupted writer left; return whether there were any."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import time
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor, Future
 from dataclasses import dataclass
@@ -90,14 +89,14 @@ class TrialWriter:
         Bytes of samples after which what was collected is made visible: what an interruption may cost.
     claims : str
         As for `known.StoredSources`.
-    latest_ns : int
-        Time of the newest version that is stored.
+    latest : int
+        Highest version that is stored.
     """
 
-    def __init__(self, processed: Path, limit: int, claims: str, latest_ns: int) -> None:
+    def __init__(self, processed: Path, limit: int, claims: str, latest: int) -> None:
         self.processed, self.limit = processed, limit
         self.executor: Executor | None = None
-        self._common = {"claims": claims, "stored_ns": max(time.time_ns(), latest_ns + 1)}
+        self._common = {"claims": claims, "version": latest + 1}
         self._batches: dict[tuple[str, str, Motion, int], _Batch] = {}
         self._sources: list[Source] = []
         self._bytes = 0

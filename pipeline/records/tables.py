@@ -76,7 +76,7 @@ COLUMNS: dict[str, Column] = {
     "profile_sha256": _same(_S, "", "SHA-256 of that profile"),
     "claims": _same(_S, "", "hash of all profiles that might have claimed it"),
     "package_version": _same(_S, "", "version that stored it"),
-    "stored_ns": _same(_I, "ns", "when it was stored, later than all that was there: of two versions the newer counts"),
+    "version": _same(_I, "", "number of the ingest that stored it: of two versions of a trial the higher one counts"),
     "sample_file": _same(_S, "", "file below processed/ that holds the trial; not stored, but told by who reads"),
     "sample_row": _same(_I, "", "row of that file"),
     # corrections
@@ -220,7 +220,7 @@ _NAMES = {
     "trials": """
         trial_id label device experiment motion stiffness damping step sampling_period_s added_delay_samples grip
         simulated rows extra time_quality source_path formerly source_sha256 source_trials source_size source_mtime_ns
-        profile profile_sha256 claims package_version stored_ns
+        profile profile_sha256 claims package_version version
         time_s command position force velocity raw_time raw_count""",
     "corrections": """trial_id label device experiment source_path source_sha256 exclusion_reason excluded_since
         moved_device moved_experiment deleted corrected_ns""",

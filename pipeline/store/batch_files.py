@@ -213,7 +213,7 @@ def _tied(table: pa.Table, files: Sequence[Path], keep: Booleans) -> list[list[P
     Two writers on an object store may have merged the same files. Which of the results goes, each might decide in
     another way; one that stands in the place of both loses nothing.
     """
-    versions = list(zip(*(table.column(name).to_pylist() for name in ("trial_id", "stored_ns")), strict=True))
+    versions = list(zip(*(table.column(name).to_pylist() for name in ("trial_id", "version")), strict=True))
     owner = table.column(FILE).to_pylist()
     kept = {versions[row]: owner[row] for row in np.flatnonzero(keep).tolist()}
     found: dict[Path, set[Path]] = defaultdict(set)

@@ -36,7 +36,15 @@ Result = TypeVar("Result")
 
 TABLE = ".parquet"
 
-VERSION_COLUMNS = ("source_path", "trial_id", "source_sha256", "profile_sha256", "stored_ns", "formerly")
+VERSION_COLUMNS = (
+    "source_path",
+    "trial_id",
+    "source_sha256",
+    "profile_sha256",
+    "version",
+    "source_mtime_ns",
+    "formerly",
+)
 """Columns that tell versions of a trial apart."""
 
 FILE = "file_index"
@@ -289,7 +297,7 @@ def newest_versions(table: pa.Table) -> Booleans:
     if len(set(paths)) == len(set(sources)) == len(paths) and formerly.null_count == len(paths):
         return np.ones(table.num_rows, dtype=np.bool_)
     trials, profiles, before = (table.column(name).to_pylist() for name in ("trial_id", "profile_sha256", "formerly"))
-    order = np.argsort(table.column("stored_ns").to_numpy(), kind="stable").tolist()
+    order = np.lexsort([table.column(name).to_numpy() for name in ("source_mtime_ns", "version")]).tolist()
     newest: dict[str, tuple[str, str] | None] = {}
     for row in order:
         newest[paths[row]] = (sources[row], profiles[row])
