@@ -260,8 +260,11 @@ def test_the_store_is_killed(logs, monkeypatch):
         stored_by(url, lambda processed: ingest([logs / "1"], processed))
         own.process.send_signal(signal.SIGSTOP)
         threading.Timer(1.0, own.process.send_signal, [signal.SIGCONT]).start()
-        with pytest.raises(StoreError, match=r"s3://lab/x: the store does not answer.*repeat the command"):  # noqa: SIM117
-            with opened(url, "lwr") as processed:
-                (stages,) = experiments(processed)
-                own.process.kill()
-                stages.table("boundary")
+
+        def compute(processed):
+            (stages,) = experiments(processed)
+            own.process.kill()
+            stages.table("boundary")
+
+        with pytest.raises(StoreError, match=r"s3://lab/x: the store does not answer.*repeat the command"):
+            stored_by(url, compute)

@@ -13,6 +13,7 @@ from pipeline.base import disk
 from pipeline.intake import ingest as ingest_module
 from pipeline.intake.ingest import ingest
 from pipeline.records.table_files import read_table
+from pipeline.records.tables import SAMPLES
 from pipeline.store.samples import load_batch
 from pipeline.store.storage import read_trials
 
@@ -67,9 +68,10 @@ class Lab:
         return rows
 
     def samples(self, trial: dict) -> dict[str, list]:
-        table = read_table(self.processed / trial["sample_file"]).slice(trial["first_row"], trial["rows"])
-        assert set(table.column("trial_id").to_pylist()) == {trial["trial_id"]}
-        return {name: table.column(name).to_pylist() for name in table.column_names}
+        table = read_table(self.processed / trial["sample_file"]).slice(trial["sample_row"], 1)
+        assert table.column("trial_id").to_pylist() == [trial["trial_id"]]
+        found = {name: table.column(name).to_pylist()[0] for name in SAMPLES}
+        return {name: [None] * trial["rows"] if values is None else values for name, values in found.items()}
 
     def one(self, toml: str, text: str | bytes, name: str = "run.txt"):
         """Ingest one file with one trial; return its row, its samples, and the warnings."""

@@ -57,13 +57,10 @@ def test_sources_that_changed_or_are_gone_are_listed(lab):
 
 
 def test_what_was_left_and_who_writes(lab):
-    folder = lab / "processed" / "samples" / "bench" / "9"
-    (folder / "000099-left.parquet").write_bytes(next(folder.glob("*.parquet")).read_bytes())
-    (folder / ".samples-translation.1.tmp").write_bytes(b"12345")
+    folder = lab / "processed" / "trials" / "bench" / "9"
+    (folder / ".batch.0123456789abcdef.tmp").write_bytes(b"12345")
     with lock.writing(lab / "processed", 0):
         found = status(lab / "processed")
-    assert found.orphans == ("samples/bench/9/000099-left.parquet",)
-    assert found.orphan_bytes == (folder / "000099-left.parquet").stat().st_size
     assert found.temporary_bytes == 5
     assert found.lock is not None
     assert found.lock.pid == os.getpid()
