@@ -51,12 +51,18 @@ READ_ONLY = frozenset({errno.EROFS, errno.EACCES, errno.EPERM})
 
 def make_folder(folder: Path) -> None:
     """Create a folder and the missing ones around it, so that all of them survive a loss of power."""
+    for parent in _made(folder):
+        sync_folder(parent)
+
+
+def _made(folder: Path) -> list[Path]:
+    """Create a folder and the missing ones around it; return the folders that are to be synced for that."""
     if folder.is_dir():
-        return
-    make_folder(folder.parent)
+        return []
+    above = _made(folder.parent)
     with suppress(FileExistsError):  # another process may have made it meanwhile
         os.mkdir(folder)
-    sync_folder(folder.parent)
+    return [*above, folder.parent]
 
 
 def sync_folder(folder: Path) -> None:
@@ -106,7 +112,7 @@ class NewFile:
     """
 
     def __init__(self, folder: Path, label: str = "new", mode: int = READABLE) -> None:
-        make_folder(folder)
+        self._above = _made(folder)
         short = os.fsdecode(os.fsencode(label)[-_LONGEST_NAME:])
         self._temporary = folder / f".{short}.{secrets.token_hex(8)}{TEMPORARY_ENDING}"
         self.stream: BinaryIO = os.fdopen(os.open(self._temporary, _NEW, mode), "wb", 1 << 20)
@@ -120,7 +126,8 @@ class NewFile:
             self.stream.close()
         path = self._temporary.with_name(name or f"{stem}{content_of(self._temporary)}{ending}")
         os.replace(self._temporary, path)
-        sync_folder(path.parent)
+        for folder in (*self._above, path.parent):
+            sync_folder(folder)
         return path
 
     def discard(self) -> None:

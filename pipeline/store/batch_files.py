@@ -43,6 +43,12 @@ GROUP_TRIALS, GROUP_BYTES = 64, 8 << 20
 READING_BYTES = 24
 """Bytes of a sample in memory: time, command, position."""
 
+_REPEATED = [
+    *(field.name for field in arrow_schema("trials") if pa.types.is_string(field.type)),
+    *("time_s.list.element", "position.list.element"),
+]
+"""Columns of words, times and quantised positions, which repeat; a dictionary of others takes time for nothing."""
+
 MOST_SMALL = 8
 """Batches of like size that an experiment may have. The eighth makes one batch of them, which is of the next size: a
 trial is rewritten once for each factor of eight, and n batches of one trial become some 7 log8 n."""
@@ -78,7 +84,7 @@ class NewBatch:
         metadata = stamp(device=device, experiment=experiment, motion=motion, replaces=names)
         self.schema = arrow_schema("trials", rotation=motion == "rotation", metadata=metadata)
         self._file = NewFile(trials_folder(processed, device, experiment), "batch", mode)
-        self._writer = pq.ParquetWriter(self._file.stream, self.schema, **WRITING)
+        self._writer = pq.ParquetWriter(self._file.stream, self.schema, use_dictionary=_REPEATED, **WRITING)
         self._waiting: list[pa.Table] = []
         self._size = [0, 0]
 

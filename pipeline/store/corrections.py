@@ -13,7 +13,6 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 import pyarrow as pa
-import pyarrow.compute as pc
 
 from pipeline.base.disk import NewFile, remove_all
 from pipeline.base.provenance import stamp
@@ -142,7 +141,7 @@ def split_trials(trials: pa.Table, exclusions: Mapping[Key, Exclusion]) -> tuple
     out = pa.array([key in exclusions for key in keys], pa.bool_())
     rows = trials.filter(out).select(IDENTITY).sort_by("trial_id").to_pylist()
     found = tuple(exclusions[row["trial_id"]].model_copy(update=row) for row in rows)
-    return trials.filter(pc.invert(out)), found
+    return trials.filter(pa.array([key not in exclusions for key in keys], pa.bool_())), found
 
 
 def moved_from(
@@ -167,8 +166,9 @@ def applied(
         moved = [value if one is None else one.place[at] for value, one in zip(values, found, strict=True)]
         index = trials.schema.get_field_index(name)
         trials = trials.set_column(index, trials.schema.field(index), pa.array(moved, pa.string()))
-    keep = pa.array([one is None or not one.deleted for one in found], pa.bool_())
-    for name, wanted in (("device", device), ("experiment", experiment)):
-        if wanted is not None:
-            keep = pc.and_(keep, pc.equal(trials.column(name), wanted))
-    return trials.filter(keep)
+    places = zip(*(trials.column(name).to_pylist() for name in ("device", "experiment")), strict=True)
+    own = (
+        all(asked in (None, is_) for asked, is_ in zip((device, experiment), place, strict=True)) for place in places
+    )
+    keep = [is_own and (one is None or not one.deleted) for is_own, one in zip(own, found, strict=True)]
+    return trials.filter(pa.array(keep, pa.bool_()))

@@ -268,10 +268,8 @@ def _rows(
             raise
         damaged[file] = str(error)
         return schema.empty_table()
-    place = {
-        "sample_file": pa.array([file.relative_to(processed).as_posix()]).take(np.zeros(table.num_rows, np.int64)),
-        "sample_row": pa.array(np.arange(table.num_rows)),
-    }
+    name = file.relative_to(processed).as_posix()
+    place = {"sample_file": pa.array([name] * table.num_rows), "sample_row": pa.array(np.arange(table.num_rows))}
     # the types are checked; a cast would import what takes longer than reading
     found = [place[name] if name in LOCATION else table.column(name) for name in columns]
     return pa.Table.from_arrays(found, schema=schema)
