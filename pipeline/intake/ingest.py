@@ -30,7 +30,7 @@ from pipeline.intake.ingest_report import (
     refusal_of,
     when_stopped,
 )
-from pipeline.intake.known import StoredSource, StoredSources, gone_of, stored_source
+from pipeline.intake.known import Places, StoredSource, StoredSources, gone_of, stored_source
 from pipeline.intake.quarantine import Keeper, QuarantineRecord, list_quarantine, record_of, release
 from pipeline.intake.reading import Read, batches_of, in_order, read_and_check
 from pipeline.intake.sources import Source, by_rest, find_sources, is_settled, removed_below
@@ -122,8 +122,11 @@ def ingest(
 
             def passes(path: str, size: int, mtime_ns: int) -> bool:
                 assert run is not None, "it is made above"
-                at_rest = is_settled(mtime_ns, settle_s) and path not in growing
-                return at_rest and path not in run.refused and run.pass_by(path, size, mtime_ns)
+                if run.stored.states.get(path) != (size, mtime_ns) or path in run.refused:
+                    return False
+                if settle_s and not is_settled(mtime_ns, settle_s):
+                    return False
+                return path not in growing and run.pass_by(path)
 
             def noticed(folder: Path, text: str) -> None:
                 assert run is not None, "it is made above"
@@ -185,16 +188,14 @@ class _Ingest:
         self.replaced: set[tuple[str, str, str]] = set()
         self.present: set[str] = set()
         self.renamed: set[str] = set()
-        self.places = self.stored.places(set())
+        self.places = Places({}, {})
         self.gone: dict[tuple[str, str], list[str]] = {}
         self.taken: dict[str, StoredSource] = {}
         self.carried: dict[str, str] = {}
         """Id of each trial that was renamed, and the one that it has now."""
 
-    def pass_by(self, path: str, size: int, mtime_ns: int) -> bool:
-        """Skip a file that is stored as it is; return whether it is."""
-        if not self.stored.passes(path, size, mtime_ns):
-            return False
+    def pass_by(self, path: str) -> bool:
+        """Skip a file that is stored as it is."""
         self.present.add(path)
         self.found += 1
         self.skipped += 1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -10,7 +11,7 @@ import numpy as np
 
 from pipeline.base.file_names import path_of_text
 from pipeline.base.regular_files import is_gone
-from pipeline.intake.bags import may_belong
+from pipeline.intake.bags import ENDINGS
 from pipeline.intake.sources import Source, told_by_name
 from pipeline.intake.trialstore import Accepted, trial_id
 from pipeline.store.batch_files import drop
@@ -100,12 +101,16 @@ class StoredSources(Mapping[str, StoredSource]):
         drop(self.processed, self.table, self.files, ())
         return True
 
-    def passes(self, path: str, size: int, mtime_ns: int) -> bool:
-        """Return whether a file is a stored log, as it was, that the same profile claims."""
-        row = self._last.get(path)
-        if row is None or self._column("source_mtime_ns")[row] != mtime_ns or self._column("source_size")[row] != size:
-            return False
-        return self._column("claims")[row] == self.claims and self._is_whole(path, row) and not may_belong(Path(path))
+    @cached_property
+    def states(self) -> dict[str, tuple[int, int]]:
+        """Size [byte] and time [ns] of each source that is one file, stored as a whole, and claimed by the same profile."""
+        names = ("claims", "source_size", "source_mtime_ns")
+        claims, sizes, times = (self._column(name) for name in names)
+        return {
+            path: (sizes[row], times[row])
+            for path, row in self._last.items()
+            if claims[row] == self.claims and not path.endswith(ENDINGS) and self._is_whole(path, row)
+        }
 
     def __getitem__(self, path: str) -> StoredSource:
         last = self._last[path]

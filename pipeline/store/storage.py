@@ -18,7 +18,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import pyarrow as pa
@@ -269,7 +269,9 @@ def _rows(
         damaged[file] = str(error)
         return schema.empty_table()
     name = file.relative_to(processed).as_posix()
-    place = {"sample_file": pa.array([name] * table.num_rows), "sample_row": pa.array(np.arange(table.num_rows))}
+    place: dict[str, Any] = {}
+    if not set(LOCATION).isdisjoint(columns):
+        place = {"sample_file": pa.array([name] * table.num_rows), "sample_row": pa.array(np.arange(table.num_rows))}
     # the types are checked; a cast would import what takes longer than reading
     found = [place[name] if name in LOCATION else table.column(name) for name in columns]
     return pa.Table.from_arrays(found, schema=schema)

@@ -154,7 +154,6 @@ def test_second_run_reuses_everything_and_touches_nothing(own, nothing_is_comput
 
 def test_dry_run_writes_nothing_and_tells_the_plan(lwr, tmp_path, nothing_is_computed):
     shutil.copytree(lwr.processed / "trials", tmp_path / "processed/trials")
-    shutil.copytree(lwr.processed / "samples", tmp_path / "processed/samples")
     before = files(tmp_path)
     nothing_is_computed()
     outcome = compare("lwr", tmp_path / "processed", report=tmp_path / "new/x.html", dry_run=True)
@@ -195,7 +194,7 @@ def test_one_more_log_runs_only_its_experiment(own):
 
 
 def test_other_criteria_run_only_what_is_missing(lwr, tmp_path, plain_page):
-    for part in ("trials", "samples"):
+    for part in ("trials",):
         shutil.copytree(lwr.processed / part, tmp_path / "processed" / part)
 
     def plan(criteria):

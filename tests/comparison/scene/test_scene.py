@@ -76,7 +76,6 @@ def test_plan_goes_from_run_to_reuse_and_follows_changes(falcon, noisy, tmp_path
 
     processed = tmp_path / "processed"
     shutil.copytree(falcon.processed / "trials", processed / "trials")
-    shutil.copytree(falcon.processed / "samples", processed / "samples")
 
     def actions(criteria):
         data = open_scene("falcon", processed, None, criteria)
