@@ -188,8 +188,9 @@ def write_kept(folder: Path, stem: str, ending: str, data: bytes, mode: int = RE
     remove_temporary(folder, _ABANDONED_S)
     new = NewFile(folder, stem, mode)
     try:
-        new.stream.write(data)
-        path = new.publish(stem=f"{stem}-", ending=ending)
+        with naming(folder / f"{stem}{ending}"):
+            new.stream.write(data)
+            path = new.publish(stem=f"{stem}-", ending=ending)
     finally:
         new.discard()
     remove_all(file for file in kept_files(folder, stem, ending) if file != path)

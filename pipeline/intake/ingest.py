@@ -21,19 +21,16 @@ from pipeline.base.process import Ended
 from pipeline.base.provenance import digest
 from pipeline.device_data.devices import known_devices
 from pipeline.intake.ingest_report import (
-    Action,
     ChangedSource,
     IngestReport,
     LogWarning,
-    PlannedSource,
-    Refusal,
-    refusal_of,
     when_stopped,
 )
 from pipeline.intake.known import Places, StoredSource, StoredSources, gone_of, stored_source
-from pipeline.intake.quarantine import Keeper, QuarantineRecord, list_quarantine, record_of, release
+from pipeline.intake.quarantine import list_quarantine
 from pipeline.intake.reading import Read, batches_of, in_order, read_and_check
 from pipeline.intake.sources import Source, by_rest, find_sources, is_settled, removed_below
+from pipeline.intake.tally import Tally
 from pipeline.intake.trialstore import Accepted, TrialWriter, accepted_logs
 from pipeline.profiles.profile_files import load_profile, shipped_profiles
 from pipeline.profiles.profile_model import Profile
@@ -152,7 +149,7 @@ def ingest(
         ) from error
 
 
-class _Ingest:
+class _Ingest(Tally):
     """One run: what is stored already, what was decided so far."""
 
     def __init__(
@@ -165,17 +162,9 @@ class _Ingest:
         progress: Callable[[int, int], None] | None,
         without: Sequence[Path],
     ) -> None:
-        self.processed, self.dry_run, self.rehash, self.digests = processed, dry_run, rehash, digests
-        self.replace, self.progress = replace, progress
-        self.found = self.ingested = self.skipped = 0
-        self.refusals: list[Refusal] = []
-        self.keeper = Keeper(processed)
-        self.warnings: list[LogWarning] = []
-        self.changed: list[ChangedSource] = []
-        self.removed, self.waiting = list[str](), list[str]()
-        self.plan: list[PlannedSource] = []
+        super().__init__(processed, dry_run, progress)
+        self.rehash, self.replace, self.digests = rehash, replace, digests
         self.motions = {name: device.motion for name, device in known_devices().items()}
-        self.damaged: dict[Path, str] = {}
         claims = digest(sorted(digests.values()))
         self.stored = StoredSources(processed, claims, self.damaged, without)
         self.writer = TrialWriter(processed, PENDING_BYTES, claims, self.stored.latest)
@@ -235,35 +224,10 @@ class _Ingest:
             except StoreError as error:  # a damaged file stays with its experiment
                 self.damaged[folder] = str(error)
 
-    def wait_for(self, sources: Sequence[Source], settle_s: float) -> None:
-        """List sources that are left for later."""
-        for source in sources:
-            self.waiting.append(source.shown)
-            self._plan(source, "wait", f"modified less than {settle_s:g} s ago")
-
     def find_removed(self, folders: Sequence[Path]) -> None:
         """List stored sources below the searched folders that are not there any more."""
         gone = removed_below(folders, self.stored, self.present)
         self.removed = sorted(key for key in gone if key not in self.renamed)
-
-    def report(self) -> IngestReport:
-        """Return the counts."""
-        return IngestReport(
-            found=self.found,
-            ingested=self.ingested,
-            skipped=self.skipped,
-            quarantined=tuple(sorted(self.refusals, key=lambda refusal: refusal.path)),
-            warnings=tuple(sorted(self.warnings, key=lambda warning: warning.path)),
-            removed=tuple(self.removed),
-            changed=tuple(sorted(self.changed, key=lambda source: source.path)),
-            waiting=tuple(sorted(self.waiting)),
-            plan=tuple(sorted(self.plan, key=lambda source: source.path)) if self.dry_run else None,
-            damaged=tuple(sorted(set(self.damaged.values()))),
-        )
-
-    def _plan(self, source: Source, action: Action, reason: str) -> None:
-        if self.dry_run:
-            self.plan.append(PlannedSource(path=source.shown, action=action, reason=reason))
 
     def _settled_unread(self, source: Source) -> bool:
         if self.rehash:
@@ -280,9 +244,6 @@ class _Ingest:
             return False
         self._advance()
         return True
-
-    def _digest(self, source: Source) -> str | None:
-        return self.digests[source.profile] if source.profile else None
 
     def _read(self, sources: list[Source], use_threads: bool) -> list[Read]:
         return read_and_check(sources, self._is_known, use_threads)[0]
@@ -427,44 +388,6 @@ class _Ingest:
             self.changed.append(ChangedSource(path=shown or source.shown, outcome=outcome))
         if not self.dry_run:
             self.replaced |= former.keys(path)
-
-    def _skip(self, source: Source, reason: str) -> None:
-        self.skipped += 1
-        self._plan(source, "skip", reason)
-        self._release(source)
-
-    def _refuse(self, read: Read, error: LogError) -> None:
-        source = read.source
-        record = record_of(source, read.sha256, error, self._digest(source))
-        self._refused(source, record)
-        former = self.refused.get(source.key)
-        if not self.dry_run and record != former and not record.knows_less(former):
-            self.keeper.add(source, record)
-
-    def _refused(self, source: Source, record: QuarantineRecord) -> None:
-        refusal = refusal_of(source, record)
-        self.refusals.append(refusal)
-        self._plan(source, "refuse", refusal.reason)
-        former = self.stored.get(source.key)
-        # without a hash nobody has seen other bytes, but for a file that has become too long to be read
-        seen = record.sha256 is not None or record.code == "too-large"
-        if former is not None and former.sha256 != record.sha256 and seen:
-            outcome = "its new content is refused; the trials of the former one stay stored"
-            self.changed.append(ChangedSource(path=source.shown, outcome=outcome))
-
-    def _written(self, written: Sequence[Source]) -> None:
-        for source in written:
-            self._release(source)
-
-    def _release(self, source: Source) -> None:
-        if not self.refused or self.dry_run:
-            return
-        for key in {source.key, *(path_text(os.path.abspath(file)) for file in source.files)} & self.refused.keys():
-            release(self.processed, key)
-
-    def _advance(self) -> None:
-        if self.progress:
-            self.progress(self.ingested + self.skipped + len(self.refusals), self.found)
 
 
 def _why(former: StoredSource | None, sha256: str, profile_sha256: str) -> str:

@@ -103,7 +103,7 @@ class StoredSources(Mapping[str, StoredSource]):
 
     @cached_property
     def states(self) -> dict[str, tuple[int, int]]:
-        """Size [byte] and time [ns] of each source that is one file, stored as a whole, and claimed by the same profile."""
+        """Size [byte] and time [ns] of each source that is one file, stored as a whole, of a profile that is sure."""
         names = ("claims", "source_size", "source_mtime_ns")
         claims, sizes, times = (self._column(name) for name in names)
         return {
