@@ -37,9 +37,9 @@ from pipeline.comparison.stage_pool import compute_stages
 from pipeline.device_data.devices import load_device
 from pipeline.intake.ingest import ingest
 from pipeline.simulation.course import run_course, write_course
+from pipeline.store.mirror import opened, stored_by
 from pipeline.store.objects import Objects
 from pipeline.store.storage import read_trials
-from pipeline.store.working_copy import opened, stored_by
 
 DEVICE, COURSE = "lwr", "delay-2"
 EXPERIMENTS, LOGS = 200, 300

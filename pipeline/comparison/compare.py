@@ -48,7 +48,7 @@ from pipeline.records.results import (
 )
 from pipeline.rendering.labels import UNITS
 from pipeline.rendering.report.report import write as write_report
-from pipeline.store.working_copy import origin
+from pipeline.store.mirror import origin
 from pipeline.theory.predictions import Predictions, Theory
 
 

@@ -13,8 +13,8 @@ from pipeline.base.disk import if_writable
 from pipeline.base.errors import StoreError
 from pipeline.base.provenance import code_digest, digest
 from pipeline.measured.stages.stages import STAGES, ExperimentStages
-from pipeline.store.manifests import Manifest
-from pipeline.store.working_copy import Snapshot, publish, reopened, results_in, snapshot, take_results
+from pipeline.store.mirror import opened, origin, publish, renewed
+from pipeline.store.objects import is_url
 
 
 @dataclass(frozen=True)
@@ -23,8 +23,8 @@ class StageJob:
 
     Parameters
     ----------
-    place : Path or Snapshot
-        Where its trials are.
+    place : str
+        Folder or URL of its trials.
     device, experiment : str
     spring : float
         As for `ExperimentStages`.
@@ -34,7 +34,7 @@ class StageJob:
         Hash of the code that is to compute them.
     """
 
-    place: Path | Snapshot
+    place: str
     device: str
     experiment: str
     spring: float
@@ -42,23 +42,16 @@ class StageJob:
     code: str
 
 
-@dataclass(frozen=True)
-class StagesDone:
-    """What a job came to: tables that are handed back, and the manifests by which the others are found."""
-
-    tables: dict[str, pa.Table]
-    manifests: tuple[Manifest, ...]
-
-
 def job_of(experiment: ExperimentStages, needed: Collection[str]) -> StageJob:
     """Return the job of computing some stages of an experiment."""
-    place = snapshot(experiment.processed, experiment.device, experiment.experiment)
+    place = origin(experiment.processed)
+    place = place if is_url(place) else str(Path(place).absolute())
     wanted = tuple(sorted(needed, key=list(STAGES).index))
     return StageJob(place, experiment.device, experiment.experiment, experiment.spring, wanted, _code())
 
 
-def do(job: StageJob, stored_suffices: bool) -> StagesDone:
-    """Compute the stages of a job and store them.
+def do(job: StageJob, stored_suffices: bool) -> dict[str, pa.Table]:
+    """Compute the stages of a job and store them; return their tables.
 
     Parameters
     ----------
@@ -76,25 +69,25 @@ def do(job: StageJob, stored_suffices: bool) -> StagesDone:
             f"a worker runs other code (version {__version__}) than the command that sends it work, and its results "
             "would not be those of the command. Install the same version for the workers and start them again."
         )
-    if isinstance(job.place, Path) and not job.place.is_dir():
+    if not is_url(job.place) and not Path(job.place).is_dir():
         raise StoreError(
             f"{job.place}: a worker sees no such folder. Workers need the same folder under the same path, or an "
             "object store (--processed s3://BUCKET/PREFIX)."
         )
-    with reopened(job.place) as processed:
+    with opened(job.place, job.device, job.experiment) as processed:
         stages = ExperimentStages.stored(processed, job.device, job.experiment, job.spring)
         tables = {stage: stages.table(stage) for stage in job.wanted}
         with if_writable():
             publish(processed)
             if stored_suffices:
                 tables = {stage: table for stage, table in tables.items() if not stages.is_stored(stage)}
-        return StagesDone(tables, results_in(processed))
+        return tables
 
 
-def take(experiment: ExperimentStages, done: StagesDone) -> None:
+def take(experiment: ExperimentStages, tables: dict[str, pa.Table]) -> None:
     """Take what a job came to."""
-    take_results(experiment.processed, done.manifests)
-    experiment.take_over(done.tables)
+    renewed(experiment.processed, "stages")
+    experiment.take_over(tables)
 
 
 def _code() -> str:

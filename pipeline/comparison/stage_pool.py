@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Collection
 from concurrent.futures.process import BrokenProcessPool
+from functools import partial
 
 from pipeline.comparison.shared_groups import shared_groups
 from pipeline.comparison.stage_job import do, job_of, take
@@ -40,12 +41,12 @@ def compute_stages(experiments: Collection[ExperimentStages], needed: Collection
     small.sort(key=lambda e: -e.trials.num_rows)
     wanted = sorted(needed, key=list(STAGES).index)
     with shared_groups(processors if large else min(len(small), processors)) as shared:
-        jobs = [shared.pool.submit(do, job_of(e, wanted), stored_suffices=False) for e in small]
         try:
             for experiment in large:
                 experiment.compute(wanted, shared.map)
-            for experiment, job in zip(small, jobs, strict=True):
-                take(experiment, job.result())
+            done = shared.each(partial(do, stored_suffices=False), [job_of(e, wanted) for e in small])
+            for experiment, tables in zip(small, done, strict=True):
+                take(experiment, tables)
         except BrokenProcessPool:
             # a process was killed, or could not import the caller's main program (typed in, or without a guard): the
             # stages are computed here when they are asked for

@@ -1,4 +1,4 @@
-"""Excludes stored trials by hand, and undoes it: the only writer of what `store.exclusions` reads."""
+"""Corrects stored trials by hand, and undoes it: the only writer of what `store.corrections` reads."""
 
 from __future__ import annotations
 
@@ -12,7 +12,15 @@ from pathlib import Path
 from pipeline.base.errors import StoreError, UsageError
 from pipeline.base.file_names import path_of_text, path_text, storable
 from pipeline.base.lock import WAIT_S, writing
-from pipeline.store.exclusions import OF_TRIALS, Exclusion, read_exclusions, split_trials, write_exclusions
+from pipeline.store.corrections import (
+    IDENTITY,
+    Correction,
+    Exclusion,
+    read_corrections,
+    read_exclusions,
+    split_trials,
+    write_corrections,
+)
 from pipeline.store.storage import read_trials
 
 NEAREST = 5
@@ -42,7 +50,7 @@ def exclude(
     """
     text = _reason(reason)
     with _changing(processed, wait_s, say):
-        stored = read_trials(processed, columns=list(OF_TRIALS)).to_pylist()
+        stored = read_trials(processed, columns=list(IDENTITY)).to_pylist()
         (one,) = _exclude(processed, [stored[_place(processed, wanted, stored, "stored")]], text)
     return one
 
@@ -58,7 +66,7 @@ def exclude_experiment(
     """Exclude all trials of an experiment that are in use, for one reason; parameters and errors as of `exclude`."""
     text = _reason(reason)
     with _changing(processed, wait_s, say):
-        trials = read_trials(processed, device, experiment, list(OF_TRIALS))
+        trials = read_trials(processed, device, experiment, list(IDENTITY))
         used, _ = split_trials(trials, read_exclusions(processed))
         return _exclude(processed, used.to_pylist(), text)
 
@@ -68,10 +76,9 @@ def use_again(
 ) -> Exclusion:
     """Undo the exclusion of a trial and return it; parameters and errors as those of `exclude`."""
     with _changing(processed, wait_s, say):
-        exclusions = read_exclusions(processed)
-        known = list(exclusions.values())
-        one = known.pop(_place(processed, wanted, [one.model_dump() for one in known], "excluded"))
-        write_exclusions(processed, known)
+        known = list(read_exclusions(processed).values())
+        one = known[_place(processed, wanted, [one.model_dump() for one in known], "excluded")]
+        _use(processed, [one])
     return one
 
 
@@ -82,8 +89,14 @@ def use_experiment_again(
     with _changing(processed, wait_s, say):
         known = read_exclusions(processed).values()
         again = [one for one in known if (one.device, one.experiment) == (device, experiment)]
-        write_exclusions(processed, [one for one in known if one not in again])
+        _use(processed, again)
     return again
+
+
+def _use(processed: Path, again: Sequence[Exclusion]) -> None:
+    known = read_corrections(processed)
+    nothing = {"exclusion_reason": "", "excluded_since": ""}
+    write_corrections(processed, [known[one.key].model_copy(update=nothing) for one in again])
 
 
 def _reason(reason: str) -> str:
@@ -95,9 +108,15 @@ def _reason(reason: str) -> str:
 
 def _exclude(processed: Path, rows: Sequence[Mapping[str, str]], reason: str) -> list[Exclusion]:
     since = datetime.now(UTC).isoformat(timespec="seconds")
-    new = [Exclusion(**row, exclusion_reason=reason, excluded_since=since) for row in rows]
-    write_exclusions(processed, (read_exclusions(processed) | {one.key: one for one in new}).values())
-    return new
+    new = {"exclusion_reason": reason, "excluded_since": since}
+    known = read_corrections(processed)
+    write_corrections(processed, [_correction(known, row).model_copy(update=new) for row in rows])
+    return [Exclusion(**row, **new) for row in rows]
+
+
+def _correction(known: Mapping[str, Correction], row: Mapping[str, str]) -> Correction:
+    """Return what is corrected of a trial; it is given by a row of the trials table, with its present place."""
+    return known[row["trial_id"]] if row["trial_id"] in known else Correction(**row)
 
 
 @contextmanager

@@ -85,21 +85,6 @@ class IngestReport(Record):
     damaged: tuple[str, ...] = ()
 
 
-def repeated(report: IngestReport, notices: tuple[LogWarning, ...]) -> IngestReport:
-    """Return what the same command will report if nothing changes.
-
-    Parameters
-    ----------
-    report : IngestReport
-    notices : tuple of LogWarning
-        Warnings of folders, which are told again; those of logs are not.
-    """
-    refused = {refusal.path for refusal in report.quarantined}
-    changed = tuple(source for source in report.changed if source.path in refused)  # others are stored by now
-    skipped = report.found - len(report.quarantined)
-    return report.model_copy(update={"ingested": 0, "skipped": skipped, "warnings": notices, "changed": changed})
-
-
 def when_stopped(processed: Path, stored: int, kept: int) -> str:
     """Say what an interrupted ingest has stored: new logs, and records in quarantine."""
     return (

@@ -1,88 +1,175 @@
-"""What logs are known already, and by what: content, with what the profile reads from the name; and whose they are."""
+"""What is stored of each source, by the table of trials alone: which logs are known, and which files need no look."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence, Set
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NamedTuple
 
-from pipeline.base.errors import LogError
+import numpy as np
+
 from pipeline.base.file_names import path_of_text
 from pipeline.base.regular_files import is_gone
-from pipeline.intake.sources import Source, content_of, identity
-from pipeline.intake.versions import StoredSource, StoredSources
-from pipeline.profiles.profile_model import Profile
-from pipeline.readers import Log
+from pipeline.intake.bags import ENDINGS
+from pipeline.intake.sources import Source, told_by_name
+from pipeline.intake.trialstore import Accepted, trial_id
+from pipeline.store.batch_files import drop
+from pipeline.store.storage import VERSION_COLUMNS, newest_versions, read_versions
 
 
-class Known:
-    """Logs that are stored, by what they are (`sources.identity`): by which profile, under which path.
+class StoredSource(NamedTuple):
+    """What is stored of a source.
 
     Parameters
     ----------
-    digests : mapping of Profile to str
-        Hash of each profile that is at hand.
+    sha256, profile_sha256, profile : str
+        Content, and the profile that read it.
+    size, mtime_ns : int
+        Size [byte] and modification time [ns] when it was read.
+    devices, trials : tuple of str
+        Device and id of each of its trials.
+    whole : bool
+        Whether these are all that the source holds: an interrupted run may have written some of them.
     """
 
-    def __init__(self, digests: Mapping[Profile, str]) -> None:
-        self.profiles = dict(zip(digests.values(), digests, strict=True))
-        self.profile_of: dict[str, str] = {}
-        self.place: dict[str, str] = {}
-        self.gone: dict[str, str] = {}
-        """Hash of a content -> path where it stood, and nothing stands any more."""
+    sha256: str
+    profile_sha256: str
+    profile: str
+    size: int
+    mtime_ns: int
+    devices: tuple[str, ...]
+    trials: tuple[str, ...]
+    whole: bool
 
-    def fill(self, stored: StoredSources, but: Set[str], present: Set[str]) -> None:
-        """Take all that is stored but some; `present` are the paths of all that was found."""
-        self.place, self.profile_of = stored.whole(but, self.identity)
-        away = [(one, path) for one, path in self.place.items() if path not in present]
-        self.gone = {content_of(one): path for one, path in away if is_gone(path_of_text(path))}
-
-    def identity(self, sha256: str, profile_sha256: str, path: str) -> str:
-        """Return what a stored log is; one of a profile that is not at hand is its content."""
-        profile = self.profiles.get(profile_sha256)
-        return sha256 if profile is None else identity(sha256, profile, path)
-
-    def unread(self, profile: Profile | None) -> Mapping[str, str]:
-        """Return the logs that need not be read, for sources of a profile; a name that was corrected is read anew."""
-        if not self.gone or profile is None or not profile.reads_names:
-            return self.profile_of
-        # other threads add to it
-        return {one: digest for one, digest in self.profile_of.copy().items() if content_of(one) not in self.gone}
-
-    def find(self, sha256: str, one: str) -> tuple[str | None, str | None]:
-        """Return the profile's hash and the path of a log; one of a profile that is not at hand is found, too."""
-        own = one if one in self.profile_of else sha256
-        return self.profile_of.get(own), self.place.get(own)
-
-    def add(self, one: str, profile_sha256: str, path: str) -> None:
-        """Take a log."""
-        self.profile_of[one], self.place[one] = profile_sha256, path
+    def keys(self, path: str) -> set[tuple[str, str, str]]:
+        """Return its trials as `batch_files.drop` takes them."""
+        return {(path, trial, self.profile_sha256) for trial in self.trials}
 
 
-def outcome_for(former: StoredSource, source: Source, sha256: str, logs: Sequence[Log], replace: bool) -> str | None:
-    """Return what becomes of the stored trials of a source that is read now; None where they are read anew.
+def stored_source(accepted: Sequence[Accepted]) -> StoredSource:
+    """Return what will be stored of a source."""
+    row, source = accepted[0].row, accepted[0].source
+    devices = tuple(one.log.header.device for one in accepted)
+    told = (row["source_sha256"], row["profile_sha256"], row["profile"], source.size, source.mtime_ns)
+    return StoredSource(*told, devices, tuple(one.row["trial_id"] for one in accepted), True)
 
-    Raises
-    ------
-    LogError
-        If the same bytes are of another device by now, whose trials would be removed without being asked for.
+
+class StoredSources(Mapping[str, StoredSource]):
+    """What is stored of each source, by its path; a record is made when it is asked for, of 100,000 hardly any.
+
+    Parameters
+    ----------
+    processed : Path
+    claims : str
+        Hash of all profiles that may claim a file now.
+    damaged : dict of Path to str
+        As for `storage.read_trials`.
+    without : sequence of Path
+        Files of which nothing is known to be stored, as they are damaged.
     """
-    now = {log.header.device for log in logs}
-    trials = f"{len(former.trials)} trial{'s' if len(former.trials) > 1 else ''}"
-    claims = f"{trials} of device {_names(former.devices)}, read by profile {former.profile}"
-    reader = f"device {_names(now)}"
-    if former.sha256 != sha256:
-        more = "" if former.devices <= now else f"; these were {claims}, now they are of {reader}"
-        return f"its trials were replaced by those of the new content{more}"
-    if former.devices <= now:
-        return None
-    if replace:
-        return f"{claims}, were replaced by those of {reader}"
-    by = "" if source.profile is None else f", read by profile {source.profile.name}"
-    raise LogError(
-        f"{source.path.name} is stored as {claims}; now it would be {reader}{by}. Correct the profile, or give "
-        "--replace: the stored trials then give way.",
-        code="condition-wrong",
-    )
+
+    def __init__(self, processed: Path, claims: str, damaged: dict[Path, str], without: Sequence[Path] = ()) -> None:
+        columns = ["source_size", "source_trials", "device", "profile", "claims"]
+        self.table, self.files, self.replaced = read_versions(
+            processed, None, None, [*columns, *VERSION_COLUMNS], damaged
+        )
+        self.processed, self.claims = processed, claims
+        self._newest = newest_versions(self.table)
+        if without:
+            owner = self.table.column("file_index").to_pylist()
+            self._newest &= np.array([self.files[index] not in without for index in owner], dtype=np.bool_)
+        self._columns: dict[str, list[Any]] = {}
+        paths = self._column("source_path")
+        rows = np.flatnonzero(self._newest).tolist()
+        self._last: dict[str, int] = {paths[row]: row for row in rows}
+        # of sources with several trials alone: a list for each of 100,000 takes longer than all else
+        self._several: dict[str, list[int]] = {}
+        if len(self._last) < len(rows):
+            for row in rows:
+                self._several.setdefault(paths[row], []).append(row)
+
+    @property
+    def latest(self) -> int:
+        """Highest version."""
+        return int(np.max(self.table.column("version").to_numpy(), initial=0))
+
+    def tidy(self) -> bool:
+        """Drop former versions that an interrupted writer left; return whether there were any."""
+        if self._newest.all():
+            return False
+        drop(self.processed, self.table, self.files, ())
+        return True
+
+    @cached_property
+    def states(self) -> dict[str, tuple[int, int]]:
+        """Size [byte] and time [ns] of each source that is one file, stored as a whole, of a profile that is sure."""
+        names = ("claims", "source_size", "source_mtime_ns")
+        claims, sizes, times = (self._column(name) for name in names)
+        return {
+            path: (sizes[row], times[row])
+            for path, row in self._last.items()
+            if claims[row] == self.claims and not path.endswith(ENDINGS) and self._is_whole(path, row)
+        }
+
+    def __getitem__(self, path: str) -> StoredSource:
+        last = self._last[path]
+        rows = self._several.get(path, (last,))
+        names = ("source_sha256", "profile_sha256", "profile", "source_size", "source_mtime_ns")
+        sha256, profile_sha256, profile, size, mtime_ns = (self._column(name)[last] for name in names)
+        devices, trials = (tuple(self._column(name)[row] for row in rows) for name in ("device", "trial_id"))
+        whole = self._is_whole(path, last)
+        return StoredSource(sha256, profile_sha256, profile, size, mtime_ns, devices, trials, whole)
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._last)
+
+    def __len__(self) -> int:
+        return len(self._last)
+
+    def _is_whole(self, path: str, last: int) -> bool:
+        trials: int = self._column("source_trials")[last]
+        return trials == 1 or len(self._several.get(path, (last,))) >= trials
+
+    def _column(self, name: str) -> list[Any]:
+        if name not in self._columns:
+            self._columns[name] = self.table.column(name).to_pylist()
+        return self._columns[name]
+
+    def places(self, but: set[str]) -> Places:
+        """Return where contents and trials are stored as a whole, but those of some sources."""
+        contents, trials = self._column("source_sha256"), self._column("trial_id")
+        known = {path: row for path, row in self._last.items() if path not in but and self._is_whole(path, row)}
+        rows = {row: path for path, row in known.items()}
+        several = {row: path for path, own in self._several.items() if path in known for row in own}
+        return Places(
+            {contents[row]: path for path, row in known.items()},
+            {trials[row]: path for row, path in (rows | several).items()},
+        )
 
 
-def _names(devices: Set[str]) -> str:
-    return ", ".join(map(repr, sorted(devices)))
+class Places(NamedTuple):
+    """Path under which each content (by its SHA-256) and each trial (by its id) is stored."""
+
+    contents: dict[str, str]
+    trials: dict[str, str]
+
+    def find(self, source: Source, sha256: str) -> str | None:
+        """Return the path under which a log is stored that is this one: content, and what its name tells."""
+        told = None if source.profile is None else told_by_name(source.profile, source.path)
+        return self.contents.get(sha256) if told is None else self.trials.get(trial_id(sha256, None, told))
+
+    def add(self, path: str, sha256: str, trials: Sequence[str]) -> None:
+        """Note where a log is stored now."""
+        self.contents[sha256] = path
+        self.trials.update(dict.fromkeys(trials, path))
+
+
+def gone_of(stored: StoredSources, present: set[str]) -> dict[tuple[str, str], list[str]]:
+    """Return the paths of stored sources that are not there any more, by content and profile."""
+    found: dict[tuple[str, str], list[str]] = {}
+    for path in stored:
+        if path not in present and is_gone(path_of_text(path)):
+            one = stored[path]
+            found.setdefault((one.sha256, one.profile_sha256), []).append(path)
+    return found

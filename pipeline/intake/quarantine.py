@@ -6,37 +6,36 @@ source itself is never touched.
 
 from __future__ import annotations
 
+import io
 import os
 import shutil
-from collections.abc import Sequence
-from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 
-from pydantic import ValidationError
-
-from pipeline.base.disk import NewFile, make_folders, publish_all, remove
+from pipeline.base.disk import NewFile, each, kept_files, remove_all, said_content, shared_mode, write_kept
 from pipeline.base.errors import OTHER_COLUMNS, REMEDY, Code, LogError, StoreError, UsageError
 from pipeline.base.file_names import path_of_text, path_text, storable
-from pipeline.base.json_seal import sealed_json, unsealed_json
 from pipeline.base.provenance import digest
+from pipeline.base.provenance import sha256 as sha256_of
 from pipeline.base.regular_files import open_regular
-from pipeline.intake.excerpt import NOTHING, Excerpt, excerpt_of
 from pipeline.intake.sources import Source
+from pipeline.readers.formats.plain_text import unpacked
 from pipeline.records.findings import Record
 
 LARGEST_COPY = 64 << 20
 """Bytes up to which a refused file is copied; a log is well below 1 MB, what is larger was hardly one."""
 
-RECORD_FILE = "reason.json"
+RECORD = "reason"
+"""Begin of the name of a record."""
+
+EXCERPT_ROWS, LONGEST_SHOWN = 3, 160
+"""Lines shown before and behind the row at fault, and characters of each."""
 
 REFUSED_TOGETHER = 64
 """Refused logs that go into quarantine at once; each holds a file or two open until then, of 256 that macOS allows."""
 
 LONGEST_COPY_NAME = 100
 """Bytes of a file name that its copy keeps: a file system allows 255, with the endings of temporary files."""
-
-_TEXTS = ("native", "delimited", "json")
-"""Formats whose files have lines."""
 
 
 class QuarantineRecord(Record):
@@ -59,10 +58,6 @@ class QuarantineRecord(Record):
         The reason for programs, one of `errors.Code`; None in records of earlier versions.
     profile_line : str or None
         Line of a profile by which it might be read.
-    byte : int or None
-        Offset of the row in the file, counted from 0; None where rows are no lines, or the file is packed.
-    excerpt : tuple of (int, str)
-        Lines around the row: number, counted from 1, and text with control characters escaped.
     """
 
     path: str
@@ -75,13 +70,6 @@ class QuarantineRecord(Record):
     profile_sha256: str | None
     code: Code | None = None
     profile_line: str | None = None
-    byte: int | None = None
-    excerpt: tuple[tuple[int, str], ...] = ()
-
-    def same_refusal(self, other: QuarantineRecord | None) -> bool:
-        """Return whether another record says the same of the same content; byte and excerpt follow from these."""
-        place = {"byte": None, "excerpt": ()}
-        return other is not None and self.model_copy(update=place) == other.model_copy(update=place)
 
     def knows_less(self, other: QuarantineRecord | None) -> bool:
         """Return whether its profile does not fit the file at all, while another one, which did, said what is wrong."""
@@ -117,33 +105,23 @@ def list_quarantine(processed: Path, damaged: dict[Path, str] | None = None) -> 
     except FileNotFoundError:
         return []
     for name in names:
-        file = quarantine_folder(processed) / name / RECORD_FILE
-        try:
-            records.append(read_record(file))
-        except (FileNotFoundError, NotADirectoryError):  # its log was accepted meanwhile, or it is no record
-            continue
-        except StoreError as error:
-            if damaged is None:
-                raise
-            damaged[file] = str(error)
+        for file in kept_files(quarantine_folder(processed) / name, RECORD, ".json")[:1]:
+            try:
+                records.append(_read_record(file))
+            except FileNotFoundError:  # its log was accepted meanwhile
+                continue
+            except StoreError as error:
+                if damaged is None:
+                    raise
+                damaged[file] = str(error)
     return sorted(records, key=lambda record: record.path)
 
 
-def read_record(file: Path) -> QuarantineRecord:
-    """Return the record in a file.
-
-    Raises
-    ------
-    StoreError
-        If it is damaged.
-    OSError
-        If it is not there.
-    """
-    try:
-        return QuarantineRecord.model_validate(unsealed_json(file.read_bytes()))
-    except ValueError as error:
-        text = f"{error.error_count()} errors" if isinstance(error, ValidationError) else str(error)
-        raise StoreError(f"{file}: is no quarantine record ({text}). {REMEDY}") from error
+def _read_record(file: Path) -> QuarantineRecord:
+    data = file.read_bytes()
+    if sha256_of(data) != said_content(file.name):
+        raise StoreError(f"{file}: is no quarantine record (its content is not that of its name). {REMEDY}")
+    return QuarantineRecord.model_validate_json(data)
 
 
 def record_id(record: QuarantineRecord) -> str:
@@ -173,7 +151,7 @@ def find_record(processed: Path, wanted: str) -> QuarantineRecord:
 
 
 def record_of(source: Source, sha256: str | None, error: LogError, profile_sha256: str | None) -> QuarantineRecord:
-    """Return the record of a refused source, without byte and excerpt."""
+    """Return the record of a refused source."""
     return QuarantineRecord(
         path=source.key,
         size=source.size,
@@ -188,98 +166,59 @@ def record_of(source: Source, sha256: str | None, error: LogError, profile_sha25
     )
 
 
-@dataclass(frozen=True)
-class Refused:
-    """A source that is refused, and its record without byte and excerpt, which are taken from its content."""
-
-    source: Source
-    record: QuarantineRecord
-
-
 class Keeper:
     """Collects refused sources and puts them into quarantine together; what is collected is kept by `flush`."""
 
     def __init__(self, processed: Path) -> None:
         self.processed = processed
         self.kept = 0
-        self._refused: list[Refused] = []
+        self._refused: list[tuple[Source, QuarantineRecord]] = []
 
     def add(self, source: Source, record: QuarantineRecord) -> None:
         """Take a source and its record."""
-        self._refused.append(Refused(source, record))
+        self._refused.append((source, record))
         if len(self._refused) >= REFUSED_TOGETHER:
             self.flush()
 
     def flush(self) -> None:
-        """Put into quarantine what was collected."""
-        if self._refused:
-            refuse(self.processed, self._refused)
-            self.kept += len(self._refused)
-            self._refused.clear()
+        """Put into quarantine what was collected: files that are synced together take a twentieth of the time."""
+        each(lambda one: _refuse(self.processed, *one), self._refused)
+        self.kept += len(self._refused)
+        self._refused.clear()
 
 
-def refuse(processed: Path, refused: Sequence[Refused]) -> None:
-    """Keep a copy of each file (up to 64 MiB) and the reason, with the lines around it; the records appear last.
+def _refuse(processed: Path, source: Source, record: QuarantineRecord) -> None:
+    """Keep a copy of each file (up to 64 MiB), and the record, which appears last.
 
-    Copy and record may be read by whom the source may be read by. All are on the disk when this returns: files that
-    are synced together take a twentieth of the time of one after the other.
+    Copy and record may be read by whom the source may be read by.
     """
-    folders = [_folder_of(processed, one.record.path) for one in refused]
-    former = [set(os.listdir(folder)) if folder.is_dir() else set() for folder in folders]
-    make_folders(folders)
-    new: list[NewFile] = []
-    copies: list[tuple[NewFile, str]] = []
-    records: list[tuple[NewFile, str]] = []
-    try:
-        for folder, one, stale in zip(folders, refused, former, strict=True):
-            copied, record = _prepared(folder, one, new)
-            copies += copied
-            records.append((record, RECORD_FILE))
-            stale -= {RECORD_FILE, *(name for _, name in copied)}
-        publish_all(copies, records)
-    finally:
-        for file in new:
-            file.discard()
-    for folder, stale in zip(folders, former, strict=True):
-        for name in stale:
-            remove(folder / name)
-
-
-def _prepared(folder: Path, refused: Refused, new: list[NewFile]) -> tuple[list[tuple[NewFile, str]], NewFile]:
-    """Write the copies and the record of a source under temporary names, which `new` is told of."""
-    copies: list[tuple[NewFile, str]] = []
-    like: list[os.stat_result] = []
-    found: Excerpt | None = None
-    for file in refused.source.files:
-        content = _content(file, refused.source.within)
-        if content is None:
-            continue
-        data, status = content
-        like.append(status)
-        copy = NewFile(folder, file.name, (status,))
-        new.append(copy)
-        copy.stream.write(data)
-        copies.append((copy, _copy_name(file)))
-        found = found or _excerpt(refused, storable(file.name), data)
-    found = found or NOTHING
-    whole = refused.record.model_copy(update={"byte": found.byte, "excerpt": found.lines})
-    record = NewFile(folder, RECORD_FILE, like)
-    new.append(record)
-    record.stream.write(sealed_json(whole.model_dump_json() + "\n").encode())
-    return copies, record
+    folder = quarantine_folder(processed) / digest(record.path)
+    former = set(folder.iterdir()) if folder.is_dir() else set()
+    like = []
+    for file in source.files:
+        content = _content(file, source.within)
+        if content is not None:
+            data, status = content
+            like.append(status)
+            new = NewFile(folder, file.name, shared_mode([status], folder))
+            try:
+                new.stream.write(data)
+                former.discard(new.publish(_copy_name(file)))
+            finally:
+                new.discard()
+    text = record.model_dump_json() + "\n"
+    # without a copy the record quotes nothing but what whoever ingests may say
+    former.discard(write_kept(folder, RECORD, ".json", text.encode(), shared_mode(like, folder)))
+    remove_all(sorted(former))
 
 
 def release(processed: Path, path: str) -> None:
     """Remove the record of a source, if there is one: it was repaired and is now stored."""
-    folder = _folder_of(processed, path)
+    folder = quarantine_folder(processed) / digest(path)
     if folder.is_dir():
         # first the record: what is left after an interruption is no record any more
-        (folder / RECORD_FILE).unlink(missing_ok=True)
+        remove_all(kept_files(folder, RECORD, ".json"))
         shutil.rmtree(folder, ignore_errors=True)
-
-
-def _folder_of(processed: Path, path: str) -> Path:
-    return quarantine_folder(processed) / digest(path)
 
 
 def _copy_name(file: Path) -> str:
@@ -287,20 +226,10 @@ def _copy_name(file: Path) -> str:
     name = file.name
     plain = name.isprintable() and len(os.fsencode(name)) <= LONGEST_COPY_NAME
     # neither may a copy be taken for the record, nor for a table: each *.parquet here is readable
-    ambiguous = name == RECORD_FILE or name.startswith(".") or name.lower().endswith((".parquet", ".tmp"))
-    if plain and not ambiguous:
+    own = name.startswith((".", f"{RECORD}-")) or name.lower().endswith((".parquet", ".tmp"))
+    if plain and not own:
         return name
     return f"{name}.refused" if plain else f"{digest(path_text(name))}.refused"
-
-
-def _excerpt(refused: Refused, name: str, data: bytes) -> Excerpt:
-    """Return the lines around the row at fault, where rows of the format are lines."""
-    record, profile = refused.record, refused.source.profile
-    kind = profile.format if profile else None
-    if kind not in _TEXTS or (kind == "json" and record.code != "syntax" and record.row is not None):
-        # in JSON a row is a record, but for what is no JSON
-        return NOTHING
-    return excerpt_of(name, data, record.row, kind, profile.encoding if profile else "utf-8")
 
 
 def _content(file: Path, within: str | None) -> tuple[bytes, os.stat_result] | None:
@@ -313,3 +242,29 @@ def _content(file: Path, within: str | None) -> tuple[bytes, os.stat_result] | N
     except OSError:  # the record says that it cannot be read
         return None
     return None if data is None or len(data) > LARGEST_COPY else (data, status)
+
+
+def excerpt_of(processed: Path, record: QuarantineRecord) -> list[tuple[int, str]]:
+    """Return number and text of the lines around the row at fault, safe to print; nothing of a file without lines."""
+    folder = quarantine_folder(processed) / digest(record.path)
+    copies = [file for file in sorted(folder.glob("*")) if not file.name.startswith(f"{RECORD}-")]
+    if ".json" in record.path.lower() and record.code != "syntax":
+        return []  # its row is that of a record
+    try:
+        data = unpacked(copies[0].name, copies[0].read_bytes()) if copies else b""
+    except LogError:
+        return []
+    marks = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
+    try:
+        text = data.decode(marks.get(data[:2], "utf-8-sig"))
+    except UnicodeDecodeError:
+        text = data.decode("latin-1")
+    if "\0" in text:
+        return []
+    at = record.row or 1
+    lines = islice(enumerate(io.StringIO(text, newline=None), 1), max(at - 1 - EXCERPT_ROWS, 0), at + EXCERPT_ROWS)
+    return [(number, _printable(line.rstrip("\n")[:LONGEST_SHOWN])) for number, line in lines]
+
+
+def _printable(text: str) -> str:
+    return "".join(c if c.isprintable() or c == "\t" else c.encode("unicode_escape").decode() for c in text)

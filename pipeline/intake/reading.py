@@ -13,7 +13,7 @@ from itertools import islice
 from pipeline.base.errors import LogError
 from pipeline.base.file_names import storable
 from pipeline.base.regular_files import open_regular
-from pipeline.intake.sources import Source, identity
+from pipeline.intake.sources import Source
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers import Log, RawLog, reader_of
 from pipeline.readers.limits import LARGEST_LOG
@@ -57,7 +57,7 @@ class Metrics:
 
 
 def read_and_check(
-    sources: Sequence[Source], known: Mapping[str, str], profile_sha256: str | None, use_threads: bool = False
+    sources: Sequence[Source], known: Callable[[Source, str], bool], use_threads: bool = False
 ) -> tuple[list[Read], Metrics]:
     """Read, hash, parse and check sources of one profile.
 
@@ -69,10 +69,8 @@ def read_and_check(
     ----------
     sources : sequence of Source
         All claimed by the same profile, or by none; at most some MB together, which are held in memory.
-    known : mapping of str to str
-        Hash of the profile that read a stored log, by what it is (`sources.identity`); such a source is not parsed.
-    profile_sha256 : str or None
-        Hash of their profile.
+    known : callable
+        Whether a source with a content (its SHA-256) is stored already; such a source is not parsed.
     use_threads : bool
         Whether parsing may use several processors.
 
@@ -94,8 +92,7 @@ def read_and_check(
             reads[index] = Read(source, None, error)
             continue
         size += seen.size
-        one = sha256 if source.profile is None else identity(sha256, source.profile, source.key)
-        if known.get(one) == profile_sha256:
+        if known(source, sha256):
             reads[index] = Read(seen, sha256, None)
         else:
             raws[index], loaded[index] = raw, (seen, sha256)

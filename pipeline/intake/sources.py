@@ -12,14 +12,23 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
 
+from pipeline.base.disk import READABLE, shared_mode
 from pipeline.base.errors import Code, UsageError
 from pipeline.base.file_names import path_of_text, path_text
 from pipeline.base.regular_files import OutsideError, is_gone, real_file
-from pipeline.intake.bags import bag_of, may_belong
-from pipeline.intake.listing import Notice, list_folders
+from pipeline.intake.bags import bag_of
 from pipeline.profiles.patterns import find_groups
 from pipeline.profiles.profile_files import claim
 from pipeline.profiles.profile_model import CONDITION_QUANTITIES, Profile
+
+UNCOUNTED = frozenset({"truth.json", "readme", "readme.md", "readme.txt", "license", "license.md", "license.txt"})
+"""Files that stand beside logs and are none (the first by the simulator), in small letters; not counted in folders."""
+
+Notice = Callable[[Path, str], None]
+"""Told of a folder that is not searched, and why."""
+
+Passes = Callable[[str, int, int], bool]
+"""Whether a file is passed by, without a closer look: absolute path, size [byte] and modification time [ns]."""
 
 
 @dataclass(frozen=True)
@@ -45,6 +54,8 @@ class Source:
         The same as one of `errors.Code`.
     within : str or None
         Real path of the folder that no link may lead out of; None for a link that was given itself.
+    mode : int
+        Who may read all of its files.
     """
 
     path: Path
@@ -56,21 +67,12 @@ class Source:
     problem: str | None = None
     code: Code = "unreadable"
     within: str | None = None
+    mode: int = READABLE
 
     @property
     def shown(self) -> str:
         """The path as found, as text that can be stored."""
         return path_text(self.path)
-
-    @property
-    def stands_alone(self) -> bool:
-        """Whether no other file, one that may come later included, decides how it is read."""
-        own = self.profile is not None and self.profile.partner is None and not may_belong(self.path)
-        return own and self.problem is None
-
-
-Files = Callable[[Path, frozenset[str], Notice], Iterable[Path]]
-"""Yields the wanted files below a folder, but for those below excluded ones; gives notice of what is not searched."""
 
 
 def find_sources(
@@ -78,7 +80,7 @@ def find_sources(
     profiles: tuple[Profile, ...],
     exclude: Path | None = None,
     notice: Notice | None = None,
-    files: Files | None = None,
+    passes: Passes | None = None,
 ) -> list[Source]:
     """Return every log below the given folders and files, each once, in order of path.
 
@@ -95,8 +97,8 @@ def find_sources(
         Folder that is left out (`processed/`, which may lie inside a searched folder).
     notice : callable, optional
         Called with each folder that is not searched, and why: it is a link, or may not be read.
-    files : callable, optional
-        Called with a folder, those to leave out, and `notice`; yields the files that are wanted, by default all.
+    passes : callable, optional
+        Which files are left out, as nothing about them can have changed; by default none.
 
     Raises
     ------
@@ -121,16 +123,66 @@ def find_sources(
         folder = path if path.is_dir() else path.parent
         # a link that is given itself is the user's own choice
         within = None if folder != path and path.is_symlink() else os.path.realpath(folder)
-        for file in (files or _files)(path, excluded, notice or _say_nothing) if folder == path else [path]:
+        for file in _files(path, excluded, notice or _say_nothing, passes) if folder == path else [path]:
             source = _source(file, profiles, within)
             found.setdefault(source.key, source)
     return [found[key] for key in sorted(found)]
 
 
-def _files(folder: Path, excluded: frozenset[str], notice: Notice) -> Iterator[Path]:
-    for here in list_folders(folder, excluded, notice):
-        for name in (*here.plain, *here.others):
-            yield Path(here.path, name)
+def _files(folder: Path, excluded: frozenset[str], notice: Notice, passes: Passes | None) -> Iterator[Path]:
+    """Yield the files below a folder but hidden ones and `UNCOUNTED`; links to folders are not followed."""
+    waiting = [os.fspath(folder)]
+    while waiting:
+        here = waiting.pop()
+        below = os.path.join(os.path.abspath(here), "")
+        try:
+            with os.scandir(here) as entries:
+                for entry in entries:
+                    name = entry.name
+                    if name[0] == ".":
+                        continue
+                    if _is_folder(entry):
+                        if os.path.realpath(entry.path) in excluded:
+                            continue
+                        if entry.is_symlink():
+                            text = "is a link to a folder, which is not followed. Give that folder if it has logs."
+                            notice(Path(entry.path), text)
+                        else:
+                            waiting.append(entry.path)
+                    elif name.lower() not in UNCOUNTED and not (passes and _passed(entry, below + name, passes)):
+                        yield Path(entry.path)
+        except OSError as error:
+            notice(Path(here), f"folder cannot be read ({error.strerror}). Correct its permissions.")
+
+
+def _passed(entry: os.DirEntry[str], path: str, passes: Passes) -> bool:
+    try:
+        status = entry.stat()
+        return not entry.is_symlink() and passes(path, status.st_size, status.st_mtime_ns)
+    except OSError:
+        return False
+
+
+def _is_folder(entry: os.DirEntry[str]) -> bool:
+    try:
+        return entry.is_dir()
+    except OSError:
+        return False
+
+
+def told_by_name(profile: Profile, path: Path) -> str | None:
+    """Return what a profile reads from the name of a log, as text; None where it reads names not.
+
+    Names that tell the same, as 2 and 2.0, give the same text.
+    """
+    if not profile.reads_names:
+        return None
+    told = (find_groups(profile.name_pattern, path.name) if profile.name_pattern else None) or {}
+    for key in told.keys() & CONDITION_QUANTITIES:
+        with suppress(ValueError):
+            told[key] = str(float(told[key]))
+    entries = [entry.match for entry in profile.file if fnmatchcase(path.name.lower(), entry.match.lower())]
+    return json.dumps([told, entries], sort_keys=True)
 
 
 def removed_below(folders: Sequence[Path], stored: Iterable[str], present: Set[str]) -> Iterator[str]:
@@ -142,24 +194,6 @@ def removed_below(folders: Sequence[Path], stored: Iterable[str], present: Set[s
             # what may not be looked at is told as such; a folder in the place of a log is none
             if is_gone(path) or path.is_dir():
                 yield key
-
-
-def identity(sha256: str, profile: Profile, path: str) -> str:
-    """Return what a log is: its content, with what the profile reads from its name."""
-    if not profile.reads_names:
-        return sha256
-    name = path_of_text(path).name
-    told = (find_groups(profile.name_pattern, name) if profile.name_pattern else None) or {}
-    for key in told.keys() & CONDITION_QUANTITIES:
-        with suppress(ValueError):  # 2 and 2.0 are the same
-            told[key] = str(float(told[key]))
-    entries = [entry.match for entry in profile.file if fnmatchcase(name.lower(), entry.match.lower())]
-    return f"{sha256} {json.dumps([told, entries], sort_keys=True)}"
-
-
-def content_of(one: str) -> str:
-    """Return the hash of the content in what `identity` returns."""
-    return one.partition(" ")[0]
 
 
 def by_rest(sources: Sequence[Source], settle_s: float, growing: frozenset[str]) -> tuple[list[Source], list[Source]]:
@@ -206,9 +240,11 @@ def _source(file: Path, profiles: tuple[Profile, ...], within: str | None) -> So
         path, files, partner = bag.folder, bag.files, None
         problem = (bag.problem, "partner-missing") if bag.problem else problem
     size, mtime_ns, present = 0, 0, []
+    seen = list[os.stat_result]()
     for part in files:
         status = _status(part, within)
         if isinstance(status, os.stat_result):
+            seen.append(status)
             present.append(part)
             size += status.st_size
             mtime_ns = max(mtime_ns, status.st_mtime_ns)
@@ -219,7 +255,8 @@ def _source(file: Path, profiles: tuple[Profile, ...], within: str | None) -> So
         problem = problem or status
     key = path_text(os.path.abspath(path))
     reason, code = problem or (None, "unreadable")
-    return Source(path, key, tuple(present), size, mtime_ns, profile, reason, code, within)
+    mode = shared_mode(seen, path.parent)
+    return Source(path, key, tuple(present), size, mtime_ns, profile, reason, code, within, mode)
 
 
 def _status(file: Path, within: str | None) -> os.stat_result | _Problem:

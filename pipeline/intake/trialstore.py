@@ -1,13 +1,11 @@
-"""Writes accepted logs to `processed/`: samples first, then the trials file that makes them visible."""
+"""Writes accepted logs to `processed/`: a file for each experiment, group by group, visible when it is whole."""
 
 from __future__ import annotations
 
 import json
-from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor, Future
-from dataclasses import dataclass, replace
-from itertools import count, islice
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,41 +13,28 @@ import numpy as np
 import pyarrow as pa
 
 from pipeline import __version__
-from pipeline.base.disk import make_folders
-from pipeline.base.file_names import path_text
+from pipeline.base.disk import each, readers_of
 from pipeline.base.provenance import sha256 as hash_of
 from pipeline.intake.reading import motion_of
-from pipeline.intake.sources import Source
+from pipeline.intake.sources import Source, told_by_name
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers import Log
 from pipeline.readers.time_axis import step_flags
 from pipeline.records.batch import Floats, Integers
 from pipeline.records.models import Motion
-from pipeline.records.table_files import GROUP_ROWS
 from pipeline.records.tables import to_arrow
-from pipeline.store.batch_files import NewBatch, next_number, publish_batches
-from pipeline.store.storage import FORMERLY, samples_folder, trials_folder
-from pipeline.store.working_copy import publish
-
-PUBLISHED_TOGETHER = 8
-"""Batches that become visible at once, with two open files each: their syncs take the time of one."""
+from pipeline.store.batch_files import GROUP_BYTES, GROUP_TRIALS, NewBatch
+from pipeline.store.mirror import publish
 
 
 @dataclass(frozen=True, eq=False)
 class Accepted:
-    """A checked log with its identity, its motion, and the hash of the profile that read it.
+    """A checked log with its identity, its motion, and the profile that read it; the columns of its row but samples."""
 
-    ``siblings`` is the number of trials that its source holds, this one included.
-    """
-
-    trial_id: str
-    sha256: str
     source: Source
     log: Log
     motion: Motion
-    profile: str
-    profile_sha256: str
-    siblings: int = 1
+    row: dict[str, Any]
 
     @property
     def bytes(self) -> int:
@@ -60,44 +45,37 @@ class Accepted:
 
 
 def accepted_logs(
-    source: Source,
-    sha256: str,
-    logs: Sequence[Log],
-    profile: Profile,
-    profile_sha256: str,
-    known: Mapping[str, Motion],
-    formerly: str | None = None,
+    source: Source, sha256: str, logs: Sequence[Log], profile: Profile, profile_sha256: str, known: Mapping[str, Motion]
 ) -> list[Accepted]:
     """Return the trials of a source that was read; `known` is the motion of each device that has a device file.
-
-    ``formerly`` is the path under which it is stored, where it was renamed.
 
     Raises
     ------
     LogError
         If a log cannot be stored (`reading.motion_of`).
     """
-    name = path_text(source.path.name) if profile.reads_names else None
-    if formerly is not None:
-        headers = [replace(log.header, extra=log.header.extra | {FORMERLY: formerly}) for log in logs]
-        logs = [replace(log, header=header) for log, header in zip(logs, headers, strict=True)]
+    told = told_by_name(profile, source.path)
     return [
         Accepted(
-            trial_id(sha256, log.label, name),
-            sha256,
             source,
             log,
-            motion_of(log, known),
-            profile.name,
-            profile_sha256,
-            len(logs),
+            motion := motion_of(log, known),
+            {
+                "trial_id": trial_id(sha256, log.label, told),
+                "source_sha256": sha256,
+                "source_trials": len(logs),
+                "profile": profile.name,
+                "profile_sha256": profile_sha256,
+                "motion": motion,
+                "formerly": None,
+            },
         )
         for log in logs
     ]
 
 
 class TrialWriter:
-    """Collects accepted logs and writes them as one batch per device, experiment and motion.
+    """Collects accepted logs and writes them as one batch per device, experiment, motion and who may read them.
 
     Samples go to disk group by group, so that memory does not grow with a batch; with an executor one group of a batch
     is written while the next is collected, and those of several batches at a time. The file of a batch is opened for
@@ -109,17 +87,21 @@ class TrialWriter:
     processed : Path
     limit : int
         Bytes of samples after which what was collected is made visible: what an interruption may cost.
-    executor : Executor, optional
-        Where groups are written.
+    claims : str
+        As for `known.StoredSources`.
+    latest : int
+        Highest version that is stored.
     """
 
-    def __init__(self, processed: Path, limit: int, executor: Executor | None = None) -> None:
-        self.processed, self.limit, self.executor = processed, limit, executor
-        self._batches: dict[tuple[str, str, Motion], _Batch] = {}
+    def __init__(self, processed: Path, limit: int, claims: str, latest: int) -> None:
+        self.processed, self.limit = processed, limit
+        self.executor: Executor | None = None
+        self._common = {"claims": claims, "version": latest + 1}
+        self._batches: dict[tuple[str, str, Motion, int], _Batch] = {}
         self._sources: list[Source] = []
         self._bytes = 0
-        self.experiments: set[tuple[str, str]] = set()
-        """Device and experiment of all that was collected."""
+        self.folders: set[Path] = set()
+        """Folders of all that was made visible."""
         self.visible: set[str] = set()
         """Paths of the sources of trials that were made visible."""
 
@@ -127,10 +109,9 @@ class TrialWriter:
         """Take the logs of one more source; return the sources that became visible because the limit was reached."""
         for one in accepted:
             header = one.log.header
-            key = header.device, header.experiment, one.motion
+            key = header.device, header.experiment, one.motion, readers_of(one.source.mode)
             if key not in self._batches:
-                self._batches[key] = _Batch(self.processed, *key, self.executor)
-            self.experiments.add(key[:2])
+                self._batches[key] = _Batch((self.processed, *key), self.executor, self._common)
             self._batches[key].add(one)
             self._bytes += one.bytes
         self._sources += [one.source for one in accepted]
@@ -138,23 +119,14 @@ class TrialWriter:
 
     def flush(self) -> list[Source]:
         """Make all that was collected visible and return its sources; after an error all that is stored is valid."""
-        # the caller holds the lock, so that nobody else takes a number meanwhile
-        number = next_number(self.processed) if self._batches else 0
-        while self._batches:
-            keys = list(islice(self._batches, PUBLISHED_TOGETHER))
-            batches = [self._batches[key] for key in keys]
-            make_folders(f(self.processed, *key[:2]) for key in keys for f in (samples_folder, trials_folder))
-            for batch in batches:
-                batch.write_rest()
-            # each waits for what it has begun to write, which stands before it in the queue
-            each = map if self.executor is None else self.executor.map
-            publish_batches(list(each(_Batch.finished, batches, count(number))))
-            for key, batch in zip(keys, batches, strict=True):
-                self.visible.update(batch.trials["source_path"])
-                del self._batches[key]
-            number += len(keys)
+        for batch in self._batches.values():
+            batch.write_pending()
+        # each waits for what it has begun to write
+        self.folders.update(path.parent for path in each(_Batch.publish, list(self._batches.values())))
+        self._batches.clear()
         publish(self.processed)
         sources, self._sources, self._bytes = self._sources, [], 0
+        self.visible.update(source.key for source in sources)
         return sources
 
     def discard(self) -> None:
@@ -164,36 +136,43 @@ class TrialWriter:
 
 
 class _Batch:
-    """Logs of one experiment on their way into a pair of files."""
+    """Logs of one experiment on their way into a file."""
 
     def __init__(
-        self, processed: Path, device: str, experiment: str, motion: Motion, executor: Executor | None
+        self, place: tuple[Path, str, str, Motion, int], executor: Executor | None, common: Mapping[str, Any]
     ) -> None:
-        self.place, self.executor = (processed, device, experiment, motion), executor
+        self.place, self.executor, self.common = place, executor, common
         self.file: NewBatch | None = None
         self.writing: Future[None] | None = None
         self.pending: list[Accepted] = []
-        self.pending_rows = 0
-        self.trials: dict[str, list[Any]] = defaultdict(list)
+        self.bytes = 0
 
     def add(self, accepted: Accepted) -> None:
         self.pending.append(accepted)
-        self.pending_rows += len(accepted.log.time)
-        if self.pending_rows >= GROUP_ROWS:
-            self._write_pending()
+        self.bytes += accepted.bytes
+        if len(self.pending) >= GROUP_TRIALS or self.bytes >= GROUP_BYTES:
+            self.write_pending()
 
-    def write_rest(self) -> None:
+    def write_pending(self) -> None:
         """Begin to write what is pending."""
-        if self.pending:
-            self._write_pending()
+        members, self.pending, self.bytes = self.pending, [], 0
+        if not members:
+            return
+        if self.writing is not None:
+            # groups stand in order, and no more than one waits in memory
+            self.writing.result()
+        self.file = self.file or NewBatch(*self.place)
+        if self.executor is None:
+            self._write(self.file, members)
+        else:
+            self.writing = self.executor.submit(self._write, self.file, members)
 
-    def finished(self, number: int) -> NewBatch:
-        """Return the files of the batch when all of it is written."""
+    def publish(self) -> Path:
+        """Make all that was written visible."""
         if self.writing is not None:
             self.writing.result()
         assert self.file is not None, "a batch is made for a log, which is pending or written"
-        self.file.finish(self.trials, number)
-        return self.file
+        return self.file.publish()
 
     def discard(self) -> None:
         if self.writing is not None:
@@ -202,61 +181,42 @@ class _Batch:
         if self.file is not None:
             self.file.discard()
 
-    def _write_pending(self) -> None:
-        members, self.pending, self.pending_rows = self.pending, [], 0
-        if self.file is None:
-            self.file = NewBatch(*self.place)
-        if self.executor is None:
-            self._write_group(self.file, members)
-            return
-        if self.writing is not None:
-            # groups stand in order, and no more than one waits in memory
-            self.writing.result()
-        self.writing = self.executor.submit(self._write_group, self.file, members)
-
-    def _write_group(self, file: NewBatch, members: Sequence[Accepted]) -> None:
+    def _write(self, file: NewBatch, members: Sequence[Accepted]) -> None:
         rows = np.array([len(m.log.time) for m in members], dtype=np.int64)
-        time = np.concatenate([m.log.time for m in members])
+        time_s = np.concatenate([m.log.time for m in members])
         period = np.array([m.log.header.sampling_period_s for m in members], dtype=np.float64)
-        flags = step_flags(time, rows, period)
-        first = file.rows + np.cumsum(rows) - rows
-        for member, flag, length, at in zip(members, flags, rows.tolist(), first.tolist(), strict=True):
-            for name, value in _trial(member, flag).items():
-                self.trials[name].append(value)
-            self.trials["rows"].append(length)
-            self.trials["first_row"].append(at)
-        samples = {
-            "trial_id": _repeated([m.trial_id for m in members], rows),
-            "time_s": time,
-            "command": np.concatenate([m.log.command for m in members]),
-            "position": np.concatenate([m.log.position for m in members]),
-            "force": _optional([m.log.force for m in members], rows, pa.float64()),
-            "velocity": _optional([m.log.velocity for m in members], rows, pa.float64()),
-            "raw_time": _optional([_raw(m.log, "f") for m in members], rows, pa.float64()),
-            "raw_count": _optional([_raw(m.log, "i") for m in members], rows, pa.int64()),
+        flags = step_flags(time_s, rows, period)
+        trials = [_trial(member, flag, self.common) for member, flag in zip(members, flags, strict=True)]
+        samples: dict[str, Sequence[Any]] = {
+            "time_s": [m.log.time for m in members],
+            "command": [m.log.command for m in members],
+            "position": [m.log.position for m in members],
+            "force": [m.log.force for m in members],
+            "velocity": [m.log.velocity for m in members],
+            "raw_time": [_raw(m.log, "f") for m in members],
+            "raw_count": [_raw(m.log, "i") for m in members],
         }
-        file.write(to_arrow("samples", samples))
+        columns: dict[str, Any] = {name: [trial[name] for trial in trials] for name in trials[0]}
+        columns |= {name: _lists(values, file.schema.field(name).type) for name, values in samples.items()}
+        file.write(to_arrow("trials", columns, rotation=self.place[3] == "rotation"))
 
 
-def _trial(accepted: Accepted, flags: Mapping[str, Any]) -> dict[str, object]:
-    """Return the row of a log in the trials table, but where its samples lie."""
+def _trial(accepted: Accepted, flags: Mapping[str, Any], common: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the row of a log in the trials table, but its samples."""
     log, source = accepted.log, accepted.source
     header = log.header
     plain = ("device", "experiment", "stiffness", "damping", "step", "sampling_period_s")
     return {
         **{key: getattr(header, key) for key in (*plain, "added_delay_samples", "grip", "simulated")},
-        "trial_id": accepted.trial_id,
+        **accepted.row,
+        **common,
         "label": log.label,
-        "motion": accepted.motion,
+        "rows": len(log.time),
         "extra": json.dumps(header.extra, sort_keys=True, ensure_ascii=False) if header.extra else "{}",
         "time_quality": json.dumps({**flags, **log.counts}),
         "source_path": source.key,
-        "source_sha256": accepted.sha256,
-        "source_trials": accepted.siblings,
         "source_size": source.size,
         "source_mtime_ns": source.mtime_ns,
-        "profile": accepted.profile,
-        "profile_sha256": accepted.profile_sha256,
         "package_version": __version__,
     }
 
@@ -266,32 +226,18 @@ def _raw(log: Log, kind: str) -> Floats | Integers | None:
     return log.raw_time if log.raw_time is not None and log.raw_time.dtype.kind == kind else None
 
 
-def _optional(columns: Sequence[Floats | Integers | None], rows: Integers, dtype: pa.DataType) -> pa.ChunkedArray:
-    """Return a column that some logs lack; null where they do."""
-    if all(values is None for values in columns):
-        return _nulls(int(rows.sum()), dtype)
-    parts = [
-        pa.nulls(int(count), dtype) if values is None else pa.array(values)
-        for values, count in zip(columns, rows, strict=True)
-    ]
-    return pa.chunked_array(parts, type=dtype)
+def _lists(columns: Sequence[Floats | Integers | None], dtype: pa.DataType) -> pa.Array:
+    """Return samples as a column of lists; null for a log that has none."""
+    there = [values for values in columns if values is not None]
+    if not there:
+        return pa.nulls(len(columns), dtype)
+    edges = np.cumsum([0, *(0 if values is None else len(values) for values in columns)], dtype=np.int32)
+    missing = np.array([values is None for values in columns])
+    mask = pa.array(missing) if missing.any() else None
+    return pa.ListArray.from_arrays(pa.array(edges), pa.array(np.concatenate(there)), type=dtype, mask=mask)
 
 
-def _repeated(ids: Sequence[str], rows: Integers) -> pa.StringArray:
-    """Return a column of the id of each row's trial; ids have one length, so that no text is touched row by row."""
-    column = np.repeat(np.array(ids, dtype=np.bytes_), rows)
-    offsets = np.arange(len(column) + 1, dtype=np.int32) * np.int32(column.dtype.itemsize)
-    return pa.StringArray.from_buffers(len(column), pa.py_buffer(offsets), pa.py_buffer(column))
-
-
-def _nulls(rows: int, dtype: pa.DataType) -> pa.ChunkedArray:
-    """Return a column of nulls that shares one small piece of memory."""
-    piece = pa.nulls(min(rows, 1 << 16), dtype)
-    whole, rest = divmod(rows, max(len(piece), 1))
-    return pa.chunked_array([*([piece] * whole), piece[:rest]], type=dtype)
-
-
-def trial_id(sha256: str, label: str | None, name: str | None = None) -> str:
+def trial_id(sha256: str, label: str | None, told: str | None = None) -> str:
     """Return the id of a trial: of its source, with its label where the source holds several.
 
     Parameters
@@ -300,9 +246,9 @@ def trial_id(sha256: str, label: str | None, name: str | None = None) -> str:
         Of the source, 64 hexadecimal digits.
     label : str or None
         Which trial of the source it is.
-    name : str, optional
-        File name, where conditions are read from it: under another name the same samples are another trial.
+    told : str, optional
+        What is read from the name of the file: under a name that tells otherwise the same samples are another trial.
     """
-    parts = [part for part in (label, name) if part is not None]
-    # no name of a file holds a NUL
+    parts = [part for part in (label, told) if part is not None]
+    # neither label nor name holds a NUL
     return hash_of((sha256 + "\0".join(parts)).encode())[:16] if parts else sha256[:16]

@@ -8,8 +8,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from pipeline import __version__
-from pipeline.base.disk import write_text
-from pipeline.base.json_seal import sealed_json, unsealed_json
+from pipeline.base.disk import read_kept, write_kept
 from pipeline.base.provenance import PACKAGE_FOLDER, digest, digest_all, schema_folder, sha256
 from pipeline.records.findings import Record
 
@@ -19,8 +18,8 @@ OURS = "this package"
 WRONG = 1e-6
 """Relative error from which a result counts as wrong: more than any plot, table or controller would need."""
 
-STORED = "accuracy.json"
-"""File below `processed/` that keeps the last measurement."""
+STORED = "accuracy"
+"""Begin of the name of the file below `processed/` that keeps the last measurement."""
 
 
 class Rung(Record):
@@ -128,16 +127,16 @@ def reference_file() -> Path:
 
 def store(report: AccuracyReport, processed: Path) -> None:
     """Keep a measurement for the reports of comparisons."""
-    write_text(processed / STORED, sealed_json(report.model_dump_json() + "\n"))
+    write_kept(processed, STORED, ".json", (report.model_dump_json() + "\n").encode())
 
 
 def stored(processed: Path) -> AccuracyReport | None:
     """Return the kept measurement if it was made by this code on this machine, else None."""
-    path = processed / STORED
-    if not path.is_file():
+    data = read_kept(processed, STORED, ".json")
+    if data is None:
         return None
     try:
-        report = AccuracyReport.model_validate(unsealed_json(path.read_bytes()))
+        report = AccuracyReport.model_validate_json(data)
     except ValueError:  # damaged, or of another version: to be measured anew
         return None
     return report if report.key == key() else None

@@ -1,114 +1,77 @@
 """Parquet files of the stored tables, checked against the dictionary of columns (`tables`).
 
 Writing stamps units and meanings into the file's metadata; reading refuses a file that is damaged or whose columns or
-types differ. Files appear under their final name only when they are complete.
+types differ. A file bears the SHA-256 of its content in its name. One that is read as a whole is held against it; of
+one that is read in part Parquet's own checksums hold the pages.
 """
 
 from __future__ import annotations
 
+import hashlib
 import io
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, BinaryIO, Self
+from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from pipeline.base.disk import replacing
+from pipeline.base.disk import said_content
 from pipeline.base.errors import REMEDY, StoreError
-from pipeline.base.json_seal import DamageError
-from pipeline.base.seal import MARK, SealingStream, verify
 from pipeline.records.tables import COLUMNS, TABLES
 
-GROUP_ROWS = 1 << 19
-"""Rows of a group, which is written and read as one: some 500 logs, which take 25 MB in memory with all columns."""
-
-WRITING: dict[str, Any] = {"compression": "zstd", "write_page_checksum": True}
+WRITING: dict[str, Any] = {"compression": "zstd", "write_page_checksum": True, "write_statistics": False}
 """How Parquet is written. The compression alone does not notice a flipped byte, which would then be read as another
 number; checksums do."""
 
 
-def write_table(path: Path, data: pa.Table, annex: bytes = b"") -> None:
-    """Write a table to Parquet so that a reader sees all of it or nothing; the annex of its seal is the caller's.
+def parquet_bytes(data: pa.Table) -> bytes:
+    """Return a table as a Parquet file.
 
     Raises
     ------
     StoreError
         If the table does not equal its entry in `TABLES`.
     """
-    _check(path, data.schema)
-    write_parquet(path, data, annex)
-
-
-def write_parquet(path: Path, data: pa.Table, annex: bytes = b"") -> None:
-    """Write any Arrow table so that a reader sees all of it or nothing; `write_table` checks it too."""
-    with replacing(path) as stream, SealedWriter(stream, data.schema) as writer:
-        writer.write(data)
-        writer.close(annex)
-
-
-def parquet_bytes(data: pa.Table) -> bytes:
-    """Return a table as a Parquet file that is ready to be sealed."""
+    _check(Path("table"), data.schema)
     sink = io.BytesIO()
-    with _writer(sink, data.schema) as writer:
-        writer.write_table(data)
+    pq.write_table(data, sink, **WRITING)
     return sink.getvalue()
 
 
-def _writer(stream: BinaryIO | io.RawIOBase, schema: pa.Schema) -> pq.ParquetWriter:
-    return pq.ParquetWriter(stream, schema.with_metadata({**(schema.metadata or {}), MARK: "1"}), **WRITING)
-
-
-class SealedWriter:
-    """Writes tables, one group of rows each, as a sealed Parquet file; nothing of worth without `close`."""
-
-    def __init__(self, stream: BinaryIO, schema: pa.Schema) -> None:
-        self._stream = SealingStream(stream)
-        self._writer = _writer(self._stream, schema)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def write(self, data: pa.Table, group_rows: int = GROUP_ROWS) -> None:
-        """Append a table in groups of rows."""
-        self._writer.write_table(data, row_group_size=group_rows)
-
-    def close(self, annex: bytes = b"") -> bytes:
-        """Write the rest and the seal; return the footer."""
-        self._stream.end_pages()
-        self._writer.close()
-        return self._stream.finish(annex)
-
-    def __exit__(self, *error: object) -> None:
-        # the end of a file that nobody wants; on a full disk it cannot be written
-        with suppress(OSError, ValueError, pa.ArrowException):
-            self._writer.close()
-
-
-def read_table(path: Path, columns: list[str] | None = None) -> pa.Table:
-    """Read a stored table (all or some columns) after checking it against the dictionary.
+def read_table(path: Path) -> pa.Table:
+    """Read a stored table as a whole after checking content and columns.
 
     Raises
     ------
     StoreError
         If the file is damaged, or was written with other columns or types.
     """
-    with open_table(path) as file:
-        table = file.read(columns=columns)
-    # the mark is the file's and not the table's
-    return table.replace_schema_metadata({k: v for k, v in table.schema.metadata.items() if k != MARK.encode()})
+    with _told(path):
+        data = path.read_bytes()
+        if said_content(path.name) not in (None, hashlib.sha256(data).hexdigest()):
+            raise ValueError("its content is not that of its name")
+        table = pq.read_table(pa.BufferReader(data))
+    _check(path, table.schema)
+    return table
 
 
 @contextmanager
 def open_table(path: Path) -> Iterator[pq.ParquetFile]:
-    """Open a stored table, whose bytes are held against their checksums once; errors as those of `read_table`."""
+    """Open a stored table of which some columns or rows are read; errors as those of `read_table`."""
+    with _told(path), pq.ParquetFile(path, page_checksum_verification=True) as file:
+        _check(path, file.schema_arrow)
+        yield file
+
+
+@contextmanager
+def _told(path: Path) -> Iterator[None]:
     try:
-        # a file of an earlier version has checksums of its pages alone
-        with pq.ParquetFile(path, page_checksum_verification=not verify(path)) as file:
-            _check(path, file.schema_arrow)
-            yield file
-    except (DamageError, pa.ArrowException, OSError, UnicodeDecodeError) as error:
+        yield
+    except (pa.ArrowException, OSError, ValueError) as error:  # UnicodeDecodeError of foreign bytes included
+        if isinstance(error, FileNotFoundError):  # who reads looks again: it may have been merged meanwhile
+            raise
         raise damaged_file(path, error) from error
 
 
@@ -117,11 +80,16 @@ def damaged_file(path: Path, error: object) -> StoreError:
     return StoreError(f"{path}: is missing or damaged ({error}). {REMEDY}")
 
 
+def metadata_of(schema: pa.Schema) -> dict[str, str]:
+    """Return the metadata that were stamped into a file."""
+    metadata = schema.metadata or {}
+    return {key.decode(): value.decode() for key, value in metadata.items() if key.startswith(b"pipeline.")}
+
+
 def read_metadata(path: Path) -> dict[str, str]:
     """Return the metadata stamped into a stored file, or an empty dictionary where there is no readable one."""
     try:
-        metadata = pq.read_schema(path).metadata or {}
-        return {key.decode(): value.decode() for key, value in metadata.items() if key.startswith(b"pipeline.")}
+        return metadata_of(pq.read_schema(path))
     except (pa.ArrowException, OSError, UnicodeDecodeError):
         return {}
 

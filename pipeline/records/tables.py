@@ -32,7 +32,9 @@ def _same(dtype: pa.DataType, unit: str, meaning: str, nullable: bool = False) -
 
 
 _F, _I, _S, _B = pa.float64(), pa.int64(), pa.string(), pa.bool_()
-_L = pa.list_(pa.field("element", _F))  # the name that Parquet gives it
+# the name that Parquet gives it
+_L = pa.list_(pa.field("element", _F))
+_LI = pa.list_(pa.field("element", _I))
 
 
 def _cost(criterion: Criterion) -> dict[str, Column]:
@@ -65,29 +67,36 @@ COLUMNS: dict[str, Column] = {
     "time_quality": _same(_S, "", "gaps, drops, jitter, and what was settled in the rows, as JSON"),
     # where it came from
     "source_path": _same(_S, "", "source log as found"),
+    "formerly": _same(_S, "", "where its log stood before it was renamed, and its trials were read anew", True),
     "source_sha256": _same(_S, "", "SHA-256 of the source log (of both files, in order, for a pair)"),
     "source_trials": _same(_I, "", "number of trials that the source holds"),
     "source_size": _same(_I, "byte", "size of the source log"),
     "source_mtime_ns": _same(_I, "ns", "modification time of the source log"),
     "profile": _same(_S, "", "log profile that read it"),
     "profile_sha256": _same(_S, "", "SHA-256 of that profile"),
+    "claims": _same(_S, "", "hash of all profiles that might have claimed it"),
     "package_version": _same(_S, "", "version that stored it"),
-    "sample_file": _same(_S, "", "file below processed/ that holds the samples"),
-    "first_row": _same(_I, "", "row of that file with the first sample"),
-    # exclusions
-    "exclusion_reason": _same(_S, "", "why the trial is excluded by hand"),
+    "version": _same(_I, "", "number of the ingest that stored it: of two versions of a trial the higher one counts"),
+    "sample_file": _same(_S, "", "file below processed/ that holds the trial; not stored, but told by who reads"),
+    "sample_row": _same(_I, "", "row of that file"),
+    # corrections
+    "exclusion_reason": _same(_S, "", "why the trial is excluded by hand; empty where it is in use"),
     "excluded_since": _same(_S, "", "when it was excluded, UTC, ISO 8601"),
-    # samples
-    "time_s": _same(_F, "s", "time stamp of the sample"),
-    "command": Column(_F, "N", "Nm", "total commanded force before any delay: external step minus wall force"),
-    "position": Column(_F, "m", "rad", "measured position"),
-    "force": Column(_F, "N", "Nm", "measured force, where the log has one", True),
-    "velocity": Column(_F, "m/s", "rad/s", "velocity as logged; no cost or estimate uses it", True),
+    "moved_device": _same(_S, "", "device that the trial counts as one of; null for that of its log", True),
+    "moved_experiment": _same(_S, "", "experiment that the trial counts as one of; null for that of its log", True),
+    "deleted": _same(_B, "", "true where the trial is deleted by hand"),
+    "corrected_ns": _same(_I, "ns", "when the correction was made: of two of a trial the newer counts"),
+    # samples of a trial, one value a sample
+    "time_s": _same(_L, "s", "time stamp of the sample"),
+    "command": Column(_L, "N", "Nm", "total commanded force before any delay: external step minus wall force"),
+    "position": Column(_L, "m", "rad", "measured position"),
+    "force": Column(_L, "N", "Nm", "measured force, where the log has one", True),
+    "velocity": Column(_L, "m/s", "rad/s", "velocity as logged; no cost or estimate uses it", True),
     "raw_time": _same(
-        _F, "", "time stamp as it stands in the source, where it is no whole number and not time_s", True
+        _L, "", "time stamp as it stands in the source, where it is no whole number and not time_s", True
     ),
     "raw_count": _same(
-        _I,
+        _LI,
         "",
         "time stamp as it stands in the source, where it is a whole number (a date: without its decimal sign)",
         True,
@@ -214,12 +223,13 @@ _BESIDE = {
 _TRIAL = "trial_id samples_sha256 stiffness damping"
 
 _NAMES = {
-    "samples": "trial_id time_s command position force velocity raw_time raw_count",
     "trials": """
         trial_id label device experiment motion stiffness damping step sampling_period_s added_delay_samples grip
-        simulated rows extra time_quality source_path source_sha256 source_trials source_size source_mtime_ns profile
-        profile_sha256 package_version sample_file first_row""",
-    "exclusions": "trial_id label device experiment source_path source_sha256 exclusion_reason excluded_since",
+        simulated rows extra time_quality source_path formerly source_sha256 source_trials source_size source_mtime_ns
+        profile profile_sha256 claims package_version version
+        time_s command position force velocity raw_time raw_count""",
+    "corrections": """trial_id label device experiment source_path source_sha256 exclusion_reason excluded_since
+        moved_device moved_experiment deleted corrected_ns""",
     "response": f"""{_TRIAL} verdict reason growth_per_s edge_row position_start
         position_final_expected position_final_measured sensor_quantum sensor_noise""",
     "wall_law": f"""{_TRIAL} law_residual law_rounding law_codes law_evidence law_rows
@@ -244,8 +254,19 @@ _NAMES = {
 
 TABLES: dict[str, tuple[str, ...]] = {table: tuple(names.split()) for table, names in _NAMES.items()}
 
+SAMPLES = ("time_s", "command", "position", "force", "velocity", "raw_time", "raw_count")
+"""Columns of the trials table that hold a list of samples."""
 
-def arrow_schema(table: str, *, rotation: bool = False, metadata: Metadata | None = None) -> pa.Schema:
+LOCATION = ("sample_file", "sample_row")
+"""Where a trial is stored; added by who reads it."""
+
+OF_TRIALS = (*(name for name in TABLES["trials"] if name not in SAMPLES), *LOCATION)
+"""What is told of a trial, but its samples."""
+
+
+def arrow_schema(
+    table: str, *, rotation: bool = False, metadata: Metadata | None = None, also: tuple[str, ...] = ()
+) -> pa.Schema:
     """Return the Arrow schema of a stored table with unit and meaning on each field.
 
     Parameters
@@ -256,9 +277,11 @@ def arrow_schema(table: str, *, rotation: bool = False, metadata: Metadata | Non
         Whether units are those of a rotational device.
     metadata : mapping of str to str, optional
         Provenance that is stamped into the file.
+    also : tuple of str
+        Columns that stand behind those of the table.
     """
     fields = []
-    for name in TABLES[table]:
+    for name in (*TABLES[table], *also):
         column = COLUMNS[name]
         unit = column.unit_rotation if rotation else column.unit
         fields.append(pa.field(name, column.dtype, column.nullable, metadata={"unit": unit, "meaning": column.meaning}))

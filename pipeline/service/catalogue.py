@@ -26,10 +26,18 @@ from pipeline.device_data.devices import declared_spring, known_devices
 from pipeline.measured.stages.stages import ExperimentStages, cost_column
 from pipeline.records.batch import Floats, Integers
 from pipeline.records.criteria import REPORTED
+from pipeline.records.tables import LOCATION
 from pipeline.service.database import Database
-from pipeline.store.exclusions import Exclusion, Key, read_exclusions, split_trials
+from pipeline.store.corrections import (
+    Correction,
+    Key,
+    corrections_files,
+    read_corrections,
+    read_exclusions,
+    split_trials,
+)
 from pipeline.store.names import name_of_folder
-from pipeline.store.storage import EXCLUSIONS_FILE, natural_key, read_trials, stage_file, trials_files
+from pipeline.store.storage import natural_key, read_trials, stage_file, trials_files
 
 LOOK_S = 0.5
 """Longest time after which a change by the command line is seen [s]."""
@@ -41,7 +49,7 @@ Kept = TypeVar("Kept")
 
 TEXTS = ("trial_id", "device", "experiment", "verdict", "outcome", "motion", "grip", "excluded", "source_path")
 _STORED = ("trial_id", "device", "experiment", "motion", "grip", "source_path", "stiffness", "damping")
-_KEYED = ("source_sha256", "profile_sha256", "label")
+_KEYED = ("source_sha256", "profile_sha256", "label", *LOCATION)
 EXCLUDED = "excluded"
 """What stands in place of the verdict of a trial that is excluded by hand: no number rests on it."""
 
@@ -86,6 +94,7 @@ class Trials:
         self.texts = {name: _texts(table.column(name)) for name in TEXTS[1:-1]}
         self.numbers = {name: table.column(name).to_numpy() for name in NUMBERS}
         self.sources = table.column("source_path").combine_chunks()
+        self._places = tuple(table.column(name).combine_chunks() for name in LOCATION)
         # ignoring case while searching takes ten times as long
         self._searched = [pc.utf8_lower(table.column(name)) for name in ("trial_id", "source_path")]
         self._orders: dict[str, Integers] = {}
@@ -96,6 +105,11 @@ class Trials:
     def place(self) -> dict[str, int]:
         """Row of each trial."""
         return {name: row for row, name in enumerate(self.ids)}
+
+    def stored_at(self, row: int) -> tuple[str, int]:
+        """Return the file that held a trial when it was looked at, and the row there."""
+        file, number = (column[row].as_py() for column in self._places)
+        return file, number
 
     def is_of(self, trial: str, device: str, experiment: str) -> bool:
         """Return whether a trial is stored, and belongs to an experiment."""
@@ -251,9 +265,9 @@ class Catalogue:
     def __init__(self, processed: Path, database: Database) -> None:
         self.processed, self.database = processed, database
         self._lock = threading.Lock()
-        self._parts: dict[Path, tuple[object, pa.Table | None, str]] = {}
+        self._parts: dict[tuple[str, str], tuple[object, pa.Table | None, str]] = {}
         self._looked, self._version = -np.inf, -1
-        self._excluded: tuple[object, dict[Key, Exclusion]] = (None, {})
+        self._corrected: tuple[object, dict[Key, Correction]] = ([], {})
         self._trials = Trials(_empty(), {})
 
     def trials(self) -> Trials:
@@ -266,31 +280,31 @@ class Catalogue:
             return self._trials
 
     def _refresh(self) -> None:
-        files: dict[Path, list[Path]] = {}
+        corrections = self._corrections().values()
+        files: dict[tuple[str, str], list[Path]] = {one.place: [] for one in corrections if one.changes_place}
         for file in trials_files(self.processed):
-            files.setdefault(file.parent, []).append(file)
+            device, experiment = (name_of_folder(part) for part in file.parts[-3:-1])
+            files.setdefault((device, experiment), []).append(file)
         parts = {}
-        excluded = self._exclusions()
-        for folder, own in files.items():
-            device, experiment = (name_of_folder(part) for part in folder.parts[-2:])
-            stages = [stage_file(self.processed, device, experiment, stage) for stage in STAGES]
-            out = [one for one in excluded.values() if (one.device, one.experiment) == (device, experiment)]
-            sign = [[_sign(file) for file in (*own, *stages)], out]
-            former = self._parts.get(folder)
-            parts[folder] = former if former and former[0] == sign else (sign, *self._read(device, experiment))
+        for place, own in files.items():
+            stages = [stage_file(self.processed, *place, stage) for stage in STAGES]
+            concern = [one for one in corrections if place in (one.place, (one.device, one.experiment))]
+            sign = [[_sign(file) for file in (*own, *stages) if file is not None], concern]
+            former = self._parts.get(place)
+            parts[place] = former if former and former[0] == sign else (sign, *self._read(*place))
         if parts != self._parts:
             tables = [table for _, table, _ in parts.values() if table is not None]
-            damaged = {"/".join(map(name_of_folder, f.parts[-2:])): why for f, (_, _, why) in parts.items() if why}
+            damaged = {"/".join(place): why for place, (_, _, why) in parts.items() if why}
             self._trials = Trials(pa.concat_tables(tables) if tables else _empty(), damaged)
             self._parts = parts
 
-    def _exclusions(self) -> dict[Key, Exclusion]:
-        """Return the trials that are excluded by hand; none where that cannot be read, as experiments then say."""
-        sign = _sign(self.processed / EXCLUSIONS_FILE)
-        if sign != self._excluded[0]:
+    def _corrections(self) -> dict[Key, Correction]:
+        """Return what was corrected by hand; nothing new where that cannot be read, as experiments then say."""
+        sign = [_sign(file) for file in corrections_files(self.processed)]
+        if sign != self._corrected[0]:
             with suppress(StoreError):
-                self._excluded = sign, read_exclusions(self.processed)
-        return self._excluded[1]
+                self._corrected = sign, read_corrections(self.processed)
+        return self._corrected[1]
 
     def _read(self, device: str, experiment: str) -> tuple[pa.Table | None, str]:
         """Return the trials of an experiment with what is stored of their verdicts and costs, or why not."""
@@ -302,7 +316,7 @@ class Catalogue:
             found = {stage: stages.table(stage) for stage in STAGES if stages.is_stored(stage)}
         except StoreError as error:
             return None, str(error)
-        columns = {name: stored.column(name) for name in _STORED}
+        columns = {name: stored.column(name) for name in (*_STORED, *LOCATION)}
         wanted = {"verdict": ("response", "verdict"), "outcome": ("outcome", "outcome"), **COSTS}
         for name, (stage, column) in wanted.items():
             texts = name not in COSTS
@@ -312,7 +326,7 @@ class Catalogue:
         if why:
             out = pc.not_equal(columns[EXCLUDED], "")
             columns["verdict"] = pc.if_else(out, EXCLUDED, columns["verdict"])
-        return pa.table({name: columns[name] for name in (*TEXTS, *NUMBERS)}), ""
+        return pa.table({name: columns[name] for name in (*TEXTS, *NUMBERS, *LOCATION)}), ""
 
 
 def _joined(trials: pa.Table, stage: pa.Table | None, column: str, texts: bool) -> pa.Array:
@@ -328,7 +342,8 @@ def _joined(trials: pa.Table, stage: pa.Table | None, column: str, texts: bool) 
 
 
 def _empty() -> pa.Table:
-    return pa.table({n: pa.array([], pa.string() if n in TEXTS else pa.float64()) for n in (*TEXTS, *NUMBERS)})
+    types = dict.fromkeys((*TEXTS, "sample_file"), pa.string()) | {"sample_row": pa.int64()}
+    return pa.table({name: pa.array([], types.get(name, pa.float64())) for name in (*TEXTS, *NUMBERS, *LOCATION)})
 
 
 def _texts(column: pa.ChunkedArray) -> Texts:

@@ -14,6 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from pipeline.base.errors import PipelineError
 from pipeline.intake.exclude import exclude, exclude_experiment, use_again, use_experiment_again
+from pipeline.records.batch import TrialBatch
 from pipeline.records.criteria import REPORTED
 from pipeline.records.findings import Note
 from pipeline.service.catalogue import Catalogue, Trials
@@ -24,8 +25,8 @@ from pipeline.service.metrics import Metrics
 from pipeline.service.problems import Problem
 from pipeline.service.rest import theory
 from pipeline.service.settings import Settings
-from pipeline.store.exclusions import read_exclusions, split_trials
-from pipeline.store.samples import load_batch
+from pipeline.store.corrections import read_exclusions, split_trials
+from pipeline.store.samples import load_batch, load_trial
 from pipeline.store.storage import list_devices, list_experiments, read_trials
 
 RETRY_S = 60.0
@@ -209,11 +210,7 @@ class Service:
         """Return the conditions and the samples of a trial."""
         trials, row = self.found(trial)
         (shown,) = trials.items([row])
-        stored = read_trials(self.settings.processed, shown["device"], shown["experiment"])
-        own = stored.take(np.flatnonzero([name == trial for name in stored.column("trial_id").to_pylist()]))
-        if not own.num_rows:
-            raise Problem(404, "The trial was removed a moment ago.", found=trial, where="trial")
-        batch = load_batch(self.settings.processed, own.slice(0, 1))
+        own, batch = self._loaded(trial, trials.stored_at(row), shown)
         arrays = {"time_s": batch.time, **{name: getattr(batch, name) for name in SAMPLES[1:]}}
         present = {name: values[0] for name, values in arrays.items() if values is not None}
         length = int(own.column("rows")[0].as_py())
@@ -221,6 +218,16 @@ class Service:
             name: pa.array(values[:length]) for name, values in present.items() if not np.isnan(values[:length]).all()
         }
         return shown, pa.table(columns)
+
+    def _loaded(self, trial: str, place: tuple[str, int], shown: dict[str, Any]) -> tuple[pa.Table, TrialBatch]:
+        """Return a trial and its samples by where it was stored, or, where it was merged since, by looking for it."""
+        if (found := load_trial(self.settings.processed, trial, *place)) is not None:
+            return found
+        stored = read_trials(self.settings.processed, shown["device"], shown["experiment"])
+        own = stored.take(np.flatnonzero([name == trial for name in stored.column("trial_id").to_pylist()]))
+        if not own.num_rows:
+            raise Problem(404, "The trial was removed a moment ago.", found=trial, where="trial")
+        return own, load_batch(self.settings.processed, own.slice(0, 1))
 
     def found(self, trial: str) -> tuple[Trials, int]:
         """Return the trials and the row of one of them."""

@@ -20,7 +20,7 @@ from python_multipart.multipart import MultipartParser, parse_options_header
 from starlette.concurrency import run_in_threadpool
 from starlette.requests import Request
 
-from pipeline.base.disk import make_folders, sync_folder
+from pipeline.base.disk import make_folder, sync_folder
 from pipeline.base.errors import ProfileError
 from pipeline.base.file_names import path_text
 from pipeline.intake.quarantine import list_quarantine
@@ -212,7 +212,7 @@ class Upload:
         path = self.folder.joinpath(*_parts(name))
         if any(other.path == path for other in self.files):
             raise Problem(422, "Two files have one name. Send one of them by itself.", where=name)
-        make_folders([path.parent])
+        make_folder(path.parent)
         self._part.name, self._part.path = name, path
         # closed at the end of the part
         self._part.stream = os.fdopen(os.open(path, _NEW, 0o600), "wb")

@@ -18,7 +18,7 @@ from urllib.parse import quote
 
 from pydantic import BaseModel, ValidationError
 
-from pipeline.base.disk import remove, replacing, write_text
+from pipeline.base.disk import replacing, write_text
 from pipeline.base.file_names import storable
 from pipeline.base.regular_files import open_regular
 from pipeline.base.wording import unbroken
@@ -195,7 +195,7 @@ def write_index(folder: Path, only_renew: bool = False) -> Path | None:
             write_text(path, page)
             changed = True
             if taken:
-                remove(_document(path))
+                _document(path).unlink(missing_ok=True)
         # another process may have written a report, and an index without ours
         if _state(folder) == state:
             break

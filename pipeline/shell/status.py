@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
+import pyarrow.parquet as pq
 
 from pipeline.base.disk import TEMPORARY_ENDING
 from pipeline.base.errors import PipelineError, StoreError
@@ -20,22 +21,13 @@ from pipeline.base.regular_files import is_gone
 from pipeline.comparison.compare import compare
 from pipeline.comparison.scene.scene import RUN
 from pipeline.device_data.devices import declared_spring, known_devices
-from pipeline.intake.compaction import find_orphans
 from pipeline.intake.quarantine import list_quarantine
 from pipeline.measured.stages.stages import STAGES, ExperimentStages
 from pipeline.profiles.profile_files import shipped_profiles
 from pipeline.records.findings import Record
-from pipeline.store.exclusions import Exclusion, Key, read_exclusions, split_trials
+from pipeline.store.corrections import Exclusion, Key, read_exclusions, split_trials
 from pipeline.store.names import report_of
-from pipeline.store.storage import (
-    EXCLUSIONS_FILE,
-    natural_key,
-    partner_of,
-    read_trials,
-    samples_metadata,
-    stage_file,
-    steadily,
-)
+from pipeline.store.storage import natural_key, read_trials, stage_file, steadily
 
 UNCODED = "other"
 """Key of refusals by a version that gave no codes."""
@@ -50,7 +42,7 @@ class ExperimentStatus(Record):
     trials, rows : int
         Trials and their samples, those of excluded trials included.
     batches, row_groups, bytes : int
-        Samples files, the groups of rows in them, and their size [byte].
+        Files, the groups of rows in them, and their size [byte].
     stale : tuple of str
         Stored stages whose logs, code or earlier stages changed; they are computed anew when they are needed.
     """
@@ -109,11 +101,9 @@ class Status(Record):
         Refused logs by the code of the reason.
     refused_gone : tuple of str
         Those of them whose file is gone.
-    orphans : tuple of str
-        Samples files that no trial names, left by an interrupted command.
-    orphan_bytes, temporary_bytes : int
-        Their size, and that of incomplete files [byte]; `pipeline compact` removes both. Where another command writes
-        at this moment, they may be its own.
+    temporary_bytes : int
+        Size of incomplete files [byte]; `pipeline compact` removes them. Where another command writes at this moment,
+        they may be its own.
     lock : Writer or None
         Who writes at this moment.
     damaged : tuple of str
@@ -133,8 +123,6 @@ class Status(Record):
     excluded: tuple[ExcludedStatus, ...]
     quarantined: dict[str, int]
     refused_gone: tuple[str, ...]
-    orphans: tuple[str, ...]
-    orphan_bytes: int
     temporary_bytes: int
     lock: Writer | None
     damaged: tuple[str, ...] = ()
@@ -155,7 +143,7 @@ def status(processed: Path, reports: Path | None = None) -> Status:
     StoreError
         If others write there all the time.
     """
-    return steadily(processed, lambda: _status(processed, reports))
+    return steadily(processed / "trials", lambda: _status(processed, reports))
 
 
 def _status(processed: Path, reports: Path | None) -> Status:
@@ -163,9 +151,8 @@ def _status(processed: Path, reports: Path | None) -> Status:
     damaged: dict[Path, str] = {}
     trials = read_trials(processed, damaged=damaged)
     exclusions = _exclusions(processed, damaged)
-    experiments = _experiments(processed, trials, exclusions, damaged)
+    experiments = _experiments(processed, trials, exclusions)
     removed, changed = _sources(trials)
-    orphans = find_orphans(processed)
     sizes = _sizes(processed)
     refused = list_quarantine(processed, damaged)
     # who ended meanwhile may have written what was just listed
@@ -184,8 +171,6 @@ def _status(processed: Path, reports: Path | None) -> Status:
         excluded=_excluded(trials, exclusions),
         quarantined=dict(sorted(Counter(r.code or UNCODED for r in refused).items())),
         refused_gone=tuple(r.path for r in refused if is_gone(path_of_text(r.path))),
-        orphans=tuple(path.relative_to(processed).as_posix() for path in orphans),
-        orphan_bytes=sum(sizes.get(path, 0) for path in orphans),
         temporary_bytes=sum(size for path, size in sizes.items() if path.name.endswith(TEMPORARY_ENDING)),
         lock=None if held is None else Writer(pid=held.pid, host=held.host, since=held.since),
         damaged=tuple(sorted(damaged.values())),
@@ -203,7 +188,7 @@ def _sizes(folder: Path) -> dict[Path, int]:
 
 
 def _experiments(
-    processed: Path, trials: pa.Table, exclusions: Mapping[Key, Exclusion], damaged: dict[Path, str]
+    processed: Path, trials: pa.Table, exclusions: Mapping[Key, Exclusion]
 ) -> tuple[ExperimentStatus, ...]:
     pairs = set(zip(trials.column("device").to_pylist(), trials.column("experiment").to_pylist(), strict=True))
     found = []
@@ -214,13 +199,13 @@ def _experiments(
         own = trials.filter(
             pc.and_(pc.equal(trials.column("device"), device), pc.equal(trials.column("experiment"), experiment))
         )
-        groups, size = _samples((processed / name for name in own.column("sample_file").unique().to_pylist()), damaged)
+        files = [processed / name for name in own.column("sample_file").unique().to_pylist()]
         spring = declared_spring(known.get(device), experiment)
         stages = ExperimentStages(processed, device, experiment, *split_trials(own, exclusions), spring)
         stale = [
             stage
             for stage in STAGES
-            if stage_file(processed, device, experiment, stage).is_file() and not stages.is_stored(stage)
+            if stage_file(processed, device, experiment, stage) is not None and not stages.is_stored(stage)
         ]
         found.append(
             ExperimentStatus(
@@ -228,9 +213,9 @@ def _experiments(
                 experiment=experiment,
                 trials=own.num_rows,
                 rows=int(np.sum(own.column("rows").to_numpy())),
-                batches=len(groups),
-                row_groups=sum(groups),
-                bytes=size,
+                batches=len(files),
+                row_groups=sum(pq.read_metadata(file).num_row_groups for file in files),
+                bytes=sum(file.stat().st_size for file in files),
                 stale=tuple(stale),
             )
         )
@@ -241,7 +226,7 @@ def _exclusions(processed: Path, damaged: dict[Path, str]) -> Mapping[Key, Exclu
     try:
         return read_exclusions(processed)
     except StoreError as error:
-        damaged[processed / EXCLUSIONS_FILE] = str(error)
+        damaged[processed / "corrections"] = str(error)
         return {}
 
 
@@ -249,20 +234,6 @@ def _excluded(trials: pa.Table, exclusions: Mapping[Key, Exclusion]) -> tuple[Ex
     """Return the exclusions, each as its trial is stored now."""
     now = {one.key: one for one in split_trials(trials, exclusions)[1]}
     return tuple(ExcludedStatus(**now.get(k, one).model_dump(), stored=k in now) for k, one in exclusions.items())
-
-
-def _samples(files: Iterable[Path], damaged: dict[Path, str]) -> tuple[list[int], int]:
-    """Return the number of groups of rows in each samples file, and the size of all [byte]."""
-    groups, size = [], 0
-    for file in files:
-        try:
-            groups.append(samples_metadata(file).num_row_groups)
-            size += file.stat().st_size
-        except StoreError as error:
-            if not partner_of(file).exists():  # merged meanwhile
-                raise
-            damaged[file] = str(error)
-    return groups, size
 
 
 def _reports(processed: Path, reports: Path | None, devices: list[str]) -> tuple[ReportStatus, ...]:

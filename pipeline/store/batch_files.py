@@ -1,31 +1,60 @@
-"""A batch on disk: one file of samples and one of trials, of the same name; the second makes the first visible.
+"""Writes batches of trials: one file each, whole by itself; merges small ones, and drops what newer versions replaced.
 
-Names are ``<number>-<hash of the trials>.parquet``. Numbers rise, so that of two versions of a trial the one with the
-higher number is the newer, whatever the clocks of the machines that recorded them say.
-
-Each of the two files carries, in the annex of its seal, what is needed where the other is damaged: the samples file the
-whole trials file, the trials file the footer of the samples file, without which none of its groups can be read.
+What stands in the place of other files holds all their trials but superseded ones, and names them; they are removed
+when it is on the disk. So a trial is there at any moment, and whoever reads meanwhile sees it once.
 """
 
 from __future__ import annotations
 
-import io
-import zlib
-from collections.abc import Iterable, Mapping, Sequence
-from contextlib import suppress
+from collections import defaultdict
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from pipeline.base.disk import NewFile, publish_all, remove, sync_folder
-from pipeline.base.provenance import digest, stamp
-from pipeline.base.seal import read_annex, sealed
+from pipeline.base.disk import READABLE, NewFile, content_of, readers_of, remove_all, remove_temporary, said_content
+from pipeline.base.errors import StoreError
+from pipeline.base.lock import WAIT_S, writing
+from pipeline.base.provenance import stamp
+from pipeline.records.batch import Booleans
+from pipeline.records.findings import Record
 from pipeline.records.models import Motion
-from pipeline.records.table_files import SealedWriter, parquet_bytes
-from pipeline.records.tables import arrow_schema, to_arrow
-from pipeline.store.storage import batch_number, samples_folder, trials_files, trials_folder
+from pipeline.records.table_files import WRITING, damaged_file, metadata_of, open_table
+from pipeline.records.tables import arrow_schema
+from pipeline.store.mirror import publish
+from pipeline.store.storage import (
+    FILE,
+    TABLE,
+    VERSION_COLUMNS,
+    folders_of_experiments,
+    newest_versions,
+    read_versions,
+    steadily,
+    trials_folder,
+)
+
+GROUP_TRIALS, GROUP_BYTES = 64, 8 << 20
+"""Trials of a group of rows, and bytes of their samples, at most: one trial is read by reading its group."""
+
+READING_BYTES = 24
+"""Bytes of a sample in memory: time, command, position."""
+
+_REPEATED = [
+    *(field.name for field in arrow_schema("trials") if pa.types.is_string(field.type)),
+    *("time_s.list.element", "position.list.element"),
+]
+"""Columns of words, times and quantised positions, which repeat; a dictionary of others takes time for nothing."""
+
+MOST_SMALL = 8
+"""Batches of like size that an experiment may have. The eighth makes one batch of them, which is of the next size: a
+trial is rewritten once for each factor of eight, and n batches of one trial become some 7 log8 n."""
+
+LARGE_TRIALS, LARGE_BYTES = 2048, 256 << 20
+"""Trials, or bytes of the file, from which on an ingest leaves a batch alone."""
 
 
 class NewBatch:
@@ -36,128 +65,286 @@ class NewBatch:
     processed : Path
     device, experiment : str
     motion : {"translation", "rotation"}
+    mode : int
+        Who may read it: who may read all logs that it holds trials of.
+    replaces : collection of Path
+        Files in the place of which it stands.
     """
 
-    def __init__(self, processed: Path, device: str, experiment: str, motion: Motion) -> None:
-        self.processed, self.device, self.experiment = processed, device, experiment
-        self.rotation = motion == "rotation"
-        self.rows = 0
-        self.name = ""
-        self._trials: NewFile | None = None
-        metadata = stamp(device=device, experiment=experiment)
-        self._schema = arrow_schema("samples", rotation=self.rotation, metadata=metadata)
-        self._file = NewFile(samples_folder(processed, device, experiment), f"samples-{motion}")
-        self._writer = SealedWriter(self._file.stream, self._schema)
+    def __init__(
+        self,
+        processed: Path,
+        device: str,
+        experiment: str,
+        motion: Motion,
+        mode: int = READABLE,
+        replaces: Collection[Path] = (),
+    ) -> None:
+        names = " ".join(sorted(file.stem for file in replaces))
+        metadata = stamp(device=device, experiment=experiment, motion=motion, replaces=names)
+        self.schema = arrow_schema("trials", rotation=motion == "rotation", metadata=metadata)
+        self._file = NewFile(trials_folder(processed, device, experiment), "batch", mode)
+        self._writer = pq.ParquetWriter(self._file.stream, self.schema, use_dictionary=_REPEATED, **WRITING)
+        self._waiting: list[pa.Table] = []
+        self._size = [0, 0]
 
-    def write(self, samples: pa.Table) -> None:
-        """Append samples as one group; the table has the columns of the stored one."""
-        if samples.num_rows:
-            self._writer.write(samples, samples.num_rows)
-            self.rows += samples.num_rows
+    def write(self, trials: pa.Table) -> None:
+        """Append trials; they come to the disk in groups."""
+        rows = trials.column("rows").to_numpy()
+        while trials.num_rows:
+            room = np.flatnonzero(self._size[1] + np.cumsum(rows) * READING_BYTES > GROUP_BYTES)
+            fit = min(GROUP_TRIALS - self._size[0], int(room[0]) if len(room) else len(rows), len(rows))
+            fit = fit or int(not self._waiting)  # a trial that is larger than a group is one
+            self._waiting += [trials.slice(0, fit)] if fit else []
+            self._size = [self._size[0] + fit, self._size[1] + int(rows[:fit].sum()) * READING_BYTES]
+            trials, rows = trials.slice(fit), rows[fit:]
+            if trials.num_rows or self._size[0] >= GROUP_TRIALS:
+                self._write_group()
 
-    def publish(self, trials: Mapping[str, Sequence[Any] | pa.ChunkedArray], number: int, mark: str = "") -> Path:
-        """Make the batch visible and return its trials file.
+    def _write_group(self) -> None:
+        if self._waiting:
+            group = pa.concat_tables(self._waiting).replace_schema_metadata(self.schema.metadata)
+            self._writer.write_table(group.cast(self.schema) if group.schema != self.schema else group)
+        self._waiting, self._size = [], [0, 0]
 
-        Parameters
-        ----------
-        trials : mapping of str to column
-            All columns of the trials table but ``sample_file``.
-        number : int
-            Its number, above that of all visible batches (`next_number`).
-        mark : str, optional
-            Put before the hash: a batch that stands for a damaged one keeps its number and needs another name.
-        """
-        self.finish(trials, number, mark)
-        publish_batches([self])
-        return self.trials_file
-
-    def finish(self, trials: Mapping[str, Sequence[Any] | pa.ChunkedArray], number: int, mark: str = "") -> None:
-        """Write all that is left, for `publish_batches`; takes what `publish` takes."""
-        identity = zip(*(_values(trials[name]) for name in ("source_path", "trial_id", "profile_sha256")), strict=True)
-        self.name = f"{number:06d}-{mark}{digest(sorted(identity))}.parquet"
-        path = samples_folder(self.processed, self.device, self.experiment) / self.name
-        file = path.relative_to(self.processed).as_posix()
-        columns = {**trials, "sample_file": [file] * len(trials["trial_id"])}
-        metadata = stamp(device=self.device, experiment=self.experiment)
-        table = parquet_bytes(to_arrow("trials", columns, rotation=self.rotation, metadata=metadata))
-        footer = self._writer.close(pack_annex(table))
-        self._trials = NewFile(self.trials_file.parent, self.name)
-        self._trials.stream.write(sealed(table, pack_annex(footer)))
-
-    @property
-    def trials_file(self) -> Path:
-        """Where its trials will be seen."""
-        return trials_folder(self.processed, self.device, self.experiment) / self.name
-
-    def files(self) -> tuple[NewFile, NewFile]:
-        """Return its files of samples and of trials, when it is finished."""
-        assert self._trials is not None, "a batch is finished before it is published"
-        return self._file, self._trials
+    def publish(self) -> Path:
+        """Make the batch visible and return its file."""
+        self._write_group()
+        self._writer.close()
+        return self._file.publish(ending=TABLE)
 
     def discard(self) -> None:
         """Remove what was written, if it was not made visible."""
-        self._writer.__exit__()
         self._file.discard()
-        if self._trials is not None:
-            self._trials.discard()
+        if self._writer.is_open:
+            # the end of a file that nobody wants
+            self._writer.is_open = False
 
 
-def publish_batches(batches: Sequence[NewBatch]) -> None:
-    """Make finished batches visible: the samples of all are on the disk before any trial is seen."""
-    files = [(batch.files(), batch.name) for batch in batches]
-    publish_all([(samples, name) for (samples, _), name in files], [(trials, name) for (_, trials), name in files])
+def rewrite(processed: Path, files: Sequence[Path], kept: Mapping[Path, Booleans] | None = None) -> Path | None:
+    """Write the trials of some files of an experiment and motion into one that stands in their place.
 
+    Parameters
+    ----------
+    processed : Path
+    files : sequence of Path
+    kept : mapping of Path to bool, shape (trials,), optional
+        Which trials of a file are kept; by default all.
 
-def trials_copy(samples: Path) -> pa.Table | None:
-    """Return the trials that a samples file was written with, None where it has no copy that can be read."""
-    data = trials_bytes(samples.read_bytes())
-    return None if data is None else pq.read_table(io.BytesIO(data), schema=arrow_schema("trials"))
+    Returns
+    -------
+    Path or None
+        The new file; None where nothing is kept.
 
-
-def trials_bytes(samples: bytes) -> bytes | None:
-    """Return the trials file, but for its seal, out of a samples file; None where it has none that can be read."""
-    return _unpacked(read_annex(io.BytesIO(samples)))
-
-
-def samples_footer(trials: bytes) -> bytes | None:
-    """Return the footer of the samples file out of a trials file; None where it has none that can be read."""
-    return _unpacked(read_annex(io.BytesIO(trials)))
-
-
-def pack_annex(content: bytes) -> bytes:
-    """Return the annex by which a file of a batch carries a part of the other."""
-    return zlib.compress(content)
-
-
-def _unpacked(annex: bytes) -> bytes | None:
-    # zlib has a checksum of its own
-    with suppress(zlib.error):
-        return zlib.decompress(annex)
-    return None
-
-
-def _values(column: Sequence[Any] | pa.ChunkedArray) -> Sequence[Any]:
-    values: Sequence[Any] = column.to_pylist() if isinstance(column, pa.ChunkedArray) else column
-    return values
-
-
-def next_number(processed: Path) -> int:
-    """Return the number of a new batch, above that of all visible ones."""
-    return max((batch_number(file) for file in trials_files(processed)), default=0) + 1
-
-
-def remove_batches(processed: Path, trials: Iterable[Path]) -> None:
-    """Remove trials files, then the samples files of the same name.
-
-    The removal of the first is on the disk before that of the second begins: no trial ever names samples that are gone.
+    Raises
+    ------
+    StoreError
+        If a file is damaged; then nothing is changed.
     """
-    files = list(trials)
+    masks = kept or {}
     for file in files:
-        remove(file)
-    for folder in sorted({file.parent for file in files}):
-        sync_folder(folder)
-    samples = [processed / "samples" / file.relative_to(processed / "trials") for file in files]
-    for file in samples:
-        remove(file)
-    for folder in sorted({file.parent for file in samples if file.parent.is_dir()}):
-        sync_folder(folder)
+        if said_content(file.name) not in (None, content_of(file)):
+            raise damaged_file(file, "its content is not that of its name")
+    path = None
+    if any(file not in masks or masks[file].any() for file in files):
+        told = metadata_of(pq.read_schema(files[0]))
+        place = told["pipeline.device"], told["pipeline.experiment"], cast(Motion, told["pipeline.motion"])
+        mode = READABLE
+        for file in files:
+            mode &= readers_of(file.stat().st_mode)
+        new = NewBatch(processed, *place, mode, files)
+        try:
+            for file in files:
+                copy(file, masks.get(file), new)
+            path = new.publish()
+        finally:
+            new.discard()
+    remove_all(file for file in files if file != path)
+    return path
+
+
+def copy(file: Path, kept: Booleans | None, new: NewBatch) -> None:
+    """Append trials of a file to a batch, by default all; group by group, so that memory does not grow with it."""
+    first = 0
+    with open_table(file) as stored:
+        for number in range(stored.num_row_groups):
+            rows = stored.metadata.row_group(number).num_rows
+            some = None if kept is None else kept[first : first + rows]
+            first += rows
+            if some is None or some.any():
+                group = stored.read_row_group(number, use_threads=False)
+                new.write(group if some is None or some.all() else group.filter(pa.array(some)))
+
+
+def tidy(processed: Path, removed: Collection[tuple[str, str, str]] = ()) -> None:
+    """Remove what interrupted writers left, replaced files, and former versions of trials; hold the lock.
+
+    Damaged files are left alone; `check` tells of them.
+
+    Parameters
+    ----------
+    processed : Path
+    removed : collection of (source_path, trial_id, profile_sha256)
+        Trials that go although no newer version is stored: what stood there is now that of another log.
+    """
+    for name in ("trials", "quarantine", "corrections"):
+        remove_temporary(processed / name, deep=True)
+    table, files, replaced = read_versions(processed, None, None, list(VERSION_COLUMNS), {})
+    remove_all(replaced)
+    drop(processed, table, files, removed)
+
+
+def drop(processed: Path, table: pa.Table, files: Sequence[Path], removed: Collection[tuple[str, str, str]]) -> None:
+    """Rewrite the files that hold former versions of trials, or such that are removed; takes what `tidy` has read."""
+    keep = newest_versions(table)
+    if removed:
+        names = ("source_path", "trial_id", "profile_sha256")
+        keys = zip(*(table.column(name).to_pylist() for name in names), strict=True)
+        keep &= np.array([key not in removed for key in keys], dtype=np.bool_)
+    if keep.all():
+        return
+    owner = table.column(FILE).to_numpy()
+    masks = {files[index]: keep[owner == index] for index in np.unique(owner).tolist()}
+    pending = {file for file, mask in masks.items() if not mask.all()}
+    for tied in _tied(table, files, keep):
+        rewrite(processed, tied, masks)
+        pending -= set(tied)
+    for file in sorted(pending):
+        rewrite(processed, [file], masks)
+
+
+def _tied(table: pa.Table, files: Sequence[Path], keep: Booleans) -> list[list[Path]]:
+    """Return files that hold the very same version of a trial, those of an experiment together.
+
+    Two writers on an object store may have merged the same files. Which of the results goes, each might decide in
+    another way; one that stands in the place of both loses nothing.
+    """
+    versions = list(zip(*(table.column(name).to_pylist() for name in ("trial_id", "version")), strict=True))
+    owner = table.column(FILE).to_pylist()
+    kept = {versions[row]: owner[row] for row in np.flatnonzero(keep).tolist()}
+    found: dict[Path, set[Path]] = defaultdict(set)
+    for row in np.flatnonzero(~keep).tolist():
+        if versions[row] in kept and kept[versions[row]] != owner[row]:
+            found[files[owner[row]].parent] |= {files[owner[row]], files[kept[versions[row]]]}
+    return [sorted(group) for group in found.values()]
+
+
+@dataclass(frozen=True)
+class _Batch:
+    """A file of trials, and what it may be merged by."""
+
+    file: Path
+    trials: int
+    bytes: int
+    kind: tuple[str, int]
+    """Motion, and who may read it."""
+
+
+def _batches(folder: Path) -> list[_Batch]:
+    found = []
+    for file in sorted(folder.glob(f"*{TABLE}")):
+        with open_table(file) as stored:
+            status = file.stat()
+            kind = metadata_of(stored.schema_arrow).get("pipeline.motion", ""), readers_of(status.st_mode)
+            found.append(_Batch(file, stored.metadata.num_rows, status.st_size, kind))
+    return found
+
+
+def merge_small(processed: Path, folder: Path) -> None:
+    """Merge small batches of like size, if an experiment has many; the caller holds the lock."""
+    while len(list(folder.glob(f"*{TABLE}"))) >= MOST_SMALL:
+        tiers: dict[tuple[Any, int], list[_Batch]] = defaultdict(list)
+        for batch in _batches(folder):
+            if batch.trials < LARGE_TRIALS and batch.bytes < LARGE_BYTES:
+                tiers[batch.kind, int(np.log(batch.trials) / np.log(MOST_SMALL) + 1e-9)].append(batch)
+        full = next((batches for batches in tiers.values() if len(batches) >= MOST_SMALL), None)
+        if full is None:
+            return
+        rewrite(processed, [batch.file for batch in full])
+
+
+class ExperimentMerge(Record):
+    """Batches of an experiment that are merged into one, and the bytes of their files before and after.
+
+    ``bytes_after`` is None where nothing was written.
+    """
+
+    device: str
+    experiment: str
+    batches: int
+    trials: int
+    bytes_before: int
+    bytes_after: int | None
+
+
+class CompactReport(Record):
+    """What `compact` did, or would do."""
+
+    merged: tuple[ExperimentMerge, ...]
+
+
+def compact(
+    processed: Path, dry_run: bool = False, wait_s: float = WAIT_S, say: Callable[[str], None] | None = None
+) -> CompactReport:
+    """Merge all batches of each experiment into one.
+
+    An experiment with a damaged file is left as it is, and named when all others are done.
+
+    Parameters
+    ----------
+    processed : Path
+    dry_run : bool
+        Only say what would be done.
+    wait_s : float
+        How long to wait for another command that writes to `processed` [s].
+    say : callable, optional
+        Gets a line when waiting begins.
+
+    Raises
+    ------
+    StoreError
+        If a file is damaged or cannot be written, or another command writes there. What could be read is stored still.
+    """
+    if dry_run:
+        return steadily(processed / "trials", lambda: _compacted(processed, dry_run=True))
+    try:
+        with writing(processed, wait_s, say):
+            tidy(processed)
+            return _compacted(processed, dry_run=False)
+    except OSError as error:
+        raise StoreError(
+            f"{processed}: cannot be written ({error}). All trials are still stored; make room (as much as the largest "
+            "experiment takes) or correct the permissions and run the command again."
+        ) from error
+
+
+def _compacted(processed: Path, dry_run: bool) -> CompactReport:
+    merged: list[ExperimentMerge] = []
+    faults = []
+    for folder in folders_of_experiments(processed):
+        try:
+            kinds: dict[tuple[str, int], list[_Batch]] = defaultdict(list)
+            for batch in _batches(folder):
+                kinds[batch.kind].append(batch)
+            for batches in kinds.values():
+                if len(batches) > 1:
+                    merged.append(_merged(processed, batches, dry_run))
+        except StoreError as error:
+            faults.append(str(error))
+    if faults:
+        raise StoreError("\n".join(faults))
+    return CompactReport(merged=tuple(merged))
+
+
+def _merged(processed: Path, batches: Sequence[_Batch], dry_run: bool) -> ExperimentMerge:
+    told = metadata_of(pq.read_schema(batches[0].file))
+    path = None if dry_run else rewrite(processed, [batch.file for batch in batches])
+    publish(processed)
+    return ExperimentMerge(
+        device=told["pipeline.device"],
+        experiment=told["pipeline.experiment"],
+        batches=len(batches),
+        trials=sum(batch.trials for batch in batches),
+        bytes_before=sum(batch.bytes for batch in batches),
+        bytes_after=None if path is None else path.stat().st_size,
+    )

@@ -1,8 +1,6 @@
 """An object store such as S3: the few requests that the stored tables need of it, each whole or not done at all.
 
-Objects are written once and never changed; the one that is, a manifest, is advanced: only in place of the very version
-that was read (If-Match), or where there was none (If-None-Match). The package is the extra ``cluster``; it is imported
-with the first store that is opened.
+The package is the extra ``cluster``; it is imported with the first store that is opened.
 """
 
 from __future__ import annotations
@@ -71,40 +69,22 @@ class Objects:
         except Exception as error:  # the errors of the package have no base that is not this one
             raise UsageError(f"{url}: cannot be opened ({_first_line(error)}).") from error
 
-    def get(self, name: str) -> tuple[bytes, str] | None:
-        """Return an object and its ETag, None where there is none."""
+    def get(self, name: str) -> bytes | None:
+        """Return an object, None where there is none."""
         import obstore
 
         with self._told("GET"):
             try:
-                found = obstore.get(self._store, name)
-                return bytes(found.bytes()), found.meta["e_tag"] or ""
+                return bytes(obstore.get(self._store, name).bytes())
             except FileNotFoundError:
                 return None
 
     def put(self, name: str, file: Path) -> None:
-        """Store a file as an object of a name that no other one has."""
+        """Store a file as an object: all of it, or nothing."""
         import obstore
 
         with self._told("PUT"):
             obstore.put(self._store, name, file)
-
-    def advance(self, name: str, content: bytes, former: str | None) -> str | None:
-        """Put content in place of the version with an ETag, or of nothing; return its ETag, None if another is there.
-
-        A request whose answer was lost is sent again, and then finds its own content: that is no other one.
-        """
-        import obstore
-        from obstore.exceptions import AlreadyExistsError, PreconditionError
-
-        with self._told("PUT"):
-            try:
-                done = obstore.put(self._store, name, content, mode="create" if former is None else {"e_tag": former})
-                return done["e_tag"] or ""
-            except (AlreadyExistsError, PreconditionError, FileNotFoundError):
-                pass
-        present = self.get(name)
-        return present[1] if present is not None and present[0] == content else None
 
     def list(self, prefix: str) -> list[tuple[str, int, datetime]]:
         """Return name, size [byte] and time of putting of all objects below a prefix."""

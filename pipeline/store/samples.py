@@ -1,29 +1,29 @@
 """Samples of stored trials as arrays: one batch, or groups of like length.
 
-Batches of files may be merged while samples are read: where a file is gone, its trials are looked up anew.
+Files may be merged while samples are read: where one is gone, its trials are looked up anew.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
 
-from pipeline.base.errors import REMEDY, StoreError
+from pipeline.base.errors import StoreError
 from pipeline.records.batch import Booleans, Floats, Integers, TrialBatch
 from pipeline.records.groups import TrialGroups, group_trials, padded_length
-from pipeline.records.table_files import open_table
+from pipeline.records.table_files import damaged_file, open_table
+from pipeline.records.tables import LOCATION, OF_TRIALS
 from pipeline.store.storage import ATTEMPTS, read_trials
-from pipeline.store.working_copy import bring
 
 _OPTIONAL = ("force", "velocity")
 """Columns of samples that a log may lack."""
 
 _SAMPLES = ("time_s", "command", "position", *_OPTIONAL)
-
 
 Length = Callable[[Integers], int]
 
@@ -42,7 +42,7 @@ def load_batch(processed: Path, trials: pa.Table) -> TrialBatch:
     Raises
     ------
     StoreError
-        If a samples file is missing or shorter than its trials say, or a trial was removed meanwhile.
+        If a file is missing or damaged, or a trial was removed meanwhile.
     """
     return _load(processed, in_order(trials), [np.arange(trials.num_rows)], lambda rows: rows.max(initial=0))[0]
 
@@ -54,6 +54,19 @@ def load_groups(processed: Path, trials: pa.Table) -> TrialGroups:
     return TrialGroups(tuple(places), tuple(_load(processed, trials, places, lambda rows: padded_length(rows)[0])))
 
 
+def load_trial(processed: Path, trial: str, file: str, row: int) -> tuple[pa.Table, TrialBatch] | None:
+    """Return a trial and its samples by where it was stored a moment ago; None where it is there no more."""
+    names = (*(name for name in OF_TRIALS if name not in LOCATION), *_SAMPLES)
+    try:
+        ((_, table),) = _parts(processed / file, np.array([row]), names)
+    except (FileNotFoundError, ValueError):
+        return None
+    if table.column("trial_id").to_pylist() != [trial]:
+        return None
+    found = {name: values[None, :] for name in _SAMPLES for values in _lists(table, name) if values is not None}
+    return table, _batch(table, found)
+
+
 def in_order(trials: pa.Table) -> pa.Table:
     """Return the rows of a trials table by damping, stiffness and trial id."""
     return trials.sort_by([("damping", "ascending"), ("stiffness", "ascending"), ("trial_id", "ascending")])
@@ -62,47 +75,61 @@ def in_order(trials: pa.Table) -> pa.Table:
 def _load(processed: Path, trials: pa.Table, places: list[Integers], length: Length) -> list[TrialBatch]:
     """Read the trials at some places into a batch each, of the length that their rows have."""
     for _ in range(ATTEMPTS):
-        bring(processed, set(trials.column("sample_file").to_pylist()))
         try:
             return _read_samples(processed, trials, places, length)
-        except StoreError:
-            files = sorted(set(trials.column("sample_file").to_pylist()))
-            missing = next((processed / file for file in files if not (processed / file).is_file()), None)
-            if missing is None:
-                raise
-        located = _located(processed, trials)
-        if located.equals(trials):
-            raise StoreError(f"{missing}: samples file is missing, but its trials are stored. {REMEDY}")
-        trials = located
+        except FileNotFoundError:
+            trials = _located(processed, trials)
     raise StoreError(f"{processed}: samples were moved during each of {ATTEMPTS} attempts to read them.")
 
 
 def _read_samples(processed: Path, trials: pa.Table, places: list[Integers], length: Length) -> list[TrialBatch]:
     file = np.array(trials.column("sample_file").to_pylist(), dtype=np.str_)
-    first, rows = (trials.column(name).to_numpy().astype(np.int64) for name in ("first_row", "rows"))
-    # a file after the other and a column after the other: beside the result, one column of one file is in memory
+    at, rows = (trials.column(name).to_numpy().astype(np.int64) for name in ("sample_row", "rows"))
+    where = {int(one): (group, i) for group, place in enumerate(places) for i, one in enumerate(place)}
     samples: list[dict[str, Floats]] = [{} for _ in places]
     for name in np.unique(file).tolist():
-        inside = [place[file[place] == name] for place in places]
-        with open_table(processed / name) as stored:
+        own = np.flatnonzero(file == name)
+        for which, part in _parts(processed / name, at[own], _SAMPLES):
             for column in _SAMPLES:
-                values = stored.read([column]).column(0)
-                if values.null_count == len(values) and column in _OPTIONAL:
-                    continue
-                if any((first[of] + rows[of] > len(values)).any() for of in inside):
-                    raise StoreError(f"{processed / name}: is shorter than its trials say. {REMEDY}")
-                read = values.to_numpy()
-                for of, place, found in zip(inside, places, samples, strict=True):
-                    if len(of):
-                        wide = found.setdefault(column, np.full((len(place), int(length(rows[place]))), np.nan))
-                        for row, at in zip(np.searchsorted(place, of).tolist(), of.tolist(), strict=True):
-                            wide[row, : rows[at]] = read[first[at] : first[at] + rows[at]]
+                for one, values in zip(own[which].tolist(), _lists(part, column), strict=True):
+                    if values is None:
+                        continue
+                    if len(values) != rows[one]:
+                        raise damaged_file(processed / name, "a trial has more or fewer samples than it says")
+                    group, row = where[one]
+                    if column not in samples[group]:
+                        shape = len(places[group]), int(length(rows[places[group]]))
+                        samples[group][column] = np.full(shape, np.nan)
+                    samples[group][column][row, : len(values)] = values
     return [_batch(trials.take(place), found) for place, found in zip(places, samples, strict=True)]
+
+
+def _parts(file: Path, rows: Integers, columns: Sequence[str]) -> Iterator[tuple[Integers, pa.Table]]:
+    """Yield some rows of a file, group by group: beside what is made of them, one is in memory."""
+    order = np.argsort(rows)
+    with open_table(file) as stored:
+        counts = [stored.metadata.row_group(number).num_rows for number in range(stored.num_row_groups)]
+        ends = np.cumsum([0, *counts])
+        cuts = np.searchsorted(rows[order], ends)
+        for number, (begin, end) in enumerate(pairwise(cuts.tolist())):
+            if end > begin:
+                which = order[begin:end]
+                group = stored.read_row_group(number, list(columns), use_threads=False)
+                yield which, group.take(rows[which] - ends[number]) if end - begin < len(group) else group
+
+
+def _lists(table: pa.Table, column: str) -> Iterator[Floats | None]:
+    """Yield the samples of each trial; None where it has none of the column."""
+    for chunk in table.column(column).chunks:
+        values, edges = chunk.values.to_numpy(zero_copy_only=False), chunk.offsets.to_numpy().tolist()
+        for there, (begin, end) in zip(chunk.is_valid().to_pylist(), pairwise(edges), strict=True):
+            yield values[begin:end] if there else None
 
 
 def _batch(trials: pa.Table, samples: dict[str, Floats]) -> TrialBatch:
     nothing = np.empty((0, 0))
     present = {name: None if np.isnan(samples.get(name, nothing)).all() else samples[name] for name in _OPTIONAL}
+    extra = trials.column("extra").to_pylist()
     return TrialBatch(
         trial_id=tuple(trials.column("trial_id").to_pylist()),
         stiffness=trials.column("stiffness").to_numpy(),
@@ -114,36 +141,27 @@ def _batch(trials: pa.Table, samples: dict[str, Floats]) -> TrialBatch:
         command=samples.get("command", nothing),
         position=samples.get("position", nothing),
         **present,
-        step_row=_declared_step_rows(trials.column("extra").to_pylist()),
-        integrated=_integrated(trials.column("extra").to_pylist()),
+        step_row=_declared_step_rows(extra),
+        integrated=_integrated(extra),
     )
 
 
 def _located(processed: Path, trials: pa.Table) -> pa.Table:
     """Return trials with the present place of their samples, which a merge of batches may have moved."""
-    keys = ("source_path", "trial_id", "profile_sha256")
-    present = read_trials(processed, columns=[*keys, "sample_file", "first_row"]).to_pydict()
-    places = dict(
-        zip(
-            zip(*(present[key] for key in keys), strict=True),
-            zip(present["sample_file"], present["first_row"], strict=True),
-            strict=True,
-        )
-    )
+    keys = ("trial_id", "profile_sha256")
+    present = read_trials(processed, columns=[*keys, *LOCATION])
+    places = {row[:2]: row[2:] for row in zip(*(column.to_pylist() for column in present.columns), strict=True)}
     wanted = list(zip(*(trials.column(key).to_pylist() for key in keys), strict=True))
     gone = [key for key in wanted if key not in places]
     if gone:
         raise StoreError(
-            f"{processed}: {len(gone)} trials were removed while they were read, the first of {gone[0][0]}: "
+            f"{processed}: {len(gone)} trials were removed while they were read, the first {gone[0][0]}: "
             "their source changed. Run the command again."
         )
-    moved = {
-        "sample_file": pa.array([places[key][0] for key in wanted]),
-        "first_row": pa.array([places[key][1] for key in wanted], pa.int64()),
-    }
-    for name, values in moved.items():
+    for at, name in enumerate(LOCATION):
         index = trials.schema.get_field_index(name)
-        trials = trials.set_column(index, trials.schema.field(index), values)
+        field = trials.schema.field(index)
+        trials = trials.set_column(index, field, pa.array([places[key][at] for key in wanted], field.type))
     return trials
 
 

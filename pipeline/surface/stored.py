@@ -20,7 +20,7 @@ from pipeline.records.findings import Estimate, Optimum
 from pipeline.records.models import Motion
 from pipeline.records.results import ExperimentResult
 from pipeline.records.tables import TABLES
-from pipeline.store.exclusions import read_exclusions
+from pipeline.store.corrections import read_exclusions
 from pipeline.store.samples import load_batch
 from pipeline.store.storage import list_devices, list_experiments, read_trials
 from pipeline.surface.frames import SAMPLES, frame_of, frame_of_response, frame_of_stored, units_of
@@ -116,8 +116,8 @@ def trials(processed: Place = "processed", device: str | None = None, experiment
     """
     folder = folder_of(processed)
     table, known = _read(folder, device, experiment, None), read_exclusions(folder)
-    keys = zip(*(table.column(name).to_pylist() for name in ("source_sha256", "label")), strict=True)
-    reasons = [known[key].exclusion_reason if key in known else "" for key in keys]
+    ids = table.column("trial_id").to_pylist()
+    reasons = [known[trial].exclusion_reason if trial in known else "" for trial in ids]
     return frame_of_stored(table.append_column("exclusion_reason", [reasons]))
 
 

@@ -15,9 +15,8 @@ from typing import Any, Self
 
 from pydantic import BaseModel, ConfigDict
 
-from pipeline.base.disk import if_writable, write_text
+from pipeline.base.disk import if_writable, read_kept, write_kept
 from pipeline.base.errors import ParameterError
-from pipeline.base.json_seal import sealed_json, unsealed_json
 from pipeline.base.process_pool import process_pool
 from pipeline.base.provenance import code_digest, digest, sha256
 from pipeline.loop.device_loop import DeviceLoop, general, loop_of, wall_units
@@ -220,17 +219,17 @@ class Predictions:
             points = self._read(loop) | {c: p for (other, c), p in found.items() if other == loop}
             document = {"loop": repr(loop), "optima": {c: _plain(points[c]) for c in sorted(points)}}
             with if_writable():
-                write_text(self._file(loop), sealed_json(json.dumps(document, indent=1) + "\n"))
+                write_kept(self.folder, self._key(loop), ".json", (json.dumps(document, indent=1) + "\n").encode())
 
-    def _file(self, loop: Loop) -> Path:
-        key = digest([*(repr(getattr(loop, part.name)) for part in fields(loop)), code_digest("theory")])
-        return self.folder / f"{key}.json"
+    def _key(self, loop: Loop) -> str:
+        return digest([*(repr(getattr(loop, part.name)) for part in fields(loop)), code_digest("theory")])
 
     def _read(self, loop: Loop) -> dict[str, Found]:
+        data = read_kept(self.folder, self._key(loop), ".json")
         try:
-            return _Kept.model_validate(unsealed_json(self._file(loop).read_bytes())).optima
-        except (FileNotFoundError, ValueError):
-            return {}  # nothing is kept, or not in this form, or it is damaged: it is computed anew
+            return {} if data is None else _Kept.model_validate_json(data).optima
+        except ValueError:
+            return {}  # not in this form: it is computed anew
 
 
 def _plain(found: Found) -> Any:

@@ -3,6 +3,8 @@
 import gc
 import os
 import stat
+import subprocess
+import sys
 import threading
 import tracemalloc
 
@@ -10,9 +12,9 @@ import pytest
 from native_logs import FAULTS, log_text
 
 from pipeline.base import disk, lock
-from pipeline.base.disk import NewFile, publish_all, remove_temporary, replacing
+from pipeline.base.disk import NewFile, kept_files, read_kept, remove_temporary, replacing, write_kept
 from pipeline.intake.ingest import ingest
-from pipeline.intake.quarantine import RECORD_FILE
+from pipeline.store.batch_files import compact
 
 
 def test_threads_may_write_one_file(tmp_path):
@@ -46,17 +48,18 @@ def test_threads_may_write_one_file(tmp_path):
 
 def test_what_is_left_over_is_removed_whoever_wrote_it(tmp_path):
     for name in ("a", "b" * 300):
-        NewFile(tmp_path / "below", name)
-    (tmp_path / "below" / ".a.123.tmp").write_text("of an earlier version")
-    assert len(os.listdir(tmp_path / "below")) == 3
-    remove_temporary(tmp_path)
+        NewFile(tmp_path / "below", name).stream.close()
+    assert len(os.listdir(tmp_path / "below")) == 2
+    remove_temporary(tmp_path, deep=True)
     assert os.listdir(tmp_path / "below") == []
 
 
 @pytest.mark.parametrize("fails", ["nothing", "scandir", "unlink"])
 def test_what_killed_writers_left_is_removed_by_a_later_one(tmp_path, monkeypatch, fails):
-    killed = [NewFile(tmp_path, name)._temporary.name for name in ("a", "line\nbreak", "b" * 300)]
-    young = NewFile(tmp_path, "a")._temporary.name
+    new = [NewFile(tmp_path, name) for name in ("a", "line\nbreak", "b" * 300, "a")]
+    for file in new:
+        file.stream.close()
+    *killed, young = (file._temporary.name for file in new)
     others = [".a.tmp", ".a.0123.tmp", "a.0123456789abcdef.tmp", ".a.0123456789abcdef.tmp~", "a.html"]
     for name in others:
         (tmp_path / name).touch()
@@ -94,17 +97,56 @@ def test_no_file_is_written_through_a_link(tmp_path, monkeypatch):
     assert (tmp_path / "elsewhere").read_text() == "kept"
 
 
-def test_groups_are_named_one_after_the_other_and_synced_together(tmp_path, monkeypatch):
-    calls = []
-    monkeypatch.setattr(disk, "sync_folder", lambda folder: calls.append(("synced", folder.name)))
-    replaced = os.replace
-    monkeypatch.setattr(disk.os, "replace", lambda old, new: calls.append(("named", new.name)) or replaced(old, new))
-    first, second = ([(NewFile(tmp_path / kind / str(k), "x"), f"{kind}{k}") for k in range(3)] for kind in "ab")
-    calls.clear()
-    publish_all(first, second)
-    kinds = [kind for kind, _ in calls]
-    assert kinds == ["named"] * 3 + ["synced"] * 3 + ["named"] * 3 + ["synced"] * 3
-    assert [name for kind, name in calls if kind == "named"] == ["a0", "a1", "a2", "b0", "b1", "b2"]
+def test_a_kept_result_is_named_by_its_content_and_a_damaged_one_is_none(tmp_path):
+    assert read_kept(tmp_path, "x", ".json") is None
+    other = write_kept(tmp_path, "x-y", ".json", b"{1}")
+    first, second = (write_kept(tmp_path, "x", ".json", content) for content in (b"{}", b"{2}"))
+    assert not first.exists()
+    assert kept_files(tmp_path, "x", ".json") == [second]
+    assert (read_kept(tmp_path, "x", ".json"), read_kept(tmp_path, "x-y", ".json")) == (b"{2}", b"{1}")
+    second.write_bytes(b"{3}")
+    assert read_kept(tmp_path, "x", ".json") is None
+    assert write_kept(tmp_path, "x", ".json", b"{2}") == second
+    assert read_kept(tmp_path, "x", ".json") == b"{2}"
+    assert other.exists()
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="there is no device that is always full")
+def test_a_full_disk_is_named_and_nothing_is_left(tmp_path):
+    """Bytes are collected before they are written, so that the disk is found full at any of three moments."""
+    resource = pytest.importorskip("resource")
+    code = "import resource, signal, sys; from pathlib import Path; from pipeline.base.disk import write_text\n"
+    code += "signal.signal(signal.SIGXFSZ, signal.SIG_IGN); resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))\n"
+    code += "write_text(Path(sys.argv[1]), 'x' * int(sys.argv[2]))"
+    assert resource
+    for size in (1001, 3_000_000):
+        run = subprocess.run(
+            [sys.executable, "-c", code, tmp_path / "file", str(size)], capture_output=True, text=True, check=False
+        )
+        assert run.returncode == 1
+        assert f"File too large: '{tmp_path / 'file'}'" in run.stderr
+        assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.parametrize(
+    ("modes", "found"), [((0o600,), {0o600}), ((0o644, 0o600), {0o600, 0o644}), ((0o640,), {0o640})]
+)
+def test_trials_are_read_by_whom_the_log_may_be_read(tmp_path, modes, found):
+    """Logs of unlike modes lie in unlike files, before and after a merge; the mask of new files counts, too."""
+    logs = tmp_path / "logs"
+    logs.mkdir()
+    former = os.umask(0o022)
+    try:
+        for number in range(4):
+            (logs / f"{number}.csv").write_text(log_text(number))
+            (logs / f"{number}.csv").chmod(modes[number % len(modes)])
+            ingest([logs / f"{number}.csv"], tmp_path / "processed", jobs=1)
+        compact(tmp_path / "processed")
+    finally:
+        os.umask(former)
+    files = list((tmp_path / "processed" / "trials").rglob("*.parquet"))
+    assert {stat.S_IMODE(file.stat().st_mode) for file in files} == found
+    assert len(files) == len(found)
 
 
 @pytest.mark.parametrize("mode", [0o600, 0o640, 0o644, 0o400, 0o604, 0o755])
@@ -117,7 +159,8 @@ def test_a_copy_in_quarantine_is_for_nobody_else(tmp_path, mode):
     (folder,) = (tmp_path / "processed" / "quarantine").iterdir()
     modes = {path.name: stat.S_IMODE(path.stat().st_mode) for path in folder.iterdir()}
     # the record quotes the log
-    assert modes == {"bad.csv": mode & 0o666, RECORD_FILE: mode & 0o666}
+    assert sorted(name.partition("-")[0] for name in modes) == ["bad.csv", "reason"]
+    assert set(modes.values()) == {mode & 0o666}
 
 
 def test_what_a_link_leads_to_is_copied_only_from_inside(tmp_path):
@@ -174,5 +217,5 @@ def test_a_record_is_small_whatever_the_lines_are(tmp_path):
     lines = FAULTS["no stiffness"][0].replace("\n", " " + "x" * 1000 + "\n")
     (tmp_path / "logs" / "a.csv").write_text(lines)
     assert len(ingest([tmp_path / "logs"], tmp_path / "processed", jobs=1).quarantined) == 1
-    (record,) = (tmp_path / "processed" / "quarantine").rglob(RECORD_FILE)
+    (record,) = (tmp_path / "processed" / "quarantine").rglob("reason-*.json")
     assert record.stat().st_size < 2000

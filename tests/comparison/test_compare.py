@@ -21,6 +21,7 @@ from pipeline.measured.stages import stage_tables
 from pipeline.records.results import ComparisonResult
 from pipeline.rendering.report.report_parts import CELLS_META, take_apart
 from pipeline.shell.cli import app
+from pipeline.store.storage import stage_file
 from pipeline.theory import predictions
 
 QUICK = ("energy_step_w0", "overshoot")
@@ -153,7 +154,6 @@ def test_second_run_reuses_everything_and_touches_nothing(own, nothing_is_comput
 
 def test_dry_run_writes_nothing_and_tells_the_plan(lwr, tmp_path, nothing_is_computed):
     shutil.copytree(lwr.processed / "trials", tmp_path / "processed/trials")
-    shutil.copytree(lwr.processed / "samples", tmp_path / "processed/samples")
     before = files(tmp_path)
     nothing_is_computed()
     outcome = compare("lwr", tmp_path / "processed", report=tmp_path / "new/x.html", dry_run=True)
@@ -194,7 +194,7 @@ def test_one_more_log_runs_only_its_experiment(own):
 
 
 def test_other_criteria_run_only_what_is_missing(lwr, tmp_path, plain_page):
-    for part in ("trials", "samples"):
+    for part in ("trials",):
         shutil.copytree(lwr.processed / part, tmp_path / "processed" / part)
 
     def plan(criteria):
@@ -238,7 +238,7 @@ def test_a_report_is_renewed_where_another_one_already_computed_the_stages(own):
 
 def test_a_lost_stage_file_is_made_again_though_the_report_stands(own):
     run(own)
-    path = own / "processed/stages/lwr/delay-2/energy.parquet"
+    path = stage_file(own / "processed", "lwr", "delay-2", "energy")
     path.unlink()
     again = run(own)
     assert {s for s, a in actions(again).items() if a == RUN and s.startswith("delay-2")} == {"delay-2: energy"}
@@ -282,7 +282,7 @@ def test_a_missing_report_is_written_again_without_computing_stages(own, monkeyp
 
 def test_a_damaged_stage_file_is_named_or_made_anew(own):
     expected = run(own).result
-    path = own / "processed/stages/lwr/delay-2/energy.parquet"
+    path = stage_file(own / "processed", "lwr", "delay-2", "energy")
     sound = path.read_bytes()
     path.write_bytes(sound[: len(sound) // 2])  # without its end there is no key
     (own / "own.html").unlink()
@@ -293,14 +293,14 @@ def test_a_damaged_stage_file_is_named_or_made_anew(own):
     damaged[200] ^= 0xFF  # a value; the key stays readable
     path.write_bytes(bytes(damaged))
     (own / "own.html").unlink()
-    with pytest.raises(StoreError, match=r"energy\.parquet.*`pipeline check --repair` saves it"):
+    with pytest.raises(StoreError, match=r"energy-.*\.parquet.*`pipeline check --repair` saves it"):
         run(own)
     assert not (own / "own.html").exists()
 
 
 @pytest.mark.parametrize(
     "tree",
-    ["trials", pytest.param("samples", marks=pytest.mark.slow), pytest.param("stages", marks=pytest.mark.slow)],
+    ["trials", pytest.param("stages", marks=pytest.mark.slow)],
 )
 def test_a_damaged_experiment_keeps_no_other_from_being_compared(own, tree):
     expected = run(own, experiments=["delay-4"]).result
@@ -345,7 +345,7 @@ def test_stage_files_name_their_origin(own):
     from pipeline.records.table_files import read_metadata
 
     run(own)
-    found = read_metadata(own / "processed/stages/lwr/delay-2/energy.parquet")
+    found = read_metadata(stage_file(own / "processed", "lwr", "delay-2", "energy"))
     assert {"pipeline.version", "pipeline.key", "pipeline.inputs", "pipeline.stage"} <= set(found)
     assert found["pipeline.stage"] == "energy"
 

@@ -23,8 +23,8 @@ from pipeline.intake.ingest import ingest
 from pipeline.measured.stages import stage_tables
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.store import objects
+from pipeline.store.mirror import opened, stored_by
 from pipeline.store.storage import list_experiments
-from pipeline.store.working_copy import opened, stored_by
 
 NEEDED = {"response", "boundary", "delay", "outcome"}
 ALL = NEEDED | {"model", "damping", "mass", "energy", "settling", "overshoot", "windows", "wall_law", "ladder"}
@@ -121,12 +121,10 @@ def test_what_a_worker_may_not_store_is_handed_back(trials, local, monkeypatch):
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
 
     (own, *_), (expected, *_) = experiments(trials), experiments(local / "whole")
-    assert stage_job.do(stage_job.job_of(expected, NEEDED), stored_suffices=True).tables == {}
-    monkeypatch.setattr(stage_tables, "write_table", refuse)
+    assert stage_job.do(stage_job.job_of(expected, NEEDED), stored_suffices=True) == {}
+    monkeypatch.setattr(stage_tables, "write_kept", refuse)
     done = stage_job.do(stage_job.job_of(own, NEEDED), stored_suffices=True)
-    assert {name: table.equals(expected.table(name)) for name, table in done.tables.items()} == dict.fromkeys(
-        NEEDED, True
-    )
+    assert {name: table.equals(expected.table(name)) for name, table in done.items()} == dict.fromkeys(NEEDED, True)
 
 
 def test_parts_without_the_package_are_told(cluster, trials, monkeypatch):
@@ -147,7 +145,7 @@ def test_workers_of_another_version_are_refused(cluster, trials, monkeypatch):
 
 
 def test_a_folder_that_workers_do_not_see_is_told(cluster, trials, monkeypatch, tmp_path):
-    monkeypatch.setattr(stage_job, "snapshot", lambda *_: tmp_path / "elsewhere")
+    monkeypatch.setattr(stage_job, "origin", lambda *_: str(tmp_path / "elsewhere"))
     with pytest.raises(StoreError, match=r"elsewhere: a worker sees no such folder.*s3://BUCKET/PREFIX"):
         executor_of(cluster.address)(experiments(trials), NEEDED)
 
@@ -262,8 +260,11 @@ def test_the_store_is_killed(logs, monkeypatch):
         stored_by(url, lambda processed: ingest([logs / "1"], processed))
         own.process.send_signal(signal.SIGSTOP)
         threading.Timer(1.0, own.process.send_signal, [signal.SIGCONT]).start()
-        with opened(url, "lwr") as processed:
+
+        def compute(processed):
             (stages,) = experiments(processed)
             own.process.kill()
-            with pytest.raises(StoreError, match=r"s3://lab/x: the store does not answer.*repeat the command"):
-                stages.table("response")
+            stages.table("boundary")
+
+        with pytest.raises(StoreError, match=r"s3://lab/x: the store does not answer.*repeat the command"):
+            stored_by(url, compute)

@@ -5,15 +5,11 @@ from __future__ import annotations
 import errno
 import os
 import shutil
-import tempfile
-
-import pytest
 
 from pipeline.comparison import shared_groups, stage_pool
 from pipeline.comparison.stage_pool import compute_stages
 from pipeline.measured.stages import stages
 from pipeline.records import groups
-from pipeline.records.batch import TrialBatch
 from pipeline.records.table_files import read_table
 
 NEEDED = {"response", "boundary", "delay"}
@@ -22,8 +18,7 @@ NEEDED = {"response", "boundary", "delay"}
 def test_processes_store_what_one_process_computes(lwr, tmp_path, monkeypatch):
     monkeypatch.setattr(os, "cpu_count", lambda: 2)
     copy = tmp_path / "processed"
-    for part in ("trials", "samples"):
-        shutil.copytree(lwr.processed / part, copy / part)
+    shutil.copytree(lwr.processed / "trials", copy / "trials")
     experiments = [lwr.stages(name, copy) for name in lwr.courses]
     compute_stages(experiments, NEEDED)
     for own in experiments:
@@ -38,8 +33,7 @@ def test_processes_store_what_one_process_computes(lwr, tmp_path, monkeypatch):
 
 def test_one_experiment_or_one_processor_is_left_for_later(lwr, tmp_path, monkeypatch):
     copy = tmp_path / "processed"
-    for part in ("trials", "samples"):
-        shutil.copytree(lwr.processed / part, copy / part)
+    shutil.copytree(lwr.processed / "trials", copy / "trials")
     experiments = [lwr.stages(name, copy) for name in lwr.courses]
     monkeypatch.setattr(os, "cpu_count", lambda: 1)
     compute_stages(experiments, NEEDED)
@@ -52,41 +46,28 @@ def no_file(*_, **__):
     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
-@pytest.mark.parametrize(
-    "room", ["a file", pytest.param("no room", marks=pytest.mark.slow), pytest.param("no file", marks=pytest.mark.slow)]
-)
-def test_the_groups_of_a_large_experiment_are_shared(lwr, tmp_path, monkeypatch, room):
+def test_the_groups_of_a_large_experiment_are_shared(lwr, tmp_path, monkeypatch):
     monkeypatch.setattr(os, "cpu_count", lambda: 2)
     monkeypatch.setattr(stage_pool, "LARGE", 50)
     monkeypatch.setattr(groups, "READINGS", 10_000)
     monkeypatch.setattr(shared_groups, "FEWEST", 10)
-    monkeypatch.setattr(tempfile, "tempdir", str(scratch := tmp_path / "scratch"))
-    scratch.mkdir()
-    ways, listed = [], []
+    cut = []
+    original = shared_groups.SharedGroups._cut
 
-    original = shared_groups.SharedGroups._share
+    def noted(self, batch):
+        parts = original(self, batch)
+        cut.extend(number for _, _, number in parts)
+        return parts
 
-    def share(self, batch):
-        shared = original(self, batch)
-        ways.append(type(shared))
-        listed.extend(scratch.iterdir())
-        return shared
-
-    monkeypatch.setattr(shared_groups.SharedGroups, "_share", share)
-    if room == "no file":
-        monkeypatch.setattr(shared_groups, "TemporaryFile", no_file)
-    if room == "no room":
-        monkeypatch.setattr(shared_groups, "_write", no_file)
+    monkeypatch.setattr(shared_groups.SharedGroups, "_cut", noted)
     shutil.copytree(lwr.processed / "trials", tmp_path / "trials")
-    shutil.copytree(lwr.processed / "samples", tmp_path / "samples")
     own = lwr.stages("delay-2", tmp_path)
     assert len(own.samples.parts) > 2
     assert own.count_new_trials() == own.trials.num_rows
     needed = {*NEEDED, "model", "damping", "mass", "outcome", "overshoot", "settling", "energy", "windows"}
     compute_stages([own], needed)
-    assert set(ways) == ({tuple} if room == "a file" else {TrialBatch})
-    assert len(ways) > len(own.samples.parts), "groups are cut"
-    assert listed == [], "the file has no name"
+    assert len(set(cut)) > len(own.samples.parts), "groups are cut"
+    assert len(cut) > len(set(cut)), "each part is used for several stages"
     monkeypatch.undo()
     alone = lwr.stages("delay-2")
     for stage in needed:
@@ -96,7 +77,6 @@ def test_the_groups_of_a_large_experiment_are_shared(lwr, tmp_path, monkeypatch,
 
 def test_what_is_not_new_is_not_computed_by_several_processes_either(lwr, tmp_path, monkeypatch):
     shutil.copytree(lwr.processed / "trials", tmp_path / "trials")
-    shutil.copytree(lwr.processed / "samples", tmp_path / "samples")
     whole = lwr.stages("delay-2", tmp_path)
     some = stages.ExperimentStages(tmp_path, "lwr", "delay-2", whole.trials.slice(30))
     some.table("delay")
@@ -124,7 +104,6 @@ def test_large_experiments_that_fill_all_processors_are_not_cut(lwr, tmp_path, m
     monkeypatch.setattr(stage_pool, "LARGE", 20)
     monkeypatch.setattr(stages.ExperimentStages, "compute", no_file)
     shutil.copytree(lwr.processed / "trials", tmp_path / "trials")
-    shutil.copytree(lwr.processed / "samples", tmp_path / "samples")
     experiments = [lwr.stages(name, tmp_path) for name in lwr.courses]
     compute_stages(2 * experiments, NEEDED)
     assert all(own.is_stored("delay") for own in experiments)

@@ -134,7 +134,7 @@ def test_a_rename_that_is_interrupted_is_finished(named, monkeypatch):
     named.ingest()
     log.rename(named.logs / "K900_a.csv")
     with monkeypatch.context() as patch:
-        patch.setattr("pipeline.intake.ingest.drop_superseded", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+        patch.setattr("pipeline.intake.ingest.tidy", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
         with pytest.raises(KeyboardInterrupt):
             named.ingest()
     assert len(named.rows()) == 2, "both stand there for a moment"

@@ -17,19 +17,19 @@ from pipeline.base.errors import EXIT_USAGE, DeviceError, StoreError, UsageError
 from pipeline.comparison.against_run import against_document, against_experiments, read_document
 from pipeline.comparison.compare import compare
 from pipeline.device_data.devices import load_device
-from pipeline.intake.compaction import compact
+from pipeline.intake.check import check
 from pipeline.intake.exclude import exclude, use_again
 from pipeline.intake.ingest import ingest
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.rendering.report.report_against import render
 from pipeline.rendering.report.report_parts import take_apart
-from pipeline.repair.repair_damage import check
 from pipeline.shell.cli import application
 from pipeline.shell.status import status
 from pipeline.shell.verify.verify import verify
 from pipeline.shell.watch.watch_pass import _inputs
-from pipeline.store.exclusions import read_exclusions
-from pipeline.store.storage import EXCLUSIONS_FILE, read_trials
+from pipeline.store.batch_files import compact
+from pipeline.store.corrections import read_exclusions
+from pipeline.store.storage import read_trials
 
 pytestmark = pytest.mark.usefixtures("one_process")
 
@@ -80,7 +80,7 @@ def test_a_trial_is_kept_and_not_used(store, way):
     assert len(used(store, "10")) == 2
     assert use_again(store, words).trial_id == trial
     assert len(used(store, "9")) == 2
-    assert not (store / EXCLUSIONS_FILE).exists()
+    assert read_exclusions(store) == {}
 
 
 def test_a_second_reason_replaces_the_first(store):
@@ -100,8 +100,12 @@ def test_it_stays_excluded_through_all_that_rewrites_the_store(store):
     ingest([logs], store, jobs=1)
     compact(store)
     file = next((store / "trials" / "bench" / "9").glob("*.parquet"))
-    file.write_bytes(b"")
-    assert [damage.remedy for damage in check(store, repair=True).damage] == ["restore"]
+    data = bytearray(file.read_bytes())
+    data[20] ^= 0xFF
+    file.write_bytes(data)
+    (damage,) = check(store, repair=True).damage
+    assert [Path(one.source_path).name for one in damage.lost] == ["2.csv"], "its log bears another name"
+    ingest([logs], store, jobs=1)
     assert excluded(store) == [trial]
     stages = ExperimentStages.stored(store, "bench", "9")
     assert (stages.trials.num_rows, [one.trial_id for one in stages.excluded]) == (2, [trial])
@@ -136,7 +140,7 @@ def test_unknown_and_ambiguous_words(store):
     if any(t.startswith(several) for t in ids(store).values()):
         with pytest.raises(UsageError, match=r"fits \d stored trials.*Give one id"):
             exclude(store, several, WHY)
-    assert not (store / EXCLUSIONS_FILE).exists()
+    assert read_exclusions(store) == {}
 
 
 def test_a_log_of_several_trials_is_no_name_of_one(tmp_path):
@@ -172,26 +176,26 @@ constants = {device = "bench", experiment = "1", stiffness = 0.0, damping = 0.0,
 def test_one_writer_at_a_time(store):
     with lock.writing(store), pytest.raises(StoreError, match="writes there"):
         exclude(store, ids(store)["2.csv"], WHY, wait_s=0)
-    assert not (store / EXCLUSIONS_FILE).exists()
+    assert read_exclusions(store) == {}
 
 
-def test_a_damaged_file_is_restored_and_never_ignored(store):
+def test_a_damaged_file_is_set_aside_and_never_ignored(store):
     """What is excluded is not known then: nothing is computed as if nothing were."""
     exclude(store, ids(store)["2.csv"], WHY)
-    file = store / EXCLUSIONS_FILE
+    (file,) = (store / "corrections").iterdir()
     whole, known = file.read_bytes(), read_exclusions(store)
     for at in range(0, len(whole), max(len(whole) // 40, 1)):
         file.write_bytes(whole[:at] + bytes([whole[at] ^ 0x5A]) + whole[at + 1 :])
         with pytest.raises(StoreError, match="pipeline check --repair"):
             ExperimentStages.stored(store, "bench", "9")
-        assert any(EXCLUSIONS_FILE in text for text in status(store).damaged)
-        assert [(d.file, d.remedy) for d in check(store, repair=True).damage] == [(EXCLUSIONS_FILE, "restore")]
-        assert read_exclusions(store) == known
-    file.write_bytes(whole[: len(whole) // 2])
+        assert any("corrections" in text for text in status(store).damaged)
     (found,) = check(store, repair=True).damage
     assert (found.remedy, file.exists()) == ("set aside", False)
-    (kept,) = (store / "damaged").glob(f"{EXCLUSIONS_FILE}*")
-    assert kept.read_bytes() == whole[: len(whole) // 2]
+    (kept,) = (store / "damaged").rglob("*.parquet")
+    assert kept.name == file.name
+    assert read_exclusions(store) == {}
+    exclude(store, ids(store)["2.csv"], WHY)
+    assert set(read_exclusions(store)) == set(known)
 
 
 def test_watch_makes_the_report_anew(store):

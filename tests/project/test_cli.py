@@ -315,13 +315,13 @@ def test_check_names_what_is_damaged_and_repairs_it(call, logs):
     call("ingest", str(logs))
     status, out, _ = call("check")
     assert (status, out.splitlines()[0].split(": ")[1]) == (0, "none damaged")
-    (file,) = Path("processed").glob("samples/**/*.parquet")
+    (file,) = Path("processed").glob("trials/**/*.parquet")
     data = bytearray(file.read_bytes())
     data[40] ^= 1
     file.write_bytes(data)
     status, out, _ = call("check", "--json")
     (damage,) = json.loads(out)["damage"]
-    assert (status, damage["file"], damage["remedy"]) == (1, file.relative_to("processed").as_posix(), "restore")
+    assert (status, damage["file"], damage["remedy"]) == (1, file.relative_to("processed").as_posix(), "save")
     assert call("check", "--repair")[0] == 0
     assert call("check")[0] == 0
 

@@ -24,9 +24,8 @@ from places import ROOT
 from pipeline.base.errors import Code, LogError, ProfileError, UsageError
 from pipeline.base.file_names import path_of_text, path_text, storable
 from pipeline.base.regular_files import open_regular
-from pipeline.intake.excerpt import LONGEST_SHOWN, excerpt_of
 from pipeline.intake.ingest import ingest
-from pipeline.intake.quarantine import RECORD_FILE, list_quarantine
+from pipeline.intake.quarantine import LONGEST_SHOWN, excerpt_of, list_quarantine
 from pipeline.intake.sources import find_sources
 from pipeline.profiles.profile_files import load_profile
 from pipeline.readers import conditions
@@ -456,11 +455,10 @@ def test_the_record_names_code_place_and_remedy(logs, processed, store, lab, cap
     (logs / "a.csv").write_text("t,F,x\r\n0,0,0\r\n1,1,--\r\n2,1,\x1b[2J1\r\n")
     store(logs, profile=lab)
     (folder,) = (processed / "quarantine").iterdir()
-    record = json.loads((folder / RECORD_FILE).read_text())
-    assert (record["code"], record["row"], record["byte"]) == ("not-a-number", 3, 14)
-    assert (logs / "a.csv").read_bytes()[record["byte"] :].startswith(b"1,1,--")
+    (file,) = folder.glob("reason-*.json")
+    record = json.loads(file.read_text())
+    assert (record["code"], record["row"]) == ("not-a-number", 3)
     assert record["profile_line"] == 'missing = ["--"]'
-    assert record["excerpt"] == [[1, "t,F,x"], [2, "0,0,0"], [3, "1,1,--"], [4, "2,1,\\x1b[2J1"]]
     assert (folder / "a.csv").read_bytes() == (logs / "a.csv").read_bytes()
     _, out = call(capsys, "quarantine", "list", "--processed", processed)
     assert "[not-a-number]" in out
@@ -472,55 +470,24 @@ def test_the_record_names_code_place_and_remedy(logs, processed, store, lab, cap
         _, out = call(capsys, "quarantine", *arguments, "--processed", processed, "--json")
         document = json.loads(out)
         shown = document[0] if isinstance(document, list) else document
-        assert {key: shown[key] for key in ("code", "byte", "profile_line", "excerpt")} == {
-            key: record[key] for key in ("code", "byte", "profile_line", "excerpt")
-        }
-
-
-def test_records_without_the_new_keys_are_read_and_renewed(logs, processed, store, capsys):
-    (logs / "a.csv").write_text(FAULTS["text cell"][0])
-    store(logs)
-    (file,) = processed.glob(f"quarantine/*/{RECORD_FILE}")
-    record = json.loads(file.read_text())
-    old = {key: record[key] for key in record if key not in ("checksum", "code", "profile_line", "byte", "excerpt")}
-    file.write_text(json.dumps(old))
-    assert list_quarantine(processed)[0].code is None
-    assert call(capsys, "quarantine", "show", logs / "a.csv", "--processed", processed)[0] == 0
-    assert store(logs).quarantined[0].code == "not-a-number"
-    assert json.loads(file.read_text()) == record
+        assert shown | record == shown
+    assert shown["excerpt"] == [[1, "t,F,x"], [2, "0,0,0"], [3, "1,1,--"], [4, "2,1,\\x1b[2J1"]]
 
 
 @pytest.mark.parametrize(
-    ("kind", "encoding", "end"),
-    [
-        ("native", "utf-8", "\n"),
-        ("delimited", "utf-8", "\r\n"),
-        ("delimited", "utf-8", "\r"),
-        ("delimited", "latin-1", "\n"),
-        ("delimited", "utf-16", "\r\n"),
-        ("delimited", "utf-16-le", "\n"),
-    ],
+    ("encoding", "end"), [("utf-8", "\r\n"), ("utf-8", "\r"), ("latin-1", "\n"), ("utf-16", "\r\n")]
 )
-def test_the_byte_is_where_the_row_begins(kind, encoding, end):
-    lines = [f"Zeit;Prüf;Ċ{k}" if "latin" not in encoding else f"Zeit;Prüf;{k}" for k in range(9)]
-    data = end.join(lines).encode(encoding)
-    for row in range(1, 10):
-        found = excerpt_of("log", data, row, kind, encoding.removesuffix("-le"), around=1)
-        rest = data[found.byte :]
-        codec = "utf-16-le" if "utf-16" in encoding else encoding
-        assert rest.decode(codec).lstrip("\ufeff").startswith(lines[row - 1])
-        assert [text for _, text in found.lines] == lines[max(row - 2, 0) : row + 1]
-    assert excerpt_of("log", data, 99, kind, encoding).byte is None
-
-
-def test_excerpts_are_short_and_packed_files_have_no_byte():
-    data = b"t,F\n" + b"9" * 100_000 + b"\n1,2\n"
-    found = excerpt_of("log", data, 2, "delimited")
-    assert [len(text) for _, text in found.lines] == [3, LONGEST_SHOWN, 3]
-    packed = excerpt_of("log", gzip.compress(data), 2, "delimited")
-    assert (packed.byte, packed.lines) == (None, found.lines)
-    assert excerpt_of("log", b"\0" * 500, None, "delimited").lines == ()
-    assert excerpt_of("log", b"", 1, "native").lines == ()
+@pytest.mark.parametrize("pack", [bytes, gzip.compress])
+def test_lines_around_the_row_are_shown_short(logs, processed, store, encoding, end, pack):
+    lines = ["Zeit;Prüf", *(f"{k};{k}" for k in range(6)), "9" * 100_000]
+    (logs / "a.csv").write_bytes(pack(end.join(lines).encode(encoding)))
+    store(logs)
+    (record,) = list_quarantine(processed)
+    for row in (None, 2, 7, 8):
+        shown = excerpt_of(processed, record.model_copy(update={"row": row}))
+        at = row or 1
+        expected = [(k, lines[k - 1][:LONGEST_SHOWN]) for k in range(max(at - 3, 1), min(at + 3, 8) + 1)]
+        assert shown == expected
 
 
 CLAIMS = ROOT / "tests" / "support" / "false_claims.py"

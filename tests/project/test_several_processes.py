@@ -26,8 +26,9 @@ READY = "ready"
 INGEST = f"""
 import sys
 from pathlib import Path
-from pipeline.intake import compaction, ingest as module
-module.PENDING_BYTES, compaction.MOST_SMALL = int(sys.argv[3]), 3
+from pipeline.intake import ingest as module
+from pipeline.store import batch_files
+module.PENDING_BYTES, batch_files.MOST_SMALL = int(sys.argv[3]), 3
 print({READY!r}, flush=True)
 report = module.ingest([Path(sys.argv[1])], Path(sys.argv[2]), jobs=2)
 print(report.model_dump_json(exclude={{"plan"}}), flush=True)

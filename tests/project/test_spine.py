@@ -217,7 +217,7 @@ def test_hostile_names_stay_text_and_inside_the_folder(tmp_path, device):
     assert {p.name for p in home.iterdir()} == {"logs", "processed", "out"}
     assert [p.name for p in tmp_path.iterdir()] == ["home"]
     # trials/DEVICE/EXPERIMENT/FILE, and nothing deeper or beside it
-    for part in ("trials", "samples", "stages"):
+    for part in ("trials", "stages"):
         found = [p.relative_to(home / "processed") for p in (home / "processed" / part).rglob("*.parquet")]
         assert found
         assert {len(p.parts) for p in found} == {4}

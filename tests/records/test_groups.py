@@ -127,7 +127,7 @@ def tables(lab, processed):
 
 
 def copy_store(lab, folder: Path) -> Path:
-    for part in ("trials", "samples"):
+    for part in ("trials",):
         shutil.copytree(lab.processed / part, folder / part)
     return folder
 
@@ -278,7 +278,7 @@ def test_an_archive_is_compared_without_writing_into_it(lab, tmp_path, monkeypat
         only.folder = archive
         found = compare("falcon", archive, criteria=("overshoot",), report=report).result
     assert report.is_file()
-    assert sorted(path.name for path in archive.iterdir()) == ["samples", "trials"]
+    assert sorted(path.name for path in archive.iterdir()) == ["trials"]
     assert compare("falcon", archive, criteria=("overshoot",)).result.numbers() == found.numbers()
     assert (archive / "stages").is_dir()
 

@@ -35,7 +35,7 @@ def test_counts_are_those_of_the_files(lab):
     found = status(processed)
     files = [path for path in processed.rglob("*") if path.is_file()]
     assert found.bytes == sum(path.stat().st_size for path in files)
-    assert found.files == 4
+    assert found.files == 2
     assert (found.devices, found.trials, found.rows) == (1, 4, 120)
     assert [(e.experiment, e.trials, e.rows, e.batches, e.row_groups) for e in found.experiments] == [
         ("9", 2, 60, 1, 1),
@@ -43,7 +43,7 @@ def test_counts_are_those_of_the_files(lab):
     ]
     assert sum(found.quarantined.values()) == 2
     assert set(found.quarantined) <= {"not-a-number", "too-short", "invalid", "empty"}
-    assert found.removed == found.changed == found.orphans == found.reports == ()
+    assert found.removed == found.changed == found.reports == ()
     assert found.lock is None
 
 
@@ -57,13 +57,10 @@ def test_sources_that_changed_or_are_gone_are_listed(lab):
 
 
 def test_what_was_left_and_who_writes(lab):
-    folder = lab / "processed" / "samples" / "bench" / "9"
-    (folder / "000099-left.parquet").write_bytes(next(folder.glob("*.parquet")).read_bytes())
-    (folder / ".samples-translation.1.tmp").write_bytes(b"12345")
+    folder = lab / "processed" / "trials" / "bench" / "9"
+    (folder / ".batch.0123456789abcdef.tmp").write_bytes(b"12345")
     with lock.writing(lab / "processed", 0):
         found = status(lab / "processed")
-    assert found.orphans == ("samples/bench/9/000099-left.parquet",)
-    assert found.orphan_bytes == (folder / "000099-left.parquet").stat().st_size
     assert found.temporary_bytes == 5
     assert found.lock is not None
     assert found.lock.pid == os.getpid()

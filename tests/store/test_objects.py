@@ -1,4 +1,4 @@
-"""An object store by its requests: what is conditional is so, and what fails says what to do."""
+"""An object store by its requests: what fails says what to do."""
 
 import subprocess
 import sys
@@ -10,27 +10,6 @@ from obstore.exceptions import PermissionDeniedError
 from pipeline.base.errors import StoreError, UsageError
 from pipeline.store import objects as objects_module
 from pipeline.store.objects import Objects, check_installed, is_url
-
-
-def test_only_the_version_that_was_read_is_replaced(s3):
-    store = Objects(s3)
-    assert store.get("a.json") is None
-    first = store.advance("a.json", b"1", None)
-    assert store.get("a.json") == (b"1", first)
-    assert store.advance("a.json", b"2", None) is None, "there is one already"
-    second = store.advance("a.json", b"2", first)
-    assert store.advance("a.json", b"3", first) is None, "it is another version now"
-    assert store.get("a.json") == (b"2", second)
-    assert store.advance("b.json", b"1", "no such version") is None
-
-
-def test_content_of_its_own_is_no_conflict(s3):
-    """The answer to a request was lost, and it is sent again."""
-    store = Objects(s3)
-    first = store.advance("a.json", b"1", None)
-    second = store.advance("a.json", b"2", first)
-    assert store.advance("a.json", b"2", first) == second
-    assert store.advance("a.json", b"2", None) == second
 
 
 def test_names_below_a_url_are_listed_page_by_page(s3, tmp_path):
@@ -61,13 +40,13 @@ def test_a_bucket_that_is_not_there_is_told(s3, tmp_path):
         Objects("s3://nowhere/x").put("a", tmp_path / "file")
 
 
-def test_a_store_that_may_only_be_read_is_like_a_folder_that_may(s3, monkeypatch):
+def test_a_store_that_may_only_be_read_is_like_a_folder_that_may(s3, monkeypatch, tmp_path):
     def refuse(*_, **__):
         raise PermissionDeniedError("no")
 
     monkeypatch.setattr("obstore.put", refuse)
     with pytest.raises(PermissionError) as told:
-        Objects(s3).advance("a", b"", None)
+        Objects(s3).put("a", tmp_path)
     assert told.value.filename == s3
 
 

@@ -7,19 +7,21 @@ import tempfile
 from pathlib import Path, PureWindowsPath
 
 import numpy as np
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pipeline.base.errors import StoreError
-from pipeline.base.seal import MARK
 from pipeline.intake.ingest import ingest
 from pipeline.records.native import NativeHeader, format_header
-from pipeline.records.table_files import read_table, write_table
-from pipeline.records.tables import COLUMNS, TABLES, to_arrow
+from pipeline.records.table_files import parquet_bytes
+from pipeline.records.tables import COLUMNS, LOCATION, TABLES, to_arrow
+from pipeline.store.batch_files import compact
+from pipeline.store.corrections import IDENTITY, Correction, read_exclusions, write_corrections
 from pipeline.store.names import folder_name, name_of_folder, page_against, page_against_document, place_of, report_of
-from pipeline.store.samples import load_batch
+from pipeline.store.samples import load_batch, load_trial
 from pipeline.store.storage import (
     list_devices,
     list_experiments,
@@ -116,24 +118,17 @@ def test_devices_that_differ_in_case_are_stored_apart_and_former_stores_are_read
     processed = tmp_path / "processed"
     ingest(sorted(tmp_path.glob("*.csv")), processed)
     assert list_devices(processed) == ["Arm", "CON", "arm"]
-    for tree in ("trials", "samples"):
-        folders = os.listdir(processed / tree)
-        assert len({folder.casefold() for folder in folders}) == 3
-        assert not any(refused_by_windows(folder) for folder in folders)
-        # as earlier versions wrote it
-        (processed / tree / "%43ON").rename(processed / tree / "CON")
-    for file in processed.glob("trials/CON/*/*.parquet"):
-        table = pq.read_table(file).replace_schema_metadata(
-            {key: value for key, value in pq.read_schema(file).metadata.items() if key != MARK.encode()}
-        )
-        moved = [name.replace("%43ON", "CON") for name in table.column("sample_file").to_pylist()]
-        pq.write_table(table.set_column(table.schema.get_field_index("sample_file"), "sample_file", [moved]), file)
+    folders = os.listdir(processed / "trials")
+    assert len({folder.casefold() for folder in folders}) == 3
+    assert not any(refused_by_windows(folder) for folder in folders)
+    # as another system wrote it
+    (processed / "trials" / "%43ON").rename(processed / "trials" / "CON")
     for number, device in enumerate(("arm", "Arm", "CON")):
         assert load_batch(processed, read_trials(processed, device)).stiffness.tolist() == [number]
     write_log(tmp_path / "3.csv", 3.0, device="CON")
     ingest([tmp_path / "3.csv"], processed)
     assert load_batch(processed, read_trials(processed, "CON")).stiffness.tolist() == [2, 3]
-    assert sorted(os.listdir(processed / "samples")) == sorted(os.listdir(processed / "trials"))
+    assert sorted(os.listdir(processed / "trials")) == sorted({*folders, "CON"} - {"%43ON"})
 
 
 def test_experiments_are_sorted_as_people_do():
@@ -182,31 +177,97 @@ def test_nothing_stored_is_an_empty_batch(processed):
 
 
 def test_units_and_meanings_are_stored(processed):
-    (path,) = (processed / "samples" / "bench" / "1").glob("*.parquet")
+    (path,) = (processed / "trials" / "bench" / "1").glob("*.parquet")
     field = pq.read_schema(path).field("position")
     assert field.metadata == {b"unit": b"m", b"meaning": b"measured position"}
-    assert {name for names in TABLES.values() for name in names} == set(COLUMNS)
+    assert {*LOCATION, *(name for names in TABLES.values() for name in names)} == set(COLUMNS)
 
 
 def test_missing_and_damaged_files_are_named(processed):
     trials = read_trials(processed, "bench", "1")
-    (path,) = (processed / "samples" / "bench" / "1").glob("*.parquet")
-    short = read_table(path).slice(0, 5)
-    write_table(path, short)
-    with pytest.raises(StoreError, match="shorter than its trials say"):
-        load_batch(processed, trials)
+    (path,) = (processed / "trials" / "bench" / "1").glob("*.parquet")
     path.write_bytes(b"no table")
-    with pytest.raises(StoreError, match="is missing or damaged"):
-        load_batch(processed, trials)
+    for read in (lambda: load_batch(processed, trials), lambda: read_trials(processed)):
+        with pytest.raises(StoreError, match="is missing or damaged"):
+            read()
+    damaged: dict = {}
+    assert read_trials(processed, damaged=damaged).num_rows == 2
+    assert list(damaged) == [path]
     path.unlink()
-    with pytest.raises(StoreError, match="samples file is missing"):
+    with pytest.raises(StoreError, match="3 trials were removed while they were read"):
         load_batch(processed, trials)
 
 
-def test_a_table_of_other_columns_is_not_written(tmp_path):
-    columns = {"time_s": [0.0], "command": [0.0], "position": [0.0], "force": [None], "velocity": [None]}
-    columns |= {"raw_time": [None], "raw_count": [None]}
-    table = to_arrow("samples", {"trial_id": ["a"], **columns})
+def test_a_trial_is_read_by_where_it_is_stored(processed):
+    trials = read_trials(processed)
+    for row in trials.to_pylist():
+        place = row["sample_file"], row["sample_row"]
+        table, batch = load_trial(processed, row["trial_id"], *place)
+        assert table.column("stiffness").to_pylist() == [row["stiffness"]] == batch.stiffness.tolist()
+        assert (
+            batch.digests == load_batch(processed, trials.filter(pc.equal(trials["trial_id"], row["trial_id"]))).digests
+        )
+        assert load_trial(processed, "another", *place) is None
+        assert load_trial(processed, row["trial_id"], row["sample_file"], 99) is None
+        assert load_trial(processed, row["trial_id"], "trials/gone.parquet", 0) is None
+
+
+def test_a_table_of_other_columns_is_not_written():
+    table = to_arrow("boundary", {name: [] for name in TABLES["boundary"]})
     with pytest.raises(StoreError, match="columns differ"):
-        write_table(tmp_path / "a.parquet", table.drop_columns(["command"]))
-    assert list(tmp_path.iterdir()) == []
+        parquet_bytes(table.drop_columns(["damping"]))
+
+
+def test_a_store_of_an_earlier_version_is_told_with_what_rebuilds_it(processed, tmp_path):
+    (processed / "samples").mkdir()
+    with pytest.raises(
+        StoreError, match=rf"earlier version.*pipeline ingest {tmp_path}/logs --processed {processed}-new"
+    ):
+        ingest([tmp_path / "logs"], processed)
+
+
+def test_what_is_moved_or_deleted_by_hand_stays_so(processed, tmp_path):
+    rows = {row["stiffness"]: row for row in read_trials(processed, columns=["stiffness", *IDENTITY]).to_pylist()}
+    changes = {5.0: {"moved_experiment": "ä/9"}, 7.0: {"moved_device": "other"}, 6.0: {"deleted": True}}
+    new = [Correction(**{n: rows[k][n] for n in IDENTITY}, **change) for k, change in changes.items()]
+    write_corrections(processed, new[:2])
+    write_corrections(processed, new[2:])
+
+    def check():
+        found = {(r["device"], r["experiment"], r["stiffness"]) for r in read_trials(processed).to_pylist()}
+        assert found == {("bench", "ä/9", 5.0), ("other", "1", 7.0), ("bench", "ä/10", 1.0), ("bench", "ä/9", 1.0)}
+        for device in ("bench", "other"):
+            own = {one for one in found if one[0] == device}
+            assert list_experiments(processed, device) == sorted({e for _, e, _ in own}, key=natural_key)
+            for experiment in list_experiments(processed, device):
+                trials = read_trials(processed, device, experiment)
+                stiffness = sorted(k for _, e, k in own if e == experiment)
+                assert sorted(load_batch(processed, trials).stiffness.tolist()) == stiffness
+        assert list_devices(processed) == ["bench", "other"]
+
+    check()
+    ingest([tmp_path / "logs"], processed, rehash=True)
+    compact(processed)
+    check()
+    assert len(list((processed / "corrections").iterdir())) == 1
+    write_corrections(processed, [one.model_copy(update={"deleted": False}) for one in new[2:]])
+    assert list_experiments(processed, "bench") == ["1", "ä/9", "ä/10"]
+
+
+def test_corrections_that_were_written_at_once_both_count(processed):
+    rows = read_trials(processed, columns=list(IDENTITY)).to_pylist()
+    (first, second, third) = (Correction(**row, exclusion_reason=f"{k}") for k, row in enumerate(rows[:3]))
+    write_corrections(processed, [first])
+    (before,) = (processed / "corrections").iterdir()
+    content = before.read_bytes()
+    write_corrections(processed, [second])
+    (one,) = (processed / "corrections").iterdir()
+    kept = one.read_bytes()
+    one.unlink()
+    before.write_bytes(content)
+    write_corrections(processed, [third])
+    one.write_bytes(kept)
+    assert set(read_exclusions(processed)) == {c.trial_id for c in (first, second, third)}
+    write_corrections(processed, [second.model_copy(update={"exclusion_reason": ""})])
+    assert set(read_exclusions(processed)) == {first.trial_id, third.trial_id}
+    assert len(list((processed / "corrections").iterdir())) == 1

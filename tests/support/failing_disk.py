@@ -2,16 +2,28 @@
 
 from __future__ import annotations
 
+import io
 import os
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
 
 class PowerLoss(BaseException):
     """The process ends here; nothing that it would still do is done."""
+
+
+class Raw(io.FileIO):
+    """A file whose writes go through a `FailingOs`."""
+
+    def __init__(self, disk: FailingOs, number: int) -> None:
+        super().__init__(number, "wb")
+        self.disk = disk
+
+    def write(self, data: Any) -> int:
+        return self.disk.write(self.fileno(), data)
 
 
 @dataclass
@@ -45,6 +57,9 @@ class FailingOs:
         else:
             self._files[number] = len(self.calls) - 1
         return number
+
+    def fdopen(self, number: int, mode: str, buffering: int) -> BinaryIO:
+        return io.BufferedWriter(Raw(self, number), buffering)
 
     def write(self, number: int, data: Any) -> int:
         self._note("write", self._files[number], bytes(data))

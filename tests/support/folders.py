@@ -10,7 +10,6 @@ DIRECTLY: dict[str, tuple[str, ...]] = {
     "readers": ("profiles",),
     "store": ("records",),
     "intake": ("readers", "store", "device_data"),
-    "repair": ("intake",),
     "loop": ("records",),
     "measured": ("loop", "store"),
     "theory": ("loop",),

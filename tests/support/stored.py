@@ -1,13 +1,32 @@
 """What must hold of a store at any moment: each file is readable, and each trial is there once, as in its log."""
 
+import hashlib
 from collections import Counter
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 
+from pipeline.records.table_files import parquet_bytes
 from pipeline.store.samples import load_batch
 from pipeline.store.storage import read_trials
+
+
+def replace_table(file: Path, table: pa.Table) -> Path:
+    """Put a table in the place of a stored one, as whoever stored it would have; returns its file."""
+    data = parquet_bytes(table)
+    new = file.with_name(f"{file.stem[:-64]}{hashlib.sha256(data).hexdigest()}.parquet")
+    file.unlink()
+    new.write_bytes(data)
+    return new
+
+
+def flip(file: Path, at: int) -> None:
+    """Change a byte of a file."""
+    data = bytearray(file.read_bytes())
+    data[at] ^= 0x55
+    file.write_bytes(data)
 
 
 def stored_rows(processed: Path) -> Counter[str]:

@@ -18,7 +18,7 @@ from typing import Any, ClassVar, Self, TypeVar
 import numpy as np
 import pyarrow as pa
 
-from pipeline.base.disk import if_writable
+from pipeline.base.disk import if_writable, write_kept
 from pipeline.base.errors import StoreError
 from pipeline.base.provenance import code_digest, digest, stamp
 from pipeline.measured.signal.verdict import Verdicts
@@ -27,11 +27,11 @@ from pipeline.measured.stages.stage_given import Experiment, nothing
 from pipeline.measured.stages.stage_groups import Columns, Given, TrialGroup
 from pipeline.records.batch import Booleans, Floats
 from pipeline.records.groups import TrialGroups
-from pipeline.records.table_files import read_metadata, read_table, write_table
+from pipeline.records.table_files import parquet_bytes, read_metadata, read_table
 from pipeline.records.tables import arrow_schema, to_arrow
-from pipeline.store.exclusions import Exclusion, read_exclusions, split_trials
+from pipeline.store.corrections import Exclusion, read_exclusions, split_trials
 from pipeline.store.samples import load_groups
-from pipeline.store.storage import read_trials, stage_file
+from pipeline.store.storage import TABLE, read_trials, stage_file, stage_folder
 
 SAMPLED = "response"
 """Stage that every scene needs; its result is stored with a hash of the samples."""
@@ -180,21 +180,24 @@ class StageTables:
         )
 
     def _stored_key(self, stage: str) -> str | None:
-        return read_metadata(self._file(stage)).get("pipeline.key")
+        file = self._file(stage)
+        return None if file is None else read_metadata(file).get("pipeline.key")
 
-    def _file(self, stage: str) -> Path:
+    def _file(self, stage: str) -> Path | None:
         return stage_file(self.processed, self.device, self.experiment, stage)
 
     def table(self, stage: str) -> pa.Table:
         """Return the result of a stage: from memory, from its file, or by computing and storing it."""
         if stage not in self._tables:
-            if self.is_stored(stage):
+            file = self._file(stage)
+            if file is not None and self.is_stored(stage):
                 with suppress(StoreError):  # what is damaged is computed anew
-                    self._tables[stage] = read_table(self._file(stage))
+                    self._tables[stage] = read_table(file)
             if stage not in self._tables:
                 self._tables[stage] = self._computed(stage)
+                folder = stage_folder(self.processed, self.device, self.experiment)
                 with if_writable():
-                    write_table(self._file(stage), self._tables[stage])
+                    write_kept(folder, stage, TABLE, parquet_bytes(self._tables[stage]))
         return self._tables[stage]
 
     def compute(self, stages: Sequence[str], mapped: Callable[..., Iterable[Any]]) -> None:
@@ -250,9 +253,10 @@ class StageTables:
     def _former(self, stage: str, common: str) -> pa.Table:
         """Return the stored rows of a stage that rest on the same of the experiment; none where they are damaged."""
         schema = arrow_schema(stage, rotation=self.rotation)
-        if read_metadata(self._file(stage)).get("pipeline.common") == common:
+        file = self._file(stage)
+        if file is not None and read_metadata(file).get("pipeline.common") == common:
             with suppress(StoreError):
-                return read_table(self._file(stage)).replace_schema_metadata(schema.metadata)
+                return read_table(file).replace_schema_metadata(schema.metadata)
         return schema.empty_table()
 
     def _stamp(self, stage: str, **more: str) -> Mapping[str, str]:

@@ -26,7 +26,7 @@ from pipeline.records.results import ExperimentResult
 from pipeline.rendering.report.report_against import write
 from pipeline.service.database import Database
 from pipeline.service.settings import Settings
-from pipeline.store.exclusions import read_exclusions
+from pipeline.store.corrections import read_corrections
 from pipeline.store.storage import list_devices, list_experiments, trials_files
 
 Progress = Callable[[object], None]
@@ -35,9 +35,10 @@ Progress = Callable[[object], None]
 def state_of(processed: Path, device: str, experiments: Sequence[str]) -> str:
     """Return a hash of what is stored of experiments: another one after any change, exclusions by hand among them."""
     files = [file for name in experiments for file in trials_files(processed, device, name)]
-    of_others = read_exclusions(processed).values()
-    excluded = [one.model_dump() for one in of_others if one.device == device and one.experiment in experiments]
-    return digest([[[file.name, *file.stat()[6:9:2]] for file in files], excluded])
+    places = [(device, name) for name in experiments]
+    known = read_corrections(processed).values()
+    corrected = [one.model_dump() for one in known if {one.place, (one.device, one.experiment)} & {*places}]
+    return digest([[[file.name, *file.stat()[6:9:2]] for file in files], corrected])
 
 
 def key_of(settings: Settings, request: dict[str, Any]) -> str:

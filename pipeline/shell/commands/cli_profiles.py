@@ -186,23 +186,24 @@ def show(
 
     Example: pipeline quarantine show logs/run_01.csv
     """
-    from pipeline.intake.quarantine import find_record, record_id
+    from pipeline.intake.quarantine import excerpt_of, find_record, record_id
 
     _see_folder(processed)
     record = find_record(processed, wanted)
+    excerpt = excerpt_of(processed, record)
     if as_json:
-        console.print_json({"id": record_id(record), **record.model_dump(mode="json")})
+        console.print_json({"id": record_id(record), **record.model_dump(mode="json"), "excerpt": excerpt})
         return
-    for key in ("path", "profile", "size", "row", "byte", "code", "reason"):
+    for key in ("path", "profile", "size", "row", "code", "reason"):
         value = getattr(record, key)
         console.say(f"{key:<8} {'–' if value is None else value}")
     if record.profile_line is not None:
         console.say("this might help in the profile:")
         for line in record.profile_line.splitlines():
             console.say(f"    {line}")
-    if not record.excerpt:
+    if not excerpt:
         console.say("no excerpt: the file has no lines, could not be read, or was too large to be copied")
-    for number, line in record.excerpt:
+    for number, line in excerpt:
         console.say(f"{'>' if number == record.row else ' '} {number:>6}  {line}")
 
 

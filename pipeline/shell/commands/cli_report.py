@@ -75,8 +75,8 @@ def compare(
     from pipeline.comparison.scene.scene_file import read_scene
     from pipeline.rendering.table_export import export_tables, parse_formats, tables_folder
     from pipeline.shell.report_index import write_index
+    from pipeline.store.mirror import opened
     from pipeline.store.names import page_against_document, report_of
-    from pipeline.store.working_copy import opened
 
     two = against is not None or against_device is not None
     if two:

@@ -13,7 +13,7 @@ from pipeline.shell import console
 from pipeline.shell.commands.options import Json, Processed, ProfileFile, Store
 
 if TYPE_CHECKING:
-    from pipeline.repair.check import CheckReport
+    from pipeline.intake.check import CheckReport
 
 Wait = Annotated[
     float, typer.Option("--wait", help="Seconds to wait while another command writes there; 0 refuses at once.")
@@ -35,7 +35,8 @@ def ingest(
         bool, typer.Option("--rehash", help="Look at the content even where size and time are unchanged.")
     ] = False,
     replace: Annotated[
-        bool, typer.Option("--replace", help="Logs of another device by now replace its trials; else refused.")
+        bool,
+        typer.Option("--replace", help="Let trials give way where another profile or device claims their log now."),
     ] = False,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Read and check, write nothing; say for each log what would be done.")
@@ -54,25 +55,17 @@ def ingest(
 
     Example: pipeline ingest raw --profile lab.toml --wait 600
     """
-    from pipeline.intake.rerun import Search, recall
-    from pipeline.store.objects import is_url
+    from pipeline.intake.ingest import ingest as ingest_logs
+    from pipeline.store.mirror import stored_by
 
     if jobs is not None and jobs < 1:
         raise UsageError(f"jobs must be at least 1, found {jobs}. Leave it out for one per processor.")
-    # a store by URL has no note of the last ingest
-    search = None if is_url(processed) else Search(tuple(map(str, paths)), processed, profile)
-    document = None if search is None or dry_run or rehash or replace else recall(search)
-    if document is None:
-        from pipeline.intake.ingest import ingest as ingest_logs
-        from pipeline.store.working_copy import stored_by
-
-        with console.progress("ingest", "logs", as_json) as advance:
-            note = None if as_json else console.note
-            how: dict[str, Any] = {"jobs": jobs, "dry_run": dry_run, "rehash": rehash, "search": search}
-            how["replace"] = replace
-            how |= {"progress": advance, "wait_s": wait, "say": note}
-            report = stored_by(processed, lambda folder: ingest_logs(paths, folder, profile, **how))
-        document = report.model_dump(mode="json")
+    with console.progress("ingest", "logs", as_json) as advance:
+        note = None if as_json else console.note
+        how: dict[str, Any] = {"jobs": jobs, "dry_run": dry_run, "rehash": rehash, "replace": replace}
+        how |= {"progress": advance, "wait_s": wait, "say": note}
+        report = stored_by(processed, lambda folder: ingest_logs(paths, folder, profile, **how))
+    document = report.model_dump(mode="json")
     if document["plan"] is None:
         del document["plan"]
     if as_json:
@@ -142,8 +135,8 @@ def compact(
 
     Example: pipeline compact --processed processed
     """
-    from pipeline.intake.compaction import compact as compact_store
-    from pipeline.store.working_copy import stored_by
+    from pipeline.store.batch_files import compact as compact_store
+    from pipeline.store.mirror import stored_by
 
     _must_exist(processed)
     note = None if as_json else console.note
@@ -162,9 +155,6 @@ def compact(
     columns = ("device", "experiment", "batches", "trials", "MB before", "MB after")
     for line in console.table(rows, columns) if rows else ["nothing to merge"]:
         console.say(line)
-    if report.orphans:
-        verb = "would be removed" if dry_run else "removed"
-        console.say(f"{len(report.orphans)} files that no trial names {verb}: {report.orphan_bytes / 1e6:.3g} MB")
 
 
 def check(
@@ -178,7 +168,7 @@ def check(
     wait: Wait = WAIT_S,
     as_json: Json = False,
 ) -> None:
-    """Hold every stored byte against its checksum: names damaged files and trials, and what can be saved.
+    """Hold every stored file against the hash that it is named by: names damaged ones, and saves what can be saved.
 
     Exit status 1 where something is damaged; with --repair where something could not be saved.
 
@@ -186,7 +176,7 @@ def check(
 
     Example: pipeline check --repair --json
     """
-    from pipeline.repair.repair_damage import check as check_store
+    from pipeline.intake.check import check as check_store
 
     _must_exist(processed)
     with console.progress("check", "files", as_json) as advance:
@@ -196,22 +186,17 @@ def check(
     else:
         for line in _check_lines(found):
             console.say(line)
-    if any(damage.lost or damage.remedy in ("set aside", "forget") or not repair for damage in found.damage):
+    if any(not (repair and damage.mended) for damage in found.damage):
         raise typer.Exit(EXIT_ERROR)
 
 
 def _check_lines(found: CheckReport) -> Iterable[str]:
     yield f"{found.files} files, {_mb(found.bytes)}: {len(found.damage) or 'none'} damaged"
-    if found.unsealed:
-        yield f"{found.unsealed} of an earlier version have checksums of their pages alone, or none"
-    done = "done" if found.repaired else "by --repair"
     for damage in found.damage:
         yield f"{damage.file}: {damage.fault}"
-        kept = damage.trials - damage.read_again - sum(lost.whole for lost in damage.lost)
-        counts = f": {kept} trials kept, {damage.read_again} read again from their logs" if damage.trials else ""
-        yield f"  {damage.remedy} ({done}){counts}"
-        lost = [f"{one.trial_id} of {one.source_path}: {', '.join(one.columns)}" for one in damage.lost]
-        yield from _listed("  lost", lost)
+        counts = f": {damage.kept} trials kept, {damage.read_again} read again from their logs" if damage.trials else ""
+        yield f"  {damage.remedy} ({'done' if found.repaired else 'by --repair'}){counts}"
+        yield from _listed("  lost", [f"{one.trial_id} of {one.source_path}" for one in damage.lost])
 
 
 def status(
@@ -256,12 +241,11 @@ def status(
         console.say(f"in quarantine, {code}: {count}")
     for line in _listed("in quarantine, and no longer where it was", list(found.refused_gone)):
         console.say(line)
-    if found.orphans or found.temporary_bytes:
-        left = found.orphan_bytes + found.temporary_bytes
+    if found.temporary_bytes:
         if found.lock is None:
-            console.say(f"left by interrupted commands: {_mb(left)}; `pipeline compact` removes it")
+            console.say(f"left by interrupted commands: {_mb(found.temporary_bytes)}; `pipeline compact` removes it")
         else:
-            console.say(f"not complete, or left by interrupted commands: {_mb(left)}")
+            console.say(f"not complete, or left by interrupted commands: {_mb(found.temporary_bytes)}")
     if found.lock is not None:
         console.say(f"process {found.lock.pid} on {found.lock.host} writes there since {found.lock.since}")
     for line in _listed("damaged", list(found.damaged)):
@@ -313,7 +297,7 @@ def exclude(
     Example: pipeline exclude 3f9a --undo
     """
     from pipeline.intake import exclude as exclusions
-    from pipeline.store.working_copy import stored_by
+    from pipeline.store.mirror import stored_by
 
     _must_exist(processed)
     if undo == (reason is not None):

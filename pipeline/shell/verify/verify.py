@@ -9,11 +9,13 @@ from pathlib import Path
 
 from pydantic import BaseModel, ValidationError
 
+from pipeline.base.disk import kept_files
 from pipeline.base.errors import DeviceError, PipelineError, StoreError, UsageError
 from pipeline.base.provenance import USER_FOLDER_VARIABLE, digest
 from pipeline.base.wording import counted
 from pipeline.comparison.compare import compare, report_code
 from pipeline.device_data.devices import digest_of, known_devices
+from pipeline.records.accuracy import STORED
 from pipeline.records.findings import Note, Record
 from pipeline.records.models import Scene
 from pipeline.records.results import ComparisonResult, Truth
@@ -30,9 +32,9 @@ from pipeline.shell.verify.verify_differences import (
     value_differences,
 )
 from pipeline.shell.verify.verify_logs import LogProblem, ReportedLogs, read_anew, store_of
-from pipeline.store.exclusions import Exclusion
+from pipeline.store.corrections import Exclusion
+from pipeline.store.mirror import opened
 from pipeline.store.objects import is_url
-from pipeline.store.working_copy import opened
 
 
 class Verification(Record):
@@ -133,8 +135,8 @@ def verify(
                 f"{report}: none of its logs are in {logs or place}. Name the folder of stored tables by --processed, "
                 "or that of the logs by --logs."
             )
-        if (folder / "accuracy.json").is_file():
-            shutil.copy(folder / "accuracy.json", store / "accuracy.json")
+        for kept in kept_files(folder, STORED, ".json"):
+            shutil.copy(kept, store / kept.name)
         say(f"computing anew: {fresh.read} trials from logs, {fresh.kept} from stored samples")
         again = Path(temporary) / "report.html"
         result = _compare_anew(report, request, found, store, again, progress)

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
+import pyarrow.parquet as pq
 
 from pipeline.base.errors import UsageError
 from pipeline.comparison.scene.origin import joint_sha256
@@ -23,10 +24,11 @@ from pipeline.profiles.profile_files import load_profile, shipped_profiles
 from pipeline.records.batch import Floats, TrialBatch
 from pipeline.records.findings import Record
 from pipeline.records.results import LogList
-from pipeline.records.table_files import write_table
-from pipeline.store.exclusions import Exclusion, read_exclusions, split_trials, write_exclusions
+from pipeline.records.tables import LOCATION
+from pipeline.store.batch_files import NewBatch, copy
+from pipeline.store.corrections import Correction, Exclusion, read_exclusions, split_trials, write_corrections
 from pipeline.store.samples import load_groups
-from pipeline.store.storage import read_trials, trials_folder
+from pipeline.store.storage import read_trials
 
 _COLUMNS = ("time", "command", "position", "force", "velocity")
 
@@ -107,7 +109,7 @@ def read_anew(
     """
     store = FreshStore(folder)
     known = {one.key: one for one in excluded}
-    write_exclusions(folder, excluded)
+    _exclude(folder, excluded)
     stored = read_exclusions(processed)
     for experiment in sorted({*reported, *(one.experiment for one in excluded)}):
         every = read_trials(processed, device, experiment)
@@ -160,8 +162,13 @@ def store_of(logs: Sequence[tuple[Path | None, Path]], folder: Path, excluded: S
     if not read_trials(folder, columns=["source_path"]).num_rows:
         places = ", ".join(str(place) for _, place in logs)
         raise UsageError(f"{places}: found no log that can be read. Give the folder of the logs behind the report.")
-    write_exclusions(folder, excluded)
+    _exclude(folder, excluded)
     return folder
+
+
+def _exclude(folder: Path, excluded: Sequence[Exclusion]) -> None:
+    if excluded:
+        write_corrections(folder, [Correction(**one.model_dump()) for one in excluded])
 
 
 def _among(table: pa.Table, column: str, values: Collection[str]) -> pa.ChunkedArray:
@@ -272,16 +279,18 @@ def _read(store: FreshStore, experiment: str, trials: pa.Table, profiles: Sequen
 
 
 def _keep(store: FreshStore, device: str, experiment: str, processed: Path, trials: pa.Table) -> None:
-    """Take stored samples over, by links."""
+    """Take stored samples over."""
     if not trials.num_rows:
         return
-    for name in set(trials.column("sample_file").to_pylist()):
-        link = store.folder / name
-        link.parent.mkdir(parents=True, exist_ok=True)
-        if not link.exists():
-            link.symlink_to((processed / name).resolve())
-    table = trials.replace_schema_metadata({"pipeline.table": "trials"})
-    write_table(trials_folder(store.folder, device, experiment) / "stored.parquet", table)
+    files, rows = (np.array(trials.column(name).to_pylist()) for name in LOCATION)
+    new = NewBatch(store.folder, device, experiment, trials.column("motion")[0].as_py())
+    try:
+        for name in np.unique(files).tolist():
+            kept = np.isin(np.arange(pq.read_metadata(processed / name).num_rows), rows[files == name])
+            copy(processed / name, kept, new)
+        new.publish()
+    finally:
+        new.discard()
 
 
 def _compare_samples(

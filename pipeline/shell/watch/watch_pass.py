@@ -30,7 +30,7 @@ from pipeline.intake.ingest_report import IngestReport, Refusal
 from pipeline.intake.quarantine import list_quarantine
 from pipeline.records.models import SceneFile
 from pipeline.shell.report_index import write_index
-from pipeline.store.exclusions import read_exclusions, split_trials
+from pipeline.store.corrections import read_exclusions, split_trials
 from pipeline.store.names import report_of
 from pipeline.store.storage import list_devices, read_trials
 

@@ -5,6 +5,7 @@ import pytest
 from pipeline.base.errors import DeviceError, StoreError, UsageError
 from pipeline.comparison.scene.scene import LEAVE_OUT, REUSE, RUN, needed_stages, open_scene, plan_measured
 from pipeline.measured.stages.stages import STAGES
+from pipeline.store.storage import stage_file
 
 # What each quantity needs, from the definitions (6.1.4, 6.2.2): overshoot and boundary need neither delay nor mass,
 # settling needs the delay, energy delay and mass; the mass comes from the model or is corrected by the damping
@@ -75,7 +76,6 @@ def test_plan_goes_from_run_to_reuse_and_follows_changes(falcon, noisy, tmp_path
 
     processed = tmp_path / "processed"
     shutil.copytree(falcon.processed / "trials", processed / "trials")
-    shutil.copytree(falcon.processed / "samples", processed / "samples")
 
     def actions(criteria):
         data = open_scene("falcon", processed, None, criteria)
@@ -95,9 +95,9 @@ def test_plan_goes_from_run_to_reuse_and_follows_changes(falcon, noisy, tmp_path
     }
     assert {s for s, (action, _) in plan.items() if action == RUN} == {"overshoot"}
     # a stage of other logs under the same name
-    (processed / "stages/falcon/1/settling.parquet").unlink()
+    stage_file(processed, "falcon", "1", "settling").unlink()
     noisy.stages("1").table("settling")
-    shutil.copy(noisy.processed / "stages/falcon/1/settling.parquet", processed / "stages/falcon/1")
+    shutil.copy(stage_file(noisy.processed, "falcon", "1", "settling"), processed / "stages/falcon/1")
     _, plan = actions(("settle_2pct",))
     assert plan["settling"][0] == RUN
     assert "changed" in plan["settling"][1]

@@ -8,7 +8,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 import simulated
-from stored import batch_of
+from stored import batch_of, replace_table
 
 from pipeline.base.errors import StoreError
 from pipeline.loop.loop import Normalised
@@ -19,7 +19,7 @@ from pipeline.measured.signal import response, verdict
 from pipeline.measured.stages import stage_energy, stage_tables
 from pipeline.measured.stages.stage_tables import StageTables
 from pipeline.measured.stages.stages import STAGES, ExperimentStages, required
-from pipeline.records.table_files import read_table, write_table
+from pipeline.records.table_files import read_table
 from pipeline.store.storage import stage_file
 from pipeline.theory.cost.energy import energy_costs
 from pipeline.theory.cost.settling_overshoot import transient_costs
@@ -268,11 +268,11 @@ def test_a_stage_file_without_a_key_is_computed_anew(falcon, copy, damage):
     of = falcon.stages("1", copy)
     assert of.why_run("boundary") == "no result is stored"
     assert of.table("boundary").equals(falcon.stages("1").table("boundary"))
-    assert read_table(path).num_rows > 0
+    assert read_table(stage_file(copy, "falcon", "1", "boundary")).num_rows > 0
 
 
 def test_a_stage_of_another_experiment_is_not_taken(falcon, noisy, copy):
-    write_table(stage_file(copy, "falcon", "1", "delay"), noisy.stages("1").table("delay"))
+    replace_table(stage_file(copy, "falcon", "1", "delay"), noisy.stages("1").table("delay"))
     of = falcon.stages("1", copy)
     assert "changed" in of.why_run("delay")
     assert of.delay_estimate.value == 4
@@ -310,7 +310,7 @@ def test_energy_without_a_mass_says_why(falcon, monkeypatch):
     nothing = of.mass_estimate.model_copy(update={"value": None, "reason": "no trial moved"})
     monkeypatch.setattr(stage_energy, "mass_estimate", lambda _: nothing)
     monkeypatch.setattr(of, "is_stored", lambda stage: stage != "energy")
-    monkeypatch.setattr(stage_tables, "write_table", lambda *_: None)
+    monkeypatch.setattr(stage_tables, "write_kept", lambda *_: None)
     cost, why = of.cost("energy_step_w0")
     assert np.isnan(cost).all()
     assert why == "energy needs the mass: no trial moved"

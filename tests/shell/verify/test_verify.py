@@ -14,13 +14,14 @@ from pathlib import Path
 
 import pyarrow as pa
 import pytest
+from stored import replace_table
 
 from pipeline.base.errors import StoreError, UsageError
 from pipeline.comparison.compare import compare
 from pipeline.comparison.figures.trial_data import trial_page
 from pipeline.intake.ingest import ingest
 from pipeline.records import trial_codec
-from pipeline.records.table_files import read_table, write_table
+from pipeline.records.table_files import read_table
 from pipeline.rendering.report import report_parts
 from pipeline.rendering.report.report_parts import take_apart
 from pipeline.shell.cli import app
@@ -138,13 +139,13 @@ def change_text(page: str, name: str, text: str) -> str:
 
 def change_stored_sample(desk: Desk) -> None:
     """Add a nanometre to one stored sample, in a file that is valid in itself."""
-    file = next((desk.processed / "samples").rglob("*.parquet"))
+    file = next((desk.processed / "trials").rglob("*.parquet"))
     table = read_table(file)
-    position = table.column("position").to_numpy().copy()
-    position[12345] += 1e-9
+    position = table.column("position").to_pylist()
+    position[12][345] += 1e-9
     index = table.schema.get_field_index("position")
-    changed = table.set_column(index, table.schema.field(index), pa.array(position))
-    write_table(file, changed)
+    field = table.schema.field(index)
+    replace_table(file, table.set_column(index, field, pa.array(position, field.type)))
 
 
 def test_a_fresh_report_holds(original):
@@ -314,7 +315,7 @@ def test_without_logs_a_changed_stored_sample_is_told_of_its_experiment(original
     table = read_table(trials)
     paths = pa.array([f"/gone{path}" for path in table.column("source_path").to_pylist()])
     index = table.schema.get_field_index("source_path")
-    write_table(trials, table.set_column(index, table.schema.field(index), paths))
+    replace_table(trials, table.set_column(index, table.schema.field(index), paths))
     assert verify.verify(desk.report, desk.processed).equal
     change_stored_sample(desk)
     found = verify.verify(desk.report, desk.processed)
@@ -336,11 +337,11 @@ def test_logs_that_came_later_are_left_out(original, desk, tmp_path):
 
 def test_nothing_stored_is_trusted_and_nothing_is_changed(original, desk):
     """Stages and optima in the store are replaced by nonsense: the numbers still hold, and the nonsense stays."""
-    for stage in (desk.processed / "stages").rglob("settling.parquet"):
+    for stage in (desk.processed / "stages").rglob("settling-*.parquet"):
         table = read_table(stage)
         index = table.schema.get_field_index("settle_2pct")
         wrong = pa.array([7] * table.num_rows, table.schema.field(index).type)
-        write_table(stage, table.set_column(index, table.schema.field(index), wrong))
+        replace_table(stage, table.set_column(index, table.schema.field(index), wrong))
     before = {p: p.stat().st_mtime_ns for p in desk.processed.rglob("*")}
     assert verify.verify(desk.report, desk.processed).equal
     assert {p: p.stat().st_mtime_ns for p in desk.processed.rglob("*")} == before

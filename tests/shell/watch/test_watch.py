@@ -25,10 +25,10 @@ from pipeline.base.provenance import USER_FOLDER_VARIABLE
 from pipeline.comparison.compare import compare
 from pipeline.comparison.scene.scene_file import read_scene
 from pipeline.device_data.devices import load_device
+from pipeline.intake.check import check
 from pipeline.intake.ingest import ingest
 from pipeline.intake.quarantine import list_quarantine
 from pipeline.rendering.report.report_parts import take_apart
-from pipeline.repair.repair_damage import check
 from pipeline.shell.cli import run
 from pipeline.shell.commands.cli_watch import line_of
 from pipeline.shell.watch import watch, watch_pass
@@ -316,7 +316,9 @@ def test_a_damaged_experiment_keeps_no_other_report_from_being_renewed(tmp_path)
     assert reports == [(asked.scenes[1], read_trials(tmp_path / "processed", "lwr", "delay-4").num_rows)]
     now = {name: (tmp_path / "reports" / f"{name}.html").read_bytes() for name in scenes}
     assert (now["whole"], now["sound"] == pages["sound"]) == (pages["whole"], False)
-    assert check(tmp_path / "processed", repair=True).damage[0].remedy == "restore"
+    assert check(tmp_path / "processed", repair=True).damage[0].remedy == "set aside"
+    for log in (path for path in logs if path.parent.name == "delay-2"):
+        (tmp_path / log.name).rename(log)
     events.clear()
     assert run_pass(asked, events.append).status == 0
     (renewed,) = (event for event in events if event["event"] == "report")

@@ -14,11 +14,11 @@ from stored import check_whole
 
 from pipeline.base import lock
 from pipeline.base.errors import StoreError, UsageError
-from pipeline.intake import compaction, quarantine
-from pipeline.intake.compaction import compact
+from pipeline.intake import quarantine
 from pipeline.intake.ingest import ingest
 from pipeline.shell.status import status
 from pipeline.shell.watch.watch_pass import PassRequest, run_pass
+from pipeline.store.batch_files import compact
 from pipeline.store.storage import list_experiments, read_trials, steadily
 
 PIPELINE = [sys.executable, "-c", "from pipeline.shell.cli import run; run()"]
@@ -148,22 +148,10 @@ def test_a_look_at_files_that_move_is_repeated_and_one_at_damage_is_not(store):
     assert calls.count(-1) == 1
 
 
-def test_what_becomes_visible_meanwhile_is_no_orphan(store, logs, monkeypatch):
-    (logs / "new.csv").write_text(short_log(9.0))
-    original = compaction.read_versions
-
-    def read(*arguments):
-        ingest([logs], store, jobs=1)
-        return original(*arguments)
-
-    monkeypatch.setattr(compaction, "read_versions", read)
-    assert compaction.find_orphans(store) == []
-
-
 def test_what_a_writer_has_not_completed_is_not_told_as_left(store, capsys):
     from pipeline.shell.commands.cli_storage import status as command
 
-    (store / "samples" / ".x.1.tmp").write_bytes(b"12345")
+    (store / "trials" / ".x.0123456789abcdef.tmp").write_bytes(b"12345")
     command(store, store)
     assert "left by interrupted commands: 5e-06 MB; `pipeline compact` removes it" in capsys.readouterr().out
     with lock.writing(store, 0):

@@ -4,24 +4,23 @@ import errno
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
-from datetime import timedelta
+from contextlib import suppress
 
+import pyarrow.parquet as pq
 import pytest
 from native_logs import short_log
 
 from pipeline.base.errors import DeviceError, StoreError
 from pipeline.comparison.scene.scene import open_scene
-from pipeline.intake import compaction
-from pipeline.intake.compaction import compact
 from pipeline.intake.exclude import exclude
 from pipeline.intake.ingest import ingest
-from pipeline.store import working_copy
-from pipeline.store.exclusions import read_exclusions
-from pipeline.store.manifests import ConflictError, read_manifest
+from pipeline.store import batch_files
+from pipeline.store.batch_files import compact
+from pipeline.store.corrections import read_exclusions
+from pipeline.store.mirror import opened, publish, stored_by
 from pipeline.store.objects import Objects
 from pipeline.store.samples import load_batch
 from pipeline.store.storage import list_experiments, read_trials
-from pipeline.store.working_copy import opened, publish, stored_by
 
 
 def write_logs(folder, stiffnesses, experiment="1"):
@@ -33,6 +32,10 @@ def write_logs(folder, stiffnesses, experiment="1"):
 
 def store(url, *folders):
     return stored_by(url, lambda processed: ingest(folders, processed))
+
+
+def objects_of(url, prefix="trials/"):
+    return [name for name, _, _ in Objects(url).list(prefix)]
 
 
 def seen(url, experiment="1"):
@@ -55,12 +58,12 @@ def test_the_tables_are_those_of_a_folder(s3, tmp_path):
         read_trials(processed)
         for experiment in list_experiments(processed, "bench"):
             load_batch(processed, read_trials(processed, "bench", experiment))
-        for tree in ("trials", "samples", "quarantine"):
+        for tree in ("trials", "quarantine"):
             here = {f.relative_to(processed): f.read_bytes() for f in (processed / tree).rglob("*") if f.is_file()}
             there = [f for f in (tmp_path / "local" / tree).rglob("*") if f.is_file()]
             assert here == {file.relative_to(tmp_path / "local"): file.read_bytes() for file in there}
             assert here
-    assert not processed.exists(), "a working copy is removed"
+    assert not processed.exists(), "the mirror is removed"
 
 
 def test_changed_excluded_and_merged_trials(s3, tmp_path, monkeypatch):
@@ -74,32 +77,13 @@ def test_changed_excluded_and_merged_trials(s3, tmp_path, monkeypatch):
         assert [one.exclusion_reason for one in read_exclusions(processed).values()] == ["slipped"]
     report = stored_by(s3, compact)
     assert [(one.batches, one.trials) for one in report.merged] == [(2, 3)]
-    assert report.merged[0].bytes_after < report.merged[0].bytes_before
     assert seen(s3) == [1, 3, 20]
-    files = read_manifest(Objects(s3), "bench/1").files
-    assert sorted(path.split("/")[0] for path in files) == ["samples", "trials"], "former batches are not named"
+    assert len(objects_of(s3)) == 1, "former files are gone"
     assert stored_by(s3, compact).merged == ()
-    monkeypatch.setattr(compaction, "MOST_SMALL", 2)
+    monkeypatch.setattr(batch_files, "MOST_SMALL", 2)
     store(s3, write_logs(tmp_path / "more", [4, 5, 6]))
     assert seen(s3) == [1, 3, 4, 5, 6, 20]
-    assert len(read_manifest(Objects(s3), "bench/1").files) == 2, "an ingest merges there, too"
-
-
-def test_objects_that_nothing_names_are_removed_after_a_week(s3, tmp_path, monkeypatch):
-    logs = write_logs(tmp_path / "logs", [1, 2])
-    store(s3, logs)
-    (logs / "1-2.csv").write_text(short_log(20.0))
-    store(s3, logs)
-    objects = Objects(s3)
-    count = len(objects.list("objects/"))
-    assert stored_by(s3, compact).orphans == (), "they are of today"
-    monkeypatch.setattr(working_copy, "KEPT", timedelta(0))
-    dry = stored_by(s3, lambda processed: compact(processed, dry_run=True))
-    assert len(dry.orphans) == len(objects.list("objects/")) - 2 >= count - 2
-    assert dry.orphan_bytes == sum(size for name, size, _ in objects.list("objects/") if name in dry.orphans)
-    assert stored_by(s3, compact).orphans == dry.orphans
-    assert len(objects.list("objects/")) == len(read_manifest(objects, "bench/1").files) == 2
-    assert seen(s3) == [1, 20]
+    assert len(objects_of(s3)) == 1, "an ingest merges there, too"
 
 
 def test_a_reader_sees_one_moment(s3, tmp_path):
@@ -112,79 +96,127 @@ def test_a_reader_sees_one_moment(s3, tmp_path):
     assert seen(s3) == [1, 2, 3]
 
 
-def test_two_ingests_at_once_lose_nothing(s3, tmp_path, monkeypatch):
-    """The second one stores while the first one is about to make its trials visible."""
+@pytest.fixture
+def meanwhile(monkeypatch):
+    """Call it with what is to happen when the next command is about to put its first file of trials."""
+
+    def meanwhile_do(work):
+        original, pending = Objects.put, [work]
+
+        def put(self, name, file):
+            if pending and name.startswith("trials/"):
+                pending.pop()()
+            return original(self, name, file)
+
+        monkeypatch.setattr(Objects, "put", put)
+
+    return meanwhile_do
+
+
+def rows_of(url):
+    """Rows of each stiffness in all files, whatever readers make of them."""
+    with opened(url) as processed:
+        tables = [pq.read_table(file, columns=["stiffness"]) for file in processed.glob("trials/*/*/*.parquet")]
+    return sorted(value for table in tables for value in table.column(0).to_pylist())
+
+
+def test_two_ingests_at_once_lose_nothing(s3, tmp_path, meanwhile):
+    """The second one stores while the first one is about to make its trials visible; one log is that of both."""
     first, second = write_logs(tmp_path / "first", [1, 2]), write_logs(tmp_path / "second", [2, 3])
-    write_logs(first, [7], "2")
-    original, times = working_copy.advance, []
-
-    def late(objects, base, files):
-        times.append(base.name)
-        if base.name == "bench/1" and times.count("bench/1") == 1:
-            store(s3, second)
-        return original(objects, base, files)
-
-    monkeypatch.setattr(working_copy, "advance", late)
-    report = store(s3, first)
-    assert report.found == 3
-    assert times.count("bench/1") == 3, "once in vain, once by the other one, once anew"
-    assert times.count("bench/2") == 1, "what nobody else touched is stored once"
-    assert seen(s3) == [1, 2, 3]
-    assert seen(s3, "2") == [7]
+    meanwhile(lambda: store(s3, second))
+    assert store(s3, first).found == 2
+    assert seen(s3) == rows_of(s3) == [1, 2, 3], "no reader sees a trial twice when both are done"
 
 
-def test_who_never_gets_a_turn_is_told(s3, tmp_path, monkeypatch):
-    def never(objects, base, files):
-        raise ConflictError("another command")
+def test_two_merges_and_an_ingest_at_once_lose_nothing(s3, tmp_path, meanwhile):
+    logs = tmp_path / "logs"
+    for number in range(4):
+        store(s3, write_logs(logs, [number]))
 
-    monkeypatch.setattr(working_copy, "advance", never)
-    monkeypatch.setattr(working_copy, "REPEATS", 3)
-    with pytest.raises(ConflictError):
-        store(s3, write_logs(tmp_path / "logs", [1]))
+    def other():
+        stored_by(s3, compact)
+        (logs / "1-0.csv").write_text(short_log(50.0))
+        store(s3, write_logs(logs, [7]))
+
+    meanwhile(other)
+    stored_by(s3, compact)
+    assert seen(s3) == [1, 2, 3, 7, 50]
+    store(s3, write_logs(logs, [8]))
+    assert seen(s3) == rows_of(s3) == [1, 2, 3, 7, 8, 50]
+    assert store(s3, logs).skipped == 6
 
 
-def test_wherever_it_is_cut_off_each_batch_is_whole(s3, tmp_path, monkeypatch):
+def test_corrections_at_once_both_count(s3, tmp_path, monkeypatch):
+    logs = write_logs(tmp_path / "logs", [1, 2])
+    store(s3, logs)
+
+    def other():
+        stored_by(s3, lambda processed: exclude(processed, str(logs / "1-2.csv"), "second"))
+
+    with opened(s3) as processed:
+        exclude(processed, str(logs / "1-1.csv"), "first")
+        other()
+    with opened(s3) as processed:
+        assert sorted(one.exclusion_reason for one in read_exclusions(processed).values()) == ["first", "second"]
+
+
+def test_a_file_that_is_merged_while_it_is_brought(s3, tmp_path, monkeypatch):
+    for number in range(3):
+        store(s3, write_logs(tmp_path / "logs", [number]))
+    original, pending = Objects.get, [1]
+
+    def get(self, name):
+        if pending:
+            pending.pop()
+            stored_by(s3, compact)
+        return original(self, name)
+
+    monkeypatch.setattr(Objects, "get", get)
+    assert seen(s3) == [0, 1, 2]
+    assert not pending
+
+
+def test_wherever_it_is_cut_off_each_file_is_whole(s3, tmp_path, monkeypatch):
     """Every request that writes fails in turn, as when the process is killed there."""
     logs = write_logs(tmp_path / "logs", [1, 2])
     write_logs(logs, [3], "2")
-    puts = []
-    for name in ("put", "advance"):
+    done = []
+    for name in ("put", "delete"):
         original = getattr(Objects, name)
 
         def counted(self, *given, original=original):
-            if len(puts) >= limit:
+            if len(done) >= limit:
                 raise KeyboardInterrupt
-            puts.append(given[0])
+            done.append(given[0])
             return original(self, *given)
 
         monkeypatch.setattr(Objects, name, counted)
-    for cut in range(9):
+    for cut in range(12):
         limit, url = cut, f"{s3}/{cut}"
-        puts.clear()
-        try:
+        done.clear()
+        with suppress(KeyboardInterrupt):
             store(url, logs)
-        except KeyboardInterrupt:
-            assert cut < 6
-        else:
-            assert len(puts) == 6, "two files and a manifest of each experiment"
-        limit = 100
-        assert seen(url) in ([], [1, 2])
+            (logs / "1-1.csv").write_text(short_log(10.0))
+            store(url, logs)
+        limit = 1000
+        assert seen(url) in ([], [1, 2], [2, 10])
         assert seen(url, "2") in ([], [3])
         store(url, logs)
-        assert (seen(url), seen(url, "2")) == ([1, 2], [3])
+        assert (seen(url)[-1:], seen(url, "2")) == (
+            [10] if (logs / "1-1.csv").read_text() == short_log(10.0) else [2],
+            [3],
+        )
+        assert len(rows_of(url)) == 3
+        (logs / "1-1.csv").write_text(short_log(1.0))
 
 
-def test_a_damaged_or_missing_object_is_named(s3, tmp_path):
+def test_a_damaged_object_is_named(s3, tmp_path):
     store(s3, write_logs(tmp_path / "logs", [1]))
     objects = Objects(s3)
-    sample = next(name for path, name in read_manifest(objects, "bench/1").files.items() if path.startswith("samples"))
-    name = f"objects/bench/1/{sample}"
-    (tmp_path / "file").write_bytes(objects.get(name)[0][:-1])
+    (name,) = objects_of(s3)
+    (tmp_path / "file").write_bytes(objects.get(name)[:-1])
     objects.put(name, tmp_path / "file")
-    with pytest.raises(StoreError, match=rf"{sample}: is not as it was written; it holds samples/bench/1"):
-        seen(s3)
-    objects.delete([name])
-    with pytest.raises(StoreError, match=rf"{sample}: is missing"):
+    with pytest.raises(StoreError, match=rf"{s3}/{name}: is missing or damaged"):
         seen(s3)
 
 

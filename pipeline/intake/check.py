@@ -1,0 +1,293 @@
+"""Holds every stored file against the hash that it is named by, and saves what can be saved of damaged ones.
+
+Results and theory are computed again when they are needed. Of a damaged file of trials the logs are read again where
+they are as they were; of the others those trials are kept whose group of rows can still be read. What is lost is named.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Literal, cast
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from pipeline.base.disk import content_of, make_folder, remove_all, said_content, sync_folder, write_text
+from pipeline.base.errors import LogError, StoreError, UsageError
+from pipeline.base.file_names import path_of_text
+from pipeline.base.lock import WAIT_S, writing
+from pipeline.intake.ingest import ingest
+from pipeline.intake.quarantine import RECORD, list_quarantine, quarantine_folder, record_id
+from pipeline.intake.reading import load_source
+from pipeline.intake.sources import find_sources
+from pipeline.profiles.profile_files import load_profile, shipped_profiles
+from pipeline.profiles.profile_model import Profile
+from pipeline.records.findings import Record
+from pipeline.records.models import Motion
+from pipeline.store.batch_files import NewBatch
+from pipeline.store.storage import FILE, TABLE, read_versions
+
+DAMAGED_FOLDER = "damaged"
+"""Folder below `processed` for damaged files that cannot be made again; nothing there is ever removed."""
+
+_IDENTITY = ("trial_id", "source_path", "source_sha256", "profile")
+
+Remedy = Literal["save", "remove", "set aside"]
+"""What is done with a damaged file: its trials read again or kept, and the file set aside; removed, since it is made
+again; set aside, where nobody can tell what it said."""
+
+
+class LostTrial(Record):
+    """A trial that cannot be saved: its id and log, as far as they can be read."""
+
+    trial_id: str
+    source_path: str
+
+
+class Damage(Record):
+    """A damaged file, and what becomes of its trials.
+
+    Parameters
+    ----------
+    file : str
+        Below `processed`.
+    fault : str
+    remedy : {"save", "remove", "set aside"}
+    trials, read_again, kept : int
+        Trials that the file is known to hold, and those of them that are read again from their logs, or kept.
+    lost : tuple of LostTrial
+    """
+
+    file: str
+    fault: str
+    remedy: Remedy
+    trials: int = 0
+    read_again: int = 0
+    kept: int = 0
+    lost: tuple[LostTrial, ...] = ()
+
+    @property
+    def mended(self) -> bool:
+        """Whether all that it said is there again, or will be made again."""
+        return self.remedy == "remove" or (self.remedy == "save" and not self.lost)
+
+
+class CheckReport(Record):
+    """What a check found: files that were looked at, their size, damaged ones, and whether these were repaired."""
+
+    files: int
+    bytes: int
+    damage: tuple[Damage, ...]
+    repaired: bool = False
+
+
+def check(
+    processed: Path,
+    repair: bool = False,
+    profile: str | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    wait_s: float = WAIT_S,
+    say: Callable[[str], None] | None = None,
+) -> CheckReport:
+    """Hold every stored file against its hash; with `repair` save what can be saved.
+
+    Parameters
+    ----------
+    processed : Path
+    repair : bool
+    profile : str, optional
+        Profile beside the shipped ones that logs are read again by.
+    progress : callable, optional
+        Called with (files done, files found).
+    wait_s, say
+        As for `lock.writing`.
+
+    Raises
+    ------
+    StoreError
+        If the folder cannot be read, or written to.
+    """
+    files = list(_files(processed))
+    faults: dict[Path, str] = {}
+    size = 0
+    for done, file in enumerate(files, 1):
+        with suppress(FileNotFoundError):  # merged meanwhile
+            try:
+                size += file.stat().st_size
+                if content_of(file) != said_content(file.name):
+                    faults[file] = "its content is not that of its name"
+            except PermissionError as error:
+                faults[file] = str(error.strerror)
+        if progress:
+            progress(done, len(files))
+    faults |= _copies(processed)
+    trials = [file for file in faults if file.relative_to(processed).parts[0] == "trials"]
+    known = {p.name: p for p in (*shipped_profiles(), *([load_profile(profile)] if profile else []))}
+    damage = [_of_others(processed, file, fault) for file, fault in faults.items() if file not in trials]
+    try:
+        again = _read_again(processed, trials, known, profile, wait_s) if repair else None
+        if repair and faults:
+            with writing(processed, wait_s, say):
+                for one in damage:
+                    _set_aside(processed, processed / one.file, one.remedy)
+                damage += [_save(processed, file, faults[file], trials, again, known) for file in trials]
+        else:
+            damage += [_save(processed, file, faults[file], trials, again, known) for file in trials]
+    except OSError as error:
+        raise StoreError(f"{processed}: cannot be written ({error}). Make room, and repair again.") from error
+    damage.sort(key=lambda one: one.file)
+    return CheckReport(files=len(files), bytes=size, damage=tuple(damage), repaired=repair)
+
+
+def _files(processed: Path) -> Iterator[Path]:
+    """Yield every file that is named by its content, or should be."""
+    for tree in ("trials", "stages", "theory", "corrections"):
+        yield from sorted(file for file in (processed / tree).rglob("*") if _is_stored(file))
+    yield from sorted(quarantine_folder(processed).glob(f"*/{RECORD}-*"))
+    yield from sorted(processed.glob("accuracy-*.json"))
+
+
+def _is_stored(file: Path) -> bool:
+    return file.is_file() and not file.name.startswith(".")
+
+
+def _copies(processed: Path) -> dict[Path, str]:
+    """Return the copies of refused logs that are not as the log was; of one with several files none is told."""
+    found = {}
+    for record in list_quarantine(processed, {}):
+        folder = quarantine_folder(processed) / record_id(record)
+        copies = [file for file in folder.glob("*") if not file.name.startswith((".", f"{RECORD}-"))]
+        if len(copies) == 1 and record.sha256 not in (None, content_of(copies[0])):
+            found[copies[0]] = "is not as the log that was refused"
+    return found
+
+
+def _of_others(processed: Path, file: Path, fault: str) -> Damage:
+    tree = file.relative_to(processed).parts[0]
+    remedy: Remedy = "set aside" if tree in ("corrections", "quarantine") else "remove"
+    return Damage(file=file.relative_to(processed).as_posix(), fault=fault, remedy=remedy)
+
+
+def _set_aside(processed: Path, file: Path, remedy: Remedy) -> None:
+    if remedy == "remove":
+        remove_all([file])
+        return
+    place = processed / DAMAGED_FOLDER / file.relative_to(processed)
+    make_folder(place.parent)
+    os.replace(file, place)
+    sync_folder(place.parent)
+    sync_folder(file.parent)
+
+
+def _groups(file: Path, columns: list[str] | None) -> Iterator[pa.Table | int]:
+    """Yield each group of rows of a damaged file that can be read, or how many rows one has that cannot."""
+    try:
+        stored = pq.ParquetFile(file, page_checksum_verification=True)
+    except (pa.ArrowException, OSError, ValueError):
+        return
+    with stored:
+        for number in range(stored.num_row_groups):
+            try:
+                yield stored.read_row_group(number, columns, use_threads=False)
+            except (pa.ArrowException, OSError, ValueError):
+                yield int(stored.metadata.row_group(number).num_rows)
+
+
+def _known_rows(file: Path) -> list[dict[str, str]]:
+    """Return what can be read of the identity of each trial of a damaged file; empty words for what cannot."""
+    parts: dict[str, list[str]] = {name: [] for name in _IDENTITY}
+    for name, values in parts.items():
+        for group in _groups(file, [name]):
+            values += [""] * group if isinstance(group, int) else group.column(0).to_pylist()
+    return [dict(zip(parts, row, strict=True)) for row in zip(*parts.values(), strict=True)]
+
+
+def _as_they_were(rows: Sequence[Mapping[str, str]], known: Mapping[str, Profile]) -> dict[str, list[Path]]:
+    """Return the logs of some trials that are where they were with the same content, by the profile that read them."""
+    wanted: dict[str, dict[str, str]] = defaultdict(dict)
+    for row in rows:
+        wanted[row["profile"]][row["source_path"]] = row["source_sha256"]
+    found: dict[str, list[Path]] = defaultdict(list)
+    for name, sources in wanted.items():
+        for path, sha256 in sources.items() if name in known else ():
+            with suppress(LogError, UsageError, OSError, ValueError):
+                (source,) = find_sources([path_of_text(path)], (known[name],))
+                if load_source(source)[1] == sha256:
+                    found[name].append(source.path)
+    return found
+
+
+def _read_again(
+    processed: Path, files: Sequence[Path], known: Mapping[str, Profile], profile: str | None, wait_s: float
+) -> set[str]:
+    """Ingest the logs of damaged files that are as they were; return the paths of all that is stored then."""
+    rows = [row for file in files for row in _known_rows(file)]
+    for name, paths in _as_they_were(rows, known).items():
+        own = profile if profile is not None and load_profile(profile).name == name else name
+        ingest(paths, processed, own, wait_s=wait_s, without=files)
+    return _stored(processed, files)
+
+
+def _stored(processed: Path, without: Sequence[Path]) -> set[str]:
+    table, files, _ = read_versions(processed, None, None, ["source_path"], {})
+    rows = zip(table.column("source_path").to_pylist(), table.column(FILE).to_pylist(), strict=True)
+    return {path for path, index in rows if files[index] not in without}
+
+
+def _save(
+    processed: Path,
+    file: Path,
+    fault: str,
+    damaged: Sequence[Path],
+    again: set[str] | None,
+    known: Mapping[str, Profile],
+) -> Damage:
+    """Keep what can be read of a damaged file and is not stored otherwise; without `again` only tell what would be."""
+    rows = _known_rows(file)
+    if again is None:
+        there = {os.fspath(path) for paths in _as_they_were(rows, known).values() for path in paths}
+        stored = _stored(processed, damaged)
+        stored |= {row["source_path"] for row in rows if os.fspath(path_of_text(row["source_path"])) in there}
+    else:
+        stored = again
+    kept: set[str] = set()
+    new: NewBatch | None = None
+    try:
+        for group in _groups(file, None):
+            if isinstance(group, int):
+                continue
+            paths = group.column("source_path").to_pylist()
+            wanted = pa.array([path not in stored for path in paths])
+            kept |= set(paths) - stored
+            if again is not None and wanted.true_count:
+                row = group.slice(0, 1).to_pylist()[0]
+                place = row["device"], row["experiment"], cast(Motion, row["motion"])
+                new = new or NewBatch(processed, *place, file.stat().st_mode & 0o666)
+                new.write(group.filter(wanted))
+        if new is not None:
+            new.publish()
+    finally:
+        if new is not None:
+            new.discard()
+    lost = [row for row in rows if row["source_path"] not in stored | kept]
+    name = file.relative_to(processed).as_posix()
+    found = Damage(
+        file=name,
+        fault=fault,
+        remedy="save" if rows else "set aside",
+        trials=len(rows),
+        read_again=sum(row["source_path"] in stored for row in rows),
+        kept=sum(row["source_path"] in kept for row in rows),
+        lost=tuple(LostTrial(trial_id=row["trial_id"], source_path=row["source_path"]) for row in lost),
+    )
+    if again is not None:
+        if lost:
+            text = json.dumps([one.model_dump() for one in found.lost], indent=1)
+            write_text(processed / DAMAGED_FOLDER / f"{name.removesuffix(TABLE)}.lost.json", text + "\n")
+        _set_aside(processed, file, "set aside")
+    return found

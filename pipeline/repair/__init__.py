@@ -1,1 +1,0 @@
-"""Damaged stored files: found, and all saved that can be read."""
