@@ -17,7 +17,7 @@ import numpy as np
 from pipeline.base.errors import LogError, ProfileError
 from pipeline.base.file_names import storable
 from pipeline.base.units import factor_to_si
-from pipeline.profiles.profile_columns import QUANTITIES, ColumnSource, PositionSource
+from pipeline.profiles.profile_columns import QUANTITIES, ColumnSource, CommandSource, PositionSource
 from pipeline.profiles.profile_model import REQUIRED_CONDITIONS, Profile, StepTime, Window
 from pipeline.readers.conditions import conditions_of, entry_of, header_of
 from pipeline.readers.file_kind import refuse_other_kind
@@ -244,6 +244,10 @@ def _log(
         raise LogError(f"{text} {remedy}, or leave this log out.", at, code="too-short")
     factors = profile.factors()
     columns = {key: values[inside] * factors[key] for key, values in rows.columns.items()}
+    command = profile.column_sources()["command"]
+    if isinstance(command, CommandSource) and command.value is not None:
+        began = number >= command.from_row if command.from_row is not None else time >= (command.from_s or 0.0)
+        columns["command"] = np.where(began, command.value * factors["command"], 0.0)
     position = profile.column_sources()["position"]
     rule = position.integrate if isinstance(position, PositionSource) else None
     if rule is not None:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pipeline.base.errors import EXIT_QUARANTINED, OTHER_COLUMNS, UsageError
+from pipeline.base.errors import EXIT_ERROR, EXIT_QUARANTINED, OTHER_COLUMNS, UsageError
 from pipeline.base.outputs import check_output
 from pipeline.shell import console
 from pipeline.shell.commands.options import Json, Processed, ProfileFile
@@ -40,8 +40,8 @@ def check(
 ) -> None:
     """Show what a profile would read of samples: conditions, columns in SI, quality of time, step, warnings.
 
-    Nothing is stored. Exit status 3 where a sample would be refused, 1 where the profile itself is wrong: all of its
-    mistakes are told at once.
+    Nothing is stored. Exit status 3 where a sample would be refused, 1 where the profile itself is wrong (all of its
+    mistakes are told at once) or a command obeys another K, B or step than the conditions say.
 
     Example: pipeline profile check lab.toml run_01.csv
     """
@@ -59,6 +59,8 @@ def check(
     else:
         for line in check_lines(loaded, checked):
             console.say(line)
+    if any(trial.other_gains for sample in checked for trial in sample.trials):
+        raise typer.Exit(EXIT_ERROR)
     if any(sample.reason is not None for sample in checked):
         raise typer.Exit(EXIT_QUARANTINED)
 
