@@ -149,3 +149,17 @@ def test_objects_of_matlab_are_named_with_their_export(tmp_path):
     text = draft_profile(tmp_path / "run.mat")
     assert "# Not read: ts is a MATLAB object of class timeseries" in text
     assert "sigstream" not in text
+
+
+def test_other_samples_are_held_against_the_first(tmp_path):
+    columns = TIME, 6.0 * (TIME >= 0.1), TIME**2
+    files = [write(tmp_path / f"K{k}_B1.csv", "t,F,x", *columns) for k in (100, 200)]
+    files.append(write(tmp_path / "K300_B1.csv", "t,F,x,note", *columns, TIME))
+    semicolons = tmp_path / "K400_B1.csv"
+    semicolons.write_text(files[0].read_text().replace(",", ";").replace(".", ","))
+    done = pipeline("profile", "draft", *files, semicolons)
+    assert done.exit_code == 0
+    assert "# K200_B1.csv" not in done.output
+    assert '# K300_B1.csv is laid out otherwise: columns ["t", "F", "x", "note"]' in done.output
+    assert "# K400_B1.csv is laid out otherwise: " in done.output
+    assert 'delimiter = ";"' in done.output

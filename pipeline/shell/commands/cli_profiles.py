@@ -105,7 +105,9 @@ def _draw(logs: Sequence[Path], profile: Profile | None, out: Path) -> list[Pict
 
 @profile_app.command("draft")
 def draft(
-    sample: Annotated[Path, typer.Argument(help="A log of the lab.")],
+    samples: Annotated[
+        list[Path], typer.Argument(help="Logs of the lab: the first is drafted, others are held against it.")
+    ],
     out: Annotated[
         Path | None, typer.Option("--out", help="Profile file to write; printed where not given.", show_default=False)
     ] = None,
@@ -118,7 +120,7 @@ def draft(
     below and remove the line; `pipeline profile check` lists what is open. With --json: the profile's text, the file
     that was written (null where none), and the questions with line and key.
 
-    Example: pipeline profile draft run_01.csv --out lab.toml
+    Example: pipeline profile draft run_*.csv --out lab.toml
     """
     from pipeline.base.disk import write_text
     from pipeline.profiles.profile_lines import find_questions
@@ -128,13 +130,13 @@ def draft(
         check_output(out, "--out")
     if out is not None and out.exists() and not overwrite:
         raise UsageError(f"{out}: exists. Give another file, or --overwrite.")
-    text = draft_profile(sample)
+    text = draft_profile(*samples)
     questions = find_questions(text)
     if out is not None:
         write_text(out, text)
     if as_json:
         asked = [{"line": q.line, "key": ".".join(map(str, q.place)), "question": q.text} for q in questions]
-        document = {"sample": str(sample), "out": None if out is None else str(out), "profile": text}
+        document = {"sample": str(samples[0]), "out": None if out is None else str(out), "profile": text}
         console.print_json({**document, "questions": asked})
     elif out is None:
         console.say(text.rstrip("\n"))

@@ -22,8 +22,8 @@ from pipeline.profiles.profile_columns import QUANTITIES, ColumnSource, CommandS
 from pipeline.profiles.profile_model import CONDITION_QUANTITIES, CONDITIONS, Profile
 from pipeline.readers import Log, RawLog
 from pipeline.readers.conditions import entry_of, places_of
+from pipeline.readers.formats import module_of
 from pipeline.readers.frame import ColumnInfo
-from pipeline.readers.mapping import format_module
 from pipeline.readers.obeyed import cure, obeyed
 from pipeline.readers.time_axis import step_flags
 from pipeline.records.batch import TrialBatch
@@ -141,7 +141,7 @@ def _hints(profile: Profile, raw: RawLog) -> dict[str, str]:
 
 
 def _infos(profile: Profile, name: str, data: bytes) -> list[ColumnInfo]:
-    infos: list[ColumnInfo] = format_module(profile).list_columns(name, data, profile)
+    infos: list[ColumnInfo] = module_of(profile.format).list_columns(name, data, profile)
     return infos
 
 

@@ -18,10 +18,10 @@ from pipeline.base.units import UNITS, find_unit, unit_in_heading
 from pipeline.profiles.profile_columns import QUANTITIES
 from pipeline.profiles.profile_lines import QUESTION
 from pipeline.profiles.profile_model import Format, Profile
+from pipeline.readers.formats import module_of
 from pipeline.readers.formats.plain_text import is_packed, unpacked
 from pipeline.readers.frame import ColumnInfo, Frame
 from pipeline.readers.layout import Layout, format_of, text_layout
-from pipeline.readers.mapping import format_module
 
 LISTED_CHOICES = 10
 """Columns that a question names; with more it points to the list."""
@@ -71,7 +71,7 @@ class Sample:
 
     def frame(self, wanted: tuple[str, ...]) -> Frame:
         """Return columns by name as they stand in the file; raises LogError where they do not go together."""
-        result: Frame = format_module(self.profile).read_frame(self.profile, self.name, self.data, wanted)
+        result: Frame = module_of(self.kind).read_frame(self.profile, self.name, self.data, wanted)
         return result
 
     @property
@@ -101,7 +101,7 @@ def open_sample(path: Path) -> Sample:
     sample = Sample(path.name, data, kind, layout, [])
     if kind == "native":
         return sample
-    infos: list[ColumnInfo] = format_module(sample.profile).list_columns(path.name, data, sample.profile)
+    infos: list[ColumnInfo] = module_of(kind).list_columns(path.name, data, sample.profile)
     refused = [f"{info.name} {info.hint}" for info in infos if not info.rows and info.hint]
     infos = [info for info in infos if info.rows > 1 and info.name]
     if kind == "json" and infos and infos[0].hint:
@@ -116,8 +116,8 @@ def open_sample(path: Path) -> Sample:
     return replace(sample, infos=infos, refused=tuple(refused))
 
 
-def draft_profile(path: Path) -> str:
-    """Return a first profile for a sample as TOML text.
+def draft_profile(path: Path, *others: Path) -> str:
+    """Return a first profile for a sample as TOML text, with a line for each other sample that is not of its form.
 
     Raises
     ------
@@ -130,9 +130,27 @@ def draft_profile(path: Path) -> str:
         sample = open_sample(path)
         if sample.kind == "native":
             raise ProfileError(f"{path} is a native log, which needs no profile: `pipeline ingest {path}` reads it.")
-        return "".join(f"{_printable(line)}\n" for line in _lines(sample))
+        lines = [*_lines(sample), *(text for other in others if (text := _difference(sample, other)))]
+        return "".join(f"{_printable(line)}\n" for line in lines)
     except LogError as error:
         raise ProfileError(f"{path}: no profile can be drafted: {error.reason}") from error
+
+
+def _difference(sample: Sample, path: Path) -> str:
+    """Return a comment on how another file differs from the sample; empty where one profile reads both."""
+    try:
+        other = open_sample(path)
+    except LogError as error:
+        return f"# {path.name} is not of this form: {error.reason}"
+    if other.kind != sample.kind:
+        return f"# {path.name} is of format {other.kind}, not {sample.kind}: it needs a profile of its own"
+    layouts = {**other.layout.keys, **{f"{key} (asked)": "" for key in other.layout.questions}}
+    own = {**sample.layout.keys, **{f"{key} (asked)": "" for key in sample.layout.questions}}
+    keys = sorted(key for key in layouts.keys() | own.keys() if layouts.get(key) != own.get(key))
+    names, mine = [info.name for info in other.infos], [info.name for info in sample.infos]
+    columns = [] if names == mine else [f"columns {_toml(names[:LISTED_CHOICES])}"]
+    found = [f"{key} = {_toml(layouts.get(key, 'absent'))}" for key in keys] + columns
+    return f"# {path.name} is laid out otherwise: {', '.join(found)}" if found else ""
 
 
 def _lines(sample: Sample) -> Iterator[str]:
