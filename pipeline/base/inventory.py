@@ -28,14 +28,19 @@ def listed(processed: Path) -> Iterator[None]:
     file = processed / INVENTORY_FILE
     gone = missing(processed)
     # what an interrupted block removes is not missed
-    with suppress(OSError):
-        _write(file, set(), set(gone))
+    _write(file, set(), set(gone))
     try:
         yield
-    finally:
+    except BaseException:
         with suppress(OSError):  # a full disk: nothing is missed
-            found = _present(processed)
-            _write(file, found, set(missing(processed)) - found)
+            _note(processed, file)
+        raise
+    _note(processed, file)
+
+
+def _note(processed: Path, file: Path) -> None:
+    found = _present(processed)
+    _write(file, found, set(missing(processed)) - found)
 
 
 def missing(processed: Path) -> tuple[str, ...]:

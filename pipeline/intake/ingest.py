@@ -31,6 +31,7 @@ from pipeline.intake.ingest_report import (
     when_stopped,
 )
 from pipeline.intake.known import Known, outcome_for
+from pipeline.intake.periods import Periods
 from pipeline.intake.quarantine import Keeper, QuarantineRecord, list_quarantine, record_of, release
 from pipeline.intake.reading import Read, batches_of, in_order, read_and_check
 from pipeline.intake.rerun import Look, Search
@@ -182,10 +183,8 @@ class _Ingest:
         self.refusals: list[Refusal] = []
         self.keeper = Keeper(processed)
         self.warnings: list[LogWarning] = []
-        self.changed: list[ChangedSource] = []
-        self.removed, self.waiting = list[str](), list[str]()
-        self.plan: list[PlannedSource] = []
-        self.kept: list[Source] = []
+        self.changed, self.removed, self.waiting = list[ChangedSource](), list[str](), list[str]()
+        self.plan, self.kept = list[PlannedSource](), list[Source]()
         self.unread = False
         self.writer = TrialWriter(processed, PENDING_BYTES)
         self.motions = {name: device.motion for name, device in known_devices().items()}
@@ -194,7 +193,8 @@ class _Ingest:
         self.refused = {record.path: record for record in list_quarantine(processed, self.damaged)}
         self.replaced: set[tuple[str, str, str]] = set()
         self.known = Known(digests)
-        self.renamed: set[str] = set()
+        self.periods = Periods(processed)
+        self.renamed = set[str]()
 
     def process(self, sources: list[Source], jobs: int, present: Set[str]) -> None:
         """Decide on every source and store what is new; `present` are the paths of all that was found."""
@@ -329,14 +329,14 @@ class _Ingest:
                 self._replace(source, former, moved)
             return
         outcome = None if former is None else outcome_for(former, source, sha256, logs, self.replace)
-        accepted = accepted_logs(source, sha256, logs, profile, profile_sha256, self.motions, gone)
+        accepted = accepted_logs(source, sha256, self.periods.apart(logs), profile, profile_sha256, self.motions, gone)
         # from here on nothing is refused
         self.kept.append(source)
         self.known.add(one, profile_sha256, source.key)
         self.ingested += 1
         if gone is not None:
             self._rename(source, self.known.gone.pop(sha256))
-        texts = dict.fromkeys(text for log in logs for text in log.warnings)
+        texts = dict.fromkeys(text for one in accepted for text in one.warnings)
         self.warnings += [LogWarning(path=source.shown, warning=storable(text)) for text in texts]
         reason = why_ingested(former, sha256, profile_sha256) if gone is None else f"its name was {gone}"
         self._plan(source, "ingest", reason)

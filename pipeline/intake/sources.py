@@ -13,7 +13,7 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 
 from pipeline.base.errors import Code, UsageError
-from pipeline.base.file_names import path_of_text, path_text
+from pipeline.base.file_names import path_of_text, path_text, storable
 from pipeline.base.regular_files import OutsideError, is_gone, real_file
 from pipeline.intake.bags import bag_of, may_belong
 from pipeline.intake.listing import Notice, list_folders
@@ -148,7 +148,7 @@ def identity(sha256: str, profile: Profile, path: str) -> str:
     """Return what a log is: its content, with what the profile reads from its name."""
     if not profile.reads_names:
         return sha256
-    name = path_of_text(path).name
+    name = storable(path_of_text(path).name)
     told = (find_groups(profile.name_pattern, name) if profile.name_pattern else None) or {}
     for key in told.keys() & CONDITION_QUANTITIES:
         with suppress(ValueError):  # 2 and 2.0 are the same

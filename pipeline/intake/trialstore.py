@@ -22,6 +22,7 @@ from pipeline.intake.reading import motion_of
 from pipeline.intake.sources import Source
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers import Log
+from pipeline.readers.obeyed import cure, obeyed
 from pipeline.readers.time_axis import step_flags
 from pipeline.records.batch import Floats, Integers
 from pipeline.records.models import Motion
@@ -30,6 +31,9 @@ from pipeline.records.tables import to_arrow
 from pipeline.store.batch_files import NewBatch, next_number, publish_batches
 from pipeline.store.storage import FORMERLY, samples_folder, trials_folder
 from pipeline.store.working_copy import publish
+
+OTHER_GAINS = "other_gains"
+"""Key in ``extra`` of a trial whose command obeys other gains than its header says: which, and what cures it."""
 
 PUBLISHED_TOGETHER = 8
 """Batches that become visible at once, with two open files each: their syncs take the time of one."""
@@ -50,6 +54,12 @@ class Accepted:
     profile: str
     profile_sha256: str
     siblings: int = 1
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What was accepted and should be known."""
+        other = self.log.header.extra.get(OTHER_GAINS)
+        return self.log.warnings if other is None else (*self.log.warnings, other)
 
     @property
     def bytes(self) -> int:
@@ -78,9 +88,7 @@ def accepted_logs(
         If a log cannot be stored (`reading.motion_of`).
     """
     name = path_text(source.path.name) if profile.reads_names else None
-    if formerly is not None:
-        headers = [replace(log.header, extra=log.header.extra | {FORMERLY: formerly}) for log in logs]
-        logs = [replace(log, header=header) for log, header in zip(logs, headers, strict=True)]
+    logs = [_marked(profile, log, {} if formerly is None else {FORMERLY: formerly}) for log in logs]
     return [
         Accepted(
             trial_id(sha256, log.label, name),
@@ -94,6 +102,13 @@ def accepted_logs(
         )
         for log in logs
     ]
+
+
+def _marked(profile: Profile, log: Log, marks: dict[str, str]) -> Log:
+    """Return a log with marks, among them that its command obeys other gains than its header says."""
+    if (found := obeyed(log)) is not None:
+        marks = marks | {OTHER_GAINS: f"{found.sentence}. To cure it: {cure(profile, found)}"}
+    return replace(log, header=replace(log.header, extra=log.header.extra | marks)) if marks else log
 
 
 class TrialWriter:
