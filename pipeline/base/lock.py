@@ -19,7 +19,6 @@ from pathlib import Path
 
 from pipeline.base.disk import make_folder
 from pipeline.base.errors import StoreError, UsageError
-from pipeline.base.inventory import listed
 
 LOCK_FILE = ".lock"
 
@@ -85,8 +84,7 @@ def writing(processed: Path, wait_s: float = WAIT_S, say: Callable[[str], None] 
     try:
         waited = _acquire(descriptor, path, wait_s, say)
         _note(descriptor)
-        with listed(processed):
-            yield waited
+        yield waited
         os.ftruncate(descriptor, 0)
     finally:
         os.close(descriptor)  # lets the lock go

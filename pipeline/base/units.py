@@ -36,7 +36,9 @@ UNITS: dict[str, Unit] = {
     "deg": Unit("angle", _DEGREE),
     "rev": Unit("angle", 2 * pi),
     "m/s": Unit("velocity", 1.0),
+    "cm/s": Unit("velocity", 1e-2),
     "mm/s": Unit("velocity", 1e-3),
+    "um/s": Unit("velocity", 1e-6),
     "rad/s": Unit("angular velocity", 1.0),
     "deg/s": Unit("angular velocity", _DEGREE),
     "rpm": Unit("angular velocity", 2 * pi / 60),
@@ -72,6 +74,8 @@ def find_unit(symbol: str) -> Unit | None:
 
 
 _IN_BRACKETS = re.compile(r"(.*?)[\s/_]*[\[(]([^\[\]()]+)[\])]\s*")
+_PER_TIME = re.compile(r"_(?:per_)?(s|min)$")
+"""How a velocity is written where a name may have no slash: v_mm_s."""
 _BEFORE_UNIT = re.compile(r"\s*/\s*|_|\s+in\s+")
 
 
@@ -91,11 +95,12 @@ def unit_in_heading(heading: str, quantities: Collection[str]) -> tuple[str, str
     >>> unit_in_heading("m_1", ("length",)), unit_in_heading("force/torque", ("torque",))
     (('m_1', ''), ('force/torque', ''))
     """
-    if match := _IN_BRACKETS.fullmatch(heading):
+    # an index such as data[0] is no unit
+    if (match := _IN_BRACKETS.fullmatch(heading)) and not match[2].strip().isdigit():
         return match[1], match[2]
     if find_unit(heading) is None:  # a ratio such as N/mm
         for sign in _BEFORE_UNIT.finditer(heading):
-            name, symbol = heading[: sign.start()], heading[sign.end() :]
+            name, symbol = heading[: sign.start()], _PER_TIME.sub(r"/\1", heading[sign.end() :])
             unit = find_unit(symbol)
             in_path = "/" in sign[0] and "/" in name
             if name and not in_path and unit is not None and unit.quantity in quantities:

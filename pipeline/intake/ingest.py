@@ -27,6 +27,7 @@ from pipeline.intake.ingest_report import (
     when_stopped,
 )
 from pipeline.intake.known import Places, StoredSource, StoredSources, gone_of, stored_source
+from pipeline.intake.periods import Periods
 from pipeline.intake.quarantine import list_quarantine
 from pipeline.intake.reading import Read, batches_of, in_order, read_and_check
 from pipeline.intake.sources import Source, by_rest, find_sources, is_settled, removed_below
@@ -177,6 +178,7 @@ class _Ingest(Tally):
         self.replaced: set[tuple[str, str, str]] = set()
         self.present: set[str] = set()
         self.renamed: set[str] = set()
+        self.periods = Periods(processed)
         self.places = Places({}, {})
         self.gone: dict[tuple[str, str], list[str]] = {}
         self.taken: dict[str, StoredSource] = {}
@@ -282,7 +284,7 @@ class _Ingest(Tally):
         if logs is None:
             self._known(source, sha256, former, other)
             return
-        accepted = accepted_logs(source, sha256, logs, profile, self.digests[profile], self.motions)
+        accepted = accepted_logs(source, sha256, self.periods.apart(logs), profile, self.digests[profile], self.motions)
         ids = [one.row["trial_id"] for one in accepted]
         places = {self.places.trials.get(trial) for trial in ids}
         other = (next(iter(places)) if len(places) == 1 else None) or other

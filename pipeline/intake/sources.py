@@ -14,7 +14,7 @@ from pathlib import Path
 
 from pipeline.base.disk import READABLE, shared_mode
 from pipeline.base.errors import Code, UsageError
-from pipeline.base.file_names import path_of_text, path_text
+from pipeline.base.file_names import path_of_text, path_text, storable
 from pipeline.base.regular_files import OutsideError, is_gone, real_file
 from pipeline.intake.bags import bag_of
 from pipeline.profiles.patterns import find_groups
@@ -177,11 +177,12 @@ def told_by_name(profile: Profile, path: Path) -> str | None:
     """
     if not profile.reads_names:
         return None
-    told = (find_groups(profile.name_pattern, path.name) if profile.name_pattern else None) or {}
+    name = storable(path.name)
+    told = (find_groups(profile.name_pattern, name) if profile.name_pattern else None) or {}
     for key in told.keys() & CONDITION_QUANTITIES:
         with suppress(ValueError):
             told[key] = str(float(told[key]))
-    entries = [entry.match for entry in profile.file if fnmatchcase(path.name.lower(), entry.match.lower())]
+    entries = [entry.match for entry in profile.file if fnmatchcase(name.lower(), entry.match.lower())]
     return json.dumps([told, entries], sort_keys=True)
 
 

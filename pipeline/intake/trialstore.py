@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Executor, Future
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,12 +19,16 @@ from pipeline.intake.reading import motion_of
 from pipeline.intake.sources import Source, told_by_name
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers import Log
+from pipeline.readers.obeyed import cure, obeyed
 from pipeline.readers.time_axis import step_flags
 from pipeline.records.batch import Floats, Integers
 from pipeline.records.models import Motion
 from pipeline.records.tables import to_arrow
 from pipeline.store.batch_files import GROUP_BYTES, GROUP_TRIALS, NewBatch
 from pipeline.store.mirror import publish
+
+OTHER_GAINS = "other_gains"
+"""Key in ``extra`` of a trial whose command obeys other gains than its header says: which, and what cures it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,8 +74,17 @@ def accepted_logs(
                 "formerly": None,
             },
         )
-        for log in logs
+        for log in (_marked(profile, log) for log in logs)
     ]
+
+
+def _marked(profile: Profile, log: Log) -> Log:
+    """Return a log with a mark and a warning where its command obeys other gains than its header says."""
+    if (found := obeyed(log)) is None:
+        return log
+    text = f"{found.sentence}. To cure it: {cure(profile, found)}"
+    header = replace(log.header, extra=log.header.extra | {OTHER_GAINS: text})
+    return replace(log, header=header, warnings=(*log.warnings, text))
 
 
 class TrialWriter:

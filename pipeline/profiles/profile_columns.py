@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import BeforeValidator, Field
 
 from pipeline.base.errors import ParameterError
-from pipeline.base.units import factor_to_si
+from pipeline.base.units import factor_to_si, find_unit
 from pipeline.profiles.profile_text import Number, Problem
 from pipeline.records.findings import Record
 from pipeline.records.models import Motion, Name
@@ -96,6 +96,22 @@ class ColumnSource(Source):
     stands_for: Name | None = None
 
 
+class CommandSource(ColumnSource):
+    """Source of the command, or its value where the file has no column of it.
+
+    Parameters
+    ----------
+    value : float, optional
+        The command [`unit`] from `from_row` (counted from 0) or `from_s` (seconds, as the stamps) on; 0 before.
+    from_row, from_s : optional
+        Where it begins; one of both.
+    """
+
+    value: Number | None = None
+    from_row: Annotated[int, Field(ge=0, strict=True)] | None = None
+    from_s: Number | None = None
+
+
 class PositionSource(ColumnSource):
     """Source of the position, or of a velocity that it is the integral of.
 
@@ -152,7 +168,7 @@ class Columns(Record):
     """The three columns that every log needs, and two that it may have: measured force, logged velocity."""
 
     time: TimeSource | None = None
-    command: ColumnSource | None = None
+    command: CommandSource | None = None
     position: PositionSource | None = None
     force: ColumnSource | None = None
     velocity: ColumnSource | None = None
@@ -219,8 +235,14 @@ def _source_problems(key: str, source: Source, motion: Motion, position_allowed:
         problems.append(((*place, "sign"), text))
     if source.name is not None and source.column is not None:
         problems.append(((*place, "column"), "given beside name; expected one of them"))
-    if source.name is None and source.column is None and not sampled:
-        problems.append(((*place, "name"), 'missing. Add name = "<column in the file>" or column = <position>'))
+    stated = isinstance(source, CommandSource) and source.value is not None
+    if isinstance(source, CommandSource) and stated == (source.from_row is None and source.from_s is None):
+        problems.append(((*place, "value"), "give value and one of from_row, from_s, or none of them"))
+    if stated and (source.name is not None or source.column is not None):
+        problems.append(((*place, "value"), "given beside the column; expected one of them"))
+    if source.name is None and source.column is None and not sampled and not stated:
+        more = " (without such a column: value and from_row, or from_s)" if key == "command" else ""
+        problems.append(((*place, "name"), f'missing. Add name = "<column in the file>" or column = <position>{more}'))
     if source.column is not None and not position_allowed:
         problems.append(((*place, "column"), "for delimited text; in other formats columns have names: give name"))
     if sampled and not (isinstance(source, TimeSource) and source.has_stamps):
@@ -235,6 +257,11 @@ def _source_problems(key: str, source: Source, motion: Motion, position_allowed:
     except ParameterError as error:
         at = "stands_for" if getattr(source, "stands_for", None) else "unit"
         hint = "; for counts give counts_per_unit and the unit" if source.unit in ("count", "counts") else ""
+        unit = find_unit(source.unit)
+        if key == "position" and unit is not None and unit.quantity in QUANTITIES["velocity"].values():
+            hint = (
+                '; a velocity becomes a position with the line integrate = "difference" (of an encoder) or "trapezoid"'
+            )
         problems.append(((*place, at), f"{error} (motion is {motion}){hint}"))
     return problems
 

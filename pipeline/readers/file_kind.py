@@ -6,10 +6,9 @@ A spreadsheet that was saved under the name ``run.csv`` would otherwise be refus
 from __future__ import annotations
 
 from pipeline.base.errors import LogError
+from pipeline.profiles.profile_model import Format
+from pipeline.readers.formats import FORMATS
 from pipeline.readers.layout import format_of
-
-_TEXTS = ("native", "delimited", "json")
-"""Formats that a file of another kind, with other first bytes, cannot be."""
 
 _ARCHIVE, _PICTURE, _PAGE = "Unpack it", "Export the numbers behind it", "Save the recorded samples as a file"
 _SHEET = "Export its sheet as CSV"
@@ -42,7 +41,7 @@ _TAR = slice(257, 262)
 _PAGES = (b"<!doctype html", b"<html", b"<?xml", b"<svg")
 
 
-def refuse_other_kind(name: str, kind: str, data: bytes) -> None:
+def refuse_other_kind(name: str, kind: Format, data: bytes) -> None:
     """Refuse a file that is plainly something else than a log of its format.
 
     Parameters
@@ -65,9 +64,9 @@ def refuse_other_kind(name: str, kind: str, data: bytes) -> None:
             f"{name} is {what}, whatever its name says; expected a log of format {kind!r}. {advice}, and ingest that.",
             code="unsupported",
         )
-    if kind in _TEXTS and not data[:1].isspace():
+    if FORMATS[kind].is_text and not data[:1].isspace():
         actual = format_of(name, data[:2048])
-        if actual not in _TEXTS:
+        if not FORMATS[actual].is_text:
             raise LogError(
                 f"{name} is a file of format {actual!r}, whatever its name says; expected {kind!r}. Describe it by a "
                 f'profile with format = "{actual}".',

@@ -13,6 +13,7 @@ from typing import Any
 from pipeline.base.errors import LogError
 from pipeline.profiles.profile_model import Format
 from pipeline.profiles.profile_text import BLANKS, TextLayout
+from pipeline.readers.formats import FORMATS, HDF5
 from pipeline.readers.formats.plain_text import plain_text
 
 PROBE_LINES = 400
@@ -23,20 +24,6 @@ FEWEST_ROWS = 2
 
 NUMERIC_SHARE = 0.5
 """Share of numbers among the cells of a row, from which it is one: text columns may stand beside numbers."""
-
-_MAGIC: tuple[tuple[bytes, Format], ...] = (
-    (b"PAR1", "parquet"),
-    (b"ARROW1", "feather"),
-    (b"FEA1", "feather"),
-    (b"MATLAB 5.0", "matlab"),
-    (b"MATLAB 7.3", "matlab"),
-    (b"\x89HDF\r\n\x1a\n", "hdf5"),
-    (b"#ROSBAG", "rosbag"),
-    (b"SQLite format 3\0", "rosbag"),
-    (b"\x89MCAP0\r\n", "mcap"),
-    (b"TDSm", "tdms"),
-)
-"""First bytes of the formats that have some."""
 
 _NUMBER = re.compile(r"[+-]?(?:\d+(?:[.,]\d*)?|[.,]\d+)(?:[eE][+-]?\d+)?|[+-]?(?:nan|inf)", re.IGNORECASE)
 _GROUPED = re.compile(r"[+-]?[1-9]\d{0,2}(?:[.,]\d{3})+")
@@ -68,11 +55,11 @@ def format_of(name: str, data: bytes) -> Format:
         File name: it decides where bags are packed as a whole.
     data : bytes
     """
-    for magic, kind in _MAGIC:
-        if data.startswith(magic):
+    for kind, form in FORMATS.items():
+        if form.magic and data.startswith(form.magic):
             return kind
     # a MATLAB 7.3 file may lack its text, a packed database says nothing of what is inside
-    if b"\x89HDF\r\n\x1a\n" in (data[512:520], data[1024:1032]):
+    if HDF5 in (data[512:520], data[1024:1032]):
         return "matlab" if name.lower().endswith(".mat") else "hdf5"
     if ".db3" in name.lower():
         return "rosbag"

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from importlib import import_module
 from math import isclose
 from typing import Any, Literal
 
@@ -17,22 +16,16 @@ import numpy as np
 from pipeline.base.errors import LogError, ProfileError
 from pipeline.base.file_names import storable
 from pipeline.base.units import factor_to_si
-from pipeline.profiles.profile_columns import QUANTITIES, ColumnSource, PositionSource
+from pipeline.profiles.profile_columns import QUANTITIES, ColumnSource, CommandSource, PositionSource
 from pipeline.profiles.profile_model import REQUIRED_CONDITIONS, Profile, StepTime, Window
 from pipeline.readers.conditions import conditions_of, entry_of, header_of
 from pipeline.readers.file_kind import refuse_other_kind
+from pipeline.readers.formats import module_of
 from pipeline.readers.frame import Frame
 from pipeline.readers.limits import KEPT_ATTRIBUTES, LONGEST_ATTRIBUTE
 from pipeline.readers.log import Log, RawLog, check_samples
 from pipeline.readers.rows import Rows, rows_of
 from pipeline.records.batch import Booleans, Floats, Integers
-
-MODULES = {
-    "json": "json_records",
-    "parquet": "arrow_tables",
-    "feather": "arrow_tables",
-}
-"""Format modules whose name is not that of the format."""
 
 WINDOW_TOLERANCE = 1e-6
 """Part of a sampling period by which a stamp may lie outside a limit, or before the declared time of the step: by
@@ -77,11 +70,6 @@ def read(profile: Profile, raws: Sequence[RawLog], use_threads: bool) -> list[tu
     return outcomes
 
 
-def format_module(profile: Profile) -> Any:
-    """Return the module that reads a profile's format, with ``read_frame`` and ``list_columns``."""
-    return import_module(f"pipeline.readers.formats.{MODULES.get(profile.format, profile.format)}")
-
-
 def read_frames(profile: Profile, raw: RawLog) -> list[Frame]:
     """Read what a profile asks for of each file of a log.
 
@@ -90,7 +78,7 @@ def read_frames(profile: Profile, raw: RawLog) -> list[Frame]:
     LogError
         If a file cannot be read, is of another kind, lacks a column, or has times of a unit that the profile denies.
     """
-    module = format_module(profile)
+    module = module_of(profile.format)
     frames = []
     roles: tuple[Literal["source", "partner"], ...] = ("source", "partner")
     for name, data in zip(raw.names, raw.data, strict=False):
@@ -244,6 +232,10 @@ def _log(
         raise LogError(f"{text} {remedy}, or leave this log out.", at, code="too-short")
     factors = profile.factors()
     columns = {key: values[inside] * factors[key] for key, values in rows.columns.items()}
+    command = profile.column_sources()["command"]
+    if isinstance(command, CommandSource) and command.value is not None:
+        began = number >= command.from_row if command.from_row is not None else time >= (command.from_s or 0.0)
+        columns["command"] = np.where(began, command.value * factors["command"], 0.0)
     position = profile.column_sources()["position"]
     rule = position.integrate if isinstance(position, PositionSource) else None
     if rule is not None:

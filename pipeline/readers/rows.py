@@ -157,7 +157,7 @@ def _columns(
     """Return the columns of the trial by SI name, without the time where there are no stamps."""
     columns = {}
     for key, source in profile.column_sources().items():
-        if isinstance(source, TimeSource) and not source.has_stamps:
+        if source.name is None and source.column is None:  # rows are counted, or the value is stated
             continue
         file = 0 if source.file == "source" else 1
         place, frame = where if file == 0 else names[1], frames[file]

@@ -109,10 +109,10 @@ def test_time_is_what_rises(call, tmp_path):
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ('unit = "mm"', 'unit = "m"', "the position is probably in mm, not in m"),
-        ('unit = "N"', 'unit = "mN"', "the command is probably in N, not in mN"),
-        ('unit = "N", sign = 1', 'unit = "N", sign = -1', "columns.command.sign is probably wrong"),
-        ('unit = "mm", sign = 1', 'unit = "mm", sign = -1', "columns.position.sign is probably wrong"),
+        ('unit = "mm"', 'unit = "m"', '[columns.position] unit = "mm"'),
+        ('unit = "N"', 'unit = "mN"', '[columns.command] unit = "N"'),
+        ('unit = "N", sign = 1', 'unit = "N", sign = -1', "[columns.command] sign = 1"),
+        ('unit = "mm", sign = 1', 'unit = "mm", sign = -1', "[columns.position] sign = 1"),
     ],
 )
 def test_the_wall_law_tells_a_wrong_unit_or_sign(call, tmp_path, old, new, said):
@@ -123,10 +123,11 @@ def test_the_wall_law_tells_a_wrong_unit_or_sign(call, tmp_path, old, new, said)
     assert " -0" not in out
     (tmp_path / "mine.toml").write_text(PROFILE.replace(old, new))
     status, out = call("profile", "check", "mine.toml", "logs")
+    assert status == 1
     assert said in out
-    assert "so in all 3 logs" in out
-    (warning,) = json.loads(call("profile", "check", "mine.toml", "logs", "--json")[1])["warnings"]
-    assert said in warning
+    samples = json.loads(call("profile", "check", "mine.toml", "logs", "--json")[1])["samples"]
+    # each log says so, the first as well as the others
+    assert all(said in trial["other_gains"] for sample in samples for trial in sample["trials"])
     assert ("but the file says" in out) == ('unit = "m' in new and "sign" not in new)
 
 

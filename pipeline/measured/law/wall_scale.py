@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from pipeline.measured.law.log_rows import LogRows
-from pipeline.measured.signal.response import find_response
-from pipeline.records.batch import Floats, TrialBatch
+from pipeline.records.batch import Floats
 
 SCALE_TOLERANCE = 0.2
 """Part by which the factor between two units may be off in a log whose velocity is filtered or clipped."""
@@ -52,14 +51,3 @@ def scale_in(log: LogRows) -> Scale | None:
     share = np.abs(values[1] * terms[:, 1]).max() / np.abs(log.command).max(initial=np.finfo(np.float64).tiny)
     told = share > TOLD and float(left @ left) <= UNTOLD * float(log.command @ log.command)
     return Scale(*map(float, values)) if told else None
-
-
-def scale_of(batch: TrialBatch) -> Scale | None:
-    """Return the factors of the one log of a batch, however its velocity is filtered; None where they are not seen."""
-    response = find_response(batch)
-    if batch.step[0] == 0:
-        return None
-    if not response.has_edge[0]:  # a command of another sign or unit has no step of the size that is sought
-        jump = np.abs(np.diff(batch.command[:1, : int(batch.rows[0])], axis=1))
-        response = replace(response, edge_row=jump.argmax(axis=1) + 1)
-    return scale_in(LogRows.of(batch, response, 0))

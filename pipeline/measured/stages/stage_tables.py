@@ -36,6 +36,9 @@ from pipeline.store.storage import TABLE, read_trials, stage_file, stage_folder
 SAMPLED = "response"
 """Stage that every scene needs; its result is stored with a hash of the samples."""
 
+ONE_PERIOD = 0.01
+"""Part by which sampling periods may differ in an experiment: an ingest keeps others apart."""
+
 ROW_KEY = "samples_sha256"
 """Column by which a row of a stage is known; what else it rests on is the same for all rows of a file."""
 
@@ -294,7 +297,7 @@ class StageTables:
 
     @cached_property
     def sampling_period_s(self) -> float:
-        """Sampling period T [s], the same for all trials.
+        """Sampling period T [s], the same for all trials up to the error of clocks.
 
         Raises
         ------
@@ -302,12 +305,12 @@ class StageTables:
             If trials differ.
         """
         periods = sorted(set(self.trials.column("sampling_period_s").to_pylist()))
-        if len(periods) != 1:
+        if periods[-1] - periods[0] > ONE_PERIOD * periods[-1]:
             raise StoreError(
                 f"device {self.device!r}, experiment {self.experiment!r}: sampling periods differ ({periods[:5]} s); "
                 "expected one. Name the experiments apart in the logs' headers and ingest them into a new folder."
             )
-        return float(periods[0])
+        return float(periods[len(periods) // 2])
 
 
 def _new_rows(of: TrialGroup, new: Booleans, **what: Any) -> pa.Table:

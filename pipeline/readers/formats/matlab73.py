@@ -13,7 +13,6 @@ from pipeline.readers.formats.matlab5 import COMPLEX, SPARSE, MatContents, objec
 from pipeline.readers.safety import library
 
 _NUMBERS = {"double", "single", "logical", *(f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64))}
-_INSIDES = ("#refs#", "#subsystem#")
 
 
 def collect(name: str, file: Any, size: int) -> MatContents:
@@ -35,7 +34,7 @@ def collect(name: str, file: Any, size: int) -> MatContents:
     """
     collector = _Collector(name, file, size)
     for key in file:
-        if key not in _INSIDES:
+        if not key.startswith("#"):  # insides of objects: #refs#, #subsystem#, #sigstream#
             collector.add(key, file[key], 0)
     return collector.contents
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from pipeline.base.errors import EXIT_QUARANTINED, OTHER_COLUMNS, UsageError
+from pipeline.base.errors import EXIT_ERROR, EXIT_QUARANTINED, OTHER_COLUMNS, UsageError
 from pipeline.base.outputs import check_output
 from pipeline.shell import console
 from pipeline.shell.commands.options import Json, Processed, ProfileFile
@@ -40,8 +40,8 @@ def check(
 ) -> None:
     """Show what a profile would read of samples: conditions, columns in SI, quality of time, step, warnings.
 
-    Nothing is stored. Exit status 3 where a sample would be refused, 1 where the profile itself is wrong: all of its
-    mistakes are told at once.
+    Nothing is stored. Exit status 3 where a sample would be refused, 1 where the profile itself is wrong (all of its
+    mistakes are told at once) or a command obeys another K, B or step than the conditions say.
 
     Example: pipeline profile check lab.toml run_01.csv
     """
@@ -59,6 +59,8 @@ def check(
     else:
         for line in check_lines(loaded, checked):
             console.say(line)
+    if any(trial.other_gains for sample in checked for trial in sample.trials):
+        raise typer.Exit(EXIT_ERROR)
     if any(sample.reason is not None for sample in checked):
         raise typer.Exit(EXIT_QUARANTINED)
 
@@ -103,7 +105,9 @@ def _draw(logs: Sequence[Path], profile: Profile | None, out: Path) -> list[Pict
 
 @profile_app.command("draft")
 def draft(
-    sample: Annotated[Path, typer.Argument(help="A log of the lab.")],
+    samples: Annotated[
+        list[Path], typer.Argument(help="Logs of the lab: the first is drafted, others are held against it.")
+    ],
     out: Annotated[
         Path | None, typer.Option("--out", help="Profile file to write; printed where not given.", show_default=False)
     ] = None,
@@ -116,7 +120,7 @@ def draft(
     below and remove the line; `pipeline profile check` lists what is open. With --json: the profile's text, the file
     that was written (null where none), and the questions with line and key.
 
-    Example: pipeline profile draft run_01.csv --out lab.toml
+    Example: pipeline profile draft run_*.csv --out lab.toml
     """
     from pipeline.base.disk import write_text
     from pipeline.profiles.profile_lines import find_questions
@@ -126,13 +130,13 @@ def draft(
         check_output(out, "--out")
     if out is not None and out.exists() and not overwrite:
         raise UsageError(f"{out}: exists. Give another file, or --overwrite.")
-    text = draft_profile(sample)
+    text = draft_profile(*samples)
     questions = find_questions(text)
     if out is not None:
         write_text(out, text)
     if as_json:
         asked = [{"line": q.line, "key": ".".join(map(str, q.place)), "question": q.text} for q in questions]
-        document = {"sample": str(sample), "out": None if out is None else str(out), "profile": text}
+        document = {"sample": str(samples[0]), "out": None if out is None else str(out), "profile": text}
         console.print_json({**document, "questions": asked})
     elif out is None:
         console.say(text.rstrip("\n"))

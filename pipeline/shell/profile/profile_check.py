@@ -17,20 +17,20 @@ from pipeline.base.units import UNITS
 from pipeline.device_data.devices import known_devices
 from pipeline.intake.reading import logs_of, motion_of
 from pipeline.intake.sources import find_sources
-from pipeline.measured.law.wall_scale import scale_of
 from pipeline.measured.signal.response import NO_ROW, find_response
-from pipeline.profiles.profile_columns import QUANTITIES, ColumnSource, PositionSource, TimeSource
+from pipeline.profiles.profile_columns import QUANTITIES, ColumnSource, CommandSource, PositionSource, TimeSource
 from pipeline.profiles.profile_model import CONDITION_QUANTITIES, CONDITIONS, Profile
 from pipeline.readers import Log, RawLog
 from pipeline.readers.conditions import entry_of, places_of
+from pipeline.readers.formats import module_of
 from pipeline.readers.frame import ColumnInfo
-from pipeline.readers.mapping import format_module
+from pipeline.readers.obeyed import cure, obeyed
 from pipeline.readers.time_axis import step_flags
 from pipeline.records.batch import TrialBatch
 from pipeline.records.findings import Record
 from pipeline.records.models import Motion
 from pipeline.shell.console import grouped
-from pipeline.shell.profile.profile_warnings import late_velocity, other_scale, other_step, other_units
+from pipeline.shell.profile.profile_warnings import late_velocity, other_step, other_units
 
 NOTHING = 1e-15
 """Size [SI] up to which a number is what rounding leaves of 0."""
@@ -64,8 +64,9 @@ class CheckedTrial(Record):
     """A trial that would be stored.
 
     ``time`` holds the flags of `pipeline.readers.time_axis.step_flags` and what was settled in the rows. ``step_row``
-    is the row of the step, counted from 0, ``step`` how it is known, or why it is not. ``scale`` are the factors by
-    which step and wall in the command are other than the conditions say; None where the log does not show them.
+    is the row of the step, counted from 0, ``step`` how it is known, or why it is not. ``other_gains``
+    says which stiffness, damping or step the command obeys where the conditions state others, and the line that cures
+    it.
     """
 
     label: str | None
@@ -75,7 +76,7 @@ class CheckedTrial(Record):
     time: dict[str, float | int | None]
     step_row: int | None
     step: str
-    scale: tuple[float, float] | None
+    other_gains: str | None
     warnings: tuple[str, ...]
 
 
@@ -140,7 +141,7 @@ def _hints(profile: Profile, raw: RawLog) -> dict[str, str]:
 
 
 def _infos(profile: Profile, name: str, data: bytes) -> list[ColumnInfo]:
-    infos: list[ColumnInfo] = format_module(profile).list_columns(name, data, profile)
+    infos: list[ColumnInfo] = module_of(profile.format).list_columns(name, data, profile)
     return infos
 
 
@@ -159,7 +160,7 @@ def _trial(profile: Profile, name: str, log: Log, motion: Motion, hints: dict[st
         time=flags | dict(log.counts),
         step_row=step_row,
         step=step,
-        scale=None if (scale := scale_of(batch)) is None else (scale.step, scale.wall),
+        other_gains=None if (other := obeyed(log)) is None else f"{other.sentence}. To cure it: {cure(profile, other)}",
         warnings=(*log.warnings, *other_units(profile, said), *other_step(log, step_row, batch), *late_velocity(batch)),
     )
 
@@ -191,6 +192,9 @@ def _columns(profile: Profile, log: Log, motion: Motion, hints: dict[str, str]) 
         name, written = (key, unit) if source is None else (source.key, source.unit or "")
         if isinstance(source, TimeSource) and not source.has_stamps:
             name, written = "(one row each sampling period)", ""
+        if isinstance(source, CommandSource) and source.value is not None:
+            start = f"row {source.from_row}" if source.from_s is None else f"{source.from_s:g} s"
+            name = f"(stated: {source.value:g} from {start} on)"
         if isinstance(source, ColumnSource):
             stands = f", stands for {source.stands_for}" if source.stands_for else ""
             if isinstance(source, PositionSource) and source.integrate:
@@ -243,6 +247,11 @@ def _step(log: Log, batch: TrialBatch) -> tuple[int | None, str]:
     row = int(found.edge_row[0])
     if row == NO_ROW:
         return None, found.edge_reason[0]
+    if found.steps[0] > 1:
+        return row, (
+            f"found in the command, at {log.time[row]:.9g} s; it has {int(found.steps[0])} steps. Declare each by "
+            "[[steps]] (label, from_s, to_s), or the first alone by window = { to_s = ... }"
+        )
     return row, f"found in the command, at {log.time[row]:.9g} s"
 
 
@@ -266,7 +275,9 @@ def check_lines(profile: Profile, samples: Sequence[CheckedSample]) -> list[str]
     rows = {sample.path: "" if sample.row is None else f", row {sample.row}" for sample in samples}
     refused = ((sample.path + rows[sample.path], sample.reason) for sample in samples if sample.reason is not None)
     lines += grouped((place, f"would be refused: {reason}") for place, reason in refused)
-    return lines + [f"warning: {text}" for text in other_scale(profile, _scales(samples))]
+    others = [(sample.path, trial.other_gains) for sample in read for trial in sample.trials if trial.other_gains]
+    lines += [f"error: {line}" for line in grouped(others)]
+    return lines
 
 
 def _stored_words(sample: CheckedSample) -> str:
@@ -308,10 +319,6 @@ def _shown(value: float) -> float:
     return value if abs(value) > NOTHING else 0.0
 
 
-def _scales(samples: Sequence[CheckedSample]) -> list[tuple[float, float]]:
-    return [trial.scale for sample in samples for trial in sample.trials if trial.scale is not None]
-
-
 def check_document(profile: Profile, samples: Sequence[CheckedSample]) -> dict[str, object]:
     """Return what was found as a JSON document."""
     refused = sum(sample.reason is not None for sample in samples)
@@ -320,5 +327,4 @@ def check_document(profile: Profile, samples: Sequence[CheckedSample]) -> dict[s
         "profile": profile.name,
         "samples": dumped,
         "refused": refused,
-        "warnings": other_scale(profile, _scales(samples)),
     }

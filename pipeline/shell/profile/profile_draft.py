@@ -18,10 +18,10 @@ from pipeline.base.units import UNITS, find_unit, unit_in_heading
 from pipeline.profiles.profile_columns import QUANTITIES
 from pipeline.profiles.profile_lines import QUESTION
 from pipeline.profiles.profile_model import Format, Profile
+from pipeline.readers.formats import module_of
 from pipeline.readers.formats.plain_text import is_packed, unpacked
 from pipeline.readers.frame import ColumnInfo, Frame
 from pipeline.readers.layout import Layout, format_of, text_layout
-from pipeline.readers.mapping import format_module
 
 LISTED_CHOICES = 10
 """Columns that a question names; with more it points to the list."""
@@ -42,12 +42,14 @@ _ROLES = {
 _LIKELY = {
     "time": r"(?!)",
     "command": r"f|u|tau|m|kraft|moment|force|torque|(?:f|u)[ _-]?(?:cmd|soll|des)",
-    "position": r"x|q|s|phi|theta|pos.*|x[ _-]?(?:ist|act|meas)",
+    "position": r"x|q|s|phi|theta|pos.*|x[ _-]?(?:ist|act|meas)|v|vel|velocity|speed|omega|dx|dq",
 }
 """Names that a question gives as its possible answer."""
 
-_NAMED_WALL = re.compile(r"(?<![A-Za-z])([KB])([_=-]?)\d+\.?\d*", re.IGNORECASE)
+_NAMED_WALL = re.compile(r"(?<![A-Za-z])([KB])([_=]?)(-?)\d+\.?\d*", re.IGNORECASE)
 """Stiffness or damping in the name of a file."""
+
+_SPEEDS = frozenset(QUANTITIES["velocity"].values())
 
 _SIGN_QUESTIONS = {
     "command": "does a positive command push towards greater positions (1), or against them (-1)?",
@@ -64,10 +66,12 @@ class Sample:
     kind: Format
     layout: Layout
     infos: list[ColumnInfo]
+    refused: tuple[str, ...] = ()
+    """What of it is not read, why, and how it is exported."""
 
     def frame(self, wanted: tuple[str, ...]) -> Frame:
         """Return columns by name as they stand in the file; raises LogError where they do not go together."""
-        result: Frame = format_module(self.profile).read_frame(self.profile, self.name, self.data, wanted)
+        result: Frame = module_of(self.kind).read_frame(self.profile, self.name, self.data, wanted)
         return result
 
     @property
@@ -97,21 +101,23 @@ def open_sample(path: Path) -> Sample:
     sample = Sample(path.name, data, kind, layout, [])
     if kind == "native":
         return sample
-    infos: list[ColumnInfo] = format_module(sample.profile).list_columns(path.name, data, sample.profile)
+    infos: list[ColumnInfo] = module_of(kind).list_columns(path.name, data, sample.profile)
+    refused = [f"{info.name} {info.hint}" for info in infos if not info.rows and info.hint]
     infos = [info for info in infos if info.rows > 1 and info.name]
     if kind == "json" and infos and infos[0].hint:
         layout.keys["records"] = json.loads(infos[0].hint.removeprefix("records = "))
         infos = [replace(info, hint="") for info in infos]
     if all(info.dtype == "text" for info in infos):
         raise LogError(
-            "it holds no columns of numbers with several rows. Export the recorded signals as plain columns.",
+            "it holds no columns of numbers with several rows. "
+            + ("; ".join(refused) or "Export the recorded signals as plain columns."),
             code="empty",
         )
-    return replace(sample, infos=infos)
+    return replace(sample, infos=infos, refused=tuple(refused))
 
 
-def draft_profile(path: Path) -> str:
-    """Return a first profile for a sample as TOML text.
+def draft_profile(path: Path, *others: Path) -> str:
+    """Return a first profile for a sample as TOML text, with a line for each other sample that is not of its form.
 
     Raises
     ------
@@ -124,9 +130,27 @@ def draft_profile(path: Path) -> str:
         sample = open_sample(path)
         if sample.kind == "native":
             raise ProfileError(f"{path} is a native log, which needs no profile: `pipeline ingest {path}` reads it.")
-        return "".join(f"{_printable(line)}\n" for line in _lines(sample))
+        lines = [*_lines(sample), *(text for other in others if (text := _difference(sample, other)))]
+        return "".join(f"{_printable(line)}\n" for line in lines)
     except LogError as error:
         raise ProfileError(f"{path}: no profile can be drafted: {error.reason}") from error
+
+
+def _difference(sample: Sample, path: Path) -> str:
+    """Return a comment on how another file differs from the sample; empty where one profile reads both."""
+    try:
+        other = open_sample(path)
+    except LogError as error:
+        return f"# {path.name} is not of this form: {error.reason}"
+    if other.kind != sample.kind:
+        return f"# {path.name} is of format {other.kind}, not {sample.kind}: it needs a profile of its own"
+    layouts = {**other.layout.keys, **{f"{key} (asked)": "" for key in other.layout.questions}}
+    own = {**sample.layout.keys, **{f"{key} (asked)": "" for key in sample.layout.questions}}
+    keys = sorted(key for key in layouts.keys() | own.keys() if layouts.get(key) != own.get(key))
+    names, mine = [info.name for info in other.infos], [info.name for info in sample.infos]
+    columns = [] if names == mine else [f"columns {_toml(names[:LISTED_CHOICES])}"]
+    found = [f"{key} = {_toml(layouts.get(key, 'absent'))}" for key in keys] + columns
+    return f"# {path.name} is laid out otherwise: {', '.join(found)}" if found else ""
 
 
 def _lines(sample: Sample) -> Iterator[str]:
@@ -155,6 +179,7 @@ def _lines(sample: Sample) -> Iterator[str]:
         hint = f", the file says {info.hint!r}" if info.hint else ""
         first = ", ".join(info.first)[:LONGEST_FIRST]
         yield f"#   {_toml(info.name)}: {info.dtype}, {info.rows} rows, {first}{hint}"
+    yield from (f"# Not read: {text}" for text in sample.refused)
     if len(infos) > LISTED_COLUMNS:
         yield f"#   and {len(infos) - LISTED_COLUMNS} more"
     roles = {} if by_position else _roles(infos)
@@ -174,11 +199,16 @@ def _files(name: str, suffix: str) -> str:
 
 def _wall_in_name(stem: str) -> str:
     """Return the pattern of a name that has a stiffness and a damping, empty where it has not one of each."""
-    found = [(match[1], match[2]) for match in _NAMED_WALL.finditer(stem)]
-    if sorted(letter.upper() for letter, _ in found) != ["B", "K"]:
+    found = [match.groups() for match in _NAMED_WALL.finditer(stem)]
+    if sorted(letter.upper() for letter, *_ in found) != ["B", "K"]:
         return ""
     groups = {"K": "stiffness", "B": "damping"}
-    return ".*".join(f"{letter}{sign}(?P<{groups[letter.upper()]}>[0-9]+[.]?[0-9]*)" for letter, sign in found)
+    # a dash behind both letters parts them from their numbers; behind one alone it is its sign
+    dashed = all(minus for *_, minus in found)
+    return ".*".join(
+        f"{letter}{sign}{'-' if dashed else ''}(?P<{groups[letter.upper()]}>-?[0-9]+[.]?[0-9]*)"
+        for letter, sign, _ in found
+    )
 
 
 def _printable(line: str) -> str:
@@ -206,8 +236,14 @@ def _step_question() -> Iterator[str]:
 
 def _bare(info: ColumnInfo, role: str) -> tuple[str, str]:
     """Return the last part of a name without its unit, and the unit that the file states there or in its hint."""
-    name, unit = unit_in_heading(info.name, QUANTITIES[role].values())
+    name, unit = unit_in_heading(info.name, [*QUANTITIES[role].values(), *(_SPEEDS if role == "position" else ())])
     return re.split(r"[./]", name)[-1].strip().lower(), unit or info.hint
+
+
+def _speed(info: ColumnInfo) -> str | None:
+    """Return the quantity of a column that states the unit of a velocity."""
+    unit = find_unit(unit_in_heading(info.name, _SPEEDS)[1] or info.hint)
+    return None if unit is None or unit.quantity not in _SPEEDS else unit.quantity
 
 
 def _numbers(infos: list[ColumnInfo]) -> list[ColumnInfo]:
@@ -283,6 +319,12 @@ def _column(
         shown = name if by_position else _toml(name)
         yield from _question(f"columns.{key}.{part}", f"which column holds {what}? {listed}", f"{part} = {shown}")
     quantities = set(QUANTITIES[key].values())
+    if key == "position" and likely is not None and (moving := _speed(likely)) is not None:
+        words = f"{likely.name!r} is a velocity: is the position its integral? By differences, or "
+        yield from _question(
+            "columns.position.integrate", words + 'by trapezoids ("trapezoid").', 'integrate = "difference"'
+        )
+        quantities = {moving}
     stated = _bare(likely, key)[1] if likely is not None else ""
     known = [symbol for symbol, unit in UNITS.items() if unit.quantity in quantities]
     match = find_unit(stated) if stated else None

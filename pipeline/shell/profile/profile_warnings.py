@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 
-from pipeline.base.units import find_unit, unit_between, unit_in_heading
+from pipeline.base.units import find_unit, unit_in_heading
 from pipeline.measured.intervals import NORMAL_95
-from pipeline.measured.law.wall_scale import SCALE_TOLERANCE, Scale, power_of_ten
 from pipeline.measured.signal.lag import lags_of
 from pipeline.measured.signal.response import external_force
 from pipeline.profiles.profile_columns import QUANTITIES
@@ -47,44 +46,6 @@ def other_units(profile: Profile, said: Mapping[str, str]) -> list[str]:
         if (unit := find_unit(stated)) is not None and unit != find_unit(source.unit):
             found.append(f"columns.{key}.unit is {source.unit!r}, but the file says {stated!r}: which is right?")
     return found
-
-
-def other_scale(profile: Profile, scales: Sequence[tuple[float, float]]) -> list[str]:
-    """Return which unit or sign all commands speak against, held against the wall law F - K (x - x_0) - B v.
-
-    Parameters
-    ----------
-    profile : Profile
-    scales : sequence of (float, float)
-        Factors of step and wall in each log that shows them.
-    """
-    if not scales:
-        return []
-    middle = np.median(np.array(scales), axis=0)
-    if (np.abs(np.array(scales) - middle) > SCALE_TOLERANCE * np.abs(middle)).any():
-        return []
-    return _scale_words(profile, Scale(*map(float, middle)), f"all {len(scales)} logs that show it")
-
-
-def _scale_words(profile: Profile, scale: Scale, where: str) -> list[str]:
-    found = []
-    if scale.step < 0 and scale.wall < 0:
-        found.append("has the sign reversed: columns.command.sign is probably wrong")
-    elif scale.wall < 0:
-        found.append("has K (x_0 - x) - B v with the sign reversed: columns.position.sign is probably wrong")
-    elif scale.step < 0:
-        found.append("has the step with the sign reversed: the sign of the step is probably wrong")
-    of_command = power_of_ten(scale.step) and abs(scale.wall / scale.step - 1) <= SCALE_TOLERANCE
-    key, factor = ("command", 1 / abs(scale.step)) if of_command else ("position", abs(scale.wall))
-    source = profile.column_sources().get(key)
-    stated = "" if source is None else source.unit or ""
-    unit = unit_between(stated, factor, SCALE_TOLERANCE)
-    if unit is not None or power_of_ten(scale.wall):
-        advice = "check the units of K, B and of both columns"
-        if unit is not None:
-            advice = f"the {key} is probably in {unit}, not in {stated}"
-        found.append(f"is {abs(scale.wall):.3g} times K (x_0 - x) - B v beside the step: {advice}")
-    return [f"the command {words} (so in {where})" for words in found]
 
 
 def other_step(log: Log, step_row: int | None, batch: TrialBatch) -> list[str]:

@@ -1,0 +1,192 @@
+"""Does the command of a log obey the gains that its header states? If not: which it obeys, and the line that cures it.
+
+The law is u_k = F_0 - K (x_k - x_0) - B (x_k - x_{k-1})/(t_k - t_{k-1}) from the step on. It is said only where the law
+with other gains explains the command: a filter, a clipped or one-sided wall, or a sensor too coarse leave it open.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.base.units import UNITS, unit_between
+from pipeline.profiles.profile_columns import ColumnSource, Source
+from pipeline.profiles.profile_model import CONDITION_QUANTITIES, Profile
+from pipeline.readers.log import Log
+from pipeline.records.batch import Floats
+
+EXACT = 0.02
+"""Part of the command that the law may leave unexplained where each gain is told by itself; a velocity filter or a
+quantum leaves more."""
+
+EXPLAINED = 0.02
+"""Part of what the header's law leaves that other gains may leave: a velocity filter shifts gains by some percent, and
+leaves a quarter."""
+
+NEARLY = 0.3
+"""Part that it may leave where gains are a power of ten or a unit off, as seen through a filter."""
+
+FACTOR = 8.0
+"""Factor by which K and B together must be off to be told through a filter: units differ by 10 at least, and a wall
+that only pushes and is clipped looks like one with a quarter of its gains."""
+
+UNIT_TOLERANCE = 0.2
+"""Part by which the factor between two units may be off in a log whose velocity is filtered."""
+
+SURE = 6.0
+"""Standard errors by which a gain must differ: noise of a sensor is not white."""
+
+TOLERANCE = 0.1
+"""Part by which a gain must differ, and by which two factors may that are one."""
+
+SHIFTED_ROWS = 2.0
+"""Rows by which a log may have command and position beside each other."""
+
+SHARE = 0.05
+"""Part of the largest command that a gain must make to be told."""
+
+LIMIT_ROWS = 3
+"""Rows at the largest or smallest command from which on it is clipped there."""
+
+LEAST_ROWS = 12
+
+
+@dataclass(frozen=True)
+class Obeyed:
+    """Gains that the command obeys [SI] where the header states others, by name; and what the header states."""
+
+    found: dict[str, float]
+    stated: dict[str, float]
+
+    @property
+    def sentence(self) -> str:
+        """What differs, with the factor."""
+        return "; ".join(
+            f"the command obeys {name} {self.found[name]:.4g}, the header says {self.stated[name]:.4g}{_times(factor)}"
+            for name, factor in self.factors.items()
+        )
+
+    @property
+    def factors(self) -> dict[str, float]:
+        """By which factor each is other than stated; infinite where 0 is stated."""
+        return {name: found / self.stated[name] if self.stated[name] else np.inf for name, found in self.found.items()}
+
+
+def _times(factor: float) -> str:
+    return f" (factor {factor:.4g})" if np.isfinite(factor) else ""
+
+
+def obeyed(log: Log) -> Obeyed | None:
+    """Return which other gains the command of a log obeys; None where they are as stated, or not to be seen."""
+    header = log.header
+    stated = {"stiffness": header.stiffness, "damping": header.damping, "step": header.step}
+    if header.step == 0 or len(log.time) < LEAST_ROWS:
+        return None
+    terms = _terms(log)
+    off = log.command - terms @ np.array(list(stated.values()))
+    size = float(np.sqrt(np.mean(log.command**2)))
+    if size == 0 or np.sqrt(np.mean(off**2)) <= EXACT * size:
+        return None
+    free = _free(log.command)
+    if free.sum() < max(LEAST_ROWS, len(free) // 2):
+        return None
+    values, error, left = _fit(terms[free], log.command[free])
+    if left <= min(EXACT * size, EXPLAINED * float(np.sqrt(np.mean(off[free] ** 2)))):
+        largest = np.abs(log.command).max()
+        told = np.abs(terms[free]).max(axis=0) * np.maximum(np.abs(values), np.abs(list(stated.values())))
+        least = np.maximum(TOLERANCE * np.abs(list(stated.values())), SURE * error)
+        # a position that is logged a row or two beside its command looks like B + K T
+        least[1] += SHIFTED_ROWS * abs(values[0]) * header.sampling_period_s
+        other = (told > SHARE * largest) & (np.abs(values - list(stated.values())) > least)
+        found = {name: float(value) for name, value, off_by in zip(stated, values, other, strict=True) if off_by}
+        return Obeyed(found, stated) if found else None
+    wall = -(terms[:, :2] @ np.array([header.stiffness, header.damping]))
+    both = np.stack([terms[:, 2] * header.step, -wall], axis=1)
+    factors, _, left = _fit(both[free], log.command[free])
+    share = abs(factors[1]) * np.abs(wall).max() / np.abs(log.command).max()
+    if left > NEARLY * size or share <= SHARE or 1 / FACTOR < factors[1] < FACTOR:
+        return None
+    known = {name: factors[1] * stated[name] for name in ("stiffness", "damping") if stated[name]}
+    if not 1 / FACTOR < factors[0] < FACTOR:
+        known["step"] = factors[0] * stated["step"]
+    return Obeyed({name: float(value) for name, value in known.items()}, stated)
+
+
+def _terms(log: Log) -> Floats:
+    """Return the terms of stiffness, damping and step in the command, shape (rows, 3)."""
+    change = np.diff(log.position, prepend=log.position[:1])
+    passed = np.diff(log.time, prepend=log.time[:1] - log.header.sampling_period_s)
+    jump = np.abs(np.diff(log.command))
+    declared = log.header.extra.get("step_row")
+    edge = int(declared) if declared is not None else int(jump.argmax()) + 1
+    if declared is None and abs(log.command[0]) > 0.5 * jump.max():
+        edge = 0
+    after = np.arange(len(log.time)) >= edge
+    return np.stack([log.position[0] - log.position, -change / passed, after.astype(np.float64)], axis=1)
+
+
+def _free(command: Floats) -> np.ndarray:
+    """Return the rows in which the command stands at no limit that it keeps."""
+    free = np.ones(len(command), dtype=np.bool_)
+    for limit in (command.max(), command.min()):
+        at = command == limit
+        if at.sum() >= LIMIT_ROWS and limit != command[0]:
+            free &= ~at
+    return free
+
+
+def _fit(terms: Floats, command: Floats) -> tuple[Floats, Floats, float]:
+    """Return the factors of terms, their standard errors, and what they leave of the command (rms)."""
+    scale = np.abs(terms).max(axis=0)
+    used = scale > 0
+    values, error = np.zeros(terms.shape[1]), np.zeros(terms.shape[1])
+    scaled = terms[:, used] / scale[used]
+    solution, *_ = np.linalg.lstsq(scaled, command, rcond=None)
+    left = float(np.sqrt(np.mean((command - scaled @ solution) ** 2)))
+    inverse = np.linalg.pinv(scaled.T @ scaled)
+    values[used], error[used] = solution / scale[used], left * np.sqrt(np.diag(inverse)) / scale[used]
+    return values, error, left
+
+
+def cure(profile: Profile, found: Obeyed) -> str:
+    """Return the lines of a profile, or of a native header, by which header and command would agree."""
+    factors = found.factors
+    if profile.format == "native":
+        return "; ".join(f"# {name}: {value:.4g}" for name, value in found.found.items())
+    first = next(iter(factors.values()))
+    alike = all(abs(factor - first) <= TOLERANCE * abs(first) for factor in factors.values()) and np.isfinite(first)
+    told = {name for name, value in found.stated.items() if value} <= factors.keys() | {"step"}
+    columns = profile.column_sources()
+    lines = []
+    if alike and "step" in factors and len(factors) > 1:
+        lines = _lines("command", columns.get("command"), 1 / first if first else 0.0)
+    elif alike and "step" not in factors and told:
+        lines = _lines("position", columns.get("position"), first)
+    units = [f'{name} = "{unit}"' for name, factor in factors.items() if (unit := _unit(profile, name, factor))]
+    if len(units) == len(factors):
+        lines.append(f"[units] {', '.join(units)}")
+    values = ", ".join(f"{name} {value:.4g}" for name, value in found.found.items())
+    return " or ".join(lines) or f"give {values} [SI], or correct units and signs of the profile"
+
+
+def _lines(key: str, source: Source | None, factor: float) -> list[str]:
+    """Return the line that corrects a column whose numbers are so many times as large."""
+    if not isinstance(source, ColumnSource) or not factor:
+        return []
+    parts = [f"sign = {-(source.sign or 1)}"] if factor < 0 else []
+    if abs(abs(factor) - 1) > TOLERANCE:
+        unit = unit_between(source.unit or "", abs(factor), UNIT_TOLERANCE)
+        if unit is None:
+            return []
+        parts.append(f'unit = "{unit}"')
+    return [f"[columns.{key}] {', '.join(parts)}"]
+
+
+def _unit(profile: Profile, name: str, factor: float) -> str | None:
+    """Return the unit in which a condition seems to be given."""
+    quantity = CONDITION_QUANTITIES[name][profile.constants.motion]
+    stated = getattr(profile.units, name, None)
+    stated = stated or next(symbol for symbol, unit in UNITS.items() if unit == (quantity, 1.0))
+    unit = unit_between(stated, factor, UNIT_TOLERANCE) if factor > 0 and np.isfinite(factor) else None
+    return "N/mm" if unit == "kN/m" else unit  # the same, and what labs write
