@@ -24,9 +24,10 @@ from serving import read_for, read_together, serving
 
 from pipeline.device_data.devices import load_device
 from pipeline.intake.ingest import ingest
-from pipeline.records.table_files import read_table, write_table
+from pipeline.records.table_files import read_table
 from pipeline.simulation.course import run_course, write_course
-from pipeline.store.storage import trials_files, trials_folder
+from pipeline.store.batch_files import NewBatch
+from pipeline.store.storage import trials_files
 
 EXPERIMENTS, READERS, REQUESTS, MANY_READERS = 50, 20, 2000, 200
 QUERIES = (
@@ -63,9 +64,9 @@ def store(folder: Path, trials: int) -> None:
         for column, new in values.items():
             index = part.schema.get_field_index(column)
             part = part.set_column(index, part.schema.field(column), pa.array(new))
-        target = trials_folder(folder / "processed", "falcon", str(number)) / "000001-copies.parquet"
-        target.parent.mkdir(parents=True, exist_ok=True)
-        write_table(target, part)
+        new = NewBatch(folder / "processed", "falcon", str(number), "translation")
+        new.write(part)
+        new.publish()
     file.unlink()
 
 

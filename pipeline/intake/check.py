@@ -177,7 +177,8 @@ def _set_aside(processed: Path, file: Path, remedy: Remedy) -> None:
     if remedy == "remove":
         remove_all([file])
         return
-    place = processed / DAMAGED_FOLDER / file.relative_to(processed)
+    # each *.parquet below the store is readable
+    place = processed / DAMAGED_FOLDER / file.relative_to(processed).with_name(f"{file.name}.damaged")
     make_folder(place.parent)
     os.replace(file, place)
     sync_folder(place.parent)

@@ -191,8 +191,8 @@ def test_a_damaged_file_is_set_aside_and_never_ignored(store):
         assert any("corrections" in text for text in status(store).damaged)
     (found,) = check(store, repair=True).damage
     assert (found.remedy, file.exists()) == ("set aside", False)
-    (kept,) = (store / "damaged").rglob("*.parquet")
-    assert kept.name == file.name
+    (kept,) = (store / "damaged").rglob("*.damaged")
+    assert kept.name == f"{file.name}.damaged"
     assert read_exclusions(store) == {}
     exclude(store, ids(store)["2.csv"], WHY)
     assert set(read_exclusions(store)) == set(known)

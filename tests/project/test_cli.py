@@ -334,7 +334,7 @@ def test_status_and_compact_show_and_merge_what_is_stored(call, logs):
     status, out, _ = call("status")
     assert status == 0
     first, columns, row, gone = out.splitlines()
-    assert first.startswith("processed: 5 trials, 150 samples, 6 tables, ")
+    assert first.startswith("processed: 5 trials, 150 samples, 3 tables, ")
     assert columns.split() == ["device", "experiment", "trials", "rows", "batches", "row_groups", "size", "stale"]
     assert row.split()[:6] == ["bench", "1", "5", "150", "3", "3"]
     assert gone == f"gone: {logs / '300.csv'}"

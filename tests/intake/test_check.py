@@ -1,0 +1,93 @@
+"""Damaged files are named, and what can be saved of them is: from the logs where they are, else group by group."""
+
+import random
+
+import pyarrow.parquet as pq
+import pytest
+from native_logs import FAULTS, short_log
+from stored import check_whole, flip
+
+from pipeline.intake.check import check
+from pipeline.intake.exclude import exclude
+from pipeline.intake.ingest import ingest
+from pipeline.measured.stages.stages import ExperimentStages
+from pipeline.store import batch_files
+from pipeline.store.samples import load_batch
+from pipeline.store.storage import read_trials, trials_files
+
+
+@pytest.fixture
+def lab(tmp_path, monkeypatch):
+    """Six logs of one experiment in three groups of rows, one refused log, one result, one exclusion."""
+    monkeypatch.setattr(batch_files, "GROUP_TRIALS", 2)
+    monkeypatch.setattr("pipeline.intake.trialstore.GROUP_TRIALS", 2)
+    (tmp_path / "logs").mkdir()
+    for number in range(6):
+        (tmp_path / "logs" / f"{number}.csv").write_text(short_log(float(number), rows=40))
+    (tmp_path / "logs" / "bad.csv").write_text(FAULTS["text cell"][0])
+    ingest([tmp_path / "logs"], tmp_path / "processed", jobs=1)
+    exclude(tmp_path / "processed", str(tmp_path / "logs" / "0.csv"), "slipped")
+    ExperimentStages.stored(tmp_path / "processed", "bench", "1").table("response")
+    return tmp_path
+
+
+def logs_of(lab):
+    return {str(lab / "logs" / f"{number}.csv"): float(number) for number in range(6)}
+
+
+def test_every_flipped_byte_of_every_file_is_named(lab):
+    processed, rng = lab / "processed", random.Random(3)
+    files = sorted(file for file in processed.rglob("*") if file.is_file() and not file.name.startswith("."))
+    assert {file.relative_to(processed).parts[0] for file in files} >= {"trials", "stages", "corrections", "quarantine"}
+    assert check(processed).damage == ()
+    for file in files:
+        whole = file.read_bytes()
+        for at in (0, len(whole) - 1, *(rng.randrange(len(whole)) for _ in range(4))):
+            flip(file, at)
+            assert [one.file for one in check(processed).damage] == [file.relative_to(processed).as_posix()]
+            file.write_bytes(whole)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_flipped_byte_costs_nothing_where_the_logs_are(lab, seed):
+    processed = lab / "processed"
+    (file,) = trials_files(processed)
+    flip(file, random.Random(seed).randrange(file.stat().st_size))
+    (told,) = check(processed).damage
+    (done,) = check(processed, repair=True).damage
+    assert (told.remedy, told.trials, told.read_again) == (done.remedy, done.trials, done.read_again)
+    ingest([lab / "logs"], processed, jobs=1)
+    assert check_whole(processed, logs_of(lab)) == set(logs_of(lab))
+    assert not [one for one in check(processed).damage if one.file.startswith("trials")]
+
+
+def test_groups_that_can_be_read_are_kept_where_the_logs_are_gone(lab):
+    processed = lab / "processed"
+    (file,) = trials_files(processed)
+    (lab / "logs").rename(lab / "elsewhere")
+    group = pq.read_metadata(file).row_group(1)
+    columns = (group.column(number) for number in range(group.num_columns))
+    position = next(column for column in columns if column.path_in_schema.startswith("position"))
+    flip(file, position.data_page_offset + position.total_compressed_size // 3)
+    (damage,) = check(processed, repair=True).damage
+    assert (damage.remedy, damage.trials, damage.kept, damage.read_again) == ("save", 6, 4, 0)
+    assert {one.source_path.rpartition("/")[2] for one in damage.lost} == {"2.csv", "3.csv"}
+    assert len(load_batch(processed, read_trials(processed))) == 4
+    assert len(list((processed / "damaged").rglob("*.lost.json"))) == 1
+    assert len(list((processed / "damaged").rglob("*.damaged"))) == 1
+    assert check(processed).damage == ()
+
+
+@pytest.mark.parametrize("cut", [0, 10, -10])
+def test_a_file_that_is_cut_off_or_deleted_is_read_again_by_the_next_ingest(lab, cut):
+    processed = lab / "processed"
+    (file,) = trials_files(processed)
+    file.write_bytes(file.read_bytes()[:cut] if cut else b"")
+    report = ingest([lab / "logs"], processed, jobs=1)
+    assert (report.ingested, len(report.damaged)) == (6, 1)
+    assert check(processed).damage == (), "the same logs give the same file"
+    assert check_whole(processed, logs_of(lab)) == set(logs_of(lab))
+    for deleted in trials_files(processed):
+        deleted.unlink()
+    assert ingest([lab / "logs"], processed, jobs=1).ingested == 6
+    assert check_whole(processed, logs_of(lab)) == set(logs_of(lab))
