@@ -82,8 +82,11 @@ class SharedGroups:
             finally:
                 free.put(pool)
 
-        with ThreadPoolExecutor(len(self.pools)) as threads:
+        threads = ThreadPoolExecutor(len(self.pools))
+        try:
             return list(threads.map(run, jobs))
+        finally:
+            threads.shutdown(wait=False, cancel_futures=True)  # who leaves by a signal waits for no job
 
 
 @contextmanager
