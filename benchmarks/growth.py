@@ -119,7 +119,7 @@ def quarantine(folder: Path, sizes: Sequence[int]) -> None:
         assert work.folder is not None
         each = (spent.seconds - less.seconds) / (work.size - smaller.size)
         memory = (spent.mebibytes - less.mebibytes) * (1 << 20) / (work.size - smaller.size)
-        sizes_of = [file.stat().st_size for file in (work.folder / "processed" / "quarantine").rglob("reason.json")]
+        sizes_of = [file.stat().st_size for file in (work.folder / "processed" / "quarantine").rglob("reason-*.json")]
         print(
             f"{work.size:14,.0f} {1e3 * each:.2f} ms a log (wanted {1e3 * REFUSED_LIMIT_S:g}), largest record "
             f"{max(sizes_of)} bytes (wanted {REFUSED_LIMIT_BYTES}), memory {memory:.0f} bytes a log"
