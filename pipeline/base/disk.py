@@ -120,11 +120,12 @@ class NewFile:
         Who may read it, as far as the mask of new files (``umask``) allows.
     """
 
-    def __init__(self, folder: Path, label: str = "new", mode: int = READABLE) -> None:
+    def __init__(self, folder: Path, label: str = "new", mode: int | None = None) -> None:
         self._above = _made(folder)
         short = os.fsdecode(os.fsencode(label)[-_LONGEST_NAME:])
         self._temporary = folder / f".{short}.{secrets.token_hex(8)}{TEMPORARY_ENDING}"
-        self.stream: BinaryIO = os.fdopen(os.open(self._temporary, _NEW, readable_in(folder, mode)), "wb", 1 << 20)
+        number = os.open(self._temporary, _NEW, readable_in(folder) if mode is None else mode)
+        self.stream: BinaryIO = os.fdopen(number, "wb", 1 << 20)
 
     def publish(self, name: str | None = None, stem: str = "", ending: str = "") -> Path:
         """Give the complete file its name, by default that of its content; return its path when all is on the disk."""
@@ -192,7 +193,7 @@ def said_content(name: str) -> str | None:
     return found[1] if found else None
 
 
-def write_kept(folder: Path, stem: str, ending: str, data: bytes, mode: int = READABLE) -> Path:
+def write_kept(folder: Path, stem: str, ending: str, data: bytes, mode: int | None = None) -> Path:
     """Keep a result as ``<stem>-<SHA-256><ending>`` in place of former ones of the same stem."""
     remove_temporary(folder, _ABANDONED_S)
     new = NewFile(folder, stem, mode)

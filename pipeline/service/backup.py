@@ -19,7 +19,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from pipeline.base.disk import READABLE, TEMPORARY_ENDING, NewFile, make_folder, sync_folder
+from pipeline.base.disk import TEMPORARY_ENDING, NewFile, make_folder, sync_folder
 from pipeline.base.errors import StoreError, UsageError
 from pipeline.base.lock import LOCK_FILE, writing
 from pipeline.service.database import Database
@@ -60,7 +60,7 @@ def backup(settings: Settings, file: Path) -> dict[str, Any]:
     listed: dict[str, tuple[int, str, int]] = {}
     with writing(settings.processed), tempfile.TemporaryDirectory() as temporary:
         copy = _copied(settings, Path(temporary))
-        new = NewFile(file.absolute().parent, file.name, 0o600 if copy else READABLE)
+        new = NewFile(file.absolute().parent, file.name, 0o600 if copy else None)
         try:
             with zipfile.ZipFile(new.stream, "w") as archive:
                 for name, path in [*([(DATABASE, copy)] if copy else []), *_files(settings, copy)]:

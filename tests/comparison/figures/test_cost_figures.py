@@ -29,7 +29,10 @@ def test_steps_of_whole_settling_times_are_taken_off_and_costs_stay() -> None:
     smooth = without_steps(cost)
     assert (np.isfinite(smooth) == np.isfinite(cost)).all()
     assert roughness(np.log(smooth)) < 0.4 * roughness(np.log(cost))
-    assert np.nanmedian(np.abs(smooth / cost - 1)) < 0.03
+    # near the limit of stability times rise without end, and a step of one sample is none of their size
+    inside = cost < 420
+    assert inside.sum() > 1300
+    assert np.median(np.abs(smooth / cost - 1)[inside]) < 0.03
 
 
 def test_a_smooth_map_is_left_as_it_is() -> None:
