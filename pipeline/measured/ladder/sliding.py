@@ -44,9 +44,10 @@ def sliding(loops: list[DeviceLoop], coulomb: Floats, command: Floats, force: Fl
         Of each device [N, Nm].
     """
     _, n, rows = command.shape
-    sensors = np.stack([loop.device[2] for loop in loops])
-    rates = np.stack([loop.device[0][1] for loop in loops])[:, None, :]
-    pushes = np.array([loop.device[1][1] for loop in loops])[:, None]
+    devices = [_by_sides(loop) for loop in loops]
+    sensors = np.stack([sensor for _, _, sensor in devices])
+    rates = np.stack([matrix[1] for matrix, _, _ in devices])[:, None, :]
+    pushes = np.array([push[1] for _, push, _ in devices])[:, None]
     holds = (coulomb * np.array([_blow(loop)[1] for loop in loops]))[:, None]
     whole = np.array([floor(loop.delay) for loop in loops])
     parts = _parts(loops, [loop.delay - floor(loop.delay) for loop in loops])
@@ -162,7 +163,7 @@ def _parts(loops: list[DeviceLoop], fractions: list[float]) -> tuple[_Part | Non
 def _part(loops: list[DeviceLoop], duration: Floats) -> _Part:
     slides, sticks, command, friction = [], [], [], []
     for loop, time in zip(loops, duration, strict=True):
-        matrix, push, _ = loop.device
+        matrix, push, _ = _by_sides(loop)
         held = matrix.copy()
         held[:2] = 0.0
         if loop.mode is not None:
@@ -177,6 +178,19 @@ def _part(loops: list[DeviceLoop], duration: Floats) -> _Part:
         sticks.append(moved(held, push, time)[0])
     named = (np.array(slides), np.array(sticks), np.array(command)[:, :, None], np.array(friction)[:, :, None])
     return _Part(np.maximum(duration, 1e-300), *named)
+
+
+def _by_sides(loop: DeviceLoop) -> tuple[Floats, Floats, Floats]:
+    """Return matrix, input and sensor of a device by the states of its sides: the motor's, the far mass's from there."""
+    matrix, push, sensor = loop.device
+    if loop.mode is None:
+        return matrix, push, sensor
+    near = 1.0 - loop.mode.far_mass
+    turn = np.eye(len(push))
+    turn[0, 2] = turn[1, 3] = -loop.mode.far_mass / near
+    turn[2, 2] = turn[3, 3] = 1 / near
+    back = np.linalg.inv(turn)
+    return turn @ matrix @ back, turn @ push, sensor @ back
 
 
 def _blow(loop: DeviceLoop) -> Floats:
