@@ -200,8 +200,10 @@ class _Motion:
         beyond = excess(self.loop, at.alpha, at.beta, np.where(modes.good, modes.pole, 0.5))
         size = np.abs(modes.amplitude) * (1 + beyond)
         rate = -np.log(np.abs(modes.pole), where=modes.good, out=np.ones_like(size))
-        peak = np.maximum(np.maximum(found.peak, found.sampled_peak)[at.index], self.quiet)
-        free = np.where(modes.good, untouched(modes, size, rate, beyond, peak), 0.0)
+        # a later sample may exceed the samples so far where nothing exceeds the motion between them
+        peaks = (np.maximum(values[at.index], self.quiet) for values in (found.peak, found.sampled_peak))
+        free = np.minimum.reduce([untouched(modes, size, rate, beyond, peak) for peak in peaks])
+        free = np.where(modes.good, free, 0.0)
         known = free > 0
         end = np.where(known, envelope_end(np.where(known, size, 0.0), rate, self.band), 0.0)
         known &= free > end + self.rows

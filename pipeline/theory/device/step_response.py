@@ -20,7 +20,10 @@ from pipeline.theory.device.motion import Motion, joined
 from pipeline.theory.device.pieces import DEGREE
 
 _BLOCK = 16
-"""Samples between two checks of which points are finished."""
+"""Samples before the first check of which points are finished."""
+
+_LARGEST_BLOCK = 8192
+"""Samples of all points together between two checks: fewer points take longer to check than to advance."""
 
 _FARTHEST = 1 << 18
 """Samples before the end of an envelope that are followed: next to the limit it may lie far above the motion."""
@@ -168,11 +171,13 @@ def first_reached(
     return np.array([passing.time() for passing in exact]), sampled
 
 
-def _rounds(samples: float, each: int) -> Iterator[int]:
-    """Yield numbers of at most ``each`` samples, so many in all."""
-    while samples > 0:  # falls
-        yield int(min(each, samples))
-        samples -= each
+def _rounds(samples: float, least: int, most: int = 0) -> Iterator[int]:
+    """Yield numbers of samples, so many in all: ``least``, and up to ``most`` a quarter of those before."""
+    passed = 0
+    while passed < samples:  # rises
+        count = int(min(max(least, min(passed // 4, most)), samples - passed))
+        yield count
+        passed += count
 
 
 class _Found:
@@ -243,7 +248,7 @@ def _follow(run: Motion, found: _Found) -> None:
             if asked.overshoot:
                 climbing.append(view.before_a_peak(found.known_peak(view.run)))
         run = joined(unknown)
-    found.restless.append(run.index[found.calm[run.index] * _BLOCK <= run.memory])
+    found.restless.append(run.index[found.calm[run.index] <= run.memory])
     found.unfinished.append(run.index)
     run, left = joined(climbing), asked.longest
     while left > 0:  # falls
@@ -282,7 +287,7 @@ def _marched(run: Motion, found: _Found, bands: Sequence[float], samples: float)
 
 
 def _advanced(run: Motion, found: _Found, bands: Sequence[float], samples: float) -> Motion:
-    for count in _rounds(samples, _BLOCK):
+    for count in _rounds(samples, _BLOCK, _LARGEST_BLOCK // len(run.index)):
         run.advance(count)
         if run.pieces:
             _note(run, found, bands)
@@ -311,9 +316,9 @@ def _finished(run: Motion, found: _Found, size: Floats) -> Booleans:
     motion, limit = np.maximum(run.size(), size.max(axis=0)), np.full(len(at), still)
     if asked.overshoot:
         limit = np.minimum(limit, np.maximum(_SETTLED * found.sampled_peak[at], asked.quiet))
-    found.quiet[at] = np.where(motion > limit, 0.0, found.quiet[at] + 1)
-    found.calm[at] = np.where(motion > still, 0.0, found.calm[at] + 1)
-    done = found.quiet[at] * _BLOCK > run.memory
+    found.quiet[at] = np.where(motion > limit, 0.0, found.quiet[at] + len(size))
+    found.calm[at] = np.where(motion > still, 0.0, found.calm[at] + len(size))
+    done = found.quiet[at] > run.memory
     if not asked.bands:
         done |= np.maximum(found.peak, found.sampled_peak)[at] > asked.enough
     elif not asked.overshoot:

@@ -118,7 +118,7 @@ def _least(loop: Loop, criterion: str) -> OptimalPoint:
 
     lowest, border = float(box(loop)[0][0]), boundary(loop)
     ends = border.beta if general else border.theta
-    edge = search_lines(along, ends[:1], ends[-1:])
+    edge = search_lines(along, ends.min(keepdims=True), ends.max(keepdims=True))
     inside = search(loop, cost, SMOOTH)
     if edge.cost[0] > inside.cost:
         return inside

@@ -152,16 +152,25 @@ _Part = tuple[Floats, Floats, Floats]
 
 
 def _chained(parts: list[_Part]) -> list[_Part]:
-    """Order and turn parts so that each starts at the end of the one before, or nearest to it."""
+    """Order and turn parts so that each goes on where those before it begin or end, or nearest to that."""
     rest = sorted(parts, key=lambda part: float(part[2][0]))
     chain = [rest.pop(0)]
     while rest:  # ends: each round takes one part away
-        end = np.array([chain[-1][1][-1], chain[-1][2][-1]])
-        gaps = [min((float(np.hypot(p[1][i] - end[0], p[2][i] - end[1])), i) for i in (0, -1)) for p in rest]
-        nearest = min(range(len(rest)), key=lambda j: gaps[j][0])
-        part = rest.pop(nearest)
-        chain.append(part if gaps[nearest][1] == 0 else (part[0][::-1], part[1][::-1], part[2][::-1]))
-    return chain
+        _, which, touching, end = min(
+            (float(np.hypot(part[1][i] - chain[k][1][k], part[2][i] - chain[k][2][k])), j, i, k)
+            for j, part in enumerate(rest)
+            for i in (0, -1)
+            for k in (0, -1)
+        )
+        part = _turned(rest.pop(which), touching == end)
+        chain = [part, *chain] if end == 0 else [*chain, part]
+    turn = chain[0][2][0] > chain[-1][2][-1]
+    return [_turned(part, turn) for part in chain[:: -1 if turn else 1]]
+
+
+def _turned(part: _Part, turn: bool) -> _Part:
+    theta, alpha, beta = (values[::-1] if turn else values for values in part)
+    return theta, alpha, beta
 
 
 def _last_angle(loop: Loop, theta: float) -> float:

@@ -142,6 +142,21 @@ def test_overshoot_long_after_settling_is_found():
         np.testing.assert_allclose(found[name], plain[of_plain], rtol=1e-11, atol=1e-12, err_msg=name)
 
 
+def test_a_later_sample_may_exceed_the_samples_so_far():
+    """The motion's largest excess comes first, 0.94355; no sample meets it, and the 93rd comes closest."""
+    loop, beta = Loop(0, 0, 1), 0.2041052336331193
+    alpha = 0.10468793422177697 * np.linspace(1, 0.999, 300)
+    state, matrix = np.tile(loop.initial("step"), (300, 1)), loop.matrix(alpha, np.full(300, beta))
+    largest = np.zeros(300)
+    for _ in range(20000):
+        state = (matrix @ state[..., None])[..., 0]
+        largest = np.maximum(largest, state[:, 0])
+    name = "overshoot_discrete"
+    found = point_costs_by_name(loop, alpha, np.full(300, beta), ["settle_2pct", name], 1 << 16)[name]
+    assert largest[0] == pytest.approx(0.9432529, abs=1e-7)
+    np.testing.assert_allclose(found, largest, rtol=1e-10)
+
+
 def test_a_response_inside_the_band_before_a_jump_ends():
     """A row of the map of 801 x 801 points at d = 4: a point was inside the band before its jump, which never ended."""
     loop = Loop(0, 0, 4)

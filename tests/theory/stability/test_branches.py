@@ -11,6 +11,7 @@ import pytest
 from independent import DIGITS, characteristic
 
 from pipeline.loop.loop import Loop
+from pipeline.theory.stability.boundary import boundary
 from pipeline.theory.stability.branches import FOLD, beta_above_start, curve, curve_points, folded
 
 NYQUIST = math.pi**2
@@ -133,3 +134,22 @@ def test_damping_above_the_start_keeps_its_digits(values):
     share = beta_above_start(c, small) / small**2
     np.testing.assert_allclose(share, share[-1], rtol=1e-4)
     np.testing.assert_allclose(share[2:], share[-1], rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "loop",
+    [
+        Loop(0.11088747614118255, 0.007415654839155998, 5),
+        Loop(0.06212016989352451, 0.39703419797576445, 28.282591748854514),
+        Loop(0.12617174685976956, 1.1303816323042108, 4.605959410859267),
+    ],
+    ids=str,
+)
+def test_the_boundary_of_several_branches_is_one_line_around_what_is_stable(loop):
+    """It begins and ends on alpha = -gamma; once it began in the corner at the least damping."""
+    border = boundary(loop, 200)
+    height, width = border.alpha_max + loop.gamma, border.beta_max - border.beta.min()
+    steps = np.hypot(np.diff(border.alpha) / height, np.diff(border.beta) / width)
+    assert steps.max() < 0.05
+    assert border.alpha[[0, -1]] == pytest.approx(-loop.gamma, abs=1e-9 * height)
+    assert border.beta[0] < border.beta[-1]
