@@ -125,7 +125,7 @@ def experiment_result(data: SceneData, stages: ExperimentStages, theory: Theory 
         use = None
     else:
         use, why = region_to_use(result, stages)
-    causes = () if gains is None else (gains.cause,)
+    causes = () if gains is None or gains.few else (gains.cause,)
     result = result.model_copy(update={"use": use, "use_reason": why or None, "causes": causes})
     return _with_loop(data, stages, result, units) if "delay" in needed else result
 

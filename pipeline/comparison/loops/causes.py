@@ -61,7 +61,7 @@ def direct_causes(
     A cause whose effect on the limit is known and below `MATTERS` is not told.
     """
     departures, fitted = shown.departures, shown.fitted
-    found = [] if shown.gains is None else [shown.gains.cause]
+    found = [] if shown.gains is None or shown.gains.few else [shown.gains.cause]
     found += law_causes(departures, stages)[:MOST]
     if fitted is not None and fitted.tells:
         parts = part_causes(stages, fitted, shown.velocity, units)

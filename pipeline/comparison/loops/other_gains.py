@@ -8,6 +8,7 @@ from pathlib import PurePath
 import numpy as np
 
 from pipeline.base.wording import counted, listed
+from pipeline.comparison.loops.log_evidence import FEWEST_LOGS
 from pipeline.measured.law.stated_wall import OTHER_WALL
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.batch import Floats
@@ -38,6 +39,11 @@ class OtherGains:
     def most(self) -> bool:
         """Whether so many logs obey another wall that nothing is told in units of K and B."""
         return len(self.logs) > MOST * self.of
+
+    @property
+    def few(self) -> bool:
+        """Whether so few logs obey another wall that they say nothing of the course: they are left out by name."""
+        return len(self.logs) < min(FEWEST_LOGS, self.of)
 
     @property
     def cause(self) -> Cause:

@@ -181,7 +181,7 @@ def _part(loops: list[DeviceLoop], duration: Floats) -> _Part:
 
 
 def _by_sides(loop: DeviceLoop) -> tuple[Floats, Floats, Floats]:
-    """Return matrix, input and sensor of a device by the states of its sides: the motor's, the far mass's from there."""
+    """Return matrix, input and sensor of a device by its sides: the motor's, and the far mass's from there."""
     matrix, push, sensor = loop.device
     if loop.mode is None:
         return matrix, push, sensor

@@ -54,7 +54,7 @@ def course(codes, filters=None):
     return SimpleNamespace(
         verdicts=SimpleNamespace(verdict=np.array(["stable"] * len(codes))),
         texts=lambda stage, name: columns[name],
-        column=lambda stage, name: np.zeros(len(codes)),
+        column=lambda stage, name: np.full(len(codes), np.nan if name.startswith("obeyed") else 0.0),
     )
 
 

@@ -183,7 +183,8 @@ def test_estimates_of_noisy_logs_hold_the_truth(noisy):
 
 
 def test_needs_are_those_of_the_definitions():
-    assert required(["boundary"]) == {"boundary", "response"}
+    # a trial whose command obeys another wall than stated is none of the boundary
+    assert required(["boundary"]) == {"boundary", "response", "wall_law"}
     assert required(["overshoot"]) == {"overshoot", "response"}
     assert required(["settling"]) == {"settling", "response", "wall_law", "delay", "model", "ladder"}
     assert required(["energy"]) == {"energy", "damping", "mass", *required(["settling"])} - {"settling"}
