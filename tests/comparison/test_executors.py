@@ -26,8 +26,8 @@ from pipeline.store import objects
 from pipeline.store.mirror import opened, stored_by
 from pipeline.store.storage import list_experiments
 
-NEEDED = {"response", "boundary", "delay", "outcome"}
-ALL = NEEDED | {"model", "damping", "mass", "energy", "settling", "overshoot", "windows", "wall_law", "ladder"}
+NEEDED = {"response", "wall_law", "boundary", "delay", "outcome"}
+ALL = NEEDED | {"model", "damping", "mass", "energy", "settling", "overshoot", "windows", "ladder"}
 NAMES = ("1", "2", "3", "4")
 
 

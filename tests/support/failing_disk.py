@@ -84,9 +84,9 @@ class FailingOs:
             self._note("unlink", str(path))
         os.unlink(path)
 
-    def mkdir(self, path: Path) -> None:
+    def mkdir(self, path: Path, mode: int = 0o777) -> None:
         self._note("mkdir", str(path))
-        os.mkdir(path)
+        os.mkdir(path, mode)
 
 
 def after_power_loss(
