@@ -79,6 +79,7 @@ def test_what_is_not_new_is_not_computed_by_several_processes_either(lwr, tmp_pa
     shutil.copytree(lwr.processed / "trials", tmp_path / "trials")
     whole = lwr.stages("delay-2", tmp_path)
     some = stages.ExperimentStages(tmp_path, "lwr", "delay-2", whole.trials.slice(30))
+    some.table("wall_law")
     some.table("delay")
     monkeypatch.setattr(os, "cpu_count", lambda: 2)
     monkeypatch.setattr(stage_pool, "LARGE", 20)
@@ -93,7 +94,7 @@ def test_what_is_not_new_is_not_computed_by_several_processes_either(lwr, tmp_pa
     monkeypatch.setattr(shared_groups.SharedGroups, "map", counted)
     compute_stages([whole], NEEDED)
     monkeypatch.undo()
-    assert computed == [30, 30], "response and delay"
+    assert computed == [30, 30, 30], "response, wall law and delay"
     for stage in NEEDED:
         assert whole.table(stage).equals(lwr.stages("delay-2").table(stage)), stage
 

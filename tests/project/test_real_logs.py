@@ -259,10 +259,10 @@ def test_a_log_without_a_step_is_compared_with_reasons_only(stored, device, tmp_
     assert experiment.estimates["mass"].value is None
     assert "no step was commanded" in experiment.estimates["delay_samples"].reason
     folder = stored / "stages" / device
-    (outcomes,) = (pq.read_table(path).to_pylist() for path in folder.glob("*/outcome.parquet"))
+    (outcomes,) = (pq.read_table(path).to_pylist() for path in folder.glob("*/outcome-*.parquet"))
     assert [(row["outcome"], row["evidence"]) for row in outcomes] == [("no_step", "no step was commanded (step is 0)")]
     for stage, column in (("overshoot", "overshoot"), ("settling", "settle_2pct"), ("energy", "energy_w0")):
-        (rows,) = (pq.read_table(path).to_pylist() for path in folder.glob(f"*/{stage}.parquet"))
+        (rows,) = (pq.read_table(path).to_pylist() for path in folder.glob(f"*/{stage}-*.parquet"))
         assert [row[column] for row in rows] == [None]
         assert rows[0]["reason"]
 

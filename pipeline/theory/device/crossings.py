@@ -226,13 +226,6 @@ def polished(loop: DeviceLoop, beta: Floats, place: Floats) -> Floats:
     return np.array([float(a) for a in result])
 
 
-def points_at(loop: DeviceLoop, place: Floats) -> tuple[Floats, Floats]:
-    """Return alpha and beta of the crossings at ln s, shape (n,)."""
-    inverse, rate = _inverse_and_rate(loop, place)
-    beta = inverse.imag / rate.imag
-    return inverse.real - beta * rate.real, beta
-
-
 def _solved(loop: DeviceLoop, b: Branches, cell: Integers, beta: Floats) -> Floats:
     """Return ln s at which a cell meets its beta, by halving."""
     low, high = b.low[cell], b.high[cell]
