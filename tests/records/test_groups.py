@@ -261,10 +261,10 @@ class ReadOnly(FailingOs):
             raise OSError(errno.EROFS, os.strerror(errno.EROFS), str(path))
         return os.open(path, flags, mode)
 
-    def mkdir(self, path):
+    def mkdir(self, path, mode=0o777):
         if self.folder in (Path(path), *Path(path).parents):
             raise OSError(errno.EROFS, os.strerror(errno.EROFS), str(path))
-        os.mkdir(path)
+        os.mkdir(path, mode)
 
     write, fsync, close = staticmethod(os.write), staticmethod(os.fsync), staticmethod(os.close)
     replace, unlink = staticmethod(os.replace), staticmethod(os.unlink)

@@ -72,7 +72,9 @@ def test_push_uploads_a_folder_and_resumes(empty, logs, tmp_path):
     (refused,) = report["quarantined"]
     assert refused["path"] == "below/bad.csv"
     again = run("push", tmp_path / "raw", *to)
-    assert (again.returncode, json.loads(again.stdout)["skipped"]) == (0, len(logs) + 1)
+    # what was refused is refused again, with its reason
+    assert (again.returncode, json.loads(again.stdout)["skipped"]) == (3, len(logs))
+    assert [one["path"] for one in json.loads(again.stdout)["quarantined"]] == ["below/bad.csv"]
     assert stored_rows(tmp_path / "processed").total() == len(logs)
 
 
