@@ -30,6 +30,9 @@ from pipeline.store.mirror import publish
 OTHER_GAINS = "other_gains"
 """Key in ``extra`` of a trial whose command obeys other gains than its header says: which, and what cures it."""
 
+OPEN_FILES = 8
+"""Files that are written at once: each recording may be an experiment of its own, and open files are few."""
+
 
 @dataclass(frozen=True, eq=False)
 class Accepted:
@@ -132,10 +135,13 @@ class TrialWriter:
 
     def flush(self) -> list[Source]:
         """Make all that was collected visible and return its sources; after an error all that is stored is valid."""
-        for batch in self._batches.values():
-            batch.write_pending()
-        # each waits for what it has begun to write
-        self.folders.update(path.parent for path in each(_Batch.publish, list(self._batches.values())))
+        batches = list(self._batches.values())
+        for start in range(0, len(batches), OPEN_FILES):
+            some = batches[start : start + OPEN_FILES]
+            for batch in some:
+                batch.write_pending()
+            # each waits for what it has begun to write
+            self.folders.update(path.parent for path in each(_Batch.publish, some))
         self._batches.clear()
         publish(self.processed)
         sources, self._sources, self._bytes = self._sources, [], 0
