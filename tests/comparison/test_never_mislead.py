@@ -81,7 +81,7 @@ def test_nothing_is_recommended_in_units_that_the_command_does_not_obey(tmp_path
     assert found.causes[0].code == "other_gains"
     assert words in found.causes[0].sentence
     assert found.use is found.passive is found.loop_boundary is None
-    assert found.optimum == {}
+    assert (found.optimum, found.scores) == ({}, ())
     assert not any(point.unstable or point.estimate for point in found.boundary)
     assert (result.answer.verdict, result.answer.use) == (found.causes[0].sentence, "")
     assert all(row.trial_id is None for row in result.tables)

@@ -10,6 +10,7 @@ import numpy as np
 from pipeline.base.wording import counted
 from pipeline.comparison.compare_experiment import estimated_theories
 from pipeline.comparison.loops.loop_range import loop_delay
+from pipeline.comparison.loops.other_gains import other_gains
 from pipeline.comparison.scene.scene import SceneData
 from pipeline.comparison.scores.agreement import boundary_distance, verdict_agreement
 from pipeline.comparison.scores.implied_slope import limits_of
@@ -55,6 +56,10 @@ def add_scores(
     estimated = estimated_theories(results, data) if data.overlay else {}
     scored = []
     for result, stages in zip(results, data.experiments, strict=True):
+        gains = stages.once(other_gains)
+        if gains is not None and gains.most:
+            scored.append(result)  # what few trials are left says nothing of the device in these units
+            continue
         name = result.experiment
         nominal, own = theories.get(name), estimated.get(name)
         found = []
