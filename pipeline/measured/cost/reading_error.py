@@ -321,15 +321,23 @@ def _gain_at_rest(batch: TrialBatch, response: Response, kept: Floats, answered:
         & (column < (batch.rows - (number - 1) * part)[:, None])
         for number in (1, 2, 3)
     ]
-    squares = [np.mean(distance, axis=1, where=some) for some in last]
-    own, fed_back = (np.mean(variance, axis=1, where=last[0]) for variance in (kept, answered))
+    squares = [_mean(distance, some) for some in last]
+    own, fed_back = (_mean(variance, last[0]) for variance in (kept, answered))
     # NaN, and so false, where K <= 0
     travel = np.abs(response.position_final_expected - response.position_start)
     rests = known & (np.sqrt(squares[0]) <= LARGEST_REST * travel) & (fed_back > 0)
     rests &= squares[0] >= STAYS**2 * squares[1]
     small = squares[0] <= (REST_FLOORS * response.floor) ** 2
     rests &= small | (squares[0] >= STAYS**2 * squares[2])
-    more = rests & (squares[0] > EXCESS**2 * (own + fed_back))
+    # friction may hold the device beside its final position, where it does not move
+    moves = squares[0] - _mean(batch.position - response.position_final_expected[:, None], last[0]) ** 2
+    more = rests & (moves > EXCESS**2 * (own + fed_back))
     gain = np.divide(squares[0] - own, fed_back, out=np.ones(len(batch)), where=more)
     result: Floats = np.where(rests, gain, np.nan)
+    return result
+
+
+def _mean(values: Floats, some: Booleans) -> Floats:
+    """Mean of some values of each trial, 0 where there are none, shape (n,)."""
+    result: Floats = np.where(some, values, 0.0).sum(axis=1) / np.maximum(some.sum(axis=1), 1)
     return result
