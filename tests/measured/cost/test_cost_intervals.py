@@ -288,7 +288,7 @@ def test_a_slow_swing_that_passes_a_band_has_no_upper_end(seed):
 
 
 def test_a_device_that_friction_stops_inside_a_band_has_settled():
-    """It rests beside its final position, which is no motion that noise feeds; the same logs ten times as long agree."""
+    """It rests beside its final position, which noise does not feed; the same logs four times as long agree."""
     K, B = np.array([1623.0, 3196.0, 1580.0, 2332.0, 3823.0]), np.array([54.4, 83.0, 54.9, 87.1, 61.5])
     long = moving.record(K, B, mass=0.58, b=4.0, c=0.15, step=8.0, delay=4, quantum=2e-6, rows=1500, fine=10)
     cut = {name: getattr(long, name)[:, :400] for name in ("time", "command", "position")}
