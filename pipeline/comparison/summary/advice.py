@@ -54,8 +54,8 @@ def region_to_use(result: ExperimentResult, stages: ExperimentStages) -> tuple[U
     Notes
     -----
     Usable are stable trials at K > 0 that overshoot by at most `CALM`, as far as that is known. Where too few of them
-    have a cost, the stiffest walls at the margin `FAR` are named. The one to set has a cost of its own, and its log came
-    to rest undisturbed.
+    have a cost, the stiffest walls at the margin `FAR` are named. The one to set has a cost of its own, and its log
+    came to rest undisturbed.
     """
     # a limit that nothing bounds from below is none to keep away from: those beside it are
     limits = measured_limits([p for p in result.boundary if p.low is None or p.low > 0])
