@@ -94,11 +94,9 @@ def _limits(
     missed = missed[np.isfinite(missed)]
     reach = NORMAL_95 * TYPICAL * float(np.median(missed)) * value if len(missed) else np.zeros_like(value)
     low, high = value - np.hypot(value - low, reach), value + np.hypot(high - value, reach)
-    rows = zip(damping, value, low, high, linear, strict=True)
+    rows = np.stack((damping, value, low, high, linear), axis=1).tolist()
     return tuple(
-        LoopLimit(
-            damping=float(B), stiffness=float(K), low=max(float(a), 0.0), high=float(b), stiffness_large_motion=float(far)
-        )
+        LoopLimit(damping=B, stiffness=K, low=max(a, 0.0), high=b, stiffness_large_motion=far)
         for B, K, a, b, far in rows
         if np.isfinite(K)
     )
