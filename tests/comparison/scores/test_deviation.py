@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from pipeline.comparison.loops.loop_range import MATTERS
 from pipeline.comparison.scores.deviation import _least_in_range, deviation
 from pipeline.loop.loop import Loop
 from pipeline.theory.cost.maps import costs_at
@@ -102,3 +103,29 @@ def test_a_model_part_that_single_trials_decide_is_told_as_one() -> None:
         found = deviation(a, b, expected, measured, np.ones(20, dtype=bool), (1.0, 1.0, float(measured.min())))
         kept[noise] = found.steady
     assert kept == {0.02: True, 0.3: False}
+
+
+@pytest.mark.parametrize("course", ["sticky", pytest.param("noisy", marks=pytest.mark.slow)])
+def test_a_headline_keeps_its_sign_without_any_one_trial_or_is_said_to_rest_on_few(
+    course, request, one_process, monkeypatch
+):
+    """A course with friction, and an ideal device with jitter: each trial that has both costs is left out in turn."""
+    asked = []
+
+    def told(*of):
+        asked.append((of, found := deviation(*of)))
+        return found
+
+    monkeypatch.setattr("pipeline.comparison.scores.deviation.deviation", told)
+    request.getfixturevalue(course).compare()
+    assert asked
+    for (*points, use, least), whole in asked:
+        for left_out in np.flatnonzero(use) if whole.steady else ():
+            others = use.copy()
+            others[left_out] = False
+            alpha, beta, expected, measured = points
+            without = deviation(
+                alpha, beta, np.where(np.arange(len(use)) == left_out, np.nan, expected), measured, others, least
+            )
+            turned = without.model * whole.model < 0
+            assert not turned or max(abs(without.model), abs(whole.model)) < 100 * MATTERS + 0.5
