@@ -18,6 +18,7 @@ DIRECTLY: dict[str, tuple[str, ...]] = {
     "plan": ("store", "device_data", "measured", "theory"),
     "comparison": ("profiles", "rendering", "plan"),
     "surface": ("intake", "simulation", "comparison"),
+    "rig": ("surface",),
     # they hold estimators against simulated truth, whose exact costs and limits are those of theory
     "studies": ("measured", "theory", "simulation", "rendering"),
 }
