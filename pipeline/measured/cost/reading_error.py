@@ -329,9 +329,7 @@ def _gain_at_rest(batch: TrialBatch, response: Response, kept: Floats, answered:
     rests &= squares[0] >= STAYS**2 * squares[1]
     small = squares[0] <= (REST_FLOORS * response.floor) ** 2
     rests &= small | (squares[0] >= STAYS**2 * squares[2])
-    # friction may hold the device beside its final position, where it does not move
-    moves = squares[0] - _mean(batch.position - response.position_final_expected[:, None], last[0]) ** 2
-    more = rests & (moves > EXCESS**2 * (own + fed_back))
+    more = rests & (squares[0] > EXCESS**2 * (own + fed_back))
     gain = np.divide(squares[0] - own, fed_back, out=np.ones(len(batch)), where=more)
     result: Floats = np.where(rests, gain, np.nan)
     return result

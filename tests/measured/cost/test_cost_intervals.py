@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 
-import moving
 import not_ideal
 import numpy as np
 import pytest
@@ -285,20 +284,3 @@ def test_a_slow_swing_that_passes_a_band_has_no_upper_end(seed):
         told = np.isfinite(interval.high[name])
         assert (true[told] <= interval.high[name][told] + 10).all()
         assert (true[told] <= rows).all()
-
-
-def test_a_device_that_friction_stops_inside_a_band_has_settled():
-    """It rests beside its final position, which noise does not feed; the same logs four times as long agree."""
-    K, B = np.array([1623.0, 3196.0, 1580.0, 2332.0, 3823.0]), np.array([54.4, 83.0, 54.9, 87.1, 61.5])
-    long = moving.record(K, B, mass=0.58, b=4.0, c=0.15, step=8.0, delay=4, quantum=2e-6, rows=1500, fine=10)
-    cut = {name: getattr(long, name)[:, :400] for name in ("time", "command", "position")}
-    batch = dataclasses.replace(long, rows=np.full(len(K), 400), **cut)
-    found, later = (settling(each, find_response(each), judge(each), 4) for each in (batch, long))
-    response = find_response(batch)
-    interval = settling_interval(batch, response, reading_error(batch, response, 4), found, 4)
-    # the other bands end where friction stops the device
-    name = "settle_5pct"
-    np.testing.assert_array_equal(found.samples[name], later.samples[name])
-    assert (interval.low[name] <= found.samples[name]).all()
-    assert (interval.high[name] >= later.samples[name]).all()
-    assert (interval.high[name] <= found.samples[name] + 10).all()
