@@ -26,7 +26,7 @@ from pipeline.records.findings import Record
 from pipeline.records.models import Grip, Motion, Name
 
 Format = Literal[
-    "native", "delimited", "json", "parquet", "feather", "matlab", "hdf5", "rosbag", "mcap", "tdms"
+    "native", "delimited", "json", "parquet", "feather", "matlab", "hdf5", "rosbag", "mcap", "tdms", "mdf"
 ]  # fmt: skip
 Condition = Literal[
     "device", "experiment", "stiffness", "damping", "step", "sampling_period_s", "added_delay_samples", "grip"

@@ -20,7 +20,7 @@ from pipeline.profiles.profile_columns import QUANTITIES, ColumnSource, CommandS
 from pipeline.profiles.profile_model import REQUIRED_CONDITIONS, Profile, StepTime, Window
 from pipeline.readers.conditions import conditions_of, entry_of, header_of
 from pipeline.readers.file_kind import refuse_other_kind
-from pipeline.readers.formats import module_of
+from pipeline.readers.formats import read_file
 from pipeline.readers.frame import Frame
 from pipeline.readers.limits import KEPT_ATTRIBUTES, LONGEST_ATTRIBUTE
 from pipeline.readers.log import Log, RawLog, check_samples
@@ -37,9 +37,6 @@ of time differ by 60 at least, a log that drops half of its samples has a ratio 
 
 LONGEST_STEP = 1.5
 """Time between rows in sampling periods from which on a row is missing: a velocity says nothing of it."""
-
-LISTED_NAMES = 40
-"""Names of columns that a message lists."""
 
 
 def read(profile: Profile, raws: Sequence[RawLog], use_threads: bool) -> list[tuple[Log, ...] | LogError]:
@@ -78,28 +75,17 @@ def read_frames(profile: Profile, raw: RawLog) -> list[Frame]:
     LogError
         If a file cannot be read, is of another kind, lacks a column, or has times of a unit that the profile denies.
     """
-    module = module_of(profile.format)
-    frames = []
-    roles: tuple[Literal["source", "partner"], ...] = ("source", "partner")
-    for name, data in zip(raw.names, raw.data, strict=False):
+    for name, data in zip(raw.names, raw.data, strict=True):
         refuse_other_kind(name, profile.format, data)
-    names, contents, more = raw.names, raw.data, {}
-    if profile.partner is None and len(contents) > 1:
-        # the files of a split bag go on in each other
-        more = {"parts": tuple((name, len(data)) for name, data in zip(names, contents, strict=True))}
-        names, contents = names[:1], (b"".join(contents),)
-    for role, name, data in zip(roles, names, contents, strict=False):
-        wanted = profile.wanted(role)
-        frame: Frame = module.read_frame(profile, name, data, tuple(dict.fromkeys(wanted.values())), **more)
-        for key, column in wanted.items():
-            if column not in frame.columns:
-                found = list(frame.columns)[:LISTED_NAMES]
-                raise LogError(
-                    f"{name}: profile {profile.name} wants column {column!r} for {key}, found {found}. "
-                    "Correct the name in the profile, or the file.",
-                    code="column-missing",
-                )
-        _check_units(profile, name, role, frame)
+    # without a partner, several files are those of a split bag
+    split = profile.partner is None
+    parts = [(raw.names, raw.data)] if split else [((n,), (d,)) for n, d in zip(raw.names, raw.data, strict=True)]
+    roles: tuple[Literal["source", "partner"], ...] = ("source", "partner")
+    frames = []
+    for role, (names, data_of) in zip(roles, parts, strict=False):
+        wanted = tuple(dict.fromkeys(profile.wanted(role).values()))
+        frame = read_file(profile, names, data_of, wanted).frame()
+        _check_units(profile, names[0], role, frame)
         frames.append(frame)
     return frames
 

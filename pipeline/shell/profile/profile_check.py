@@ -22,8 +22,7 @@ from pipeline.profiles.profile_columns import QUANTITIES, ColumnSource, CommandS
 from pipeline.profiles.profile_model import CONDITION_QUANTITIES, CONDITIONS, Profile
 from pipeline.readers import Log, RawLog
 from pipeline.readers.conditions import entry_of, places_of
-from pipeline.readers.formats import module_of
-from pipeline.readers.frame import ColumnInfo
+from pipeline.readers.formats import read_file
 from pipeline.readers.obeyed import cure, obeyed
 from pipeline.readers.time_axis import step_flags
 from pipeline.records.batch import TrialBatch
@@ -133,16 +132,12 @@ def _hints(profile: Profile, raw: RawLog) -> dict[str, str]:
     if profile.format in ("native", "json"):  # they say nothing of columns
         return {}
     try:
-        infos = [info for data, name in zip(raw.data, raw.names, strict=True) for info in _infos(profile, name, data)]
+        files = zip(raw.data, raw.names, strict=True)
+        infos = [info for data, name in files for info in read_file(profile, (name,), (data,)).listed()]
     except LogError:  # what is not asked for may be damaged
         return {}
     by_position = {str(i + 1): info.hint for i, info in enumerate(infos)} if profile.format == "delimited" else {}
     return by_position | {info.name: info.hint for info in infos}
-
-
-def _infos(profile: Profile, name: str, data: bytes) -> list[ColumnInfo]:
-    infos: list[ColumnInfo] = module_of(profile.format).list_columns(name, data, profile)
-    return infos
 
 
 def _trial(profile: Profile, name: str, log: Log, motion: Motion, hints: dict[str, str]) -> CheckedTrial:

@@ -18,8 +18,8 @@ from pipeline.base.units import UNITS, find_unit, unit_in_heading
 from pipeline.profiles.profile_columns import QUANTITIES
 from pipeline.profiles.profile_lines import QUESTION
 from pipeline.profiles.profile_model import Format, Profile
-from pipeline.readers.formats import module_of
-from pipeline.readers.formats.plain_text import is_packed, unpacked
+from pipeline.readers.formats import read_file
+from pipeline.readers.formats.delimited import PACKED, unpacked
 from pipeline.readers.frame import ColumnInfo, Frame
 from pipeline.readers.layout import Layout, format_of, text_layout
 
@@ -71,8 +71,7 @@ class Sample:
 
     def frame(self, wanted: tuple[str, ...]) -> Frame:
         """Return columns by name as they stand in the file; raises LogError where they do not go together."""
-        result: Frame = module_of(self.kind).read_frame(self.profile, self.name, self.data, wanted)
-        return result
+        return read_file(self.profile, (self.name,), (self.data,), wanted).frame()
 
     @property
     def profile(self) -> Profile:
@@ -95,18 +94,17 @@ def open_sample(path: Path) -> Sample:
     except OSError as error:
         raise UsageError(f"{path}: cannot be read ({error.strerror}). Give a log.") from error
     kind = format_of(path.name, data)
-    if kind == "delimited" and is_packed(data):
+    if kind == "delimited" and data.startswith(tuple(PACKED)):
         kind = format_of(path.name, unpacked(path.name, data))
     layout = text_layout(path.name, data) if kind == "delimited" else Layout()
     sample = Sample(path.name, data, kind, layout, [])
     if kind == "native":
         return sample
-    infos: list[ColumnInfo] = module_of(kind).list_columns(path.name, data, sample.profile)
+    contents = read_file(sample.profile, (path.name,), (data,))
+    layout.keys |= contents.keys
+    infos = contents.listed()
     refused = [f"{info.name} {info.hint}" for info in infos if not info.rows and info.hint]
     infos = [info for info in infos if info.rows > 1 and info.name]
-    if kind == "json" and infos and infos[0].hint:
-        layout.keys["records"] = json.loads(infos[0].hint.removeprefix("records = "))
-        infos = [replace(info, hint="") for info in infos]
     if all(info.dtype == "text" for info in infos):
         raise LogError(
             "it holds no columns of numbers with several rows. "
