@@ -102,6 +102,8 @@ class Contents:
         The file, for messages.
     wanted : tuple of str
         Names that a profile asks for; a reader may leave out others. Empty means all.
+    most : int
+        Values that the file may hold.
     row_name : str
         What a row is called.
     columns : dict of str to array
@@ -118,6 +120,7 @@ class Contents:
 
     name: str
     wanted: tuple[str, ...] = ()
+    most: int = MOST_VALUES
     row_name: str = "sample"
     columns: dict[str, Array] = field(default_factory=dict)
     hints: dict[str, str] = field(default_factory=dict)
@@ -159,12 +162,12 @@ class Contents:
         except (LogError, MemoryError, OSError, TypeError, ValueError) as error:
             if self.wanted and self.asks(path) and not isinstance(error, TypeError | ValueError):
                 raise
-            large = f"claims more values than {MOST_VALUES}, or than this file may unpack to"
+            large = "claims more values than this file may unpack to"
             self.refused[path] = f"{large if isinstance(error, MemoryError) else error}."
             return
         self.values += column.size
-        if self.values > MOST_VALUES:
-            text = f"holds more than {MOST_VALUES} values"
+        if self.values > self.most:
+            text = f"claims more than {self.most} values"
             raise refusal("unpacks-too-large", self.name, text, "a log of one step response")
         self.columns[path] = column
         self.hints |= {path: hint} if hint else {}

@@ -102,6 +102,11 @@ def library(module: str, extra: str) -> Any:
         raise refusal("library-missing", "", found, cure=cure) from error
 
 
+def allowed_bytes(size: int) -> int:
+    """Return how many bytes a file of this size [byte] may unpack to."""
+    return min(4 * LARGEST_LOG, max(SMALL_FILE, EXPANSION * size))
+
+
 def serve() -> None:
     """Work on calls from standard input; the main loop of a worker process, which ends when its parent does."""
     begin_alone()
@@ -121,8 +126,7 @@ def serve() -> None:
                 import_module(needed)
         _alarm(seconds)
         size = len(arguments[1])
-        allowed = min(4 * LARGEST_LOG, max(SMALL_FILE, EXPANSION * size))
-        with ended_through(pipe), memory_for(allowed + size):  # nothing is sent before there is a result
+        with ended_through(pipe), memory_for(allowed_bytes(size) + size):  # nothing is sent before there is a result
             try:
                 with reading(arguments[0], kind):
                     outcome: tuple[bool, Any] = (True, work(*arguments))

@@ -146,7 +146,7 @@ def test_signals_are_listed_with_their_labels():
 def test_other_files_are_refused():
     with pytest.raises(LogError, match=r"version 4 file must be saved again"):
         frame(bytes(200))
-    with pytest.raises(LogError, match="no MATLAB file: expected version 5 or 7"):
+    with pytest.raises(LogError, match="no MATLAB file; expected version 5 or 7"):
         frame(b"time_s,command\n")
 
 

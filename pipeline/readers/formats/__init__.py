@@ -15,7 +15,8 @@ from typing import NamedTuple
 
 from pipeline.profiles.profile_model import Format, Profile
 from pipeline.readers.frame import Contents
-from pipeline.readers.isolation import isolated, library
+from pipeline.readers.isolation import allowed_bytes, isolated, library
+from pipeline.readers.limits import MOST_VALUES
 
 HDF5 = b"\x89HDF\r\n\x1a\n"
 
@@ -32,7 +33,8 @@ class FileFormat(NamedTuple):
     magic : tuple of bytes
         First bytes; none for text.
     libraries, extra
-        What the module imports, and the extra of this package that installs it.
+        What the module imports (pyarrow first where pandas is imported: it looks for it), and the extra of this package
+        that installs it.
     seconds_per_byte : float
         Processor time that reading may take: 3e-9 in most libraries, ten times that where it is packed, and other
         machines are six times slower. Messages, and objects in text, are made one by one: some 20 us for 60 bytes.
@@ -57,7 +59,7 @@ FORMATS: dict[Format, FileFormat] = {
     "json": FileFormat("json", "JSON", seconds_per_byte=1e-6),
     "parquet": FileFormat("arrow", "a Parquet or Feather file", (b"PAR1",), ("pyarrow.parquet",)),
     "feather": FileFormat("arrow", "a Parquet or Feather file", (b"ARROW1", b"FEA1"), ("pyarrow.parquet",)),
-    "matlab": FileFormat("matlab", "a MATLAB file", (b"MATLAB 5.0", b"MATLAB 7.3"), ("scipy.io", "matio"), "mat"),
+    "matlab": FileFormat("matlab", "a MATLAB file", (b"MATLAB 5.0", b"MATLAB 7.3"), ("pyarrow", "scipy.io", "matio"), "mat"),
     "hdf5": FileFormat("hdf5", "an HDF5 file", (HDF5,), ("h5py",), "hdf5"),
     "rosbag": FileFormat(
         "bags", "a ROS bag", (b"#ROSBAG", b"SQLite format 3\0"), ("rosbags.highlevel",), "bags", seconds_per_byte=4e-6
@@ -66,7 +68,7 @@ FORMATS: dict[Format, FileFormat] = {
         "bags", "an MCAP file", (b"\x89MCAP0\r\n",), ("rosbags.highlevel",), "bags", seconds_per_byte=4e-6
     ),
     "tdms": FileFormat("tdms", "a TDMS file", (b"TDSm",), ("nptdms",), "tdms"),
-    "mdf": FileFormat("mdf", "an MDF file", (b"MDF     ",), ("asammdf",), "mdf"),
+    "mdf": FileFormat("mdf", "an MDF file", (b"MDF     ",), ("pyarrow", "asammdf"), "mdf"),
 }
 
 
@@ -106,11 +108,12 @@ def read_here(
             start += size
         form = FORMATS[settings.format]
         module = library(f"{__name__}.{form.module}", form.extra)
-        contents = Contents(name, wanted)
+        most = min(MOST_VALUES, allowed_bytes(len(data)) // 8)
+        contents = Contents(name, wanted, most)
         module.read(paths[0], settings, contents)
         if contents.lacks():
             # the refusal tells what there is
-            contents = Contents(name)
+            contents = Contents(name, most=most)
             module.read(paths[0], settings, contents)
             contents.wanted = wanted
     return contents

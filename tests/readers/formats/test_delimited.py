@@ -108,13 +108,13 @@ def test_encodings_hold_the_same_names_and_values(encoding, layout):
 def test_packed_files_hold_the_same_values(pack):
     packed = pack(PLAIN.encode())
     assert values(read(packed)) == EXPECTED
-    with pytest.raises(LogError, match=r"run.txt cannot be unpacked \((gzip|zstd)\)"):
+    with pytest.raises(LogError, match=r"run.txt: cannot be unpacked \((gzip|zstd)\)"):
         read(packed[:-6])
 
 
 def test_a_file_that_unpacks_to_too_much_is_refused():
     with pytest.raises(LogError, match=r"unpacks to more than|takes more memory"):
-        read(gzip.compress(PLAIN.encode() + b"3,0,0\n" * (300 << 17)))
+        read(gzip.compress(PLAIN.encode() + b"3,0,0\n" * (45 << 20)))
 
 
 def test_columns_without_names_are_taken_by_position():
