@@ -1,7 +1,7 @@
 """What a format reader hands on: named arrays as they stand in a file, without units, signs or guesses.
 
-A format is a function ``read(path, settings, contents)`` that adds what it finds to a `Contents`; `Contents.frame` takes
-the columns that a profile wants, `Contents.listed` says what there is. `pipeline.readers.mapping` turns frames into logs.
+A format is a function ``read(path, settings, contents)`` that adds what it finds to a `Contents`. `Contents.frame`
+takes the columns that a profile wants, `Contents.listed` says what there is; `mapping` turns frames into logs.
 """
 
 from __future__ import annotations
@@ -224,6 +224,8 @@ class Contents:
 
     def listed(self) -> list[ColumnInfo]:
         """Return what `frame` can take, with first values; what cannot be read has no rows, and the reason as hint."""
+        if not self.columns and not self.refused:
+            raise refusal("empty", self.name, "holds no columns", "recorded signals")
         infos, lengths = [], self._lengths(self.columns)
         for base, array in self.columns.items():
             for key, index in _elements(base, array, lengths):
@@ -263,7 +265,7 @@ class Contents:
             bare = key.removeprefix("/")
             if wanted.removeprefix("/") == bare or wanted.removeprefix("/").startswith((f"{bare}.", f"{bare}[")):
                 raise LogError(f"{self.name}: {key!r} {reason}", code="unsupported")
-        known = [info.name for info in self.listed() if info.rows]
+        known = [info.name for info in self.listed() if info.rows] if self.columns else []
         near = get_close_matches(wanted, known, 3)
         nearest = f" Nearest: {', '.join(near)}." if near else ""
         listing = ", ".join(known[:LISTED_NAMES]) + (", ..." if len(known) > LISTED_NAMES else "") or "none"

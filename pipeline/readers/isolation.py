@@ -1,8 +1,8 @@
 """Reads files in a process of its own, with bounded time and memory: one place for all formats.
 
 A log comes from a foreign computer: cut, changed on the way, or larger than it looks. libhdf5 loops for ever on some
-changed bytes, and the Arrow IPC reader is killed by the operating system on others (seen with
-h5py 3.16 and pyarrow 26.0); no exception can be caught then. A worker reads many files; one that dies costs only its file.
+changed bytes, and the Arrow IPC reader is killed by the operating system on others (h5py 3.16, pyarrow 26.0); no
+exception can be caught then. A worker reads many files; one that dies costs only its file.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ MOST_ARRAYS = 10_000
 SMALL_FILE = 64 << 20
 """Bytes that reading any file may take: 10^6 rows of eight columns; a constant column packs 1000 times and more."""
 
-EXPANSION = 100
+EXPANSION = 30
 """Times its own size that reading a larger file may take; recorded samples pack 1 to 20 times."""
 
 COPIES = 3

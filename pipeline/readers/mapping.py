@@ -75,11 +75,11 @@ def read_frames(profile: Profile, raw: RawLog) -> list[Frame]:
     LogError
         If a file cannot be read, is of another kind, lacks a column, or has times of a unit that the profile denies.
     """
-    for name, data in zip(raw.names, raw.data, strict=True):
+    for name, data in zip(raw.names, raw.data, strict=False):
         refuse_other_kind(name, profile.format, data)
     # without a partner, several files are those of a split bag
     split = profile.partner is None
-    parts = [(raw.names, raw.data)] if split else [((n,), (d,)) for n, d in zip(raw.names, raw.data, strict=True)]
+    parts = [(raw.names, raw.data)] if split else [((n,), (d,)) for n, d in zip(raw.names, raw.data, strict=False)]
     roles: tuple[Literal["source", "partner"], ...] = ("source", "partner")
     frames = []
     for role, (names, data_of) in zip(roles, parts, strict=False):

@@ -137,6 +137,8 @@ def test_objects_of_matlab_are_named_with_their_export(tmp_path):
         item.attrs["MATLAB_class"] = np.bytes_("timeseries")
         item.attrs["MATLAB_object_decode"] = np.int32(3)
         file["#sigstream#/0/#data#"] = TIME
+    data = (tmp_path / "run.mat").read_bytes()
+    (tmp_path / "run.mat").write_bytes(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM" + data[128:])
     with pytest.raises(ProfileError) as caught:
         draft_profile(tmp_path / "run.mat")
     assert "class timeseries" in str(caught.value)

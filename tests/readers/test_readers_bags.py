@@ -95,7 +95,10 @@ def test_equal_stamps_are_joined_and_doubled_ones_kept():
 @pytest.mark.parametrize(
     ("wanted", "words"),
     [
-        (["/arm/joint.position[0]"], r"no topic with messages for the column.*'/arm/joints' \(sensor_msgs/.*40 messages"),
+        (
+            ["/arm/joint.position[0]"],
+            r"no topic with messages for the column.*'/arm/joints' \(sensor_msgs/.*40 messages",
+        ),
         (["/arm/joints.positions[0]"], r"Nearest: /arm/joints\.position\[0\]"),
         (["/arm/joints.position[3]"], r"no column '/arm/joints\.position\[3\]'"),
         (["/arm/joints.position"], "Name one element"),
@@ -125,7 +128,7 @@ def test_topics_are_listed(bags, kind):
 @pytest.mark.parametrize("kind", ["bag", "mcap"])
 def test_a_recording_that_was_cut_is_refused_with_what_mends_it(bags, kind):
     whole = bags[kind, ""]
-    with pytest.raises(LogError, match="`rosbag reindex`.*`mcap recover`"):
+    with pytest.raises(LogError, match=r"`rosbag reindex`.*`mcap recover`"):
         frame(kind, whole[: int(0.9 * len(whole))], "/arm/joints.position[0]")
 
 
@@ -198,7 +201,12 @@ def test_definitions_in_idl():
     parts.append(record(4, struct.pack("<HH", 1, 1) + text("/state") + text("cdr") + struct.pack("<I", 0)))
     for n in range(3):
         parts.append(record(5, struct.pack("<HIQQ", 1, n, n, n) + b"\0\1\0\0" + struct.pack("<ddi", n, 2 * n, -n)))
-    read = frame("mcap", b"".join([*parts, record(15, bytes(4)), record(2, bytes(20)), b"\x89MCAP0\r\n"]), "/state.q[1]", "/state.n")
+    read = frame(
+        "mcap",
+        b"".join([*parts, record(15, bytes(4)), record(2, bytes(20)), b"\x89MCAP0\r\n"]),
+        "/state.q[1]",
+        "/state.n",
+    )
     assert read.columns["/state.q[1]"].tolist() == [0.0, 2.0, 4.0]
     assert read.columns["/state.n"].tolist() == [0, -1, -2]
 

@@ -123,7 +123,7 @@ def test_a_doubled_key_is_refused_by_name_and_record(text, records, words, row):
 
 def test_records_that_share_no_names_take_no_table():
     text = json.dumps([{f"n{i}": i} for i in range(5000)])
-    with pytest.raises(LogError, match="claims more than .* values|takes more memory"):
+    with pytest.raises(LogError, match=r"claims more than .* values|takes more memory"):
         frame(text)
 
 

@@ -1,9 +1,9 @@
 """One table of file formats: a row is the function that reads it, the first bytes by which it is known, its library.
 
 A module of this folder has ``read(path, settings, contents)``: it adds the arrays of the file at ``path`` to the
-`Contents`, by the keys of a profile (``settings``). It runs in a process of its own, which bounds time and memory for all
-formats alike (`pipeline.readers.isolation`); whatever it raises is a damaged file. Native logs have a reader of their
-own, which parses many files at once.
+`Contents`, by the keys of a profile (``settings``). It runs in a process of its own, which bounds time and memory of all
+formats alike (`isolation`); whatever it raises is a damaged file. Native logs have a reader of their own, which parses
+many files at once.
 """
 
 from __future__ import annotations
@@ -59,7 +59,9 @@ FORMATS: dict[Format, FileFormat] = {
     "json": FileFormat("json", "JSON", seconds_per_byte=1e-6),
     "parquet": FileFormat("arrow", "a Parquet or Feather file", (b"PAR1",), ("pyarrow.parquet",)),
     "feather": FileFormat("arrow", "a Parquet or Feather file", (b"ARROW1", b"FEA1"), ("pyarrow.parquet",)),
-    "matlab": FileFormat("matlab", "a MATLAB file", (b"MATLAB 5.0", b"MATLAB 7.3"), ("pyarrow", "scipy.io", "matio"), "mat"),
+    "matlab": FileFormat(
+        "matlab", "a MATLAB file", (b"MATLAB 5.0", b"MATLAB 7.3"), ("pyarrow", "scipy.io", "matio"), "mat"
+    ),
     "hdf5": FileFormat("hdf5", "an HDF5 file", (HDF5,), ("h5py",), "hdf5"),
     "rosbag": FileFormat(
         "bags", "a ROS bag", (b"#ROSBAG", b"SQLite format 3\0"), ("rosbags.highlevel",), "bags", seconds_per_byte=4e-6
@@ -90,7 +92,7 @@ def read_file(settings: Profile, names: Sequence[str], data: Sequence[bytes], wa
         If the file cannot be read.
     """
     form = FORMATS[settings.format]
-    place, options = f"{__name__}:read_here", (settings, tuple(wanted), tuple(zip(names, map(len, data), strict=True)))
+    place, options = f"{__name__}:read_here", (settings, tuple(wanted), tuple(zip(names, map(len, data), strict=False)))
     bounds = {"imports": form.libraries, "seconds_per_byte": form.seconds_per_byte}
     contents: Contents = isolated(place, names[0], form.title, b"".join(data), *options, **bounds)
     return contents

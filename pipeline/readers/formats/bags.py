@@ -28,10 +28,11 @@ zstd = import_module("compression.zstd" if sys.version_info >= (3, 14) else "bac
 STAMP, RECEIVED = "@stamp", "@received"
 _ZSTD = b"\x28\xb5\x2f\xfd"
 _HEADER = "header.stamp"
+_ENDINGS = ((b"#ROSBAG", ".bag"), (b"SQLite", ".db3"), (b"\x89MCAP", ".mcap"))
 _STEP = re.compile(r"\.?([^.\[\]]+)|\[(\d+)\]")
 _TIMES = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
 _CLOSE = (
-    "A recording that was not closed is mended by `rosbag reindex`, `ros2 bag reindex` or `mcap recover`; other bags are "
+    "A recording that was not closed is mended by `rosbag reindex`, `ros2 bag reindex` or `mcap recover`; others are "
     "converted by `ros2 bag convert` where their message types are installed."
 )
 
@@ -56,7 +57,7 @@ def read(path: Path, settings: Profile, contents: Contents) -> None:
     if STAMP in contents.wanted and RECEIVED in contents.wanted:
         text = f"both {STAMP!r} and {RECEIVED!r} are wanted; rows have one time"
         raise refusal("profile-wrong", contents.name, text, cure="Choose one of them.")
-    topics = _recorded(contents, sorted(path.parent.iterdir()))
+    topics = _recorded(contents, [_named(file) for file in sorted(path.parent.iterdir())])
     fields: dict[str, list[str]] = {}
     for key in contents.wanted or topics:
         topic = max((t for t in topics if key == t or key.startswith(f"{t}.")), key=len, default=None)
@@ -77,6 +78,13 @@ def read(path: Path, settings: Profile, contents: Contents) -> None:
             contents.add(f"{topic}.{one}", values, topics[topic].kind, "ns" if times else "")
     if contents.wanted:
         _join(contents, {topic: topics[topic] for topic in fields})
+
+
+def _named(path: Path) -> Path:
+    """Give a file the ending by which the library knows it."""
+    with path.open("rb") as file:
+        head = file.read(8)
+    return path.rename(path.with_suffix(next((end for magic, end in _ENDINGS if head.startswith(magic)), path.suffix)))
 
 
 def _recorded(contents: Contents, paths: list[Path]) -> dict[str, _Topic]:

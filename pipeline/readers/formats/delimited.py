@@ -70,10 +70,10 @@ def read(path: Path, settings: Profile, contents: Contents) -> None:
     time = settings.columns.time if settings.columns else None
     for key, place in places.items():
         contents.add(key, columns[place], units[place].strip("[]() ") if place < len(units) else "")
-        if time is not None and key == time.key and columns[place].dtype.kind == "f":
-            # stamps that are dates with decimals or blank cells
-            if dates := whole_dates(time, _numbers(settings, cells[place])[1]):
-                contents.dates[key] = dates
+        # stamps may be dates with decimals or blank cells
+        stamps = time is not None and key == time.key and columns[place].dtype.kind == "f"
+        if time is not None and stamps and (dates := whole_dates(time, _numbers(settings, cells[place])[1])):
+            contents.dates[key] = dates
 
 
 def unpacked(name: str, data: bytes) -> bytes:
@@ -87,14 +87,14 @@ def unpacked(name: str, data: bytes) -> bytes:
     codec = next((codec for magic, codec in PACKED.items() if data.startswith(magic)), None)
     if codec is None:
         return data
-    text = b""
+    parts: list[bytes] = []
     try:
         with pa.CompressedInputStream(pa.BufferReader(data), codec) as stream:
-            while len(text) <= LARGEST_LOG and (part := stream.read(_BLOCK)):
-                text += part
+            while len(parts) * _BLOCK <= LARGEST_LOG and (part := stream.read(_BLOCK)):
+                parts.append(part)
     except (OSError, pa.ArrowException) as error:
         raise refusal("damaged", name, f"cannot be unpacked ({codec}): {error}") from error
-    if len(text) > LARGEST_LOG:
+    if len(text := b"".join(parts)) > LARGEST_LOG:
         raise refusal("unpacks-too-large", name, f"unpacks to more than {LARGEST_LOG} bytes", "a log")
     return text
 
@@ -225,7 +225,7 @@ def _places(profile: Profile, contents: Contents, names: list[str], row: int) ->
         return {label if names.index(label) == i else f"{label} ({i + 1})": i for i, label in enumerate(names)}
     by_position = {str(source.column) for source in profile.column_sources().values() if source.column is not None}
     keys = {column: key for file in ("source", "partner") for key, column in profile.wanted(file).items()}  # type: ignore[arg-type]
-    places, delimiter = {}, f"Correct the name, or the delimiter ({profile.delimiter!r})."
+    places, delimiter = {}, f"Correct the delimiter ({profile.delimiter!r}), or the name."
     for column in contents.wanted:
         wants = f"profile {profile.name} wants column {column!r} for {keys.get(column, column)}"
         if column in by_position or not profile.header:
@@ -284,7 +284,7 @@ def _cells(
         found = f"{data.num_rows + len(bad)} rows in {len(lines)} lines; is a quotation mark not closed here?"
         raise refusal("row-length", contents.name, found, row=int(row[at]))
     for number, width, text in bad:
-        last_is_cut = number == len(lines) - 1 and 0 < number and width < len(names)
+        last_is_cut = number == len(lines) - 1 and number > 0 and width < len(names)
         if not last_is_cut and not _take_label(layout, contents, text, int(row[number])):
             more = width == len(names) + 1 and text.rstrip().endswith(layout.delimiter)
             more |= width == len(names) - 1 and not names[-1]  # of the line of names

@@ -1,13 +1,14 @@
 """JSON: a list of records, alone or under a key beside a header; one record a line; or lists beside each other.
 
-Names of nested keys are joined by dots, elements of lists get brackets: ``state.q[3]``. A value that is null or not there
-is NaN, or an empty text; true and false are 1 and 0.
+Names of nested keys are joined by dots, elements of lists get brackets: ``state.q[3]``. A value that is null or not
+there is NaN, or an empty text; true and false are 1 and 0.
 """
 
 from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -47,7 +48,7 @@ def read(path: Path, settings: Profile, contents: Contents) -> None:
     if records is None:
         for key, inner in _walk(value, lists=False):
             if isinstance(inner, list) and inner and isinstance(inner[0], list):
-                contents.add(key, np.array(inner))
+                contents.add(key, partial(np.array, inner))
             elif isinstance(inner, list):
                 cells[key] = [i for i, v in enumerate(inner) if v is not None], [v for v in inner if v is not None]  # type: ignore[assignment]
     else:

@@ -1,4 +1,4 @@
-"""MATLAB files: plain arrays by name, fields of structs by dotted path, elements of struct arrays and cells in brackets.
+"""MATLAB files: arrays by name, fields of structs by dotted path, elements of struct arrays and cells in brackets.
 
 A Simulink "Structure with time" is such a struct: ``scope.time``, ``scope.signals[1].values[0]``. A timeseries gives
 ``ts.Time`` [s] and ``ts.Data``, a table or timetable its variables as ``T.x`` (and ``T.Time``). scipy reads version 5
@@ -43,7 +43,7 @@ def read(path: Path, settings: Profile, contents: Contents) -> None:
         raise refusal("unsupported", contents.name, "no MATLAB file", "version 5 or 7.3", cure)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        variables = _by_matio(contents, path) if newer or objects else _by_scipy(path)
+        variables = _by_matio(contents, path, newer) if newer or objects else _by_scipy(path)
     for name, value in variables.items():
         # insides of objects have a name with # or __
         if not name.startswith(("#", "__")):
@@ -66,19 +66,30 @@ def _by_scipy(path: Path) -> dict[str, Any]:
             return dict(loadmat(path))
 
 
-def _by_matio(contents: Contents, path: Path) -> dict[str, Any]:
+def _by_matio(contents: Contents, path: Path, newer: bool) -> dict[str, Any]:
     matio = library("matio", "mat")
     try:
         return dict(matio.load_from_mat(path))
     except Exception:  # one variable that it cannot read must not hide the others
         found: dict[str, Any] = {}
-        for name, (_, kind) in matio.whosmat(path).items():
+        for name, kind in _classes(path, newer).items():
             try:
                 found |= matio.load_from_mat(path, variable_names=name)
             except Exception as error:
                 plain = kind in ("double", "single", "struct", "cell", "char", "logical") or "int" in kind
-                contents.refused[name] = f"cannot be read: {error}." if plain else _advice(kind)
+                contents.refused[name] = (
+                    f"cannot be read ({error or type(error).__name__})." if plain else _advice(kind)
+                )
         return found
+
+
+def _classes(path: Path, newer: bool) -> dict[str, str]:
+    """Return the class of each variable by name."""
+    if not newer:
+        return {name: kind for name, (_, kind) in library("matio", "mat").whosmat(path).items()}
+    with library("h5py", "mat").File(path) as file:
+        kinds = {name: item.attrs.get("MATLAB_class", b"") for name, item in file.items() if name[0] != "#"}
+        return {name: kind.decode() if isinstance(kind, bytes) else str(kind) for name, kind in kinds.items()}
 
 
 def _advice(kind: str) -> str:

@@ -1,4 +1,4 @@
-"""MDF 3 and 4 files (dSPACE, CANape, INCA): channels as ``group/channel``, groups counted from 0, time as ``0/@time``."""
+"""MDF 3 and 4 files (dSPACE, CANape, INCA): channels as ``0/name`` by the number of their group, time ``0/@time``."""
 
 from __future__ import annotations
 

@@ -200,7 +200,7 @@ def test_counters_of_64_bits_keep_their_integers():
             PLAIN.encode(),
             {"delimiter": ";"},
             1,
-            "has one column, 't,x,F', but .* wants t, x, F. Correct the name, or the delimiter \\(';'\\)",
+            "has one column, 't,x,F', but .* wants t, x, F. Correct the delimiter \\(';'\\)",
         ),
         (b"t,x,F,F\n0,1,2,3\n", {}, 1, "'F' for columns.command once, found it 2 times"),
         (b"t,x,F\n0,1,2\n1,2\n2,3,4\n", {}, 3, "expected 3 values, found 2"),
