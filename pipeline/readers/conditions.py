@@ -17,7 +17,7 @@ from pipeline.profiles.profile_model import CONDITION_QUANTITIES, REQUIRED_CONDI
 from pipeline.readers.frame import Frame, Scalar
 from pipeline.readers.limits import LONGEST_QUANTITY
 from pipeline.records.batch import Integers
-from pipeline.records.native import NativeHeader, parse_header
+from pipeline.records.native import FREE, NativeHeader, parse_header
 
 _QUANTITY = re.compile(r"([^\s\[\]()]+)\s*[\[(]?\s*([^\d\s\[\]()][^\[\]()]*?)?\s*[\])]?")
 """A number and, behind it, a unit, which may stand in brackets."""
@@ -86,6 +86,8 @@ def conditions_of(
         if key not in special:
             given[key] = _of_column(where, frame, rows, key, column)
     given |= special
+    if not any(key in given for key in FREE):
+        given |= dict.fromkeys(FREE, 0.0)
     for condition in required:
         if condition not in given:
             line = f'[[file]]\nmatch = "{name}"\n{condition} = <value>'

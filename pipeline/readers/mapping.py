@@ -31,6 +31,14 @@ WINDOW_TOLERANCE = 1e-6
 """Part of a sampling period by which a stamp may lie outside a limit, or before the declared time of the step: by
 rounding alone 3 x 0.1 s is above 0.3 s, 501 x 1e-6 s below 0.000501 s."""
 
+MOST_STEPS = 24
+"""Changes of a command up to which each is a step of its own: relays and random sequences have hundreds."""
+
+SHORTEST_STEP = 12
+"""Rows between two changes from which on a step has a response."""
+
+SAMPLES = ("time", "command", "position", "force", "velocity", "raw_time")
+
 PACE = 10.0
 """Ratio of the median step between rows to the sampling period, or the reverse, from which on a log is warned of: units
 of time differ by 60 at least, a log that drops half of its samples has a ratio of 2."""
@@ -144,13 +152,39 @@ def logs_of(profile: Profile, names: Sequence[str], frames: Sequence[Frame]) -> 
         given = conditions_of(profile, name, where, frame, index, special, required)
         rows = rows_of(profile, where, names, frames, index, _period(where, given))
         if not profile.steps:
-            logs.append(_log(profile, where, frame, rows, given, step, window, label))
+            log = _log(profile, where, frame, rows, given, step, window, label)
+            logs += _steps_of(log) if step.step_at == "command edge" else [log]
         for part in profile.steps:
             special_part = special | part.given()
             place = f"{where}, step {part.label!r}"
             of_part = conditions_of(profile, name, place, frame, index, special_part)
             logs.append(_log(profile, place, frame, rows, of_part, part if part.declared else step, part, part.label))
     return logs
+
+
+def _steps_of(log: Log) -> list[Log]:
+    """Return a log step by step where its command is constant between a few changes and no wall is rendered.
+
+    Each part begins with the change before and ends with the next one; its step is that of the command.
+    """
+    header, command = log.header, log.command
+    changes = np.flatnonzero(np.diff(command)) + 1
+    if header.stiffness or header.damping or not header.step or len(changes) < 2:
+        return [log]
+    ends = [0, *changes.tolist(), len(command)]
+    if len(changes) > MOST_STEPS or min(np.diff(ends[1:])) < SHORTEST_STEP:
+        text = f"the command changes {len(changes)} times and is kept as one log, for `pipeline identify` to fit"
+        return [replace(log, warnings=(*log.warnings, text))]
+    parts = []
+    for number in range(1, len(ends) - 1):
+        part, before = slice(ends[number - 1], ends[number + 1]), ends[number] - ends[number - 1]
+        size = float(command[ends[number]] - command[ends[number] - 1])
+        text = f"step {number} of {len(changes)} found in the command, by {size:.4g} in row {ends[number]}"
+        own = replace(header, step=size, extra={**header.extra, "step_row": str(before)})
+        cut = {key: values[part] for key in SAMPLES if (values := getattr(log, key)) is not None}
+        label = str(number) if log.label is None else f"{log.label}.{number}"
+        parts.append(replace(log, header=own, label=label, warnings=(*log.warnings, text), **cut))
+    return parts
 
 
 def _period(where: str, given: dict[str, Any]) -> float:

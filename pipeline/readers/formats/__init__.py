@@ -1,8 +1,8 @@
 """One table of file formats: a row is the function that reads it, the first bytes by which it is known, its library.
 
 A module of this folder has ``read(path, settings, contents)``: it adds the arrays of the file at ``path`` to the
-`Contents`, by the keys of a profile (``settings``). It runs in a process of its own, which bounds time and memory of all
-formats alike (`isolation`); whatever it raises is a damaged file. Native logs have a reader of their own, which parses
+`Contents`, by the keys of a profile (``settings``). It runs in a process of its own, which bounds time and memory of
+all formats alike (`isolation`); whatever it raises is a damaged file. Native logs have a reader of their own, which parses
 many files at once.
 """
 
@@ -93,8 +93,8 @@ def read_file(settings: Profile, names: Sequence[str], data: Sequence[bytes], wa
     """
     form = FORMATS[settings.format]
     place, options = f"{__name__}:read_here", (settings, tuple(wanted), tuple(zip(names, map(len, data), strict=False)))
-    bounds = {"imports": form.libraries, "seconds_per_byte": form.seconds_per_byte}
-    contents: Contents = isolated(place, names[0], form.title, b"".join(data), *options, **bounds)
+    arguments = place, names[0], form.title, b"".join(data), *options
+    contents: Contents = isolated(*arguments, imports=form.libraries, seconds_per_byte=form.seconds_per_byte)
     return contents
 
 

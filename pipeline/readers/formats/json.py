@@ -50,42 +50,46 @@ def read(path: Path, settings: Profile, contents: Contents) -> None:
             if isinstance(inner, list) and inner and isinstance(inner[0], list):
                 contents.add(key, partial(np.array, inner))
             elif isinstance(inner, list):
-                cells[key] = [i for i, v in enumerate(inner) if v is not None], [v for v in inner if v is not None]  # type: ignore[assignment]
-    else:
-        contents.row_name = contents.row_name if contents.row_name == "line" else "record"
-        row = np.arange(1, len(records) + 1) if contents.row is None else contents.row
-        contents.row = row
-        for number, record in enumerate(records):
-            if not isinstance(record, dict | list):
-                text = f"{contents.row_name} is {str(record)[:80]!r}"
-                raise refusal("row-length", contents.name, text, "an object", row=int(row[number]))
-            for key, one in _walk(record):
-                if one is None:
-                    continue
+                known = [number for number, one in enumerate(inner) if one is not None]
+                _add(contents, settings, key, known, [inner[number] for number in known], len(inner))
+        return
+    rows, contents.row_name = len(records), "record" if contents.row is None else "line"
+    contents.row = np.arange(1, rows + 1) if contents.row is None else contents.row
+    for number, record in enumerate(records):
+        row = int(contents.row[number])
+        if not isinstance(record, dict | list):
+            found = f"{contents.row_name} is {str(record)[:80]!r}"
+            raise refusal("row-length", contents.name, found, "an object", row=row)
+        for key, one in _walk(record):
+            if one is not None:
                 numbers, values = cells.setdefault(key, ([], []))
                 if numbers and numbers[-1] == number:
-                    text = f"{key!r} stands twice in one {contents.row_name}"
-                    raise refusal("damaged", contents.name, text, "one value", row=int(row[number]))
+                    found = f"{key!r} stands twice in one {contents.row_name}"
+                    raise refusal("damaged", contents.name, found, "one value", row=row)
                 numbers.append(number)
                 values.append(one)
-        if not cells:
-            raise refusal("empty", contents.name, "holds no records with values", "samples", row=1)
+    if not cells:
+        raise refusal("empty", contents.name, "holds no records with values", "samples", row=1)
     for key, (numbers, values) in cells.items():
         if contents.asks(key):
-            rows = len(records) if records is not None else max(numbers, default=-1) + 1
-            place = np.array(numbers, np.int64)
-            where = f"{contents.name}: column {key!r}"
-            contents.add(
-                key,
-                lambda w=where, v=values, p=place, r=rows: with_gaps(w, _array(w, v, p, contents), p, r, contents.row),
-            )  # type: ignore[misc]
-            source = settings.columns.time if settings.columns else None
-            if source is not None and source.key == key and any(isinstance(v, float) for v in values):
-                texts: list[str | None] = [None] * rows
-                for number, one in zip(numbers, values, strict=True):
-                    texts[number] = one.text if isinstance(one, LongNumber) else repr(one)
-                if dates := whole_dates(source, pa.array(texts, pa.string())):
-                    contents.dates[key] = dates
+            _add(contents, settings, key, numbers, values, rows)
+
+
+def _add(contents: Contents, settings: Profile, key: str, numbers: list[int], values: list[Any], rows: int) -> None:
+    """Add the values of a column at their records, with the digits of stamps that are dates."""
+    where, place = f"{contents.name}: column {key!r}", np.array(numbers, np.int64)
+
+    def load() -> Array:
+        return with_gaps(where, _array(where, values, place, contents), place, rows, contents.row)
+
+    contents.add(key, load)
+    source = settings.columns.time if settings.columns else None
+    if source is not None and source.key == key and any(isinstance(value, float) for value in values):
+        texts: list[str | None] = [None] * rows
+        for number, one in zip(numbers, values, strict=True):
+            texts[number] = one.text if isinstance(one, LongNumber) else repr(one)
+        if dates := whole_dates(source, pa.array(texts, pa.string())):
+            contents.dates[key] = dates
 
 
 def load_json(text: str | bytes) -> Any:

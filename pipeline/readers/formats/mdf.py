@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from asammdf import MDF
 
@@ -13,8 +14,8 @@ from pipeline.readers.frame import Contents
 def read(path: Path, settings: Profile, contents: Contents) -> None:
     """Add the channels of all groups, with their units; times are in seconds from the start of the measurement."""
     with MDF(path) as file:
-        contents.note("comment", file.header.comment)
-        for number, group in enumerate(file.groups):
+        groups: Any = file.groups
+        for number, group in enumerate(groups):
             time = f"{number}/@time"
             if contents.asks(time):
                 contents.add(time, file.get_master(number), "s", "s")
