@@ -2,8 +2,8 @@
 
 A module of this folder has ``read(path, settings, contents)``: it adds the arrays of the file at ``path`` to the
 `Contents`, by the keys of a profile (``settings``). It runs in a process of its own, which bounds time and memory of
-all formats alike (`isolation`); whatever it raises is a damaged file. Native logs have a reader of their own, which parses
-many files at once.
+all formats alike (`isolation`); whatever it raises is a damaged file. Native logs have a reader of their own, which
+parses many files at once.
 """
 
 from __future__ import annotations

@@ -224,7 +224,7 @@ def _places(profile: Profile, contents: Contents, names: list[str], row: int) ->
     if not contents.wanted:
         return {label if names.index(label) == i else f"{label} ({i + 1})": i for i, label in enumerate(names)}
     by_position = {str(source.column) for source in profile.column_sources().values() if source.column is not None}
-    keys = {column: key for file in ("source", "partner") for key, column in profile.wanted(file).items()}  # type: ignore[arg-type]
+    keys = {column: key for file in ("source", "partner") for key, column in profile.wanted(file).items()}
     places, delimiter = {}, f"Correct the delimiter ({profile.delimiter!r}), or the name."
     for column in contents.wanted:
         wants = f"profile {profile.name} wants column {column!r} for {keys.get(column, column)}"
