@@ -289,7 +289,8 @@ def test_a_check_warns_of_another_unit_or_step_and_of_a_motion_against_it(tmp_pa
     rows = [(k, 8 * (k > 4), 0.01 * max(k - 6, 0) ** 2) for k in range(40)]
     assert checked(tmp_path, TOML, rows) == ()
     micro = TOML.replace('unit = "ms"', 'unit = "us"').replace("0.001", "1e-6")
-    (warning,) = checked(tmp_path, micro, rows)
+    (*implausible, warning) = checked(tmp_path, micro, rows)
+    assert [text.split()[0] for text in implausible] == ["sampling_period_s", "duration_s"]
     assert warning == "columns.time.unit is 'us', but the file says 'ms': which is right?"
     (warning,) = checked(tmp_path, TOML.replace("step = 8", "step = 9"), rows)
     assert warning == "the command jumps by 8 in row 5, but the step is 9: which is right?"
