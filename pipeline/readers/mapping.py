@@ -20,7 +20,7 @@ from pipeline.profiles.profile_columns import QUANTITIES, ColumnSource, CommandS
 from pipeline.profiles.profile_model import REQUIRED_CONDITIONS, Profile, StepTime, Window
 from pipeline.readers.conditions import conditions_of, entry_of, header_of
 from pipeline.readers.file_kind import refuse_other_kind
-from pipeline.readers.formats import read_file
+from pipeline.readers.formats.files import read_file
 from pipeline.readers.frame import Frame
 from pipeline.readers.limits import KEPT_ATTRIBUTES, LONGEST_ATTRIBUTE
 from pipeline.readers.log import Log, RawLog, check_samples

@@ -15,7 +15,7 @@ from pipeline.base.errors import LogError, ProfileError
 from pipeline.profiles.profile_files import read_profile
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers import Log, RawLog, reader_of
-from pipeline.readers.formats import read_file
+from pipeline.readers.formats.files import read_file
 from pipeline.shell.cli import run
 from pipeline.shell.profile.profile_check import check_samples
 from pipeline.shell.profile.profile_draft import draft_profile

@@ -23,7 +23,7 @@ from rosbags.rosbag2 import Writer as Bag2
 from rosbags.typesys import Stores, get_typestore
 
 from pipeline.profiles.profile_model import Profile
-from pipeline.readers.formats import read_file
+from pipeline.readers.formats.files import read_file
 from pipeline.readers.frame import ColumnInfo, Frame
 
 zstd = import_module("compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd")

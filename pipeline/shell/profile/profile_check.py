@@ -22,7 +22,7 @@ from pipeline.profiles.profile_columns import QUANTITIES, ColumnSource, CommandS
 from pipeline.profiles.profile_model import CONDITION_QUANTITIES, CONDITIONS, Profile
 from pipeline.readers import Log, RawLog
 from pipeline.readers.conditions import entry_of, places_of
-from pipeline.readers.formats import read_file
+from pipeline.readers.formats.files import read_file
 from pipeline.readers.obeyed import cure, obeyed
 from pipeline.readers.time_axis import step_flags
 from pipeline.records.batch import TrialBatch

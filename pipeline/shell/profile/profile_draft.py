@@ -23,8 +23,8 @@ from pipeline.profiles.patterns import find_groups
 from pipeline.profiles.profile_columns import QUANTITIES
 from pipeline.profiles.profile_lines import QUESTION
 from pipeline.profiles.profile_model import CONDITION_QUANTITIES, Format, Profile
-from pipeline.readers.formats import read_file
 from pipeline.readers.formats.delimited import PACKED, unpacked
+from pipeline.readers.formats.files import read_file
 from pipeline.readers.frame import ColumnInfo, Frame
 from pipeline.readers.layout import Layout, format_of, text_layout
 from pipeline.readers.obeyed import Law, law_of
