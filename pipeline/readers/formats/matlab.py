@@ -140,7 +140,8 @@ def _add(contents: Contents, path: str, value: Any, depth: int) -> None:
 
 def _texts(value: Array) -> Array:
     """Return a cell array of texts as one column, empty where it is none."""
-    texts = [cell.item() for cell in value.flat if getattr(cell, "dtype", value.dtype).kind == "U" and cell.size == 1]
+    cells = [cell for cell in value.flat if getattr(cell, "dtype", value.dtype).kind == "U" and cell.size <= 1]
+    texts = [cell.item() if cell.size else "" for cell in cells]
     return np.array(texts if 1 < len(texts) == value.size else [])
 
 
