@@ -98,7 +98,7 @@ def library(module: str, extra: str) -> Any:
         return import_module(module)
     except ImportError as error:
         found = f"reading this format needs {error.name or module}, which is not installed"
-        cure = f"Run pip install 'haptic-pipeline[{extra}]', then ingest with --rehash."
+        cure = f"Run pip install '.[{extra}]' in the project's folder, then ingest with --rehash."
         raise refusal("library-missing", "", found, cure=cure) from error
 
 

@@ -131,7 +131,7 @@ def test_threads_have_workers_of_their_own():
 
 
 def test_a_library_that_is_missing_is_named():
-    with pytest.raises(LogError, match=r"needs no_such_module, .*pip install 'haptic-pipeline\[extra\]'.*--rehash"):
+    with pytest.raises(LogError, match=r"needs no_such_module, .*pip install '\.\[extra\]'.*--rehash"):
         library("no_such_module", "extra")
 
 
