@@ -13,7 +13,7 @@ from fastapi import Depends, Request
 from pydantic import BaseModel, ConfigDict, Field
 
 from pipeline.base.errors import PipelineError
-from pipeline.intake.exclude import exclude, exclude_experiment, use_again, use_experiment_again
+from pipeline.intake.correct import exclude, use_again
 from pipeline.records.batch import TrialBatch
 from pipeline.records.criteria import REPORTED
 from pipeline.records.findings import Note
@@ -26,6 +26,7 @@ from pipeline.service.problems import Problem
 from pipeline.service.rest import theory
 from pipeline.service.settings import Settings
 from pipeline.store.corrections import read_exclusions, split_trials
+from pipeline.store.names import folder_name
 from pipeline.store.samples import load_batch, load_trial
 from pipeline.store.storage import list_devices, list_experiments, read_trials
 
@@ -161,9 +162,9 @@ class Service:
         """Exclude all trials of an experiment that are in use, or use all again; return those excluded, and why."""
         self.experiments(device, [experiment])
         if reason is not None:
-            exclude_experiment(self.settings.processed, device, experiment, reason, EXCLUDE_S)
-        else:
-            use_experiment_again(self.settings.processed, device, experiment, EXCLUDE_S)
+            exclude(self.settings.processed, run_of(device, experiment), reason, EXCLUDE_S)
+        elif self.excluded_of(device, experiment):
+            use_again(self.settings.processed, run_of(device, experiment), EXCLUDE_S)
         self.job("stages", {}, "stages")
         return self.excluded_of(device, experiment)
 
@@ -235,6 +236,11 @@ class Service:
         if trial not in trials.place:
             raise Problem(404, "There is no such trial.", where="trial", found=trial)
         return trials, trials.place[trial]
+
+
+def run_of(device: str, experiment: str) -> str:
+    """Return an experiment as one word of an address."""
+    return f"{folder_name(device)}/{folder_name(experiment)}"
 
 
 def service_of(request: Request) -> Service:

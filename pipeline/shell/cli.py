@@ -25,6 +25,8 @@ COMMANDS = {
     "compact": ("cli_storage", "compact"),
     "check": ("cli_storage", "check"),
     "exclude": ("cli_storage", "exclude"),
+    "move": ("cli_storage", "move"),
+    "delete": ("cli_storage", "delete"),
     "watch": ("cli_watch", "watch"),
     "compare": ("cli_report", "compare"),
     "verify": ("cli_verify", "verify"),

@@ -8,7 +8,7 @@ from native_logs import FAULTS, short_log
 from stored import check_whole, flip
 
 from pipeline.intake.check import check
-from pipeline.intake.exclude import exclude
+from pipeline.intake.correct import exclude
 from pipeline.intake.ingest import ingest
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.store import batch_files

@@ -11,10 +11,10 @@ from fastapi.responses import HTMLResponse, RedirectResponse, Response
 from starlette.concurrency import run_in_threadpool
 
 from pipeline.records.criteria import REPORTED
-from pipeline.service.pages.frame import busy, fields_of, page_of, run_of
+from pipeline.service.pages.frame import busy, fields_of, page_of
 from pipeline.service.pages.page_figures import differences, limits, planes
 from pipeline.service.problems import Problem
-from pipeline.service.shared import ComparisonRequest, Service, Shared
+from pipeline.service.shared import ComparisonRequest, Service, Shared, run_of
 from pipeline.store.names import name_of_folder
 
 comparing = APIRouter(include_in_schema=False, default_response_class=HTMLResponse)

@@ -21,7 +21,7 @@ from pipeline.rendering.report.report_against import value_name
 from pipeline.service.database import ENDED
 from pipeline.service.problems import Problem
 from pipeline.service.security import FORM, cookies_of, form_token, is_form
-from pipeline.service.shared import Service
+from pipeline.service.shared import Service, run_of
 from pipeline.store.names import folder_name
 
 HERE = Path(__file__).parent
@@ -76,11 +76,6 @@ def device_url(device: str) -> str:
 def experiment_url(device: str, experiment: str) -> str:
     """Return the address of the page of an experiment."""
     return f"{device_url(device)}/experiments/{_segment(experiment)}"
-
-
-def run_of(device: str, experiment: str) -> str:
-    """Return an experiment as one word of an address."""
-    return f"{folder_name(device)}/{folder_name(experiment)}"
 
 
 def page_of(service: Service, request: Request, template: str, status: int = 200, **content: object) -> HTMLResponse:
