@@ -35,8 +35,6 @@ COMMANDS = {
     "serve": ("cli_serve", "serve"),
     "token": ("cli_serve", "token_app"),
     "push": ("cli_serve", "push"),
-    "backup": ("cli_serve", "backup"),
-    "restore": ("cli_serve", "restore"),
     "theory": ("cli_theory", "app"),
     "look": ("cli_profiles", "look"),
     "profile": ("cli_profiles", "profile_app"),
