@@ -12,6 +12,8 @@ import subprocess
 import sys
 import threading
 import time
+import tomllib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -89,7 +91,7 @@ def samples_folder(settings: Settings, sample: str) -> Path:
 def draft(folder: Path) -> dict[str, Any]:
     """Return the draft of a profile for samples: its text, and the open questions with line and key."""
     found = _asked("draft", *map(str, sorted(file for file in folder.rglob("*") if file.is_file())))
-    return {"profile": found["profile"], "questions": found["questions"]}
+    return {"profile": found["profile"], "questions": questions(found["profile"])}
 
 
 def preview(folder: Path, text: str) -> list[Any]:
@@ -101,9 +103,32 @@ def preview(folder: Path, text: str) -> list[Any]:
 
 
 def questions(text: str) -> list[dict[str, Any]]:
-    """Return what a draft still asks, as `draft` does."""
-    found = find_questions(text)
-    return [{"line": q.line, "key": ".".join(map(str, q.place)), "question": q.text} for q in found]
+    """Return what a draft still asks: line, key, the question, and what the line below it proposes (TOML)."""
+    lines = [*text.splitlines(), ""]
+    return [
+        {
+            "line": q.line,
+            "key": ".".join(map(str, q.place)),
+            "question": q.text,
+            "proposal": lines[q.line].partition("=")[2].strip() if lines[q.line].startswith("# ") else "",
+        }
+        for q in find_questions(text)
+    ]
+
+
+def answered(text: str, answers: Mapping[int, str]) -> str:
+    """Return a draft in which questions, by their lines, are answered; a word that is no TOML is a text."""
+    lines = text.splitlines()
+    for line, answer in sorted(answers.items(), reverse=True):
+        if not answer.strip() or line >= len(lines) or not lines[line].startswith("# "):
+            continue
+        key = lines[line].removeprefix("# ").partition("=")[0].strip()
+        try:
+            tomllib.loads(f"x = {answer}")
+        except tomllib.TOMLDecodeError:
+            answer = json.dumps(answer.strip())
+        lines[line - 1 : line + 1] = [f"{key} = {answer.strip()}"]
+    return "\n".join(lines) + "\n"
 
 
 def _asked(*words: str) -> Any:

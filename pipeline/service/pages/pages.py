@@ -235,7 +235,9 @@ async def draft(service: Shared, request: Request) -> Response:
 async def profile(service: Shared, request: Request) -> Response:
     """Try a profile on its sample, or keep it."""
     fields = {name: values[0] for name, values in (await fields_of(service, request)).items()}
-    text, name = fields.get("profile", "").replace("\r\n", "\n"), fields.get("name", "").strip()
+    answers = {int(key[7:]): value for key, value in fields.items() if key[:7] == "answer-" and key[7:].isdigit()}
+    text = profiles.answered(fields.get("profile", "").replace("\r\n", "\n"), answers)
+    name = fields.get("name", "").strip()
     asked = lab.Tried(profile=text, sample=fields.get("sample", ""))
     try:
         if fields.get("act") == "keep":
