@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import sqlite3
 import threading
 import time
@@ -58,10 +59,17 @@ CREATE TABLE IF NOT EXISTS trials ({", ".join(f"{c} {'TEXT' if c in _TEXTS else 
   noted INTEGER, PRIMARY KEY (id));
 CREATE TABLE IF NOT EXISTS parts (device TEXT, experiment TEXT, sign TEXT, damaged TEXT,
   PRIMARY KEY (device, experiment));
-CREATE VIRTUAL TABLE IF NOT EXISTS said USING fts5(text, tokenize = 'trigram');
+CREATE TABLE IF NOT EXISTS said (trial INTEGER PRIMARY KEY, text TEXT);
+"""
+
+_INDEX = f"""
 CREATE INDEX IF NOT EXISTS by_place ON trials (device, experiment, verdict, outcome);
 {"".join(f"CREATE INDEX IF NOT EXISTS by_{c} ON trials ({c}, id);" for c in SORTS[1:])}
 """
+"""Made when all trials of a new file are there: one by one takes five times as long."""
+
+_SAID = "rowid, noted, tags, id, device, experiment, source, uploader"
+"""What is searched, from its fourth column on."""
 
 Kept = TypeVar("Kept")
 
@@ -84,11 +92,9 @@ class Selection:
         for name, limit in self.ranges.items():
             parts.append(f"{name[:-4]} {'>=' if name.endswith('_min') else '<='} ?")
             values.append(limit)
-        for word in self.text.split():
-            # shorter words have no trigram
-            how, what = ("MATCH", f'"{word.replace(chr(34), chr(34) * 2)}"') if len(word) > 2 else ("LIKE", f"%{word}%")
-            parts.append(f"rowid IN (SELECT rowid FROM said WHERE text {how} ?)")
-            values.append(what)
+        for word in self.text.casefold().split():
+            parts.append("rowid IN (SELECT trial FROM said WHERE text LIKE ? ESCAPE '!')")
+            values.append("%" + re.sub("([%_!])", r"!\1", word) + "%")
         return " AND ".join(parts), values
 
 
@@ -267,6 +273,7 @@ class Catalogue:
             rows, damaged = self._read(*place)
             self._replace(place, signs[place], rows, damaged)
         self._say(words)
+        self._connection.executescript(_INDEX)
         self._state, self._kept = state, {}
 
     def _corrections(self) -> tuple[list[Correction], bool]:
@@ -280,9 +287,9 @@ class Catalogue:
         connection = self._connection
         connection.execute("BEGIN IMMEDIATE")
         own = "SELECT rowid FROM trials WHERE"
-        connection.execute(f"DELETE FROM said WHERE rowid IN ({own} device = ? AND experiment = ?)", place)
+        connection.execute(f"DELETE FROM said WHERE trial IN ({own} device = ? AND experiment = ?)", place)
         # a trial that was moved may stand at another place still
-        connection.executemany(f"DELETE FROM said WHERE rowid = ({own} id = ?)", [(row[0],) for row in rows])
+        connection.executemany(f"DELETE FROM said WHERE trial = ({own} id = ?)", [(row[0],) for row in rows])
         connection.execute("DELETE FROM trials WHERE device = ? AND experiment = ?", place)
         connection.execute("DELETE FROM parts WHERE device = ? AND experiment = ?", place)
         if sign is not None:
@@ -298,22 +305,21 @@ class Catalogue:
             (tags if kind == "tags" else texts)[tuple(about)] = value if kind == "tags" else [value]
         connection = self._connection
         connection.execute("BEGIN IMMEDIATE")
-        marked = "DELETE FROM said WHERE rowid IN (SELECT rowid FROM trials WHERE"
+        marked = "DELETE FROM said WHERE trial IN (SELECT rowid FROM trials WHERE"
         connection.execute(f"{marked} noted)")
         for _, *of in words:
             which = "id = ?" if of[0] == "trial" else "device = ? AND experiment = ?"
             connection.execute(f"{marked} {which})", of[1:])
-        for row in self._run("SELECT rowid, * FROM trials WHERE rowid NOT IN (SELECT rowid FROM said)"):
+        said, marks = [], []
+        for row in self._run(f"SELECT {_SAID} FROM trials WHERE rowid NOT IN (SELECT trial FROM said)"):
             both = ("trial", row["id"]), ("experiment", row["device"], row["experiment"])
             own = [tag for of in both for tag in tags.get(of, ())]
             text = [*own, *(text for of in both for text in texts.get(of, ()))]
-            plain = [row[name] or "" for name in ("id", "device", "experiment", "source", "uploader")]
-            connection.execute(
-                "INSERT INTO said (rowid, text) VALUES (?, ?)", (row["rowid"], "\n".join([*plain, *text]))
-            )
-            told = (json.dumps(tags.get(both[0], [])), bool(text))
-            if told != (row["tags"], bool(row["noted"])):
-                connection.execute("UPDATE trials SET tags = ?, noted = ? WHERE id = ?", (*told, row["id"]))
+            said.append((row["rowid"], "\n".join([*(each for each in row[3:] if each), *text]).casefold()))
+            if text or row["noted"]:
+                marks.append((json.dumps(tags.get(both[0], [])), bool(text), row["rowid"]))
+        connection.executemany("INSERT INTO said VALUES (?, ?)", said)
+        connection.executemany("UPDATE trials SET tags = ?, noted = ? WHERE rowid = ?", marks)
         connection.execute("COMMIT")
 
     def _read(self, device: str, experiment: str) -> tuple[list[tuple[Any, ...]], str]:

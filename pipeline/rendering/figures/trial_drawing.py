@@ -50,7 +50,7 @@ def overlaid(
     figures: Sequence[Figure[TrialCourse]], labels: Sequence[str], motion: Motion = "translation"
 ) -> tuple[str, ...]:
     """Draw the responses of several trials over each other, each with that of theory (dashed, in its colour)."""
-    unit, size = "mm" if motion == "translation" else "mrad", (640.0, 340.0 + LEGEND_HEIGHT * len(labels))
+    unit, size = "mm" if motion == "translation" else "mrad", (440.0, 290.0 + LEGEND_HEIGHT * len(labels))
     shown = [figure.panels[0] for figure in figures]
 
     def paint(_: object, axes: Axes) -> tuple[str, str]:
