@@ -124,8 +124,8 @@ class Catalogue:
             del self._local.connection
             for file in self.file.parent.glob(f"{self.file.name}*"):
                 file.unlink()
+            os.close(os.open(self.file, os.O_RDWR | os.O_CREAT, 0o600))
             self._connection.executescript("PRAGMA journal_mode = WAL;" + _SCHEMA + layout)
-            os.chmod(self.file, 0o600)
 
     @property
     def _connection(self) -> sqlite3.Connection:

@@ -31,8 +31,8 @@ ATTEMPTS = 3
 URGENT = ("upload", "stages")
 """Kinds of jobs that have a worker of their own: logs and their verdicts."""
 
-ORDER = "experiment plan drawing comparison"
-"""Other kinds of jobs, as they are taken; reports that are made anew come after all."""
+ORDER = "upload stages experiment plan comparison drawing"
+"""Kinds of jobs as they are taken: figures last, but for reports that are made anew."""
 
 MOST_DRAWINGS = 100
 """Drawings that wait at most: whoever asked for older ones has left their page."""

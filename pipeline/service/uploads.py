@@ -10,7 +10,7 @@ import hashlib
 import os
 import secrets
 import shutil
-from collections.abc import MutableMapping
+from collections.abc import AsyncGenerator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,7 +18,7 @@ from typing import Any
 
 from starlette.concurrency import run_in_threadpool
 from starlette.datastructures import FormData, UploadFile
-from starlette.exceptions import HTTPException
+from starlette.formparsers import MultiPartException, MultiPartParser
 from starlette.requests import Request
 
 from pipeline.base.disk import make_folder, sync_folder
@@ -83,22 +83,30 @@ class Upload:
             raise Problem(422, "Send logs as multipart/form-data, in the field `files`.", where="Content-Type")
         end = bytearray()
 
-        async def receive() -> MutableMapping[str, Any]:
-            message = await request.receive()
-            end.extend(message.get("body", b""))
-            del end[:-END_BYTES]
-            return message
+        async def stream() -> AsyncGenerator[bytes, None]:
+            async for data in request.stream():
+                end.extend(data)
+                del end[:-END_BYTES]
+                yield data
 
-        limits = {"max_files": self.settings.max_files, "max_fields": MOST_FIELDS, "max_part_size": LONGEST_FIELD}
+        most = self.settings.max_files
+        parser = MultiPartParser(
+            request.headers, stream(), max_files=most, max_fields=MOST_FIELDS, max_part_size=LONGEST_FIELD
+        )
         try:
-            async with Request(request.scope, receive).form(**limits) as form:
-                boundary = kind.partition("boundary=")[2].partition(";")[0].strip('" ')
-                if f"--{boundary}--".encode() not in end:
-                    raise Problem(422, "The form ends before its last boundary.", where="body")
-                await run_in_threadpool(self._store, form)
-        except HTTPException as error:  # of the parser
-            large = str(error.detail).startswith(("Too many", "Part exceeded", "Field"))
-            raise Problem(413 if large else 422, f"The form cannot be read: {error.detail}.", where="body") from error
+            form = await parser.parse()
+            boundary = kind.partition("boundary=")[2].partition(";")[0].strip('" ')
+            if f"--{boundary}--".encode() not in end:
+                raise Problem(422, "The form ends before its last boundary.", where="body")
+            await run_in_threadpool(self._store, form)
+        except MultiPartException as error:
+            if error.message.startswith("Too many files"):
+                raise Problem(413, "There are too many files. Send them in parts.", expected=f"<= {most}") from error
+            large = error.message.startswith(("Too many", "Part exceeded"))
+            raise Problem(413 if large else 422, f"The form cannot be read: {error.message}", where="body") from error
+        finally:
+            for file in parser._files_to_close_on_error:  # all, those of a form without an end among them
+                file.close()
 
     def _store(self, form: FormData) -> None:
         for name, value in form.multi_items():
