@@ -112,7 +112,7 @@ class Catalogue:
         self.processed, self.database = processed, database
         self.file = database.file.with_name("catalogue.sqlite")
         self._local, self._lock = threading.local(), threading.Lock()
-        self._looked, self._done, self._state = float("-inf"), (-1, 0.0), ""
+        self._looked, self._done, self._state = float("-inf"), tuple[Any, ...](), ""
         self._kept: dict[str, object] = {}
         layout = f"PRAGMA user_version = {int(digest(_SCHEMA)[:7], 16)};"
         try:
@@ -135,10 +135,10 @@ class Catalogue:
         return self._connection.execute(statement, values).fetchall()
 
     def run(self, statement: str, values: Sequence[object] = ()) -> list[sqlite3.Row]:
-        """Return rows of the present state; at most `LOOK_S` late, and never behind a job that is done."""
+        """Return rows of the present state; at most `LOOK_S` late, and never behind what was done here."""
         with self._lock:
-            count, changed = self.database.run("SELECT count(*), total(changed) FROM jobs WHERE state = 'done'")[0]
-            done = count, changed
+            jobs = "SELECT count(*), total(changed), (SELECT max(number) FROM audit) FROM jobs WHERE state = 'done'"
+            done = tuple(self.database.run(jobs)[0])
             if done != self._done or time.monotonic() - self._looked > LOOK_S:
                 self._refresh()
                 self._looked, self._done = time.monotonic(), done

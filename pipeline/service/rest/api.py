@@ -41,6 +41,9 @@ REPORT_POLICY = (
     "script-src 'unsafe-inline'"
 )
 
+BACK = '<p class="layout"><a href="/reports">All reports</a> · <a href="/">Experiments</a></p>'
+"""The way back from a report, which knows of no server."""
+
 Limit = Annotated[int, Query(ge=1, le=MOST, description="Items of a page.")]
 Name = Annotated[str, Query(max_length=500)]
 CURSOR = "^[A-Za-z0-9_=-]+$"
@@ -363,6 +366,7 @@ def _file(service: Service, key: str, ending: str, media: str) -> Response:
     file = results.document_file(service.settings, key, report=True).with_suffix(ending)
     if not file.is_file():
         raise Problem(404, "There is no such comparison. POST comparisons makes one.", where="key", found=key)
-    return FileResponse(
-        file, media_type=media, headers={"content-security-policy": REPORT_POLICY} if ending == ".html" else {}
-    )
+    if ending == ".json":
+        return FileResponse(file, media_type=media)
+    whole = file.read_text("utf-8").replace("<body>", f"<body>{BACK}", 1)
+    return HTMLResponse(whole, headers={"content-security-policy": REPORT_POLICY})

@@ -13,7 +13,7 @@ from pipeline.service.database import Database
 from pipeline.service.settings import Settings
 
 PAGES = ("/", "/devices/falcon", "/devices/falcon/experiments/1", "/trials?sort=-stiffness", "/compare?runs=falcon/1",
-         "/upload", "/jobs", "/quarantine", "/reports", "/login", "/nothing")  # fmt: skip
+         "/upload", "/jobs", "/quarantine", "/reports", "/audit", "/api", "/login", "/nothing")  # fmt: skip
 
 
 @pytest.mark.parametrize("path", PAGES)
@@ -226,8 +226,11 @@ def test_pages_in_a_browser(served, tmp_path):
         pytest.skip("no chromium")
     served.get("experiments/falcon/1/estimates")
     trial = served.get("trials?limit=1&verdict=stable").content["items"][0]["id"]
-    page(served, f"/trials/{trial}")
-    served.all_done()  # a page that waits for figures loads itself again
+    for path in (*PAGES[:-1], f"/trials/{trial}"):
+        page(served, path)
+        served.all_done()  # a page that waits for figures loads itself again
+        page(served, path)
+        served.all_done()  # and for the next wall
     problems = []
     with sync.sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
