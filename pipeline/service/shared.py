@@ -19,7 +19,7 @@ from pipeline.records.criteria import REPORTED
 from pipeline.records.findings import Note
 from pipeline.service.catalogue import Catalogue
 from pipeline.service.database import Database
-from pipeline.service.jobs import results
+from pipeline.service.jobs import documents
 from pipeline.service.jobs.workers import Workers
 from pipeline.service.metrics import Metrics
 from pipeline.service.problems import Problem
@@ -114,8 +114,8 @@ class Service:
             request["against"] = asked.against.model_dump()
             self._add_notes(request["against"], asked.against.device, [asked.against.experiment])
         self._add_notes(request, asked.device, names)
-        key = results.key_of(self.settings, request)
-        if results.document_file(self.settings, key, report=True).is_file():
+        key = documents.key_of(self.settings, request)
+        if documents.document_file(self.settings, key, report=True).is_file():
             return key, None
         self._may_compute()
         wanted = {"key": key, "request": request, "asked": asked.model_dump()}
@@ -226,12 +226,12 @@ class Service:
     def peek(self, device: str, experiment: str) -> dict[str, Any] | None:
         """Return the document of an experiment where it is kept."""
         request = {"device": device, "experiments": [experiment], "criteria": None}
-        return results.read_document(self.settings, results.key_of(self.settings, request))
+        return documents.read_document(self.settings, documents.key_of(self.settings, request))
 
     def _kept(self, kind: str, request: dict[str, Any]) -> tuple[dict[str, Any] | None, str | None]:
         """Return a document that is kept, or the job of a kind that makes it."""
-        key = results.key_of(self.settings, request)
-        document = results.read_document(self.settings, key)
+        key = documents.key_of(self.settings, request)
+        document = documents.read_document(self.settings, key)
         if document is not None:
             return document, None
         self._may_compute()

@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from pipeline.base.disk import write_text
 from pipeline.base.errors import DeviceError, PipelineError
 from pipeline.base.file_names import path_of_text
-from pipeline.base.provenance import digest
 from pipeline.comparison.against_run import against_experiments
-from pipeline.comparison.compare import compare, report_code
+from pipeline.comparison.compare import compare
 from pipeline.comparison.executors import LOCAL, executor_of
 from pipeline.comparison.scene.scene import needed_stages, open_scene
 from pipeline.comparison.stage_pool import compute_stages
-from pipeline.device_data.devices import known_devices
 from pipeline.intake.ingest import ingest
 from pipeline.measured.stages.stages import STAGES, ExperimentStages
 from pipeline.plan.course import Wish
@@ -27,49 +25,12 @@ from pipeline.records.results import ComparisonResult
 from pipeline.rendering.report.report_against import write
 from pipeline.service.database import Database
 from pipeline.service.jobs import drawings
+from pipeline.service.jobs.documents import document_file, key_of, read_document
 from pipeline.service.profiles import profile_path
 from pipeline.service.settings import Settings
-from pipeline.store.corrections import read_corrections
-from pipeline.store.storage import list_devices, list_experiments, trials_files
+from pipeline.store.storage import list_devices, list_experiments
 
 Progress = Callable[[object], None]
-
-
-def state_of(processed: Path, device: str, experiments: Sequence[str]) -> str:
-    """Return a hash of what is stored of experiments: another one after any change, exclusions by hand among them."""
-    files = [file for name in experiments for file in trials_files(processed, device, name)]
-    places = [(device, name) for name in experiments]
-    known = read_corrections(processed).values()
-    corrected = [one.model_dump() for one in known if {one.place, (one.device, one.experiment)} & {*places}]
-    return digest([[[file.name, *file.stat()[6:9:2]] for file in files], corrected])
-
-
-def key_of(settings: Settings, request: dict[str, Any]) -> str:
-    """Return the key of a document: a hash of request, logs, device files and code."""
-    sides = [(place[0], [place[1]]) for place in request.get("places", ())] or [
-        (request["device"], request["experiments"])
-    ]
-    if request.get("against"):
-        sides.append((request["against"]["device"], [request["against"]["experiment"]]))
-    known = known_devices()
-    devices = [known[name].model_dump_json() if name in known else "" for name, _ in sides]
-    states = [state_of(settings.processed, *side) for side in sides]
-    return digest([request, states, devices, report_code()])
-
-
-def document_file(settings: Settings, key: str, report: bool = False) -> Path:
-    """Return the file of a document, that of an experiment or of a report."""
-    folder = settings.comparisons if report else settings.data / "documents"
-    return folder / f"{key}.json"
-
-
-def read_document(settings: Settings, key: str) -> dict[str, Any] | None:
-    """Return a document that is kept, that of an experiment, a plan or a drawing."""
-    try:
-        document: dict[str, Any] = json.loads(document_file(settings, key).read_bytes())
-    except FileNotFoundError:
-        return None
-    return document
 
 
 def run_upload(settings: Settings, database: Database, request: dict[str, Any], progress: Progress) -> Any:
@@ -224,9 +185,3 @@ KINDS = {
     "comparison": run_comparison,
 }
 """Function of each kind of job."""
-
-
-def uploaded_name(database: Database, source: str) -> str:
-    """Return the name under which a source was uploaded, or its path."""
-    rows = database.run("SELECT name FROM uploads WHERE path = ?", source)
-    return rows[0]["name"] if rows else str(path_of_text(source))

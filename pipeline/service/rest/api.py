@@ -18,7 +18,7 @@ from pipeline.records.criteria import REPORTED
 from pipeline.records.results import ComparisonResult
 from pipeline.service.catalogue import SORTED, WORDS, Catalogue, Selection, page_of
 from pipeline.service.database import ENDED
-from pipeline.service.jobs import results
+from pipeline.service.jobs import documents
 from pipeline.service.problems import Problem
 from pipeline.service.rest import answers
 from pipeline.service.rest.sample_forms import FORMS, form_of
@@ -282,7 +282,7 @@ def report(service: Shared, key: Annotated[str, Path(pattern="^[0-9a-f]{16}$")])
 
 
 def _add_part(part: str, shape: Any) -> None:
-    """Add the route of a part of an experiment's results."""
+    """Add the route of a part of an experiment's documents."""
 
     @api.get(
         f"/experiments/{{device}}/{{experiment}}/{part}",
@@ -363,7 +363,7 @@ def part_of(document: dict[str, Any], part: str) -> Any:
 
 def _file(service: Service, key: str, ending: str, media: str) -> Response:
     """Return a file of a comparison; the scripts of a page run as those of a site of its own."""
-    file = results.document_file(service.settings, key, report=True).with_suffix(ending)
+    file = documents.document_file(service.settings, key, report=True).with_suffix(ending)
     if not file.is_file():
         raise Problem(404, "There is no such comparison. POST comparisons makes one.", where="key", found=key)
     if ending == ".json":

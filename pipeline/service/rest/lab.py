@@ -13,7 +13,7 @@ from starlette.concurrency import run_in_threadpool
 from pipeline.base.file_names import path_of_text
 from pipeline.intake.quarantine import excerpt_of, list_quarantine, record_id, release
 from pipeline.service import profiles
-from pipeline.service.jobs.results import uploaded_name
+from pipeline.service.jobs.documents import uploaded_name
 from pipeline.service.problems import Problem
 from pipeline.service.rest import answers
 from pipeline.service.rest.api import Name, Segment, awaited, experiment_document, later
