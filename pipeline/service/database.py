@@ -160,6 +160,8 @@ class Database:
             "(state = 'running' AND kind != 'stages')))",
             *(name, kind, key, json.dumps(request), now, now, author, late, key, kind, key),
         )
+        if key and not late:  # somebody waits for what was to come last
+            self.run("UPDATE jobs SET late = 0 WHERE kind = ? AND key = ? AND state = 'queued'", kind, key)
         if kind == "drawing":
             self.run(
                 "UPDATE jobs SET state = 'cancelled', changed = ? WHERE state = 'queued' AND kind = 'drawing' AND "

@@ -122,7 +122,10 @@ class Service:
         return key, self.job("comparison", wanted, key, who, late)
 
     def renew(self) -> None:
-        """Ask anew for all reports that were made here, where logs came or were excluded since."""
+        """Ask anew for all experiments and reports, where logs came or were excluded since."""
+        for e in self.catalogue.experiments:
+            with suppress(Problem, PipelineError):
+                self.experiment(e["device"], e["experiment"], late=1)
         for asked in self.database.asked_reports():
             with suppress(Problem, PipelineError):  # what it needs is gone; the last one stays
                 self.comparison(ComparisonRequest.model_validate(asked), late=1)
@@ -205,10 +208,10 @@ class Service:
         self.database.note(who, "emptied the bin", {"trials": count})
         return count
 
-    def experiment(self, device: str, experiment: str) -> tuple[dict[str, Any] | None, str | None]:
+    def experiment(self, device: str, experiment: str, late: int = 0) -> tuple[dict[str, Any] | None, str | None]:
         """Return the document of an experiment, or the job that makes it."""
         self.used(device, [experiment])
-        return self._kept("experiment", {"device": device, "experiments": [experiment], "criteria": None})
+        return self._kept("experiment", {"device": device, "experiments": [experiment], "criteria": None}, late)
 
     def plan(self, device: str, experiment: str, goal: str) -> tuple[dict[str, Any] | None, str | None]:
         """Return what the planner says of an experiment, or the job that asks it."""
@@ -228,7 +231,7 @@ class Service:
         request = {"device": device, "experiments": [experiment], "criteria": None}
         return documents.read_document(self.settings, documents.key_of(self.settings, request))
 
-    def _kept(self, kind: str, request: dict[str, Any]) -> tuple[dict[str, Any] | None, str | None]:
+    def _kept(self, kind: str, request: dict[str, Any], late: int = 0) -> tuple[dict[str, Any] | None, str | None]:
         """Return a document that is kept, or the job of a kind that makes it."""
         key = documents.key_of(self.settings, request)
         document = documents.read_document(self.settings, key)
@@ -236,7 +239,7 @@ class Service:
             return document, None
         self._may_compute()
         failed = self.database.failed_job(kind, key, RETRY_S)
-        return None, failed or self.job(kind, {"key": key, "request": request}, key)
+        return None, failed or self.job(kind, {"key": key, "request": request}, key, late=late)
 
     def _may_compute(self) -> None:
         if self.settings.read_only:

@@ -209,7 +209,7 @@ class Deleted(Answer):
     trial_id: str
     device: str
     experiment: str
-    source_path: str
+    source: str
 
 
 class Deed(Answer):

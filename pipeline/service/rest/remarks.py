@@ -9,6 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from pipeline.base.provenance import digest
 from pipeline.intake.correct import in_bin
+from pipeline.service.jobs.documents import uploaded_name
 from pipeline.service.problems import Problem
 from pipeline.service.rest import answers
 from pipeline.service.rest.api import Cursor, Limit, Segment, cursor, numbered
@@ -171,8 +172,13 @@ def delete_device(service: Shared, request: Request, device: Segment) -> dict[st
 @remarks.get("/bin", response_model=list[answers.Deleted])
 def bin_(service: Shared) -> list[dict[str, Any]]:
     """List the deleted trials that are stored still."""
-    names = {"trial_id", "device", "experiment", "source_path"}
-    return [one.model_dump(include=names) for one in in_bin(service.settings.processed)]
+    return [
+        {
+            **one.model_dump(include={"trial_id", "device", "experiment"}),
+            "source": uploaded_name(service.database, one.source_path),
+        }
+        for one in in_bin(service.settings.processed)
+    ]
 
 
 @remarks.post("/bin/restore", response_model=answers.Count)
