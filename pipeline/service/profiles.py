@@ -98,8 +98,8 @@ def preview(folder: Path, text: str) -> list[Any]:
     """Return what a profile would read of samples; a refused one has the reason."""
     file = folder.with_suffix(".toml")
     write_text(file, text)
-    found: list[Any] = _asked("check", str(file), str(folder))["samples"]
-    return found
+    found = _asked("check", str(file), str(folder))["samples"]
+    return [{**sample, "path": Path(sample["path"]).relative_to(folder).as_posix()} for sample in found]
 
 
 def questions(text: str) -> list[dict[str, Any]]:
