@@ -117,10 +117,11 @@ def step_limits(setup: Setup, damping: Floats, linear: Floats, softest: Floats) 
     Returns
     -------
     float64, shape (n,)
-        NaN where no wall is unstable up to `HIGHEST` times the largest linear limit above the linear one.
+        NaN where no wall is unstable up to `HIGHEST` times the largest linear limit above the linear one, and where
+        the softest one is already: the limit lies below all that were tried.
     """
     low, high = np.maximum(linear, softest), linear + HIGHEST * linear.max()
-    ends = high > low
+    begin, ends = low, high > low
     for _ in range(ROUNDS):
         K = np.linspace(low, high, WALLS + 1)[1:]
         said = judge(simulate(setup, K.ravel(), np.tile(damping, WALLS))).verdict.reshape(K.shape)
@@ -128,7 +129,7 @@ def step_limits(setup: Setup, damping: Floats, linear: Floats, softest: Floats) 
         ends &= grows.any(axis=0)
         first, step = np.argmax(grows, axis=0), (high - low) / WALLS
         low, high = low + first * step, low + (first + 1) * step
-    return np.where(ends, 0.5 * (low + high), np.nan)
+    return np.where(ends & (low > np.where(begin > linear, begin, -1.0)), 0.5 * (low + high), np.nan)
 
 
 def _setup(loop: LoopRange, friction: float, stages: ExperimentStages) -> Setup:
