@@ -37,7 +37,7 @@ class LoopOptimum:
     ``stiffness`` K [N/m, Nm/rad], ``damping`` B [Ns/m, Nms/rad]. ``cost``: settling times in samples, overshoot as a
     fraction, energies dimensionless; None where the criterion has none. ``reason`` says why, or that the optimum is a
     limit that no stable point reaches. ``box``: smallest and largest stiffness, then damping, where a region is equally
-    good.
+    good. ``note`` tells of stable walls that were not searched.
     """
 
     criterion: str
@@ -46,6 +46,7 @@ class LoopOptimum:
     cost: float | None
     reason: str | None = None
     box: tuple[float, float, float, float] | None = None
+    note: str | None = None
 
 
 @dataclass(frozen=True)
@@ -224,6 +225,7 @@ class Loop:
             damping=found["beta"] * B,
             cost=found["cost"],
             reason=found.get("reason"),
+            note=found.get("note"),
             box=box and (box["alpha_low"] * K, box["alpha_high"] * K, box["beta_low"] * B, box["beta_high"] * B),
         )
 

@@ -132,4 +132,4 @@ def device_optimum(case: DeviceCase, criterion: str, signal: str | None = None) 
             name.replace("alpha", "stiffness").replace("beta", "damping"): value * (k if "alpha" in name else b)
             for name, value in box.items()
         }
-    return result | {name: document[name] for name in ("reason",) if name in document}
+    return result | {name: document[name] for name in ("reason", "note") if name in document}

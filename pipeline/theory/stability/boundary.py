@@ -15,9 +15,15 @@ from pipeline.loop.device_loop import DeviceLoop
 from pipeline.loop.loop import Loop
 from pipeline.records.batch import Floats
 from pipeline.theory.device.outline import outline
-from pipeline.theory.stability.extent import smooth_levels, stiffest_point
+from pipeline.theory.stability.extent import damping_range, smooth_levels, stiffest_point
 from pipeline.theory.stability.region import region, stable_intervals
 from pipeline.theory.stability.stability import bisect, boundary_points
+
+_FEWEST = 8
+"""Points of an outline of which only the islands are asked for: they are known whatever its points."""
+
+_LEVELS = 241
+"""Dampings at which an ideal loop's second stable stretches are looked for; those of two springs are wide."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,6 +102,14 @@ def boundary(loop: Loop, points: int = 400) -> Boundary:
         beta_max=float(top[1][0]),
         alpha_at_beta_max=0.0 - loop.gamma if theta_top == end else float(top[0][0]),
     )
+
+
+def has_islands(loop: Loop) -> bool:
+    """Return whether walls are stable somewhere beyond an unstable stretch of softer ones, down to alpha -> 0."""
+    if isinstance(loop, DeviceLoop):
+        return len(outline(loop, _FEWEST).islands) > 0
+    found = stable_intervals(loop, np.linspace(*damping_range(loop), _LEVELS))
+    return bool((found.low > 0).any())
 
 
 def _of_device(loop: DeviceLoop, points: int) -> Boundary:
