@@ -43,7 +43,7 @@ and energy costs grow with the inverse distance to the power of w + 1, so hardly
 
 
 _ISLANDS = (
-    "not searched: walls beyond an unstable stretch (at their damping, softer walls are unstable), which exist for this "
+    "not searched: walls beyond an unstable stretch (at their damping, softer ones are unstable), which exist for this "
     "loop and may cost less"
 )
 
