@@ -79,6 +79,19 @@ class Sampled:
 
 
 @dataclass(frozen=True)
+class OwnSteps:
+    """What a sample makes of all states but the delayed forces: ``free`` (own, own), and ``gains`` of the segments.
+
+    ``position`` and ``velocity`` are the rows (own,) of sensed position and filtered velocity; all Decimal.
+    """
+
+    free: Digits
+    gains: tuple[Digits, ...]
+    position: Digits
+    velocity: Digits
+
+
+@dataclass(frozen=True)
 class DeviceLoop(Loop):
     """A linear device behind a delay and a lag, with a velocity filter, without its wall.
 
@@ -198,43 +211,46 @@ class DeviceLoop(Loop):
             return as_floats(b), as_floats(a)
 
     @cached_property
+    def own(self) -> OwnSteps:
+        """Motion of all states but the delayed forces, over a sample; exact."""
+        whole, gains = self.pushes
+        with many_digits(self.digits):
+            b, a, keep, rise = filter_steps(self.velocity)
+            p, f = len(whole), len(b) - 1
+            free, position = as_exact(np.zeros((p + 1 + f, p + 1 + f))), as_exact(np.zeros(p + 1 + f))
+            position[:p] = as_exact(self.device[2])
+            difference = position.copy()
+            difference[p] -= 1
+            velocity = b[0] * difference
+            velocity[p + 1 : p + 2] += 1
+            free[:p, :p], free[p] = whole, position
+            for i in range(1, f + 1):
+                free[p + i] = b[i] * difference - a[i] * velocity
+                free[p + i, p + i] += Decimal(keep)
+                free[p + i, p + i + 1 : p + f + 1] += as_exact([rise, *[0] * (f - 1 - i)][: f - i])
+            return OwnSteps(free, tuple(np.append(gain, as_exact([0] * (f + 1))) for gain in gains), position, velocity)
+
+    @cached_property
     def open_loop(self) -> tuple[Floats, Floats, Floats, Floats]:
         """State matrix (n, n) without wall, column of the wall's force, rows of sensed position and filtered velocity.
 
         States: the device's, the last sampled position, the filter's, and the wall's forces of the last samples, newest
         first.
         """
-        whole, gains = self.pushes
-        with many_digits(self.digits):
-            *parts, keep, rise = filter_steps(self.velocity)
-            b, a = (as_floats(part) for part in parts)
-        p, f, delay = len(whole), len(b) - 1, self.oldest_force
-        n = p + 1 + f + delay
-        matrix, push = np.zeros((n, n)), np.zeros(n)
-        position, velocity = np.zeros(n), np.zeros(n)
-        matrix[:p, :p] = as_floats(whole)
-        position[:p] = self.device[2]
-        difference = position.copy()
-        difference[p] = -1.0
-        matrix[p] = position
-        velocity += b[0] * difference
-        if f:
-            velocity[p + 1] += 1.0
-            for i in range(1, f + 1):
-                row = matrix[p + i]
-                row += b[i] * difference - a[i] * velocity
-                row[p + i] += keep
-                if i < f:
-                    row[p + i + 1] += rise
-        for segment, gain in zip(self.segments, gains, strict=True):
+        steps, delay = self.own, self.oldest_force
+        own = len(steps.free)
+        matrix, (push, position, velocity) = np.zeros((own + delay, own + delay)), np.zeros((3, own + delay))
+        matrix[:own, :own], position[:own], velocity[:own] = map(
+            as_floats, (steps.free, steps.position, steps.velocity)
+        )
+        for segment, gain in zip(self.segments, steps.gains, strict=True):
             if segment.age == 0:
-                push[:p] += as_floats(gain)
+                push[:own] += as_floats(gain)
             else:
-                matrix[:p, p + f + segment.age] += as_floats(gain)
+                matrix[:own, own - 1 + segment.age] += as_floats(gain)
         if delay:
-            push[p + f + 1] = 1.0
-            for i in range(1, delay):
-                matrix[p + f + i + 1, p + f + i] = 1.0
+            push[own] = 1.0
+            matrix[own + 1 :, own:-1] = np.eye(delay - 1)
         return matrix, push, position, velocity
 
     @property
