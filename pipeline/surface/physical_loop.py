@@ -15,7 +15,7 @@ from scipy.optimize import minimize_scalar
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop import loop as normalised
-from pipeline.loop.device_loop import general, loop_of, wall_units
+from pipeline.loop.device_loop import loop_of, wall_units
 from pipeline.loop.response import response
 from pipeline.records.batch import Floats
 from pipeline.records.loop_parts import LoopParts
@@ -278,7 +278,7 @@ class Loop:
 
         Source: Hulin 2017, ch. 4; for delays that are no whole number of samples docs/definitions.md.
         """
-        loop, delta = general(self._normalised), self.damping / self._scale.damping
+        loop, delta = self._normalised, self.damping / self._scale.damping
         alpha, beta = passive_outline(loop, delta)
         best = np.zeros(2)
         if delta > 0:

@@ -157,7 +157,8 @@ def point_costs(cases: Cases, criteria: Sequence[str] = POINT_COSTS) -> list[dic
     for number, plant in enumerate(plants):
         members = np.flatnonzero(group == number)
         try:
-            loop = Loop(*(float(value) for value in plant))
+            gamma, delta, delay = map(float, plant)
+            loop = Loop(gamma, delta, delay)
         except ParameterError as error:
             raise ParameterError(f"{cases.path}, row {cases.row[members[0]]}: {error}") from error
         alpha, beta = cases.values[members, 0], cases.values[members, 1]

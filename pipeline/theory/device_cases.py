@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.base.errors import ParameterError
-from pipeline.loop.device_loop import general, loop_of, wall_units
+from pipeline.loop.device_loop import loop_of, wall_units
 from pipeline.loop.loop import Loop, Normalised
 from pipeline.records.batch import Floats
 from pipeline.records.loop_parts import LoopParts
@@ -67,7 +67,7 @@ def boundary_document(case: DeviceCase, points: int = 400) -> dict[str, Any]:
     ParameterError
         If no wall is stable at any damping.
     """
-    found, k, b = outline(general(case.loop), points), case.units.stiffness, case.units.damping
+    found, k, b = outline(case.loop, points), case.units.stiffness, case.units.damping
     if not len(found.beta) and not len(found.islands):
         raise ParameterError(
             f"device {case.device.name!r}, experiment {case.experiment.name!r}: no stiffness and damping stabilise "
@@ -103,7 +103,7 @@ def wall_documents(case: DeviceCase, walls: Cases, criteria: Sequence[str] = POI
     """
     check_criteria(criteria)
     alpha, beta = walls.values[:, 0] / case.units.stiffness, walls.values[:, 1] / case.units.damping
-    slowest = slowest_poles(general(case.loop), alpha, beta)
+    slowest = slowest_poles(case.loop, alpha, beta)
     radius = np.array([pole.radius for pole in slowest])
     found = points_of_loop(case.loop, alpha, beta, radius, criteria)
     return [

@@ -11,8 +11,7 @@ from functools import cache
 
 import numpy as np
 
-from pipeline.loop.device_loop import DeviceLoop, Vibration
-from pipeline.loop.loop import Loop
+from pipeline.loop.loop import Loop, Vibration
 from pipeline.loop.many_digits import as_exact, bilinear, many_digits
 from pipeline.records.accuracy import OURS
 from pipeline.records.batch import Floats
@@ -50,10 +49,10 @@ COSTS = {
 DEVICE_QUANTITIES = (BOUNDARY, RADIUS, *COSTS)
 
 
-def device() -> DeviceLoop:
+def device() -> Loop:
     """Return the loop, made anew: nothing is known of it yet."""
     velocity = Butterworth(kind="butterworth", order=2, cutoff_hz=CUTOFF)
-    return DeviceLoop(0.0, 0.006, 2.4, LAG, Vibration(0.3, 0.5, 0.03, sensor_far=False), velocity)
+    return Loop(0.0, 0.006, 2.4, LAG, Vibration(0.3, 0.5, 0.03, sensor_far=False), velocity)
 
 
 @cache
@@ -192,7 +191,7 @@ def _costs() -> Ladder:
 def _own_costs(hard: HardLoop) -> dict[str, float]:
     mode = Vibration(hard.far_mass, hard.spring, hard.damper, sensor_far=False) if hard.far_mass else None
     velocity = Butterworth(kind="butterworth", order=hard.order, cutoff_hz=hard.cutoff) if hard.cutoff else None
-    loop = DeviceLoop(hard.gamma, hard.delta, hard.delay, hard.lag, mode, velocity)
+    loop = Loop(hard.gamma, hard.delta, hard.delay, hard.lag, mode, velocity)
     wall = np.array([hard.alpha]), np.array([hard.beta])
     found = point_costs_by_name(loop, *wall, [name for _, name in COSTS.values()], LONGEST)
     return {name: float(values[0]) for name, values in found.items()}

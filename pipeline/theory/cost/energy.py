@@ -13,7 +13,6 @@ from math import comb
 import numpy as np
 
 from pipeline.base.errors import ParameterError
-from pipeline.loop.device_loop import DeviceLoop, general
 from pipeline.loop.loop import Loop, as_points
 from pipeline.records.batch import Booleans, Floats
 from pipeline.theory.cost.lagsums import lag_sums
@@ -75,8 +74,7 @@ def energy_costs(loop: Loop, alpha: object, beta: object, signal: str = "step") 
 
 
 def _energies(loop: Loop, alpha: Floats, beta: Floats, signal: str) -> list[Floats]:
-    whole = general(loop)
-    sums, forms = _sums(loop, whole, alpha, beta, signal), energy_forms(whole)
+    sums, forms = _sums(loop, alpha, beta, signal), energy_forms(loop)
     stiffness, one = alpha + loop.gamma, np.ones_like(alpha)
     # deviations of a step are relative to chi_inf, E/E_0 = e^2 + v^2/(alpha + gamma); an impulse starts with v = 1
     potential, kinetic = (one, 1 / stiffness) if signal == "step" else (stiffness, one)
@@ -88,25 +86,25 @@ def _energies(loop: Loop, alpha: Floats, beta: Floats, signal: str) -> list[Floa
     return [sum(comb(w, i) * summed[w - i, kind, i] for i in range(w + 1)) for kind in (0, 1) for w in WEIGHTS]
 
 
-def _sums(loop: Loop, whole: DeviceLoop, alpha: Floats, beta: Floats, signal: str) -> Floats:
-    """Return sum_k k^w g_k g_k' of what an interval sees (`DeviceLoop.seen`), shape (3, n, q, q)."""
-    law, n, q = whole.law(alpha, beta), len(alpha), len(whole.device[1]) + len(whole.segments)
+def _sums(loop: Loop, alpha: Floats, beta: Floats, signal: str) -> Floats:
+    """Return sum_k k^w g_k g_k' of what an interval sees (`Loop.seen`), shape (3, n, q, q)."""
+    law, n, q = loop.law(alpha, beta), len(alpha), len(loop.device[1]) + len(loop.segments)
     sums, rest = np.empty((len(WEIGHTS), n, q, q)), np.arange(n)
-    if n > _FEW or whole.states > _SHORT:
-        if isinstance(loop, DeviceLoop):
-            sums, good = _by_modes(whole, law, modes(whole, alpha, beta, signal))
+    if n > _FEW or loop.states > _SHORT:
+        if loop.has_parts:
+            sums, good = _by_modes(loop, law, modes(loop, alpha, beta, signal))
         else:
             found = lag_sums(loop, alpha, beta, signal)
             sums, good = np.moveaxis(found.moments, 3, 1), found.trusted
         rest = np.flatnonzero(~good)
-    chunk = max(1, _ENTRIES // whole.states**2)
+    chunk = max(1, _ENTRIES // loop.states**2)
     for some in (rest[i : i + chunk] for i in range(0, len(rest), chunk)):
-        for w, part in enumerate(refined_sums(whole, alpha[some], beta[some], signal)):
-            sums[w, some] = whole.seen(law[some], np.swapaxes(whole.seen(law[some], part), 1, 2))
+        for w, part in enumerate(refined_sums(loop, alpha[some], beta[some], signal)):
+            sums[w, some] = loop.seen(law[some], np.swapaxes(loop.seen(law[some], part), 1, 2))
     return sums
 
 
-def _by_modes(loop: DeviceLoop, law: Floats, found: Modes) -> tuple[Floats, Booleans]:
+def _by_modes(loop: Loop, law: Floats, found: Modes) -> tuple[Floats, Booleans]:
     """Return the sums, and where rounding has a small share in them."""
     seen = loop.seen(law, found.state)
     back = np.swapaxes(seen.conj(), 1, 2)

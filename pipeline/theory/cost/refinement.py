@@ -12,7 +12,7 @@ from math import comb
 
 import numpy as np
 
-from pipeline.loop.device_loop import DeviceLoop
+from pipeline.loop.loop import Loop
 from pipeline.records.batch import Floats
 from pipeline.theory.cost.twofold import add, from_decimals, multiply, twofold
 
@@ -55,12 +55,12 @@ def weighted_sums(matrix: Floats, initial: Floats) -> Sums:
     return _doubled(matrix, (first, np.zeros_like(matrix), np.zeros_like(matrix)))
 
 
-def refined_sums(loop: DeviceLoop, alpha: Floats, beta: Floats, signal: str) -> Sums:
+def refined_sums(loop: Loop, alpha: Floats, beta: Floats, signal: str) -> Sums:
     """Return the weighted sums of responses to the last digit or two of a double.
 
     Parameters
     ----------
-    loop : DeviceLoop
+    loop : Loop
     alpha, beta : float64, shape (n,)
     signal : {"step", "impulse"}
 
@@ -81,7 +81,7 @@ def refined_sums(loop: DeviceLoop, alpha: Floats, beta: Floats, signal: str) -> 
     return sums
 
 
-def _refined(loop: DeviceLoop, walls: tuple[Floats, Floats], matrix: Floats, start: Floats, x: list[Floats]) -> Sums:
+def _refined(loop: Loop, walls: tuple[Floats, Floats], matrix: Floats, start: Floats, x: list[Floats]) -> Sums:
     top, columns = _matrix_rows(loop, *walls)
     known = multiply(twofold(start)[..., :, None], twofold(start)[..., None, :])
     for _ in range(_ROUNDS):
@@ -142,7 +142,7 @@ def _raised(x: list[Floats], w: int) -> Floats:
     return result
 
 
-def _moved(loop: DeviceLoop, top: Floats, columns: list[int], z: Floats) -> Floats:
+def _moved(loop: Loop, top: Floats, columns: list[int], z: Floats) -> Floats:
     """A Z A' for symmetric Z: below its first rows, A only moves forces on to the next place."""
     result, rows, own = np.empty_like(z), top.shape[2], len(loop.own.free)
     source = slice(own, z.shape[-1] - 1)
@@ -162,10 +162,10 @@ def _product(top: Floats, columns: list[int], z: Floats) -> Floats:
     return result
 
 
-def _matrix_rows(loop: DeviceLoop, alpha: Floats, beta: Floats) -> tuple[Floats, list[int]]:
+def _matrix_rows(loop: Loop, alpha: Floats, beta: Floats) -> tuple[Floats, list[int]]:
     """First rows of the loop matrix, down to the newest force: their columns, shape (2, n, rows, columns), and which.
 
-    Source: Hulin 2017, eq. 3.1, as `DeviceLoop.matrix`.
+    Source: Hulin 2017, eq. 3.1, as `Loop.matrix`.
     """
     steps, points = loop.own, np.ones((len(alpha), 1))
     position, velocity, *gains = from_decimals([steps.position, steps.velocity, *steps.gains]).swapaxes(0, 1)

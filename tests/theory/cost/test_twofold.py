@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from independent import flow_in_many_digits
 
-from pipeline.loop.device_loop import general
 from pipeline.loop.loop import Loop
 from pipeline.theory.cost.refinement import _matrix_rows
 from pipeline.theory.cost.twofold import add, from_decimals, multiply, twofold
@@ -50,7 +49,7 @@ def test_decimals_keep_twice_the_digits() -> None:
 def test_rows_of_the_loop_matrix_have_twice_the_digits(loop: Loop) -> None:
     """States: position, velocity, last position, forces."""
     alpha, beta, whole = 0.3, 0.1, int(loop.delay)
-    rows, columns = _matrix_rows(general(loop), np.array([alpha]), np.array([beta]))
+    rows, columns = _matrix_rows(loop, np.array([alpha]), np.array([beta]))
     with mp.workdps(50):
         fraction = mp.mpf(loop.delay) - whole
         first, late = (flow_in_many_digits(loop.gamma, loop.delta, time) for time in (fraction, 1 - fraction))
