@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
+from independent import maximum_passive_stiffness
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop, Vibration
 from pipeline.records.loop_parts import Butterworth
 from pipeline.theory.device.passive_walls import passive_outline, required_damping
-from pipeline.theory.stability.passivity import boundary_angle, maximum_passive_stiffness, passive_boundary
+from pipeline.theory.stability.passivity import boundary_angle, passive_boundary
 
 ALIASES = 400
 

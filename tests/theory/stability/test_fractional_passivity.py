@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from independent import maximum_passive_stiffness
 from independent import needed_damping as by_the_printed_condition
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop
 from pipeline.theory.device.passive_walls import passive_outline, required_damping, stiffest_passive
-from pipeline.theory.stability.passivity import maximum_passive_stiffness
 
 
 def needed_damping(delay: float, stiffness: list[float], damping: list[float]) -> np.ndarray:
