@@ -15,6 +15,15 @@ from pipeline.comparison.compare import Outcome
 from pipeline.device_data.devices import load_device
 
 
+def pytest_collection_modifyitems(items):
+    """Of the cases of a test that is marked `sampled`, all but the first are slow."""
+    seen = set()
+    for item in items:
+        if item.get_closest_marker("sampled") and item.function in seen:
+            item.add_marker(pytest.mark.slow)
+        seen.add(getattr(item, "function", None))
+
+
 @pytest.fixture
 def edit(monkeypatch):
     """Call it with modules: from then on the source of each has a line more, though what runs stays the same."""
@@ -85,6 +94,12 @@ def sweep(tmp_path_factory) -> Lab:
 
 
 @pytest.fixture(scope="session")
+def sticky(tmp_path_factory) -> Lab:
+    """A device with friction, stiction and jitter, 88 trials: most rest elsewhere than at x_0 + F_0/K."""
+    return make_lab(tmp_path_factory.mktemp("sticky"), load_device("falcon-real"), ("1",), seed=1, coarsen=6)
+
+
+@pytest.fixture(scope="session")
 def unknown(tmp_path_factory) -> Lab:
     """A device without a device file that moves like the Falcon."""
     device = load_device("falcon").model_copy(update={"name": "mydevice"})
@@ -99,6 +114,11 @@ def falcon_outcome(falcon, one_process) -> Outcome:
 @pytest.fixture(scope="session")
 def lwr_outcome(lwr, one_process) -> Outcome:
     return lwr.compare(report=lwr.raw.parent / "lwr.html")
+
+
+@pytest.fixture(scope="session")
+def sticky_outcome(sticky, one_process) -> Outcome:
+    return sticky.compare(report=sticky.raw.parent / "sticky.html")
 
 
 @pytest.fixture(scope="session")

@@ -40,6 +40,7 @@ COMMANDS = {
     "profile": ("cli_profiles", "profile_app"),
     "quarantine": ("cli_profiles", "quarantine_app"),
     "plan": ("cli_plan", "plan"),
+    "design": ("cli_design", "design"),
     "scene": ("cli_report", "scene_app"),
     "doctor": ("cli_storage", "doctor"),
 }

@@ -13,11 +13,12 @@ DIRECTLY: dict[str, tuple[str, ...]] = {
     "loop": ("records",),
     "measured": ("loop", "store"),
     "theory": ("loop",),
-    "simulation": ("device_data", "store", "loop"),
+    "simulation": ("device_data", "store", "theory"),
     "rendering": ("records",),
     "plan": ("store", "device_data", "measured", "theory"),
-    "comparison": ("profiles", "rendering", "plan"),
+    "comparison": ("profiles", "rendering", "plan", "simulation"),
     "surface": ("intake", "simulation", "comparison"),
+    "rig": ("surface",),
     # they hold estimators against simulated truth, whose exact costs and limits are those of theory
     "studies": ("measured", "theory", "simulation", "rendering"),
 }

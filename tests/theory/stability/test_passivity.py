@@ -149,6 +149,7 @@ def test_values_and_ends() -> None:
         assert last[1][0] == pytest.approx(1, rel=1e-12)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("d", [0.0, 0.5, 1.0, 4.0])
 def test_passive_walls_are_robustly_stable(d: float) -> None:
     delta = 0.02
