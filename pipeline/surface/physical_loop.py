@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import pandas as pd
@@ -27,7 +27,11 @@ from pipeline.theory.device.passive_walls import passive_outline, required_dampi
 from pipeline.theory.device_cases import islands_in_si
 from pipeline.theory.optimum.curves import Curve, best_damping, best_stiffness
 from pipeline.theory.stability.boundary import boundary
+from pipeline.theory.stability.margins import Margins, margins
 from pipeline.theory.stability.stability import spectral_radius
+
+if TYPE_CHECKING:  # takes longer to load than most answers to compute
+    from scipy.signal import StateSpace
 
 
 @dataclass(frozen=True)
@@ -339,6 +343,49 @@ class Loop:
         frame = pd.DataFrame({"time_s": time, "position": chi / unit})
         frame.attrs["units"] = units_of(("time_s", "position"), {self.motion})
         return frame
+
+    def margins(self, stiffness: float, damping: float) -> Margins:
+        """Return gain, phase and delay margin and bandwidth of a stable wall.
+
+        Parameters
+        ----------
+        stiffness, damping : float
+            Of one wall.
+
+        Returns
+        -------
+        Margins
+            ``gain``, ``gain_down``: factors of K and B together up, and down, to the limit; ``phase`` [rad], where the
+            loop's gain is 1; ``delay`` [samples] that may be added; ``bandwidth`` [rad/sample], where the position
+            after a command falls to 1/sqrt(2) of that at rest. Over 2 pi T the last is one in Hz. None: no limit.
+
+        Raises
+        ------
+        ParameterError
+            If the wall is unstable.
+        """
+        return margins(self._normalised, stiffness / self._scale.stiffness, damping / self._scale.damping)
+
+    def to_state_space(self, stiffness: float = 0.0, damping: float = 0.0) -> StateSpace:
+        """Return the loop as a discrete system of scipy, from a command [N, Nm] to the sensed position [m, rad].
+
+        Parameters
+        ----------
+        stiffness, damping : float
+            Of the wall that closes the loop; without one the open loop.
+
+        Returns
+        -------
+        scipy.signal.StateSpace
+            With ``dt``; ``control.ss(s.A, s.B, s.C, s.D, s.dt)`` is that of python-control. The command passes gain,
+            delay and lag as the wall's own does.
+        """
+        from scipy.signal import StateSpace
+
+        loop, wall = self._normalised, np.array([[stiffness / self._scale.stiffness], [damping / self._scale.damping]])
+        _, push, position, _ = loop.open_loop
+        command = push[:, None] / self._scale.stiffness
+        return StateSpace(loop.matrix(*wall)[0], command, position[None], 0.0, dt=self.sampling_period_s)
 
     def map(self, size: int = 251, criteria: Sequence[str] = MAP_DEFAULT) -> pd.DataFrame:
         """Return costs on a grid over the bounding box of the stable region, both ends included.

@@ -243,6 +243,11 @@ def _alpha(loop: Loop, place: Floats, beta: Floats) -> Floats:
     return np.asarray(inverse.real - beta * rate.real)
 
 
+def on_circle_response(loop: Loop, angle: Floats) -> tuple[np.ndarray, np.ndarray]:
+    """Return -1/G and N at angles in (0, pi), complex, shape (n,)."""
+    return _inverse_and_rate(loop, 2 * np.log(np.tan(0.5 * angle)))
+
+
 def _inverse_and_rate(loop: Loop, place: Floats) -> tuple[np.ndarray, np.ndarray]:
     """Return -1/G and N on the unit circle at ln s, complex, shape (n,)."""
     w = 1j * np.exp(0.5 * place)
