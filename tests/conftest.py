@@ -15,6 +15,15 @@ from pipeline.comparison.compare import Outcome
 from pipeline.device_data.devices import load_device
 
 
+def pytest_collection_modifyitems(items):
+    """Of the cases of a test that is marked `sampled`, all but the first are slow."""
+    seen = set()
+    for item in items:
+        if item.get_closest_marker("sampled") and item.function in seen:
+            item.add_marker(pytest.mark.slow)
+        seen.add(getattr(item, "function", None))
+
+
 @pytest.fixture
 def edit(monkeypatch):
     """Call it with modules: from then on the source of each has a line more, though what runs stays the same."""

@@ -23,6 +23,9 @@ _FORMER_FILTER = (
     '{ kind = "butterworth", order = 1, cutoff_hz = ... }, with cutoff_hz = 1/(2 pi velocity_filter_s); '
     "leave [controller] out, and without a filter [loop] too"
 )
+SAMPLES, SAMPLES_OF_REST = 1000, 20
+"""Length of a simulated trial, and rest before its step, where a device file says neither [samples]."""
+
 FORMER_KEYS = dict.fromkeys(("controller", "velocity_filter_s"), _FORMER_FILTER)
 """What stands in place of keys that device files had in earlier versions."""
 
@@ -128,7 +131,8 @@ def read_device(path: Path) -> Device:
     ----------
     path : Path
         TOML file with the fields of `pipeline.records.models.Device`; experiments as ``[[experiment]]``, published
-        tables as ``[[table]]``. Numbers are not read from strings or booleans.
+        tables as ``[[table]]``. Numbers are not read from strings or booleans. ``sampling_period_s`` and, of each
+        experiment, ``mass`` and ``delay_samples`` are needed; a device of one experiment may state them at the top.
 
     Raises
     ------
@@ -137,7 +141,7 @@ def read_device(path: Path) -> Device:
         fields are named, with what was found and why it is refused.
     """
     try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
+        data = _completed(tomllib.loads(path.read_text(encoding="utf-8")), path.stem)
     except OSError as error:
         raise DeviceError(f"{path}: device file cannot be read ({error.strerror or error}).") from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
@@ -160,6 +164,19 @@ def read_device(path: Path) -> Device:
         raise DeviceError(
             f"{path}: wrong device file, {len(found)} field(s) to correct:\n" + "\n".join(found)
         ) from error
+
+
+def _completed(data: dict[str, Any], name: str) -> dict[str, Any]:
+    """Return what a device file says, with what it may leave out."""
+    full = {"name": name, **data}
+    full = {"title": full["name"], **full}
+    if "experiment" not in full:
+        own = [key for key in Experiment.model_fields if key in full and key not in Device.model_fields]
+        full["experiment"] = [{"name": "1", **{key: full.pop(key) for key in own}}]
+    period = full.get("sampling_period_s")
+    if isinstance(period, float):
+        full = {"duration_s": SAMPLES * period, "baseline_s": SAMPLES_OF_REST * period, **full}
+    return full
 
 
 def _read_folder(folder: Path) -> dict[str, Device]:

@@ -27,6 +27,7 @@ from pipeline.records.models import Device, Experiment
 from pipeline.store.samples import load_groups
 from pipeline.store.storage import list_experiments, read_trials
 from pipeline.theory.device.outline import limits, outline
+from pipeline.theory.device_cases import tested_grid
 
 DAMPINGS = 12
 """Dampings at which limits are looked for where none are named."""
@@ -201,9 +202,11 @@ def wanted_dampings(course: Course, wish: Wish) -> tuple[float, ...]:
     if wish.dampings:
         wanted = np.unique(np.array(wish.dampings, dtype=np.float64))
     elif of_file is not None:
-        even = np.linspace(of_file.damping_first, of_file.damping_last, DAMPINGS)
-        steps = np.round((even - of_file.damping_first) / of_file.damping_step)
-        wanted = np.unique(np.maximum(of_file.damping_first + steps * of_file.damping_step, 0.0))
+        assert course.device is not None, "of which the experiment was found"
+        grid = tested_grid(course.device, of_file)
+        even = np.linspace(grid.damping_first, grid.damping_last, DAMPINGS)
+        steps = np.round((even - grid.damping_first) / grid.damping_step)
+        wanted = np.unique(np.maximum(grid.damping_first + steps * grid.damping_step, 0.0))
     elif len(tried) > DAMPINGS:
         wanted = tried[np.unique(np.round(np.linspace(0, len(tried) - 1, DAMPINGS)).astype(np.int64))]
     else:

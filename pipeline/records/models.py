@@ -32,12 +32,15 @@ class Sensor(Record):
 class Limits(Record):
     """Largest distance from the workspace centre [m, rad] and, where known, largest force [N, Nm]."""
 
-    travel: Positive
+    travel: Positive = 1.0
     force: Positive | None = None
 
 
 class Experiment(Record):
-    """One course of measurements: configuration, plant as published, and the grid of (K, B) that is tested."""
+    """One course of measurements: configuration, plant as published, and the grid of (K, B) that is tested.
+
+    A grid that is left out is laid over the walls that theory calls stable (`theory.device_cases.tested_grid`).
+    """
 
     name: Name
     configuration: str = ""
@@ -49,15 +52,15 @@ class Experiment(Record):
     added_delay_samples: Annotated[int, Field(ge=0)] = 0
     jitter_samples: tuple[Annotated[int, Field(ge=0)], ...] = ()
     damping_first: float = 0.0
-    damping_last: float
-    damping_step: Positive
-    stiffness_step: Positive
+    damping_last: float | None = None
+    damping_step: Positive | None = None
+    stiffness_step: Positive | None = None
     loop: LoopParts = LoopParts()
     simulation: SimulationParts = SimulationParts()
 
     @model_validator(mode="after")
     def _grid_is_ordered(self) -> Self:
-        if self.damping_last < self.damping_first:
+        if self.damping_last is not None and self.damping_last < self.damping_first:
             raise ValueError(f"damping_last ({self.damping_last}) is below damping_first ({self.damping_first})")
         return self
 
@@ -80,19 +83,22 @@ class TableLayout(Record):
 
 
 class Device(Record):
-    """A haptic device as data: everything that simulation, theory and reports need to know of it."""
+    """A haptic device as data: everything that simulation, theory and reports need to know of it.
+
+    A device file may leave out more (`device_data.devices.read_device`).
+    """
 
     name: Name
     title: str
-    source: str
+    source: str = ""
     motion: Motion = "translation"
     sampling_period_s: Positive
-    step: Positive
+    step: Positive = 1.0
     centre: float = 0.0
     duration_s: Positive
     baseline_s: Positive
     sensor: Sensor = Sensor()
-    limits: Limits
+    limits: Limits = Limits()
     loop: LoopParts = LoopParts()
     simulation: SimulationParts = SimulationParts()
     experiments: tuple[Experiment, ...] = Field(alias="experiment", min_length=1)

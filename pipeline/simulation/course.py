@@ -31,6 +31,7 @@ from pipeline.simulation.radius import spectral_radius
 from pipeline.simulation.setup import Setup, idealise, setup_of
 from pipeline.simulation.simulate import simulate
 from pipeline.store.names import place_of
+from pipeline.theory.device_cases import tested_grid
 
 LOWEST_DAMPING = 2.0
 """Largest -B tested at K = 0 in times the physical damping, where the tested B end before: the limit is at once."""
@@ -158,16 +159,17 @@ def run_course(
         batch = simulate(setup, stiffness, damping, seed=seed, stream=stream)
         return batch, np.asarray(judge(batch).verdict, dtype=np.str_)
 
-    lowest = max(conditions.damping_last, LOWEST_DAMPING * conditions.damping)
-    climb = Climb(run, coarsen * conditions.stiffness_step, conditions.damping_step, lowest, progress)
-    stride = coarsen * conditions.damping_step
+    grid = tested_grid(device, conditions)
+    lowest = max(grid.damping_last, LOWEST_DAMPING * conditions.damping)
+    climb = Climb(run, coarsen * grid.stiffness_step, grid.damping_step, lowest, progress)
+    stride = coarsen * grid.damping_step
     tolerance = 1e-9  # of a step: 184/4 must not lose its last damping to rounding
-    count = floor((conditions.damping_last - conditions.damping_first) / stride + tolerance) + 1
-    climb.columns([(j, conditions.damping_first + j * stride) for j in range(count)])
+    count = floor((grid.damping_last - grid.damping_first) / stride + tolerance) + 1
+    climb.columns([(j, grid.damping_first + j * stride) for j in range(count)])
     last = count - 1
     while damping_range == "full":
         columns = range(last + 1, last + 1 + COLUMNS_AHEAD)
-        stable = climb.columns([(j, conditions.damping_first + j * stride) for j in columns])
+        stable = climb.columns([(j, grid.damping_first + j * stride) for j in columns])
         if not stable.all():
             last += 1 + int(np.argmin(stable))
             break

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -19,6 +20,9 @@ from pipeline.theory.cases import POINT_COSTS, Cases, optimum_document, points_o
 from pipeline.theory.cost.theory_map import check_criteria
 from pipeline.theory.device.outline import outline
 from pipeline.theory.device.slowest_pole import slowest_poles
+
+GRID_DAMPINGS, GRID_STIFFNESSES = 12, 30
+"""Grid of walls where a device file states none: dampings over half of the stable ones, stiffnesses up to the limit."""
 
 WALL_COLUMNS = ("stiffness", "damping")
 """Columns of a CSV file of walls."""
@@ -57,6 +61,46 @@ class DeviceCase:
             "parts": self.parts.model_dump(mode="json", exclude_defaults=True, exclude={"friction"}),
             "left_out": self.parts.left_out,
         }
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Walls that are tested: dampings [Ns/m, Nms/rad], and the step by which the stiffness [N/m, Nm/rad] climbs."""
+
+    damping_first: float
+    damping_last: float
+    damping_step: float
+    stiffness_step: float
+
+
+def tested_grid(device: Device, experiment: Experiment) -> Grid:
+    """Return the walls that a course tests: as the device file says, and where it does not, over those that are stable.
+
+    Raises
+    ------
+    ParameterError
+        If the file names no grid and no wall is stable.
+    """
+    e = experiment
+    if e.damping_last is None or e.damping_step is None or e.stiffness_step is None:
+        case = DeviceCase(device, experiment)
+        found = boundary_document(case, GRID_STIFFNESSES)
+        last = max(found["damping"]) / 2 if e.damping_last is None else e.damping_last
+        last = max(last, e.damping_first)
+        step = (last - e.damping_first) / (GRID_DAMPINGS - 1) or case.units.damping
+        return Grid(
+            e.damping_first,
+            last,
+            rounded(step) if e.damping_step is None else e.damping_step,
+            rounded(found["stiffness_max"] / GRID_STIFFNESSES) if e.stiffness_step is None else e.stiffness_step,
+        )
+    return Grid(e.damping_first, e.damping_last, e.damping_step, e.stiffness_step)
+
+
+def rounded(step: float) -> float:
+    """Return a step as a person would choose it: 1, 2 or 5 times a power of ten, at most the one given."""
+    power = 10.0 ** math.floor(math.log10(step))
+    return max(power * nice for nice in (1, 2, 5) if power * nice <= step * (1 + 1e-9))
 
 
 def boundary_document(case: DeviceCase, points: int = 400) -> dict[str, Any]:

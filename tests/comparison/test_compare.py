@@ -173,6 +173,7 @@ def test_dry_run_after_a_run_reuses_all(own, nothing_is_computed):
     assert set(actions(outcome).values()) <= {REUSE, LEAVE_OUT}
 
 
+@pytest.mark.slow
 def test_one_more_log_runs_only_its_experiment(own):
     before = run(own)
     log = sorted((own / "raw/lwr/delay-4").glob("B008*.csv"))[0]
@@ -223,6 +224,7 @@ def test_criteria_of_the_same_stage_still_change_the_report(own):
     assert other.result.criteria == ("energy_step_w1",)
 
 
+@pytest.mark.slow
 def test_a_report_is_renewed_where_another_one_already_computed_the_stages(own):
     first = run(own)
     log = sorted((own / "raw/lwr/delay-4").glob("B008*.csv"))[0]
@@ -255,6 +257,7 @@ def test_left_out_estimates_say_so(own):
     assert not any("estimate" in text for text in result.warnings)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("change", ["", "[]", "{}", '{"provenance": []}', '{"provenance": {"key": "KEY"}}', "\ud800"])
 def test_a_damaged_document_beside_the_report_is_written_anew(own, change):
     outcome = run(own)

@@ -207,6 +207,7 @@ class Run(threading.Thread):
         return self.error
 
 
+@pytest.mark.slow
 def test_a_worker_and_then_the_scheduler_are_killed(trials, local, tmp_path):
     with dask(tmp_path, 2) as cluster:
         run = Run(cluster.address, trials)
@@ -250,6 +251,7 @@ def test_all_workers_are_killed_and_another_cluster_does_the_rest(trials, local,
     assert results(trials) == results(local / "whole")
 
 
+@pytest.mark.slow
 def test_the_store_is_killed(logs, monkeypatch):
     """Its server is stopped for a moment, which is waited for, and then killed."""
     monkeypatch.setattr(objects, "RETRIES", 3)

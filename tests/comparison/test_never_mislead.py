@@ -72,6 +72,7 @@ def compared(folder, logs, **options):
     return result.experiments[0], result
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("what", OTHER_HEADERS)
 def test_nothing_is_recommended_in_units_that_the_command_does_not_obey(tmp_path, course, what):
     changes, words = OTHER_HEADERS[what]

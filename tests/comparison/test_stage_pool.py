@@ -6,6 +6,8 @@ import errno
 import os
 import shutil
 
+import pytest
+
 from pipeline.comparison import shared_groups, stage_pool
 from pipeline.comparison.stage_pool import compute_stages
 from pipeline.measured.stages import stages
@@ -46,6 +48,7 @@ def no_file(*_, **__):
     raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
 
+@pytest.mark.slow
 def test_the_groups_of_a_large_experiment_are_shared(lwr, tmp_path, monkeypatch):
     monkeypatch.setattr(os, "cpu_count", lambda: 2)
     monkeypatch.setattr(stage_pool, "LARGE", 50)

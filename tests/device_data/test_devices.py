@@ -8,9 +8,11 @@ from pathlib import Path
 import pytest
 from places import SHARED
 
+from pipeline import Loop
 from pipeline.base.errors import DeviceError
 from pipeline.base.provenance import USER_FOLDER_VARIABLE, schema_folder
 from pipeline.device_data.devices import find_experiment, known_devices, load_device, read_device
+from pipeline.theory import device_cases
 
 TABLES = SHARED / "reference" / "tables"
 FALCON = schema_folder() / "devices" / "falcon.toml"
@@ -108,10 +110,10 @@ def test_two_files_of_one_name_are_refused(tmp_path: Path, monkeypatch: pytest.M
         ),
         (("mass = 0.58", 'mass = "0.58"'), r"experiment\[1\]\.mass .*found '0\.58'; .*valid number"),
         (("step = 8.0", "step = true"), r"step: found True; .*valid number"),
-        (("step = 8.0\n", ""), r"step: found nothing; field required"),
+        (("mass = 0.58\n", ""), r"experiment\[1\]\.mass .*found nothing; field required"),
         (
             ("travel = 0.05", "travle = 0.05"),
-            r"limits\.travel: found nothing(.|\n)*limits\.travle: found 0\.05; Extra",
+            r"limits\.travle: found 0\.05; Extra",
         ),
         (("step = 8.0", "step = nan"), r"step: found nan; .*finite number"),
         (('grip = "none"', 'grip = "soft"'), r"experiment\[1\]\.grip .*found 'soft'; .*'comfortable'"),
@@ -184,4 +186,19 @@ def test_a_missing_file_is_named(tmp_path: Path) -> None:
 def test_the_former_filter_is_refused_with_what_replaced_it(tmp_path: Path, place: str, with_it: str) -> None:
     path = altered(tmp_path, (place, with_it))
     with pytest.raises(DeviceError, match=r"(?s)1 field\(s\).*velocity_filter_s has been replaced: .*butterworth"):
+        read_device(path)
+
+
+def test_four_numbers_are_a_device_file(tmp_path: Path) -> None:
+    path = tmp_path / "arm.toml"
+    path.write_text("mass = 0.5\ndamping = 3.0\nsampling_period_s = 0.001\ndelay_samples = 2.4\n", encoding="utf-8")
+    device = read_device(path)
+    assert (device.name, device.title, device.duration_s) == ("arm", "arm", 1.0)
+    (experiment,) = device.experiments
+    assert (experiment.mass, experiment.damping, experiment.delay_samples) == (0.5, 3.0, 2.4)
+    grid = device_cases.tested_grid(device, experiment)
+    largest = Loop(0.5, 3.0, 0.001, 2.4).boundary().attrs["stiffness_max"]
+    assert 20 <= largest / grid.stiffness_step <= 80
+    path.write_text("damping = 3.0\ndelay_samples = 2.4\n", encoding="utf-8")
+    with pytest.raises(DeviceError, match=r"(?s)sampling_period_s: found nothing.*experiment\[1\]\.mass"):
         read_device(path)

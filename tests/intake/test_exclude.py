@@ -267,6 +267,7 @@ def test_the_best_trial_is_excluded_and_every_number_follows(lab, tmp_path):
     assert compared()[0].numbers() == before.numbers()
 
 
+@pytest.mark.slow
 def test_a_report_tells_another_reason_anew(lab, tmp_path):
     page = tmp_path / "falcon.html"
     trial = read_trials(lab.processed, "falcon", "1").column("trial_id")[0].as_py()

@@ -63,6 +63,7 @@ RIGS = {
 }
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("name", RIGS)
 def test_a_rig_that_sets_other_walls_is_told_of_and_the_search_ends(tmp_path, name):
     answers, asked = measured(tmp_path, RIGS[name], Wish(dampings=DAMPINGS))
@@ -86,6 +87,7 @@ def test_a_rig_that_sets_other_walls_is_told_of_and_the_search_ends(tmp_path, na
         assert limit.high is None or true <= 1.02 * limit.high
 
 
+@pytest.mark.slow
 def test_the_best_wall_of_a_rig_that_rounds(tmp_path):
     answers, asked = measured(tmp_path, lambda K, B: (500.0 * round(K / 500), 5.0 * round(B / 5)), Wish(goal="optimum"))
     best = answers[-1].optimum

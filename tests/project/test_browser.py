@@ -489,6 +489,7 @@ def test_nothing_moves_while_the_page_opens(browser: Any, measured: Path) -> Non
         assert sum(shifts) < 0.1
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("width", WIDTHS)
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_axe_finds_nothing_serious(browser: Any, measured: Path, width: int, scheme: str) -> None:

@@ -92,6 +92,7 @@ def recorded(lab: Lab, kind: str, monkeypatch, target: Path) -> list:
     return failing.calls
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("kind", ["ingest", "compact"])
 def test_each_call_may_fail(lab, kind, monkeypatch, tmp_path):
     prepared(lab, kind)
@@ -131,6 +132,7 @@ def lose_power(lab, kind, monkeypatch, tmp_path, chances, step):
     assert tried > 20
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("kind", ["ingest", "compact"])
 def test_power_may_fail_at_each_call(lab, kind, monkeypatch, tmp_path):
     lose_power(lab, kind, monkeypatch, tmp_path, (0.0, 0.5, 1.0), 3 if kind == "ingest" else 1)

@@ -29,6 +29,7 @@ SENSITIVE = (
 )
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("kernel", WITHOUT)
 def test_numbers_do_not_depend_on_the_kernel(kernel: str) -> None:
     chosen = " or ".join(f"({expression})" for expression in SENSITIVE)

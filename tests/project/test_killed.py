@@ -262,6 +262,7 @@ def kill_often(name: str, course: Path, folder: Path, kills: int, seed: int) -> 
     assert running > kills / 4, "few were killed before they had ended"
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("manner", [(signal.SIGKILL,), (signal.SIGTERM,)])
 @pytest.mark.parametrize("name", ["compare", "verify", "theory tables"])
 def test_workers_end_with_a_command(name, manner, course, tmp_path):
@@ -269,12 +270,14 @@ def test_workers_end_with_a_command(name, manner, course, tmp_path):
     assert run.end(manner) == -manner[0], run.out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("manner", [(signal.SIGKILL,), (signal.SIGTERM, signal.SIGTERM)])
 def test_workers_of_a_pass_end_with_a_watch(manner, course, tmp_path):
     run = begun("watch", course, tmp_path / "here")
     assert run.end(manner) in (0, -manner[0])
 
 
+@pytest.mark.slow
 def test_a_watch_goes_on_when_its_pass_dies(course, tmp_path):
     """Workers of the pass hold its output open, for which the watch would wait for ever."""
     run = begun("watch", course, tmp_path / "here")

@@ -107,6 +107,7 @@ def test_the_foreign_course_gives_the_same_trials_as_the_simulated_logs(capsys):
 FAMILIES = re.findall(r"^### (.*)$", section("## One example for each kind of file"), re.MULTILINE)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("title", FAMILIES)
 def test_each_family_is_read(title, capsys):
     printed = follow(section(f"### {title}"), capsys)

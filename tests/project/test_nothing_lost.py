@@ -302,6 +302,7 @@ class TestEnds:
         assert status == 2
         assert "629 MB" in said
 
+    @pytest.mark.sampled
     @pytest.mark.parametrize("seed", range(3))
     def test_a_flipped_bit_in_what_can_be_computed_anew_is_computed_anew(self, store, seed):
         words = ("compare", "--device", "bench", "--processed", store, "--json")

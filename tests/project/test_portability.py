@@ -64,6 +64,7 @@ def test_readers_work_in_processes_of_their_own(poor):
     assert done.stdout == "['ab', 'ab']\n", done.stderr
 
 
+@pytest.mark.slow
 def test_a_course_is_ingested_compared_watched_and_verified(poor, tmp_path):
     for name in ("delay-2", "delay-4"):
         write_course(run_course(load_device("lwr"), name, ideal=True, coarsen=12), tmp_path / "raw")

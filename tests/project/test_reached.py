@@ -11,6 +11,7 @@ import re
 from collections import defaultdict
 from collections.abc import Iterator
 
+import pytest
 from test_architecture import FILES, PACKAGE
 
 import pipeline
@@ -181,6 +182,7 @@ def is_value(nodes: list[ast.AST]) -> bool:
     return len(nodes) == 1 and isinstance(nodes[0], ast.expr)
 
 
+@pytest.mark.slow
 def test_nothing_public_is_there_for_tests_alone() -> None:
     texts = {name: path.read_text(encoding="utf-8") for name, path in FILES.items()}
     surface = [(module, name) for module, names in pipeline._PUBLIC.items() for name in names]

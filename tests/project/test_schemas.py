@@ -172,6 +172,6 @@ def test_wrong_values_are_found() -> None:
     values["sampling_period_s"] = 0
     values["experiment"][0]["mass"] = "0.58"
     values["experiment"][1]["grip"] = "weak"
-    del values["limits"]
+    del values["experiment"][1]["delay_samples"]
     values["colour"] = "blue"
     assert len(problems(values, schema, schema)) == 5

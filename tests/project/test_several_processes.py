@@ -198,6 +198,7 @@ def test_a_lock_of_a_killed_process_is_free(tmp_path):
         pass
 
 
+@pytest.mark.slow
 def test_a_file_that_may_not_grow_is_a_full_disk(tmp_path):
     logs = write_logs(tmp_path / "logs", 40, rows=400)
     processed = tmp_path / "processed"

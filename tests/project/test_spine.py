@@ -120,6 +120,7 @@ def without_origin(result: ComparisonResult) -> ComparisonResult:
     return result.model_copy(update={"provenance": {}, "report": None, "logs": logs})
 
 
+@pytest.mark.slow
 def test_logs_that_come_in_two_parts_give_the_same_as_at_once(sweep, tmp_path):
     for name in ("a", "b", "whole"):
         (tmp_path / name).mkdir()
@@ -135,6 +136,7 @@ def test_logs_that_come_in_two_parts_give_the_same_as_at_once(sweep, tmp_path):
     assert all(first[key].equals(second[key]) for key in second)
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_result_and_another_one_does_not(tmp_path):
     found = []
     for i, seed in enumerate((3, 3, 4)):

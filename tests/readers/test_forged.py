@@ -81,6 +81,7 @@ FORGED = {
 """By what the file is refused where a sound column of it is wanted; None where that is read."""
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("forge", FORGED, ids=lambda forge: forge.__name__)
 def test_a_forged_file_costs_little(tmp_path, forge):
     with h5py.File(tmp_path / "forged.h5", "w", libver="latest") as file:

@@ -68,6 +68,7 @@ def damaged(data, seed):
         yield bytes(copy)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("kind", FILES)
 def test_only_frames_and_log_errors_come_out(kind):
     module, make = FILES[kind]

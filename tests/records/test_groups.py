@@ -100,6 +100,7 @@ def test_groups_hold_the_samples_of_one_batch(lab, monkeypatch):
     assert np.isnan(window.position[2, 20:]).all()
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("stage", [stage for stage in STAGES if STAGES[stage].rows])
 @pytest.mark.parametrize("readings", [1, 1300])
 def test_rows_of_a_trial_are_the_same_bits_in_any_company(lab, monkeypatch, stage, readings):
@@ -141,6 +142,7 @@ CHANGES = {
 }
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("change", CHANGES)
 def test_after_a_change_all_is_as_from_scratch_and_little_is_computed(lab, tmp_path, monkeypatch, change):
     logs = sorted(lab.raw.rglob("*.csv"))
@@ -176,6 +178,7 @@ def test_after_a_change_all_is_as_from_scratch_and_little_is_computed(lab, tmp_p
         assert now[stage].equals(again.table(stage), check_metadata=True), stage
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("changed", ["code", "given", "samples"])
 def test_no_row_outlives_what_it_rests_on(lab, tmp_path, monkeypatch, edit, changed):
     processed = copy_store(lab, tmp_path)

@@ -291,6 +291,7 @@ def test_a_read_only_server_changes_nothing(tmp_path):
         assert client.get("jobs").content["items"] == []
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("full", ["disk", "database"])
 def test_a_full_disk_is_told_and_nothing_stays(empty, tmp_path, monkeypatch, full):
     def no_room(*_):

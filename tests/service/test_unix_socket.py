@@ -20,6 +20,7 @@ def asked(path, host="localhost"):
         return b"".join(iter(lambda: connection.recv(65536), b""))
 
 
+@pytest.mark.slow
 def test_a_server_at_a_path(tmp_path):
     path = tmp_path / "lab.sock"
     folders = ["--processed", tmp_path / "processed", "--reports", tmp_path / "reports"]

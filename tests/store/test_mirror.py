@@ -176,6 +176,7 @@ def test_a_file_that_is_merged_while_it_is_brought(s3, tmp_path, monkeypatch):
     assert not pending
 
 
+@pytest.mark.slow
 def test_wherever_it_is_cut_off_each_file_is_whole(s3, tmp_path, monkeypatch):
     """Every request that writes fails in turn, as when the process is killed there."""
     logs = write_logs(tmp_path / "logs", [1, 2])

@@ -69,6 +69,7 @@ def test_without_the_extra_it_is_told_what_to_install(monkeypatch):
         check_installed("distributed", "a cluster")
 
 
+@pytest.mark.slow
 def test_a_folder_needs_none_of_it(tmp_path):
     """Neither package is imported by commands that store into folders."""
     code = (

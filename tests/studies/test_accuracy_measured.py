@@ -128,6 +128,7 @@ def test_missing_values_are_counted_and_never_averaged() -> None:
 # the ladders
 
 
+@pytest.mark.slow
 def test_longer_logs_and_more_trials_give_smaller_errors(parameters: list[Rung]) -> None:
     for quantity in ("delay of a trial", "mass of a trial", "damping of a trial"):
         error = ladder(parameters, quantity, MODEL)

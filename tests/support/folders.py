@@ -13,7 +13,7 @@ DIRECTLY: dict[str, tuple[str, ...]] = {
     "loop": ("records",),
     "measured": ("loop", "store"),
     "theory": ("loop",),
-    "simulation": ("device_data", "store", "loop"),
+    "simulation": ("device_data", "store", "theory"),
     "rendering": ("records",),
     "plan": ("store", "device_data", "measured", "theory"),
     "comparison": ("profiles", "rendering", "plan"),

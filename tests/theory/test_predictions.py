@@ -193,6 +193,7 @@ wanted.finish()
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("typed_in", [False, True])
 def test_a_pool_gives_what_one_process_gives(tmp_path, typed_in):
     """Also for a program without a file, which other processes cannot import."""

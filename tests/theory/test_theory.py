@@ -232,6 +232,7 @@ def test_unsupported_optima_are_refused(criterion, signal, message):
         theory.optimum_document(Loop(0, 0, 0), criterion, signal)
 
 
+@pytest.mark.slow
 def test_robust_outline_is_the_limit_of_its_worst_spring_and_of_no_other() -> None:
     found = theory.boundary_document(Loop(0.5, 0.03, 1.25), robust=True)["robust"]
     assert len(found["alpha"]) > 20

@@ -37,6 +37,7 @@ def test_two_delays_that_are_as_likely_jitter(tmp_path):
     assert "0.5 samples or more earlier or later" in cause.evidence
 
 
+@pytest.mark.slow
 def test_friction_with_stiction_is_named_without_a_log_at_rest(tmp_path):
     course, found = compared(tmp_path, load_device("lwr"), "friction with stiction", 9000)
     assert [cause.code for cause in found.causes] == ["coulomb_friction"]

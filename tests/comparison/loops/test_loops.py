@@ -44,6 +44,7 @@ def radius(course: Course, stiffness: float, damping: float) -> float:
     return float(spectral_radius(course.setup.plant, course.setup, np.array([stiffness]), np.array([damping]))[0])
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("name", ["ideal", "fractional delay", "coarse sensor", "few trials", "only unstable"])
 def test_an_adequate_loop_is_the_true_one_and_its_passive_wall_is_stable(compared, name):
     course, result = compared(name)

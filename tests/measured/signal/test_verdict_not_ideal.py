@@ -37,6 +37,7 @@ def judged(seed, **features):
     return found, decays(K, B, **{**features, "rows": 400})
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize(
     ("features", "most_undecided"),
     [

@@ -299,6 +299,7 @@ def test_one_changed_sample_of_a_log_names_the_log_and_the_numbers_that_change_w
     assert found.differences, "a step of 20 mm at the end of a response changes a count or an estimate"
 
 
+@pytest.mark.slow
 def test_one_changed_stored_sample_names_the_log_and_the_sample(original, desk):
     change_stored_sample(desk)
     found = verify.verify(desk.report, desk.processed)
@@ -310,6 +311,7 @@ def test_one_changed_stored_sample_names_the_log_and_the_sample(original, desk):
     assert found.differences == ()
 
 
+@pytest.mark.slow
 def test_without_logs_a_changed_stored_sample_is_told_of_its_experiment(original, desk):
     trials = next((desk.processed / "trials").rglob("*.parquet"))
     table = read_table(trials)
@@ -323,6 +325,7 @@ def test_without_logs_a_changed_stored_sample_is_told_of_its_experiment(original
     assert any("180 logs are no longer where they were" in note for note in found.notes) or found.notes
 
 
+@pytest.mark.slow
 def test_logs_that_came_later_are_left_out(original, desk, tmp_path):
     extra = tmp_path / "later" / "one.csv"
     extra.parent.mkdir()
@@ -335,6 +338,7 @@ def test_logs_that_came_later_are_left_out(original, desk, tmp_path):
     assert found.notes == ("experiment 1: 1 trials were stored later and are left out",)
 
 
+@pytest.mark.slow
 def test_nothing_stored_is_trusted_and_nothing_is_changed(original, desk):
     """Stages and optima in the store are replaced by nonsense: the numbers still hold, and the nonsense stays."""
     for stage in (desk.processed / "stages").rglob("settling-*.parquet"):

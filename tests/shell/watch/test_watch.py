@@ -179,6 +179,7 @@ def follow_a_course(tmp_path: Path, logs: list[Path], seconds: float, options: t
     assert f"{len(logs):,}</td>" in index
 
 
+@pytest.mark.slow
 def test_sixty_logs_at_random_moments_give_the_report_of_one_run(tmp_path):
     logs = course(tmp_path / "all", ("delay-6",), 3)[:60]
     assert len(logs) == 60
@@ -600,6 +601,7 @@ def test_wrong_usage_is_told_before_anything_is_begun(call, tmp_path, arguments,
     assert not list((tmp_path / "processed").iterdir())
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_signals_end_a_watch_with_status_0_and_no_process_left(tmp_path, number):
     write_logs(tmp_path / "raw")

@@ -51,6 +51,7 @@ def compare(cases: list[tuple[float, ...]], signal: str, fine: int, tolerance: f
     return worst[""], worst["_discrete"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("signal", ["step", "impulse"])
 def test_random_points(signal: str, record_property) -> None:
     # Simpson's rule with 12 points a piece errs by up to 7e-6, most at strong damping; a wrong term is seen at 1e-2

@@ -77,6 +77,7 @@ def random_modes(count, seed):
     return SlowModes(pole, amplitude, np.ones(count, bool))
 
 
+@pytest.mark.slow
 def test_no_deviation_exceeds_the_peak_before_the_time_told():
     modes = random_modes(2000, 1)
     size, rate = np.abs(modes.amplitude), -np.log(np.abs(modes.pole))

@@ -74,6 +74,7 @@ def test_unstable_points_among_many_have_no_energy():
     )
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("loop", LOOPS, ids=str)
 def test_march_in_blocks_gives_the_costs_of_the_plain_march(loop):
     alpha, beta, radius = stable_points(loop, 300, 3)

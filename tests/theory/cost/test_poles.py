@@ -109,6 +109,7 @@ def test_damping_ratio_of_marginal_and_pure_delay_poles() -> None:
     assert damping_ratio(Loop(0.0, 0.0, 1), 0.5, 0.1)[0] < 0  # unstable
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("delay", [0.0, 0.5, 1.0, 2.75, 8.0])
 @pytest.mark.parametrize("plant", [(0.0, 0.0), (0.001, 0.02)])
 def test_threefold_pole_in_many_digits(delay: float, plant: tuple[float, float]) -> None:

@@ -67,6 +67,7 @@ def fine(loop, alpha, beta, samples, steps=256):
     return np.array(time), np.array(place), np.array(speed)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("sensor_far", [False, True])
 def test_costs_equal_fine_integration(sensor_far):
     # a fraction of 2^-n of a sample lies on the fine steps

@@ -13,6 +13,7 @@ from pipeline.theory.device.outline import limits, outline
 from pipeline.theory.device.slowest_pole import slowest_poles
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize(("order", "cutoff"), [(4, 0.01), (4, 0.001), (3, 0.003), (2, 0.3)])
 def test_every_wall_of_a_slow_filter_has_costs(order, cutoff):
     loop = DeviceLoop(0, 1e-3, 2.0, velocity=Butterworth(kind="butterworth", order=order, cutoff_hz=cutoff))

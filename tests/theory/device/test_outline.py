@@ -78,6 +78,7 @@ def check_whole(loop: DeviceLoop, seed: int) -> None:
     assert (limit >= 0).all()
 
 
+@pytest.mark.slow
 def test_outlines_of_random_devices_are_whole():
     for number, loop in enumerate(random_loops(24, 6)):
         check_whole(loop, number)

@@ -47,6 +47,7 @@ def generated(loop, alpha, beta, angle, aliases=ALIASES):
     return values[-1], w, speeds
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize(
     "loop",
     [

@@ -48,6 +48,7 @@ BRUTE = [
 ]
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("criterion", BRUTE)
 def test_no_point_of_a_line_is_better(criterion: str) -> None:
     loop = Loop(0.001, 0.02, 0.5)
@@ -101,6 +102,7 @@ def test_no_point_of_random_lines_is_better(criterion: str, record_property) -> 
     record_property("deviation", worst)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("criterion", BRUTE)
 def test_curves_meet_in_the_optimal_point(criterion: str) -> None:
     loop = FREE[1]

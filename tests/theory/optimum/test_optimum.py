@@ -95,6 +95,7 @@ def test_the_rows_above_are_all_of_them() -> None:
     assert len(energy_and_continuous_rows()) == 3 + 6 + 2 + 6
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize(
     ("table", "samples", "stiffness", "damping"), [("D.1", 24, 4469, 73.05), ("D.3", 22, 9863, 125.09)]
 )
@@ -107,6 +108,7 @@ def test_discrete_settling_rows(table: str, samples: int, stiffness: float, damp
     assert point.beta * unit.damping == pytest.approx(damping, rel=2e-3)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize(
     ("table", "stiffness", "damping"),
     [
@@ -215,6 +217,7 @@ def test_stiffest_point_without_overshoot(d: int, alpha: float) -> None:
 NO_OVERSHOOT = [("D.1", 5056, 104.70, 5057), ("D.3", 10813, 179.80, 10815), ("D.4", 4358, 56.29, 4360)]
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize(("table", "stiffness", "damping", "discrete"), NO_OVERSHOOT)
 def test_edge_without_overshoot(table: str, stiffness: float, damping: float, discrete: float) -> None:
     unit, loop = THEORY[table]
@@ -300,6 +303,7 @@ def test_all_rows_of_tables_c1_to_c3() -> None:
     assert perf_counter() - started < 60
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize(
     ("d", "gamma", "delta", "criterion", "printed", "at"),
     [
@@ -331,6 +335,7 @@ def test_departures_stepped_through_time(
     assert min(found) > printed + 0.03 if at else abs(found[0] - printed) > 0.009
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize(
     ("d", "plant", "alpha", "beta", "ratio"),
     [
@@ -367,6 +372,7 @@ def test_edge_without_any_overshoot_of_devices(table: str, stiffness: float) -> 
     assert optimal_point(loop, "overshoot_at_all").alpha * unit.stiffness == pytest.approx(stiffness, rel=1e-3)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("values", [(0, 0, 0.5), (0.001, 0.02, 2.5), (0, 10, 1), (0, 0, 16)])
 def test_nothing_around_an_optimum_is_better(values: tuple[float, float, float]) -> None:
     loop = Loop(*values)

@@ -50,11 +50,13 @@ def test_scaling_factors_of_table_5_1(criterion: str, printed: float, unit: floa
     assert scaling_factor(criterion) == pytest.approx(printed, abs=1.001 * unit)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("criterion", "printed"), [("settle_5pct", 3.77), ("settle_1pct", 5.81)])
 def test_scaling_factors_of_other_bands(criterion: str, printed: float) -> None:
     assert scaling_factor(criterion) == pytest.approx(printed, abs=0.0101)  # 5.4.2, printed with "about"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("criterion", ["pole_radius", "settle_2pct", "energy_step_w1", "energy_impulse_w2"])
 def test_error_of_the_cost_approximation(criterion: str) -> None:
     error = np.abs(approximation_error(criterion, [0, 1, 2, 4, 8]))

@@ -138,6 +138,7 @@ def check_partners(loops: list[Loop]) -> tuple[float, int]:
     return worst, corners
 
 
+@pytest.mark.slow
 def test_stiffest_point_and_its_partner_in_many_digits(record_property) -> None:
     loops = [Loop(g, delta, p / q) for g, delta, p, q in random_loops(310, seed=19)]
     worst, corners = check_partners(loops)

@@ -30,6 +30,7 @@ def by_aliases(delay: float, stiffness: float, damping: float, aliases: int = 40
     return float(((ys1.real + np.sqrt(np.abs(y) ** 2 * s0**2 - ys1.imag**2)) / 2).max())
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize(("delay", "K", "B"), [(0.5, 1.0, 0.0), (2.3, 0.2, 0.3), (3.75, 0.3, 0.1)])
 def test_need_is_that_of_the_sums_over_all_aliases(delay, K, B):
     # sums over 4,000 aliases on either side are off by 1/(2 pi^2 4000)

@@ -190,6 +190,7 @@ def test_ratio_to_stable_stiffness() -> None:
     np.testing.assert_allclose(ratios.max(axis=0), [0.0562, 0.1074], atol=1e-4)
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("d", [0.0, 0.5, 1.0, 4.0])
 def test_passive_walls_are_robustly_stable(d: float) -> None:
     delta = 0.02

@@ -96,6 +96,7 @@ def test_limits_are_met_to_1e_10_by_polynomials_in_many_digits(record_property) 
     assert sum(loop.delay % 1 != 0 for loop in random) >= 100
 
 
+@pytest.mark.slow
 def test_verdicts_against_polynomials_in_many_digits(record_property) -> None:
     rng = np.random.default_rng(16)
     random = [Loop(g, delta, p / q) for g, delta, p, q in random_loops(300, seed=17)]

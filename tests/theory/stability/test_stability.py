@@ -154,6 +154,7 @@ def test_just_inside_is_stable_and_just_outside_is_not(values: tuple[float, floa
     assert checked >= 7
 
 
+@pytest.mark.sampled
 @pytest.mark.parametrize("values", [*ORDINARY, *RESONANT, *UNDELAYED])
 def test_extremes_against_a_dense_grid_of_verdicts(values: tuple[float, float, float]) -> None:
     loop = Loop(*values)
