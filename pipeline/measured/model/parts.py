@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pipeline.measured.model.estimation import Device, Fit, begun, moments_of, refined
+from pipeline.measured.model.intervals import Errors
 from pipeline.measured.model.recordings import Recording, Scales, Stretches, stretches
 from pipeline.measured.model.scatter import inverse, solve
 
@@ -32,14 +33,26 @@ TURNS = (0.06, 0.09, 0.13, 0.2, 0.3, 0.45, 0.7, 1.0)
 """Frequencies [rad a sample] from which a mode is looked for, a factor of 1.5 apart."""
 
 
+OPEN = 0.02
+"""Friction, relative to the largest command, that may act unseen before it must be taken along as unknown: a mass is
+too large by as much."""
+
+CONSTANT = 1e-3
+"""Change of the commands, relative to the largest, below which they count as one constant command."""
+
+
 @dataclass(frozen=True, eq=False)
 class Choice:
-    """A fit with the parts that it has, and by how much each made held-out trials likelier."""
+    """A fit with the parts that it has, and by how much each made held-out trials likelier.
+
+    A part with 0 may be there or not: its number is taken along as unknown. ``assumed`` names what is taken as none.
+    """
 
     fit: Fit
     held: Stretches
     scales: Scales
     parts: dict[str, float]
+    assumed: tuple[str, ...]
 
     @property
     def moving(self) -> bool:
@@ -71,59 +84,92 @@ def chosen(recordings: list[Recording]) -> Choice:
     scales = Scales.of(recordings)
     places = np.unique(np.linspace(0, len(recordings) - 1, min(MOST_TRIALS, len(recordings))).round().astype(int))
     some = [recordings[i] for i in places]
-    rows = min(len(each.time) for each in some)
-    start = _started(some, scales, int(np.clip(rows // 8, 2, LONGEST_DELAY)))
-    lead = int(np.ceil(start.numbers["delay"])) + 3
-    best: tuple[float, Fit, Stretches, dict[str, float]] | None = None
-    for moving in (True, False):
-        held = stretches(some, scales, lead, moving)
-        if not len(held):
-            continue
-        found = _laddered(held, start, len(some), moving)
-        if best is None or "friction" not in best[3]:
-            best = (held_out(found[0]), found[0], held, found[1])
-        if "friction" in best[3]:
-            break
-    assert best is not None
-    fit, parts = best[1], best[3]
-    held = stretches(recordings, scales, lead, "friction" in parts)
+    rows = int(np.median([len(each.time) for each in some]))
+    base, assumed = _base(some)
+    delay = _delay(some, scales, base, int(np.clip(rows // 8, 2, LONGEST_DELAY)))
+    lead = int(np.ceil(delay)) + 3
+    held = stretches(some, scales, lead, True)
+    fit, parts = (None, {}) if not len(held) else _with_friction(held, base, delay, len(some))
+    if fit is None:
+        held = stretches(some, scales, lead, False)
+        fits = _fits(held, base, delay, len(some), [(), ("stiffness",)])
+        names = _best(fits)
+        fit, parts = fits[names], dict.fromkeys(names, held_out(fits[names]) - held_out(fits[()]))
+    fit, parts = _further(held, fit, parts, len(some))
     if len(places) < len(recordings):
-        fit = refined(held, replace(fit.device, effects=None), len(recordings), 4)
-    return Choice(fit, held, scales, parts)
+        held = stretches(recordings, scales, lead, "friction" in parts)
+        fit = refined(held, replace(fit.device, effects=None), len(recordings))
+    return Choice(fit, held, scales, parts, assumed)
 
 
-def _started(recordings: list[Recording], scales: Scales, lead: int) -> Device:
-    """Return the best start with the numbers of an ideal device, a spring and friction."""
-    names = (*BASE, "gamma", "coulomb")
+def _base(recordings: list[Recording]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the numbers that commands can tell, and those that are taken as none."""
+    largest = max(float(np.abs(each.command).max()) for each in recordings)
+    if any(np.ptp(each.command) > CONSTANT * largest for each in recordings):
+        return BASE, ()
+    levels = np.array([float(each.command[0]) for each in recordings])
+    if np.ptp(levels) > CONSTANT * largest:
+        return ("gain", "delta", "force"), ("delay",)
+    return ("gain", "delta"), ("delay", "constant_force")
+
+
+def _delay(recordings: list[Recording], scales: Scales, base: tuple[str, ...], lead: int) -> float:
+    """Return the delay [samples] of the best start with a spring and friction."""
+    names = (*base, "gamma", "coulomb")
     held = stretches(recordings, scales, lead, True)
     if not len(held):
-        names, held = (*BASE, "gamma"), stretches(recordings, scales, lead, False)
-    return begun(held, names, lead)
+        names, held = (*base, "gamma"), stretches(recordings, scales, lead, False)
+    return begun(held, names, lead).numbers.get("delay", 0.0)
 
 
-def _laddered(held: Stretches, start: Device, trials: int, moving: bool) -> tuple[Fit, dict[str, float]]:
-    """Return the fit whose parts make held-out units likeliest, each part by at least `WORTH`."""
-    delay = start.numbers["delay"]
-    first: list[tuple[float, Fit, tuple[str, ...]]] = []
-    for names in ((), ("stiffness",), *([("friction",), ("friction", "stiffness")] if moving else [])):
-        numbers = (*BASE, *(number for name in names for number in NUMBERS[name]))
-        found = refined(held, begun(held, numbers, delay + 2), trials)
-        if all(found.device.numbers[each] > 0 for each in numbers if each in ("gamma", "coulomb")):
-            first.append((held_out(found) - WORTH * len(names), found, names))
-    best, fit, names = max(first, key=lambda each: each[0])
-    score = best + WORTH * len(names)
-    parts = dict.fromkeys(names, score - first[0][0])
-    while len(parts) < len(NUMBERS):
-        tried = [
-            (held_out(other) - score, name, other)
-            for name in NUMBERS
-            if name not in parts and (name != "friction" or moving)
-            for other in (refined(held, each, trials, 10) for each in _having(held, fit.device, trials, name))
-        ]
-        gain, name, other = max(tried, key=lambda each: each[0])
-        if gain < WORTH:
+def _fits(
+    held: Stretches, base: tuple[str, ...], delay: float, trials: int, parts: list[tuple[str, ...]]
+) -> dict[tuple[str, ...], Fit]:
+    """Return fits with some sets of parts, from the start by integrated balances; all have a number that is allowed."""
+    found = {}
+    for names in parts:
+        numbers = (*base, *(number for name in names for number in NUMBERS[name]))
+        found[names] = refined(held, begun(held, numbers, delay + 2), trials)
+    return found
+
+
+def _best(fits: dict[tuple[str, ...], Fit]) -> tuple[str, ...]:
+    """Return the parts whose fit makes held-out units likeliest, each by `WORTH`."""
+
+    def worth(names: tuple[str, ...]) -> float:
+        numbers = fits[names].device.numbers
+        allowed = all(numbers[number] > 0 for name in names for number in NUMBERS[name])
+        return held_out(fits[names]) - WORTH * len(names) if allowed else -np.inf
+
+    return max(fits, key=worth)
+
+
+def _with_friction(
+    held: Stretches, base: tuple[str, ...], delay: float, trials: int
+) -> tuple[Fit | None, dict[str, float]]:
+    """Return the fit with friction where there is some or may be, None where there is none."""
+    fits = _fits(held, base, delay, trials, [(), ("stiffness",), ("friction",), ("friction", "stiffness")])
+    names = _best(fits)
+    if "friction" in names:
+        return fits[names], dict.fromkeys(names, held_out(fits[names]) - held_out(fits[()]))
+    with_it = fits["friction", *names]
+    friction = Errors.of(with_it).interval(lambda n: n["coulomb"] / (n["gain"] or 1e-300), bounded=True)
+    if friction.high < OPEN:
+        return None, {}
+    return with_it, {"friction": 0.0} | dict.fromkeys(names, held_out(fits[names]) - held_out(fits[()]))
+
+
+def _further(held: Stretches, fit: Fit, parts: dict[str, float], trials: int) -> tuple[Fit, dict[str, float]]:
+    """Return the fit with lag and mode, where held-out units are likelier with them."""
+    score = held_out(fit)
+    for name in ("lag", "mode"):
+        if "delay" not in fit.device.numbers:
             break
-        fit, score, parts = other, score + gain, parts | {name: gain}
+        tried = [refined(held, each, trials, 10) for each in _having(held, fit.device, trials, name)]
+        other = max(tried, key=held_out)
+        gain = held_out(other) - score
+        if gain > WORTH * len(NUMBERS[name]):
+            fit, score, parts = other, score + gain, parts | {name: gain}
     return fit, parts
 
 
@@ -145,6 +191,3 @@ def _having(held: Stretches, device: Device, trials: int, part: str) -> Iterator
             key=lambda each: _promise(held, each, trials),
         )
         yield replace(likeliest, effects=None)
-    else:
-        (name,) = NUMBERS[part]
-        yield replace(device, numbers=numbers | {name: 0.0}, effects=None)

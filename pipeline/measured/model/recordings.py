@@ -119,10 +119,11 @@ class _Cut:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """How a recording moves: smoothed velocity and its standard error (one number), direction where it is seen."""
+    """How a recording moves: velocity smoothed over ``half`` rows to each side, its error, direction where it is seen."""
 
     velocity: Floats
     error: float
+    half: int
     direction: Integers = field(repr=False)
 
 
@@ -143,7 +144,7 @@ def motion_of(recording: Recording) -> Motion:
     # at both ends half of the rows are reflections: their error is that of half as many rows, and counts twice
     near = np.minimum(np.arange(rows), np.arange(rows)[::-1]) < half
     seen = np.abs(velocity) > SURE * error * np.where(near, 3.0, 1.0)
-    return Motion(velocity, float(error), np.where(seen, np.sign(velocity), 0).astype(np.int64))
+    return Motion(velocity, float(error), half, np.where(seen, np.sign(velocity), 0).astype(np.int64))
 
 
 def reading_noise(position: Floats) -> float:
@@ -232,12 +233,15 @@ def _moving(trial: int, each: Recording, seen: Motion, first: int, behind: int, 
         ends.append((begin, len(sign)))
     found: list[_Cut] = []
     for a, b in ends:
+        # the smoothed velocity still moves as many rows behind a stop as it takes from before it
+        b = b - seen.half if b < len(sign) else b
         edge = _edge(each, seen, first, first + a, lead)
         if edge is not None:
             start = max(first, edge - EARLIER)
             way = np.concatenate([np.full(first + a - start, direction[a]), direction[a:b]])
             found.append(_Cut(trial, start, min(first + b, start + LONGEST), way[: LONGEST], edge))
         else:
+            a = a + seen.half if a > 0 else a
             count = max(1, round((b - a) / LONGEST))
             cut = np.linspace(a, b, count + 1).astype(int).tolist()
             found += [
