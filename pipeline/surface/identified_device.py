@@ -62,6 +62,7 @@ def identified_device(
             log.command,
             log.position,
             log.header.sampling_period_s,
+            int(log.header.extra["step_row"]) if "step_row" in log.header.extra else None,
         )
         for source, log in read
     ]

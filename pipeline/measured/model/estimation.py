@@ -25,6 +25,7 @@ FIXED_STEPS = 4
 """Steps at first without such scatter: far from the solution it would explain everything."""
 
 LIMITS = {
+    "gain": (1e-12, np.inf),
     "delta": (-0.01, 2.0),
     "gamma": (-1e-4, 2.0),
     "delay": (0.0, 300.0),
@@ -92,11 +93,12 @@ class Device:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A device with what its likelihood says: ``solved`` at the device itself, ``rows`` read, ``log_spread`` summed."""
+    """A device with what its likelihood says: ``solved`` at the device, whose units are portions of ``few`` logs, else
+    trials; ``log_spread`` is the sum over all rows."""
 
     device: Device
     solved: Solved
-    moments: Moments
+    few: bool
     log_spread: float
 
     @property
@@ -230,7 +232,7 @@ def refined(held: Stretches, device: Device, trials: int, steps: int = STEPS) ->
             break
         solved = solve(moments, places if count >= FIXED_STEPS else free)
         effects = solved.effects if trials >= FEWEST and count >= FIXED_STEPS else None
-        fit = Fit(replace(device, effects=effects), solved, moments, spread)
+        fit = Fit(replace(device, effects=effects), solved, trials < FEWEST, spread)
         if best is None or count == FIXED_STEPS or fit.likelihood > best.likelihood:
             best = fit
         square = float(solved.step @ solved.total @ solved.step)

@@ -83,12 +83,16 @@ class Errors:
 
     @classmethod
     def of(cls, fit: Fit) -> Errors:
-        """Return the errors of a fit: by its information, and by leaving out one unit, each with one Newton step."""
+        """Return the errors of a fit: by its information, and by leaving out one unit, each with one Newton step.
+
+        A portion of few logs may be the only one that tells a number, such as the delay: its step is that of first order.
+        """
         solved = fit.solved
         total = solved.total
         told = np.einsum("tii->t", solved.information) > 0
         information, score = solved.information[told], solved.score[told]
-        steps = np.stack([-(inverse(total - own) @ each) for own, each in zip(information, score, strict=True)])
+        without = (total if fit.few else total - own for own in information)
+        steps = np.stack([-(inverse(rest) @ each) for rest, each in zip(without, score, strict=True)])
         return cls(fit.device.numbers, solved.covariance, steps, max(float(told.sum() - 1), 1.0))
 
     def interval(self, quantity: Quantity, bounded: bool = False) -> Interval:

@@ -137,9 +137,9 @@ def pieces(time: Floats, lead: int, delay: float, regular: bool) -> Pieces:
     late = time + delay
     rows_of, begins_of, ends_of = [], [], []
     for piece in range(most):
-        row = np.clip(first + piece, 0, len(time) - 1)
+        row = np.clip(first + piece, 0, len(time) - 2)
         begin = np.clip(stop - late[row, column], 0.0, stop - start)
-        end = np.clip(stop - late[np.minimum(row + 1, len(time) - 1), column], 0.0, stop - start)
+        end = np.clip(stop - late[row + 1, column], 0.0, stop - start)
         begin = stop - start if piece == 0 else begin
         end = np.where(first + piece >= last, 0.0, end)
         begins_of.append(np.where(first + piece > last, 0.0, begin))

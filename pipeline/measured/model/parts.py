@@ -61,15 +61,21 @@ class Choice:
 
 
 def held_out(fit: Fit) -> float:
-    """Return the log-likelihood of units by fits without their fold, each one Newton step from the whole fit."""
+    """Return the log-likelihood of units by fits without their fold, each one Newton step from the whole fit.
+
+    Each portion of few logs is a fold, and the step that of first order (Takeuchi's criterion).
+    """
     solved = fit.solved
-    total, units = solved.total, len(solved.score)
-    lost = 0.0
-    for fold in range(min(FOLDS, units)):
-        inside = np.arange(units) * FOLDS // units == fold if units >= 8 else np.arange(units) == fold
+    total, units, lost = solved.total, len(solved.score), 0.0
+    if fit.few:
+        known = inverse(total)
+        return fit.likelihood - float(np.einsum("ti,ij,tj->", solved.score, known, solved.score))
+    for fold in range(FOLDS):
+        inside = np.arange(units) % FOLDS == fold
         information, score = solved.information[inside].sum(axis=0), solved.score[inside].sum(axis=0)
         step = -inverse(total - information) @ score
-        lost += float(score @ step - 0.5 * step @ information @ step)
+        # never above 0 but for rounding, where a direction is hardly known
+        lost += min(float(score @ step - 0.5 * step @ information @ step), 0.0)
     return fit.likelihood + lost
 
 
@@ -86,6 +92,9 @@ def chosen(recordings: list[Recording]) -> Choice:
     some = [recordings[i] for i in places]
     rows = int(np.median([len(each.time) for each in some]))
     base, assumed = _base(some)
+    if "force" not in base:
+        # a spring is then taken as relaxed where the logs begin
+        scales = replace(scales, origin=float(np.median([each.position[0] for each in some])))
     delay = _delay(some, scales, base, int(np.clip(rows // 8, 2, LONGEST_DELAY)))
     lead = int(np.ceil(delay)) + 3
     held = stretches(some, scales, lead, True)
@@ -107,6 +116,8 @@ def _base(recordings: list[Recording]) -> tuple[tuple[str, ...], tuple[str, ...]
     largest = max(float(np.abs(each.command).max()) for each in recordings)
     if any(np.ptp(each.command) > CONSTANT * largest for each in recordings):
         return BASE, ()
+    if any(each.edge is not None for each in recordings):
+        return ("gain", "delta", "delay"), ("constant_force",)
     levels = np.array([float(each.command[0]) for each in recordings])
     if np.ptp(levels) > CONSTANT * largest:
         return ("gain", "delta", "force"), ("delay",)

@@ -14,7 +14,7 @@ REGULAR = 0.05
 them and the rows as even; the logs of real-time controllers stay below 0.01, those of polling loops reach 0.3."""
 
 GAP = 1.5
-"""Pause in sampling periods from which on a command is missing between two rows."""
+"""Pause in sampling periods from which on a command is missing between two rows, where it differs behind them."""
 
 LONGEST = 1000
 """Rows of a stretch: a longer log is cut, so that what drifts slowly may differ, and stretches are computed together."""
@@ -31,13 +31,17 @@ EARLIER = 50
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """One log: time [s], command [N, Nm] and position [m, rad], shape (rows,); its name and sampling period [s]."""
+    """One log: time [s], command [N, Nm] and position [m, rad], shape (rows,); its name and sampling period [s].
+
+    ``edge`` is the row, counted from 0, that is declared as that of a step from rest.
+    """
 
     name: str
     time: Floats
     command: Floats
     position: Floats
     period: float
+    edge: int | None = None
 
 
 @dataclass(frozen=True)
@@ -172,7 +176,7 @@ def stretches(recordings: list[Recording], scales: Scales, lead: int, moving: bo
     cuts: list[_Cut] = []
     even = [_even(each.time / scales.period) for each in recordings]
     for trial, (each, grid) in enumerate(zip(recordings, even, strict=True)):
-        pauses = np.flatnonzero(np.diff(grid) > GAP * max(each.period / scales.period, 1e-12)) + 1
+        pauses = np.flatnonzero((np.diff(grid) > GAP * each.period / scales.period) & (np.diff(each.command) != 0)) + 1
         bounds = [0, *pauses.tolist(), len(grid)]
         seen = motion_of(each) if moving else None
         for first, behind in zip(bounds[:-1], bounds[1:], strict=True):
@@ -273,6 +277,8 @@ def _through(velocity: Floats, before: int, behind: int) -> Floats:
 
 def _edge(each: Recording, seen: Motion, first: int, moves: int, lead: int) -> int | None:
     """Return the row at which a command jumps and sets the device in motion from rest, None where none does."""
+    if each.edge is not None and first <= each.edge <= moves <= each.edge + lead + EARLIER:
+        return each.edge
     begin = max(first, moves - lead - EARLIER)
     resting = np.abs(seen.velocity[begin:moves]) <= SURE * seen.error
     if moves - begin < 3 or not resting.all():
