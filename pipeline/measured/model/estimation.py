@@ -31,7 +31,7 @@ LIMITS = {
     "delay": (0.0, 300.0),
     "lag": (SHORTEST_LAG, 300.0),
     "turn": (0.002, 3.0),
-    "ratio": (0.0, 1.0),
+    "ratio": (0.0, 0.5),
     "share": (1e-4, 0.97),
 }
 LARGEST_STEP = {"delta": 0.2, "gamma": 0.2, "delay": 1.5, "lag": 1.5, "turn": 0.1, "ratio": 0.1, "share": 0.1}

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pipeline.measured.model.estimation import Device, Fit, begun, moments_of, refined
-from pipeline.measured.model.intervals import Errors
-from pipeline.measured.model.recordings import Recording, Scales, Stretches, stretches
+from pipeline.measured.model.intervals import Errors, physical
+from pipeline.measured.model.recordings import Holding, Recording, Scales, Stretches, stretches
 from pipeline.measured.model.scatter import inverse, solve
 
 BASE = ("gain", "delta", "delay", "force")
@@ -20,8 +20,8 @@ NUMBERS = {"friction": ("coulomb",), "stiffness": ("gamma",), "lag": ("lag",), "
 
 FOLDS = 5
 
-WORTH = 3.0
-"""Gain of held-out log-likelihood from which on a part is one: odds of 20 to 1."""
+WORTH = 5.0
+"""Gain of held-out log-likelihood from which on a part is one: odds of 150 to 1."""
 
 MOST_TRIALS = 100
 """Trials by which parts are chosen; all are fitted in the end."""
@@ -104,11 +104,24 @@ def chosen(recordings: list[Recording]) -> Choice:
         fits = _fits(held, base, delay, len(some), [(), ("stiffness",)])
         names = _best(fits)
         fit, parts = fits[names], dict.fromkeys(names, held_out(fits[names]) - held_out(fits[()]))
+    holding = None
+    if parts.get("friction", 0.0) > 0:
+        holding = _holding(fit, scales)
+        held = stretches(some, scales, lead, True, holding)
+        fit = refined(held, replace(fit.device, effects=None), len(some))
     fit, parts = _further(held, fit, parts, len(some))
     if len(places) < len(recordings):
-        held = stretches(recordings, scales, lead, "friction" in parts)
+        held = stretches(recordings, scales, lead, "friction" in parts, holding)
         fit = refined(held, replace(fit.device, effects=None), len(recordings))
     return Choice(fit, held, scales, parts, assumed)
+
+
+def _holding(fit: Fit, scales: Scales) -> Holding:
+    """Return what may hold the device in SI, friction a tenth larger than found."""
+    found, numbers = physical(scales), fit.device.numbers
+    spring = found["stiffness"](numbers) if "gamma" in numbers else 0.0
+    late = found["delay"](numbers) if "delay" in numbers else 0.0
+    return Holding(1.1 * found["friction"](numbers), spring, late)
 
 
 def _base(recordings: list[Recording]) -> tuple[tuple[str, ...], tuple[str, ...]]:

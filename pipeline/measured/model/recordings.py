@@ -22,6 +22,10 @@ LONGEST = 1000
 SHORTEST = 8
 """Rows of the shortest stretch that says more than its own start."""
 
+ALONE = 40
+"""Rows in one direction from which on a turn is left out, as its place is known to a part of a row only: a start of its
+own costs two numbers of forty readings."""
+
 SURE = 4.0
 """Speed in its standard errors from which on its direction counts as seen; wrong in 6e-5 of the rows."""
 
@@ -161,7 +165,24 @@ def reading_noise(position: Floats) -> float:
     return max(noise, quantum / np.sqrt(12.0), 1e-12 * float(np.ptp(position)))
 
 
-def stretches(recordings: list[Recording], scales: Scales, lead: int, moving: bool) -> Stretches:
+@dataclass(frozen=True)
+class Holding:
+    """What may hold a device in a turn: friction [N, Nm], a spring [N/m, Nm/rad] and the delay of the command [s]."""
+
+    friction: float
+    stiffness: float
+    delay: float
+
+    def rows(self, each: Recording, origin: float) -> Booleans:
+        """Return the rows at which friction is the larger force."""
+        late = np.searchsorted(each.time, each.time - self.delay, side="right") - 1
+        driven = each.command[np.maximum(late, 0)] - self.stiffness * (each.position - origin)
+        return np.asarray(np.abs(driven) <= self.friction)
+
+
+def stretches(
+    recordings: list[Recording], scales: Scales, lead: int, moving: bool, holding: Holding | None = None
+) -> Stretches:
     """Return the stretches of recordings.
 
     Parameters
@@ -172,6 +193,8 @@ def stretches(recordings: list[Recording], scales: Scales, lead: int, moving: bo
         Rows of commands that are needed before a reading: the delay, rounded up.
     moving : bool
         Only rows at which the direction of motion is known, as friction needs; else all.
+    holding : Holding, optional
+        Where it is known, a turn in which the device may have stuck ends a stretch.
     """
     cuts: list[_Cut] = []
     even = [_even(each.time / scales.period) for each in recordings]
@@ -179,10 +202,11 @@ def stretches(recordings: list[Recording], scales: Scales, lead: int, moving: bo
         pauses = np.flatnonzero((np.diff(grid) > GAP * each.period / scales.period) & (np.diff(each.command) != 0)) + 1
         bounds = [0, *pauses.tolist(), len(grid)]
         seen = motion_of(each) if moving else None
+        stuck = holding.rows(each, scales.origin) if holding else np.zeros(len(grid), dtype=bool)
         for first, behind in zip(bounds[:-1], bounds[1:], strict=True):
             start = first if first == 0 and _starts_at_rest(each) else first + lead
             if behind - start >= SHORTEST:
-                cuts += _moving(trial, each, seen, start, behind, lead) if seen else _all(trial, start, behind)
+                cuts += _moving(trial, each, seen, stuck, (start, behind), lead) if seen else _all(trial, start, behind)
     return _padded(recordings, even, cuts, scales, lead)
 
 
@@ -213,24 +237,33 @@ def _all(trial: int, first: int, behind: int) -> list[_Cut]:
     return [_Cut(trial, a, b, np.zeros(b - a)) for a, b in zip(bounds[:-1], bounds[1:], strict=True)]
 
 
-def _moving(trial: int, each: Recording, seen: Motion, first: int, behind: int, lead: int) -> list[_Cut]:
-    """Return the parts of some rows in which the direction is known; a quick turn is no end."""
+def _moving(
+    trial: int, each: Recording, seen: Motion, stuck: Booleans, rows: tuple[int, int], lead: int
+) -> list[_Cut]:
+    """Return the parts of some rows in which the direction is known; a quick turn is no end, unless it may stick."""
+    first, behind = rows
     sign = seen.direction[first:behind]
     edges = np.flatnonzero(np.diff(sign)) + 1
     bounds = [0, *edges.tolist(), len(sign)]
-    runs = [(a, b, int(sign[a])) for a, b in zip(bounds[:-1], bounds[1:], strict=True)]
-    direction = np.zeros(len(sign))
+    runs: list[tuple[int, int, int]] = []
+    for a, b in zip(bounds[:-1], bounds[1:], strict=True):
+        if runs and runs[-1][2] * sign[a] < 0:
+            runs.append((a, a, 0))  # it turns between two rows
+        runs.append((a, b, int(sign[a])))
+    # mean direction between rows whose velocity changes on a straight line
+    speed = np.append(seen.velocity[first:behind], seen.velocity[behind - 1])
+    direction = (speed[:-1] + speed[1:]) / np.maximum(np.abs(speed[:-1]) + np.abs(speed[1:]), 1e-300)
     ends: list[tuple[int, int]] = []
     begin: int | None = None
     for index, (a, b, way) in enumerate(runs):
         if way:
-            direction[a:b] = way
             begin = a if begin is None else begin
             continue
-        turn = 0 < index < len(runs) - 1 and _turns(seen.velocity[first:behind], a, b)
-        if turn:
+        turn: bool = 0 < index < len(runs) - 1 and _brief(runs[index - 1 : index + 2]) and _turns(seen.velocity[first:behind], a, b)
+        turn = turn and not stuck[max(first + a - seen.half, 0) : first + b + seen.half].any()
+        if turn and a < b:
             direction[a:b] = _through(seen.velocity[first + a : first + b + 1], runs[index - 1][2], runs[index + 1][2])
-        elif begin is not None:
+        elif not turn and begin is not None:
             ends.append((begin, a))
             begin = None
     if begin is not None:
@@ -242,7 +275,7 @@ def _moving(trial: int, each: Recording, seen: Motion, first: int, behind: int, 
         edge = _edge(each, seen, first, first + a, lead)
         if edge is not None:
             start = max(first, edge - EARLIER)
-            way = np.concatenate([np.full(first + a - start, direction[a]), direction[a:b]])
+            way = np.concatenate([np.full(first + a - start, float(sign[a])), direction[a:b]])
             found.append(_Cut(trial, start, min(first + b, start + LONGEST), way[: LONGEST], edge))
         else:
             a = a + seen.half if a > 0 else a
@@ -254,8 +287,15 @@ def _moving(trial: int, each: Recording, seen: Motion, first: int, behind: int, 
     return [cut for cut in found if cut.behind - cut.first >= SHORTEST]
 
 
+def _brief(runs: list[tuple[int, int, int]]) -> bool:
+    """Return whether the rows of one direction before or behind a turn are too few to be a stretch of their own."""
+    return min(behind - first for first, behind, way in runs if way) < ALONE
+
+
 def _turns(velocity: Floats, a: int, b: int) -> bool:
     """Return whether the slow rows [a, b) are those of a turn and not of a rest: as few as the acceleration makes them."""
+    if a == b:
+        return True
     if velocity[a - 1] * velocity[min(b, len(velocity) - 1)] >= 0:
         return False
     near = max(2, (b - a) // 2)
