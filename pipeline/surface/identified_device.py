@@ -1,4 +1,4 @@
-"""The document of an identified device: reads its logs, names parameters and units, draws its walls, writes its file."""
+"""The document of an identified device: reads its logs, names its parameters, finds its walls, writes its file."""
 
 from __future__ import annotations
 
@@ -43,6 +43,7 @@ UNITS: dict[str, tuple[str, str]] = {
 WITHOUT_WALL = {"device": "device", "experiment": "1", "stiffness": "0", "damping": "0", "step": "0"}
 """What a native log of no wall need not state."""
 
+
 def identified_device(
     paths: Sequence[Path], profile: str | Path | None = None, period: float | None = None, delay: float | None = None
 ) -> dict[str, Any]:
@@ -84,7 +85,9 @@ def _logs(source: Source) -> tuple[Log, ...]:
 def _completed(raw: RawLog) -> RawLog:
     """Return a native log with the conditions that a log without a wall leaves out."""
     text = raw.data[0]
-    head = [line for line in text[:20_000].decode("utf-8", "replace").splitlines() if line.lstrip("\ufeff").startswith("#")]
+    head = [
+        line for line in text[:20_000].decode("utf-8", "replace").splitlines() if line.lstrip("\ufeff").startswith("#")
+    ]
     named = {line.lstrip("\ufeff# ").split(":")[0].strip() for line in head}
     more = {key: value for key, value in WITHOUT_WALL.items() if key not in named}
     if "sampling_period_s" not in named and (period := _period(text)) is not None:
@@ -97,7 +100,9 @@ def _completed(raw: RawLog) -> RawLog:
 
 def _period(text: bytes) -> float | None:
     """Return the median time between the first rows [s], None where they are no numbers."""
-    rows = [line.split(b",")[0] for line in text[:200_000].splitlines()[:-1] if line[:1].isdigit() or line[:1] in b"-+."]
+    rows = [
+        line.split(b",")[0] for line in text[:200_000].splitlines()[:-1] if line[:1].isdigit() or line[:1] in b"-+."
+    ]
     try:
         steps = np.diff([float(cell) for cell in rows[:2000]])
     except ValueError:
@@ -125,9 +130,7 @@ def _document(
             }
             for name, interval in found.parameters.items()
         ],
-        "parts": [
-            {"name": name, "found": gain > 0, "gain": float(gain)} for name, gain in found.parts.items()
-        ],
+        "parts": [{"name": name, "found": gain > 0, "gain": float(gain)} for name, gain in found.parts.items()],
         "assumed_none": list(found.assumed),
         "not_told_apart": [
             {
@@ -153,7 +156,9 @@ def _document(
 
 def _numbers(interval: Interval, told: bool) -> dict[str, float | None]:
     values = {"value": interval.value if told else None, "low": interval.low, "high": interval.high}
-    return {name: value if told and value is not None and np.isfinite(value) else None for name, value in values.items()}
+    return {
+        name: value if told and value is not None and np.isfinite(value) else None for name, value in values.items()
+    }
 
 
 def _replay_document(found: Model) -> dict[str, Any]:
@@ -181,7 +186,9 @@ def _loop_document(found: Model) -> dict[str, Any]:
     return {
         "source": "estimated",
         "adequate": bool(told),
-        "reason": (f"free runs fit held-out logs to {np.median(fits):.1f} %" if len(fits) else "no log could be replayed")
+        "reason": (
+            f"free runs fit held-out logs to {np.median(fits):.1f} %" if len(fits) else "no log could be replayed"
+        )
         + ("" if told else "; mass or delay is not told by these logs"),
         "explained": None,
         "mass": parameter("mass"),
@@ -199,7 +206,7 @@ def _loop_document(found: Model) -> dict[str, Any]:
 
 
 def wall_loop(document: dict[str, Any], **other: float) -> dict[str, Any] | None:
-    """Return the linear loop of a document as numbers of `Loop`, some replaced; None where mass or delay are not known."""
+    """Return the linear loop of a document as numbers of `Loop`, some replaced; None without mass or delay."""
     loop, wall = document["loop"], document["wall"]
     value = {name: part["value"] if part else None for name, part in loop.items() if name in _LINEAR} | other
     samples, late = wall["delay_samples"], value["delay_samples"]
@@ -222,7 +229,9 @@ _LINEAR = ("mass", "damping", "stiffness", "delay_samples", "actuator_lag_s")
 
 def _border(numbers: dict[str, Any], points: int) -> dict[str, Any]:
     """Return the limit of stable walls of a linear loop, in SI."""
-    parts = LoopParts(actuator_lag_s=numbers["actuator_lag_s"], mode=Mode(**numbers["mode"]) if numbers["mode"] else None)
+    parts = LoopParts(
+        actuator_lag_s=numbers["actuator_lag_s"], mode=Mode(**numbers["mode"]) if numbers["mode"] else None
+    )
     mass, period = numbers["mass"], numbers["sampling_period_s"]
     loop = loop_of(mass, numbers["damping"], numbers["stiffness"], numbers["delay_samples"], period, parts)
     found, units = outline(general(loop), points), wall_units(mass, period, parts)
@@ -237,7 +246,7 @@ def _border(numbers: dict[str, Any], points: int) -> dict[str, Any]:
 
 
 def _boundary(document: dict[str, Any]) -> dict[str, Any] | None:
-    """Return the walls that the device would render: the boundary, and its stiffest wall with the range of the device."""
+    """Return the limit of the walls that the device would render, its stiffest with the range of the device."""
     numbers = wall_loop(document)
     if numbers is None:
         return None

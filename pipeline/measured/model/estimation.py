@@ -115,12 +115,12 @@ def chunks(held: Stretches, columns: int) -> list[np.ndarray]:
 
 
 def portions_of(held: Stretches, trials: int) -> int:
-    """Return into how many portions each stretch is cut; with `FEWEST` trials each trial is one unit, else a portion."""
+    """Return into how many portions each stretch is cut; 0 with `FEWEST` trials, each of which is one unit."""
     return 0 if trials >= FEWEST else max(1, -(-PORTIONS // max(len(held), 1)))
 
 
 def moments_of(held: Stretches, device: Device, trials: int) -> tuple[Moments, float]:
-    """Return the moments of all units (trials, or portions) at a device, and the filter's spreads' summed logarithms."""
+    """Return the moments of all units (trials, or portions) at a device, and the summed logarithms of spreads."""
     p, portions = len(device.names), portions_of(held, trials)
     units = len(held) * portions if portions else trials
     total, rows, spreads = np.zeros((units, p + 1, p + 1)), np.zeros(units), 0.0
@@ -142,8 +142,11 @@ def moments_of(held: Stretches, device: Device, trials: int) -> tuple[Moments, f
     return Moments(total, rows), spreads
 
 
-def residuals(held: Stretches, device: Device) -> tuple[Passage, Filter, Floats, Floats, Floats]:
-    """Return passage, filter, columns (N, S, 1 + 3 + starts), starts (S, C, n) fitted at a device, and those alone."""
+def residuals(held: Stretches, device: Device) -> tuple[Filter, Floats, Floats]:
+    """Return the filter, whitened columns (N, S, 1 + 3 + starts) and the states (S, C, n) that they start from.
+
+    Columns are the readings, what command, friction and constant force of 1 do, and the unknowns of the start.
+    """
     passage = Passage(held, device.shape)
     found = Filter.of(passage, device.disturbance)
     starts = passage.starts()
@@ -162,12 +165,12 @@ def residuals(held: Stretches, device: Device) -> tuple[Passage, Filter, Floats,
     readings[:, :, 0] = held.position
     errors = passed(passage, found, readings, begin, added)
     errors[:, :, 1:] *= -1
-    return passage, found, errors, begin, added
+    return found, errors, begin
 
 
 def _columns(held: Stretches, device: Device) -> tuple[Floats, float, Floats]:
     """Return columns and errors without the start (S, N, p + 1), the filter's spreads, and unknowns of each start."""
-    passage, found, errors, begin, added = residuals(held, device)
+    found, errors, begin = residuals(held, device)
     numbers = device.numbers
     own = {name: numbers.get(name, 0.0) + device.effect(name, held.trial) for name in LINEAR}
     whole = sum(own[name][None, :] * errors[:, :, 1 + i] for i, name in enumerate(LINEAR))
@@ -225,8 +228,8 @@ def refined(held: Stretches, device: Device, trials: int, steps: int = STEPS) ->
     free = np.empty(0, dtype=np.int64)
     best: Fit | None = None
     for count in range(steps):
-        if count in (0, 2, FIXED_STEPS + 1):
-            device = replace(device, disturbance=disturbing(held, device, narrow=count > 2))
+        if count in (1, FIXED_STEPS + 1):
+            device = replace(device, disturbance=disturbing(held, device, narrow=count > 1))
         moments, spread = moments_of(held, device, trials)
         if not np.isfinite(moments.products).all():
             break
@@ -250,7 +253,7 @@ def disturbing(held: Stretches, device: Device, narrow: bool = False) -> float:
     some = held.chosen(_spread(held, 60))
 
     def cost(log: float) -> float:
-        _, found, errors, _, _ = residuals(some, replace(device, disturbance=float(np.exp(log))))
+        found, errors, _ = residuals(some, replace(device, disturbance=float(np.exp(log))))
         own = [device.numbers.get(name, 0.0) + device.effect(name, some.trial) for name in LINEAR]
         left = (errors[:, :, 0] - sum(each * errors[:, :, 1 + i] for i, each in enumerate(own))).T
         # the constant force of each stretch is free, so that it is not taken for a random one
@@ -264,8 +267,8 @@ def disturbing(held: Stretches, device: Device, narrow: bool = False) -> float:
 
     high, low = (float(np.log(each)) for each in MEMORIES)
     if narrow and device.disturbance > 0:
-        low, high = np.log(device.disturbance) - 2, np.log(device.disturbance) + 2
-    options = {"xatol": 0.03 if narrow else 0.3, "maxiter": 16}
+        low, high = np.log(device.disturbance) - 1.5, np.log(device.disturbance) + 1.5
+    options = {"xatol": 0.03 if narrow else 0.5, "maxiter": 10}
     found = minimize_scalar(cost, bounds=(low, high), method="bounded", options=options)
     none = cost(-np.inf)
     return 0.0 if none <= found.fun + 1.0 else float(np.exp(found.x))
@@ -302,9 +305,8 @@ def begun(held: Stretches, names: tuple[str, ...], most_delay: float) -> Device:
         known["force"] = twice[..., 3]
         known = {name: known[name] for name in names if name in known}
         columns = np.stack([*known.values(), y], axis=-1) * some.valid[..., None]
-        free = [np.ones_like(t), *([] if some.rests.all() else [t * ~some.rests])]
-        free = np.stack([each * some.valid for each in free], axis=-1).transpose(1, 0, 2)
-        q, _ = np.linalg.qr(free)
+        starts = [np.ones_like(t), *([] if some.rests.all() else [t * ~some.rests])]
+        q, _ = np.linalg.qr(np.stack([each * some.valid for each in starts], axis=-1).transpose(1, 0, 2))
         columns = columns.transpose(1, 0, 2)
         columns = (columns - q @ (q.transpose(0, 2, 1) @ columns)).reshape(-1, columns.shape[-1])
         found, _, _, _ = np.linalg.lstsq(columns[:, :-1], columns[:, -1], rcond=1e-10)

@@ -10,7 +10,7 @@ from pipeline.base.errors import ParameterError
 from pipeline.measured.model.estimation import Device, Fit, refined
 from pipeline.measured.model.intervals import BOUNDED, NEEDED, Errors, Interval, physical
 from pipeline.measured.model.parts import Choice, chosen
-from pipeline.measured.model.recordings import SHORTEST, Recording, Scales, Stretches, stretches
+from pipeline.measured.model.recordings import SHORTEST, Recording, Scales, stretches
 from pipeline.measured.model.replay import Replay, replayed
 from pipeline.measured.model.scatter import FEWEST, inverse
 from pipeline.measured.model.told import Combination, Recorded, combinations, is_told
@@ -67,7 +67,9 @@ def identified(recordings: list[Recording]) -> Identified:
         untold |= {"damping", "stiffness", "friction", "constant_force", "mode_mass"} & set(names)
     untold |= {name for name in names if name == "friction" and choice.parts["friction"] <= 0}
     delay = parameters.get("delay")
-    if delay is not None and delay.high - delay.low > choice.scales.period * max(2.0, delay.value / choice.scales.period):
+    if delay is not None and delay.high - delay.low > choice.scales.period * max(
+        2.0, delay.value / choice.scales.period
+    ):
         untold.add("delay")
     recorded = Recorded.of(recordings)
     command = choice.scales.command
@@ -105,8 +107,8 @@ def _check(recordings: list[Recording]) -> None:
         raise ParameterError("the position does not change in any log; expected a device in motion.")
     if not any(np.any(each.command != 0) for each in recordings):
         raise ParameterError(
-            "the command is 0 in all rows; a motion without a force tells no mass. Record steps of the command, or name "
-            "the column of the force in the profile (columns.command)."
+            "the command is 0 in all rows; a motion without a force tells no mass. Record steps of the command, or "
+            "name the column of the force in the profile (columns.command)."
         )
 
 
@@ -124,17 +126,18 @@ def _replay(recordings: list[Recording], choice: Choice) -> tuple[Replay, list[s
         last = [_cut(each, cut, len(each.time)) for each, cut in zip(recordings, cuts, strict=True)]
         whole = stretches(last, choice.scales, lead, False)
         return replayed(whole, replace(device, effects=None)), [recordings[i].name for i in whole.trial]
-    devices = _without_folds(choice.fit)
     found: list[Replay] = []
-    for fold, device in enumerate(devices):
+    order: list[Recording] = []
+    for fold, device in enumerate(_without_folds(choice.fit)):
         some = [recordings[i] for i in places if i % FOLDS == fold]
         if some:
             found.append(replayed(stretches(some, choice.scales, lead, False), device))
-    names = [recordings[i].name for fold in range(FOLDS) for i in places if i % FOLDS == fold]
+            order += some
     rows = max(len(each.position) for each in found)
     position = np.concatenate([_padded(each.position, rows) for each in found], axis=1)
-    whole = stretches([recordings[i] for fold in range(FOLDS) for i in places if i % FOLDS == fold], choice.scales, lead, False)
-    return Replay(whole, position, np.concatenate([each.fit for each in found])), [names[i] for i in whole.trial]
+    whole = stretches(order, choice.scales, lead, False)
+    names = [order[i].name for i in whole.trial]
+    return Replay(whole, position, np.concatenate([each.fit for each in found])), names
 
 
 def _padded(values: np.ndarray, rows: int) -> np.ndarray:

@@ -44,9 +44,9 @@ def physical(scales: Scales) -> dict[str, Quantity]:
         "stiffness": lambda n: n["gamma"] / scales.period**2 * mass(n),
         "delay": lambda n: n["delay"] * scales.period,
         "friction": lambda n: n["coulomb"] / n["gain"] * command,
-        "constant_force": lambda n: (n["force"] - n.get("gamma", 0.0) * scales.origin / scales.position)
-        / n["gain"]
-        * command,
+        "constant_force": lambda n: (
+            (n["force"] - n.get("gamma", 0.0) * scales.origin / scales.position) / n["gain"] * command
+        ),
         "actuator_lag": lambda n: n["lag"] * scales.period,
         "mode_frequency": lambda n: n["turn"] / (2 * np.pi * scales.period),
         "mode_damping_ratio": lambda n: n["ratio"],
@@ -85,7 +85,7 @@ class Errors:
     def of(cls, fit: Fit) -> Errors:
         """Return the errors of a fit: by its information, and by leaving out one unit, each with one Newton step.
 
-        A portion of few logs may be the only one that tells a number, such as the delay: its step is that of first order.
+        A portion of few logs may be the only one that tells a number, such as the delay: its step is of first order.
         """
         solved = fit.solved
         total = solved.total
@@ -105,8 +105,10 @@ class Errors:
         sizes = np.sqrt(np.maximum(np.diagonal(self.covariance), 0.0))
         slope = np.zeros(len(names))
         for i, size in enumerate(np.minimum(sizes, np.abs(base) + 1e-6) * 1e-3):
-            ends = [quantity(dict(zip(names, base + sign * size * (np.arange(len(names)) == i), strict=True)))
-                    for sign in (1, -1)]
+            ends = [
+                quantity(dict(zip(names, base + sign * size * (np.arange(len(names)) == i), strict=True)))
+                for sign in (1, -1)
+            ]
             slope[i] = (ends[0] - ends[1]) / (2 * size) if size > 0 else 0.0
         variance = float(slope @ self.covariance @ slope)
         count = len(self.without)

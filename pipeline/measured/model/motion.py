@@ -46,9 +46,7 @@ class Physics:
         mode = None
         if self.share > 0:
             reduced = self.share * (1 - self.share)
-            mode = Vibration(
-                self.share, reduced * self.turn**2, 2 * max(self.ratio, 0.0) * self.turn * reduced, False
-            )
+            mode = Vibration(self.share, reduced * self.turn**2, 2 * max(self.ratio, 0.0) * self.turn * reduced, False)
         # the parts of `loop`, whose own numbers may not be negative; those of a search may
         shape = DeviceLoop(0.0, 0.0, 0.0, max(self.lag, SHORTEST_LAG) if self.lag else 0.0, mode)
         matrix, push, sensor = (part.copy() for part in shape.device)

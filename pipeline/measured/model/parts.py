@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -98,12 +97,11 @@ def chosen(recordings: list[Recording]) -> Choice:
     delay = _delay(some, scales, base, int(np.clip(rows // 8, 2, LONGEST_DELAY)))
     lead = int(np.ceil(delay)) + 3
     held = stretches(some, scales, lead, True)
-    fit, parts = (None, {}) if not len(held) else _with_friction(held, base, delay, len(some))
-    if fit is None:
+    found = _with_friction(held, base, delay, len(some)) if len(held) else None
+    if found is None:
         held = stretches(some, scales, lead, False)
-        fits = _fits(held, base, delay, len(some), [(), ("stiffness",)])
-        names = _best(fits)
-        fit, parts = fits[names], dict.fromkeys(names, held_out(fits[names]) - held_out(fits[()]))
+        found = _worth(held, (*base, "gamma"), delay, len(some))
+    fit, parts = found
     holding = None
     if parts.get("friction", 0.0) > 0:
         holding = _holding(fit, scales)
@@ -146,54 +144,47 @@ def _delay(recordings: list[Recording], scales: Scales, base: tuple[str, ...], l
     return begun(held, names, lead).numbers.get("delay", 0.0)
 
 
-def _fits(
-    held: Stretches, base: tuple[str, ...], delay: float, trials: int, parts: list[tuple[str, ...]]
-) -> dict[tuple[str, ...], Fit]:
-    """Return fits with some sets of parts, from the start by integrated balances; all have a number that is allowed."""
-    found = {}
-    for names in parts:
-        numbers = (*base, *(number for name in names for number in NUMBERS[name]))
-        found[names] = refined(held, begun(held, numbers, delay + 2), trials)
-    return found
+def _worth(held: Stretches, names: tuple[str, ...], delay: float, trials: int) -> tuple[Fit, dict[str, float]]:
+    """Return the fit with a spring where there is one, else without, and what it is worth."""
+    fit = refined(held, begun(held, names, delay + 2), trials)
+    gain = _loss(fit, "gamma")
+    if gain > WORTH:
+        return fit, {"stiffness": gain}
+    left = tuple(name for name in names if name != "gamma")
+    return refined(held, begun(held, left, delay + 2), trials), {}
 
 
-def _best(fits: dict[tuple[str, ...], Fit]) -> tuple[str, ...]:
-    """Return the parts whose fit makes held-out units likeliest, each by `WORTH`."""
-
-    def worth(names: tuple[str, ...]) -> float:
-        numbers = fits[names].device.numbers
-        allowed = all(numbers[number] > 0 for name in names for number in NUMBERS[name])
-        return held_out(fits[names]) - WORTH * len(names) if allowed else -np.inf
-
-    return max(fits, key=worth)
+def _loss(fit: Fit, name: str) -> float:
+    """Return by how much the likelihood falls without a number that is not negative, in which the motion is linear."""
+    found = Errors.of(fit).interval(lambda n: n[name])
+    return 0.5 * (found.value / found.error) ** 2 if found.value > 0 and found.error > 0 else 0.0
 
 
 def _with_friction(
     held: Stretches, base: tuple[str, ...], delay: float, trials: int
-) -> tuple[Fit | None, dict[str, float]]:
+) -> tuple[Fit, dict[str, float]] | None:
     """Return the fit with friction where there is some or may be, None where there is none."""
-    fits = _fits(held, base, delay, trials, [(), ("stiffness",), ("friction",), ("friction", "stiffness")])
-    names = _best(fits)
-    if "friction" in names:
-        return fits[names], dict.fromkeys(names, held_out(fits[names]) - held_out(fits[()]))
-    with_it = fits["friction", *names]
-    friction = Errors.of(with_it).interval(lambda n: n["coulomb"] / (n["gain"] or 1e-300), bounded=True)
-    if friction.high < OPEN:
-        return None, {}
-    return with_it, {"friction": 0.0} | dict.fromkeys(names, held_out(fits[names]) - held_out(fits[()]))
+    fit, parts = _worth(held, (*base, "gamma", "coulomb"), delay, trials)
+    gain = _loss(fit, "coulomb")
+    if gain > WORTH:
+        return fit, {"friction": gain} | parts
+    friction = Errors.of(fit).interval(lambda n: n["coulomb"] / n["gain"], bounded=True)
+    return None if friction.high < OPEN else (fit, {"friction": 0.0} | parts)
 
 
 def _further(held: Stretches, fit: Fit, parts: dict[str, float], trials: int) -> tuple[Fit, dict[str, float]]:
     """Return the fit with lag and mode, where held-out units are likelier with them."""
-    score = held_out(fit)
-    for name in ("lag", "mode"):
+    for name, size in (("lag", "lag"), ("mode", "share")):
         if "delay" not in fit.device.numbers:
             break
-        tried = [refined(held, each, trials, 10) for each in _having(held, fit.device, trials, name)]
-        other = max(tried, key=held_out)
-        gain = held_out(other) - score
+        other = refined(held, _having(held, fit.device, trials, name), trials, 10)
+        if _loss(other, size) < WORTH or held_out(other) - held_out(fit) < WORTH:
+            continue
+        # the search for the part went on where that without it had ended
+        fit = refined(held, replace(fit.device, effects=None), trials)
+        gain = held_out(other) - held_out(fit)
         if gain > WORTH * len(NUMBERS[name]):
-            fit, score, parts = other, score + gain, parts | {name: gain}
+            fit, parts = other, parts | {name: gain}
     return fit, parts
 
 
@@ -203,15 +194,12 @@ def _promise(held: Stretches, device: Device, trials: int) -> float:
     return solve(moments, np.empty(0, dtype=np.int64)).likelihood - spread
 
 
-def _having(held: Stretches, device: Device, trials: int, part: str) -> Iterator[Device]:
-    """Yield devices with one part more, from which a search starts."""
+def _having(held: Stretches, device: Device, trials: int, part: str) -> Device:
+    """Return a device with one part more, from which a search starts."""
     numbers, delay = device.numbers, device.numbers["delay"]
     if part == "lag":
-        for lag in (1.0, 4.0):
-            yield replace(device, numbers=numbers | {"lag": lag, "delay": max(delay - lag, 0.0)}, effects=None)
-    elif part == "mode":
-        likeliest = max(
-            (replace(device, numbers=numbers | {"turn": turn, "ratio": 0.05, "share": 0.03}) for turn in TURNS),
-            key=lambda each: _promise(held, each, trials),
-        )
-        yield replace(likeliest, effects=None)
+        lag = max(0.5 * delay, 0.5)
+        return replace(device, numbers=numbers | {"lag": lag, "delay": max(delay - lag, 0.0)}, effects=None)
+    modes = [numbers | {"turn": turn, "ratio": 0.05, "share": 0.03} for turn in TURNS]
+    tried = [replace(device, numbers=each, effects=None) for each in modes]
+    return max(tried, key=lambda each: _promise(held, each, trials))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
@@ -17,7 +18,7 @@ GAP = 1.5
 """Pause in sampling periods from which on a command is missing between two rows, where it differs behind them."""
 
 LONGEST = 1000
-"""Rows of a stretch: a longer log is cut, so that what drifts slowly may differ, and stretches are computed together."""
+"""Rows of a stretch: a longer log is cut, so that stretches are computed together."""
 
 SHORTEST = 8
 """Rows of the shortest stretch that says more than its own start."""
@@ -127,7 +128,7 @@ class _Cut:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """How a recording moves: velocity smoothed over ``half`` rows to each side, its error, direction where it is seen."""
+    """How a recording moves: velocity smoothed over ``half`` rows to each side, its error, directions seen."""
 
     velocity: Floats
     error: float
@@ -162,7 +163,7 @@ def reading_noise(position: Floats) -> float:
     steps = np.abs(np.diff(position))
     steps = steps[steps > 1e-9 * max(float(np.ptp(position)), 1e-300)]
     quantum = float(np.quantile(steps, 0.02)) if len(steps) > 20 and len(steps) < 0.8 * len(position) else 0.0
-    return max(noise, quantum / np.sqrt(12.0), 1e-12 * float(np.ptp(position)))
+    return float(max(noise, quantum / np.sqrt(12.0), 1e-12 * float(np.ptp(position))))
 
 
 @dataclass(frozen=True)
@@ -203,7 +204,7 @@ def stretches(
         bounds = [0, *pauses.tolist(), len(grid)]
         seen = motion_of(each) if moving else None
         stuck = holding.rows(each, scales.origin) if holding else np.zeros(len(grid), dtype=bool)
-        for first, behind in zip(bounds[:-1], bounds[1:], strict=True):
+        for first, behind in pairwise(bounds):
             start = first if first == 0 and _starts_at_rest(each) else first + lead
             if behind - start >= SHORTEST:
                 cuts += _moving(trial, each, seen, stuck, (start, behind), lead) if seen else _all(trial, start, behind)
@@ -234,24 +235,41 @@ def _starts_at_rest(recording: Recording) -> bool:
 def _all(trial: int, first: int, behind: int) -> list[_Cut]:
     count = max(1, round((behind - first) / LONGEST))
     bounds = np.linspace(first, behind, count + 1).astype(int).tolist()
-    return [_Cut(trial, a, b, np.zeros(b - a)) for a, b in zip(bounds[:-1], bounds[1:], strict=True)]
+    return [_Cut(trial, a, b, np.zeros(b - a)) for a, b in pairwise(bounds)]
 
 
-def _moving(
-    trial: int, each: Recording, seen: Motion, stuck: Booleans, rows: tuple[int, int], lead: int
-) -> list[_Cut]:
+def _moving(trial: int, each: Recording, seen: Motion, stuck: Booleans, rows: tuple[int, int], lead: int) -> list[_Cut]:
     """Return the parts of some rows in which the direction is known; a quick turn is no end, unless it may stick."""
     first, behind = rows
     sign = seen.direction[first:behind]
+    direction, ends = _directions(seen.velocity[first:behind], sign, stuck[first:behind], seen.half)
+    found: list[_Cut] = []
+    for a, b in ends:
+        # the smoothed velocity still moves as many rows behind a stop as it takes from before it
+        stop = b - seen.half if b < len(sign) else b
+        edge = _edge(each, seen, first, first + a, lead)
+        if edge is not None:
+            start = max(first, edge - EARLIER)
+            way = np.concatenate([np.full(first + a - start, float(sign[a])), direction[a:stop]])
+            found.append(_Cut(trial, start, min(first + stop, start + LONGEST), way[:LONGEST], edge))
+        else:
+            begin = a + seen.half if a > 0 else a
+            count = max(1, round((stop - begin) / LONGEST))
+            cuts = np.linspace(begin, stop, count + 1).astype(int).tolist()
+            found += [_Cut(trial, first + i, first + j, direction[i:j]) for i, j in pairwise(cuts)]
+    return [cut for cut in found if cut.behind - cut.first >= SHORTEST]
+
+
+def _directions(velocity: Floats, sign: Integers, stuck: Booleans, half: int) -> tuple[Floats, list[tuple[int, int]]]:
+    """Return the mean direction until the next row, and the stretches of rows over which it is known."""
     edges = np.flatnonzero(np.diff(sign)) + 1
-    bounds = [0, *edges.tolist(), len(sign)]
     runs: list[tuple[int, int, int]] = []
-    for a, b in zip(bounds[:-1], bounds[1:], strict=True):
+    for a, b in pairwise([0, *edges.tolist(), len(sign)]):
         if runs and runs[-1][2] * sign[a] < 0:
             runs.append((a, a, 0))  # it turns between two rows
         runs.append((a, b, int(sign[a])))
-    # mean direction between rows whose velocity changes on a straight line
-    speed = np.append(seen.velocity[first:behind], seen.velocity[behind - 1])
+    # between rows the velocity changes on a straight line
+    speed = np.append(velocity, velocity[-1])
     direction = (speed[:-1] + speed[1:]) / np.maximum(np.abs(speed[:-1]) + np.abs(speed[1:]), 1e-300)
     ends: list[tuple[int, int]] = []
     begin: int | None = None
@@ -259,32 +277,16 @@ def _moving(
         if way:
             begin = a if begin is None else begin
             continue
-        turn: bool = 0 < index < len(runs) - 1 and _brief(runs[index - 1 : index + 2]) and _turns(seen.velocity[first:behind], a, b)
-        turn = turn and not stuck[max(first + a - seen.half, 0) : first + b + seen.half].any()
-        if turn and a < b:
-            direction[a:b] = _through(seen.velocity[first + a : first + b + 1], runs[index - 1][2], runs[index + 1][2])
-        elif not turn and begin is not None:
+        turns = 0 < index < len(runs) - 1 and _brief(runs[index - 1 : index + 2]) and _turns(velocity, a, b)
+        if turns and not stuck[max(a - half, 0) : b + half].any():
+            if a < b:
+                direction[a:b] = _through(velocity[a : b + 1], runs[index - 1][2], runs[index + 1][2])
+        elif begin is not None:
             ends.append((begin, a))
             begin = None
     if begin is not None:
         ends.append((begin, len(sign)))
-    found: list[_Cut] = []
-    for a, b in ends:
-        # the smoothed velocity still moves as many rows behind a stop as it takes from before it
-        b = b - seen.half if b < len(sign) else b
-        edge = _edge(each, seen, first, first + a, lead)
-        if edge is not None:
-            start = max(first, edge - EARLIER)
-            way = np.concatenate([np.full(first + a - start, float(sign[a])), direction[a:b]])
-            found.append(_Cut(trial, start, min(first + b, start + LONGEST), way[: LONGEST], edge))
-        else:
-            a = a + seen.half if a > 0 else a
-            count = max(1, round((b - a) / LONGEST))
-            cut = np.linspace(a, b, count + 1).astype(int).tolist()
-            found += [
-                _Cut(trial, first + i, first + j, direction[i:j]) for i, j in zip(cut[:-1], cut[1:], strict=True)
-            ]
-    return [cut for cut in found if cut.behind - cut.first >= SHORTEST]
+    return direction, ends
 
 
 def _brief(runs: list[tuple[int, int, int]]) -> bool:
@@ -293,7 +295,7 @@ def _brief(runs: list[tuple[int, int, int]]) -> bool:
 
 
 def _turns(velocity: Floats, a: int, b: int) -> bool:
-    """Return whether the slow rows [a, b) are those of a turn and not of a rest: as few as the acceleration makes them."""
+    """Return whether slow rows [a, b) are those of a turn and not of a rest: as few as the acceleration makes."""
     if a == b:
         return True
     if velocity[a - 1] * velocity[min(b, len(velocity) - 1)] >= 0:
@@ -331,9 +333,7 @@ def _edge(each: Recording, seen: Motion, first: int, moves: int, lead: int) -> i
     return edge if edge - begin >= 2 else None
 
 
-def _padded(
-    recordings: list[Recording], even: list[Floats], cuts: list[_Cut], scales: Scales, lead: int
-) -> Stretches:
+def _padded(recordings: list[Recording], even: list[Floats], cuts: list[_Cut], scales: Scales, lead: int) -> Stretches:
     n, count = max((cut.behind - cut.first for cut in cuts), default=1), len(cuts)
     time = np.zeros((lead + n + 1, count))
     command, acts = np.zeros((lead + n, count)), np.ones((lead + n, count))

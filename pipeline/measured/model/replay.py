@@ -13,7 +13,7 @@ from pipeline.measured.model.whitening import Passage
 from pipeline.records.batch import Floats
 
 PARTS = 4
-"""Pieces of an interval between which friction may change its direction: a turn is off by an eighth of a row at most."""
+"""Pieces of an interval between which friction may change direction: a turn is off by an eighth of a row."""
 
 STARTS = 3
 """Newton's steps to the start of a log, which all but friction leaves linear."""
@@ -53,7 +53,9 @@ def replayed(held: Stretches, device: Device) -> Replay:
         left = ((held.position - found) * held.valid).T
         better = start + np.einsum("scn,sn->sc", np.linalg.pinv(columns, rcond=1e-6), left)
         tried = free_run(held, device, better)
-        kept = np.sum((held.position - tried) ** 2 * held.valid, 0) < np.sum((held.position - found) ** 2 * held.valid, 0)
+        kept = np.sum((held.position - tried) ** 2 * held.valid, 0) < np.sum(
+            (held.position - found) ** 2 * held.valid, 0
+        )
         start, found = np.where(kept[:, None], better, start), np.where(kept[None], tried, found)
     mean = (held.position * held.valid).sum(axis=0) / held.rows
     error = np.sqrt(((held.position - found) ** 2 * held.valid).sum(axis=0))
@@ -97,7 +99,7 @@ def _onward(
 ) -> Floats:
     """Return states (S, n) after a short time under command and constant force, (S,) each; friction may hold them."""
     command, force = forces
-    moved = np.einsum("sij,sj->si", transition, state) if len(transition) > 1 else state @ transition[0].T
+    moved: Floats = np.einsum("sij,sj->si", transition, state) if len(transition) > 1 else state @ transition[0].T
     driven = added[:, :, 0] * command[:, None]
     if not coulomb.any():
         return np.asarray(moved + driven + added[:, :, 1] * force[:, None])

@@ -1,7 +1,7 @@
 """The likelihood of all trials together: common numbers, their scatter from trial to trial, and trials that lie apart.
 
-Each trial is a linear regression that is known by its moments: whitened errors e_i = X_i (theta + b_i) + noise, with b_i
-of unknown variances. Restricted maximum likelihood estimates these; a trial beyond what they allow weighs less.
+Each trial is a linear regression known by its moments: whitened errors e_i = X_i (theta + b_i) + noise, with b_i of
+unknown variances. Restricted maximum likelihood estimates these; a noisier trial weighs less.
 """
 
 from __future__ import annotations

@@ -41,7 +41,9 @@ class Recorded:
     def of(cls, recordings: list[Recording]) -> Recorded:
         """Return what a set of recordings holds."""
         largest = max(float(np.abs(each.command).max()) for each in recordings) or 1.0
-        usual = np.round([20 * float(np.median(each.command[len(each.command) // 4 :])) / largest for each in recordings])
+        usual = np.round(
+            [20 * float(np.median(each.command[len(each.command) // 4 :])) / largest for each in recordings]
+        )
         ways = {np.sign(each.position[-1] - each.position[0]) for each in recordings}
         turns = any(_turns(each.position) for each in recordings)
         several = any(len(np.unique(np.round(20 * each.command / largest))) > 2 for each in recordings)
@@ -108,8 +110,13 @@ def combinations(choice: Choice, errors: Errors, recorded: Recorded, untold: set
 
         add("friction_less_force", ("friction", "constant_force"), against, "force", recorded.remedy())
     if "delay" in untold and "lag" in numbers:
-        add("delay_and_lag", ("delay", "actuator_lag"), lambda n: (n["delay"] + n["lag"]) * scales.period, "s",
-            "steps of the command at a higher sampling rate, or with a finer sensor")
+        add(
+            "delay_and_lag",
+            ("delay", "actuator_lag"),
+            lambda n: (n["delay"] + n["lag"]) * scales.period,
+            "s",
+            "steps of the command at a higher sampling rate, or with a finer sensor",
+        )
     return found
 
 

@@ -114,9 +114,7 @@ class Filter:
         return cls(gain, spread)
 
 
-def passed(
-    passage: Passage, found: Filter, readings: Floats | None, start: Floats, added: Floats | None
-) -> Floats:
+def passed(passage: Passage, found: Filter, readings: Floats | None, start: Floats, added: Floats | None) -> Floats:
     """Return whitened prediction errors of columns, shape (N, S, C).
 
     Parameters

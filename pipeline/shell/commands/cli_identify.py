@@ -35,8 +35,8 @@ def identify(
 ) -> None:
     """Identify a device from any logs: parameters with intervals, its parts, and the walls it can render.
 
-    No wall and no rest are needed; steps, staircases, sweeps and wall trials all serve. A native log of no wall may leave
-    out stiffness, damping, step and names.
+    No wall and no rest are needed; steps, staircases, sweeps and wall trials all serve. A native log of no wall may
+    leave out stiffness, damping, step and names.
 
     Example: pipeline identify logs --out motor.toml
     """
@@ -84,8 +84,8 @@ def _lines(document: dict[str, Any]) -> list[str]:
     if border is not None:
         top = border["stiffness_max"]
         lines.append(
-            f"walls at T = {border['sampling_period_s']:g} s and a delay of {border['delay_samples']:.4g} samples: stable "
-            f"up to K = {top['value']:.5g} ({top['low']:.5g} to {top['high']:.5g}) at B = "
+            f"walls at T = {border['sampling_period_s']:g} s and a delay of {border['delay_samples']:.4g} samples: "
+            f"stable up to K = {top['value']:.5g} ({top['low']:.5g} to {top['high']:.5g}) at B = "
             f"{border['damping_at_stiffness_max']:.5g} (linear; --json has the boundary)"
         )
     return lines
