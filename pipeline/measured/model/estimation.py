@@ -49,6 +49,9 @@ DONE = 1e-3
 PORTIONS = 16
 """Portions of few logs, whose own numbers show what is not independent within a log; Student's t is then 2.13."""
 
+ROBUST_ROUNDS = 4
+"""Rounds of least squares and weights for a start."""
+
 TOGETHER = 3_000_000
 """Numbers in the columns of stretches that are computed together, 24 MB."""
 
@@ -308,12 +311,24 @@ def begun(held: Stretches, names: tuple[str, ...], most_delay: float) -> Device:
         starts = [np.ones_like(t), *([] if some.rests.all() else [t * ~some.rests])]
         q, _ = np.linalg.qr(np.stack([each * some.valid for each in starts], axis=-1).transpose(1, 0, 2))
         columns = columns.transpose(1, 0, 2)
-        columns = (columns - q @ (q.transpose(0, 2, 1) @ columns)).reshape(-1, columns.shape[-1])
-        found, _, _, _ = np.linalg.lstsq(columns[:, :-1], columns[:, -1], rcond=1e-10)
-        left = float(((columns[:, -1] - columns[:, :-1] @ found) ** 2).sum())
+        columns = columns - q @ (q.transpose(0, 2, 1) @ columns)
+        found, left = _robust(columns.transpose(0, 2, 1) @ columns)
         if left < best[0]:
             best = left, dict(zip(known, found.tolist(), strict=True)) | {"delay": float(delay)}
     start_at = {"delta": 0.0, "force": 0.0, "lag": 0.5} | best[1]
     if not start_at.get("gain"):
         start_at["gain"] = 1e-3
     return Device({name: float(np.clip(start_at[name], *LIMITS.get(name, (-np.inf, np.inf)))) for name in names})
+
+
+def _robust(products: Floats) -> tuple[Floats, float]:
+    """Return least squares over stretches, and what is left; one that is left much more than most weighs little."""
+    weight = np.ones(len(products))
+    for _ in range(ROBUST_ROUNDS):
+        total = (products * weight[:, None, None]).sum(axis=0)
+        found = np.linalg.lstsq(total[:-1, :-1], total[:-1, -1], rcond=1e-12)[0]
+        whole = np.append(-found, 1.0)
+        left = np.maximum(np.einsum("i,tij,j->t", whole, products, whole), 1e-300)
+        middle = float(np.median(left))
+        weight = middle / (middle + left)
+    return found, float(np.log(left).sum())

@@ -62,6 +62,8 @@ def identified(recordings: list[Recording]) -> Identified:
     quantities = physical(choice.scales)
     names = [name for name, number in NEEDED.items() if number in errors.numbers]
     parameters = {name: errors.interval(quantities[name], name in BOUNDED) for name in names}
+    if "constant_force" in choice.assumed and "friction" in parameters:
+        parameters = _held_before(parameters, choice.scales.command)
     untold = {name for name in ("mass",) if not is_told(parameters[name])}
     if untold:
         untold |= {"damping", "stiffness", "friction", "constant_force", "mode_mass"} & set(names)
@@ -97,6 +99,23 @@ def identified(recordings: list[Recording]) -> Identified:
         choice.scales,
         len(recordings),
     )
+
+
+def _held_before(parameters: dict[str, Interval], command: float) -> dict[str, Interval]:
+    """Return intervals without the assumption of no constant force: at rest before, friction may have held one.
+
+    It is anywhere between both directions of friction, and all that is told per command is off by its share of it.
+    """
+    share = parameters["friction"].value / command / np.sqrt(3.0)
+    result = dict(parameters)
+    for name in ("mass", "damping", "stiffness", "friction", "mode_mass"):
+        if name in parameters:
+            each = parameters[name]
+            more = 1.96 * share * each.value
+            low = each.value - float(np.hypot(each.value - each.low, more))
+            high = each.value + float(np.hypot(each.high - each.value, more))
+            result[name] = Interval(each.value, max(low, 0.0), high, float(np.hypot(each.error, share * each.value)))
+    return result
 
 
 def _check(recordings: list[Recording]) -> None:

@@ -83,8 +83,10 @@ def solve(moments: Moments, random: Integers) -> Solved:
     factors = np.append(scale, 1.0)
     products = moments.products * factors[:, None] * factors[None, :]
     rows = np.maximum(moments.rows, 1.0)
-    noise = float(np.median(_Mixed(products).rest / rows))
-    weight, variances = np.ones(len(rows)), np.zeros(p)
+    # at first by what each unit leaves at its own best numbers
+    rest = _Mixed(products).rest
+    noise = float(np.median(rest / rows))
+    weight, variances = (rows + OWN_ROWS) / (OWN_ROWS + rest / noise), np.zeros(p)
     for count in range(ROUNDS):
         mixed = _Mixed(products * (weight / noise)[:, None, None])
         if len(random):

@@ -63,7 +63,7 @@ class Recorded:
             return "a step of a third size, so that each direction has two sizes"
         if self.directions < 2 or self.signs < 2:
             return "the same steps in the other direction, or one that turns back in motion"
-        return f"more runs: levels and directions differ, the scatter between the {self.trials} runs hides the rest"
+        return f"more runs: sizes and directions differ already, but {self.trials} of them leave this open"
 
 
 def _turns(position: Floats) -> bool:

@@ -78,8 +78,10 @@ def _lines(document: dict[str, Any]) -> list[str]:
         )
     if not document["scatter_in_interval"]:
         lines.append("the intervals are from within the logs; what differs from run to run needs 8 logs or more")
-    if fit is not None:
+    if fit is not None and fit > 0:
         lines.append(f"free runs of held-out logs: fit {fit:.1f} % (median)")
+    elif fit is not None:
+        lines.append("free runs do not follow held-out logs: what moves the device is not in the command")
     border = document["boundary"]
     if border is not None:
         top = border["stiffness_max"]
