@@ -40,8 +40,8 @@ LARGEST_STEP = {"delta": 0.2, "gamma": 0.2, "delay": 1.5, "lag": 1.5, "turn": 0.
 SMALL = 1e-5
 """Change of a number for a slope: rounding of 1e-16 then leaves eleven digits of it."""
 
-STEPS = 15
-"""Newton's steps at most; three to six are usual."""
+STEPS = 18
+"""Newton's steps at most; seven are usual, a mode may take all."""
 
 DONE = 1e-3
 """Square of a step in standard errors at which the search ends: 0.03 of the interval's half width."""
@@ -231,7 +231,7 @@ def refined(held: Stretches, device: Device, trials: int, steps: int = STEPS) ->
     free = np.empty(0, dtype=np.int64)
     best: Fit | None = None
     for count in range(steps):
-        if count in (1, FIXED_STEPS + 1):
+        if count % FIXED_STEPS == 1:
             device = replace(device, disturbance=disturbing(held, device, narrow=count > 1))
         moments, spread = moments_of(held, device, trials)
         if not np.isfinite(moments.products).all():
@@ -270,7 +270,7 @@ def disturbing(held: Stretches, device: Device, narrow: bool = False) -> float:
 
     high, low = (float(np.log(each)) for each in MEMORIES)
     if narrow and device.disturbance > 0:
-        low, high = np.log(device.disturbance) - 1.5, np.log(device.disturbance) + 1.5
+        low, high = np.log(device.disturbance) - 2.5, np.log(device.disturbance) + 1.5
     options = {"xatol": 0.03 if narrow else 0.5, "maxiter": 10}
     found = minimize_scalar(cost, bounds=(low, high), method="bounded", options=options)
     none = cost(-np.inf)

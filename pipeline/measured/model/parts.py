@@ -9,7 +9,7 @@ import numpy as np
 from pipeline.measured.model.estimation import Device, Fit, begun, moments_of, refined
 from pipeline.measured.model.intervals import Errors, physical
 from pipeline.measured.model.recordings import Holding, Recording, Scales, Stretches, stretches
-from pipeline.measured.model.scatter import inverse, solve
+from pipeline.measured.model.scatter import Moments, inverse, solve
 
 BASE = ("gain", "delta", "delay", "force")
 """Numbers of every device."""
@@ -27,6 +27,9 @@ MOST_TRIALS = 100
 
 LONGEST_DELAY = 48
 """Longest delay [samples] that is looked for."""
+
+SHARES = (0.05, 0.2)
+"""Shares of the far mass from which a mode is looked for."""
 
 TURNS = (0.06, 0.09, 0.13, 0.2, 0.3, 0.45, 0.7, 1.0)
 """Frequencies [rad a sample] from which a mode is looked for, a factor of 1.5 apart."""
@@ -177,7 +180,7 @@ def _further(held: Stretches, fit: Fit, parts: dict[str, float], trials: int) ->
     for name, size in (("lag", "lag"), ("mode", "share")):
         if "delay" not in fit.device.numbers:
             break
-        other = refined(held, _having(held, fit.device, trials, name), trials, 10)
+        other = refined(held, _having(held, fit.device, trials, name), trials)
         if _loss(other, size) < WORTH or held_out(other) - held_out(fit) < WORTH:
             continue
         # the search for the part went on where that without it had ended
@@ -189,9 +192,11 @@ def _further(held: Stretches, fit: Fit, parts: dict[str, float], trials: int) ->
 
 
 def _promise(held: Stretches, device: Device, trials: int) -> float:
-    """Return the likelihood one step from a device."""
+    """Return the likelihood of a mode as it stands, with the best of the device's other numbers."""
     moments, spread = moments_of(held, device, trials)
-    return solve(moments, np.empty(0, dtype=np.int64)).likelihood - spread
+    others = [i for i, name in enumerate(device.names) if name not in NUMBERS["mode"]] + [len(device.names)]
+    left = Moments(moments.products[:, others][:, :, others], moments.rows)
+    return solve(left, np.empty(0, dtype=np.int64)).likelihood - spread
 
 
 def _having(held: Stretches, device: Device, trials: int, part: str) -> Device:
@@ -200,6 +205,15 @@ def _having(held: Stretches, device: Device, trials: int, part: str) -> Device:
     if part == "lag":
         lag = max(0.5 * delay, 0.5)
         return replace(device, numbers=numbers | {"lag": lag, "delay": max(delay - lag, 0.0)}, effects=None)
-    modes = [numbers | {"turn": turn, "ratio": 0.05, "share": 0.03} for turn in TURNS]
-    tried = [replace(device, numbers=each, effects=None) for each in modes]
-    return max(tried, key=lambda each: _promise(held, each, trials))
+    likeliest, turns = replace(device, effects=None), np.array(TURNS)
+    for shares in (SHARES, (1.0,)):
+        modes = [
+            numbers | {"turn": float(turn), "ratio": 0.04, "share": share * likeliest.numbers.get("share", 1.0)}
+            for turn in turns
+            for share in shares
+        ]
+        likeliest = max(
+            (replace(likeliest, numbers=each) for each in modes), key=lambda each: _promise(held, each, trials)
+        )
+        turns = likeliest.numbers["turn"] * np.array([0.86, 0.93, 1.0, 1.07, 1.15])
+    return likeliest

@@ -23,9 +23,9 @@ LONGEST = 1000
 SHORTEST = 8
 """Rows of the shortest stretch that says more than its own start."""
 
-ALONE = 40
+ALONE = 15
 """Rows in one direction from which on a turn is left out, as its place is known to a part of a row only: a start of its
-own costs two numbers of forty readings."""
+own costs two numbers of fifteen readings."""
 
 SURE = 4.0
 """Speed in its standard errors from which on its direction counts as seen; wrong in 6e-5 of the rows."""
