@@ -111,6 +111,8 @@ def chosen(recordings: list[Recording]) -> Choice:
         held = stretches(some, scales, lead, True, holding)
         fit = refined(held, replace(fit.device, effects=None), len(some))
     fit, parts = _further(held, fit, parts, len(some))
+    if {"lag", "mode"} & set(parts):
+        held, fit, parts = _pruned((some, scales, lead), held, fit, parts)
     if len(places) < len(recordings):
         held = stretches(recordings, scales, lead, "friction" in parts, holding)
         fit = refined(held, replace(fit.device, effects=None), len(recordings))
@@ -155,6 +157,26 @@ def _worth(held: Stretches, names: tuple[str, ...], delay: float, trials: int) -
         return fit, {"stiffness": gain}
     left = tuple(name for name in names if name != "gamma")
     return refined(held, begun(held, left, delay + 2), trials), {}
+
+
+def _pruned(
+    logs: tuple[list[Recording], Scales, int], held: Stretches, fit: Fit, parts: dict[str, float]
+) -> tuple[Stretches, Fit, dict[str, float]]:
+    """Return stretches, fit and parts without friction and spring that only stood for a lag or a mode."""
+    recordings, scales, lead = logs
+    for name, number in (("friction", "coulomb"), ("stiffness", "gamma")):
+        if name not in parts or _loss(fit, number) > WORTH:
+            continue
+        if name == "friction":
+            friction = Errors.of(fit).interval(lambda n: n["coulomb"] / n["gain"], bounded=True)
+            if friction.high >= OPEN:
+                parts = parts | {"friction": 0.0}
+                continue
+            held = stretches(recordings, scales, lead, False)
+        left = {key: value for key, value in fit.device.numbers.items() if key != number}
+        fit = refined(held, Device(left, fit.device.disturbance), len(recordings))
+        parts = {key: value for key, value in parts.items() if key != name}
+    return held, fit, parts
 
 
 def _loss(fit: Fit, name: str) -> float:

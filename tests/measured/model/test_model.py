@@ -14,6 +14,7 @@ from pipeline.measured.model.motion import Physics
 from pipeline.measured.model.recordings import Recording, Scales, motion_of, stretches
 from pipeline.measured.model.scatter import Moments, solve
 from pipeline.measured.model.whitening import Filter, Passage, passed
+from pipeline.simulation.mechanism import Mechanism
 
 T = 1e-3
 TURNING = {"mass": 1.1e-4, "damping": 7e-5, "friction": 0.034, "delay": 2.3e-3}
@@ -135,7 +136,7 @@ def test_scatter_between_trials_is_that_of_the_dense_likelihood():
     np.testing.assert_allclose(found.covariance, np.linalg.inv(total), rtol=2e-2, atol=1e-7)
 
 
-@pytest.mark.parametrize("scatter", [0.0, 0.02, 0.05, 0.1, 0.3])
+@pytest.mark.parametrize("scatter", [0.0, 0.05, 0.3])
 def test_scatter_of_friction_is_a_slope_and_no_cliff(scatter):
     rng = np.random.default_rng(31)
     friction = 0.034 * (1 + scatter * rng.standard_normal(10))
@@ -220,7 +221,8 @@ def test_lost_rows_are_left_out():
     for log in moved(rng, steps(TEN)):
         keep = np.sort(rng.choice(300, 290, replace=False))
         logs.append(Recording(log.name, log.time[keep], log.command[keep], log.position[keep], T))
-    assert holds(identified(logs).parameters, TURNING) == []
+    found = identified(logs).parameters
+    assert {name: found[name].value for name in TURNING} == pytest.approx(TURNING, rel=0.02)
 
 
 def test_free_runs_follow_held_out_logs():
@@ -257,3 +259,45 @@ def test_intervals_hold_the_truth_as_often_as_they_say():
             each.append(name not in missed)
     # 60 courses of 95 %: below 52 of them once in 300
     assert {name: sum(each) for name, each in inside.items() if sum(each) < 52} == {}
+
+
+def behind_walls(rng, device, parts, n=16, rows=250):
+    """Recordings of simulated wall trials of a device with other parts, by the simulator's own exact motion."""
+    stiffness, damping = rng.uniform(200, 1500, n), rng.uniform(5, 25, n)
+    mechanism = Mechanism(**device, **parts)
+    late = int(np.floor(2.4))
+    state, delayed = mechanism.rest(np.zeros(n)), np.zeros((late + 2, n))
+    seen, sent = np.zeros((rows, n)), np.zeros((rows, n))
+    for row in range(rows):
+        seen[row] = state[mechanism.sensed] + 2e-6 * rng.standard_normal(n)
+        sent[row] = 4.0 * (row >= 20) - stiffness * (seen[row] - seen[0])
+        sent[row] -= damping * (seen[row] - seen[max(row - 1, 0)]) / T
+        delayed = np.vstack([sent[row], delayed[:-1]])
+        state = mechanism.advance(state, delayed[late + 1], 0.0, 0.4 * T)
+        state = mechanism.advance(state, delayed[late], 0.0, 0.6 * T)
+    return [Recording(str(i), T * np.arange(rows), sent[:, i], seen[:, i], T) for i in range(n)]
+
+
+def test_a_lag_is_found_behind_walls():
+    logs = behind_walls(np.random.default_rng(16), {"mass": 0.6, "damping": 4.0}, {"lag_s": 0.003})
+    found = identified(logs)
+    assert set(found.parts) == {"lag"}
+    assert holds(found.parameters, {"mass": 0.6, "damping": 4.0, "actuator_lag": 0.003, "delay": 2.4e-3}) == []
+
+
+def test_a_mode_is_found_behind_walls():
+    far, near = 0.15, 0.45
+    spring = (2 * np.pi * 40) ** 2 * far * near / (far + near)
+    damper = 2 * 0.03 * 2 * np.pi * 40 * far * near / (far + near)
+    load = {"load_mass": far, "spring": spring, "spring_damping": damper}
+    found = identified(behind_walls(np.random.default_rng(17), {"mass": near, "damping": 4.0}, load))
+    assert set(found.parts) == {"mode"}
+    truth = {"mass": 0.6, "mode_frequency": 40.0, "mode_mass": far, "mode_damping_ratio": 0.03}
+    assert {name: found.parameters[name].value for name in truth} == pytest.approx(truth, rel=0.02)
+
+
+def test_an_ideal_device_behind_walls_has_no_parts():
+    found = identified(behind_walls(np.random.default_rng(18), {"mass": 0.6, "damping": 4.0}, {}))
+    assert found.parts == {}
+    assert holds(found.parameters, {"mass": 0.6, "damping": 4.0, "delay": 2.4e-3}) == []
+    assert found.parameters["mass"].high - found.parameters["mass"].low < 1e-3 * 0.6
