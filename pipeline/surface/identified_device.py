@@ -74,11 +74,12 @@ def _logs(source: Source) -> tuple[Log, ...]:
     """Return the logs of a source; a native one need not state a wall."""
     raw, _, _ = load_source(source)
     assert source.profile is not None, "a source that no profile claims is refused by load_source"
-    if source.profile.format == "native":
-        raw = _completed(raw)
-    (outcome,) = reader_of(source.profile)(source.profile, [raw], False)
+    whole = _completed(raw) if source.profile.format == "native" else raw
+    (outcome,) = reader_of(source.profile)(source.profile, [whole], False)
     if isinstance(outcome, LogError):
-        raise outcome.reworded(f"{source.shown}: {outcome.reason}")
+        added = whole.data[0].count(b"\n") - raw.data[0].count(b"\n")
+        row = "" if outcome.row is None else f", row {max(outcome.row - added, 1)}"
+        raise outcome.reworded(f"{source.shown}{row}: {outcome.reason}")
     return outcome
 
 
