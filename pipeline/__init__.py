@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from pipeline.base.errors import PipelineError as PipelineError
+    from pipeline.rig.design import Design as Design
+    from pipeline.rig.design import design as design
     from pipeline.surface.comparisons import Comparison as Comparison
     from pipeline.surface.comparisons import compare as compare
     from pipeline.surface.comparisons import load as load
@@ -39,17 +41,20 @@ _PUBLIC = {
     "surface.identify": ("Identified", "identify"),
     "surface.physical_loop": ("Loop",),
     "surface.published": ("human_arms",),
+    "rig.design": ("Design", "design"),
 }
 """Public names by the module that defines them."""
 
 __all__ = [
     "Comparison",
+    "Design",
     "Identified",
     "Loop",
     "PipelineError",
     "boundary",
     "compare",
     "costs",
+    "design",
     "devices",
     "estimates",
     "experiments",

@@ -94,6 +94,12 @@ def sweep(tmp_path_factory) -> Lab:
 
 
 @pytest.fixture(scope="session")
+def sticky(tmp_path_factory) -> Lab:
+    """A device with friction, stiction and jitter, 88 trials: most rest elsewhere than at x_0 + F_0/K."""
+    return make_lab(tmp_path_factory.mktemp("sticky"), load_device("falcon-real"), ("1",), seed=1, coarsen=6)
+
+
+@pytest.fixture(scope="session")
 def unknown(tmp_path_factory) -> Lab:
     """A device without a device file that moves like the Falcon."""
     device = load_device("falcon").model_copy(update={"name": "mydevice"})
@@ -108,6 +114,11 @@ def falcon_outcome(falcon, one_process) -> Outcome:
 @pytest.fixture(scope="session")
 def lwr_outcome(lwr, one_process) -> Outcome:
     return lwr.compare(report=lwr.raw.parent / "lwr.html")
+
+
+@pytest.fixture(scope="session")
+def sticky_outcome(sticky, one_process) -> Outcome:
+    return sticky.compare(report=sticky.raw.parent / "sticky.html")
 
 
 @pytest.fixture(scope="session")

@@ -81,6 +81,8 @@ class _NoPandas:
 
 
 def _look_for_pandas(pyarrow: Any) -> None:
+    if "pandas" in sys.modules:  # which may be what loads pyarrow
+        return
     nowhere = _NoPandas()
     sys.meta_path.insert(0, nowhere)
     try:

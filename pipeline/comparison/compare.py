@@ -48,6 +48,7 @@ from pipeline.records.results import (
 )
 from pipeline.rendering.labels import UNITS
 from pipeline.rendering.report.report import write as write_report
+from pipeline.store.gone import gone
 from pipeline.store.mirror import origin
 from pipeline.theory.predictions import Predictions, Theory
 
@@ -140,10 +141,12 @@ def compare(
         return Outcome(None, _rows(plan), None)
 
     say = progress or (lambda _: None)
+    lost = tuple(one.sentence for one in gone(processed, device))
     found = _compute(data, early, predictions, say, executor)
     output = [*(["--scene", str(scene_file)] if scene_file else []), *(["--full"] if full else [])]
     made = partial(provenance, processed=origin(processed), key=key, output=output)
-    result = _result(data, found, report, made).model_copy(update={"notes": tuple(notes)})
+    result = _result(data, found, report, made)
+    result = result.model_copy(update={"notes": tuple(notes), "warnings": (*lost, *result.warnings)})
     if report is not None:
         say("report: figures and page")
         asked = data.scene.shown

@@ -6,8 +6,9 @@ from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 
 from pipeline.base.wording import listed
-from pipeline.comparison.loops.findings import loop_findings, with_large_motion
+from pipeline.comparison.loops.findings import loop_findings
 from pipeline.comparison.loops.fitted_loop import fitted_estimates
+from pipeline.comparison.loops.large_motion import with_large_motion
 from pipeline.comparison.loops.log_evidence import law_departures
 from pipeline.comparison.loops.loop_range import adequate_theory, estimated_range
 from pipeline.comparison.loops.other_gains import SHORT as OTHER_WALL

@@ -30,6 +30,7 @@ from pipeline.profiles.profile_model import Profile
 from pipeline.records.findings import Record
 from pipeline.records.models import Motion
 from pipeline.store.batch_files import NewBatch
+from pipeline.store.gone import Gone, gone
 from pipeline.store.storage import FILE, TABLE, read_versions
 
 DAMAGED_FOLDER = "damaged"
@@ -78,12 +79,13 @@ class Damage(Record):
 
 
 class CheckReport(Record):
-    """What a check found: files that were looked at, their size, damaged ones, and whether these were repaired."""
+    """What a check found: files that were looked at, damaged ones, whether these were repaired, and what is gone."""
 
     files: int
     bytes: int
     damage: tuple[Damage, ...]
     repaired: bool = False
+    gone: tuple[Gone, ...] = ()
 
 
 def check(
@@ -112,7 +114,7 @@ def check(
     StoreError
         If the folder cannot be read, or written to.
     """
-    files = list(_files(processed))
+    files, lost = list(_files(processed)), gone(processed)
     faults: dict[Path, str] = {}
     size = 0
     for done, file in enumerate(files, 1):
@@ -141,7 +143,7 @@ def check(
     except OSError as error:
         raise StoreError(f"{processed}: cannot be written ({error}). Make room, and repair again.") from error
     damage.sort(key=lambda one: one.file)
-    return CheckReport(files=len(files), bytes=size, damage=tuple(damage), repaired=repair)
+    return CheckReport(files=len(files), bytes=size, damage=tuple(damage), repaired=repair, gone=lost)
 
 
 def _files(processed: Path) -> Iterator[Path]:

@@ -123,7 +123,7 @@ def library(module: str, package: str, extra: str) -> Any:
     except ImportError as error:
         raise LogError(
             f"reading this format needs the package {package}, which is not installed. "
-            f"Run pip install 'haptic-pipeline[{extra}]', then ingest with --rehash.",
+            f"Run pip install '.[{extra}]' in the project's folder, then ingest with --rehash.",
             code="library-missing",
         ) from error
 

@@ -74,12 +74,17 @@ class LoopResult(Record):
 
 
 class LoopLimit(Record):
-    """Stiffness [N/m, Nm/rad] up to which a loop is stable at one damping, with the range of its 95 % intervals."""
+    """Stiffness [N/m, Nm/rad] up to which a loop is stable at one damping, with the range of its 95 % intervals.
+
+    With friction it holds for the step that was used; ``stiffness_large_motion`` is the linear limit, from which on a
+    harder push is unstable.
+    """
 
     damping: float
     stiffness: float
     low: float
     high: float
+    stiffness_large_motion: float | None = None
 
 
 class PassiveWall(Record):

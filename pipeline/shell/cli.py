@@ -41,6 +41,7 @@ COMMANDS = {
     "quarantine": ("cli_profiles", "quarantine_app"),
     "identify": ("cli_identify", "identify"),
     "plan": ("cli_plan", "plan"),
+    "design": ("cli_design", "design"),
     "scene": ("cli_report", "scene_app"),
     "doctor": ("cli_storage", "doctor"),
 }

@@ -90,7 +90,7 @@ def _packages() -> Iterator[Check]:
     for extra, names in lacking.items():
         if names:
             what = f"{', '.join(names)} not installed"
-            help_text = f"pip install '{PACKAGE}[{extra}]'"
+            help_text = f"pip install '.[{extra}]' in the project's folder"
             yield Check(name=EXTRAS[extra], state="missing", found=what, help=help_text)
         else:
             yield Check(name=EXTRAS[extra], state="good", found="installed")

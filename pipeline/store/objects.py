@@ -131,7 +131,7 @@ def check_installed(package: str, purpose: str) -> None:
     if find_spec(package) is None:
         raise UsageError(
             f"{purpose} needs {package}, which a plain installation leaves out. Install it: "
-            "pip install 'haptic-pipeline[cluster]'."
+            "pip install '.[cluster]' in the project's folder."
         )
 
 

@@ -19,10 +19,10 @@ from pipeline.loop.device_loop import general, loop_of, wall_units
 from pipeline.loop.response import response
 from pipeline.records.batch import Floats
 from pipeline.records.loop_parts import LoopParts
-from pipeline.records.models import Motion
+from pipeline.records.models import Device, Experiment, Motion
 from pipeline.surface.frames import units_of
 from pipeline.theory.cases import POINT_COSTS, optimum_document, points_of_loop
-from pipeline.theory.cost.theory_map import MAP_DEFAULT, CostMap
+from pipeline.theory.cost.theory_map import MAP_DEFAULT, CostMap, check_criteria
 from pipeline.theory.device.passive_walls import passive_outline, required_damping
 from pipeline.theory.device_cases import islands_in_si
 from pipeline.theory.optimum.curves import Curve, best_damping, best_stiffness
@@ -176,13 +176,15 @@ class Loop:
         }
         return frame
 
-    def points(self, stiffness: object, damping: object) -> pd.DataFrame:
+    def points(self, stiffness: object, damping: object, criteria: Sequence[str] = POINT_COSTS) -> pd.DataFrame:
         """Return stability and costs of walls.
 
         Parameters
         ----------
         stiffness, damping : float or array_like, shape (n,)
             K [N/m, Nm/rad] and B [Ns/m, Nms/rad]; a single number stands for all.
+        criteria : sequence of str
+            Such as ``settle_2pct``, ``energy_step_w0_discrete``; by default all costs.
 
         Returns
         -------
@@ -193,12 +195,14 @@ class Loop:
         Raises
         ------
         ParameterError
-            If lengths differ or a value is not finite.
+            If lengths differ, a value is not finite, or a criterion is unknown.
         """
         K, B = _as_walls(stiffness, damping)
         alpha, beta = K / self._scale.stiffness, B / self._scale.damping
-        found = points_of_loop(self._normalised, alpha, beta, spectral_radius(self._normalised, alpha, beta))
-        numbers = ("spectral_radius", *POINT_COSTS)
+        check_criteria(criteria)
+        radius = spectral_radius(self._normalised, alpha, beta)
+        found = points_of_loop(self._normalised, alpha, beta, radius, criteria)
+        numbers = ("spectral_radius", *criteria)
         columns = {name: np.array([point[name] for point in found], dtype=np.float64) for name in numbers}
         stable = np.array([point["stable"] for point in found], dtype=np.bool_)
         frame = self._frame({"stiffness": K, "damping": B, "stable": stable, **columns})
@@ -386,6 +390,14 @@ class Loop:
         settling = {name: "samples" for name in columns if name.startswith("settle")}
         frame.attrs["units"] = physical | settling
         return frame
+
+
+def loop_of_device(device: Device, experiment: Experiment) -> Loop:
+    """Return the loop of an experiment of a device, friction left out."""
+    parts = device.loop_of(experiment).model_dump(exclude={"friction"})
+    e = experiment
+    numbers = e.mass, e.damping, device.sampling_period_s, e.delay_samples, e.stiffness
+    return Loop(*numbers, motion=device.motion, **parts)
 
 
 def _as_walls(stiffness: object, damping: object) -> tuple[Floats, Floats]:

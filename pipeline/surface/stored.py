@@ -193,16 +193,16 @@ def boundary(processed: Place, device: str, experiment: str | None = None) -> pd
         ``experiment``, ``damping`` [Ns/m, Nms/rad], ``stable`` and ``unstable`` [N/m, Nm/rad]: the smallest stiffness
         with an unstable trial and the largest stable one below it (NaN where there is none), ``censored``,
         ``estimate``, ``low``, ``high`` [N/m, Nm/rad] (limit by the growth rates, 95 % interval), ``trials``,
-        ``undecided`` (those below the largest stable one). A row a damping.
+        ``undecided`` (those below the largest stable one), ``stiffness_large_motion`` [N/m, Nm/rad]: where friction was
+        found, all this holds for the step that was used, and a harder push is unstable from there. A row a damping.
 
     Raises
     ------
     DeviceError, StoreError
         As those of `estimates`.
     """
-    data = _open(processed, device, experiment, ("overshoot",))
-    rows = [(stages.experiment, stages.boundary_points) for stages in data.experiments]
-    return boundary_frame(rows, motion_of(data))
+    data = _open(processed, device, experiment)
+    return boundary_frame([(found.experiment, found.boundary) for found in _results(data)], motion_of(data))
 
 
 def optima(processed: Place, device: str, experiment: str | None = None) -> pd.DataFrame:
@@ -261,7 +261,7 @@ def estimates_frame(results: Sequence[ExperimentResult], all_methods: bool = Fal
 
 def boundary_frame(points: Sequence[tuple[str, Sequence[Any]]], motion: Motion) -> pd.DataFrame:
     """Return boundary points by experiment as `boundary` does."""
-    names = TABLES["boundary"]
+    names = (*TABLES["boundary"], "stiffness_large_motion")
     rows = [{"experiment": experiment, **dict(point)} for experiment, of in points for point in of]
     units = units_of(names, {motion})
     return frame_of(("experiment", *names), rows, units, units)

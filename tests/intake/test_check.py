@@ -7,11 +7,13 @@ import pytest
 from native_logs import FAULTS, short_log
 from stored import check_whole, flip
 
+from pipeline.comparison.compare import compare
 from pipeline.intake.check import check
-from pipeline.intake.exclude import exclude
+from pipeline.intake.exclude import exclude, use_again
 from pipeline.intake.ingest import ingest
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.store import batch_files
+from pipeline.store.corrections import corrections_files, read_exclusions
 from pipeline.store.samples import load_batch
 from pipeline.store.storage import read_trials, trials_files
 
@@ -46,6 +48,44 @@ def test_every_flipped_byte_of_every_file_is_named(lab):
             flip(file, at)
             assert [one.file for one in check(processed).damage] == [file.relative_to(processed).as_posix()]
             file.write_bytes(whole)
+
+
+def test_a_deleted_table_of_corrections_is_named(lab):
+    processed = lab / "processed"
+    (excluded,) = read_exclusions(processed)
+    assert check(processed).gone == ()
+    for file in corrections_files(processed):
+        file.unlink()
+    (told,) = check(processed).gone
+    assert (told.device, told.experiment, told.trials, told.exclusions) == ("bench", "1", (), (excluded,))
+    assert "1 exclusion" in told.sentence
+    warnings = compare("bench", processed, criteria=("overshoot",)).result.warnings
+    assert told.sentence in warnings
+
+
+def test_a_deleted_batch_is_named(lab):
+    processed = lab / "processed"
+    (lab / "logs" / "6.csv").write_text(short_log(6.0, rows=40))
+    before = set(trials_files(processed))
+    ingest([lab / "logs"], processed, jobs=1)
+    ExperimentStages.stored(processed, "bench", "1").table("response")
+    (new,) = set(trials_files(processed)) - before
+    ids = pq.read_table(new, columns=["trial_id"]).column("trial_id").to_pylist()
+    assert check(processed).gone == ()
+    new.unlink()
+    (told,) = check(processed).gone
+    assert list(told.trials) == ids
+    assert told.sentence in compare("bench", processed, criteria=("overshoot",)).result.warnings
+
+
+def test_what_was_undone_deleted_or_replaced_is_not_gone(lab):
+    processed, log = lab / "processed", lab / "logs" / "1.csv"
+    use_again(processed, str(lab / "logs" / "0.csv"))
+    assert check(processed).gone == ()
+    log.write_text(short_log(1.5, rows=40))
+    ingest([lab / "logs"], processed, jobs=1)
+    batch_files.compact(processed)
+    assert check(processed).gone == ()
 
 
 @pytest.mark.parametrize("seed", range(12))

@@ -46,7 +46,7 @@ GIVEN = {
     "pendulum": False,
     "rotation": False,
     "sensor": 1e-6,
-    "rest": 1.3,
+    "gain": 1.3,
     "spring": 0.0,
     "mass": 0.58,
     "mass_error": 0.01,

@@ -34,7 +34,7 @@ def test_without_the_extra_the_message_says_what_to_install(tmp_path):
     )
     done = run("serve", code=hidden, cwd=tmp_path)
     assert (done.returncode, done.stdout) == (2, "")
-    assert "pip install 'haptic-pipeline[serve]'" in done.stderr
+    assert "pip install '.[serve]'" in done.stderr
     assert run("--help", code=hidden).returncode == 0
     assert run("status", "--processed", tmp_path, code=hidden).returncode == 0
 

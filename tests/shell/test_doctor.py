@@ -39,7 +39,7 @@ def test_an_old_or_missing_package_comes_with_its_remedy(tmp_path, monkeypatch):
     assert (found["numpy"].state, found["numpy"].help) == ("wrong", "pip install 'numpy>=2.0'")
     assert "1.26.4" in found["numpy"].found
     assert found["MATLAB 7.3 files"].state == "missing"
-    assert found["MATLAB 7.3 files"].help == "pip install 'haptic-pipeline[mat]'"
+    assert found["MATLAB 7.3 files"].help == "pip install '.[mat]' in the project's folder"
 
 
 def test_a_disk_without_room_or_permission_is_wrong(tmp_path, monkeypatch):

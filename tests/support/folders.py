@@ -16,8 +16,9 @@ DIRECTLY: dict[str, tuple[str, ...]] = {
     "simulation": ("device_data", "store", "theory"),
     "rendering": ("records",),
     "plan": ("store", "device_data", "measured", "theory"),
-    "comparison": ("profiles", "rendering", "plan"),
+    "comparison": ("profiles", "rendering", "plan", "simulation"),
     "surface": ("intake", "simulation", "comparison"),
+    "rig": ("surface",),
     # they hold estimators against simulated truth, whose exact costs and limits are those of theory
     "studies": ("measured", "theory", "simulation", "rendering"),
 }

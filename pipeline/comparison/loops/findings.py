@@ -22,10 +22,7 @@ from pipeline.records.loop_parts import LoopParts, VelocityFilter
 from pipeline.records.loop_records import LoopFindings, LoopLimit, LoopResult, Parameter
 from pipeline.records.models import Device
 from pipeline.records.results import ExperimentResult
-from pipeline.rendering.labels import Units, significant
-
-NARROW = 1.25
-"""Least limit of large motions over the stiffness of a wall to use, as for the limit that was measured."""
+from pipeline.rendering.labels import Units
 
 MOST_REASONS = 3
 """Reasons against a loop that are told: the gravest ones; others often follow from them."""
@@ -54,7 +51,7 @@ def loop_findings(
     gains, rest = stages.once(other_gains), stages.once(rest_forces)
     fitted = stages.once(fitted_device)
     departures = [] if gains is not None and gains.most else law_departures(stages)
-    velocity = _filter(stages, departures)
+    velocity = velocity_of(stages, departures)
     shown = Shown(departures, rest, fitted, velocity, filters_of_logs(stages) if velocity else (), gains)
     estimated = found_loop(result, stages, velocity)
     period = device.sampling_period_s if device else stages.sampling_period_s
@@ -85,7 +82,7 @@ _HELD = (
 )
 
 
-def _filter(stages: ExperimentStages, departures: list[LawDeparture]) -> VelocityFilter | None:
+def velocity_of(stages: ExperimentStages, departures: list[LawDeparture]) -> VelocityFilter | None:
     """Return the velocity filter of the wall law; one that few logs show is none."""
     # a controller filters the velocity in all trials or in none; single logs can imitate it
     if not any(each.code == "velocity_filter" and each.logs > 0.5 * each.of for each in departures):
@@ -100,37 +97,6 @@ def found_loop(result: ExperimentResult, stages: ExperimentStages, velocity: Vel
     if fitted is not None:
         return loop_range(fitted, stages.sampling_period_s, velocity)
     return with_filter(estimated_range(result, stages.sampling_period_s), velocity)
-
-
-def with_large_motion(result: ExperimentResult, stages: ExperimentStages) -> ExperimentResult:
-    """Return a result with causes, its limits with those of large motions beside them where its logs show friction.
-
-    Coulomb friction takes a part of a motion that falls with its size: to a large one it is none. A wall to use that
-    large motions make unstable is none.
-    """
-    if all(cause.code != "coulomb_friction" for cause in result.causes):
-        return result
-    loop = found_loop(result, stages, _filter(stages, law_departures(stages)))
-    if loop is None or not result.boundary:
-        return result
-    linear = loop.at_values(np.array([point.damping for point in result.boundary]))
-    points = tuple(
-        point.model_copy(update={"stiffness_large_motion": float(limit)})
-        for point, limit in zip(result.boundary, linear, strict=True)
-    )
-    result = result.model_copy(update={"boundary": points})
-    if (use := result.use) is None:
-        return result
-    limit = float(loop.at_values(np.array([use.point.damping]))[0])
-    margin = limit / use.point.stiffness
-    if margin >= NARROW:
-        point = use.point.model_copy(update={"margin_large_motion": margin})
-        return result.model_copy(update={"use": use.model_copy(update={"point": point})})
-    why = (
-        f"the best wall for this step has K = {significant(use.point.stiffness, 3)}, and a harder push is unstable "
-        f"from {significant(limit, 3)} on: friction holds less of it"
-    )
-    return result.model_copy(update={"use": None, "use_reason": why})
 
 
 def _loop_result(

@@ -54,7 +54,8 @@ def region_to_use(result: ExperimentResult, stages: ExperimentStages) -> tuple[U
     Notes
     -----
     Usable are stable trials at K > 0 that overshoot by at most `CALM`, as far as that is known. Where too few of them
-    have a cost, the stiffest walls at the margin `FAR` are named. The one to set has a cost and a clean log of its own.
+    have a cost, the stiffest walls at the margin `FAR` are named. The one to set has a cost of its own, and its log
+    came to rest undisturbed.
     """
     # a limit that nothing bounds from below is none to keep away from: those beside it are
     limits = measured_limits([p for p in result.boundary if p.low is None or p.low > 0])
@@ -63,17 +64,18 @@ def region_to_use(result: ExperimentResult, stages: ExperimentStages) -> tuple[U
     K, B = stages.column("response", "stiffness"), stages.column("response", "damping")
     stable = (stages.verdicts.verdict == "stable") & (K > 0)
     over = stages.sure_cost("overshoot") if "overshoot" in result.optimum else np.zeros_like(K)
-    usable, clean = stable & ~(over > CALM), _clean(result, stages)
+    usable = stable & ~(over > CALM)
+    clean, finished = _judged(result, stages)
     found, why, region = recommended(result), "no criterion by which walls are chosen has a cost", None
     criterion = found[0] if found else STIFFEST
     if found:
         cost = stages.sure_cost(criterion)
-        tested = WallTrials(K, B, cost, np.where(clean, levels(K, B, cost, usable), np.inf), usable)
+        tested = WallTrials(K, B, cost, np.where(clean, levels(K, B, cost, usable), np.inf), usable, finished)
         region = best_rectangle(tested, limits, NARROW)
         why = "" if region else _too_few(criterion, int((stable & np.isfinite(cost)).sum()), int(stable.sum()))
     if region is None:
         softness = np.where(K > 0, 1 / np.where(K > 0, K, 1.0), np.inf)
-        tested = WallTrials(K, B, softness, np.where(usable & clean, softness, np.inf), usable)
+        tested = WallTrials(K, B, softness, np.where(usable & clean, softness, np.inf), usable, finished)
         criterion, region = STIFFEST, best_rectangle(tested, limits, FAR)
         if region is None:
             return None, f"{why}; no {FEWEST} stable neighbours lie {FAR:g} times below the limit"
@@ -83,12 +85,25 @@ def region_to_use(result: ExperimentResult, stages: ExperimentStages) -> tuple[U
 SPOILT = ("no_step", "travel_limit", "too_short", "saturated", "disturbed")
 """Outcomes of logs that tell nothing of the wall alone."""
 
+STICKS = 2.0
+"""Force that friction holds a device at rest against, relative to that of sliding: 1 to 2 in dry contacts."""
 
-def _clean(result: ExperimentResult, stages: ExperimentStages) -> Booleans:
-    """Return which trials have a cost, and an outcome that is the wall's own where outcomes are known."""
+
+def _judged(result: ExperimentResult, stages: ExperimentStages) -> tuple[Booleans, Booleans]:
+    """Return which trials have a cost that is the wall's own, and which of them came to rest.
+
+    With friction a device rests elsewhere than at x_0 + F_0/K: as far off as friction holds it, that is no disturbance.
+    """
     costs = [np.isfinite(stages.sure_cost(name)) for name in result.optimum]
     known = np.any(costs, axis=0) if costs else np.zeros(len(stages.verdicts.verdict), dtype=np.bool_)
-    return known & ~np.isin(stages.texts("outcome", "outcome"), SPOILT) if result.outcomes else known
+    if not result.outcomes:
+        return known, known
+    ended, moved = np.array(stages.texts("outcome", "outcome")), np.isfinite(stages.column("outcome", "outcome_row"))
+    friction = result.estimates.get("friction")
+    holds = STICKS * (friction.high or 0.0) if friction is not None and (friction.low or 0.0) > 0 else 0.0
+    apart = stages.column("response", "position_final_measured") - stages.column("response", "position_final_expected")
+    held = (ended == "disturbed") & ~moved & (np.abs(apart) * stages.column("response", "stiffness") <= holds)
+    return known & (held | ~np.isin(ended, SPOILT)), known & (held | (ended == "settled"))
 
 
 def _too_few(criterion: str, known: int, stable: int) -> str:

@@ -32,7 +32,8 @@ Rectangle = tuple[float, float, float, float]
 class WallTrials:
     """Stiffness, damping, cost (NaN where there is none) and usability of trials, shape (n,) each.
 
-    ``level`` is what they are judged by, inf where nothing tells it. A region holds usable trials only.
+    ``level`` is what they are judged by, inf where nothing tells it. A region holds usable trials only, and begins at
+    one that is ``finished``: the wall to set is such a one.
     """
 
     stiffness: Floats
@@ -40,6 +41,7 @@ class WallTrials:
     cost: Floats
     level: Floats
     usable: Booleans
+    finished: Booleans
 
     def inside(self, region: Rectangle) -> Booleans:
         """Tell which trials lie in a rectangle, its edges included."""
@@ -48,7 +50,7 @@ class WallTrials:
 
     def favoured(self, region: Rectangle, room: Floats) -> int:
         """Return the trial of a region whose own cost and level are low; of equal ones that far from the limit."""
-        at = np.flatnonzero(self.inside(region) & np.isfinite(self.level))
+        at = np.flatnonzero(self.inside(region) & np.isfinite(self.level) & self.finished)
         worse = np.maximum(self.cost[at], self.level[at])
         return int(at[np.lexsort([-room[at] / self.stiffness[at], worse])[0]])
 
@@ -103,7 +105,7 @@ def best_rectangle(tested: WallTrials, limits: MeasuredLimits, margin: float) ->
     on the side with the least median level, while all its trials are usable, `MOSTLY` of them are good, and its
     stiffest wall keeps the margin. Where it stays too small, the next good trial outside it is the start.
     """
-    starts = tested.usable & (margin * tested.stiffness <= room_at(limits, tested.damping))
+    starts = tested.usable & tested.finished & (margin * tested.stiffness <= room_at(limits, tested.damping))
     order = np.argsort(np.where(starts, tested.level, np.inf), kind="stable")
     least = tested.level[order[0]] if starts.any() else np.inf
     for factor in GOOD if np.isfinite(least) else ():

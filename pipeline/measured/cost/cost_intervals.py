@@ -26,7 +26,7 @@ passes it: of a motion that passes once a quarter of a swing may be all that is 
 CREEP = 0.8
 """Ratio of successive changes of a creep up to which its end is told: a passage of the band has 1."""
 
-CREEP_STAY = 3
+CREEP_STAY = 6
 """Part of the time up to a band that a creep must stay in it: less is left in it by an overshoot that passes."""
 
 LAST_PART = 5

@@ -10,14 +10,28 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import ndtr
 
 from pipeline.base.errors import ParameterError
 from pipeline.measured.signal.response import Response
 from pipeline.measured.signal.verdict import REST_FLOORS
 from pipeline.records.batch import Booleans, Floats, TrialBatch
 
-UNIFORM_VARIANCE = 1.0 / 12.0
-"""Variance of rounding to a grid, in squared quanta, for a motion of more than a quantum."""
+NOISES = np.linspace(1e-3, 1.0, 200)
+"""Noise relative to the quantum: with more of it the rounding is independent from reading to reading."""
+
+HARMONICS = np.arange(1, 201)[:, None]
+"""Harmonics of the sawtooth of rounding, those left out have 0.3 % of its variance; and steps of rounded noise."""
+
+READING = NOISES**2 + 1 / 12
+"""Variance of the error of a rounded reading [squared quanta], for `NOISES`."""
+
+LASTING = np.sum(np.exp(-((2 * np.pi * HARMONICS * NOISES) ** 2)) / HARMONICS**2, axis=0) / (2 * np.pi**2)
+"""Part of it that lasts while a device rests, as the mean over all places on the grid, and so is not seen there."""
+
+SEEN = 0.5 * (READING - LASTING) + np.sum((2 * HARMONICS - 1) * ndtr((0.5 - HARMONICS) / NOISES), axis=0)
+"""Scatter of the readings of a device at rest [squared quanta]: the mean of one anywhere on the grid and of one that
+the wall holds where its first reading lies; a baseline is between the two."""
 
 POOLED = 4.0
 """Noise of a baseline relative to the median, or to the quantum, up to which it is the sensor's: that of ten rows
@@ -26,9 +40,13 @@ scatters by a quarter."""
 LAST_PART = 5
 """Part of the response (a fifth) at its end in which its motion at rest is seen, and before it once more."""
 
-LASTING = 0.7
+STAYS = 0.7
 """Motion of the last fifth relative to the fifth before from which on it does not decay; one of more than `REST_FLOORS`
 sensor floors also relative to the fifth before that, since a slow mode may keep 0.7 a fifth (LWR, d = 7)."""
+
+EXCESS = 2.0
+"""Motion at rest relative to what sensor and weights tell, from which on the loop answers by more: without jitter that
+of a slow response, which has two independent values in a fifth, is larger by chance in 2 % of the trials."""
 
 CHUNK = 64
 """Trials that are computed at once: an array of theirs, 0.5 MB at 1,000 rows, stays in a processor's cache."""
@@ -45,10 +63,10 @@ class ReadingError:
     ----------
     sensor : float64, shape (n,)
         Standard deviation of the error of one reading [m, rad], noise and quantum; the same for all trials.
-    excess : float64, shape (n,)
-        Motion at rest at the end of the log relative to what the sensor explains.
-    fed_back : float64, shape (n,)
-        Size of what the loop made of earlier errors, relative to what the weights tell, 1 or more.
+    lasting : float64, shape (n,)
+        Part of its variance that all readings of a device at rest share: of the rounding.
+    gain : float64, shape (n,)
+        Variance of what the loop made of earlier errors, relative to what the weights tell.
     weight : float64, shape (n, N)
         Answer of a reading to an error of 1 m (1 rad) j samples before, as the wall feeds it back: 1 for
         j = 0, 0 behind the end of the log.
@@ -62,8 +80,8 @@ class ReadingError:
     """
 
     sensor: Floats
-    excess: Floats
-    fed_back: Floats
+    lasting: Floats
+    gain: Floats
     weight: Floats
     weight_noise: Floats
     change_noise: Floats
@@ -82,7 +100,7 @@ class _Variances:
 
     ``answered`` is what the wall's answers make of the errors of row 1 up to the row before, ``kept`` the other errors:
     the row's own and, as an error that lasts, that of the first reading. ``change`` is that of the change since the
-    sample before. ``rest`` (n,) is the motion at rest relative to the predicted one, NaN where there is none.
+    sample before. ``gain`` (n,) is what ``answered`` needs to explain the motion at rest, NaN where there is none.
     """
 
     weight: Floats
@@ -91,7 +109,7 @@ class _Variances:
     answered: Floats
     kept: Floats
     change: Floats
-    rest: Floats
+    gain: Floats
 
 
 def sensor_error(noise: Floats, quantum: Floats) -> float:
@@ -107,15 +125,18 @@ def sensor_error(noise: Floats, quantum: Floats) -> float:
     if not seen.any():
         return float("nan")
     # noise is pooled without the baselines that a push or a chatter moves; a baseline within a quantum shows none
-    square = noise[seen] ** 2
-    usual = square[square <= POOLED**2 * max(float(np.median(square)), float(np.median(quantum[seen])) ** 2)]
-    return as_known(float(np.sqrt(usual.mean() + UNIFORM_VARIANCE * np.median(quantum[seen]) ** 2)))
+    square, step = noise[seen] ** 2, float(np.median(quantum[seen])) ** 2
+    scatter = float(np.mean(square[square <= POOLED**2 * max(float(np.median(square)), step)]))
+    if step > 0:
+        # what a device at rest does not show of noise^2 + quantum^2/12
+        scatter += step * np.interp(scatter / step, SEEN, np.maximum(READING - SEEN, 0.0))
+    return as_known(float(np.sqrt(scatter)))
 
 
-def usual_rest(rest: Floats) -> float:
-    """Return the motion at rest that trials without any of their own take: the median of the others; 1 without any."""
-    rests = np.isfinite(rest)
-    return as_known(float(np.median(rest[rests]))) if rests.any() else 1.0
+def usual_gain(gain: Floats) -> float:
+    """Return the gain of trials without any of their own: the median of the others; 1 without any."""
+    told = np.isfinite(gain)
+    return as_known(float(np.median(gain[told]))) if told.any() else 1.0
 
 
 def as_known(value: float, error: float | None = None) -> float:
@@ -130,8 +151,8 @@ def as_known(value: float, error: float | None = None) -> float:
     return round(value, 2 - int(np.floor(np.log10(scale))) + (error is not None))
 
 
-def motion_at_rest(batch: TrialBatch, response: Response, delay_samples: int, sensor: float) -> Floats:
-    """Return the motion at the end of each trial relative to what the sensor explains, NaN where none, shape (n,).
+def gain_at_rest(batch: TrialBatch, response: Response, delay_samples: int, sensor: float) -> Floats:
+    """Return the gain that the motion at the end of each trial shows, NaN where it is not at rest, shape (n,).
 
     Parameters
     ----------
@@ -142,7 +163,7 @@ def motion_at_rest(batch: TrialBatch, response: Response, delay_samples: int, se
     """
     known = response.has_edge & np.isfinite(sensor)
     found = (
-        _variances(part, response.select(some), delay_samples, np.full(len(part), sensor), known[some]).rest
+        _variances(part, response.select(some), delay_samples, np.full(len(part), sensor), known[some]).gain
         for some, part in batch.portions(CHUNK)
     )
     return np.concatenate(list(found))
@@ -154,7 +175,7 @@ def reading_error(
     delay_samples: int = 0,
     *,
     sensor: float | None = None,
-    rest: float | None = None,
+    gain: float | None = None,
 ) -> ReadingError:
     """Return the standard error of each reading against the same trial with an ideal sensor.
 
@@ -166,8 +187,8 @@ def reading_error(
     delay_samples : int
         Integer delay factor, up to which nothing can be fed back; a smaller one (0 where none is known) does no
         harm but takes the noise of some more samples for an answer.
-    sensor, rest : float, optional
-        `sensor_error` and `usual_rest` of the experiment; by default those of these trials.
+    sensor, gain : float, optional
+        `sensor_error` and `usual_gain` of the experiment; by default those of these trials.
 
     Returns
     -------
@@ -186,16 +207,16 @@ def reading_error(
     rests, shifts all later ones as an error that lasts. The variance is the sum of squares. The weights are noisy
     themselves, which adds a known variance to each square: it is taken off.
 
-    The sensor is taken as one for all trials, as in one experiment: the variance of their baselines' noise, pooled,
-    and that of rounding. Errors are taken as independent from reading to
+    The sensor is taken as one for all trials, as in one experiment: the variance of their baselines' scatter, pooled,
+    and what of noise and rounding a device at rest does not show. Errors are taken as independent from reading to
     reading; a motion of less than a quantum a sample makes them dependent. Where the quantum is a tenth of the
     final displacement the weights are mostly noise.
 
     The loop may answer by more than its step response tells: where the delay jitters, the forces of two successive
     errors no longer cancel (Falcon, 3 to 5 samples: 4 to 7 times the deviation). That is seen in the motion at
-    rest at the end of the log, where it neither decays (`LASTING`) nor is as large as `LARGEST_REST`; the fed back
-    part is scaled to it. Trials that have not come to rest take the median of the others. So do limit cycles and errors
-    that depend on each other. Two standard errors then hold 94 to 99 % of the readings of simulated Falcon trials
+    rest at the end of the log, where it neither decays (`STAYS`) nor is as large as `LARGEST_REST`; the fed back
+    part is scaled to it, where it is `EXCESS` times what is told. Trials that have not come to rest take the median
+    gain of the others. Two standard errors then hold 94 to 99 % of the readings of simulated Falcon trials
     (2 and 10 um quantum, noise of 0 to 1 um), 90 to 92 % with jitter, and 86 % at 60 um.
 
     What jitter itself does to the response, friction and force limits are not told: the truth is the same trial.
@@ -219,27 +240,22 @@ def reading_error(
     ]
     weight, weight_noise, change_noise, own = (
         np.concatenate([getattr(part, name) for part in found])
-        for name in ("weight", "weight_noise", "change_noise", "rest")
+        for name in ("weight", "weight_noise", "change_noise", "gain")
     )
-    excess = np.where(np.isfinite(own), own, usual_rest(own) if rest is None else rest)
-    deviation, change, fed_back = np.empty((n, columns)), np.empty((n, columns)), np.empty(n)
+    gain_of_each = np.where(np.isfinite(own), own, usual_gain(own) if gain is None else gain)
+    deviation, change = np.empty((n, columns)), np.empty((n, columns))
     for (some, part), variances in zip(batch.portions(CHUNK), found, strict=True):
         hidden = ~(known[some, None] & part.valid)
-        end = np.maximum(part.rows - 1, 0)[:, None]
-        answered = np.take_along_axis(variances.answered, end, axis=1)
-        # the reading's own error is the sensor's; the rest of what is seen moves the device, more or less than told
-        gain = np.maximum(1.0 + (excess[some, None] ** 2 - 1) * (1 + 1 / np.where(answered > 0, answered, np.inf)), 0.0)
-        fed_back[some] = np.sqrt(np.maximum(gain[:, 0], 1.0))
         # slow motion, which hardly adds to the changes from reading to reading
-        square = variances.kept + gain * variances.answered
+        square = variances.kept + gain_of_each[some, None] * variances.answered
         for result, value in ((deviation, square), (change, variances.change)):
             result[some] = np.where(hidden, np.nan, each[some, None] * np.sqrt(value))
             # the first reading is its own reference
             result[some, 0] = np.where(hidden[:, 0], np.nan, 0.0)
     return ReadingError(
         sensor=each,
-        excess=excess,
-        fed_back=fed_back,
+        lasting=_lasting(each, response.sensor_quantum),
+        gain=gain_of_each,
         weight=weight,
         weight_noise=weight_noise,
         change_noise=change_noise,
@@ -247,6 +263,13 @@ def reading_error(
         change=change,
         reason=reason,
     )
+
+
+def _lasting(sensor: Floats, quantum: Floats) -> Floats:
+    """Part of the variance of a reading's error that lasts while the device rests, shape (n,)."""
+    size = np.where(quantum > 0, np.nan_to_num(sensor) / np.where(quantum > 0, quantum, 1.0), np.inf) ** 2
+    result: Floats = np.interp(size, READING, LASTING / READING)
+    return result
 
 
 def _variances(
@@ -277,8 +300,9 @@ def _variances(
     )
     # of the first reading: what has not yet been answered of an error that lasts
     kept, kept_change = (1.0 + _one_later(part) ** 2 for part in (np.cumsum(weight, axis=1), weight))
-    rest = _motion_at_rest(batch, response, sensor[:, None] ** 2 * (kept + answered), known)
-    return _Variances(weight, weight_noise, change_noise, answered, kept, kept_change + answered_change, rest)
+    square = sensor[:, None] ** 2
+    gain = _gain_at_rest(batch, response, square * kept, square * answered, known)
+    return _Variances(weight, weight_noise, change_noise, answered, kept, kept_change + answered_change, gain)
 
 
 def _one_later(values: Floats) -> Floats:
@@ -286,23 +310,32 @@ def _one_later(values: Floats) -> Floats:
     return result
 
 
-def _motion_at_rest(batch: TrialBatch, response: Response, predicted: Floats, known: Booleans) -> Floats:
-    """Root mean square of the motion at rest relative to the predicted one, NaN where there is no rest, shape (n,)."""
+def _gain_at_rest(batch: TrialBatch, response: Response, kept: Floats, answered: Floats, known: Booleans) -> Floats:
+    """Gain of the variances ``answered`` that with ``kept`` explains the motion at rest, NaN where none, shape (n,)."""
     column = np.arange(batch.position.shape[1])[None, :]
     part = np.maximum((batch.rows - response.edge_row) // LAST_PART, 1)
     distance = (batch.position - response.position_final_expected[:, None]) ** 2
-    squares, expected = [], []
-    for number in (1, 2, 3):
-        last = column >= (batch.rows - number * part)[:, None]
-        last &= column < (batch.rows - (number - 1) * part)[:, None]
-        last &= batch.valid
-        count = np.maximum(last.sum(axis=1), 1)
-        squares.append(np.where(last, distance, 0.0).sum(axis=1) / count)
-        expected.append(np.where(last, predicted, 0.0).sum(axis=1) / count)
+    last = [
+        batch.valid
+        & (column >= (batch.rows - number * part)[:, None])
+        & (column < (batch.rows - (number - 1) * part)[:, None])
+        for number in (1, 2, 3)
+    ]
+    squares = [_mean(distance, some) for some in last]
+    own, fed_back = (_mean(variance, last[0]) for variance in (kept, answered))
     # NaN, and so false, where K <= 0
     travel = np.abs(response.position_final_expected - response.position_start)
-    rests = known & (np.sqrt(squares[0]) <= LARGEST_REST * travel) & (expected[0] > 0)
-    rests &= squares[0] >= LASTING**2 * squares[1]
+    rests = known & (np.sqrt(squares[0]) <= LARGEST_REST * travel) & (fed_back > 0)
+    rests &= squares[0] >= STAYS**2 * squares[1]
     small = squares[0] <= (REST_FLOORS * response.floor) ** 2
-    rests &= small | (squares[0] >= LASTING**2 * squares[2])
-    return np.where(rests, np.sqrt(squares[0] / np.where(rests, expected[0], 1.0)), np.nan)
+    rests &= small | (squares[0] >= STAYS**2 * squares[2])
+    more = rests & (squares[0] > EXCESS**2 * (own + fed_back))
+    gain = np.divide(squares[0] - own, fed_back, out=np.ones(len(batch)), where=more)
+    result: Floats = np.where(rests, gain, np.nan)
+    return result
+
+
+def _mean(values: Floats, some: Booleans) -> Floats:
+    """Mean of some values of each trial, 0 where there are none, shape (n,)."""
+    result: Floats = np.where(some, values, 0.0).sum(axis=1) / np.maximum(some.sum(axis=1), 1)
+    return result

@@ -31,11 +31,8 @@ LARGEST_NOISE = 0.25
 """Noise of the square across relative to the motion at the end of the window: a block's mean still tells it."""
 
 LARGEST_DOUBT = 0.5
-"""Half width of a fitted decay relative to it from which on the mean decay tells more, once the response has sunk."""
-
-SLOWEST = 2.0
-"""How many times slower than told a response may decay once it has sunk into the noise within the log: with it 98 % of
-the intervals for w = 2 hold the truth (Falcon, 10 um)."""
+"""Half width of a fitted decay relative to it from which on the mean decay tells more, once the response has
+sunk; and that of a mean decay."""
 
 LARGEST_EXPONENT = 700.0
 """Where exp overflows; with as fast a decay nothing is left at the horizon."""
@@ -107,11 +104,10 @@ def extrapolate(
     and widens the interval where they do not. The energies are carried on from their sum over the window. Their
     remaining swing goes into the interval as the scatter of the blocks' energies.
 
-    A response that sinks into the noise before the end of the log leaves little behind its horizon. There the
-    interval supposes that it goes on at half of its decay at least; and where the window is too short or too noisy
-    for a fit, or holds several modes, the mean decay since the peak of the energy stands for the fitted one. A
-    slower mode that the noise hides is not told. A response that lasts to the end of the log has a tail only with
-    a fitted decay.
+    A response that sinks into the noise before the end of the log leaves little behind its horizon. Where the window
+    is too short or too noisy for a fit, or holds several modes, the mean decay since the peak of its energy stands for
+    the fitted one, known to half of itself. A slower mode that the noise hides is not told. A response that lasts to
+    the end of the log has a tail only with a fitted decay.
     """
     horizon = stop - first
     width = np.maximum(horizon // WINDOW_PART, 1)
@@ -147,11 +143,14 @@ def extrapolate(
     # a response that noise hides in part of the window: its mean decay since the peak of its energy
     hidden = ~(fitted & (half_width <= LARGEST_DOUBT * decay)) & sunk & (horizon > 0)
     decay = np.where(hidden, _mean_decay(energy, total, unsure, stop, width), decay)
-    half_width = np.where(hidden, decay, half_width)
-    slowest = np.where(sunk, np.maximum(decay - half_width, decay / SLOWEST), decay - half_width)
+    half_width = np.where(hidden, LARGEST_DOUBT * decay, half_width)
     known = (fitted | hidden) & (decay > 0)
     ends = []
-    for rate, level in ((decay, total), (decay + half_width, total - 2 * unsure), (slowest, total + 2 * unsure)):
+    for rate, level in (
+        (decay, total),
+        (decay + half_width, total - 2 * unsure),
+        (decay - half_width, total + 2 * unsure),
+    ):
         usable = known & (rate > 0)
         safe = np.where(usable, rate, 1.0)[:, None]
         grown = np.where(inside, np.exp(np.minimum(2 * safe * (lag + 1), LARGEST_EXPONENT)), 0.0).sum(axis=1)

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pipeline.base.errors import ParameterError
 from pipeline.measured.experiment.boundary import measured_boundary
-from pipeline.measured.intervals import NORMAL_95, student_95
+from pipeline.measured.intervals import NORMAL_95, SMALLEST, student_95
 from pipeline.records.batch import Booleans, Floats
 from pipeline.records.findings import BoundaryPoint
 
@@ -26,6 +26,10 @@ FEWEST_FOR_CURVATURE = 6
 
 CONCLUSIVE = 3.0
 """Growth rates within this many standard errors of zero do not tell on which side of the limit a trial lies."""
+
+SEEN = 8.0
+"""Growth with which a mode is surely seen, relative to the slowest that was: one that begins a thousand times smaller
+needs exp(7) more of it."""
 
 TYPICAL_BEND = 0.605
 """Standard deviation of rates, relative to the median size of their second difference: 1.4826/sqrt(6)."""
@@ -227,7 +231,7 @@ def _may_grow(c: _Columns, scatter: Floats) -> Booleans:
     """Trials that are not decided and rather grow, unless outvoted, and stable ones behind a peak of the growth rate.
 
     The slowest mode of a rigid loop first dies away faster with K and then slower. Where the rate falls again, the mode
-    that had been rising goes on, below the floor beside another one.
+    that had been rising may go on, below the floor beside another one.
     """
     order = np.argsort(np.where(np.isfinite(c.growth), c.stiffness, np.inf), axis=1, kind="stable")
     K, g = (np.take_along_axis(values, order, axis=1) for values in (c.stiffness, c.growth))
@@ -240,11 +244,25 @@ def _may_grow(c: _Columns, scatter: Floats) -> Booleans:
     # that is off the others go on rising; NaN compares as false
     peak[:, 2:-1] = (here < 0) & (change[:, :-2] > 0) & (change[:, 1:-1] > sure)
     peak[:, 2:-1] &= (-change[:, 2:] > np.maximum(sure, np.abs(here))) & (g[:, 3:] < g[:, 1:-2])
+    peak[:, 2:-1] &= _went_unseen(c, K, g)
     first = np.where(peak, K, np.inf).min(axis=1, initial=np.inf)
     behind = c.stable & (c.stiffness > first[:, None])
     undecided = ~c.stable & ~c.unstable & (np.nan_to_num(c.growth) > np.nan_to_num(clear))
     undecided &= c.stiffness > _outvoted(c, c.stable & ~behind & (c.growth < -np.nan_to_num(clear)))[:, None]
     result: Booleans = undecided | behind
+    return result
+
+
+def _went_unseen(c: _Columns, K: Floats, growth: Floats) -> Booleans:
+    """Tell of each rate from the third to the last but one whether the mode that rises there may go on below the floor.
+
+    By its last two rises it would grow at the stiffest stable trial no faster than `SEEN` times the slowest growth that
+    was seen; with a faster one the peak is a rate that is off.
+    """
+    slope = (growth[:, 2:-1] - growth[:, :-3]) / np.maximum(K[:, 2:-1] - K[:, :-3], SMALLEST)
+    stiffest = np.where(c.stable, c.stiffness, 0.0).max(axis=1)[:, None]
+    seen = np.where(c.unstable & (c.growth > 0), c.growth, np.inf).min(axis=1)[:, None]
+    result: Booleans = growth[:, 2:-1] + slope * (stiffest - K[:, 2:-1]) <= SEEN * seen
     return result
 
 

@@ -47,9 +47,6 @@ SENSOR_SHARE = 0.5
 """Standard deviation of what the sensor adds to a motion from sample to sample, in floors: the noise of a baseline is
 told badly, and a quantum adds 0.4."""
 
-SURE_DECAY = 0.5
-"""Fall of a logarithm of the amplitude over the log from which on a decay is no chance of a noisy motion."""
-
 LEAST_FALL = 3.0
 """Motion relative to what is left of it, or to the sensor floor where that is less, from which on its end there is a
 decay: a mode of a third of the motion at the start has not grown."""
@@ -225,7 +222,7 @@ def _look_again(
     There a mode may grow by chance. Changes ``grows``, ``told`` and the rates of ``grown``.
     """
     rate = grown.per_sample
-    doubtful = np.flatnonzero((grows | (told & (rate * grown.span > -SURE_DECAY))) & ~grown.clean)
+    doubtful = np.flatnonzero((grows | (told & (rate > 0))) & ~grown.clean)
     if len(doubtful):
         again = fastest_growth(signal[doubtful], length[doubtful], grown.noise[doubtful], NARROW)
         agree = _told(again.per_sample, again, course.end[doubtful], floor[doubtful])

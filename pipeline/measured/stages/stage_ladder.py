@@ -73,7 +73,8 @@ def _covering(found: Ladder) -> Floats:
     covariance, place = found.covariance.copy(), found.best.device.names.index("delay")
     delay = found.best.device.numbers["delay"]
     apart = max((abs(rung.device.numbers["delay"] - delay) for rung in found.alike), default=0.0)
-    covariance[place, place] += (apart / NORMAL_95) ** 2
+    # theirs are known about as well as that of the best
+    covariance[place, place] = (np.sqrt(covariance[place, place]) + apart / NORMAL_95) ** 2
     return covariance
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from pipeline.measured.cost.families import Measure
-from pipeline.measured.cost.reading_error import ReadingError, motion_at_rest, reading_error, sensor_error, usual_rest
+from pipeline.measured.cost.reading_error import ReadingError, gain_at_rest, reading_error, sensor_error, usual_gain
 from pipeline.measured.experiment.rest_forces import rest_spring
 from pipeline.measured.stages.stage_columns import conditions, hull
 from pipeline.measured.stages.stage_given import Experiment
@@ -21,21 +21,21 @@ def given_of(of: Experiment) -> Given:
 
 
 def sensor_of(of: Experiment, delay: int, spring: float) -> Given:
-    """What a cost and the error of a reading take from all trials: a spring, the sensor, the usual motion at rest."""
+    """What a cost and the error of a reading take from all trials: a spring, the sensor, the usual gain."""
     sensor = sensor_error(*(of.column("response", f"sensor_{name}") for name in ("noise", "quantum")))
     if not np.isfinite(sensor):
-        return {"delay": delay, "sensor": None, "rest": 1.0, "spring": spring}
-    rest = np.concatenate(of.of_each(_motion_at_rest, delay=delay, sensor=sensor, spring=spring))
-    return {"delay": delay, "sensor": sensor, "rest": usual_rest(rest), "spring": spring}
+        return {"delay": delay, "sensor": None, "gain": 1.0, "spring": spring}
+    gain = np.concatenate(of.of_each(_gain_at_rest, delay=delay, sensor=sensor, spring=spring))
+    return {"delay": delay, "sensor": sensor, "gain": usual_gain(gain), "spring": spring}
 
 
-def _motion_at_rest(of: TrialGroup, given: Given) -> Floats:
-    return of.held_by(given["spring"]).once(motion_at_rest, given["delay"], given["sensor"])
+def _gain_at_rest(of: TrialGroup, given: Given) -> Floats:
+    return of.held_by(given["spring"]).once(gain_at_rest, given["delay"], given["sensor"])
 
 
 def _error_of(of: TrialGroup, given: Given) -> ReadingError:
     sensor = float("nan") if given["sensor"] is None else given["sensor"]
-    return reading_error(of.batch, of.found, given["delay"], sensor=sensor, rest=given["rest"])
+    return reading_error(of.batch, of.found, given["delay"], sensor=sensor, gain=given["gain"])
 
 
 def columns(of: TrialGroup, given: Given, measure: Measure, names: Sequence[str]) -> Columns:

@@ -250,6 +250,8 @@ class StageTables:
         place = {key: row for row, key in enumerate(rows.column(ROW_KEY).to_pylist())}
         order = [place[key] for key in self.samples.of_trials("digests").tolist()]
         samples = {"samples": self.samples.digest} if stage == SAMPLED else {}
+        if stage == SAMPLED and self.excluded:
+            samples["excluded"] = " ".join(one.trial_id for one in self.excluded)
         metadata = self._stamp(stage, given=json.dumps(given), common=common, **samples)
         return rows.take(order).cast(arrow_schema(stage, rotation=self.rotation, metadata=metadata))
 

@@ -198,7 +198,7 @@ def _check_installed() -> None:
     if missing:
         raise UsageError(
             f"the service needs {', '.join(missing)}, which a plain installation leaves out. "
-            "Install them: pip install 'haptic-pipeline[serve]'."
+            "Install them in the project's folder: pip install '.[serve]'."
         )
 
 

@@ -170,7 +170,7 @@ def check(
 ) -> None:
     """Hold every stored file against the hash that it is named by: names damaged ones, and saves what can be saved.
 
-    Exit status 1 where something is damaged; with --repair where something could not be saved.
+    Exit status 1 where something is damaged or gone; with --repair where something could not be saved.
 
     Example: pipeline check --processed processed
 
@@ -186,7 +186,7 @@ def check(
     else:
         for line in _check_lines(found):
             console.say(line)
-    if any(not (repair and damage.mended) for damage in found.damage):
+    if found.gone or any(not (repair and damage.mended) for damage in found.damage):
         raise typer.Exit(EXIT_ERROR)
 
 
@@ -197,6 +197,7 @@ def _check_lines(found: CheckReport) -> Iterable[str]:
         counts = f": {damage.kept} trials kept, {damage.read_again} read again from their logs" if damage.trials else ""
         yield f"  {damage.remedy} ({'done' if found.repaired else 'by --repair'}){counts}"
         yield from _listed("  lost", [f"{one.trial_id} of {one.source_path}" for one in damage.lost])
+    yield from (one.sentence for one in found.gone)
 
 
 def status(

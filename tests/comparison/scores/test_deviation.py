@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from labs import make_lab
 
+from pipeline.comparison.loops.loop_range import MATTERS
 from pipeline.comparison.scores.deviation import _least_in_range, deviation
+from pipeline.device_data.devices import load_device
 from pipeline.loop.loop import Loop
 from pipeline.theory.cost.maps import costs_at
 from pipeline.theory.optimum.optimum import optimal_point
@@ -103,3 +106,29 @@ def test_a_model_part_that_single_trials_decide_is_told_as_one() -> None:
         found = deviation(a, b, expected, measured, np.ones(20, dtype=bool), (1.0, 1.0, float(measured.min())))
         kept[noise] = found.steady
     assert kept == {0.02: True, 0.3: False}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("device", "seed"), [("falcon-real", 7), ("falcon", 1)])
+def test_a_headline_keeps_its_sign_without_any_one_trial_or_is_said_to_rest_on_few(
+    device, seed, tmp_path, one_process, monkeypatch
+):
+    """A course with friction, of 173 trials, whose headline one trial turns, and one with jitter: each left out."""
+    asked = []
+
+    def told(*of):
+        asked.append((of, found := deviation(*of)))
+        return found
+
+    monkeypatch.setattr("pipeline.comparison.scores.deviation.deviation", told)
+    make_lab(tmp_path, load_device(device), ("1",), seed=seed, coarsen=4).compare()
+    assert asked
+    for (alpha, beta, expected, measured, use, least), whole in asked:
+        turned = []
+        for left_out in np.flatnonzero(use):
+            others = use & (np.arange(len(use)) != left_out)
+            without = deviation(alpha, beta, np.where(others | ~use, expected, np.nan), measured, others, least)
+            turned.append(without.model * whole.model < 0 and max(abs(without.model), abs(whole.model)) > 100 * MATTERS)
+        assert not (whole.steady and any(turned))
+        if device == "falcon-real":
+            assert any(turned)

@@ -105,6 +105,28 @@ def test_the_wall_to_set_has_a_clean_trial_with_costs(falcon, falcon_outcome, mo
     assert len(set(chosen)) == 3
 
 
+def test_a_log_that_rests_where_friction_holds_it_is_no_disturbed_one(sticky, sticky_outcome, monkeypatch):
+    """Half of the logs rest elsewhere than at x_0 + F_0/K: friction of 0.9 N and stiction of 1.65 N hold them there."""
+    (result,) = sticky_outcome.result.experiments
+    assert result.outcomes["disturbed"] > 0.3 * result.trials
+    stages = sticky.stages("1")
+    ids, texts, K = stages.texts("response", "trial_id"), stages.texts, stages.column("response", "stiffness")
+    at = ids.index(result.use.point.trial_id)
+    apart = stages.column("response", "position_final_measured") - stages.column("response", "position_final_expected")
+    assert abs(apart[at] * K[at]) < 1.65
+    assert result.use.point.costs
+    # without friction the same rest is that of another force
+    estimates = result.estimates | {"friction": result.estimates["friction"].model_copy(update={"low": -0.1})}
+    use, _ = region_to_use(result.model_copy(update={"estimates": estimates}), stages)
+    assert use is None or texts("outcome", "outcome")[ids.index(use.point.trial_id)] == "settled"
+    # nor is a log that has not come to rest, or was pushed, ever the wall to set
+    for ended in ("moving", "limit_cycle", "saturated"):
+        given = np.where(np.arange(len(ids)) == at, ended, texts("outcome", "outcome")).tolist()
+        monkeypatch.setattr(stages, "texts", lambda s, n, e=given: e if n == "outcome" else texts(s, n))
+        use, _ = region_to_use(result, stages)
+        assert use is None or use.point.trial_id != ids[at]
+
+
 def test_walls_that_overshoot_far_are_not_named(falcon, falcon_outcome, monkeypatch):
     result = falcon_outcome.result.experiments[0]
     stages = ExperimentStages.stored(falcon.processed, "falcon", "1")

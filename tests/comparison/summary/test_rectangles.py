@@ -31,7 +31,7 @@ def course(cost, stiffness=None, damping=None, stable=None):
     B = np.arange(0.0, 50, 5) if damping is None else damping
     k, b = (a.ravel() for a in np.meshgrid(K, B))
     usable = np.ones(len(k), dtype=bool) if stable is None else stable(k, b)
-    return WallTrials(k, b, cost(k, b), levels(k, b, cost(k, b), usable), usable)
+    return WallTrials(k, b, cost(k, b), levels(k, b, cost(k, b), usable), usable, usable)
 
 
 def bowl(k, b):
@@ -104,10 +104,10 @@ def test_a_valley_along_the_damping_is_followed_where_the_steps_of_stiffness_are
 def test_the_wall_to_set_is_neither_the_lucky_trial_nor_beside_good_ones_only():
     cost = np.array([10.0, 50, 30, 31, 40])
     level = np.array([45.0, 20, 32, 31, 41])
-    tested = WallTrials(np.full(5, 1000.0), np.arange(5.0), cost, level, np.ones(5, dtype=bool))
+    tested = WallTrials(np.full(5, 1000.0), np.arange(5.0), cost, level, *[np.ones(5, dtype=bool)] * 2)
     room = np.full(5, 4000.0)
     assert tested.favoured((1000, 1000, 0, 4), room) == 3
-    alike = WallTrials(tested.stiffness, tested.damping, np.ones(5), np.ones(5), tested.usable)
+    alike = WallTrials(tested.stiffness, tested.damping, np.ones(5), np.ones(5), tested.usable, tested.usable)
     assert alike.favoured((1000, 1000, 0, 4), np.array([2000.0, 3000, 9000, 4000, 1])) == 2
 
 

@@ -15,6 +15,7 @@ from pipeline.measured.cost.reading_error import reading_error
 from pipeline.measured.signal.horizon import energy_terms
 from pipeline.measured.signal.response import find_response
 from pipeline.measured.signal.verdict import judge
+from pipeline.studies.accuracy.truth import SLOWEST_COST, draw_trials, truth_of
 
 MASS = FALCON["mass"]
 
@@ -73,7 +74,22 @@ def test_intervals_hold_the_truth(quantum, noise):
 def test_intervals_hold_the_truth_of_500_trials(quantum, noise):
     batch, response, verdicts, error = measured(quantum, noise, 500)
     found = energy_interval(batch, response, verdicts, error, DELAY, MASS)
-    assert min(held(found, known_truth(500))) >= 0.92
+    # without any noise the errors of slow readings depend on each other, which is not told
+    assert min(held(found, known_truth(500))) >= (0.92 if noise else 0.90)
+
+
+@pytest.mark.parametrize("of", ["falcon 1", "falcon 4", "lwr delay-2", "lwr delay-6", "lwr delay-8"])
+def test_95_of_100_intervals_of_shipped_devices_hold_the_exact_cost(of):
+    """Not fewer and not many more, 1,000 trials each: chance alone moves the share by 0.7 % (one standard error)."""
+    known = truth_of(*of.split())
+    drawn = draw_trials(known, 1000, seed=4001, slowest=SLOWEST_COST)
+    error = reading_error(drawn.batch, drawn.response, drawn.delay_samples)
+    mass = known.experiment.mass
+    found = energy_interval(drawn.batch, drawn.response, drawn.verdicts, error, drawn.delay_samples, mass)
+    names = [f"energy_step_w{w}" for w in range(3)]
+    costs = known.costs(drawn.batch.stiffness, drawn.batch.damping, names)
+    shares = held(found, np.stack([costs[name] for name in names], axis=1))
+    assert 0.93 <= min(shares) <= max(shares) <= 0.985
 
 
 def test_a_coarse_sensor_is_refused_rather_than_guessed():

@@ -17,7 +17,7 @@ from pipeline.records.criteria import SETTLING_BANDS
 
 STIFFNESS = np.linspace(800.0, 6000.0, 12)
 DAMPING = np.linspace(25.0, 75.0, 12)
-GIVEN = {"delay": 4, "delay_range": (4, 4), "sensor": 1e-6, "rest": 1.0, "spring": 0.0, "mass": 0.58, "mass_error": 0.0}
+GIVEN = {"delay": 4, "delay_range": (4, 4), "sensor": 1e-6, "gain": 1.0, "spring": 0.0, "mass": 0.58, "mass_error": 0.0}
 ENERGIES = [f"energy_w{w}" for w in WEIGHTS]
 
 

@@ -211,6 +211,21 @@ def test_one_rate_that_is_off_is_no_peak():
     assert 9600 < point.low < point.estimate < point.high < 9800
 
 
+def test_a_mode_that_would_have_been_seen_growing_leaves_no_limit_open():
+    """Falcon 1, seed 1, B = 136 Ns/m: the rate at 5000 N/m is off; what rises so fast would grow by 460/s at 13,040."""
+    K = [3400.0, 3600, 3800, 4200, 4800, 5000, 5400, 5600, 6000, 6400, 6800, 7000, 7200, 7400, 8000, 8200, 8800, 9000]
+    K += [9200, 9600, 9800, 10000, 10400, 10600, 11200, 11400, 11600, 12000, 12200, 12400, 12600, 12800, 13000, 13040]
+    K += [13080, 13200]
+    growth = [-26.31, -30.81, -33.04, -36.01, -29.36, -12.35, -34.2, -30.33, -26.45, -21.36, -25.59, -35.72, -16.3]
+    growth += [-30.63, -4.033, -24.45, -7.689, -13.79, -18.77, -9.807, -16.6, -9.776, -11.37, -2.336, -8.26, -6.23]
+    growth += [-5.428, -7.597, -3.239, -7.176, -0.57, 5e-5, -0.3531, -1.021, 1.36, 0.1991]
+    said = np.array(["stable"] * len(K), dtype="<U9")
+    said[-6:-3], said[-2:] = "undecided", "unstable"
+    (point,) = boundary_band(np.array(K), np.full(len(K), 136.0), said, np.array(growth))
+    assert (point.stable, point.unstable) == (13040, 13080)
+    assert 12000 < point.low < point.estimate < point.high < 15000
+
+
 def test_rates_that_jitter_scatters_have_no_peak():
     """A course with jitter at B = 152 Ns/m: the rates of fast walls scatter by ten times those near the limit."""
     K = [4400.0, 4800, 5600, 6400, 6800, 8000, 8800, 9600, 10000, 10400, 10800, 10880, 10960, 11040, 11120, 11200]

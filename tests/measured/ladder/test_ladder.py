@@ -7,11 +7,11 @@ import pytest
 from not_ideal import simulate
 
 from pipeline.measured.ladder.device import Device
-from pipeline.measured.ladder.ladder import climb
+from pipeline.measured.ladder.ladder import Ladder, Rung, climb
 from pipeline.measured.ladder.physical import in_si
 from pipeline.measured.ladder.trials import LadderTrials, spread_over_plane
 from pipeline.measured.stages.stage_groups import TrialGroup
-from pipeline.measured.stages.stage_ladder import windows
+from pipeline.measured.stages.stage_ladder import _covering, windows
 
 MASS, DAMPING, DELAY, T = 0.5, 3.0, 3.0, 1e-3
 WALLS = [(K, B) for B in (5.0, 15.0, 25.0, 35.0) for K in (300.0, 700.0, 1500.0, 2500.0)]
@@ -120,3 +120,15 @@ def test_a_lag_stays_a_lag(n, seed, lag):
     found = _climbed(n, seed, lag=lag)
     assert found.best.parts == ("lag",)
     assert found.alike == ()
+
+
+def test_the_delay_holds_those_of_devices_that_are_alike():
+    """A lag with a delay of 2.64 and a mode with one of 2.98, each known to 0.02: the interval reaches past 2.98."""
+    lag, mode = (Device({"gain": -13.0, "delta": 0.007, "delay": delay}) for delay in (2.64, 2.98))
+    one, other = (Rung(device, 4, 4, -187.0) for device in (lag, mode))
+    place = lag.names.index("delay")
+    known = Ladder(one, np.diag([1e-6, 1e-6, 1e-4]), one, None, (other,))
+    half_width = 1.96 * np.sqrt(_covering(known)[place, place])
+    assert half_width == pytest.approx(0.34 + 1.96 * np.sqrt(known.covariance[place, place]), rel=1e-3)
+    alone = Ladder(one, known.covariance, one, None, ())
+    np.testing.assert_array_equal(_covering(alone), known.covariance)

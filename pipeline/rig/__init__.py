@@ -1,0 +1,1 @@
+"""From the wall that is wanted to the rig that renders it."""

@@ -1,0 +1,299 @@
+"""From a wish to a rig: whether a wall can be rendered, and the smallest changes of the rig that reach it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from pipeline.base.errors import ParameterError
+from pipeline.rig.quantities import Quantity, present
+from pipeline.rig.wish import Best, Wish, best_wall
+from pipeline.surface.physical_loop import Loop
+
+_LOOKS = 8
+"""Places between the rig and the largest change at which the wish is tried before the change is halved down."""
+
+_HALVINGS = 9
+"""Halvings of what lies between two looks: ln of a change to 1e-3."""
+
+_NUDGE = 0.02
+"""Change in ln by which it is seen which way a quantity helps."""
+
+_WORTH = 0.95
+"""Size of a pair over that of either alone from which the second change is worth it."""
+
+_PAIRED = 4
+"""Quantities that are paired: those that help most."""
+
+_DIFFERENCE = 1e-4
+"""Relative step of a sensitivity; limits are known to 1e-9, so it is right to some 1e-7."""
+
+
+@dataclass(frozen=True)
+class Change:
+    """Quantities changed together: value before and after by name, their units, and the wall that is then reached."""
+
+    before: dict[str, float]
+    after: dict[str, float]
+    units: dict[str, str]
+    size: float
+    wall: dict[str, float | None]
+
+
+@dataclass(frozen=True)
+class Design:
+    """Answer to a wish.
+
+    Parameters
+    ----------
+    wish : Wish
+    reached : bool
+        Whether the rig as it is renders the wall.
+    wall : dict
+        The wall of the rig that comes nearest: ``stiffness``, ``damping``, ``stiffness_limit`` at this damping,
+        ``settling_s``, ``settling_samples``, ``overshoot``; None where it is not stable.
+    stiffness_reached : float or None
+        Largest K [N/m, Nm/rad] for which all else that is wished for holds; with a settling time, the one next to K.
+    changes : tuple of Change
+        Single changes and pairs that reach it, smallest first. The size is the root of the sum of squares of ln of the
+        factors.
+    out_of_reach : dict
+        Quantities that alone do not reach it, with how far they were changed.
+    sensitivities : pandas.DataFrame
+        ``quantity``, ``value``, ``unit``, ``stiffness_max`` and its change ``stiffness_max_per_unit``; in percent per
+        percent of the quantity ``stiffness_max_percent`` and, of the nearest wall, ``settling_percent``.
+    """
+
+    wish: Wish
+    reached: bool
+    wall: dict[str, float | None]
+    stiffness_reached: float | None
+    changes: tuple[Change, ...]
+    out_of_reach: dict[str, str]
+    sensitivities: pd.DataFrame
+
+    def document(self) -> dict[str, Any]:
+        """Return all as one JSON document."""
+        rows = self.sensitivities.astype(object).where(self.sensitivities.notna(), None)
+        return {
+            "wish": asdict(self.wish),
+            "reached": self.reached,
+            "wall": self.wall,
+            "stiffness_reached": self.stiffness_reached,
+            "changes": [asdict(change) for change in self.changes],
+            "out_of_reach": self.out_of_reach,
+            "sensitivities": rows.to_dict("records"),
+        }
+
+
+def design(
+    loop: Loop,
+    stiffness: float | None = None,
+    *,
+    settling_s: float | None = None,
+    overshoot: float | None = None,
+    margin: float = 1.0,
+    tolerance: float = 0.0,
+    keep: Sequence[str] = (),
+) -> Design:
+    """Return whether a rig renders the wall that is wanted, and the smallest changes of the rig that reach it.
+
+    Parameters
+    ----------
+    loop : Loop
+        The rig: a hand that holds it is its ``operator``.
+    stiffness, settling_s, overshoot, margin, tolerance
+        As of `Wish`.
+    keep : sequence of str
+        Quantities that cannot be changed (`quantities.QUANTITIES`).
+
+    Raises
+    ------
+    ParameterError
+        If a number is out of range, or a quantity to keep is unknown.
+
+    Examples
+    --------
+    >>> rig = Loop(mass=0.58, damping=4.0, sampling_period_s=0.001, delay_samples=4)
+    >>> answer = design(rig, 20000.0)
+    >>> answer.reached, [list(change.after) for change in answer.changes][0]
+    (False, ['sampling_period_s', 'delay_samples'])
+    """
+    wish = Wish(stiffness, settling_s, overshoot, margin, tolerance)
+    quantities = present(loop, tuple(keep))
+    best = best_wall(loop, wish)
+    changes: list[Change] = []
+    out_of_reach: dict[str, str] = {}
+    if best.room < 0:
+        changes, out_of_reach = _changes(loop, wish, quantities, best)
+    reached = _stiffness_reached(loop, wish, best)
+    if best.room < 0 and reached is not None:
+        best = best_wall(loop, replace(wish, stiffness=reached))
+    return Design(
+        wish=wish,
+        reached=reached is not None and (stiffness is None or reached >= stiffness),
+        wall=_wall(loop, best),
+        stiffness_reached=reached,
+        changes=tuple(sorted(changes, key=lambda change: change.size)),
+        out_of_reach=out_of_reach,
+        sensitivities=_sensitivities(loop, quantities, best),
+    )
+
+
+def _wall(loop: Loop, best: Best) -> dict[str, float | None]:
+    """Return what is to be known of the nearest wall."""
+    K, B = best.stiffness, best.damping
+    (row,) = loop.points(K, B, ("settle_2pct", "overshoot")).to_dict("records")
+    told = {"stiffness": K, "damping": B, "stiffness_limit": _limit(loop, B)}
+    samples, overshoot = (row[name] if math.isfinite(row[name]) else None for name in ("settle_2pct", "overshoot"))
+    settling = None if samples is None else samples * loop.sampling_period_s
+    return told | {"settling_s": settling, "settling_samples": samples, "overshoot": overshoot}
+
+
+def _limit(loop: Loop, damping: float) -> float | None:
+    """Return the largest K that is stable at a damping, below the stiffest of all."""
+    border = loop.boundary(16)
+    low, high = 0.0, float(border.attrs["stiffness_max"])
+    inside = loop.points(np.linspace(0.0, high, 257)[1:], damping, ())
+    stable = inside["stable"].to_numpy()
+    if not stable[0]:
+        return None
+    if stable.all():
+        return high
+    first = int(np.argmin(stable))
+    low, high = (0.0 if first == 0 else float(inside["stiffness"][first - 1])), float(inside["stiffness"][first])
+    for _ in range(5):
+        K = np.linspace(low, high, 33)
+        first = max(int(np.argmin(loop.points(K, damping, ())["stable"].to_numpy())), 1)
+        low, high = float(K[first - 1]), float(K[first])
+    return low
+
+
+def _stiffness_reached(loop: Loop, wish: Wish, best: Best) -> float | None:
+    """Return the K next to the wished one up to which, or down from which, the rest of the wish holds."""
+    wanted = wish.stiffness
+    if wanted is None:
+        return best.stiffness if best.room >= 0 else None
+    upward = best.room >= 0
+
+    def holds(x: float) -> bool:
+        return best_wall(loop, replace(wish, stiffness=wanted * math.exp(x))).room >= 0
+
+    step = math.log(100.0) / (2 * _LOOKS)
+    for i in range(1, 2 * _LOOKS + 1):
+        x = i * step if upward else -i * step
+        if holds(x) != upward:
+            within, beyond = (x - step, x) if upward else (x, x + step)
+            for _ in range(_HALVINGS):
+                middle = 0.5 * (within + beyond)
+                within, beyond = (middle, beyond) if holds(middle) else (within, middle)
+            return wanted * math.exp(within)
+    return wanted * 100.0 if upward else None
+
+
+def _room_of(loop: Loop, wish: Wish, quantities: Sequence[Quantity], x: Sequence[float]) -> float:
+    """Return the room of the rig with quantities changed by x in ln; -inf where there is no such rig."""
+    try:
+        for quantity, change in zip(quantities, x, strict=True):
+            loop = quantity.changed(loop, change)
+        return best_wall(loop, wish).room
+    except ParameterError:
+        return -math.inf
+
+
+def _changes(loop: Loop, wish: Wish, quantities: Sequence[Quantity], best: Best) -> tuple[list[Change], dict[str, str]]:
+    """Return what reaches the wish: one quantity, and pairs of those that help; and what alone does not."""
+    found: list[Change] = []
+    out_of_reach, helps = {}, {}
+    for quantity in quantities:
+        rooms = [_room_of(loop, wish, [quantity], [sign * _NUDGE]) for sign in (-1, 1)]
+        gain = max(rooms) - best.room
+        if not gain > 0:
+            out_of_reach[quantity.name] = "a change either way helps nothing"
+            continue
+        sign = 1.0 if rooms[1] > rooms[0] else -1.0
+        helps[quantity] = sign * gain
+        end = math.log(quantity.factors[1] if sign > 0 else quantity.factors[0])
+        size = _smallest(loop, wish, [quantity], [sign], abs(end))
+        if size is None:
+            to = (quantity.read(loop) or 0.0) + quantity.scale(loop) * math.expm1(end)
+            out_of_reach[quantity.name] = f"not reached with {to:.3g} {quantity.unit(loop)}".rstrip()
+        else:
+            found.append(_change(loop, wish, [quantity], [sign * size]))
+    most = sorted(helps, key=lambda quantity: -abs(helps[quantity]))[:_PAIRED]
+    for pair in combinations(most, 2):
+        way = np.array([helps[quantity] for quantity in pair])
+        way /= math.hypot(*way)
+        reach = min(abs(math.log(q.factors[int(w > 0)])) / abs(w) for q, w in zip(pair, way, strict=True) if w)
+        alone = [change.size for change in found if set(change.after) < {quantity.name for quantity in pair}]
+        size = _smallest(loop, wish, pair, way.tolist(), reach)
+        if size is not None and size < _WORTH * min(alone, default=math.inf):
+            found.append(_change(loop, wish, pair, (size * way).tolist()))
+    return found, out_of_reach
+
+
+def _smallest(
+    loop: Loop, wish: Wish, quantities: Sequence[Quantity], way: Sequence[float], reach: float
+) -> float | None:
+    """Return the smallest change along a way in ln that reaches the wish, None where none does."""
+
+    def holds(size: float) -> bool:
+        return _room_of(loop, wish, quantities, [size * part for part in way]) >= 0
+
+    before = 0.0
+    for size in reach * (np.arange(1, _LOOKS + 1) / _LOOKS) ** 2:
+        if holds(float(size)):
+            low, high = before, float(size)
+            for _ in range(_HALVINGS):
+                middle = 0.5 * (low + high)
+                low, high = (low, middle) if holds(middle) else (middle, high)
+            return high
+        before = float(size)
+    return None
+
+
+def _change(loop: Loop, wish: Wish, quantities: Sequence[Quantity], x: Sequence[float]) -> Change:
+    rig = loop
+    for quantity, part in zip(quantities, x, strict=True):
+        rig = quantity.changed(rig, part)
+    return Change(
+        before={quantity.name: quantity.read(loop) or 0.0 for quantity in quantities},
+        after={quantity.name: quantity.read(rig) or 0.0 for quantity in quantities},
+        units={quantity.name: quantity.unit(loop) for quantity in quantities},
+        size=math.hypot(*x),
+        wall=_wall(rig, best_wall(rig, wish)),
+    )
+
+
+def _sensitivities(loop: Loop, quantities: Sequence[Quantity], best: Best) -> pd.DataFrame:
+    """Return how the largest stable stiffness, and the settling time of the nearest wall, follow each quantity."""
+    return pd.DataFrame(list(_rows(loop, quantities, best)))
+
+
+def _rows(loop: Loop, quantities: Sequence[Quantity], best: Best) -> Iterator[Mapping[str, object]]:
+    largest = float(loop.boundary(16).attrs["stiffness_max"])
+    for quantity in quantities:
+        sides = [quantity.changed(loop, sign * _DIFFERENCE) for sign in (-1, 1)]
+        limits = [float(side.boundary(16).attrs["stiffness_max"]) for side in sides]
+        settling = [
+            float(side.points(best.stiffness, best.damping, ("settle_2pct",))["settle_2pct"].iloc[0])
+            * side.sampling_period_s
+            for side in sides
+        ]
+        values = [quantity.read(side) or 0.0 for side in sides]
+        rise = math.log(limits[1] / limits[0]) / (2 * _DIFFERENCE)
+        yield {
+            "quantity": quantity.name,
+            "value": quantity.read(loop) or 0.0,
+            "unit": quantity.unit(loop),
+            "stiffness_max_per_unit": (limits[1] - limits[0]) / (values[1] - values[0]),
+            "stiffness_max_percent": rise,
+            "settling_percent": math.log(settling[1] / settling[0]) / (2 * _DIFFERENCE),
+            "stiffness_max": largest,
+        }

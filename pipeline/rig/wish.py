@@ -1,0 +1,148 @@
+"""What a wall is wanted to do, and how far a rig is from it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+
+from pipeline.base.errors import ParameterError
+from pipeline.records.batch import Floats
+from pipeline.surface.physical_loop import Loop
+
+OVERSHOOT_SEEN = 1e-3
+"""Overshoot that counts as none: no best wall has exactly none in a sampled loop."""
+
+_DAMPINGS, _STIFFNESSES = 32, 20
+_NARROWER = 2
+"""Walls of the first look over three decades of damping (and two of stiffness), and looks between neighbours after."""
+
+_NOTHING = -10.0
+"""Room of a stable wall that settles too late to be told; its negative is that of one without a bound."""
+
+
+@dataclass(frozen=True)
+class Wish:
+    """The wall that is wanted.
+
+    Parameters
+    ----------
+    stiffness : float, optional
+        K [N/m, Nm/rad]; where not given, any.
+    settling_s : float, optional
+        Longest settling time to 2 % [s].
+    overshoot : float, optional
+        Largest overshoot, a fraction; below 0.001 counts as none.
+    margin : float
+        The wall stays stable with a stiffness so many times as large, >= 1.
+    tolerance : float
+        The wish holds with mass, damping and delay wrong by this share, each either way; 0 to 0.9.
+
+    Raises
+    ------
+    ParameterError
+        If a number is out of its range, or nothing is wished for.
+    """
+
+    stiffness: float | None = None
+    settling_s: float | None = None
+    overshoot: float | None = None
+    margin: float = 1.0
+    tolerance: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.stiffness is None and self.settling_s is None:
+            raise ParameterError("nothing is wished for: give a stiffness, a settling time, or both.")
+        for name, low in (("stiffness", 0.0), ("settling_s", 0.0)):
+            value = getattr(self, name)
+            if value is not None and not (math.isfinite(value) and value > low):
+                raise ParameterError(f"{name} = {value}: expected a positive number.")
+        if self.overshoot is not None and not 0 <= self.overshoot < math.inf:
+            raise ParameterError(f"overshoot = {self.overshoot}: expected a fraction that is not negative, as 0.05.")
+        if not 1 <= self.margin < math.inf:
+            raise ParameterError(f"margin = {self.margin}: expected 1 or more.")
+        if not 0 <= self.tolerance <= 0.9:
+            raise ParameterError(f"tolerance = {self.tolerance}: expected a fraction from 0 to 0.9, as 0.05.")
+
+
+@dataclass(frozen=True)
+class Best:
+    """The wall of a rig that comes nearest to a wish: K, B, and the room that is left, >= 0 where the wish holds."""
+
+    stiffness: float
+    damping: float
+    room: float
+
+
+def best_wall(loop: Loop, wish: Wish) -> Best:
+    """Return the wall that has most room to a wish.
+
+    The room of a wall is the smallest of -ln of the spectral radius (behind ``margin``), ln of the settling time that
+    is allowed over its own, and the overshoot that is allowed less its own.
+    """
+    rigs = _corners(loop, wish.tolerance)
+    longest = loop.delay_samples + loop.actuator_lag_s / loop.sampling_period_s
+    unit = loop.mass / loop.sampling_period_s
+    largest = 2.5 * unit / (0.5 + longest)
+    B = np.append(0.0, np.geomspace(1e-3 * largest, largest, _DAMPINGS))
+    if wish.stiffness is None:
+        stiffest = loop.boundary(16).attrs["stiffness_max"]
+        K = np.geomspace(1e-2 * stiffest, stiffest, _STIFFNESSES)
+    else:
+        K = np.array([wish.stiffness])
+    for _ in range(1 + _NARROWER):
+        walls = np.array(list(product(K, B)))
+        room = _room(rigs, wish, walls)
+        at = int(np.argmax(room))
+        found = Best(float(walls[at, 0]), float(walls[at, 1]), float(room[at]))
+        K, B = (_between(axis, value) for axis, value in ((K, found.stiffness), (B, found.damping)))
+    return found
+
+
+def _between(axis: Floats, value: float) -> Floats:
+    """Return places between the neighbours of a value on an axis."""
+    if len(axis) == 1:
+        return axis
+    i = int(np.argmin(np.abs(axis - value)))
+    return np.linspace(axis[max(i - 1, 0)], axis[min(i + 1, len(axis) - 1)], 13)
+
+
+def _corners(loop: Loop, tolerance: float) -> list[Loop]:
+    if tolerance == 0:
+        return [loop]
+    return [
+        replace(loop, mass=m * loop.mass, damping=b * loop.damping, delay_samples=d * loop.delay_samples)
+        for m, b, d in product((1 - tolerance, 1 + tolerance), repeat=3)
+    ]
+
+
+def _room(rigs: Sequence[Loop], wish: Wish, walls: Floats) -> Floats:
+    """Return the room of each wall, shape (n,), in the worst of rigs."""
+    K, B = walls.T
+    asked = (("settle_2pct", wish.settling_s), ("overshoot", wish.overshoot))
+    allowed = {name: limit for name, limit in asked if limit is not None}
+    room = np.full(len(walls), np.inf)
+    for rig in rigs:
+        left = _stability(rig, wish.margin * K, B)
+        stable = left > 0
+        if allowed:
+            left = np.where(stable, -_NOTHING, left + 2 * _NOTHING)  # whatever is stable comes before what is not
+        if allowed and stable.any():
+            costs = rig.points(K[stable], B[stable], tuple(allowed))
+            for name, limit in allowed.items():
+                value = costs[name].to_numpy()
+                if name == "settle_2pct":
+                    spare = math.log(limit) - np.log(value * rig.sampling_period_s)
+                else:
+                    spare = limit + OVERSHOOT_SEEN - value
+                left[stable] = np.minimum(left[stable], np.nan_to_num(spare, nan=_NOTHING))
+        room = np.minimum(room, left)
+    return room
+
+
+def _stability(rig: Loop, K: Floats, B: Floats) -> Floats:
+    with np.errstate(divide="ignore"):
+        return np.asarray(-np.log(rig.points(K, B, ())["spectral_radius"].to_numpy()))

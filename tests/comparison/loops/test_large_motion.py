@@ -1,0 +1,83 @@
+"""Limits of a device with friction: for the step that was used, and the linear ones beside them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from fine_loop import Body, run
+
+from pipeline.comparison.loops.large_motion import step_limits
+from pipeline.comparison.loops.loop_range import LoopPoint
+from pipeline.records.loop_parts import Friction, LoopParts
+from pipeline.records.models import Experiment
+from pipeline.simulation.plants import plant_of
+from pipeline.simulation.setup import Setup
+
+MASS, DAMPING, T, DELAY, COULOMB = 0.456, 4.6, 0.001, 4, 0.9
+B = np.array([40.0, 100.0])
+
+
+@pytest.fixture(scope="module")
+def setup():
+    parts = LoopParts(friction=Friction(coulomb=COULOMB))
+    known = {"mass": MASS, "damping": DAMPING, "delay_samples": DELAY}
+    grid = {"damping_last": 0.0, "damping_step": 1.0, "stiffness_step": 1.0}
+    plant = plant_of(Experiment(name="1", **known, **grid), parts)
+    return Setup(plant, T, step=8.0, rows=400, edge_row=1, delay_samples=DELAY)
+
+
+LINEAR = LoopPoint(MASS, DAMPING, DELAY, 0.0, T).limit(B)
+
+
+def of_step(setup, step):
+    return step_limits(replace(setup, step=step), B, LINEAR, np.full(2, 200.0))
+
+
+def test_a_harder_push_is_unstable_from_softer_walls_on_down_to_the_linear_limit(setup):
+    limits = np.array([of_step(setup, step) for step in (8.0, 16.0, 80.0, 800.0)])
+    # verdicts tell a limit to some 0.3 %
+    assert (np.diff(limits, axis=0) < np.array([[0.0], [0.0], [0.005]]) * limits[1:]).all()
+    assert (limits >= LINEAR).all()
+    assert (limits[0] > 1.1 * LINEAR).all()
+    assert limits[-1] == pytest.approx(LINEAR, rel=0.02)
+
+
+def test_the_limit_for_a_step_depends_on_the_share_of_friction_alone(setup):
+    half = Friction(coulomb=COULOMB / 2)
+    other = replace(setup, plant=replace(setup.plant, friction=half), step=4.0)
+    assert step_limits(other, B, LINEAR, np.full(2, 200.0)) == pytest.approx(of_step(setup, 8.0), rel=2e-3)
+
+
+def test_a_second_simulator_says_the_same_of_walls_beside_the_limit(setup):
+    (limit, _), late = of_step(setup, 8.0), slice(-60, None)
+    for share, grows in ((0.94, False), (1.06, True)):
+        position, _ = run(
+            Body(MASS, DAMPING, coulomb=COULOMB, stiction=COULOMB),
+            K=share * limit,
+            B=B[0],
+            T=T,
+            external=np.full(300, 8.0),
+            delay=(DELAY, 1),
+            b=np.ones(1),
+            a=np.ones(1),
+        )
+        swing, before = np.ptp(position[late]), np.ptp(position[60:120])
+        assert (swing > before) == grows
+
+
+def test_a_course_with_friction_tells_both_limits(sticky_outcome):
+    (result,) = sticky_outcome.result.experiments
+    limits = {each.damping: each for each in result.loop_boundary}
+    assert limits
+    for point in result.boundary:
+        if (each := limits.get(point.damping)) is not None:
+            assert each.stiffness_large_motion == point.stiffness_large_motion
+            assert each.low <= each.stiffness <= each.high
+    known = [p for p in result.boundary if p.estimate and p.low and p.damping in limits]
+    off = [limits[p.damping].stiffness / p.estimate - 1 for p in known]
+    linear = [p.stiffness_large_motion / p.estimate - 1 for p in known]
+    assert np.median(np.abs(off)) < 0.1 < np.median(np.abs(linear))
+    held = [limits[p.damping].low <= p.high and p.low <= limits[p.damping].high for p in known]
+    assert np.mean(held) > 0.9

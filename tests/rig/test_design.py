@@ -1,0 +1,156 @@
+"""Designs against a simulation of its own: what reaches a wish does, and what does not lies short of it."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+from typer.testing import CliRunner
+
+from pipeline import Loop, PipelineError, design
+from pipeline.rig.picture import picture
+from pipeline.shell.cli import application
+
+FALCON = Loop(0.58, 4.0, 0.001, 4)
+
+
+def simulated(rig: Loop, K: float, B: float, samples: int, fine: int = 16) -> np.ndarray:
+    """Position over its final value after a step of the force, `fine` places a sample; exact motion."""
+    T, whole = rig.sampling_period_s, math.floor(rig.delay_samples)
+    late = round((rig.delay_samples - whole) * fine)
+    A = np.array([[0, 1, 0], [-rig.stiffness / rig.mass, -rig.damping / rig.mass, 1 / rig.mass], [0, 0, 0]])
+    move = expm(A * T / fine)
+    state, before, forces, path = np.zeros(3), 0.0, [0.0] * (whole + 2), []
+    for _ in range(samples):
+        forces.append(1.0 - K * state[0] - B * (state[0] - before) / T)
+        before = state[0]
+        for i in range(fine):
+            state[2] = forces[-1 - whole - (i < late)]
+            state = move @ state
+            path.append(state[0])
+        if abs(state[0]) > 1e6 / K:
+            break
+    return np.array(path) * (K + rig.stiffness)
+
+
+def settles(rig: Loop, path: np.ndarray, fine: int = 16) -> float:
+    """Settling time [s], counted as costs are: from when the device can move."""
+    outside = np.flatnonzero(np.abs(path - 1) > 0.02)
+    return ((outside[-1] + 1) / fine - rig.delay_samples) * rig.sampling_period_s
+
+
+def random_rig(random: np.random.Generator) -> Loop:
+    d = random.integers(0, 33) / 4  # quarters, which the simulation hits
+    mass = 10 ** random.uniform(-3, 1)
+    T = 10 ** random.uniform(-4, -2)
+    return Loop(mass, 0.02 * mass / T * random.uniform(0, 1), T, d)
+
+
+@pytest.mark.sampled
+@pytest.mark.parametrize("seed", range(12))
+def test_a_change_reaches_the_wish_and_less_does_not(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    rig = random_rig(random)
+    wanted = rig.boundary(16).attrs["stiffness_max"] * random.uniform(1.3, 4.0)
+    answer = design(rig, wanted, margin=1.05)
+    assert not answer.reached
+    assert answer.changes or answer.out_of_reach
+    for change in answer.changes:
+        if len(change.after) > 1 or "delay_samples" in change.after:
+            continue  # a delay that the simulation does not hit
+        other = replace(rig, **change.after)
+        path = simulated(other, wanted, change.wall["damping"], 3000)
+        assert np.abs(path[-1600:]).max() <= np.abs(path[:1600]).max() * 1.0001, change
+        (name,) = change.after
+        short = replace(rig, **{name: change.before[name] + 0.9 * (change.after[name] - change.before[name])})
+        assert short.boundary(16).attrs["stiffness_max"] < 1.05 * wanted
+
+
+@pytest.mark.sampled
+@pytest.mark.parametrize("seed", range(4))
+def test_a_settling_time_is_that_of_a_simulation(seed: int) -> None:
+    random = np.random.default_rng(100 + seed)
+    rig = random_rig(random)
+    best = rig.optimum("settle_2pct")
+    wish = {"settling_s": 0.8 * best.cost * rig.sampling_period_s}
+    answer = design(rig, best.stiffness, **wish)
+    assert not answer.reached
+    for change in answer.changes:
+        if len(change.after) > 1 or "delay_samples" in change.after:
+            continue
+        other = replace(rig, **change.after)
+        path = simulated(other, best.stiffness, change.wall["damping"], 2000)
+        assert settles(other, path) <= wish["settling_s"] * 1.02
+
+
+def test_what_is_reached_is_said_with_how_far() -> None:
+    largest = FALCON.boundary().attrs["stiffness_max"]
+    assert design(FALCON, 0.99 * largest).reached
+    assert not design(FALCON, 1.01 * largest).reached
+    assert design(FALCON, 1.01 * largest).stiffness_reached == pytest.approx(largest, rel=2e-3)
+    assert not design(FALCON, 0.99 * largest, margin=1.1).reached
+    assert not design(FALCON, 0.99 * largest, tolerance=0.05).reached
+
+
+def test_without_overshoot_a_wall_settles_in_time() -> None:
+    answer = design(FALCON, 5000.0, settling_s=0.05, overshoot=0.0)
+    assert answer.reached
+    path = simulated(FALCON, 5000.0, answer.wall["damping"], 400)
+    assert path.max() < 1.0011
+    assert settles(FALCON, path) <= 0.05 * 1.005
+
+
+def test_any_wall_may_be_wanted() -> None:
+    best = FALCON.optimum("settle_2pct")
+    assert design(FALCON, settling_s=1.05 * best.cost * 1e-3).reached
+    fixed = ["sampling_period_s", "delay_samples", "damping", "mass"]
+    assert not design(FALCON, settling_s=0.95 * best.cost * 1e-3, keep=fixed).reached
+
+
+def test_sensitivities_are_those_of_limits_further_apart() -> None:
+    rig = Loop(
+        0.58, 4.0, 0.001, 4, velocity={"kind": "butterworth", "order": 2, "cutoff_hz": 80.0}, actuator_lag_s=0.001
+    )
+    rows = design(rig, 1000.0).sensitivities.set_index("quantity")
+    assert list(rows.index) == [
+        "sampling_period_s", "delay_samples", "damping", "mass", "velocity_cutoff_hz", "actuator_lag_s"
+    ]  # fmt: skip
+    heavier, lighter = (replace(rig, mass=0.58 * f).boundary().attrs["stiffness_max"] for f in (1.01, 0.99))
+    assert rows.loc["mass", "stiffness_max_per_unit"] == pytest.approx((heavier - lighter) / (0.02 * 0.58), rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("numbers", "said"),
+    [
+        ({}, "nothing is wished for"),
+        ({"stiffness": -1.0}, "stiffness = -1.0"),
+        ({"stiffness": 1.0, "overshoot": math.nan}, "overshoot"),
+        ({"stiffness": 1.0, "margin": 0.5}, "margin"),
+        ({"stiffness": 1.0, "tolerance": 1.0}, "tolerance"),
+        ({"stiffness": 1.0, "keep": ["mas"]}, "keep = mas: expected some of sampling_period_s"),
+    ],
+)
+def test_a_wrong_wish_is_refused(numbers: dict[str, object], said: str) -> None:
+    with pytest.raises(PipelineError, match=said):
+        design(FALCON, **numbers)  # type: ignore[arg-type]
+
+
+def test_the_command_answers_and_draws(tmp_path: Path) -> None:
+    drawn = tmp_path / "rig.svg"
+    words = "design --device falcon --stiffness 20000 --hand hogan --json --picture"
+    done = CliRunner().invoke(application("design"), [*words.split(), str(drawn)])
+    assert done.exit_code == 0, done.output
+    document = json.loads(done.stdout)
+    assert document["hand"] == "hogan"
+    assert document["reached"] is True  # the arm's mass on the handle holds the wall
+    assert "stiffness" in drawn.read_text(encoding="utf-8")
+
+
+def test_a_picture_of_what_is_not_there_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(PipelineError, match="expected two of"):
+        picture(FALCON, design(FALCON, 1.0), ("mass", "velocity_cutoff_hz"), tmp_path / "a.svg")
