@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from pipeline.surface.comparisons import Comparison as Comparison
     from pipeline.surface.comparisons import compare as compare
     from pipeline.surface.comparisons import load as load
+    from pipeline.surface.identify import Identified as Identified
+    from pipeline.surface.identify import identify as identify
     from pipeline.surface.logs import ingest as ingest
     from pipeline.surface.logs import read_log as read_log
     from pipeline.surface.logs import simulate as simulate
@@ -36,6 +38,7 @@ _PUBLIC = {
     "surface.logs": ("ingest", "read_log", "simulate"),
     "surface.stored": ("devices", "experiments", "trials", "samples", "estimates", "boundary", "optima", "costs"),
     "surface.comparisons": ("Comparison", "compare", "load"),
+    "surface.identify": ("Identified", "identify"),
     "surface.physical_loop": ("Loop",),
     "surface.published": ("human_arms",),
     "rig.design": ("Design", "design"),
@@ -45,6 +48,7 @@ _PUBLIC = {
 __all__ = [
     "Comparison",
     "Design",
+    "Identified",
     "Loop",
     "PipelineError",
     "boundary",
@@ -55,6 +59,7 @@ __all__ = [
     "estimates",
     "experiments",
     "human_arms",
+    "identify",
     "ingest",
     "load",
     "optima",

@@ -39,6 +39,7 @@ COMMANDS = {
     "look": ("cli_profiles", "look"),
     "profile": ("cli_profiles", "profile_app"),
     "quarantine": ("cli_profiles", "quarantine_app"),
+    "identify": ("cli_identify", "identify"),
     "plan": ("cli_plan", "plan"),
     "design": ("cli_design", "design"),
     "scene": ("cli_report", "scene_app"),

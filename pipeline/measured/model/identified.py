@@ -1,0 +1,180 @@
+"""From recordings to an identified device: parameters, parts, what is not told apart, and replay."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pipeline.base.errors import ParameterError
+from pipeline.measured.model.estimation import Device, Fit, refined
+from pipeline.measured.model.intervals import BOUNDED, NEEDED, Errors, Interval, physical
+from pipeline.measured.model.parts import Choice, chosen
+from pipeline.measured.model.recordings import SHORTEST, Recording, Scales, stretches
+from pipeline.measured.model.replay import Replay, replayed
+from pipeline.measured.model.scatter import FEWEST, inverse
+from pipeline.measured.model.told import Combination, Recorded, combinations, is_told
+
+FOLDS = 5
+
+MOST_REPLAYED = 100
+"""Logs that are replayed, spread over all."""
+
+LAST = 0.4
+"""Share of a single log that is replayed by the device fitted to what came before."""
+
+
+@dataclass(frozen=True, eq=False)
+class Identified:
+    """What recordings say of a device.
+
+    ``parameters``: intervals in SI by name. ``untold``: names among them whose value is not told; ``parts``: gain of
+    held-out log-likelihood by part; ``assumed``: what had to be taken as none, by name; ``noise``: standard deviation
+    of a reading [m, rad]; ``disturbance``: of the random force, held over a sample [N, Nm]; ``scatter``: standard
+    deviations from trial to trial by name.
+    """
+
+    parameters: dict[str, Interval]
+    untold: set[str]
+    parts: dict[str, float]
+    assumed: tuple[str, ...]
+    combinations: list[Combination]
+    scatter: dict[str, float]
+    noise: float
+    disturbance: float
+    replay: Replay
+    replay_names: list[str]
+    scales: Scales
+    trials: int
+
+
+def identified(recordings: list[Recording]) -> Identified:
+    """Return the device that made recordings.
+
+    Raises
+    ------
+    ParameterError
+        If nothing moves in them, no command is given, or they are too short.
+    """
+    _check(recordings)
+    choice = chosen(recordings)
+    errors = Errors.of(choice.fit)
+    quantities = physical(choice.scales)
+    names = [name for name, number in NEEDED.items() if number in errors.numbers]
+    parameters = {name: errors.interval(quantities[name], name in BOUNDED) for name in names}
+    if "constant_force" in choice.assumed and "friction" in parameters:
+        parameters = _held_before(parameters, choice.scales.command)
+    untold = {name for name in ("mass",) if not is_told(parameters[name])}
+    if untold:
+        untold |= {"damping", "stiffness", "friction", "constant_force", "mode_mass"} & set(names)
+    untold |= {name for name in names if name == "friction" and choice.parts["friction"] <= 0}
+    delay = parameters.get("delay")
+    if delay is not None and delay.high - delay.low > choice.scales.period * max(
+        2.0, delay.value / choice.scales.period
+    ):
+        untold.add("delay")
+    recorded = Recorded.of(recordings)
+    command = choice.scales.command
+    scatter = np.sqrt(choice.fit.solved.scatter)
+    gain = choice.fit.device.numbers["gain"]
+    units = {"delay": choice.scales.period, "coulomb": command / gain, "force": command / gain}
+    named = {"delay": "delay", "coulomb": "friction", "force": "constant_force"}
+    replay, replay_names = _replay(recordings, choice)
+    noise = float(np.sqrt(choice.fit.solved.noise))
+    return Identified(
+        parameters,
+        untold,
+        choice.parts,
+        choice.assumed,
+        combinations(choice, errors, recorded, untold),
+        {
+            named[name]: float(scatter[i] * units[name])
+            for i, name in enumerate(choice.fit.device.names)
+            if name in named and len(recordings) >= FEWEST
+        },
+        noise * choice.scales.position,
+        float(np.sqrt(choice.fit.device.disturbance)) * noise / abs(gain or 1.0) * command,
+        replay,
+        replay_names,
+        choice.scales,
+        len(recordings),
+    )
+
+
+def _held_before(parameters: dict[str, Interval], command: float) -> dict[str, Interval]:
+    """Return intervals without the assumption of no constant force: at rest before, friction may have held one.
+
+    It is anywhere between both directions of friction, and all that is told per command is off by its share of it.
+    """
+    share = parameters["friction"].value / command / np.sqrt(3.0)
+    result = dict(parameters)
+    for name in ("mass", "damping", "stiffness", "friction", "mode_mass"):
+        if name in parameters:
+            each = parameters[name]
+            more = 1.96 * share * each.value
+            low = each.value - float(np.hypot(each.value - each.low, more))
+            high = each.value + float(np.hypot(each.high - each.value, more))
+            result[name] = Interval(each.value, max(low, 0.0), high, float(np.hypot(each.error, share * each.value)))
+    return result
+
+
+def _check(recordings: list[Recording]) -> None:
+    rows = sum(len(each.time) for each in recordings if len(each.time) >= SHORTEST)
+    if rows < 4 * SHORTEST:
+        raise ParameterError(f"the logs have {rows} usable rows; expected at least {4 * SHORTEST}. Record longer ones.")
+    if not any(np.ptp(each.position) > 0 for each in recordings):
+        raise ParameterError("the position does not change in any log; expected a device in motion.")
+    if not any(np.any(each.command != 0) for each in recordings):
+        raise ParameterError(
+            "the command is 0 in all rows; a motion without a force tells no mass. Record steps of the command, or "
+            "name the column of the force in the profile (columns.command)."
+        )
+
+
+def _replay(recordings: list[Recording], choice: Choice) -> tuple[Replay, list[str]]:
+    """Return free runs of logs by the device without their fold, or of the last part of few logs by the first."""
+    lead = choice.held.lead
+    places = np.unique(np.linspace(0, len(recordings) - 1, min(MOST_REPLAYED, len(recordings))).round().astype(int))
+    if len(recordings) < FEWEST:
+        cuts = [int((1 - LAST) * len(each.time)) for each in recordings]
+        before = [_cut(each, 0, cut) for each, cut in zip(recordings, cuts, strict=True)]
+        held = stretches(before, choice.scales, lead, choice.moving)
+        device = replace(choice.fit.device, effects=None)
+        if len(held):
+            device = refined(held, device, len(before), 8).device
+        last = [_cut(each, cut, len(each.time)) for each, cut in zip(recordings, cuts, strict=True)]
+        whole = stretches(last, choice.scales, lead, False)
+        return replayed(whole, replace(device, effects=None)), [recordings[i].name for i in whole.trial]
+    found: list[Replay] = []
+    order: list[Recording] = []
+    for fold, device in enumerate(_without_folds(choice.fit)):
+        some = [recordings[i] for i in places if i % FOLDS == fold]
+        if some:
+            found.append(replayed(stretches(some, choice.scales, lead, False), device))
+            order += some
+    rows = max(len(each.position) for each in found)
+    position = np.concatenate([_padded(each.position, rows) for each in found], axis=1)
+    whole = stretches(order, choice.scales, lead, False)
+    names = [order[i].name for i in whole.trial]
+    return Replay(whole, position, np.concatenate([each.fit for each in found])), names
+
+
+def _padded(values: np.ndarray, rows: int) -> np.ndarray:
+    return np.pad(values, ((0, rows - len(values)), (0, 0)), constant_values=np.nan)
+
+
+def _cut(each: Recording, first: int, behind: int) -> Recording:
+    inside = slice(first, behind)
+    return replace(each, time=each.time[inside], command=each.command[inside], position=each.position[inside])
+
+
+def _without_folds(fit: Fit) -> list[Device]:
+    """Return the device without each fold of units: one Newton step from the whole fit."""
+    solved, units = fit.solved, len(fit.solved.score)
+    devices = []
+    for fold in range(FOLDS):
+        inside = np.arange(units) % FOLDS == fold
+        rest = solved.total - solved.information[inside].sum(axis=0)
+        step = -inverse(rest) @ solved.score[inside].sum(axis=0)
+        devices.append(replace(fit.device.stepped(step), effects=None))
+    return devices

@@ -1,0 +1,128 @@
+"""What a fit says in SI: quantities of a device, each with one interval."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.measured.model.estimation import Fit
+from pipeline.measured.model.recordings import Scales
+from pipeline.measured.model.scatter import inverse
+from pipeline.records.batch import Floats
+
+CONFIDENCE = 0.95
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A quantity with its 95 % interval; ``error`` is its standard error."""
+
+    value: float
+    low: float
+    high: float
+    error: float
+
+
+Quantity = Callable[[dict[str, float]], float]
+
+Numbers = dict[str, float]
+
+
+def physical(scales: Scales) -> dict[str, Quantity]:
+    """Return each quantity in SI as a function of a device's numbers; all per unit of command."""
+    acceleration = scales.position / scales.command / scales.period**2
+    command = scales.command
+
+    def mass(n: Numbers) -> float:
+        return 1 / (n["gain"] * acceleration) if n["gain"] else float("inf")
+
+    return {
+        "mass": mass,
+        "damping": lambda n: n["delta"] / scales.period * mass(n),
+        "stiffness": lambda n: n["gamma"] / scales.period**2 * mass(n),
+        "delay": lambda n: n["delay"] * scales.period,
+        "friction": lambda n: n["coulomb"] / n["gain"] * command,
+        "constant_force": lambda n: (
+            (n["force"] - n.get("gamma", 0.0) * scales.origin / scales.position) / n["gain"] * command
+        ),
+        "actuator_lag": lambda n: n["lag"] * scales.period,
+        "mode_frequency": lambda n: n["turn"] / (2 * np.pi * scales.period),
+        "mode_damping_ratio": lambda n: n["ratio"],
+        "mode_mass": lambda n: n["share"] * mass(n),
+    }
+
+
+NEEDED = {
+    "mass": "gain",
+    "damping": "delta",
+    "stiffness": "gamma",
+    "delay": "delay",
+    "friction": "coulomb",
+    "constant_force": "force",
+    "actuator_lag": "lag",
+    "mode_frequency": "turn",
+    "mode_damping_ratio": "ratio",
+    "mode_mass": "share",
+}
+"""Number of a device that each quantity stands for: it is told where the device has it."""
+
+BOUNDED = ("damping", "stiffness", "friction", "actuator_lag", "mode_damping_ratio", "delay")
+"""Quantities that are not negative."""
+
+
+@dataclass(frozen=True, eq=False)
+class Errors:
+    """What intervals rest on: numbers and their covariance, those without each unit, and degrees of freedom."""
+
+    numbers: Numbers
+    covariance: Floats
+    without: Floats
+    freedom: float
+
+    @classmethod
+    def of(cls, fit: Fit) -> Errors:
+        """Return the errors of a fit: by its information, and by leaving out one unit, each with one Newton step.
+
+        A portion of few logs may be the only one that tells a number, such as the delay: its step is of first order.
+        """
+        solved = fit.solved
+        total = solved.total
+        told = np.einsum("tii->t", solved.information) > 0
+        information, score = solved.information[told], solved.score[told]
+        without = (total if fit.few else total - own for own in information)
+        steps = np.stack([-(inverse(rest) @ each) for rest, each in zip(without, score, strict=True)])
+        return cls(fit.device.numbers, solved.covariance, steps, max(float(told.sum() - 1), 1.0))
+
+    def interval(self, quantity: Quantity, bounded: bool = False) -> Interval:
+        """Return a quantity's value and interval; one that is not negative by its profile likelihood at 0."""
+        from scipy.special import stdtrit
+
+        names = list(self.numbers)
+        base = np.array([self.numbers[name] for name in names])
+        value = quantity(self.numbers)
+        sizes = np.sqrt(np.maximum(np.diagonal(self.covariance), 0.0))
+        slope = np.zeros(len(names))
+        for i, size in enumerate(np.minimum(sizes, np.abs(base) + 1e-6) * 1e-3):
+            ends = [
+                quantity(dict(zip(names, base + sign * size * (np.arange(len(names)) == i), strict=True)))
+                for sign in (1, -1)
+            ]
+            slope[i] = (ends[0] - ends[1]) / (2 * size) if size > 0 else 0.0
+        variance = float(slope @ self.covariance @ slope)
+        count = len(self.without)
+        spread = (self.without - self.without.mean(axis=0)) @ slope
+        jackknife = float((count - 1) / count * (spread**2).sum())
+        error = float(np.sqrt(max(variance, jackknife)))
+        reach = float(stdtrit(self.freedom, 0.5 + CONFIDENCE / 2)) * error
+        if bounded and value - reach < 0:
+            # from the likeliest value that is allowed the likelihood falls by as much as it does inside
+            top = value + reach if value >= 0 else value + float(np.hypot(value, reach))
+            return Interval(max(value, 0.0), 0.0, max(top, 0.0), error)
+        return Interval(value, value - reach, value + reach, error)
+
+
+def inverted(base: Interval) -> Interval:
+    """Return the interval of 1/q for one of q that does not hold 0."""
+    return Interval(1 / base.value, 1 / base.high, 1 / base.low, base.error / base.value**2)

@@ -1,0 +1,146 @@
+"""What a device does between two readings: exact motion under a late command, for regular and irregular rows.
+
+Time is in sampling periods, mass 1. The device has position, velocity and, behind a lag, the drive's force; with a
+mode also the distance of the far mass from the centre, and its rate (`loop.device_loop`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from pipeline.loop.device_loop import DeviceLoop, Vibration
+from pipeline.records.batch import Floats, Integers
+
+_TERMS = 14
+"""Terms of the series of an exponential of a matrix of norm 1/2: 0.5^15/15! is left out."""
+
+SHORTEST_LAG = 0.02
+"""Shortest lag [samples] that is a part: a shorter one moves the position by less than any sensor resolves."""
+
+
+@dataclass(frozen=True)
+class Physics:
+    """What decides the shape of a device's motion: damping and stiffness per mass, delay, lag and mode, in samples.
+
+    ``turn`` [rad a sample], ``ratio`` and ``share`` (of the far mass) are those of a mode; none where ``share`` is 0.
+    """
+
+    delta: float = 0.0
+    gamma: float = 0.0
+    delay: float = 0.0
+    lag: float = 0.0
+    turn: float = 0.0
+    ratio: float = 0.0
+    share: float = 0.0
+
+    def moved(self, name: str, by: float) -> Physics:
+        """Return the device with one number changed."""
+        return replace(self, **{name: getattr(self, name) + by})
+
+    @cached_property
+    def system(self) -> tuple[Floats, Floats, Floats, Floats]:
+        """Matrix (n, n), the command's column, a force's column on the motor's side, and the row of the sensor."""
+        mode = None
+        if self.share > 0:
+            reduced = self.share * (1 - self.share)
+            mode = Vibration(self.share, reduced * self.turn**2, 2 * max(self.ratio, 0.0) * self.turn * reduced, False)
+        # the parts of `loop`, whose own numbers may not be negative; those of a search may
+        shape = DeviceLoop(0.0, 0.0, 0.0, max(self.lag, SHORTEST_LAG) if self.lag else 0.0, mode)
+        matrix, push, sensor = (part.copy() for part in shape.device)
+        matrix[1] -= self.gamma * sensor + self.delta * np.roll(sensor, 1)
+        blow = np.zeros(len(push))
+        blow[1] = 1.0
+        if mode is not None:
+            blow[3] = -1.0
+            matrix[3] += self.gamma * sensor + self.delta * np.roll(sensor, 1)
+        return matrix, push, blow, sensor
+
+
+def transitions(matrix: Floats, inputs: Floats, times: Floats) -> tuple[Floats, Floats]:
+    """Return transitions (m, n, n) over each time, and what constant inputs add, (m, n, i) for columns (n, i)."""
+    n, i = inputs.shape
+    both = np.zeros((n + i, n + i))
+    both[:n, :n], both[:n, n:] = matrix, inputs
+    norm = np.abs(both).sum(axis=0).max() * max(float(times.max(initial=0.0)), 1e-12)
+    halvings = max(0, int(np.ceil(np.log2(norm))) + 1) if np.isfinite(norm) else 0
+    small = both * (times / 2.0**halvings)[:, None, None]
+    result = np.eye(n + i) + small
+    term = small
+    for k in range(2, _TERMS + 1):
+        term = term @ small / k
+        result = result + term
+    for _ in range(halvings):
+        result = result @ result
+    return result[:, :n, :n], result[:, :n, n:]
+
+
+def at_times(matrix: Floats, inputs: Floats, times: Floats) -> tuple[Floats, Floats]:
+    """Return `transitions` at times of any shape, each distinct one (to 1e-9) made once."""
+    distinct, place = np.unique(np.round(times, 9), return_inverse=True)
+    moved, gained = transitions(matrix, inputs, distinct)
+    place = place.reshape(times.shape)
+    return moved[place], gained[place]
+
+
+@dataclass(frozen=True, eq=False)
+class Pieces:
+    """Pieces of the intervals between rows over which the late command is constant.
+
+    ``row`` (P, N, S) of the command, and the time from where each begins and ends to the interval's end; (P, 1, 1)
+    where all rows are regular.
+    """
+
+    row: Integers
+    begins: Floats
+    ends: Floats
+
+    def gains(self, matrix: Floats, inputs: Floats) -> Floats:
+        """Return what unit inputs over each piece add to the state at the interval's end, (P, N or 1, S or 1, n, i)."""
+        return np.asarray(at_times(matrix, inputs, self.begins)[1] - at_times(matrix, inputs, self.ends)[1])
+
+
+def pieces(time: Floats, lead: int, delay: float, regular: bool) -> Pieces:
+    """Return the pieces of the intervals of stretches.
+
+    Parameters
+    ----------
+    time : float64, shape (lead + N + 1, S)
+        Of the commands [samples]; readings begin ``lead`` rows later. The last row ends the last interval.
+    lead : int
+    delay : float
+        [samples]
+    regular : bool
+        Whether all rows are one sample apart.
+    """
+    rows, count = time.shape[0] - 1 - lead, time.shape[1]
+    if regular:
+        whole = int(np.floor(delay))
+        part = delay - whole
+        newest = np.arange(rows)[:, None] + lead - whole
+        row = np.broadcast_to(np.stack([newest - 1, newest]), (2, rows, 1))
+        begins, ends = np.array([1.0, 1.0 - part]), np.array([1.0 - part, 0.0])
+        return Pieces(np.maximum(row, 0), begins[:, None, None], ends[:, None, None])
+    start, stop = time[lead:-1], time[lead + 1 :]
+    first = np.empty((rows, count), dtype=np.int64)
+    last = np.empty_like(first)
+    for s in range(count):
+        late = time[:, s] + delay
+        first[:, s] = np.searchsorted(late, start[:, s] + 1e-9, side="right") - 1
+        last[:, s] = np.searchsorted(late, stop[:, s] - 1e-9, side="left") - 1
+    most = int(max((last - first).max(initial=0), 0)) + 1
+    column = np.arange(count)[None, :]
+    late = time + delay
+    rows_of, begins_of, ends_of = [], [], []
+    for piece in range(most):
+        row = np.clip(first + piece, 0, len(time) - 2)
+        begin = np.clip(stop - late[row, column], 0.0, stop - start)
+        end = np.clip(stop - late[row + 1, column], 0.0, stop - start)
+        begin = stop - start if piece == 0 else begin
+        end = np.where(first + piece >= last, 0.0, end)
+        begins_of.append(np.where(first + piece > last, 0.0, begin))
+        ends_of.append(np.where(first + piece > last, 0.0, end))
+        rows_of.append(row)
+    return Pieces(np.stack(rows_of), np.stack(begins_of), np.stack(ends_of))

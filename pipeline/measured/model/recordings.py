@@ -1,0 +1,367 @@
+"""Logs as the model takes them: stretches of rows in motion, whose start is unknown, with the commands before them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+
+from pipeline.records.batch import Booleans, Floats, Integers
+
+REGULAR = 0.05
+"""Largest distance of a row from an even grid, in samples, at which stamps count as scatter of the clock that wrote
+them and the rows as even; the logs of real-time controllers stay below 0.01, those of polling loops reach 0.3."""
+
+GAP = 1.5
+"""Pause in sampling periods from which on a command is missing between two rows, where it differs behind them."""
+
+LONGEST = 1000
+"""Rows of a stretch: a longer log is cut, so that stretches are computed together."""
+
+SHORTEST = 8
+"""Rows of the shortest stretch that says more than its own start."""
+
+ALONE = 15
+"""Rows in one direction from which on a turn is left out, as its place is known to a part of a row only: a start of its
+own costs two numbers of fifteen readings."""
+
+SURE = 4.0
+"""Speed in its standard errors from which on its direction counts as seen; wrong in 6e-5 of the rows."""
+
+EARLIER = 50
+"""Rows at rest before a start that are kept: they give the position from which it starts to a seventh of the noise."""
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """One log: time [s], command [N, Nm] and position [m, rad], shape (rows,); its name and sampling period [s].
+
+    ``edge`` is the row, counted from 0, that is declared as that of a step from rest.
+    """
+
+    name: str
+    time: Floats
+    command: Floats
+    position: Floats
+    period: float
+    edge: int | None = None
+
+
+@dataclass(frozen=True)
+class Scales:
+    """Units of a computation: sampling period [s], position from its origin [m, rad] and command [N, Nm]."""
+
+    period: float
+    position: float
+    command: float
+    origin: float
+
+    @classmethod
+    def of(cls, recordings: list[Recording]) -> Scales:
+        """Return the units in which readings and commands of recordings are near 1."""
+        spread = max((float(np.ptp(each.position)) for each in recordings), default=0.0)
+        force = max((float(np.abs(each.command).max()) for each in recordings), default=0.0)
+        period = float(np.median([each.period for each in recordings]))
+        origin = float(np.median([float(np.median(each.position)) for each in recordings]))
+        return cls(period, spread or 1.0, force or 1.0, origin)
+
+
+@dataclass(frozen=True, eq=False)
+class Stretches:
+    """S stretches of at most N rows, in the units of `Scales`; `lead` rows of commands stand before the readings.
+
+    ``time`` (lead + N + 1, S), ``command`` and ``acts`` (lead + N, S): whether the force of a row acts on the device,
+    which friction holds before; ``position`` (N, S), ``direction`` (N, S) of motion until the next row; ``rows``,
+    ``trial`` and ``rests`` (starts at rest) of shape (S,).
+    """
+
+    time: Floats
+    command: Floats
+    acts: Floats
+    position: Floats
+    direction: Floats
+    rows: Integers
+    trial: Integers
+    rests: Booleans
+    lead: int
+    regular: bool
+
+    @cached_property
+    def valid(self) -> Booleans:
+        """Which rows are readings, shape (N, S)."""
+        return np.asarray(np.arange(len(self.position))[:, None] < self.rows[None])
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def chosen(self, which: Integers | Booleans) -> Stretches:
+        """Return some of the stretches, cut to the longest of them."""
+        rows = self.rows[which]
+        n = int(rows.max(initial=1))
+        cut = self.lead + n
+        return Stretches(
+            self.time[: cut + 1, which],
+            self.command[:cut, which],
+            self.acts[:cut, which],
+            self.position[:n, which],
+            self.direction[:n, which],
+            rows,
+            self.trial[which],
+            self.rests[which],
+            self.lead,
+            self.regular,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Cut:
+    """Part of a recording: first row and the row behind its last; the row of the command that starts it from rest."""
+
+    trial: int
+    first: int
+    behind: int
+    direction: Floats
+    edge: int | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """How a recording moves: velocity smoothed over ``half`` rows to each side, its error, directions seen."""
+
+    velocity: Floats
+    error: float
+    half: int
+    direction: Integers = field(repr=False)
+
+
+def motion_of(recording: Recording) -> Motion:
+    """Return the smoothed motion: a parabola over as many rows as bring the error to a thirtieth of the top speed."""
+    x, rows = recording.position, len(recording.position)
+    noise = reading_noise(x)
+    half, velocity, error = 1, np.gradient(x), np.inf
+    while 2 * half + 1 <= max(rows // 4, 3):
+        about = np.arange(half, -half - 1, -1.0)
+        squares = float(about @ about)
+        reflected = np.pad(x, half, mode="reflect", reflect_type="odd")
+        velocity = np.convolve(reflected, about / squares, mode="valid")
+        error = noise / np.sqrt(squares)
+        if error * 30 <= np.abs(velocity).max(initial=0.0):
+            break
+        half = max(half + 1, int(half * 1.5))
+    # at both ends half of the rows are reflections: their error is that of half as many rows, and counts twice
+    near = np.minimum(np.arange(rows), np.arange(rows)[::-1]) < half
+    seen = np.abs(velocity) > SURE * error * np.where(near, 3.0, 1.0)
+    return Motion(velocity, float(error), half, np.where(seen, np.sign(velocity), 0).astype(np.int64))
+
+
+def reading_noise(position: Floats) -> float:
+    """Return the standard deviation of a reading's error: of third differences, or of rounding to the quantum."""
+    third = np.diff(position, 3)
+    noise = float(np.median(np.abs(third))) / 0.6745 / np.sqrt(20.0) if len(third) else 0.0
+    steps = np.abs(np.diff(position))
+    steps = steps[steps > 1e-9 * max(float(np.ptp(position)), 1e-300)]
+    quantum = float(np.quantile(steps, 0.02)) if len(steps) > 20 and len(steps) < 0.8 * len(position) else 0.0
+    return float(max(noise, quantum / np.sqrt(12.0), 1e-12 * float(np.ptp(position))))
+
+
+@dataclass(frozen=True)
+class Holding:
+    """What may hold a device in a turn: friction [N, Nm], a spring [N/m, Nm/rad] and the delay of the command [s]."""
+
+    friction: float
+    stiffness: float
+    delay: float
+
+    def rows(self, each: Recording, origin: float) -> Booleans:
+        """Return the rows at which friction is the larger force."""
+        late = np.searchsorted(each.time, each.time - self.delay, side="right") - 1
+        driven = each.command[np.maximum(late, 0)] - self.stiffness * (each.position - origin)
+        return np.asarray(np.abs(driven) <= self.friction)
+
+
+def stretches(
+    recordings: list[Recording], scales: Scales, lead: int, moving: bool, holding: Holding | None = None
+) -> Stretches:
+    """Return the stretches of recordings.
+
+    Parameters
+    ----------
+    recordings : list of Recording
+    scales : Scales
+    lead : int
+        Rows of commands that are needed before a reading: the delay, rounded up.
+    moving : bool
+        Only rows at which the direction of motion is known, as friction needs; else all.
+    holding : Holding, optional
+        Where it is known, a turn in which the device may have stuck ends a stretch.
+    """
+    cuts: list[_Cut] = []
+    even = [_even(each.time / scales.period) for each in recordings]
+    for trial, (each, grid) in enumerate(zip(recordings, even, strict=True)):
+        pauses = np.flatnonzero((np.diff(grid) > GAP * each.period / scales.period) & (np.diff(each.command) != 0)) + 1
+        bounds = [0, *pauses.tolist(), len(grid)]
+        seen = motion_of(each) if moving else None
+        stuck = holding.rows(each, scales.origin) if holding else np.zeros(len(grid), dtype=bool)
+        for first, behind in pairwise(bounds):
+            start = first if first == 0 and _starts_at_rest(each) else first + lead
+            if behind - start >= SHORTEST:
+                cuts += _moving(trial, each, seen, stuck, (start, behind), lead) if seen else _all(trial, start, behind)
+    return _padded(recordings, even, cuts, scales, lead)
+
+
+def _even(time: Floats) -> Floats:
+    """Return times [samples] on an even grid where they lie within `REGULAR` of one."""
+    index = np.arange(len(time))
+    even = time[0] + index * (time[-1] - time[0]) / max(len(time) - 1, 1)
+    spacing = (time[-1] - time[0]) / max(len(time) - 1, 1)
+    if abs(spacing - 1) < 1e-3:
+        even = time[0] + index.astype(np.float64)
+        even += np.median(time - even)
+    return even if np.abs(time - even).max() < REGULAR + 2e-3 * len(time) * (abs(spacing - 1) < 1e-3) else time
+
+
+def _starts_at_rest(recording: Recording) -> bool:
+    """Return whether position and command do not change in the first rows, so that what came before does not matter."""
+    few = min(5, len(recording.position) - 1)
+    noise = reading_noise(recording.position)
+    first = recording.position[: few + 1]
+    return bool(np.ptp(first) <= max(6 * noise, 1e-4 * np.ptp(recording.position))) and bool(
+        np.ptp(recording.command[:few]) <= 1e-3 * np.ptp(recording.command) + 1e-12
+    )
+
+
+def _all(trial: int, first: int, behind: int) -> list[_Cut]:
+    count = max(1, round((behind - first) / LONGEST))
+    bounds = np.linspace(first, behind, count + 1).astype(int).tolist()
+    return [_Cut(trial, a, b, np.zeros(b - a)) for a, b in pairwise(bounds)]
+
+
+def _moving(trial: int, each: Recording, seen: Motion, stuck: Booleans, rows: tuple[int, int], lead: int) -> list[_Cut]:
+    """Return the parts of some rows in which the direction is known; a quick turn is no end, unless it may stick."""
+    first, behind = rows
+    sign = seen.direction[first:behind]
+    direction, ends = _directions(seen.velocity[first:behind], sign, stuck[first:behind], seen.half)
+    found: list[_Cut] = []
+    for a, b in ends:
+        # the smoothed velocity still moves as many rows behind a stop as it takes from before it
+        stop = b - seen.half if b < len(sign) else b
+        edge = _edge(each, seen, first, first + a, lead)
+        if edge is not None:
+            start = max(first, edge - EARLIER)
+            way = np.concatenate([np.full(first + a - start, float(sign[a])), direction[a:stop]])
+            found.append(_Cut(trial, start, min(first + stop, start + LONGEST), way[:LONGEST], edge))
+        else:
+            begin = a + seen.half if a > 0 else a
+            count = max(1, round((stop - begin) / LONGEST))
+            cuts = np.linspace(begin, stop, count + 1).astype(int).tolist()
+            found += [_Cut(trial, first + i, first + j, direction[i:j]) for i, j in pairwise(cuts)]
+    return [cut for cut in found if cut.behind - cut.first >= SHORTEST]
+
+
+def _directions(velocity: Floats, sign: Integers, stuck: Booleans, half: int) -> tuple[Floats, list[tuple[int, int]]]:
+    """Return the mean direction until the next row, and the stretches of rows over which it is known."""
+    edges = np.flatnonzero(np.diff(sign)) + 1
+    runs: list[tuple[int, int, int]] = []
+    for a, b in pairwise([0, *edges.tolist(), len(sign)]):
+        if runs and runs[-1][2] * sign[a] < 0:
+            runs.append((a, a, 0))  # it turns between two rows
+        runs.append((a, b, int(sign[a])))
+    # between rows the velocity changes on a straight line
+    speed = np.append(velocity, velocity[-1])
+    direction = (speed[:-1] + speed[1:]) / np.maximum(np.abs(speed[:-1]) + np.abs(speed[1:]), 1e-300)
+    ends: list[tuple[int, int]] = []
+    begin: int | None = None
+    for index, (a, b, way) in enumerate(runs):
+        if way:
+            begin = a if begin is None else begin
+            continue
+        turns = 0 < index < len(runs) - 1 and _brief(runs[index - 1 : index + 2]) and _turns(velocity, a, b)
+        if turns and not stuck[max(a - half, 0) : b + half].any():
+            if a < b:
+                direction[a:b] = _through(velocity[a : b + 1], runs[index - 1][2], runs[index + 1][2])
+        elif begin is not None:
+            ends.append((begin, a))
+            begin = None
+    if begin is not None:
+        ends.append((begin, len(sign)))
+    return direction, ends
+
+
+def _brief(runs: list[tuple[int, int, int]]) -> bool:
+    """Return whether the rows of one direction before or behind a turn are too few to be a stretch of their own."""
+    return min(behind - first for first, behind, way in runs if way) < ALONE
+
+
+def _turns(velocity: Floats, a: int, b: int) -> bool:
+    """Return whether slow rows [a, b) are those of a turn and not of a rest: as few as the acceleration makes."""
+    if a == b:
+        return True
+    if velocity[a - 1] * velocity[min(b, len(velocity) - 1)] >= 0:
+        return False
+    near = max(2, (b - a) // 2)
+    before = velocity[a - 1] - velocity[max(a - 1 - near, 0)]
+    behind = velocity[min(b + near, len(velocity) - 1)] - velocity[min(b, len(velocity) - 1)]
+    slope = min(abs(before), abs(behind)) / near
+    return bool(abs(velocity[a - 1] - velocity[min(b, len(velocity) - 1)]) >= 0.6 * slope * (b - a))
+
+
+def _through(velocity: Floats, before: int, behind: int) -> Floats:
+    """Return the mean direction in each interval of a turn; the velocity crosses 0 on a straight line."""
+    rows = len(velocity) - 1
+    line = np.polynomial.Polynomial.fit(np.arange(rows + 1), velocity, 1) if rows > 1 else None
+    roots = line.roots() if line is not None else np.array([0.5 * rows])
+    at = float(np.clip(roots[0].real if len(roots) else 0.5 * rows, 0, rows))
+    share = np.clip(at - np.arange(rows), 0.0, 1.0)
+    return np.asarray(before * share + behind * (1 - share))
+
+
+def _edge(each: Recording, seen: Motion, first: int, moves: int, lead: int) -> int | None:
+    """Return the row at which a command jumps and sets the device in motion from rest, None where none does."""
+    if each.edge is not None and first <= each.edge <= moves <= each.edge + lead + EARLIER:
+        return each.edge
+    begin = max(first, moves - lead - EARLIER)
+    resting = np.abs(seen.velocity[begin:moves]) <= SURE * seen.error
+    if moves - begin < 3 or not resting.all():
+        return None
+    jumps = np.abs(np.diff(each.command[max(begin - 1, 0) : moves + 1]))
+    whole = float(np.ptp(each.command[begin : moves + 1]))
+    if whole == 0 or jumps.max() < 0.5 * whole:
+        return None
+    edge = max(begin - 1, 0) + int(np.argmax(jumps)) + 1
+    return edge if edge - begin >= 2 else None
+
+
+def _padded(recordings: list[Recording], even: list[Floats], cuts: list[_Cut], scales: Scales, lead: int) -> Stretches:
+    n, count = max((cut.behind - cut.first for cut in cuts), default=1), len(cuts)
+    time = np.zeros((lead + n + 1, count))
+    command, acts = np.zeros((lead + n, count)), np.ones((lead + n, count))
+    position, direction = np.zeros((n, count)), np.zeros((n, count))
+    for s, cut in enumerate(cuts):
+        each, grid = recordings[cut.trial], even[cut.trial]
+        rows = np.arange(cut.first - lead, cut.first + n)
+        inside = np.clip(rows, 0, len(grid) - 1)
+        step = each.period / scales.period
+        whole = np.arange(cut.first - lead, cut.first + n + 1)
+        at = np.clip(whole, 0, len(grid) - 1)
+        time[:, s] = grid[at] + (whole - at) * step - grid[cut.first]
+        command[:, s] = each.command[inside] / scales.command
+        here = cut.behind - cut.first
+        position[:here, s] = (each.position[cut.first : cut.behind] - scales.origin) / scales.position
+        direction[:here, s] = cut.direction
+        if cut.edge is not None:
+            acts[:, s] = rows >= cut.edge
+    regular = bool(count) and bool(np.abs(np.diff(time, axis=0) - 1).max() < 1e-6)
+    return Stretches(
+        time,
+        command,
+        acts,
+        position,
+        direction,
+        np.array([cut.behind - cut.first for cut in cuts], dtype=np.int64),
+        np.array([cut.trial for cut in cuts], dtype=np.int64),
+        np.array([cut.edge is not None for cut in cuts], dtype=bool),
+        lead,
+        regular,
+    )

@@ -1,0 +1,116 @@
+"""The found device, run free from the start of logs that it was not fitted to: its fit in percent."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.measured.model.estimation import Device
+from pipeline.measured.model.motion import at_times
+from pipeline.measured.model.recordings import Stretches
+from pipeline.measured.model.whitening import Passage
+from pipeline.records.batch import Floats
+
+PARTS = 4
+"""Pieces of an interval between which friction may change direction: a turn is off by an eighth of a row."""
+
+STARTS = 3
+"""Newton's steps to the start of a log, which all but friction leaves linear."""
+
+NUDGE = 1e-4
+"""Change of a start for the slope of the response, in units of the position's range."""
+
+
+@dataclass(frozen=True, eq=False)
+class Replay:
+    """Free runs beside logs, (N, S) in units of `Scales`, with the logs; ``fit`` (S,) in percent."""
+
+    held: Stretches
+    position: Floats
+    fit: Floats
+
+
+def replayed(held: Stretches, device: Device) -> Replay:
+    """Return the free run of a device beside each stretch, from the start that fits it best.
+
+    The fit is 100 (1 - |y - found| / |y - mean y|), that of system identification; NaN where a log does not move.
+    """
+    count, states = len(held), len(device.shape.system[1])
+    start = np.zeros((count, states))
+    start[:, 0] = held.position[0]
+    few = np.minimum(held.rows - 1, 5)
+    start[:, 1] = (held.position[few, np.arange(count)] - held.position[0]) / np.maximum(few, 1)
+    start[held.rests, 1] = 0.0
+    found = free_run(held, device, start)
+    for _ in range(STARTS):
+        slopes = []
+        for state in range(states):
+            moved = start.copy()
+            moved[:, state] += NUDGE
+            slopes.append((free_run(held, device, moved) - found) / NUDGE)
+        columns = np.stack(slopes, axis=-1).transpose(1, 0, 2) * held.valid.T[..., None]
+        left = ((held.position - found) * held.valid).T
+        better = start + np.einsum("scn,sn->sc", np.linalg.pinv(columns, rcond=1e-6), left)
+        tried = free_run(held, device, better)
+        kept = np.sum((held.position - tried) ** 2 * held.valid, 0) < np.sum(
+            (held.position - found) ** 2 * held.valid, 0
+        )
+        start, found = np.where(kept[:, None], better, start), np.where(kept[None], tried, found)
+    mean = (held.position * held.valid).sum(axis=0) / held.rows
+    error = np.sqrt(((held.position - found) ** 2 * held.valid).sum(axis=0))
+    size = np.sqrt(((held.position - mean) ** 2 * held.valid).sum(axis=0))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        fit = np.where(size > 1e-3, 100 * (1 - error / size), np.nan)
+    return Replay(held, found, fit)
+
+
+def free_run(held: Stretches, device: Device, start: Floats) -> Floats:
+    """Return positions (N, S) of a device with friction under the logged commands, from starts (S, n)."""
+    shape, numbers = device.shape, device.numbers
+    matrix, push, blow, sensor = shape.system
+    inputs = np.stack([push, blow], axis=1)
+    passage = Passage(held, shape)
+    rows, count = held.position.shape
+    coulomb, force = (numbers.get(name, 0.0) + device.effect(name, held.trial) for name in ("coulomb", "force"))
+    gain = numbers["gain"] + device.effect("gain", held.trial)
+    spans = (passage.pieces.begins - passage.pieces.ends) / (PARTS if numbers.get("coulomb") else 1)
+    moved, gained = at_times(matrix, inputs, spans)
+    row_of, column = np.broadcast_to(passage.pieces.row, (len(moved), rows, count)), np.arange(count)
+    state, result = start.copy(), np.empty((rows, count))
+    for k in range(rows):
+        result[k] = state @ sensor
+        for piece in range(len(moved)):
+            at = min(k, moved.shape[1] - 1)
+            transition, added = moved[piece, at], gained[piece, at]
+            command = gain * held.command[row_of[piece, k], column]
+            for _ in range(PARTS if numbers.get("coulomb") else 1):
+                state = _onward(state, transition, added, (command, force), coulomb, (matrix, push))
+    return result
+
+
+def _onward(
+    state: Floats,
+    transition: Floats,
+    added: Floats,
+    forces: tuple[Floats, Floats],
+    coulomb: Floats,
+    device: tuple[Floats, Floats],
+) -> Floats:
+    """Return states (S, n) after a short time under command and constant force, (S,) each; friction may hold them."""
+    command, force = forces
+    moved: Floats = np.einsum("sij,sj->si", transition, state) if len(transition) > 1 else state @ transition[0].T
+    driven = added[:, :, 0] * command[:, None]
+    if not coulomb.any():
+        return np.asarray(moved + driven + added[:, :, 1] * force[:, None])
+    matrix, push = device
+    free = state @ matrix[1] + push[1] * command + force
+    rests = state[:, 1] == 0
+    way = np.where(rests, np.sign(free), np.sign(state[:, 1]))
+    after = moved + driven + added[:, :, 1] * (force - way * coulomb)[:, None]
+    stuck = rests & (np.abs(free) <= coulomb)
+    after[stuck, :2] = state[stuck, :2]
+    turned = ~stuck & (after[:, 1] * way < 0)
+    # a device that turns either stays, or goes on back within the next part
+    after[turned & ~rests, 1] = np.where(np.abs(free) <= coulomb, 0.0, after[:, 1])[turned & ~rests]
+    return after

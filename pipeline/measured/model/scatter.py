@@ -1,0 +1,195 @@
+"""The likelihood of all trials together: common numbers, their scatter from trial to trial, and trials that lie apart.
+
+Each trial is a linear regression known by its moments: whitened errors e_i = X_i (theta + b_i) + noise, with b_i of
+unknown variances. Restricted maximum likelihood estimates these; a noisier trial weighs less.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.records.batch import Floats, Integers
+
+FEWEST = 8
+"""Trials from which on a scatter between them is estimated: fewer tell a variance to a factor of three at best."""
+
+OWN_ROWS = 20.0
+"""Degrees of freedom of the noise of single trials: one that was bumped is noisier than the others, and weighs less."""
+
+ROUNDS = 4
+"""Rounds of weights and variances between trials, of which each rests on the other."""
+
+RIDGE = 1e-12
+"""Share of a number's information that is added to it: directions without any get a step of 0."""
+
+
+@dataclass(frozen=True, eq=False)
+class Moments:
+    """Sums of products of each trial's whitened columns and errors (T, p + 1, p + 1); its free rows (T,)."""
+
+    products: Floats
+    rows: Floats
+
+    def chosen(self, which: Integers) -> Moments:
+        """Return those of some trials."""
+        return Moments(self.products[which], self.rows[which])
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """Estimate of the common numbers as a step from where the columns were taken.
+
+    ``step`` (p,); ``information`` (T, p, p) and ``score`` (T, p) of each trial at the solution; ``scatter`` (p,) the
+    variances between trials; ``effects`` (T, p) each trial's deviations; ``noise`` the variance of a whitened error,
+    ``weight`` (T,) of each trial; ``likelihood`` its restricted logarithm, without constants.
+    """
+
+    step: Floats
+    information: Floats
+    score: Floats
+    scatter: Floats
+    effects: Floats
+    noise: float
+    weight: Floats
+    likelihood: float
+
+    @property
+    def total(self) -> Floats:
+        """Information of all trials, (p, p)."""
+        return np.asarray(self.information.sum(axis=0))
+
+    @property
+    def covariance(self) -> Floats:
+        """Covariance of the common numbers by information, (p, p)."""
+        return inverse(self.total)
+
+
+def inverse(information: Floats) -> Floats:
+    """Return the inverse of an information matrix scaled to a unit diagonal; nearly singular ones give large values."""
+    known = np.diagonal(information)
+    scale = 1 / np.sqrt(np.where(known > 0, known, 1.0))
+    scaled = information * scale[:, None] * scale[None, :]
+    values, vectors = np.linalg.eigh(scaled)
+    return np.asarray((vectors / np.maximum(values, RIDGE)) @ vectors.T * scale[:, None] * scale[None, :])
+
+
+def solve(moments: Moments, random: Integers) -> Solved:
+    """Return the estimate, with scatter of the numbers at some places."""
+    p = moments.products.shape[1] - 1
+    size = np.einsum("tpp->p", moments.products[:, :p, :p])
+    scale = 1 / np.sqrt(np.where(size > 0, size, 1.0))
+    factors = np.append(scale, 1.0)
+    products = moments.products * factors[:, None] * factors[None, :]
+    rows = np.maximum(moments.rows, 1.0)
+    # at first by what each unit leaves at its own best numbers
+    rest = _Mixed(products).rest
+    noise = float(np.median(rest / rows))
+    weight, variances = (rows + OWN_ROWS) / (OWN_ROWS + rest / noise), np.zeros(p)
+    for count in range(ROUNDS):
+        mixed = _Mixed(products * (weight / noise)[:, None, None])
+        if len(random):
+            variances = _variances(mixed, random, variances if count else None)
+        found = mixed.solution(variances)
+        squares = found.squares * noise / weight
+        for _ in range(20):
+            weight = (rows + OWN_ROWS) / (OWN_ROWS + squares / noise)
+            noise = float((weight * squares).sum() / rows.sum())
+    likelihood = found.determinants.sum() - 0.5 * float(
+        (rows * np.log(noise) + (rows + OWN_ROWS) * np.log1p(squares / (OWN_ROWS * noise))).sum()
+    )
+    back = scale[:, None] * scale[None, :]
+    return Solved(
+        found.step * scale,
+        found.information / back,
+        found.score / scale,
+        variances * scale**2,
+        found.effects * scale,
+        noise,
+        weight,
+        float(likelihood),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Solution:
+    """Step, information and score of units, their effects, half determinants and weighted squares at the step."""
+
+    step: Floats
+    information: Floats
+    score: Floats
+    effects: Floats
+    determinants: Floats
+    squares: Floats
+
+    @property
+    def likelihood(self) -> float:
+        """Restricted logarithm of the likelihood for given noise, without constants."""
+        values = np.linalg.eigvalsh(self.information.sum(axis=0))
+        freed = 0.5 * float(np.log(np.maximum(values, RIDGE)).sum())
+        return float((self.determinants - 0.5 * self.squares).sum()) - freed
+
+
+SEEN = 1e-11
+"""Share of a unit's largest information below which a direction is rounding: products have 1e-16 of their size."""
+
+
+class _Mixed:
+    """Units with columns of unit size, over their noise: as the fewest rows that have the same moments."""
+
+    def __init__(self, products: Floats) -> None:
+        p = products.shape[1] - 1
+        values, vectors = np.linalg.eigh(products[:, :p, :p])
+        size = np.sqrt(np.where(values > SEEN * values[:, -1:], values, 0.0))
+        self.columns = size[:, :, None] * vectors.transpose(0, 2, 1)
+        turned = np.einsum("tij,ti->tj", vectors, products[:, :p, p])
+        self.errors = np.where(size > 0, turned / np.where(size > 0, size, 1.0), 0.0)
+        self.rest = np.maximum(products[:, p, p] - (self.errors**2).sum(axis=1), 1e-300)
+
+    def solution(self, variances: Floats) -> _Solution:
+        p = len(variances)
+        covariance = np.eye(p) + (self.columns * variances) @ self.columns.transpose(0, 2, 1)
+        known = np.linalg.inv(covariance)
+        weighted = known @ self.columns
+        information = self.columns.transpose(0, 2, 1) @ weighted
+        information = (information + information.transpose(0, 2, 1)) / 2
+        total = np.einsum("tij,ti->j", weighted, self.errors)
+        step = inverse(information.sum(axis=0)) @ total
+        left = self.errors - self.columns @ step
+        score = np.einsum("tij,ti->tj", weighted, left)
+        squares = self.rest + np.einsum("ti,tij,tj->t", left, known, left)
+        determinants = -0.5 * np.linalg.slogdet(covariance)[1]
+        return _Solution(step, information, score, variances * score, determinants, squares)
+
+    def slopes(self, found: _Solution) -> Floats:
+        """Return the slope of the likelihood along each variance, (p,)."""
+        information = found.information
+        known = inverse(information.sum(axis=0))
+        own = np.einsum("tii->ti", information) - np.einsum("tij,jk,tki->ti", information, known, information)
+        return np.asarray(0.5 * (found.score**2 - own).sum(axis=0))
+
+
+def _variances(work: _Mixed, random: Integers, start: Floats | None = None) -> Floats:
+    """Return the variances between trials of some numbers, 0 of the others."""
+    from scipy.optimize import minimize
+
+    p = work.columns.shape[2]
+    unit = 1 / np.maximum((work.columns**2).sum(axis=1).mean(axis=0)[random], 1e-300)
+
+    def variances(logs: Floats) -> Floats:
+        result = np.zeros(p)
+        result[random] = unit * np.exp(logs)
+        return result
+
+    def cost(logs: Floats) -> tuple[float, Floats]:
+        at = variances(logs)
+        found = work.solution(at)
+        return -found.likelihood, -work.slopes(found)[random] * at[random]
+
+    least, most = -9.0, 25.0
+    begin = np.full(len(random), 1.0)
+    if start is not None:
+        begin = np.clip(np.log(np.maximum(start[random] / unit, 1e-12)), least, most)
+    found = minimize(cost, begin, jac=True, method="L-BFGS-B", bounds=[(least, most)] * len(random))
+    return variances(np.where(found.x <= least + 1e-6, -60.0, found.x))

@@ -1,0 +1,98 @@
+"""From files to a device file: `pipeline.identify`, `pipeline identify`."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import pipeline
+from pipeline.base.errors import LogError, ParameterError
+from pipeline.device_data.devices import read_device
+from pipeline.shell.cli import application
+
+MASS, DAMPING, DELAY, T = 0.5, 3.0, 2, 1e-3
+
+
+def written(path, command, header="", noise=1e-6, seed=1):
+    """A log of a mass and a damper behind two samples of delay, exact."""
+    rng = np.random.default_rng(seed)
+    decay = np.exp(-DAMPING / MASS * T)
+    gain = (1 - decay) / DAMPING
+    x, v, lines = 0.0, 0.0, []
+    for row, force in enumerate(command):
+        lines.append(f"{T * row!r},{float(force)!r},{float(x + noise * rng.standard_normal())!r}")
+        late = command[max(row - DELAY, 0)]
+        x += (1 - decay) * MASS / DAMPING * v + (T - (1 - decay) * MASS / DAMPING) * late / DAMPING
+        v = decay * v + gain * late
+    path.write_text(header + "time_s,command,position\n" + "\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+@pytest.fixture(scope="module")
+def staircase(tmp_path_factory):
+    command = np.repeat(np.random.default_rng(2).uniform(-4, 4, 12), 100)
+    return written(tmp_path_factory.mktemp("logs") / "free.csv", command, "# motion: translation\n")
+
+
+@pytest.fixture(scope="module")
+def found(staircase):
+    return pipeline.identify(staircase)
+
+
+def test_a_log_without_wall_names_and_period_is_enough(found):
+    table = found.estimates.set_index("name")
+    assert table.loc["mass", "value"] == pytest.approx(MASS, rel=1e-3)
+    assert table.loc["damping", "value"] == pytest.approx(DAMPING, rel=5e-3)
+    assert table.loc["delay", "value"] == pytest.approx(DELAY * T, rel=5e-3)
+    assert (table["low"] <= table["value"]).all()
+    assert (table["value"] <= table["high"]).all()
+    assert found.document["replay"]["fit_percent"] > 99
+
+
+def test_the_walls_are_those_of_the_linear_loop(found):
+    truth = pipeline.Loop(MASS, DAMPING, T, DELAY).boundary().attrs["stiffness_max"]
+    top = found.document["boundary"]["stiffness_max"]
+    assert top["value"] == pytest.approx(truth, rel=0.02)
+    assert found.loop.boundary().attrs["stiffness_max"] == pytest.approx(top["value"], rel=1e-6)
+
+
+def test_a_device_file_is_one_that_theory_takes(found, tmp_path):
+    found.write(tmp_path / "motor.toml")
+    device = read_device(tmp_path / "motor.toml")
+    (experiment,) = device.experiments
+    assert experiment.mass == pytest.approx(MASS, rel=1e-3)
+    assert experiment.delay_samples == pytest.approx(DELAY, rel=5e-3)
+    assert "95 %" in (tmp_path / "motor.toml").read_text(encoding="utf-8")
+
+
+def test_the_command_prints_the_document_and_writes_the_file(staircase, tmp_path):
+    out = tmp_path / "motor.toml"
+    arguments = ["identify", str(staircase), "--period", "0.0005", "--delay", "1", "--out", str(out), "--json"]
+    result = CliRunner().invoke(application("identify"), arguments)
+    assert result.exit_code == 0, result.output
+    document = json.loads(result.stdout)
+    assert document["boundary"]["sampling_period_s"] == 0.0005
+    assert document["boundary"]["delay_samples"] == 1
+    assert read_device(out).sampling_period_s == 0.0005
+
+
+def test_a_constant_command_gives_no_device_file(tmp_path):
+    log = written(tmp_path / "pushed.csv", np.full(400, 2.0))
+    found = pipeline.identify(log)
+    assert found.loop is None
+    assert "delay" in found.document["assumed_none"]
+    with pytest.raises(ParameterError, match="delay"):
+        found.write(tmp_path / "no.toml")
+    assert not (tmp_path / "no.toml").exists()
+
+
+def test_a_refused_log_is_named(tmp_path):
+    log = tmp_path / "bad.csv"
+    log.write_text(
+        "# motion: rotation\ntime_s,command,position\n0,1,0\n0.001,x,0\n0.002,1,0\n0.003,1,0\n", encoding="utf-8"
+    )
+    with pytest.raises(LogError, match=r"bad\.csv, row 4: .*number"):
+        pipeline.identify(log)
