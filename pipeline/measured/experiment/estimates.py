@@ -90,8 +90,8 @@ def explaining_factor(of: Stored) -> tuple[int, int, int] | None:
     model = of.once(explaining_delay)
     if model is None or model.value is None:
         return None
-    value = floor(model.value + LARGEST_OFFSET)
-    low, high = (floor(whole_delay(model, end)) for end in (model.low, model.high))
+    value = max(floor(model.value + LARGEST_OFFSET), 0)
+    low, high = (max(floor(whole_delay(model, end)), 0) for end in (model.low, model.high))
     return min(low, value), value, max(high, value)
 
 
