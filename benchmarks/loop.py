@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.device_data.devices import load_device
-from pipeline.loop.device_loop import DeviceLoop, Vibration
+from pipeline.loop.loop import Loop, Vibration
 from pipeline.records.loop_parts import Butterworth, Friction, LoopParts, Mode, Operator
 from pipeline.records.simulation_parts import SimulationParts
 from pipeline.simulation.setup import setup_of
@@ -59,13 +59,13 @@ def timed(name: str, task: Callable[[], object], wanted: float | None = None) ->
 
 
 def times(size: int) -> None:
-    loop = DeviceLoop(0.0, 0.006, 3.0, **RICH)
+    loop = Loop(0.0, 0.006, 3.0, **RICH)
     top = outline(loop).beta[-1]
 
     def afresh() -> object:
         for known in (branches, on_circle):
             known.cache_clear()
-        return limits(DeviceLoop(0.0, 0.006, 3.0, **RICH), np.linspace(0, top, 251))
+        return limits(Loop(0.0, 0.006, 3.0, **RICH), np.linspace(0, top, 251))
 
     timed("limits at 251 dampings", afresh, 0.1)
     energies, transients = ("energy_step_w0", "energy_step_w1", "energy_step_w2"), ("settle_2pct", "overshoot")

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Collection, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from functools import partial
 from pathlib import Path
 
@@ -37,7 +37,7 @@ from pipeline.profiles.profile_files import load_profile, shipped_profiles
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers import Log
 from pipeline.store.batch_files import merge_small, tidy
-from pipeline.store.corrections import carry
+from pipeline.store.corrections import carry, read_corrections
 from pipeline.store.mirror import renewed
 from pipeline.store.storage import check_version
 
@@ -118,20 +118,13 @@ def ingest(
         with nullcontext() if dry_run else writing(processed, wait_s, say):
             run = _Ingest(processed, dry_run, rehash, replace, digests, progress, without)
 
-            def passes(path: str, size: int, mtime_ns: int) -> bool:
-                assert run is not None, "it is made above"
-                if run.stored.states.get(path) != (size, mtime_ns) or path in run.refused:
-                    return False
-                if settle_s and not is_settled(mtime_ns, settle_s):
-                    return False
-                return path not in growing and run.pass_by(path)
-
             def noticed(folder: Path, text: str) -> None:
                 assert run is not None, "it is made above"
                 run.warnings.append(LogWarning(path=path_text(folder), warning=text))
 
-            look_closer = dry_run or rehash
-            sources = find_sources(folders, profiles, processed, noticed, None if look_closer else passes)
+            unchanged = {} if dry_run or rehash else run.unchanged(settle_s, growing)
+            sources = find_sources(folders, profiles, processed, noticed, unchanged, run.present)
+            run.found = run.skipped = len(run.present)
             settled, waiting = by_rest(sources, settle_s, frozenset(growing))
             run.found += len(settled)
             run.present |= {source.key for source in sources}
@@ -178,19 +171,24 @@ class _Ingest(Tally):
         self.replaced: set[tuple[str, str, str]] = set()
         self.present: set[str] = set()
         self.renamed: set[str] = set()
-        self.periods = Periods(processed)
+        self.periods = Periods(self.stored.table)
         self.places = Places({}, {})
         self.gone: dict[tuple[str, str], list[str]] = {}
         self.taken: dict[str, StoredSource] = {}
+        self.deleted = set[str]()
+        with suppress(StoreError):  # told by whoever computes
+            self.deleted = {one.trial_id for one in read_corrections(processed).values() if one.deleted}
         self.carried: dict[str, str] = {}
         """Id of each trial that was renamed, and the one that it has now."""
 
-    def pass_by(self, path: str) -> bool:
-        """Skip a file that is stored as it is."""
-        self.present.add(path)
-        self.found += 1
-        self.skipped += 1
-        return True
+    def unchanged(self, settle_s: float, growing: Collection[str]) -> dict[str, tuple[int, int]]:
+        """Return size and time of the files that need no look while they have these."""
+        states = self.stored.states
+        for path in (*self.refused, *growing):
+            states.pop(path, None)
+        if settle_s:
+            states = {path: state for path, state in states.items() if is_settled(state[1], settle_s)}
+        return states
 
     def process(self, sources: list[Source], jobs: int) -> None:
         """Decide on every source and store what is new."""
@@ -342,6 +340,8 @@ class _Ingest(Tally):
         self.places.add(source.key, sha256, self.taken[source.key].trials)
         self.ingested += 1
         texts = dict.fromkeys(text for one in accepted for text in one.log.warnings)
+        if not self.deleted.isdisjoint(self.taken[source.key].trials):
+            texts["was deleted by hand, and is in the bin: `pipeline delete ... --undo` takes it out."] = None
         self.warnings += [LogWarning(path=source.shown, warning=storable(text)) for text in texts]
         if gone is not None:
             # a corrected name is no copy: its trials give way to those that are read by the present one

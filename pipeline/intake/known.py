@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from functools import cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -70,7 +69,7 @@ class StoredSources(Mapping[str, StoredSource]):
     """
 
     def __init__(self, processed: Path, claims: str, damaged: dict[Path, str], without: Sequence[Path] = ()) -> None:
-        columns = ["source_size", "source_trials", "device", "profile", "claims"]
+        columns = ["source_size", "source_trials", "device", "experiment", "sampling_period_s", "profile", "claims"]
         self.table, self.files, self.replaced = read_versions(
             processed, None, None, [*columns, *VERSION_COLUMNS], damaged
         )
@@ -101,15 +100,17 @@ class StoredSources(Mapping[str, StoredSource]):
         drop(self.processed, self.table, self.files, ())
         return True
 
-    @cached_property
+    @property
     def states(self) -> dict[str, tuple[int, int]]:
         """Size [byte] and time [ns] of each source that is one file, stored as a whole, of a profile that is sure."""
-        names = ("claims", "source_size", "source_mtime_ns")
-        claims, sizes, times = (self._column(name) for name in names)
+        names = ("claims", "source_size", "source_mtime_ns", "source_trials")
+        claims, sizes, times, trials = map(self._column, names)
         return {
             path: (sizes[row], times[row])
             for path, row in self._last.items()
-            if claims[row] == self.claims and not path.endswith(ENDINGS) and self._is_whole(path, row)
+            if claims[row] == self.claims
+            and (trials[row] == 1 or self._is_whole(path, row))
+            and not path.endswith(ENDINGS)
         }
 
     def __getitem__(self, path: str) -> StoredSource:

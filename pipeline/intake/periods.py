@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
-from pathlib import Path
+
+import pyarrow as pa
 
 from pipeline.readers import Log
-from pipeline.store.storage import read_versions
 
 APART = 0.01
 """Part by which sampling periods of one experiment may differ: a clock is off by 1e-4, and the limit of a stiff wall is
@@ -20,18 +20,18 @@ class Periods:
 
     Parameters
     ----------
-    processed : Path
+    stored : pyarrow.Table
+        Device, experiment and period of all stored trials.
     """
 
-    def __init__(self, processed: Path) -> None:
-        self.processed = processed
+    def __init__(self, stored: pa.Table) -> None:
+        self.stored = stored
 
     @cached_property
     def known(self) -> dict[tuple[str, str], float]:
         """What is stored, and what was taken since."""
         columns = ["device", "experiment", "sampling_period_s"]
-        table, _, _ = read_versions(self.processed, None, None, columns, {})
-        device, experiment, period = (table.column(name).to_pylist() for name in columns)
+        device, experiment, period = (self.stored.column(name).to_pylist() for name in columns)
         # the first row of each is what counts
         return dict(zip(zip(device[::-1], experiment[::-1], strict=True), period[::-1], strict=True))
 
@@ -42,14 +42,14 @@ class Periods:
     def _of_own_period(self, log: Log) -> Log:
         header, period = log.header, log.header.sampling_period_s
         common = self.known.setdefault((header.device, header.experiment), period)
-        if _alike(common, period):
+        if alike(common, period):
             return log
         stem = f"{header.experiment}-T"
         name = next(
             (
                 other
                 for (device, other), known in self.known.items()
-                if device == header.device and other.startswith(stem) and _alike(known, period)
+                if device == header.device and other.startswith(stem) and alike(known, period)
             ),
             f"{stem}{1e3 * period:.4g}ms",
         )
@@ -61,5 +61,6 @@ class Periods:
         return replace(log, header=replace(header, experiment=name), warnings=(*log.warnings, text))
 
 
-def _alike(one: float, other: float) -> bool:
+def alike(one: float, other: float) -> bool:
+    """Return whether two sampling periods [s] may be of one experiment."""
     return abs(one - other) <= APART * max(one, other)

@@ -19,7 +19,7 @@ from pipeline.base.provenance import digest
 from pipeline.base.provenance import sha256 as sha256_of
 from pipeline.base.regular_files import open_regular
 from pipeline.intake.sources import Source
-from pipeline.readers.formats.plain_text import unpacked
+from pipeline.readers.formats.delimited import unpacked
 from pipeline.records.findings import Record
 
 LARGEST_COPY = 64 << 20

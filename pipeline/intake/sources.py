@@ -6,7 +6,7 @@ import json
 import os
 import stat
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence, Set
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence, Set
 from contextlib import suppress
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
@@ -26,9 +26,6 @@ UNCOUNTED = frozenset({"truth.json", "readme", "readme.md", "readme.txt", "licen
 
 Notice = Callable[[Path, str], None]
 """Told of a folder that is not searched, and why."""
-
-Passes = Callable[[str, int, int], bool]
-"""Whether a file is passed by, without a closer look: absolute path, size [byte] and modification time [ns]."""
 
 
 @dataclass(frozen=True)
@@ -80,7 +77,8 @@ def find_sources(
     profiles: tuple[Profile, ...],
     exclude: Path | None = None,
     notice: Notice | None = None,
-    passes: Passes | None = None,
+    unchanged: Mapping[str, tuple[int, int]] | None = None,
+    present: set[str] | None = None,
 ) -> list[Source]:
     """Return every log below the given folders and files, each once, in order of path.
 
@@ -97,8 +95,10 @@ def find_sources(
         Folder that is left out (`processed/`, which may lie inside a searched folder).
     notice : callable, optional
         Called with each folder that is not searched, and why: it is a link, or may not be read.
-    passes : callable, optional
-        Which files are left out, as nothing about them can have changed; by default none.
+    unchanged : mapping of str to (int, int), optional
+        Size [byte] and time [ns] of files, by absolute path, that are left out while they have these.
+    present : set of str, optional
+        Gets the paths of those.
 
     Raises
     ------
@@ -123,13 +123,16 @@ def find_sources(
         folder = path if path.is_dir() else path.parent
         # a link that is given itself is the user's own choice
         within = None if folder != path and path.is_symlink() else os.path.realpath(folder)
-        for file in _files(path, excluded, notice or _say_nothing, passes) if folder == path else [path]:
+        look = _files(path, excluded, notice or _say_nothing, unchanged or {}, set() if present is None else present)
+        for file in look if folder == path else [path]:
             source = _source(file, profiles, within)
             found.setdefault(source.key, source)
     return [found[key] for key in sorted(found)]
 
 
-def _files(folder: Path, excluded: frozenset[str], notice: Notice, passes: Passes | None) -> Iterator[Path]:
+def _files(
+    folder: Path, excluded: frozenset[str], notice: Notice, unchanged: Mapping[str, tuple[int, int]], present: set[str]
+) -> Iterator[Path]:
     """Yield the files below a folder but hidden ones and `UNCOUNTED`; links to folders are not followed."""
     waiting = [os.fspath(folder)]
     while waiting:
@@ -141,7 +144,10 @@ def _files(folder: Path, excluded: frozenset[str], notice: Notice, passes: Passe
                     name = entry.name
                     if name[0] == ".":
                         continue
-                    if _is_folder(entry):
+                    known = unchanged.get(below + name)
+                    if known and _state(entry) == known:
+                        present.add(below + name)
+                    elif _is_folder(entry):
                         if os.path.realpath(entry.path) in excluded:
                             continue
                         if entry.is_symlink():
@@ -149,18 +155,19 @@ def _files(folder: Path, excluded: frozenset[str], notice: Notice, passes: Passe
                             notice(Path(entry.path), text)
                         else:
                             waiting.append(entry.path)
-                    elif name.lower() not in UNCOUNTED and not (passes and _passed(entry, below + name, passes)):
+                    elif name.lower() not in UNCOUNTED:
                         yield Path(entry.path)
         except OSError as error:
             notice(Path(here), f"folder cannot be read ({error.strerror}). Correct its permissions.")
 
 
-def _passed(entry: os.DirEntry[str], path: str, passes: Passes) -> bool:
+def _state(entry: os.DirEntry[str]) -> tuple[int, int] | None:
+    """Return size and time of a file that is no link."""
     try:
-        status = entry.stat()
-        return not entry.is_symlink() and passes(path, status.st_size, status.st_mtime_ns)
+        status = entry.stat(follow_symlinks=False)
     except OSError:
-        return False
+        return None
+    return (status.st_size, status.st_mtime_ns) if stat.S_ISREG(status.st_mode) else None
 
 
 def _is_folder(entry: os.DirEntry[str]) -> bool:

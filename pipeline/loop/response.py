@@ -6,7 +6,6 @@ import numpy as np
 from scipy.linalg import expm
 
 from pipeline.base.errors import ParameterError
-from pipeline.loop.device_loop import general
 from pipeline.loop.loop import Loop
 from pipeline.records.batch import Floats
 
@@ -48,7 +47,7 @@ def response(loop: Loop, alpha: float, beta: float, signal: str, samples: int, p
         raise ParameterError(
             f"samples = {samples}, per_sample = {per_sample}: expected 1 or more, together at most {_MOST_POINTS}."
         )
-    loop, wall, force = general(loop), (np.array([alpha]), np.array([beta])), float(signal == "step")
+    loop, wall, force = loop, (np.array([alpha]), np.array([beta])), float(signal == "step")
     matrix, push, sensor = loop.device
     p, newest = len(push), loop.states - loop.oldest_force - 1
     motion = np.zeros((p + 1, p + 1))

@@ -13,7 +13,7 @@ import pyarrow as pa
 
 from pipeline.base.errors import DeviceError, UsageError
 from pipeline.device_data.devices import declared_spring, find_experiment, known_devices, read_device
-from pipeline.loop.device_loop import general, loop_of, wall_units
+from pipeline.loop.device_loop import loop_of, wall_units
 from pipeline.loop.loop import Loop, Normalised
 from pipeline.measured.ladder.trials import spread_over_plane
 from pipeline.measured.stages.stages import ExperimentStages
@@ -226,9 +226,9 @@ def beginning(course: Course, dampings: Sequence[float]) -> tuple[Range, Forecas
         near = stable.max() if len(stable) else tried.stiffness.max()
         return Range(float(near), reach, *about), None
     loop, units = stated_loop(course)
-    limit = limits(general(loop), np.array(dampings) / units.damping, exact=False).alpha * units.stiffness
+    limit = limits(loop, np.array(dampings) / units.damping, exact=False).alpha * units.stiffness
     limit = np.nan_to_num(limit, nan=0.0)
-    largest = float(limit.max()) or float(outline(general(loop), FEW_POINTS).alpha_max * units.stiffness)
+    largest = float(limit.max()) or float(outline(loop, FEW_POINTS).alpha_max * units.stiffness)
     if not largest > 0:
         raise DeviceError(f"device {course.name!r}: by its file no wall is stable; {RANGE_NEEDED}.")
     error = START_ERROR * np.maximum(limit, 0.3 * largest)

@@ -8,8 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from pipeline.loop.device_loop import DeviceLoop
-from pipeline.loop.loop import Normalised
+from pipeline.loop.loop import Loop, Normalised
 from pipeline.loop.velocity_filter import per_sample
 from pipeline.measured.explained import holds
 from pipeline.measured.fit.fit import fit_trials
@@ -88,7 +87,7 @@ class Fitted:
         )
 
     @cached_property
-    def loop(self) -> DeviceLoop:
+    def loop(self) -> Loop:
         """Its loop, normalised, with the filter."""
         return replace(self.device.loop, velocity=per_sample(self.velocity, self.sampling_period_s))
 

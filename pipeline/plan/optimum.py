@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import erf
 
-from pipeline.loop.device_loop import general
 from pipeline.loop.loop import Loop, Normalised
 from pipeline.plan.requests import NOTHING_ASKED, SAME, Requests
 from pipeline.plan.verdicts import Tried
@@ -83,7 +82,7 @@ class Foreseen:
         """Return the costs of walls [N/m, Nm/rad; Ns/m, Nms/rad]; NaN near and beyond the limit of its own walls."""
         alpha, beta = stiffness / self.units.stiffness, damping / self.units.damping
         levels, place = np.unique(beta, return_inverse=True)
-        limit = np.nan_to_num(limits(general(self.loop), levels, exact=False).alpha, nan=0.0)[place]
+        limit = np.nan_to_num(limits(self.loop, levels, exact=False).alpha, nan=0.0)[place]
         cost = np.full(len(alpha), np.nan)
         inside = np.flatnonzero((alpha > 0) & (alpha < HIGHEST_OF_OWN * limit))
         if len(inside):

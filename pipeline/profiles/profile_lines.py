@@ -91,14 +91,15 @@ def find_mistakes(values: dict[str, Any], text: str) -> list[Mistake]:
 
 
 def find_questions(text: str) -> list[Mistake]:
-    """Return the questions of a draft that nobody has answered: its lines ``# QUESTION: key: words``."""
-    found = []
-    for number, line in enumerate(text.splitlines(), start=1):
-        if not line.lstrip().startswith(QUESTION):
+    """Return the questions of a draft that nobody has answered: ``# QUESTION: key: words`` above a key in remarks."""
+    found, lines = [], text.splitlines()
+    for number, line in enumerate(lines, start=1):
+        answered = number < len(lines) and not lines[number].lstrip().startswith("#")
+        if not line.lstrip().startswith(QUESTION) or (answered and lines[number].strip()):
             continue
         key, _, words = line.lstrip().removeprefix(QUESTION).strip().partition(":")
         place: Place = tuple(int(part) if part.isdecimal() else part for part in key.split("."))
-        hint = "Set the key below, and remove this line."
+        hint = "Set the key below it."
         found.append(Mistake(number, place, f"{_key(place)}: open question: {words.strip()} {hint}"))
     return found
 

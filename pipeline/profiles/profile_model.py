@@ -24,9 +24,10 @@ from pipeline.profiles.profile_columns import Columns, Source, column_problems, 
 from pipeline.profiles.profile_text import Count, Number, Problem, TextLayout
 from pipeline.records.findings import Record
 from pipeline.records.models import Grip, Motion, Name
+from pipeline.records.native import FREE
 
 Format = Literal[
-    "native", "delimited", "json", "parquet", "feather", "matlab", "hdf5", "rosbag", "mcap", "tdms"
+    "native", "delimited", "json", "parquet", "feather", "matlab", "hdf5", "rosbag", "mcap", "tdms", "mdf"
 ]  # fmt: skip
 Condition = Literal[
     "device", "experiment", "stiffness", "damping", "step", "sampling_period_s", "added_delay_samples", "grip"
@@ -279,7 +280,9 @@ class Profile(TextLayout, StepTime):
         """Yield where it is not said when the step happens: at the top, or in entries of [[steps]] or [[file]]."""
         groups = frozenset[str]() if pattern_problem(self.name_pattern) else self.name_groups()
         varies = "step" in groups | set(self.attributes) | set(self.condition_columns)
-        constant = None if varies else self.constants.step
+        given = {key for part in (self.constants, *self.file, *self.steps) for key in part.given()}
+        free = given.isdisjoint(FREE) and not varies
+        constant = 0.0 if free else None if varies else self.constants.step
 
         def silent(entry: FileEntry | StepEntry) -> bool:
             return not entry.declared and (constant if entry.step is None else entry.step) != 0
@@ -314,9 +317,10 @@ class Profile(TextLayout, StepTime):
         if unknown := sorted(groups - set(CONDITIONS)):
             yield ("name_pattern",), f"unknown groups {unknown}; known are {list(CONDITIONS)}"
         everywhere = groups | set(self.attributes) | set(self.condition_columns) | set(self.constants.given())
+        everywhere |= {key for entry in (*self.file, *self.steps) for key in entry.given()}
         for key in REQUIRED_CONDITIONS:
-            entries = (*self.file, *self.steps)
-            if key not in everywhere and not any(getattr(entry, key) is not None for entry in entries):
+            # a log of motion without wall and step leaves out all that speaks of them
+            if key not in everywhere and not (key in FREE and everywhere.isdisjoint(FREE)):
                 line = f"{key} = {_EXAMPLES.get(key, '<number>')}"
                 others = "or give it by name_pattern, attributes, condition_columns, [[file]] or [[steps]]"
                 yield ("constants", key), f"missing. Add {line} to [constants], {others}"

@@ -16,8 +16,9 @@ from pipeline.profiles.patterns import find_groups
 from pipeline.profiles.profile_model import CONDITION_QUANTITIES, REQUIRED_CONDITIONS, FileEntry, Profile, StepEntry
 from pipeline.readers.frame import Frame, Scalar
 from pipeline.readers.limits import LONGEST_QUANTITY
+from pipeline.readers.refusals import refusal
 from pipeline.records.batch import Integers
-from pipeline.records.native import NativeHeader, parse_header
+from pipeline.records.native import FREE, NativeHeader, parse_header
 
 _QUANTITY = re.compile(r"([^\s\[\]()]+)\s*[\[(]?\s*([^\d\s\[\]()][^\[\]()]*?)?\s*[\])]?")
 """A number and, behind it, a unit, which may stand in brackets."""
@@ -33,11 +34,8 @@ def entry_of(profile: Profile, name: str) -> FileEntry | None:
     """
     entries = [entry for entry in profile.file if fnmatchcase(name.lower(), entry.match.lower())]
     if len(entries) > 1:
-        raise LogError(
-            f"{name}: fits {len(entries)} entries [[file]] of profile {profile.name}, match = "
-            f"{[entry.match for entry in entries]}; expected one. Narrow the patterns.",
-            code="profile-wrong",
-        )
+        found = f"fits {len(entries)} entries [[file]] of profile {profile.name}, match = {[e.match for e in entries]}"
+        raise refusal("profile-wrong", name, found, "one", "Narrow the patterns.")
     return entries[0] if entries else None
 
 
@@ -76,24 +74,22 @@ def conditions_of(
         if key in special or key in profile.condition_columns:
             continue
         if attribute not in frame.attributes:
-            raise LogError(
-                f"{where}: has no attribute {attribute!r}, which profile {profile.name} takes the {key} from "
-                f"(attributes.{key}); found {sorted(frame.attributes)[:40]}. Correct the profile, or the file.",
-                code="condition-missing",
+            found = (
+                f"has no attribute {attribute!r}, which profile {profile.name} takes the {key} from (attributes.{key}"
             )
+            raise refusal("condition-missing", where, f"{found}); found {sorted(frame.attributes)[:40]}")
         given[key] = frame.attributes[attribute]
     for key, column in profile.condition_columns.items():
         if key not in special:
             given[key] = _of_column(where, frame, rows, key, column)
     given |= special
+    if not any(key in given for key in FREE):
+        given |= dict.fromkeys(FREE, 0.0)
     for condition in required:
         if condition not in given:
             line = f'[[file]]\nmatch = "{name}"\n{condition} = <value>'
-            raise LogError(
-                f"{where}: profile {profile.name} does not give the {condition} of this file. Add to it:\n{line}",
-                code="condition-missing",
-                profile_line=line,
-            )
+            found = f"profile {profile.name} does not give the {condition} of this file"
+            raise refusal("condition-missing", where, found, cure=f"Add to it:\n{line}", line=line)
     # names of files have points also where the numbers in them have commas
     inside = (set(profile.attributes) | set(profile.condition_columns)) - set(special)
     return {key: _in_si(profile, where, key, value, key in inside) for key, value in given.items()}
@@ -142,11 +138,9 @@ def header_of(profile: Profile, where: str, given: Mapping[str, Any], extra: dic
         # the row is that of the lines made here, which the file does not have
         raise LogError(reason, code=error.code) from error
     if (header.device, header.experiment) != (str(given["device"]), str(given["experiment"])):
-        raise LogError(
-            f"{where}: device {given['device']!r} or experiment {given['experiment']!r} would be stored as "
-            f"{header.device!r}, {header.experiment!r}. Choose names without brackets.",
-            code="condition-wrong",
-        )
+        found = f"device {given['device']!r} or experiment {given['experiment']!r} would be stored as "
+        found += f"{header.device!r}, {header.experiment!r}"
+        raise refusal("condition-wrong", where, found, cure="Choose names without brackets.")
     return replace(header, extra=extra)
 
 
@@ -155,27 +149,21 @@ def _of_name(profile: Profile, name: str) -> dict[str, str]:
         return {}
     found = find_groups(profile.name_pattern, name)
     if found is None:
-        raise LogError(
-            f"file name {name!r} does not fit name_pattern {profile.name_pattern!r} of {profile.name}. "
-            "Rename the file or correct the profile.",
-            code="profile-wrong",
-        )
+        text = f"file name {name!r} does not fit name_pattern {profile.name_pattern!r} of {profile.name}"
+        raise refusal("profile-wrong", "", text, cure="Rename the file or correct the profile.")
     return found
 
 
 def _of_column(where: str, frame: Frame, rows: Integers, key: str, column: str) -> Scalar:
     values = frame.columns[column][rows]
     if not len(values):
-        raise LogError(f"{where}: column {column!r}, which gives the {key}, has no rows.", code="condition-missing")
+        raise refusal("condition-missing", where, f"column {column!r}, which gives the {key}, has no rows")
     other = values != values[0]
     if other.any():
         at = int(np.argmax(other))
-        raise LogError(
-            f"{where}: column {column!r} gives the {key} and changes from {values[0]} to {values[at]}; expected one "
-            "value for a trial. Give trial_column to tell trials apart, or correct condition_columns.",
-            int(frame.row[rows[at]]),
-            code="condition-wrong",
-        )
+        found = f"column {column!r} gives the {key} and changes from {values[0]} to {values[at]}"
+        cure = "Give trial_column to tell trials apart, or correct condition_columns."
+        raise refusal("condition-wrong", where, found, "one value for a trial", cure, int(frame.row[rows[at]]))
     value: Scalar = values[0].item()
     return value
 
@@ -196,30 +184,22 @@ def _in_si(profile: Profile, where: str, key: str, value: Scalar, inside: bool =
     match = _QUANTITY.fullmatch(text) if len(text) <= LONGEST_QUANTITY else None
     number, unit = match.groups() if match else (text, None)
     if inside and profile.decimal_sign == "," and "." in number:
-        raise LogError(
-            f"{where}: the {key} is {text[:200]!r}, but the decimal sign is ',': the point may part thousands. Write "
-            "the number with a comma, or give the condition elsewhere (name_pattern, [[file]], [constants]).",
-            code="condition-wrong",
-        )
+        found = f"the {key} is {text[:200]!r}, but the decimal sign is ',': the point may part thousands"
+        cure = "Write the number with a comma, or give the condition elsewhere (name_pattern, [[file]], [constants])."
+        raise refusal("condition-wrong", where, found, cure=cure)
     try:
         magnitude = float(number.replace(profile.decimal_sign, ".").replace("_", "?"))
     except ValueError:
-        decimal = f" (decimal sign {profile.decimal_sign!r})"
-        raise LogError(
-            f"{where}: the {key} is {text[:200]!r}; expected a number{decimal}, with or without its unit. Correct the "
-            "profile (name_pattern, attributes, condition_columns) or the file.",
-            code="condition-wrong",
-        ) from None
+        expected = f"a number (decimal sign {profile.decimal_sign!r}), with or without its unit"
+        raise refusal("condition-wrong", where, f"the {key} is {text[:200]!r}", expected) from None
     if unit:
         try:
             stated = factor_to_si(unit, (CONDITION_QUANTITIES[key][profile.constants.motion],))
         except ParameterError as error:
-            raise LogError(f"{where}: the {key} is {text[:200]!r}: {error}.", code="condition-wrong") from error
+            raise refusal("condition-wrong", where, f"the {key} is {text[:200]!r}: {error}") from error
         if getattr(profile.units, key) is not None and stated != factor:
-            raise LogError(
-                f"{where}: the {key} is {text[:200]!r}, but units.{key} of profile {profile.name} is "
-                f"{getattr(profile.units, key)!r}. Correct one of both.",
-                code="condition-wrong",
-            )
+            found = f"the {key} is {text[:200]!r}, but units.{key} of profile {profile.name} is "
+            found += repr(getattr(profile.units, key))
+            raise refusal("condition-wrong", where, found, cure="Correct one of both.")
         factor = stated
     return magnitude * factor

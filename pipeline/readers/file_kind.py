@@ -5,10 +5,11 @@ A spreadsheet that was saved under the name ``run.csv`` would otherwise be refus
 
 from __future__ import annotations
 
-from pipeline.base.errors import LogError
 from pipeline.profiles.profile_model import Format
 from pipeline.readers.formats import FORMATS
+from pipeline.readers.formats.delimited import PACKED
 from pipeline.readers.layout import format_of
+from pipeline.readers.refusals import refusal
 
 _ARCHIVE, _PICTURE, _PAGE = "Unpack it", "Export the numbers behind it", "Save the recorded samples as a file"
 _SHEET = "Export its sheet as CSV"
@@ -57,26 +58,22 @@ def refuse_other_kind(name: str, kind: Format, data: bytes) -> None:
     LogError
         If it is an archive, a picture, a document, a web page, or a log of another format.
     """
-    found = _other_kind(data)
-    if found is not None:
-        what, advice = found
-        raise LogError(
-            f"{name} is {what}, whatever its name says; expected a log of format {kind!r}. {advice}, and ingest that.",
-            code="unsupported",
-        )
-    if FORMATS[kind].is_text and not data[:1].isspace():
-        actual = format_of(name, data[:2048])
-        if not FORMATS[actual].is_text:
-            raise LogError(
-                f"{name} is a file of format {actual!r}, whatever its name says; expected {kind!r}. Describe it by a "
-                f'profile with format = "{actual}".',
-                code="unsupported",
-                profile_line=f'format = "{actual}"',
-            )
+    what, cure = _other_kind(data)
+    if what:
+        text = f"is {what}, whatever its name says"
+        raise refusal("unsupported", name, text, f"a log of format {kind!r}", f"{cure}, and ingest that.")
+    if not FORMATS[kind].is_text and data.startswith(tuple(PACKED)):
+        raise refusal("unsupported", name, "is packed as a whole", cure=f"Unpack it: zstd -d {name}")
+    actual = "native" if data[:1].isspace() else format_of(name, data[:2048])
+    # a MATLAB 7.3 file is an HDF5 file, too
+    if actual != kind and not FORMATS[actual].is_text and {actual, kind} != {"matlab", "hdf5"}:
+        line = f'format = "{actual}"'
+        text = f"is a file of format {actual!r}, whatever its name says"
+        raise refusal("unsupported", name, text, repr(kind), f"Describe it by a profile with {line}.", line=line)
 
 
-def _other_kind(data: bytes) -> tuple[str, str] | None:
-    """Return what the file is, and what to do with it; None where nothing is known."""
+def _other_kind(data: bytes) -> tuple[str, str]:
+    """Return what the file is, and what to do with it; empty where nothing is known."""
     if data.startswith(_ZIP):
         parts = data[:_PROBE] + data[-_PROBE:]
         office = next(((what, advice) for part, what, advice in _OFFICE if part in parts), None)
@@ -88,4 +85,4 @@ def _other_kind(data: bytes) -> tuple[str, str] | None:
             return what, advice
     if data[:64].lstrip(b"\xef\xbb\xbf \t\r\n").lower().startswith(_PAGES):
         return "a web page or other markup (HTML, XML)", _PAGE
-    return None
+    return "", ""

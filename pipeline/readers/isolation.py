@@ -1,9 +1,8 @@
-"""Runs a library that damaged files can crash or hang in a process of its own, with bounded time and memory.
+"""Reads files in a process of its own, with bounded time and memory: one place for all formats.
 
-libhdf5 loops for ever on some changed bytes, and the Arrow IPC reader is killed by the operating system on others (seen
-with h5py 3.16 and pyarrow 26.0); no exception can be caught then. A bag brings definitions that its library turns into
-code, and a TDMS file may repeat its lists of objects without end. A worker reads many files; one that dies costs only
-its file.
+A log comes from a foreign computer: cut, changed on the way, or larger than it looks. libhdf5 loops for ever on some
+changed bytes, and the Arrow IPC reader is killed by the operating system on others (h5py 3.16, pyarrow 26.0); no
+exception can be caught then. A worker reads many files; one that dies costs only its file.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -25,50 +24,24 @@ from typing import IO, Any
 
 from pipeline.base.errors import LogError
 from pipeline.base.process import begin_alone, end_when, ended_through
-from pipeline.readers.frame import ColumnInfo, Frame
-from pipeline.readers.limits import COPIES, CPU_SECONDS, CPU_SECONDS_PER_BYTE, GRACE_SECONDS, MEMORY, SLACK, WALL_FACTOR
-from pipeline.readers.safety import allowed_bytes, reading
+from pipeline.readers.limits import (
+    COPIES,
+    CPU_SECONDS,
+    EXPANSION,
+    GRACE_SECONDS,
+    LARGEST_LOG,
+    MEMORY,
+    SLACK,
+    SMALL_FILE,
+    WALL_FACTOR,
+)
+from pipeline.readers.refusals import refusal
 
 _SERVE = "from pipeline.readers.isolation import serve; serve()"
 
 
-def isolated_reader(
-    module: str, kind: str, imports: tuple[str, ...], *more: Any, seconds_per_byte: float = CPU_SECONDS_PER_BYTE
-) -> tuple[Callable[..., Frame], Callable[..., list[ColumnInfo]]]:
-    """Return ``read_frame`` and ``list_columns`` of a format (`pipeline.readers.frame`) whose library runs in a worker.
-
-    Parameters
-    ----------
-    module : str
-        Module with what they do there: ``frame_here(name, data, wanted, *more)``, with the files of a split bag behind
-        these where there are several, and ``columns_here(name, data, *more)``. Whatever they raise is a damaged file.
-    kind, imports, seconds_per_byte
-        As in `isolated`.
-    *more
-        Further arguments of both.
-    """
-    options: dict[str, Any] = {"imports": imports, "seconds_per_byte": seconds_per_byte}
-
-    def read_frame(profile: object, name: str, data: bytes, wanted: Sequence[str], parts: Sequence[Any] = ()) -> Frame:
-        rest = (*more, parts) if parts else more
-        frame: Frame = isolated(f"{module}:frame_here", name, kind, data, tuple(wanted), *rest, **options)
-        return frame
-
-    def list_columns(name: str, data: bytes, profile: object = None) -> list[ColumnInfo]:
-        infos: list[ColumnInfo] = isolated(f"{module}:columns_here", name, kind, data, *more, **options)
-        return infos
-
-    return read_frame, list_columns
-
-
 def isolated(
-    place: str,
-    name: str,
-    kind: str,
-    data: bytes,
-    *more: Any,
-    imports: tuple[str, ...],
-    seconds_per_byte: float = CPU_SECONDS_PER_BYTE,
+    place: str, name: str, kind: str, data: bytes, *more: Any, imports: tuple[str, ...], seconds_per_byte: float = 2e-7
 ) -> Any:
     """Return what the function at a place makes of a file, called in a worker process.
 
@@ -103,17 +76,35 @@ def isolated(
     worker = _take()
     outcome = worker.call((place, imports, kind, (name, data, *more), seconds), WALL_FACTOR * seconds)
     if outcome is None:
-        raise LogError(
-            f"{name} cannot be read as {kind}: the library that reads it {worker.end()}. The file is damaged. "
-            "Copy or export it again.",
-            code="damaged",
-        )
+        found = f"cannot be read as {kind}: the library that reads it {worker.end()}. The file is damaged"
+        raise refusal("damaged", name, found, cure="Copy or export it again.")
     _IDLE.append(worker)
     succeeded, value = outcome
     if not succeeded:
         assert isinstance(value, LogError), "the worker sends the refusal itself"
         raise value
     return value
+
+
+def library(module: str, extra: str) -> Any:
+    """Import a module that needs a library which only some formats need.
+
+    Raises
+    ------
+    LogError
+        If it is not installed; says how to install it.
+    """
+    try:
+        return import_module(module)
+    except ImportError as error:
+        found = f"reading this format needs {error.name or module}, which is not installed"
+        cure = f"Run pip install '.[{extra}]' in the project's folder, then ingest with --rehash."
+        raise refusal("library-missing", "", found, cure=cure) from error
+
+
+def allowed_bytes(size: int) -> int:
+    """Return how many bytes a file of this size [byte] may unpack to."""
+    return min(4 * LARGEST_LOG, max(SMALL_FILE, EXPANSION * size))
 
 
 def serve() -> None:
@@ -144,6 +135,36 @@ def serve() -> None:
         _alarm(0.0)
         pickle.dump(outcome, results, pickle.HIGHEST_PROTOCOL)
         results.flush()
+
+
+@contextlib.contextmanager
+def reading(name: str, kind: str) -> Iterator[None]:
+    """Turn whatever a library raises on a damaged file into the `LogError` that says so.
+
+    Parameters
+    ----------
+    name : str
+        The file.
+    kind : str
+        What it was expected to be, such as "an HDF5 file".
+
+    Raises
+    ------
+    LogError
+        For every exception inside; a `LogError` passes, with the file in front.
+    """
+    try:
+        yield
+    except LogError as error:
+        raise error if error.reason.startswith(name) else error.reworded(f"{name}: {error.reason}") from error
+    except RecursionError as error:
+        found = f"cannot be read as {kind}: lists or objects are nested too deep"
+        raise refusal("too-deep", name, found, "records of one form") from error
+    except MemoryError as error:
+        raise refusal("unpacks-too-large", name, "takes more memory than a file of its size may") from error
+    except Exception as error:  # libraries document no complete list of what damage makes them raise
+        found = " ".join(str(error).split())[:200] or type(error).__name__
+        raise refusal("damaged", name, f"cannot be read as {kind}: {found}") from error
 
 
 def _receive(pipe: int, calls: SimpleQueue[Any]) -> None:

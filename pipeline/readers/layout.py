@@ -14,7 +14,7 @@ from pipeline.base.errors import LogError
 from pipeline.profiles.profile_model import Format
 from pipeline.profiles.profile_text import BLANKS, TextLayout
 from pipeline.readers.formats import FORMATS, HDF5
-from pipeline.readers.formats.plain_text import plain_text
+from pipeline.readers.formats.delimited import plain_text
 
 PROBE_LINES = 400
 """Lines that are looked at: banners have some dozens, and a table shows its form in a hundred rows."""

@@ -3,22 +3,37 @@
 from __future__ import annotations
 
 LARGEST_LOG = 256 << 20
-"""Bytes above which a file is not read: 10^6 times a usual log, so it is something else."""
+"""Bytes above which a file is not read, packed or not: 10^6 times a usual log, so it is something else."""
 
-SMALL_FRAME = 64 << 20
-"""Bytes that any file may unpack to: 10^6 rows of eight columns; a constant column packs 1000 times and more."""
+MOST_VALUES = 1 << 26
+"""Values of a file: 10^7 rows of six columns; the worker that reads has no memory for many more."""
 
-EXPANSION = 100
-"""Times its own size that a larger file may unpack to; recorded samples pack 1 to 20 times."""
+MOST_ARRAYS = 10_000
+"""Columns and arrays of a file: motion capture has some thousands; a damaged file may claim millions of empty ones."""
 
-LARGEST_FRAME = 1 << 30
-"""Bytes that no file may exceed when unpacked, four times the largest file that is read at all."""
+SMALL_FILE = 64 << 20
+"""Bytes that reading any file may take: 10^6 rows of eight columns; a constant column packs 1000 times and more."""
 
-MOST_COLUMNS = 10_000
-"""Columns of a file that are told apart; motion capture has some thousands, a list on one line has more."""
+EXPANSION = 30
+"""Times its own size that reading a larger file may take; recorded samples pack 1 to 20 times."""
 
-LARGEST_TEXT = 256 << 20
-"""Bytes of text after unpacking, as many as a file may have that is not packed."""
+COPIES = 3
+"""Times that reading may hold what its file may unpack to, and the file itself: as read, as numbers, as columns."""
+
+MEMORY = 4 << 30
+"""Address space of a worker [byte]: file, unpacked arrays, their columns and the libraries themselves."""
+
+SLACK = 32 << 20
+"""Memory that a library takes for itself [byte]: caches, buffers, pieces that its allocator asks for."""
+
+CPU_SECONDS = 0.6
+"""Processor time for any file: a hundred times what reading a log of 1 MB takes."""
+
+WALL_FACTOR = 30
+"""Longest wait in multiples of the processor time, for machines that are busy with other things."""
+
+GRACE_SECONDS = 2.0
+"""Wait for a worker to end by itself once its pipes are closed; ending takes some milliseconds."""
 
 LONGEST_LINE = 1 << 20
 """Bytes of a line: 10^4 columns of 17 digits take a fifth of it; a file without line ends has one line."""
@@ -29,9 +44,6 @@ LONGEST_HEADER = 1 << 16
 LONGEST_HEADER_LINE = 1 << 14
 """Bytes of a header line; remarks are some hundred."""
 
-LONGEST_BANNER = 10_000
-"""Lines that are searched for the beginning of the table; terminal banners have some dozens."""
-
 LONGEST_QUANTITY = 200
 """Characters of a number with its unit."""
 
@@ -40,6 +52,15 @@ KEPT_ATTRIBUTES = 100
 
 LONGEST_ATTRIBUTE = 10_000
 """Characters of an attribute that are kept; a remark or a cut row is far shorter, an attribute may be a whole file."""
+
+LISTED_ELEMENTS = 64
+"""Elements of one vector that are listed: a robot has fewer, an image has more and is no column."""
+
+LISTED_NAMES = 40
+"""Names that a message lists."""
+
+DEEPEST = 32
+"""Lists and objects inside each other: what robots log has two to five."""
 
 EXACT = 1 << 53
 """Whole numbers up to this one are floats without loss."""
@@ -56,36 +77,3 @@ missing values (1e20, 3.4e38) or numbers in another unit; one such cell would sp
 
 LARGEST_CONDITION = 1e12
 """Largest stiffness, damping and step [SI]: steel of a metre has 1e11 N/m."""
-
-LARGEST_JSON = 64 << 20
-"""Bytes of a JSON file: 10^5 records of 600 characters; numbers as objects take forty times their text."""
-
-DEEPEST = 32
-"""Lists and objects inside each other: what robots log has two to five."""
-
-MOST_ELEMENTS = 100_000
-"""Arrays in one file, fields of structs counted one by one: a damaged file may claim millions of empty ones."""
-
-MOST_DATASETS = 2_000
-"""Datasets and groups that are looked at; a log has some dozen."""
-
-CPU_SECONDS = 0.6
-"""Processor time for any file: a hundred times what reading a log of 1 MB takes."""
-
-CPU_SECONDS_PER_BYTE = 2e-7
-"""More for larger files: reading takes 3e-9, unpacking ten times the size 3e-8; other machines are six times slower."""
-
-WALL_FACTOR = 30
-"""Longest wait in multiples of the processor time, for machines that are busy with other things."""
-
-MEMORY = 4 * LARGEST_FRAME
-"""Address space of a worker [byte]: file, unpacked arrays, their columns and the libraries themselves."""
-
-COPIES = 3
-"""Times that a call may hold what its file may unpack to, and the file itself: as read, as numbers, as columns."""
-
-GRACE_SECONDS = 2.0
-"""Wait for a worker to end by itself once its pipes are closed; ending takes some milliseconds."""
-
-SLACK = 32 << 20
-"""Memory that a library takes for itself [byte]: caches, buffers, pieces that its allocator asks for."""

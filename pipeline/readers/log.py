@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from pipeline.base.errors import LogError
 from pipeline.readers.limits import LARGEST, LARGEST_CONDITION, LONGEST_S, MOST_PERIODS
+from pipeline.readers.refusals import refusal
 from pipeline.records.batch import Floats, Integers
 from pipeline.records.native import NativeHeader
 
@@ -96,24 +96,14 @@ def check_samples(
         return int(row[at]) if at < len(row) else None
 
     if len(time) < 2:
-        raise LogError(
-            f"log has {len(time)} samples; expected at least 2. Was the recording cut off? Record it again.",
-            place(0),
-            code="too-short",
-        )
+        raise refusal("too-short", "", f"log has {len(time)} samples", "at least 2", row=place(0))
     step_row = int(header.extra.get("step_row", 0))
     if step_row >= len(time):
-        raise LogError(
-            f"step_row is {step_row}, but the log has {len(time)} samples. Count from 0; correct header or profile.",
-            place(0),
-            code="condition-wrong",
-        )
+        found = f"step_row is {step_row}, but the log has {len(time)} samples"
+        raise refusal("condition-wrong", "", found, "", "Count from 0; correct header or profile.", place(0))
     if header.step == 0 and "step_row" in header.extra:
-        raise LogError(
-            f"step is 0 (none was commanded), but the step is declared in row {step_row}. Give the size of the step, "
-            "or declare no row.",
-            code="condition-wrong",
-        )
+        found = f"step is 0 (none was commanded), but the step is declared in row {step_row}"
+        raise refusal("condition-wrong", "", found, "", "Give the size of the step, or declare no row.")
     columns = {"time": time, "command": command, "position": position, "force": force, "velocity": velocity}
     for name, values in columns.items():
         if values is None:
@@ -121,54 +111,38 @@ def check_samples(
         finite = np.isfinite(values)
         if not finite.all():
             at = int(np.argmin(finite))
-            raise LogError(
-                f"{name} is {values[at]}; expected a finite number. Repair the row, or leave this log out.",
-                place(at),
-                code="not-finite",
-            )
+            raise refusal("not-finite", "", f"{name} is {values[at]}", "a finite number", row=place(at))
         if (beyond := np.abs(values) > LARGEST.get(name, np.inf)).any():
             at = int(np.argmax(beyond))
-            raise LogError(
-                f"{name} is {values[at]:.6g}; expected at most {LARGEST[name]:g} [SI], no reading is larger. Is it a "
-                "sign of a missing value (then declare it by `sentinels`), or is the unit another? Repair the row, or "
-                "leave this log out.",
-                place(at),
-                code="out-of-range",
+            cure = (
+                "Is it a sign of a missing value (then declare it by `sentinels`), or is the unit another? Repair the "
+                "row, or leave this log out."
             )
+            expected = f"at most {LARGEST[name]:g} [SI], no reading is larger"
+            raise refusal("out-of-range", "", f"{name} is {values[at]:.6g}", expected, cure, place(at))
     for name in ("stiffness", "damping", "step"):
         if abs(value := getattr(header, name)) > LARGEST_CONDITION:
-            raise LogError(
-                f"{name} is {value:.6g}; expected at most {LARGEST_CONDITION:g} [SI]. Correct its number or unit.",
-                code="out-of-range",
-            )
+            expected = f"at most {LARGEST_CONDITION:g} [SI]"
+            raise refusal("out-of-range", "", f"{name} is {value:.6g}", expected, "Correct its number or unit.")
     travel = abs(header.step) / header.stiffness if header.stiffness > 0 else 0.0
     for name, readings, scale in (("position", position, travel), ("velocity", velocity, 0.0)):
         row_off = None if readings is None else stray(readings, scale)
         if readings is not None and row_off is not None:
-            raise LogError(
-                f"{name} is {readings[row_off]:.6g}, the others lie about {np.median(readings):.6g}: a gap that no "
-                "motion leaves. Repair the row, or leave this log out.",
-                place(row_off),
-                code="out-of-range",
-            )
+            found = f"{name} is {readings[row_off]:.6g}, the others lie about {np.median(readings):.6g}: a gap that no "
+            raise refusal("out-of-range", "", f"{found}motion leaves", row=place(row_off))
     increasing = time[1:] > time[:-1]
     if not increasing.all():
         at = int(np.argmin(increasing)) + 1
-        raise LogError(
-            f"time is {time[at]:.17g} s after {time[at - 1]:.17g} s; expected it to increase row by row. "
-            "Sort out doubled or swapped rows, or leave this log out.",
-            place(at),
-            code="time-backwards",
-        )
+        found = f"time is {time[at]:.17g} s after {time[at - 1]:.17g} s"
+        raise refusal("time-backwards", "", found, "it to increase row by row", row=place(at))
     pause = np.diff(time)
     if pause.max() > LONGEST_PAUSE * header.sampling_period_s:
         at = int(np.argmax(pause)) + 1
-        raise LogError(
-            f"time is {time[at]:.9g} s after {time[at - 1]:.9g} s, more than {LONGEST_PAUSE:g} sampling periods later; "
-            "one response has no such pause. Repair the row, or leave this log out.",
-            place(at),
-            code="time-wrong",
+        found = (
+            f"time is {time[at]:.9g} s after {time[at - 1]:.9g} s, more than {LONGEST_PAUSE:g} sampling periods later"
         )
+        cure = "One response has no such pause. Repair the row, or leave this log out."
+        raise refusal("time-wrong", "", found, cure=cure, row=place(at))
     _check_period(header.sampling_period_s, float(time[0]), float(time[-1]), place(0))
     return Log(header, time, command, position, force, velocity)
 
@@ -199,9 +173,6 @@ def _check_period(period: float, first: float, last: float, row: int | None) -> 
     span = last - first  # infinite where it has no number
     countable = span <= MOST_PERIODS * period and period <= MOST_PERIODS * span
     if not countable or max(abs(first), abs(last), period) > LONGEST_S:
-        raise LogError(
-            f"time runs from {first:.9g} s to {last:.9g} s, which is not to be counted in sampling periods of "
-            f"{period:.9g} s. Correct sampling_period_s, or the time of the first or last row.",
-            row,
-            code="time-wrong",
-        )
+        found = f"time runs from {first:.9g} s to {last:.9g} s, which is not to be counted in sampling periods of "
+        cure = "Correct sampling_period_s, or the time of the first or last row."
+        raise refusal("time-wrong", "", f"{found}{period:.9g} s", cure=cure, row=row)

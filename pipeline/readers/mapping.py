@@ -20,10 +20,11 @@ from pipeline.profiles.profile_columns import QUANTITIES, ColumnSource, CommandS
 from pipeline.profiles.profile_model import REQUIRED_CONDITIONS, Profile, StepTime, Window
 from pipeline.readers.conditions import conditions_of, entry_of, header_of
 from pipeline.readers.file_kind import refuse_other_kind
-from pipeline.readers.formats import module_of
+from pipeline.readers.formats.files import read_file
 from pipeline.readers.frame import Frame
 from pipeline.readers.limits import KEPT_ATTRIBUTES, LONGEST_ATTRIBUTE
 from pipeline.readers.log import Log, RawLog, check_samples
+from pipeline.readers.refusals import refusal
 from pipeline.readers.rows import Rows, rows_of
 from pipeline.records.batch import Booleans, Floats, Integers
 
@@ -31,15 +32,20 @@ WINDOW_TOLERANCE = 1e-6
 """Part of a sampling period by which a stamp may lie outside a limit, or before the declared time of the step: by
 rounding alone 3 x 0.1 s is above 0.3 s, 501 x 1e-6 s below 0.000501 s."""
 
+MOST_STEPS = 24
+"""Changes of a command up to which each is a step of its own: relays and random sequences have hundreds."""
+
+SHORTEST_STEP = 12
+"""Rows between two changes from which on a step has a response."""
+
+SAMPLES = ("time", "command", "position", "force", "velocity", "raw_time")
+
 PACE = 10.0
 """Ratio of the median step between rows to the sampling period, or the reverse, from which on a log is warned of: units
 of time differ by 60 at least, a log that drops half of its samples has a ratio of 2."""
 
 LONGEST_STEP = 1.5
 """Time between rows in sampling periods from which on a row is missing: a velocity says nothing of it."""
-
-LISTED_NAMES = 40
-"""Names of columns that a message lists."""
 
 
 def read(profile: Profile, raws: Sequence[RawLog], use_threads: bool) -> list[tuple[Log, ...] | LogError]:
@@ -78,28 +84,17 @@ def read_frames(profile: Profile, raw: RawLog) -> list[Frame]:
     LogError
         If a file cannot be read, is of another kind, lacks a column, or has times of a unit that the profile denies.
     """
-    module = module_of(profile.format)
-    frames = []
-    roles: tuple[Literal["source", "partner"], ...] = ("source", "partner")
     for name, data in zip(raw.names, raw.data, strict=False):
         refuse_other_kind(name, profile.format, data)
-    names, contents, more = raw.names, raw.data, {}
-    if profile.partner is None and len(contents) > 1:
-        # the files of a split bag go on in each other
-        more = {"parts": tuple((name, len(data)) for name, data in zip(names, contents, strict=True))}
-        names, contents = names[:1], (b"".join(contents),)
-    for role, name, data in zip(roles, names, contents, strict=False):
-        wanted = profile.wanted(role)
-        frame: Frame = module.read_frame(profile, name, data, tuple(dict.fromkeys(wanted.values())), **more)
-        for key, column in wanted.items():
-            if column not in frame.columns:
-                found = list(frame.columns)[:LISTED_NAMES]
-                raise LogError(
-                    f"{name}: profile {profile.name} wants column {column!r} for {key}, found {found}. "
-                    "Correct the name in the profile, or the file.",
-                    code="column-missing",
-                )
-        _check_units(profile, name, role, frame)
+    # without a partner, several files are those of a split bag
+    split = profile.partner is None
+    parts = [(raw.names, raw.data)] if split else [((n,), (d,)) for n, d in zip(raw.names, raw.data, strict=False)]
+    roles: tuple[Literal["source", "partner"], ...] = ("source", "partner")
+    frames = []
+    for role, (names, data_of) in zip(roles, parts, strict=False):
+        wanted = tuple(dict.fromkeys(profile.wanted(role).values()))
+        frame = read_file(profile, names, data_of, wanted).frame()
+        _check_units(profile, names[0], role, frame)
         frames.append(frame)
     return frames
 
@@ -112,12 +107,10 @@ def _check_units(profile: Profile, name: str, role: str, frame: Frame) -> None:
             continue
         stated = factor_to_si(source.unit, tuple(QUANTITIES[key].values())) / (source.counts_per_unit or 1.0)
         if not isclose(stated, factor_to_si(typed, ("time",))):
-            raise LogError(
-                f"{name}: {source.key!r} holds times, which are read in {typed}; profile {profile.name} says unit = "
-                f'{source.unit!r} for columns.{key}. Write unit = "{typed}", whatever the file shows.',
-                code="profile-wrong",
-                profile_line=f'[columns.{key}]\nunit = "{typed}"',
-            )
+            line = f'[columns.{key}]\nunit = "{typed}"'
+            found = f"{source.key!r} holds times, which are read in {typed}; profile {profile.name} says unit = "
+            cure = f'Write unit = "{typed}", whatever the file shows.'
+            raise refusal("profile-wrong", name, f"{found}{source.unit!r} for columns.{key}", cure=cure, line=line)
 
 
 def logs_of(profile: Profile, names: Sequence[str], frames: Sequence[Frame]) -> list[Log]:
@@ -140,12 +133,10 @@ def logs_of(profile: Profile, names: Sequence[str], frames: Sequence[Frame]) -> 
     for other, other_name in zip(frames[1:], names[1:], strict=False):
         if len(other) != len(frame):
             row = frame.row if len(frame) > len(other) else other.row
-            raise LogError(
-                f"the files {' and '.join(names)} have different numbers of rows ({len(frame)} in {name}, {len(other)} "
-                f"in {other_name}); expected the same, row for row. Were they recorded together?",
-                int(row[min(len(frame), len(other))]),
-                code="lengths-differ",
-            )
+            found = f"the files {' and '.join(names)} have different numbers of rows ({len(frame)} in {name}, "
+            found += f"{len(other)} in {other_name})"
+            at, cure = int(row[min(len(frame), len(other))]), "Were they recorded together?"
+            raise refusal("lengths-differ", "", found, "the same, row for row", cure, at)
     entry = entry_of(profile, name)
     special = entry.given() if entry else {}
     step: StepTime = entry if entry is not None and entry.declared else profile
@@ -158,7 +149,8 @@ def logs_of(profile: Profile, names: Sequence[str], frames: Sequence[Frame]) -> 
         given = conditions_of(profile, name, where, frame, index, special, required)
         rows = rows_of(profile, where, names, frames, index, _period(where, given))
         if not profile.steps:
-            logs.append(_log(profile, where, frame, rows, given, step, window, label))
+            log = _log(profile, where, frame, rows, given, step, window, label)
+            logs += _steps_of(log) if step.step_at == "command edge" else [log]
         for part in profile.steps:
             special_part = special | part.given()
             place = f"{where}, step {part.label!r}"
@@ -167,14 +159,36 @@ def logs_of(profile: Profile, names: Sequence[str], frames: Sequence[Frame]) -> 
     return logs
 
 
+def _steps_of(log: Log) -> list[Log]:
+    """Return a log step by step where its command is constant between a few changes and no wall is rendered.
+
+    Each part begins with the change before and ends with the next one; its step is that of the command.
+    """
+    header, command = log.header, log.command
+    changes = np.flatnonzero(np.diff(command)) + 1
+    if header.stiffness or header.damping or not header.step or len(changes) < 2:
+        return [log]
+    ends = [0, *changes.tolist(), len(command)]
+    if len(changes) > MOST_STEPS or min(np.diff(ends[1:])) < SHORTEST_STEP:
+        text = f"the command changes {len(changes)} times and is kept as one log, for `pipeline identify` to fit"
+        return [replace(log, warnings=(*log.warnings, text))]
+    parts = []
+    for number in range(1, len(ends) - 1):
+        part, before = slice(ends[number - 1], ends[number + 1]), ends[number] - ends[number - 1]
+        size = float(command[ends[number]] - command[ends[number] - 1])
+        text = f"step {number} of {len(changes)} found in the command, by {size:.4g} in row {ends[number]}"
+        own = replace(header, step=size, extra={**header.extra, "step_row": str(before)})
+        cut = {key: values[part] for key in SAMPLES if (values := getattr(log, key)) is not None}
+        label = str(number) if log.label is None else f"{log.label}.{number}"
+        parts.append(replace(log, header=own, label=label, warnings=(*log.warnings, text), **cut))
+    return parts
+
+
 def _period(where: str, given: dict[str, Any]) -> float:
     """Return the sampling period [s], which time may be counted by before the conditions are checked."""
     period = float(given["sampling_period_s"])
     if not 0 < period < np.inf:
-        raise LogError(
-            f"{where}: sampling_period_s is {period:g}; expected a time above 0 s. Correct the profile.",
-            code="condition-wrong",
-        )
+        raise refusal("condition-wrong", where, f"sampling_period_s is {period:g}", "a time above 0 s")
     return period
 
 
@@ -186,12 +200,10 @@ def _trials(profile: Profile, name: str, frame: Frame) -> Iterator[tuple[str | N
     values = frame.columns[profile.trial_column]
     blank = np.isnan(values) if values.dtype.kind == "f" else np.char.strip(values.astype(np.str_)) == ""
     if blank.any():
-        raise LogError(
-            f"{name}: column {profile.trial_column!r} (trial_column) is blank; expected the label of the trial in each "
-            "row. Fill it in, or correct trial_column.",
-            int(frame.row[int(np.argmax(blank))]),
-            code="no-value",
-        )
+        found = f"column {profile.trial_column!r} (trial_column) is blank"
+        cure = "Fill it in, or correct trial_column."
+        row = int(frame.row[int(np.argmax(blank))])
+        raise refusal("no-value", name, found, "the label of the trial in each row", cure, row)
     labels, first, which = np.unique(values, return_index=True, return_inverse=True)
     order = np.argsort(which, kind="stable")
     parts = np.split(order, np.cumsum(np.bincount(which))[:-1])
@@ -213,13 +225,10 @@ def _log(
 ) -> Log:
     """Return the part of a trial inside a window as a log."""
     if not step.declared and given["step"] != 0:
-        raise LogError(
-            f"{where}: profile {profile.name} does not say when the step of this file happens. Add to it "
-            'step_at = "command edge" (found in the command), step_at = "first row", step_row = <row, counted from 0> '
-            "or step_time_s = <seconds>: at the top, or in the [[file]] or [[steps]] that fits.",
-            code="condition-missing",
-            profile_line='step_at = "command edge"',
-        )
+        found = f"profile {profile.name} does not say when the step of this file happens"
+        cure = 'Add to it step_at = "command edge" (found in the command), step_at = "first row", step_row = <row, '
+        cure += "counted from 0> or step_time_s = <seconds>: at the top, or in the [[file]] or [[steps]] that fits."
+        raise refusal("condition-missing", where, found, cure=cure, line='step_at = "command edge"')
     period = _period(where, given)
     inside = slice(None) if window is None else _inside(window, rows, period)
     time, number, row = rows.time[inside], rows.number[inside], rows.row[inside]
@@ -228,8 +237,8 @@ def _log(
         remedy = "Was the recording cut off? Record it again" if window is None else "Correct the window in the profile"
         limits += f", of {_span(rows.time)}" if window is not None and len(rows.time) else ""
         at = int(frame.row[0]) if len(frame) else None
-        text = f"{where} has {len(time)} samples{limits}; expected at least 2."
-        raise LogError(f"{text} {remedy}, or leave this log out.", at, code="too-short")
+        found, remedy = f"has {len(time)} samples{limits}", f"{remedy}, or leave this log out."
+        raise refusal("too-short", where, found, "at least 2", remedy, at)
     factors = profile.factors()
     columns = {key: values[inside] * factors[key] for key, values in rows.columns.items()}
     command = profile.column_sources()["command"]
@@ -264,13 +273,11 @@ def _integral(where: str, rule: str, time: Floats, velocity: Floats, row: Intege
     steps = np.diff(time)
     if (lost := steps > LONGEST_STEP * period).any():
         at = int(np.argmax(lost)) + 1
-        raise LogError(
-            f"{where}: rows are missing before {time[at]:.9g} s ({steps[at - 1]:.3g} s after the row before; the "
-            f"sampling period is {period:.3g} s), so that the position, the integral of a velocity, is "
-            "not known from there on. Cut the log by a window, or leave it out.",
-            int(row[at]),
-            code="time-wrong",
+        found = f"rows are missing before {time[at]:.9g} s ({steps[at - 1]:.3g} s after the row before; the sampling "
+        found += (
+            f"period is {period:.3g} s), so that the position, the integral of a velocity, is not known from there on"
         )
+        raise refusal("time-wrong", where, found, cure="Cut the log by a window, or leave it out.", row=int(row[at]))
     mean = velocity[1:] if rule == "difference" else 0.5 * (velocity[1:] + velocity[:-1])
     return np.concatenate([[0.0], np.cumsum(mean * steps)])
 
@@ -312,22 +319,15 @@ def _step_row(where: str, step: StepTime, time: Floats, number: Integers, row: I
     if step.step_row is not None:
         found = np.flatnonzero(number == step.step_row)
         if not len(found):
-            raise LogError(
-                f"{where}: step_row is {step.step_row}, which is not among the {len(time)} samples (rows {number[0]} "
-                f"to {number[-1]}, counted from 0, without those left out). Correct it, or the window.",
-                int(row[0]),
-                code="profile-wrong",
-            )
+            text = f"step_row is {step.step_row}, which is not among the {len(time)} samples (rows {number[0]} to "
+            text += f"{number[-1]}, counted from 0, without those left out)"
+            raise refusal("profile-wrong", where, text, cure="Correct it, or the window.", row=int(row[0]))
         return int(found[0])
     if step.step_time_s is not None:
         slack = WINDOW_TOLERANCE * period
         if not time[0] - slack <= step.step_time_s <= time[-1] + slack:
-            raise LogError(
-                f"{where}: step_time_s is {step.step_time_s:g}, outside the samples ({time[0]:.9g} to {time[-1]:.9g} "
-                "s). Correct it, or the window.",
-                int(row[0]),
-                code="profile-wrong",
-            )
+            text = f"step_time_s is {step.step_time_s:g}, outside the samples ({time[0]:.9g} to {time[-1]:.9g} s)"
+            raise refusal("profile-wrong", where, text, cure="Correct it, or the window.", row=int(row[0]))
         return int(np.searchsorted(time, step.step_time_s - slack))
     return None
 

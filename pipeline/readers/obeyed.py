@@ -83,7 +83,7 @@ def obeyed(log: Log) -> Obeyed | None:
     stated = {"stiffness": header.stiffness, "damping": header.damping, "step": header.step}
     if header.step == 0 or len(log.time) < LEAST_ROWS:
         return None
-    terms = _terms(log)
+    terms = _terms(log.time, log.command, log.position, header.sampling_period_s, header.extra.get("step_row"))
     off = log.command - terms @ np.array(list(stated.values()))
     size = float(np.sqrt(np.mean(log.command**2)))
     if size == 0 or np.sqrt(np.mean(off**2)) <= EXACT * size:
@@ -113,17 +113,44 @@ def obeyed(log: Log) -> Obeyed | None:
     return Obeyed({name: float(value) for name, value in known.items()}, stated)
 
 
-def _terms(log: Log) -> Floats:
+@dataclass(frozen=True)
+class Law:
+    """Stiffness, damping and step that explain a command, in its numbers, those of the position and seconds."""
+
+    stiffness: float
+    damping: float
+    step: float
+
+
+def law_of(time: Floats, command: Floats, position: Floats) -> Law | None:
+    """Return the law that a command obeys, as `obeyed` knows it; None where none explains it.
+
+    Parameters
+    ----------
+    time : float64, shape (rows,)
+        Seconds.
+    command, position : float64, shape (rows,)
+        In any unit.
+    """
+    if len(time) < LEAST_ROWS or not (np.diff(time) > 0).all() or not np.ptp(command) or not np.ptp(position):
+        return None
+    terms, free = _terms(time, command, position, float(np.median(np.diff(time))), None), _free(command)
+    if free.sum() < max(LEAST_ROWS, len(free) // 2):
+        return None
+    values, _, left = _fit(terms[free], command[free])
+    return None if left > EXACT * np.sqrt(np.mean(command**2)) else Law(*map(float, values))
+
+
+def _terms(time: Floats, command: Floats, position: Floats, period: float, declared: str | None) -> Floats:
     """Return the terms of stiffness, damping and step in the command, shape (rows, 3)."""
-    change = np.diff(log.position, prepend=log.position[:1])
-    passed = np.diff(log.time, prepend=log.time[:1] - log.header.sampling_period_s)
-    jump = np.abs(np.diff(log.command))
-    declared = log.header.extra.get("step_row")
+    change = np.diff(position, prepend=position[:1])
+    passed = np.diff(time, prepend=time[:1] - period)
+    jump = np.abs(np.diff(command))
     edge = int(declared) if declared is not None else int(jump.argmax()) + 1
-    if declared is None and abs(log.command[0]) > 0.5 * jump.max():
+    if declared is None and abs(command[0]) > 0.5 * jump.max():
         edge = 0
-    after = np.arange(len(log.time)) >= edge
-    return np.stack([log.position[0] - log.position, -change / passed, after.astype(np.float64)], axis=1)
+    after = np.arange(len(time)) >= edge
+    return np.stack([position[0] - position, -change / passed, after.astype(np.float64)], axis=1)
 
 
 def _free(command: Floats) -> np.ndarray:

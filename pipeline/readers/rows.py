@@ -18,6 +18,7 @@ from pipeline.base.errors import LogError
 from pipeline.profiles.profile_columns import Source, TimeSource
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers.frame import Frame
+from pipeline.readers.refusals import CURES, refusal
 from pipeline.readers.time_axis import distinct, in_order, read_stamps
 from pipeline.records.batch import Booleans, Floats, Integers
 
@@ -169,13 +170,12 @@ def _columns(
         whole = values.dtype.kind in "iub" and not large.any()
         if key == "time" and large.any():
             row = int(frame.row[index[int(np.argmax(large))]])
-            raise LogError(
-                f"{place}: the stamp {values[large][0]} (column {source.key!r}{_called(frame, row)}) is above "
-                f"{np.iinfo(np.int64).max}; expected whole numbers of 63 bits, which are kept exactly. Export stamps "
-                "that count from the start of the log.",
-                row,
-                code="time-wrong",
+            found = f"the stamp {values[large][0]} (column {source.key!r}{_called(frame, row)}) is above "
+            expected, cure = (
+                "whole numbers of 63 bits, which are kept exactly",
+                "Export stamps from the start of the log.",
             )
+            raise refusal("time-wrong", place, f"{found}{np.iinfo(np.int64).max}", expected, cure, row)
         values = values.astype(np.int64) if whole else values.astype(np.float64)
         missing = np.zeros(len(values), dtype=np.bool_) if whole else np.isnan(values)
         for sentinel in source.sentinels:
@@ -194,48 +194,31 @@ def _no_number(
     profile: Profile, where: str, frame: Frame, values: NDArray[Any], index: Integers, key: str, source: Source
 ) -> LogError:
     """Return the refusal that names the first cell of a text column that is no number."""
-    at, cell = 0, ""
-    for number, value in enumerate(values.tolist()):
-        at, cell = number, str(value).strip()
-        if not _reads_as_number(cell, profile):
-            break
-    if profile.format != "delimited" and _reads_as_number(cell, profile):
-        row = int(frame.row[index[0]])
-        return LogError(
-            f"{where}: {key} must be a number, but column {source.key!r} holds texts, such as "
-            f"{str(values[0])[:200]!r}{_called(frame, row)}. Export its values as numbers, or take another column.",
-            row,
-            code="not-a-number",
-        )
-    other = "," if profile.decimal_sign == "." else "."
-    text = profile.format == "delimited"
-    sign = f", decimal sign {profile.decimal_sign!r}" if text else ""
-    row = int(frame.row[index[at]])
-    hint = f'Write decimal = "{other}" in profile {profile.name} if that is its decimal sign. ' if other in cell else ""
-    if key == "time" and _CLOCK.search(cell):
-        return LogError(
-            f"{where}: time must be a number (column {source.key!r}), found {cell[:200]!r}{_called(frame, row)}: dates "
-            'and times of day are not read. Export seconds, or give kind = "sampled" in [columns.time] with no column.',
-            row,
-            code="not-a-number",
-            profile_line='[columns.time]\nkind = "sampled"',
-        )
-    # a cell with digits is a number written in another way, such as "1 234" or "5 N", which must not get lost
-    word = not hint and not any(sign.isdigit() for sign in cell)
-    listed = f'If it means "no value", add missing = ["{cell[:40]}"]. ' if word else ""
-    return LogError(
-        f"{where}: {key} must be a number (column {source.key!r}{sign}), found {cell[:200]!r}{_called(frame, row)}. "
-        f"{hint + listed if text else ''}Repair the row, or leave this log out.",
-        row,
-        code="not-a-number",
-        profile_line=None
-        if not text
-        else f'decimal = "{other}"'
-        if hint
-        else f"missing = [{json.dumps(cell[:40], ensure_ascii=False)}]"
-        if word
-        else None,
+    cells = [str(value).strip() for value in values.tolist()]
+    at = next((i for i, cell in enumerate(cells) if not _reads_as_number(cell, profile)), len(cells) - 1)
+    cell, row = cells[at], int(frame.row[index[at]])
+    if profile.format != "delimited":
+        if _reads_as_number(cell, profile):
+            cell, row = cells[0], int(frame.row[index[0]])
+        found = f"{key} must be a number, but column {source.key!r} holds texts, such as {cell[:200]!r}"
+        cure = "Export its values as numbers, or take another column."
+        return refusal("not-a-number", where, found + _called(frame, row), cure=cure, row=row)
+    found = (
+        f"{key} must be a number (column {source.key!r}, decimal sign {profile.decimal_sign!r}), found {cell[:200]!r}"
     )
+    if key == "time" and _CLOCK.search(cell):
+        cure = 'Export seconds, or give kind = "sampled" in [columns.time] with no column.'
+        found, line = f"{found}: dates and times of day are not read", '[columns.time]\nkind = "sampled"'
+        return refusal("not-a-number", where, found, cure=cure, row=row, line=line)
+    other, line, hint = "," if profile.decimal_sign == "." else ".", "", ""
+    if other in cell:
+        line = f'decimal = "{other}"'
+        hint = f"Write {line} in profile {profile.name} if that is its decimal sign. "
+    # a cell with digits is a number written in another way, such as "1 234" or "5 N", which must not get lost
+    elif not any(sign.isdigit() for sign in cell):
+        line = f"missing = [{json.dumps(cell[:40], ensure_ascii=False)}]"
+        hint = f'If it means "no value", add missing = ["{cell[:40]}"]. '
+    return refusal("not-a-number", where, found, cure=hint + CURES["not-a-number"], row=row, line=line)
 
 
 def _reads_as_number(cell: str, profile: Profile) -> bool:
@@ -253,13 +236,10 @@ def _no_value(profile: Profile, key: str, column: _Column, row: Integers, at: in
     choices = 'blanks = "skip" (such rows are left out)'
     if key != "time":
         choices += ' or blanks = "hold" (the value before it holds on)'
-    return LogError(
-        f"{column.where}: {key} has no value: {column.name} {what}{_called(column.frame, int(row[at]))}; expected a "
-        f"number. Repair the row, or add {choices} to [columns.{key}] of profile {profile.name}.",
-        int(row[at]),
-        code="no-value",
-        profile_line=f'[columns.{key}]\nblanks = "skip"',
-    )
+    found = f"{key} has no value: {column.name} {what}{_called(column.frame, int(row[at]))}"
+    cure = f"Repair the row, or add {choices} to [columns.{key}] of profile {profile.name}."
+    line = f'[columns.{key}]\nblanks = "skip"'
+    return refusal("no-value", column.where, found, "a number", cure, int(row[at]), line)
 
 
 def _called(frame: Frame, row: int) -> str:

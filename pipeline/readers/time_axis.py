@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.base.errors import LogError
 from pipeline.base.units import factor_to_si
 from pipeline.profiles.profile_columns import TimeSource
 from pipeline.readers.dates import are_dates
+from pipeline.readers.refusals import refusal
 from pipeline.records.batch import Booleans, Floats, Integers
 
 GAP = 1.5
@@ -119,12 +119,10 @@ def _joined(source: TimeSource, values: NDArray[Any], fraction: FractionValues, 
     for part in (values, fraction):
         if part.dtype.kind not in "iu" and not (part == np.rint(part)).all():
             at = int(np.argmax(part != np.rint(part)))
-            raise LogError(
-                f"{place}: {part[at]} is no whole number; expected whole numbers of {source.unit} and "
-                f"{source.fraction.unit} where a stamp has two parts. Remove columns.time.fraction if it has one.",
-                int(row[at]),
-                code="time-wrong",
-            )
+            found = f"{part[at]} is no whole number"
+            expected = f"whole numbers of {source.unit} and {source.fraction.unit} where a stamp has two parts"
+            cure = "Remove columns.time.fraction if it has one."
+            raise refusal("time-wrong", place, found, expected, cure, int(row[at]))
     return values.astype(np.int64) * round(ratio) + fraction.astype(np.int64)
 
 
@@ -132,12 +130,8 @@ def _unwrapped(raw: NDArray[Any], wrap: float, place: str, row: Integers) -> tup
     outside = (raw < 0) | (raw >= wrap)
     if outside.any():
         at = int(np.argmax(outside))
-        raise LogError(
-            f"{place}: the counter is {raw[at]}; expected 0 to {wrap:.17g}, where it starts again. "
-            "Correct wrap in [columns.time].",
-            int(row[at]),
-            code="time-wrong",
-        )
+        found, expected = f"the counter is {raw[at]}", f"0 to {wrap:.17g}, where it starts again"
+        raise refusal("time-wrong", place, found, expected, "Correct wrap in [columns.time].", int(row[at]))
     # half a turn back is a turn forward: a shorter way back is a row out of order
     again = np.diff(raw) < -wrap / 2
     turns = np.concatenate(([0], np.cumsum(again)))[: len(raw)]
@@ -156,13 +150,12 @@ def _sampled(stamps: Floats, period: float, place: str, row: Integers) -> Floats
     apart = np.abs(stamps - stamps[:1] - time) > allowed - ROUNDING * period
     if apart.any():
         at = int(np.argmax(apart))
-        raise LogError(
-            f"{place}: the stamp is {stamps[at] - stamps[0]:.9g} s after the first, but row {at} lies at "
-            f"{time[at]:.9g} s by the sampling period {period:.9g} s. Correct sampling_period_s, or use "
-            'kind = "absolute": samples may be missing.',
-            int(row[at]),
-            code="time-wrong",
+        found = (
+            f"the stamp is {stamps[at] - stamps[0]:.9g} s after the first, but row {at} lies at {time[at]:.9g} s by "
         )
+        found += f"the sampling period {period:.9g} s"
+        cure = 'Correct sampling_period_s, or use kind = "absolute": samples may be missing.'
+        raise refusal("time-wrong", place, found, cure=cure, row=int(row[at]))
     return time
 
 
@@ -180,15 +173,14 @@ def in_order(source: TimeSource, time: Floats, place: str, row: Integers) -> tup
     if source.order == "sort":
         return np.argsort(time, kind="stable"), int(late.sum())
     at = int(np.argmax(late))
-    raise LogError(
-        f"{place}: time runs backwards, {time[at]:.17g} s after {time[at - 1]:.17g} s; expected it to increase row "
-        'by row. If a counter starts again, add kind = "counter" and wrap = <its number of counts> to [columns.time] '
-        'of the profile; if rows are out of order, add order = "sort"; if several trials follow each other, give '
-        "trial_column or [[steps]].",
-        int(row[at]),
-        code="time-backwards",
-        profile_line='[columns.time]\norder = "sort"',
+    found = f"time runs backwards, {time[at]:.17g} s after {time[at - 1]:.17g} s"
+    cure = (
+        'If a counter starts again, add kind = "counter" and wrap = <its number of counts> to [columns.time] of the '
+        'profile; if rows are out of order, add order = "sort"; if several trials follow each other, give trial_column '
+        "or [[steps]]."
     )
+    line = '[columns.time]\norder = "sort"'
+    raise refusal("time-backwards", place, found, "it to increase row by row", cure, int(row[at]), line)
 
 
 def distinct(source: TimeSource, time: Floats, place: str, row: Integers) -> Booleans:
@@ -202,14 +194,12 @@ def distinct(source: TimeSource, time: Floats, place: str, row: Integers) -> Boo
     same = np.diff(time) == 0
     if source.duplicates == "refuse" and same.any():
         at = int(np.argmax(same)) + 1
-        raise LogError(
-            f"{place}: time is {time[at]:.17g} s in two rows; expected it to increase row by row. If stamps are "
-            'printed coarsely, add kind = "sampled" to [columns.time] of the profile (one row each sampling period); '
-            'if rows are doubled, duplicates = "keep first" or "keep last".',
-            int(row[at]),
-            code="time-backwards",
-            profile_line='[columns.time]\nkind = "sampled"',
+        cure = (
+            'If stamps are printed coarsely, add kind = "sampled" to [columns.time] of the profile (one row each '
+            'sampling period); if rows are doubled, duplicates = "keep first" or "keep last".'
         )
+        found, line = f"time is {time[at]:.17g} s in two rows", '[columns.time]\nkind = "sampled"'
+        raise refusal("time-backwards", place, found, "it to increase row by row", cure, int(row[at]), line)
     edge = np.ones(min(len(time), 1), dtype=np.bool_)
     return np.concatenate((edge, ~same) if source.duplicates != "keep last" else (~same, edge))
 

@@ -34,6 +34,13 @@ _REQUIRED = {
     "step": "the size of the external force step in N (Nm for a rotational device), 0 where none was commanded",
     "sampling_period_s": "the sampling period T in s",
 }
+FREE = ("stiffness", "damping", "step")
+"""Conditions that a log of motion without wall and step leaves out, all three: they are 0 then, and such a trial has
+no response to judge; what moved the device stands in its command."""
+
+NOT_STATED = "not stated"
+"""What ``wall`` is in the extra keys of a header that leaves out all of `FREE`."""
+
 _OPTIONAL = ("added_delay_samples", "grip", "motion")
 # in each pattern a run of blanks can be taken in one way only: others take minutes for a line of 10^4 blanks
 _KEY_LINE = re.compile(r"#\s*([A-Za-z_][\w\s.\-/]*):\s*(.*)")
@@ -159,6 +166,10 @@ def parse_header(lines: Iterable[str]) -> NativeHeader:
             # the same remark on several lines is common in logs; nothing of it gets lost
             extra[key] = f"{extra[key]}; {value}" if key in extra else value
     missing = [key for key in _REQUIRED if key not in values]
+    if values and set(FREE) <= set(missing):
+        values |= dict.fromkeys(FREE, ("0", 1))
+        extra["wall"] = NOT_STATED
+        missing = [key for key in missing if key not in FREE]
     if missing:
         found = ", ".join([*values, *extra]) or "no `# key: value` line"
         if not values:

@@ -34,6 +34,7 @@ from pipeline.service.problems import TITLES, Problem, full_disk, problem_of
 from pipeline.service.problems import answer as answer_of
 from pipeline.service.rest import api
 from pipeline.service.rest.answers import describe, only_known
+from pipeline.service.rest.lab import lab
 from pipeline.service.rest.remarks import remarks
 from pipeline.service.rest.theory import Theory
 from pipeline.service.rest.theory_routes import theories
@@ -42,7 +43,7 @@ from pipeline.service.settings import Settings
 from pipeline.service.shared import Service
 from pipeline.service.uploads import remove_unacknowledged
 
-ROUTERS = (api.api, remarks, theories, pages.pages, comparing, opinions, doors)
+ROUTERS = (api.api, lab, remarks, theories, pages.pages, comparing, opinions, doors)
 THREADS = 12
 """That answer requests: more take memory, and the interpreter from each other."""
 
@@ -63,7 +64,7 @@ def create_app(settings: Settings) -> ASGIApp:
         )
     workers, theory = Workers(settings, database), Theory(settings.theory_s)
     catalogue = Catalogue(settings.processed, database)
-    metrics = Metrics(database.job_counts, lambda: catalogue.trials().rows)
+    metrics = Metrics(database.job_counts, lambda: catalogue.rows)
     service = Service(settings, database, catalogue, workers, theory, metrics)
     renewal = Renewal(service)
 
@@ -74,8 +75,7 @@ def create_app(settings: Settings) -> ASGIApp:
             remove_unacknowledged(settings, database)
             service.job("stages", {}, "stages")
             workers.start()
-            if settings.renew:
-                renewal.start()
+            renewal.start()
         yield
         renewal.stop()
         workers.stop()

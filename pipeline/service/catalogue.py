@@ -1,41 +1,33 @@
-"""All stored trials in memory, with verdicts and costs where these are stored: what lists, facets and sorts read.
+"""All stored trials, with verdicts and costs where stored: what lists, facets, sorts and searches read (SQLite).
 
 Parquet is the truth: files are looked at again when something may have changed, and experiments read again whose files
-did. Nothing is computed here.
+did. The file can be deleted at any time, and is made anew. Nothing is computed here.
 """
 
 from __future__ import annotations
 
 import json
 import os
+import re
+import sqlite3
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
-import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 
 from pipeline.base.errors import StoreError
+from pipeline.base.provenance import digest
 from pipeline.device_data.devices import declared_spring, known_devices
 from pipeline.measured.stages.stages import ExperimentStages, cost_column
-from pipeline.records.batch import Floats, Integers
 from pipeline.records.criteria import REPORTED
 from pipeline.records.tables import LOCATION
-from pipeline.service.database import Database
-from pipeline.store.corrections import (
-    Correction,
-    Key,
-    corrections_files,
-    read_corrections,
-    read_exclusions,
-    split_trials,
-)
+from pipeline.service.database import Database, connected
+from pipeline.store.corrections import Correction, corrections_files, read_corrections, read_exclusions, split_trials
 from pipeline.store.names import name_of_folder
 from pipeline.store.storage import natural_key, read_trials, stage_file, trials_files
 
@@ -45,101 +37,158 @@ LOOK_S = 0.5
 KEPT = 64
 """Answers that are kept of a state: readers turn pages, and look at the same."""
 
-Kept = TypeVar("Kept")
-
-TEXTS = ("trial_id", "device", "experiment", "verdict", "outcome", "motion", "grip", "excluded", "source_path")
-_STORED = ("trial_id", "device", "experiment", "motion", "grip", "source_path", "stiffness", "damping")
-_KEYED = ("source_sha256", "profile_sha256", "label", *LOCATION)
 EXCLUDED = "excluded"
 """What stands in place of the verdict of a trial that is excluded by hand: no number rests on it."""
 
+WORDS = ("device", "experiment", "verdict", "outcome")
+_STORED = ("trial_id", "device", "experiment", "motion", "grip", "stiffness", "damping")
+_READ = (*_STORED, "source_path", "source_mtime_ns", "source_sha256", "profile_sha256", "label", *LOCATION)
 COSTS = {
     f"{c}{end}": (cost_column(c)[0], f"{cost_column(c)[1]}{end}") for c in REPORTED for end in ("", "_low", "_high")
 }
-NUMBERS = ("stiffness", "damping", *COSTS)
-SORTS = ("id", "device", "experiment", "verdict", "outcome", "stiffness", "damping", *REPORTED)
+STAGES = ("response", "outcome", *sorted({stage for stage, _ in COSTS.values()}))
+SORTS = ("id", *WORDS, "stiffness", "damping", "recorded", "uploader", *REPORTED)
 SORTED = (*SORTS, *(f"-{name}" for name in SORTS))
 """Orders of trials: rising, and falling."""
 
-STAGES = ("response", "outcome", *sorted({stage for stage, _ in COSTS.values()}))
+COLUMNS = ("id", *_STORED[1:], "verdict", "outcome", "excluded", "source", "recorded", "uploader", *LOCATION, *COSTS)
+_TEXTS = {"id", *WORDS, "motion", "grip", "excluded", "source", "uploader", "sample_file"}
+
+_SCHEMA = f"""
+CREATE TABLE IF NOT EXISTS trials ({", ".join(f"{c} {'TEXT' if c in _TEXTS else 'REAL'}" for c in COLUMNS)}, tags TEXT,
+  noted INTEGER, PRIMARY KEY (id));
+CREATE TABLE IF NOT EXISTS parts (device TEXT, experiment TEXT, sign TEXT, damaged TEXT,
+  PRIMARY KEY (device, experiment));
+CREATE TABLE IF NOT EXISTS said (trial INTEGER PRIMARY KEY, text TEXT);
+"""
+
+_INDEX = f"""
+CREATE INDEX IF NOT EXISTS by_place ON trials (device, experiment, verdict, outcome);
+{"".join(f"CREATE INDEX IF NOT EXISTS by_{c} ON trials ({c}, id);" for c in SORTS[1:])}
+"""
+"""Made when all trials of a new file are there: one by one takes five times as long."""
+
+_SAID = "rowid, noted, tags, id, device, experiment, source, uploader"
+"""What is searched, from its fourth column on."""
+
+Kept = TypeVar("Kept")
 
 
 @dataclass(frozen=True)
-class Texts:
-    """A column of words: the different ones, sorted, and which of them each row has."""
+class Selection:
+    """Which trials are meant: words of `WORDS`, ends of ranges (``stiffness_min``, ...), and what is searched."""
 
-    words: list[str]
-    codes: Integers
+    words: Mapping[str, str | None]
+    ranges: Mapping[str, float]
+    text: str = ""
 
-    def code(self, word: str) -> float:
-        """Return where a word stands among them, between two where it is none of them."""
-        place = int(np.searchsorted(np.array(self.words, dtype=object), word)) if self.words else 0
-        return place if place < len(self.words) and self.words[place] == word else place - 0.5
+    @property
+    def where(self) -> tuple[str, list[object]]:
+        """The same as a condition of SQL, with its values."""
+        parts, values = ["1"], list[object]()
+        for name, word in self.words.items():
+            parts.append(f"{name} IS ?")
+            values.append(word)
+        for name, limit in self.ranges.items():
+            parts.append(f"{name[:-4]} {'>=' if name.endswith('_min') else '<='} ?")
+            values.append(limit)
+        for word in self.text.casefold().split():
+            parts.append("rowid IN (SELECT trial FROM said WHERE text LIKE ? ESCAPE '!')")
+            values.append("%" + re.sub("([%_!])", r"!\1", word) + "%")
+        return " AND ".join(parts), values
 
 
-class Trials:
-    """A state of the store.
+class Catalogue:
+    """The present state of a store, read again where files changed.
 
     Parameters
     ----------
-    table : pyarrow.Table
-        `TEXTS` and `NUMBERS` of all trials.
-    damaged : dict of str to str
-        Experiments that could not be read, and why.
+    processed : Path
+    database : Database
+        Has notes, tags and who uploaded, and lies in the folder of the catalogue.
     """
 
-    def __init__(self, table: pa.Table, damaged: dict[str, str]) -> None:
-        self.damaged, self.rows = damaged, table.num_rows
-        self.ids: list[str] = table.column("trial_id").to_pylist()
-        self.texts = {name: _texts(table.column(name)) for name in TEXTS[1:-1]}
-        self.numbers = {name: table.column(name).to_numpy() for name in NUMBERS}
-        self.sources = table.column("source_path").combine_chunks()
-        self._places = tuple(table.column(name).combine_chunks() for name in LOCATION)
-        # ignoring case while searching takes ten times as long
-        self._searched = [pc.utf8_lower(table.column(name)) for name in ("trial_id", "source_path")]
-        self._orders: dict[str, Integers] = {}
+    def __init__(self, processed: Path, database: Database) -> None:
+        self.processed, self.database = processed, database
+        self.file = database.file.with_name("catalogue.sqlite")
+        self._local, self._lock = threading.local(), threading.Lock()
+        self._looked, self._done, self._state = float("-inf"), tuple[Any, ...](), ""
         self._kept: dict[str, object] = {}
-        self._sorted, self._rank = np.unique(np.array(self.ids, dtype="U"), return_inverse=True)
+        layout = f"PRAGMA user_version = {int(digest(_SCHEMA)[:7], 16)};"
+        try:
+            known = self._run("PRAGMA user_version")[0][0]
+        except sqlite3.DatabaseError:
+            known = -1
+        if known != int(digest(_SCHEMA)[:7], 16):
+            self._connection.close()
+            del self._local.connection
+            for file in self.file.parent.glob(f"{self.file.name}*"):
+                file.unlink()
+            os.close(os.open(self.file, os.O_RDWR | os.O_CREAT, 0o600))
+            self._connection.executescript("PRAGMA journal_mode = WAL;" + _SCHEMA + layout)
 
-    @cached_property
-    def place(self) -> dict[str, int]:
-        """Row of each trial."""
-        return {name: row for row, name in enumerate(self.ids)}
+    @property
+    def _connection(self) -> sqlite3.Connection:
+        return connected(self._local, self.file, "OFF")
 
-    def stored_at(self, row: int) -> tuple[str, int]:
-        """Return the file that held a trial when it was looked at, and the row there."""
-        file, number = (column[row].as_py() for column in self._places)
-        return file, number
+    def _run(self, statement: str, values: Sequence[object] = ()) -> list[sqlite3.Row]:
+        return self._connection.execute(statement, values).fetchall()
 
-    def is_of(self, trial: str, device: str, experiment: str) -> bool:
-        """Return whether a trial is stored, and belongs to an experiment."""
-        row = self.place.get(trial)
-        if row is None:
-            return False
-        own = (self.texts[name].words[self.texts[name].codes[row]] for name in ("device", "experiment"))
-        return tuple(own) == (device, experiment)
+    def run(self, statement: str, values: Sequence[object] = ()) -> list[sqlite3.Row]:
+        """Return rows of the present state; at most `LOOK_S` late, and never behind what was done here."""
+        with self._lock:
+            jobs = "SELECT count(*), total(changed), (SELECT max(number) FROM audit) FROM jobs WHERE state = 'done'"
+            done = tuple(self.database.run(jobs)[0])
+            if done != self._done or time.monotonic() - self._looked > LOOK_S:
+                self._refresh()
+                self._looked, self._done = time.monotonic(), done
+        return self._run(statement, values)
 
-    @cached_property
+    def once(self, key: str, make: Callable[[], Kept]) -> Kept:
+        """Return what rests on this state alone; answers to what was asked a moment ago are kept."""
+        self.run("SELECT 1")
+        key = f"{self._state} {key}"
+        if key not in self._kept:
+            found = make()
+            if len(self._kept) >= KEPT:
+                self._kept = {}
+            self._kept[key] = found
+            return found
+        return cast("Kept", self._kept[key])
+
+    @property
+    def rows(self) -> int:
+        """Number of stored trials."""
+        count: int = self.run("SELECT count(*) FROM trials")[0][0]
+        return count
+
+    @property
+    def damaged(self) -> dict[str, str]:
+        """Experiments that could not be read, and why."""
+        rows = self.run("SELECT * FROM parts WHERE damaged != ''")
+        return {f"{row['device']}/{row['experiment']}": row["damaged"] for row in rows}
+
+    @property
     def experiments(self) -> list[dict[str, Any]]:
-        """All experiments, with numbers of trials by verdict, as people sort them."""
-        device, experiment, verdict = (self.texts[name] for name in ("device", "experiment", "verdict"))
-        pairs = device.codes * len(experiment.words) + experiment.codes
-        found = []
-        for pair in np.unique(pairs).tolist():
-            own = np.flatnonzero(pairs == pair)
-            counts = np.bincount(verdict.codes[own], minlength=len(verdict.words))
-            found.append(
-                {
-                    "device": device.words[pair // len(experiment.words)],
-                    "experiment": experiment.words[pair % len(experiment.words)],
-                    "motion": self.texts["motion"].words[self.texts["motion"].codes[own[0]]],
-                    "trials": len(own),
-                    "verdicts": {w or "none yet": int(n) for w, n in zip(verdict.words, counts, strict=True) if n},
-                }
-            )
-        return sorted(found, key=lambda e: (natural_key(e["device"]), natural_key(e["experiment"])))
+        """All experiments, with numbers of trials by verdict and the time of the last log, as people sort them."""
 
-    @cached_property
+        def made() -> list[dict[str, Any]]:
+            found: dict[tuple[str, str], dict[str, Any]] = {}
+            for row in self._run(
+                "SELECT device, experiment, verdict, count(*) AS n, max(recorded) AS last, max(motion) AS motion FROM "
+                "trials GROUP BY device, experiment, verdict ORDER BY verdict"
+            ):
+                place = row["device"], row["experiment"]
+                new = {"device": place[0], "experiment": place[1], "motion": row["motion"], "trials": 0}
+                one = found.setdefault(place, {**new, "verdicts": {}, "last": 0.0})
+                one["trials"] += row["n"]
+                one["verdicts"][row["verdict"] or "none yet"] = row["n"]
+                one["last"] = max(one["last"], row["last"])
+            return [found[place] for place in sorted(found, key=lambda place: tuple(map(natural_key, place)))]
+
+        return self.once("experiments", made)
+
+    @property
     def devices(self) -> list[dict[str, Any]]:
         """All devices, with numbers of experiments and trials."""
         found: dict[str, dict[str, Any]] = {}
@@ -149,210 +198,173 @@ class Trials:
             one["trials"] += e["trials"]
         return list(found.values())
 
-    def items(self, rows: Sequence[int]) -> list[dict[str, Any]]:
-        """Return trials as the API shows them."""
-        place = np.array(rows, dtype=np.int64)
-        words = {n: [t.words[code] or None for code in t.codes[place].tolist()] for n, t in self.texts.items()}
-        value = {n: [None if x != x else x for x in v[place].tolist()] for n, v in self.numbers.items()}
-        sources = self.sources.take(pa.array(place)).to_pylist()
-        return [
-            {
-                "id": self.ids[row],
-                **{name: column[i] for name, column in words.items()},
-                "stiffness": value["stiffness"][i],
-                "damping": value["damping"][i],
-                "costs": {
-                    c: {"value": value[c][i], "low": value[f"{c}_low"][i], "high": value[f"{c}_high"][i]}
-                    for c in REPORTED
-                    if value[c][i] is not None
-                },
-                "source": sources[i],
-            }
-            for i, row in enumerate(rows)
-        ]
+    def trial(self, trial: str) -> dict[str, Any] | None:
+        """Return a trial as the API shows it; None where there is none."""
+        rows = self.run("SELECT * FROM trials WHERE id = ?", (trial,))
+        return _shown(rows[0]) if rows else None
 
-    def once(self, key: str, make: Callable[[], Kept]) -> Kept:
-        """Return what rests on this state alone; answers to what was asked a moment ago are kept."""
-        found = cast("Kept | None", self._kept.get(key))
-        if found is None:
-            found = make()
-            if len(self._kept) >= KEPT:
-                self._kept.clear()  # another thread may do so at any time, too
-            self._kept[key] = found
-        return found
+    def stored_at(self, trial: str) -> tuple[str, int]:
+        """Return the file that held a trial when it was looked at, and the row there."""
+        row = self._run("SELECT sample_file, sample_row FROM trials WHERE id = ?", (trial,))[0]
+        return row["sample_file"], int(row["sample_row"])
 
-    def selected(
-        self, asked: dict[str, str], ranges: dict[str, float], text: str = ""
-    ) -> tuple[np.ndarray, dict[str, dict[str, int]]]:
-        """Return the rows of `select` with their facets."""
+    def selected(self, chosen: Selection) -> tuple[int, dict[str, dict[str, int]]]:
+        """Return how many trials are meant, and how many of them have each of `WORDS`."""
 
-        def both() -> tuple[np.ndarray, dict[str, dict[str, int]]]:
-            mask = self.select(asked, ranges, text)
-            return mask, self.facets(mask)
+        def made() -> tuple[int, dict[str, dict[str, int]]]:
+            where, values = chosen.where
+            found: dict[str, dict[str, int]] = {name: {} for name in WORDS}
+            for *words, n in self._run(
+                f"SELECT {', '.join(WORDS)}, count(*) FROM trials WHERE {where} GROUP BY {', '.join(WORDS)}", values
+            ):
+                for name, word in zip(WORDS, words, strict=True):
+                    found[name][word or "none yet"] = found[name].get(word or "none yet", 0) + n
+            total = sum(found["device"].values())
+            return total, {name: dict(sorted(each.items())) for name, each in found.items()}
 
-        return self.once(json.dumps([asked, ranges, text]), both)
+        return self.once(f"selected {chosen}", made)
 
-    def select(self, asked: dict[str, str], ranges: dict[str, float], text: str = "") -> np.ndarray:
-        """Return which rows have words, lie in ranges (``stiffness_min``, ...), and hold a text in id or source."""
-        mask = np.ones(self.rows, dtype=np.bool_)
-        for name, word in asked.items():
-            mask &= self.texts[name].codes == self.texts[name].code(word)
-        for name, limit in ranges.items():
-            values = self.numbers[name[:-4]]
-            mask &= values >= limit if name.endswith("_min") else values <= limit
-        if text:
-            near = [pc.match_substring(column, text.lower()) for column in self._searched]
-            mask &= pc.or_(*near).to_numpy(zero_copy_only=False)
-        return mask
+    def page(
+        self, chosen: Selection, sort: str, limit: int, after: tuple[Any, str] | None
+    ) -> tuple[list[dict[str, Any]], bool]:
+        """Return trials in order, from the one behind a value and trial on, and whether more follow.
 
-    def facets(self, mask: np.ndarray) -> dict[str, dict[str, int]]:
-        """Return how many of some rows have each word of device, experiment, verdict and outcome."""
-        found = {}
-        for name in ("device", "experiment", "verdict", "outcome"):
-            texts = self.texts[name]
-            counts = np.bincount(texts.codes[mask], minlength=len(texts.words)).tolist()
-            found[name] = {word or "none yet": n for word, n in zip(texts.words, counts, strict=True) if n}
-        return found
-
-    def page(self, mask: np.ndarray, sort: str, limit: int, after: tuple[Any, str] | None) -> tuple[list[int], bool]:
-        """Return rows in order, from the one behind a value and trial on, and whether more follow.
-
-        A page depends on these alone, so that trials which come meanwhile shift none.
+        A page depends on these alone, so that trials which come meanwhile shift none; missing values come last.
         """
-        name, sign = sort.lstrip("-"), -1.0 if sort.startswith("-") else 1.0
-        order = self._order(sort)
-        first = 0
+        name, way = sort.lstrip("-"), "DESC" if sort.startswith("-") else "ASC"
+        where, values = chosen.where
         if after is not None:
             value, trial = after
-            passed = int(np.searchsorted(self._sorted, trial, "right"))
+            sign = "<" if way == "DESC" else ">"
             if name == "id":
-                first = passed if sign > 0 else self.rows - int(np.searchsorted(self._sorted, trial))
+                where, values = f"{where} AND id {sign} ?", [*values, trial]
+            elif value is None:
+                where, values = f"{where} AND {name} IS NULL AND id > ?", [*values, trial]
             else:
-                known = self.texts[name].code(value) if name in self.texts else value
-                keys, key = self._keys(name, sign)[order], np.inf if value is None else sign * known
-                low, high = (int(np.searchsorted(keys, key, side)) for side in ("left", "right"))
-                first = low + int(np.searchsorted(self._rank[order[low:high]], passed))
-        rows = order[first:]
-        found = rows[mask[rows]][: limit + 1].tolist()
-        return found[:limit], len(found) > limit
-
-    def value(self, row: int, name: str) -> Any:
-        """Return what a row is sorted by."""
-        if name == "id":
-            return None
-        return (
-            self.texts[name].words[self.texts[name].codes[row]]
-            if name in self.texts
-            else _number(self.numbers[name][row])
-        )
-
-    def _order(self, sort: str) -> Integers:
-        if sort not in self._orders:
-            name, sign = sort.lstrip("-"), -1.0 if sort.startswith("-") else 1.0
-            self._orders[sort] = np.lexsort((self._rank, self._keys(name, sign)))
-        return self._orders[sort]
-
-    def _keys(self, name: str, sign: float) -> Floats:
-        if name == "id":
-            return np.asarray(sign * self._rank, dtype=np.float64)
-        values = self.texts[name].codes if name in self.texts else self.numbers[name]
-        return np.asarray(np.where(np.isnan(values), np.inf, sign * values), dtype=np.float64)
-
-
-class Catalogue:
-    """The present state of a store, read again where files changed."""
-
-    def __init__(self, processed: Path, database: Database) -> None:
-        self.processed, self.database = processed, database
-        self._lock = threading.Lock()
-        self._parts: dict[tuple[str, str], tuple[object, pa.Table | None, str]] = {}
-        self._looked, self._version = -np.inf, -1
-        self._corrected: tuple[object, dict[Key, Correction]] = ([], {})
-        self._trials = Trials(_empty(), {})
-
-    def trials(self) -> Trials:
-        """Return all trials; at most `LOOK_S` late, and never behind a job that is done."""
-        with self._lock:
-            version = self.database.run("SELECT count(*) FROM jobs WHERE state = 'done'")[0][0]
-            if version != self._version or time.monotonic() - self._looked > LOOK_S:
-                self._refresh()
-                self._looked, self._version = time.monotonic(), version
-            return self._trials
+                where += f" AND ({name} {sign} ? OR ({name} = ? AND id > ?) OR {name} IS NULL)"
+                values = [*values, value, value, trial]
+        order = f"id {way}" if name == "id" else f"{name} {way} NULLS LAST, id"
+        rows = self.run(f"SELECT * FROM trials WHERE {where} ORDER BY {order} LIMIT ?", [*values, limit + 1])
+        return [_shown(row) for row in rows[:limit]], len(rows) > limit
 
     def _refresh(self) -> None:
-        corrections = self._corrections().values()
-        files: dict[tuple[str, str], list[Path]] = {one.place: [] for one in corrections if one.changes_place}
+        """Read what changed again: experiments by their files and corrections, words by when they were written."""
+        corrections, whole = self._corrections()
+        places: dict[tuple[str, str], list[Path]] = {one.place: [] for one in corrections if one.changes_place}
         for file in trials_files(self.processed):
             device, experiment = (name_of_folder(part) for part in file.parts[-3:-1])
-            files.setdefault((device, experiment), []).append(file)
-        parts = {}
-        for place, own in files.items():
-            stages = [stage_file(self.processed, *place, stage) for stage in STAGES]
-            concern = [one for one in corrections if place in (one.place, (one.device, one.experiment))]
-            sign = [[_sign(file) for file in (*own, *stages) if file is not None], concern]
-            former = self._parts.get(place)
-            parts[place] = former if former and former[0] == sign else (sign, *self._read(*place))
-        if parts != self._parts:
-            tables = [table for _, table, _ in parts.values() if table is not None]
-            damaged = {"/".join(place): why for place, (_, _, why) in parts.items() if why}
-            self._trials = Trials(pa.concat_tables(tables) if tables else _empty(), damaged)
-            self._parts = parts
+            places.setdefault((device, experiment), []).append(file)
+        concerned: dict[tuple[str, str], list[object]] = {}
+        for one in corrections:
+            for place in {one.place, (one.device, one.experiment)}:
+                concerned.setdefault(place, []).append(one.model_dump())
+        words = {(kind, *of): digest(value) for kind, of, value in self.database.all_words()}
+        signs = {}
+        for place, own in places.items():
+            files = [*own, *(stage_file(self.processed, *place, stage) for stage in STAGES)]
+            signs[place] = digest([[_sign(file) for file in files if file], concerned.get(place), whole])
+        known = {(row["device"], row["experiment"]): row["sign"] for row in self._run("SELECT * FROM parts")}
+        state = digest([sorted(signs.items()), sorted(words.items())])
+        if state == self._state and known == signs:
+            return
+        for place in known.keys() - signs.keys():
+            self._replace(place, None, [], "")
+        for place in [place for place, sign in signs.items() if known.get(place) != sign]:
+            rows, damaged = self._read(*place)
+            self._replace(place, signs[place], rows, damaged)
+        self._say(words)
+        self._connection.executescript(_INDEX)
+        self._state, self._kept = state, {}
 
-    def _corrections(self) -> dict[Key, Correction]:
-        """Return what was corrected by hand; nothing new where that cannot be read, as experiments then say."""
-        sign = [_sign(file) for file in corrections_files(self.processed)]
-        if sign != self._corrected[0]:
-            with suppress(StoreError):
-                self._corrected = sign, read_corrections(self.processed)
-        return self._corrected[1]
+    def _corrections(self) -> tuple[list[Correction], bool]:
+        """Return what was corrected by hand, and whether that could be read: if not, experiments say so."""
+        with suppress(StoreError):
+            files = corrections_files(self.processed)
+            return (list(read_corrections(self.processed).values()) if files else []), True
+        return [], False
 
-    def _read(self, device: str, experiment: str) -> tuple[pa.Table | None, str]:
+    def _replace(self, place: tuple[str, str], sign: str | None, rows: Sequence[Sequence[Any]], damaged: str) -> None:
+        connection = self._connection
+        connection.execute("BEGIN IMMEDIATE")
+        own = "SELECT rowid FROM trials WHERE"
+        connection.execute(f"DELETE FROM said WHERE trial IN ({own} device = ? AND experiment = ?)", place)
+        # a trial that was moved may stand at another place still
+        connection.executemany(f"DELETE FROM said WHERE trial = ({own} id = ?)", [(row[0],) for row in rows])
+        connection.execute("DELETE FROM trials WHERE device = ? AND experiment = ?", place)
+        connection.execute("DELETE FROM parts WHERE device = ? AND experiment = ?", place)
+        if sign is not None:
+            connection.execute("INSERT INTO parts VALUES (?, ?, ?, ?)", (*place, sign, damaged))
+        marks = ", ".join("?" * (len(COLUMNS) + 2))
+        connection.executemany(f"INSERT OR REPLACE INTO trials VALUES ({marks})", rows)
+        connection.execute("COMMIT")
+
+    def _say(self, words: Mapping[tuple[str, ...], str]) -> None:
+        """Index what is searched of trials: new ones, and those that somebody wrote on."""
+        tags, texts = dict[tuple[str, ...], list[str]](), dict[tuple[str, ...], list[str]]()
+        for kind, about, value in self.database.all_words():
+            (tags if kind == "tags" else texts)[tuple(about)] = value if kind == "tags" else [value]
+        connection = self._connection
+        connection.execute("BEGIN IMMEDIATE")
+        marked = "DELETE FROM said WHERE trial IN (SELECT rowid FROM trials WHERE"
+        connection.execute(f"{marked} noted)")
+        for _, *of in words:
+            which = "id = ?" if of[0] == "trial" else "device = ? AND experiment = ?"
+            connection.execute(f"{marked} {which})", of[1:])
+        said, marks = [], []
+        for row in self._run(f"SELECT {_SAID} FROM trials WHERE rowid NOT IN (SELECT trial FROM said)"):
+            both = ("trial", row["id"]), ("experiment", row["device"], row["experiment"])
+            own = [tag for of in both for tag in tags.get(of, ())]
+            text = [*own, *(text for of in both for text in texts.get(of, ()))]
+            said.append((row["rowid"], "\n".join([*(each for each in row[3:] if each), *text]).casefold()))
+            if text or row["noted"]:
+                marks.append((json.dumps(tags.get(both[0], [])), bool(text), row["rowid"]))
+        connection.executemany("INSERT INTO said VALUES (?, ?)", said)
+        connection.executemany("UPDATE trials SET tags = ?, noted = ? WHERE rowid = ?", marks)
+        connection.execute("COMMIT")
+
+    def _read(self, device: str, experiment: str) -> tuple[list[tuple[Any, ...]], str]:
         """Return the trials of an experiment with what is stored of their verdicts and costs, or why not."""
         try:
-            stored = read_trials(self.processed, device, experiment, [*_STORED, *_KEYED])
+            stored = read_trials(self.processed, device, experiment, list(_READ))
             spring = declared_spring(known_devices().get(device), experiment)
             used, excluded = split_trials(stored, read_exclusions(self.processed))
             stages = ExperimentStages(self.processed, device, experiment, used, excluded, spring)
             found = {stage: stages.table(stage) for stage in STAGES if stages.is_stored(stage)}
         except StoreError as error:
-            return None, str(error)
-        columns = {name: stored.column(name) for name in (*_STORED, *LOCATION)}
-        wanted = {"verdict": ("response", "verdict"), "outcome": ("outcome", "outcome"), **COSTS}
-        for name, (stage, column) in wanted.items():
-            texts = name not in COSTS
-            columns[name] = _joined(stored, found.get(stage), column, texts)
+            return [], str(error)
+        ids, paths = (stored.column(name).to_pylist() for name in ("trial_id", "source_path"))
         why = {one.trial_id: one.exclusion_reason for one in excluded}
-        columns[EXCLUDED] = pa.array([why.get(name, "") for name in stored.column("trial_id").to_pylist()])
-        if why:
-            out = pc.not_equal(columns[EXCLUDED], "")
-            columns["verdict"] = pc.if_else(out, EXCLUDED, columns["verdict"])
-        return pa.table({name: columns[name] for name in (*TEXTS, *NUMBERS, *LOCATION)}), ""
+        came = self.database.uploaded()
+        verdicts = _joined(ids, found.get("response"), "verdict")
+        columns = {
+            **{name: stored.column(name).to_pylist() for name in (*_STORED, *LOCATION)},
+            "id": ids,
+            "verdict": [EXCLUDED if trial in why else verdict for trial, verdict in zip(ids, verdicts, strict=True)],
+            "outcome": _joined(ids, found.get("outcome"), "outcome"),
+            "excluded": [why.get(trial) for trial in ids],
+            "source": [came[path][0] if path in came else path for path in paths],
+            "recorded": [1e-9 * at for at in stored.column("source_mtime_ns").to_pylist()],
+            "uploader": [came[path][1] if path in came else None for path in paths],
+            **{name: _joined(ids, found.get(stage), column) for name, (stage, column) in COSTS.items()},
+        }
+        return list(zip(*(columns[name] for name in COLUMNS), ["[]"] * len(ids), [0] * len(ids), strict=True)), ""
 
 
-def _joined(trials: pa.Table, stage: pa.Table | None, column: str, texts: bool) -> pa.Array:
-    """Return a column of a stage in the order of the trials; empty or NaN where it has no row."""
-    missing = "" if texts else np.nan
+def _joined(ids: Sequence[str], stage: pa.Table | None, column: str) -> list[Any]:
+    """Return a column of a stage in the order of the trials; None where it has no row or no value."""
     if stage is None:
-        values = [missing] * trials.num_rows
-    else:
-        known = dict(zip(stage.column("trial_id").to_pylist(), stage.column(column).to_pylist(), strict=True))
-        found = (known.get(name) for name in trials.column("trial_id").to_pylist())
-        values = [missing if value is None else value for value in found]
-    return pa.array(values, pa.string() if texts else pa.float64())
+        return [None] * len(ids)
+    known = dict(zip(stage.column("trial_id").to_pylist(), stage.column(column).to_pylist(), strict=True))
+    return [None if value != value else value for value in map(known.get, ids)]
 
 
-def _empty() -> pa.Table:
-    types = dict.fromkeys((*TEXTS, "sample_file"), pa.string()) | {"sample_row": pa.int64()}
-    return pa.table({name: pa.array([], types.get(name, pa.float64())) for name in (*TEXTS, *NUMBERS, *LOCATION)})
-
-
-def _texts(column: pa.ChunkedArray) -> Texts:
-    words, codes = np.unique(np.array(column.to_pylist(), dtype=object), return_inverse=True)
-    return Texts(words.tolist(), codes)
-
-
-def _number(value: Any) -> float | None:
-    return None if np.isnan(value) else float(value)
+def _shown(row: sqlite3.Row) -> dict[str, Any]:
+    """Return a trial as the API shows it."""
+    plain = ("id", *_STORED[1:], "verdict", "outcome", "excluded", "source", "recorded", "uploader")
+    costs = {
+        c: {"value": row[c], "low": row[f"{c}_low"], "high": row[f"{c}_high"]} for c in REPORTED if row[c] is not None
+    }
+    return {**{name: row[name] for name in plain}, "tags": json.loads(row["tags"]), "costs": costs}
 
 
 def _sign(file: Path) -> tuple[int, int] | None:

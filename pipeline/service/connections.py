@@ -18,7 +18,6 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from pipeline.base.errors import UsageError
 from pipeline.service.settings import Settings
-from pipeline.service.unix_socket import listening
 
 BACKLOG, AT_ONCE = 2048, 16
 """Connections that the system keeps until they are accepted, and that are accepted before those too many are closed."""
@@ -124,10 +123,6 @@ def listener_of(settings: Settings) -> Iterator[socket.socket]:
     UsageError
         If that is not to be had.
     """
-    if settings.unix_socket:
-        with listening(settings.unix_socket) as found:
-            yield found
-        return
     family = socket.AF_INET6 if ":" in settings.host else socket.AF_INET
     try:
         found = socket.create_server((settings.host, settings.port), family=family, backlog=BACKLOG)
@@ -142,8 +137,6 @@ def listener_of(settings: Settings) -> Iterator[socket.socket]:
 
 def address_of(settings: Settings, found: socket.socket) -> str:
     """Return where a server is reached, for people."""
-    if settings.unix_socket:
-        return str(settings.unix_socket)
     host = f"[{settings.host}]" if ":" in settings.host else settings.host
     return f"http://{host}:{found.getsockname()[1]}/"
 

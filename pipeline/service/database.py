@@ -1,4 +1,4 @@
-"""What is not in Parquet: jobs with a lease, tokens, sessions, names of uploads, notes and tags (SQLite, WAL).
+"""What is not in Parquet: jobs with a lease, tokens, sessions, uploads, notes, tags, who did what (SQLite, WAL).
 
 Every statement is its own transaction, on the disk when it returns. Server, workers and command line share the file.
 """
@@ -28,8 +28,20 @@ LEASE_S = 10.0
 ATTEMPTS = 3
 """Times that a job is begun; a worker that dies with it each time was killed by it."""
 
-FIRST = "upload stages experiment comparison trial"
-"""Kinds of jobs as they are taken: logs and their verdicts before what is looked at, figures last."""
+URGENT = ("upload", "stages")
+"""Kinds of jobs that have a worker of their own: logs and their verdicts."""
+
+ORDER = "upload stages experiment plan comparison drawing"
+"""Kinds of jobs as they are taken: figures last, but for reports that are made anew."""
+
+MOST_DRAWINGS = 100
+"""Drawings that wait at most: whoever asked for older ones has left their page."""
+
+KEPT_S = 30 * 86400.0
+"""Time for which ended jobs, and reports that a newer one has followed, are kept [s]."""
+
+LOCAL = "this computer"
+"""Who asks without a token."""
 
 SESSION_S = 12 * 3600.0
 """Life of a login [s]."""
@@ -41,24 +53,44 @@ _SCHEMA = """
 CREATE TABLE IF NOT EXISTS jobs (number INTEGER PRIMARY KEY AUTOINCREMENT, id TEXT UNIQUE NOT NULL, kind TEXT NOT NULL,
   key TEXT NOT NULL, request TEXT NOT NULL, state TEXT NOT NULL DEFAULT 'queued', progress TEXT, result TEXT,
   problem TEXT, owner TEXT, lease REAL, attempts INTEGER NOT NULL DEFAULT 0, created REAL NOT NULL,
-  changed REAL NOT NULL);
+  changed REAL NOT NULL, author TEXT NOT NULL DEFAULT '', late INTEGER NOT NULL DEFAULT 0);
 CREATE INDEX IF NOT EXISTS jobs_state ON jobs (state, kind, key);
 CREATE TABLE IF NOT EXISTS tokens (hash TEXT PRIMARY KEY, name TEXT NOT NULL, role TEXT NOT NULL,
-  created REAL NOT NULL);
+  created REAL NOT NULL, expires REAL);
 CREATE TABLE IF NOT EXISTS sessions (hash TEXT PRIMARY KEY, token TEXT NOT NULL, expires REAL NOT NULL);
 CREATE TABLE IF NOT EXISTS uploads (sha256 TEXT NOT NULL, profile TEXT NOT NULL, job TEXT NOT NULL, path TEXT NOT NULL,
   name TEXT NOT NULL);
 CREATE INDEX IF NOT EXISTS uploads_content ON uploads (sha256, profile);
 CREATE INDEX IF NOT EXISTS uploads_path ON uploads (path);
 CREATE TABLE IF NOT EXISTS words (kind TEXT NOT NULL, of TEXT NOT NULL, value TEXT NOT NULL, changed REAL NOT NULL,
-  PRIMARY KEY (kind, of));
+  author TEXT NOT NULL DEFAULT '', PRIMARY KEY (kind, of));
+CREATE TABLE IF NOT EXISTS audit (number INTEGER PRIMARY KEY AUTOINCREMENT, time REAL NOT NULL, who TEXT NOT NULL,
+  did TEXT NOT NULL, what TEXT NOT NULL);
 CREATE TABLE IF NOT EXISTS secrets (name TEXT PRIMARY KEY, value TEXT NOT NULL);
+"""
+
+
+_UPGRADE = """
+ALTER TABLE jobs ADD COLUMN author TEXT NOT NULL DEFAULT '';
+ALTER TABLE jobs ADD COLUMN late INTEGER NOT NULL DEFAULT 0;
+ALTER TABLE tokens ADD COLUMN expires REAL;
+ALTER TABLE words ADD COLUMN author TEXT NOT NULL DEFAULT '';
 """
 
 
 def hashed(secret: str) -> str:
     """Return what is stored of a secret; those made here are random, so that a fast hash keeps them."""
     return hashlib.sha256(secret.encode()).hexdigest()
+
+
+def connected(local: threading.local, file: Path, synchronous: str) -> sqlite3.Connection:
+    """Return the connection of this thread to a file, which `local` keeps."""
+    if not hasattr(local, "connection"):
+        local.connection = sqlite3.connect(file, timeout=30.0, isolation_level=None)
+        local.connection.row_factory = sqlite3.Row
+        local.connection.execute(f"PRAGMA synchronous = {synchronous}")
+    found: sqlite3.Connection = local.connection
+    return found
 
 
 class Database:
@@ -79,20 +111,15 @@ class Database:
         with suppress(PermissionError):
             os.close(os.open(self.file, os.O_RDWR | os.O_CREAT, 0o600))
             os.chmod(self.file, 0o600)
-        if self.run("PRAGMA user_version")[0][0] == 0:
+        version = self.run("PRAGMA user_version")[0][0]
+        if version < 2:
             self.run("PRAGMA journal_mode = WAL")
-            self._connection.executescript(_SCHEMA + "PRAGMA user_version = 1;")
+            self._connection.executescript((_UPGRADE if version else "") + _SCHEMA + "PRAGMA user_version = 2;")
             self.run("INSERT OR IGNORE INTO secrets VALUES ('forms', ?)", secrets.token_hex())
 
     @property
     def _connection(self) -> sqlite3.Connection:
-        if not hasattr(self._local, "connection"):
-            connection = sqlite3.connect(self.file, timeout=30.0, isolation_level=None)
-            connection.row_factory = sqlite3.Row
-            connection.execute("PRAGMA synchronous = FULL")
-            self._local.connection = connection
-        found: sqlite3.Connection = self._local.connection
-        return found
+        return connected(self._local, self.file, "FULL")
 
     def run(self, statement: str, *values: object) -> list[sqlite3.Row]:
         """Execute a statement and return its rows."""
@@ -118,7 +145,9 @@ class Database:
 
     # jobs
 
-    def add_job(self, kind: str, request: dict[str, Any], key: str = "", job: str | None = None) -> str:
+    def add_job(
+        self, kind: str, request: dict[str, Any], key: str = "", job: str | None = None, author: str = "", late: int = 0
+    ) -> str:
         """Queue a job, or return the waiting or running one of the same kind and key; an empty key is no other's.
 
         A running job of the kind ``stages`` may have passed what is new.
@@ -126,24 +155,33 @@ class Database:
         name = job or secrets.token_hex(8)
         now = time.time()
         self.run(
-            "INSERT INTO jobs (id, kind, key, request, created, changed) SELECT ?, ?, ?, ?, ?, ? WHERE ? = '' OR NOT "
-            "EXISTS (SELECT 1 FROM jobs WHERE kind = ? AND key = ? AND (state = 'queued' OR (state = 'running' AND "
-            "kind != 'stages')))",
-            *(name, kind, key, json.dumps(request), now, now, key, kind, key),
+            "INSERT INTO jobs (id, kind, key, request, created, changed, author, late) SELECT ?, ?, ?, ?, ?, ?, ?, ? "
+            "WHERE ? = '' OR NOT EXISTS (SELECT 1 FROM jobs WHERE kind = ? AND key = ? AND (state = 'queued' OR "
+            "(state = 'running' AND kind != 'stages')))",
+            *(name, kind, key, json.dumps(request), now, now, author, late, key, kind, key),
         )
+        if key and not late:  # somebody waits for what was to come last
+            self.run("UPDATE jobs SET late = 0 WHERE kind = ? AND key = ? AND state = 'queued'", kind, key)
+        if kind == "drawing":
+            self.run(
+                "UPDATE jobs SET state = 'cancelled', changed = ? WHERE state = 'queued' AND kind = 'drawing' AND "
+                "number <= (SELECT number FROM jobs WHERE state = 'queued' AND kind = 'drawing' ORDER BY number DESC "
+                "LIMIT 1 OFFSET ?)",
+                *(now, MOST_DRAWINGS),
+            )
         if key:
             same = self.run("SELECT id FROM jobs WHERE kind = ? AND key = ? ORDER BY number DESC LIMIT 1", kind, key)
             name = same[0]["id"]
         return name
 
-    def claim(self, owner: str) -> dict[str, Any] | None:
-        """Take a job that waits, or whose worker was not heard of, by `FIRST`; None where there is none."""
+    def claim(self, owner: str, urgent: bool | None = None) -> dict[str, Any] | None:
+        """Take a job that waits, or whose worker was not heard of: an urgent one, another, or any; None without one."""
         now = time.time()
         rows = self.run(
             "UPDATE jobs SET state = 'running', owner = ?, lease = ?, changed = ? WHERE "
-            "number = (SELECT number FROM jobs WHERE state = 'queued' OR (state = 'running' AND lease < ?) "
-            "ORDER BY instr(?, kind), number LIMIT 1) RETURNING *",
-            *(owner, now + LEASE_S, now, now, FIRST),
+            "number = (SELECT number FROM jobs WHERE (state = 'queued' OR (state = 'running' AND lease < ?)) "
+            "AND (? IS NULL OR (kind IN (?, ?)) = ?) ORDER BY late, instr(?, kind), number LIMIT 1) RETURNING *",
+            *(owner, now + LEASE_S, now, now, urgent, *URGENT, urgent, ORDER),
         )
         return dict(rows[0]) if rows else None
 
@@ -201,6 +239,21 @@ class Database:
         )
         return rows[0]["id"] if rows else None
 
+    def reports(self, most: int) -> list[dict[str, Any]]:
+        """Return the jobs that made comparisons, the newest first."""
+        where = "kind = 'comparison' AND state = 'done' ORDER BY number DESC LIMIT ?"
+        return [_shown(row) for row in self.run(f"SELECT * FROM jobs WHERE {where}", most)]
+
+    def uploader(self, path: str) -> str | None:
+        """Return who uploaded a log that lies at a path; None for a log that came otherwise."""
+        rows = self.run("SELECT author FROM uploads JOIN jobs ON jobs.id = uploads.job WHERE path = ?", path)
+        return rows[0]["author"] if rows else None
+
+    def uploaded(self) -> dict[str, tuple[str, str]]:
+        """Return name and uploader of all uploaded logs, by path."""
+        rows = self.run("SELECT path, name, author FROM uploads JOIN jobs ON jobs.id = uploads.job")
+        return {row["path"]: (row["name"], row["author"]) for row in rows}
+
     def job_counts(self) -> dict[str, int]:
         """Return how many jobs are in which state."""
         rows = self.run("SELECT state, count(*) AS n FROM jobs GROUP BY state")
@@ -222,40 +275,67 @@ class Database:
         count: int = self.run("SELECT count(*) FROM jobs WHERE kind = 'stages' AND state = 'done'")[0][0]
         return count
 
-    # who may
+    def forget_old(self) -> set[str]:
+        """Remove jobs that ended long ago, but uploads and the last report of each kind; return all keys that are left.
 
-    def create_token(self, role: Role, name: str) -> str:
+        What an upload left is how its logs are known again.
+        """
+        self.run(
+            "DELETE FROM jobs WHERE state IN ('done', 'failed', 'cancelled') AND kind != 'upload' AND changed < ? AND "
+            "number NOT IN (SELECT max(number) FROM jobs WHERE kind = 'comparison' AND state = 'done' "
+            "GROUP BY json_extract(request, '$.asked'))",
+            time.time() - KEPT_S,
+        )
+        return {row["key"] for row in self.run("SELECT key FROM jobs WHERE key != ''")}
+
+    # who may, and who did
+
+    def note(self, who: str, did: str, what: object) -> None:
+        """Keep who did something by hand."""
+        self.run(
+            "INSERT INTO audit (time, who, did, what) VALUES (?, ?, ?, ?)", time.time(), who, did, json.dumps(what)
+        )
+
+    def audit(self, before: int, limit: int) -> list[dict[str, Any]]:
+        """Return who did what, the newest first, below a number."""
+        rows = self.run("SELECT * FROM audit WHERE number < ? ORDER BY number DESC LIMIT ?", before, limit)
+        return [{**dict(row), "what": json.loads(row["what"])} for row in rows]
+
+    def create_token(self, role: Role, name: str, days: float | None = None) -> str:
         """Make a token and return it; only its hash is stored."""
-        token = f"hp_{secrets.token_urlsafe(32)}"
-        self.run("INSERT INTO tokens VALUES (?, ?, ?, ?)", hashed(token), name, role, time.time())
+        token, now = f"hp_{secrets.token_urlsafe(32)}", time.time()
+        end = None if days is None else now + days * 86400.0
+        self.run("INSERT INTO tokens VALUES (?, ?, ?, ?, ?)", hashed(token), name, role, now, end)
         return token
 
     def has_tokens(self) -> bool:
         """Return whether somebody may come from another computer."""
         return bool(self.run("SELECT 1 FROM tokens LIMIT 1"))
 
-    def role_of(self, token: str) -> Role | None:
-        """Return the role of a token; None where it is none."""
-        rows = self.run("SELECT role FROM tokens WHERE hash = ?", hashed(token))
-        return rows[0]["role"] if rows else None
+    def holder_of(self, token: str) -> tuple[Role, str] | None:
+        """Return role and name of a token; None where it is none, or has expired."""
+        return self._holder("tokens.hash = ?", hashed(token))
+
+    def _holder(self, which: str, secret: str) -> tuple[Role, str] | None:
+        rows = self.run(
+            "SELECT role, name, tokens.hash FROM tokens LEFT JOIN sessions ON tokens.hash = sessions.token WHERE "
+            f"{which} AND (tokens.expires IS NULL OR tokens.expires > ?)",
+            *(secret, time.time()),
+        )
+        return (rows[0]["role"], rows[0]["name"] or f"token {rows[0]['hash'][:12]}") if rows else None
 
     def login(self, token: str) -> str | None:
         """Return the secret of a new session of a token; None where it is none."""
-        if self.role_of(token) is None:
+        if self.holder_of(token) is None:
             return None
         session, now = secrets.token_urlsafe(32), time.time()
         self.run("DELETE FROM sessions WHERE expires < ?", now)
         self.run("INSERT INTO sessions VALUES (?, ?, ?)", hashed(session), hashed(token), now + SESSION_S)
         return session
 
-    def role_of_session(self, session: str) -> Role | None:
-        """Return the role of a session; None where there is none, or its token was revoked."""
-        rows = self.run(
-            "SELECT role FROM sessions JOIN tokens ON tokens.hash = sessions.token WHERE sessions.hash = ? "
-            "AND expires > ?",
-            *(hashed(session), time.time()),
-        )
-        return rows[0]["role"] if rows else None
+    def holder_of_session(self, session: str) -> tuple[Role, str] | None:
+        """Return role and name of a session; None where there is none, or its token was revoked."""
+        return self._holder(f"sessions.expires > {time.time()} AND sessions.hash = ?", hashed(session))
 
     def logout(self, session: str) -> None:
         """End a session."""
@@ -268,10 +348,12 @@ class Database:
 
     # words of people
 
-    def words(self, kind: str, of: Sequence[str]) -> Any:
-        """Return the notes or tags of a trial or experiment: a text, or a list; empty where there are none."""
-        rows = self.run("SELECT value FROM words WHERE kind = ? AND of = ?", kind, json.dumps(of))
-        return json.loads(rows[0]["value"]) if rows else "" if kind == "notes" else []
+    def words(self, kind: str, of: Sequence[str]) -> dict[str, Any]:
+        """Return the notes or tags of a trial or experiment: `value` (a text, or a list), `author` and `changed`."""
+        rows = self.run("SELECT value, author, changed FROM words WHERE kind = ? AND of = ?", kind, json.dumps(of))
+        if not rows:
+            return {"value": "" if kind == "notes" else [], "author": None, "changed": None}
+        return {**dict(rows[0]), "value": json.loads(rows[0]["value"])}
 
     def all_words(self) -> list[tuple[str, list[str], Any]]:
         """Return all notes and tags that are not empty, with what they belong to."""
@@ -279,11 +361,14 @@ class Database:
         found = [(row["kind"], json.loads(row["of"]), json.loads(row["value"])) for row in rows]
         return [(kind, of, value) for kind, of, value in found if value]
 
-    def set_words(self, kind: str, of: Sequence[str], value: object) -> None:
+    def set_words(self, kind: str, of: Sequence[str], value: object, author: str = "") -> None:
         """Replace the notes or tags of a trial or experiment."""
-        self.run(
-            "INSERT OR REPLACE INTO words VALUES (?, ?, ?, ?)", kind, json.dumps(of), json.dumps(value), time.time()
-        )
+        given = (kind, json.dumps(of), json.dumps(value), time.time(), author)
+        self.run("INSERT OR REPLACE INTO words VALUES (?, ?, ?, ?, ?)", *given)
+
+    def move_words(self, old: Sequence[str], new: Sequence[str]) -> None:
+        """Let notes and tags follow an experiment that is renamed, but where the other one has its own."""
+        self.run("UPDATE OR IGNORE words SET of = ? WHERE of = ?", json.dumps(new), json.dumps(old))
 
 
 _KILLED = f"The process that worked at it ended {ATTEMPTS} times; it may need more memory than there is."
@@ -291,5 +376,5 @@ _KILLED = f"The process that worked at it ended {ATTEMPTS} times; it may need mo
 
 def _shown(row: sqlite3.Row) -> dict[str, Any]:
     loaded = {name: None if row[name] is None else json.loads(row[name]) for name in ("progress", "result", "problem")}
-    plain = {name: row[name] for name in ("id", "kind", "state", "created", "changed", "number")}
+    plain = {name: row[name] for name in ("id", "kind", "state", "created", "changed", "number", "author")}
     return {**plain, **loaded, "request": json.loads(row["request"])}

@@ -12,7 +12,7 @@ from pipeline import __version__
 from pipeline.service.database import STATES
 
 MEDIA = "text/plain; version=0.0.4; charset=utf-8"
-METHODS = ("GET", "HEAD", "POST", "PUT", "DELETE")
+METHODS = ("GET", "HEAD", "POST", "PUT", "PATCH", "DELETE")
 BUCKETS = (0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 10.0, 60.0)
 """Ends of the ranges of durations [s]."""
 

@@ -21,6 +21,7 @@ TITLES = {
     406: "No such form",
     409: "Not as things are",
     408: "The client is too slow",
+    412: "Changed meanwhile",
     413: "Too large",
     422: "A value is wrong",
     429: "Too many requests",

@@ -13,6 +13,7 @@ from typing import Any
 from urllib.parse import quote, urlsplit
 
 from pipeline.base.errors import UsageError
+from pipeline.profiles.profile_files import read_profile
 
 AT_A_TIME, BYTES = 200, 64 << 20
 """Logs, and bytes of them, in a request: an interruption costs no more."""
@@ -34,6 +35,8 @@ def push(folder: Path, to: str, profile: str | None, token: str | None, advance:
     if not files:
         raise UsageError(f"{folder}: no files. Give a folder with logs.")
     server = _Server(to, token)
+    if profile is not None and profile.endswith(".toml"):
+        profile = server.keep(Path(profile))
     total: dict[str, Any] = {"found": 0, "ingested": 0, "skipped": 0, "quarantined": [], "warnings": [], "damaged": []}
     jobs = []
     sent = 0
@@ -92,6 +95,13 @@ class _Server:
             pieces += [head.encode(), file.read_bytes(), b"\r\n"]
         body = b"".join([*pieces, f"--{boundary}--\r\n".encode()])
         return self._ask("POST", "/api/v1/logs", body, {"Content-Type": f"multipart/form-data; boundary={boundary}"})
+
+    def keep(self, file: Path) -> str:
+        """Send a profile to the server, which keeps it, and return its name."""
+        name = read_profile(file).name
+        body = json.dumps({"profile": file.read_text("utf-8")}).encode()
+        self._ask("PUT", f"/api/v1/profiles/{quote(name)}", body, {"Content-Type": "application/json"})
+        return name
 
     def wait(self, job: str) -> dict[str, Any]:
         while True:

@@ -20,6 +20,7 @@ from urllib.parse import parse_qsl, urlencode, urlsplit
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
+from pipeline.service.database import LOCAL as LOCAL_NAME
 from pipeline.service.database import ROLES, Database, Role, hashed
 from pipeline.service.metrics import Metrics
 from pipeline.service.problems import Problem, answer
@@ -39,6 +40,9 @@ DRAIN_S = 5.0
 
 OPEN = ("/login", "/api/v1/health")
 UPLOADS = ("/upload", "/api/v1/logs")
+REMOVALS = ("/deletions", "/bin")
+"""Forms by which people remove what is stored."""
+
 SAFE = ("GET", "HEAD", "OPTIONS")
 LOCAL = ("localhost", "127.0.0.1", "::1")
 
@@ -80,7 +84,7 @@ class Guard:
 
         scope.setdefault("state", {})
         try:
-            scope["state"]["role"] = self._role(scope)
+            scope["state"]["role"], scope["state"]["who"] = self._role(scope)
             cookies = cookies_of(scope)
             scope["state"]["session"] = cookies.get(SESSION)
             logs = scope["path"] in UPLOADS
@@ -97,8 +101,8 @@ class Guard:
             line = {"id": request_id, "method": scope["method"], "path": scope["path"], "status": status}
             LOG.info(json.dumps({**line, "ms": round(1e3 * seconds, 1)}))
 
-    def _role(self, scope: Scope) -> Role:
-        """Return what the sender may do; raise where he may not do this."""
+    def _role(self, scope: Scope) -> tuple[Role, str]:
+        """Return what the sender may do, and who he is; raise where he may not do this."""
         headers = Headers(scope=scope)
         host = headers.get("host", "")
         if self.settings.loopback and _name(host) not in LOCAL:
@@ -109,7 +113,7 @@ class Guard:
         if any(name.lower() in ("token", "access_token", "api_key") for name, _ in _query(scope)):
             raise Problem(400, "A token in an address ends in logs. Send it as `Authorization: Bearer`.", where="query")
         address = (scope.get("client") or ("",))[0]
-        role, secret = self._known(headers, cookies_of(scope))
+        role, who, secret = self._known(headers, cookies_of(scope))
         # who is not known has an address and nothing else: the words that he sends may be others each time
         self._limit(hashed(secret) if secret else address)
         program = "authorization" in headers
@@ -126,7 +130,7 @@ class Guard:
             raise Problem(403, f"This needs the role {needed}. {why}", expected=needed, found=role)
         if scope["method"] not in SAFE and not program and scope["path"].startswith("/api/"):
             self._check_script(headers, cookies_of(scope))
-        return role
+        return role, who
 
     def _limit(self, sender: str) -> None:
         wait_s = self.rates.wait_s(sender)
@@ -135,18 +139,18 @@ class Guard:
             retry = {"Retry-After": str(math.ceil(wait_s))}
             raise Problem(429, "These are too many requests. Ask again later.", retry, expected=most)
 
-    def _known(self, headers: Headers, cookies: Mapping[str, str]) -> tuple[Role | None, str]:
-        """Return the role, None of somebody unknown, and the token or session that tells it."""
+    def _known(self, headers: Headers, cookies: Mapping[str, str]) -> tuple[Role | None, str, str]:
+        """Return role, None of somebody unknown, name, and the token or session that tells them."""
         given = headers.get("authorization")
         if given is not None:
-            scheme, _, token = given.partition(" ")
-            role, secret = self.database.role_of(token.strip()) if scheme.lower() == "bearer" else None, token.strip()
+            scheme, _, secret = given.partition(" ")
+            found = self.database.holder_of(secret.strip()) if scheme.lower() == "bearer" else None
         elif self.settings.loopback:
-            return "admin", ""
+            return "admin", LOCAL_NAME, ""
         else:
             secret = cookies.get(SESSION, "")
-            role = self.database.role_of_session(secret) if secret else None
-        return role, secret if role else ""
+            found = self.database.holder_of_session(secret) if secret else None
+        return (*found, secret.strip()) if found else (None, "", "")
 
     def _check_script(self, headers: Headers, cookies: Mapping[str, str]) -> None:
         """Refuse a change by a browser that no page of this server asked for; programs send no cookies."""
@@ -221,7 +225,8 @@ async def _refuse(problem: Problem, scope: Scope, receive: Receive, send: Send) 
 def _needed(scope: Scope) -> Role:
     if scope["method"] in SAFE or scope["path"] == "/logout":
         return "viewer"
-    return "admin" if scope["method"] == "DELETE" else "contributor"
+    removes = scope["method"] == "DELETE" and not scope["path"].startswith(("/api/v1/jobs/", "/api/v1/quarantine/"))
+    return "admin" if removes or scope["path"] in REMOVALS else "contributor"
 
 
 def _name(host: str) -> str:

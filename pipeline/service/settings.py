@@ -44,8 +44,6 @@ class Settings:
         Requests a minute of a token or address, 0 for any; by default any on loopback, `RATE` elsewhere.
     renew : bool
         Whether reports that were made here are made anew when logs come.
-    unix_socket : Path, optional
-        Where is listened instead of at an address.
     executor : str
         What computes the stages of experiments, as ``--executor`` names it.
     connections : int
@@ -65,7 +63,6 @@ class Settings:
     max_files: int = 10_000
     rate: int | None = None
     renew: bool = True
-    unix_socket: Path | None = None
     executor: str = "local"
     connections: int = field(default_factory=half_of_files)
     header_s: float = 10.0
@@ -92,7 +89,7 @@ class Settings:
     @property
     def loopback(self) -> bool:
         """Whether only programs on this computer reach the server."""
-        if self.host == "localhost" or self.unix_socket:
+        if self.host == "localhost":
             return True
         try:
             return ipaddress.ip_address(self.host).is_loopback

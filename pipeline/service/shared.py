@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import json
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
@@ -13,19 +13,20 @@ from fastapi import Depends, Request
 from pydantic import BaseModel, ConfigDict, Field
 
 from pipeline.base.errors import PipelineError
-from pipeline.intake.exclude import exclude, exclude_experiment, use_again, use_experiment_again
+from pipeline.intake.correct import delete, empty_bin, exclude, move, restore, use_again
 from pipeline.records.batch import TrialBatch
 from pipeline.records.criteria import REPORTED
 from pipeline.records.findings import Note
-from pipeline.service.catalogue import Catalogue, Trials
+from pipeline.service.catalogue import Catalogue
 from pipeline.service.database import Database
-from pipeline.service.jobs import results
+from pipeline.service.jobs import documents
 from pipeline.service.jobs.workers import Workers
 from pipeline.service.metrics import Metrics
 from pipeline.service.problems import Problem
 from pipeline.service.rest import theory
 from pipeline.service.settings import Settings
 from pipeline.store.corrections import read_exclusions, split_trials
+from pipeline.store.names import folder_name
 from pipeline.store.samples import load_batch, load_trial
 from pipeline.store.storage import list_devices, list_experiments, read_trials
 
@@ -67,9 +68,9 @@ class Service:
     theory: theory.Theory
     metrics: Metrics
 
-    def job(self, kind: str, request: dict[str, Any], key: str = "") -> str:
+    def job(self, kind: str, request: dict[str, Any], key: str = "", author: str = "", late: int = 0) -> str:
         """Queue a job and wake a worker."""
-        job = self.database.add_job(kind, request, key)
+        job = self.database.add_job(kind, request, key, None, author, late)
         self.workers.wake()
         return job
 
@@ -101,7 +102,7 @@ class Service:
             )  # fmt: skip
         return [name for name in names if name not in empty]
 
-    def comparison(self, asked: ComparisonRequest) -> tuple[str, str | None]:
+    def comparison(self, asked: ComparisonRequest, who: str = "", late: int = 0) -> tuple[str, str | None]:
         """Return the key of a comparison, and the job that makes it; no job where it is there."""
         names = self.used(asked.device, asked.experiments)
         request: dict[str, Any] = {"device": asked.device, "experiments": names, "criteria": asked.criteria}
@@ -113,18 +114,21 @@ class Service:
             request["against"] = asked.against.model_dump()
             self._add_notes(request["against"], asked.against.device, [asked.against.experiment])
         self._add_notes(request, asked.device, names)
-        key = results.key_of(self.settings, request)
-        if results.document_file(self.settings, key, report=True).is_file():
+        key = documents.key_of(self.settings, request)
+        if documents.document_file(self.settings, key, report=True).is_file():
             return key, None
         self._may_compute()
         wanted = {"key": key, "request": request, "asked": asked.model_dump()}
-        return key, self.job("comparison", wanted, key)
+        return key, self.job("comparison", wanted, key, who, late)
 
     def renew(self) -> None:
-        """Ask anew for all reports that were made here, where logs came or were excluded since."""
+        """Ask anew for all experiments and reports, where logs came or were excluded since."""
+        for e in self.catalogue.experiments:
+            with suppress(Problem, PipelineError):
+                self.experiment(e["device"], e["experiment"], late=1)
         for asked in self.database.asked_reports():
             with suppress(Problem, PipelineError):  # what it needs is gone; the last one stays
-                self.comparison(ComparisonRequest.model_validate(asked))
+                self.comparison(ComparisonRequest.model_validate(asked), late=1)
 
     def _add_notes(self, request: dict[str, Any], device: str, experiments: list[str]) -> None:
         """Add what people wrote on experiments and their trials: a report shows it, and another text is another one."""
@@ -134,11 +138,11 @@ class Service:
 
     def notes(self, device: str, experiment: str) -> list[Note]:
         """Return what people wrote on an experiment and on its trials, that on all of it first."""
-        trials, found = self.catalogue.trials(), dict[str | None, dict[str, Any]]()
+        found = dict[str | None, dict[str, Any]]()
         for kind, of, value in self.database.all_words():
             if of == ["experiment", device, experiment]:
                 trial = None
-            elif of[0] == "trial" and trials.is_of(of[1], device, experiment):
+            elif of[0] == "trial" and self._place(of[1]) == (device, experiment):
                 trial = of[1]
             else:
                 continue
@@ -146,61 +150,96 @@ class Service:
         order = sorted(found, key=lambda trial: trial or "")
         return [Note(experiment=experiment, trial_id=trial, **found[trial]) for trial in order]
 
-    def exclude(self, trial: str, reason: str | None) -> dict[str, str]:
-        """Exclude a trial by hand, or use it again where no reason is given; return what is excluded of it, and why."""
-        self.found(trial)
-        processed = self.settings.processed
+    def exclude(self, of: Sequence[str], reason: str | None, who: str) -> dict[str, str]:
+        """Exclude a trial or an experiment by hand, or use it again without a reason; return what is out, and why."""
+        wanted, known = self.wanted(of), self.excluded(of)
         if reason is not None:
-            exclude(processed, trial, reason, EXCLUDE_S)
-        elif self.excluded(trial):
-            use_again(processed, trial, EXCLUDE_S)
+            exclude(self.settings.processed, wanted, reason, EXCLUDE_S)
+        elif known:
+            use_again(self.settings.processed, wanted, EXCLUDE_S)
+        self.database.note(who, "used again" if reason is None else "excluded", {"of": of, "reason": reason})
         self.job("stages", {}, "stages")
-        return self.excluded(trial)
+        return self.excluded(of)
 
-    def exclude_experiment(self, device: str, experiment: str, reason: str | None) -> dict[str, str]:
-        """Exclude all trials of an experiment that are in use, or use all again; return those excluded, and why."""
-        self.experiments(device, [experiment])
-        if reason is not None:
-            exclude_experiment(self.settings.processed, device, experiment, reason, EXCLUDE_S)
-        else:
-            use_experiment_again(self.settings.processed, device, experiment, EXCLUDE_S)
-        self.job("stages", {}, "stages")
-        return self.excluded_of(device, experiment)
-
-    def excluded(self, trial: str) -> dict[str, str]:
-        """Return why a trial is excluded by hand, by its id; empty where it is in use."""
-        self.found(trial)
+    def excluded(self, of: Sequence[str]) -> dict[str, str]:
+        """Return which trials of a trial or experiment are excluded by hand, and why."""
+        self.wanted(of)
         known = read_exclusions(self.settings.processed).values()
-        return {one.trial_id: one.exclusion_reason for one in known if one.trial_id == trial}
-
-    def excluded_of(self, device: str, experiment: str) -> dict[str, str]:
-        """Return the trials of an experiment that are excluded by hand, and why."""
-        self.experiments(device, [experiment])
-        known = read_exclusions(self.settings.processed).values()
-        own = [one for one in known if (one.device, one.experiment) == (device, experiment)]
+        own = [one for one in known if of[1:] in ([one.trial_id], [one.device, one.experiment])]
         return {one.trial_id: one.exclusion_reason for one in own}
 
-    def experiment(self, device: str, experiment: str) -> tuple[dict[str, Any] | None, str | None]:
+    def wanted(self, of: Sequence[str]) -> str:
+        """Return what is stored as `intake.correct` names it: of ``trial``, ``experiment`` or ``device`` and names."""
+        if of[0] == "trial":
+            self.found(of[1])
+            return of[1]
+        self.experiments(of[1], list(of[2:]))
+        return "/".join(map(folder_name, of[1:]))
+
+    def move(self, of: Sequence[str], to: Sequence[str], who: str) -> int:
+        """Let trials count as of another device or experiment; notes and tags follow. Return how many trials."""
+        wanted = self.wanted(of)
+        names = list(of[2:]) or list_experiments(self.settings.processed, of[1]) if of[0] != "trial" else []
+        count = move(self.settings.processed, wanted, "/".join(map(folder_name, to)), EXCLUDE_S)
+        for name in names:
+            self.database.move_words(["experiment", of[1], name], ["experiment", to[0], (*to, name)[1]])
+        self.database.note(who, "moved", {"of": of, "to": to, "trials": count})
+        self.job("stages", {}, "stages")
+        return count
+
+    def delete(self, of: Sequence[str], who: str) -> int:
+        """Put trials into the bin; return how many."""
+        count = delete(self.settings.processed, self.wanted(of), EXCLUDE_S)
+        self.database.note(who, "deleted", {"of": of, "trials": count})
+        self.job("stages", {}, "stages")
+        return count
+
+    def restore(self, of: Sequence[str], who: str) -> int:
+        """Take trials out of the bin; return how many."""
+        wanted = of[1] if of[0] == "trial" else "/".join(map(folder_name, of[1:]))
+        count = restore(self.settings.processed, wanted, EXCLUDE_S)
+        self.database.note(who, "restored", {"of": of, "trials": count})
+        self.job("stages", {}, "stages")
+        return count
+
+    def empty_bin(self, who: str) -> int:
+        """Remove what is in the bin; return how many trials."""
+        count = empty_bin(self.settings.processed, EXCLUDE_S)
+        self.database.note(who, "emptied the bin", {"trials": count})
+        return count
+
+    def experiment(self, device: str, experiment: str, late: int = 0) -> tuple[dict[str, Any] | None, str | None]:
         """Return the document of an experiment, or the job that makes it."""
         self.used(device, [experiment])
-        return self._kept("experiment", {"device": device, "experiments": [experiment], "criteria": None})
+        return self._kept("experiment", {"device": device, "experiments": [experiment], "criteria": None}, late)
 
-    def drawn(self, device: str, experiment: str, trial: str) -> tuple[dict[str, Any] | None, str | None]:
-        """Return the figures of a trial, or the job that draws them."""
+    def plan(self, device: str, experiment: str, goal: str) -> tuple[dict[str, Any] | None, str | None]:
+        """Return what the planner says of an experiment, or the job that asks it."""
         self.used(device, [experiment])
-        asked = {"device": device, "experiments": [experiment], "criteria": None, "trial": trial}
-        return self._kept("trial", asked)
+        return self._kept("plan", {"device": device, "experiments": [experiment], "goal": goal})
 
-    def _kept(self, kind: str, request: dict[str, Any]) -> tuple[dict[str, Any] | None, str | None]:
+    def drawn(
+        self, what: str, places: Sequence[Sequence[str]], **more: Any
+    ) -> tuple[dict[str, Any] | None, str | None]:
+        """Return a drawing of trials or experiments (device, experiment, and more), or the job that draws it."""
+        for device, experiment, *_ in places:
+            self.used(device, [experiment])
+        return self._kept("drawing", {"what": what, "places": [list(place) for place in places], **more})
+
+    def peek(self, device: str, experiment: str) -> dict[str, Any] | None:
+        """Return the document of an experiment where it is kept."""
+        request = {"device": device, "experiments": [experiment], "criteria": None}
+        return documents.read_document(self.settings, documents.key_of(self.settings, request))
+
+    def _kept(self, kind: str, request: dict[str, Any], late: int = 0) -> tuple[dict[str, Any] | None, str | None]:
         """Return a document that is kept, or the job of a kind that makes it."""
-        key = results.key_of(self.settings, request)
-        try:
-            document: dict[str, Any] = json.loads(results.document_file(self.settings, key).read_bytes())
-        except FileNotFoundError:
-            self._may_compute()
-            failed = self.database.failed_job(kind, key, RETRY_S)
-            return None, failed or self.job(kind, {"key": key, "request": request}, key)
-        return document, None
+        key = documents.key_of(self.settings, request)
+        document = documents.read_document(self.settings, key)
+        if document is not None:
+            return document, None
+        self._may_compute()
+        failed = self.database.failed_job(kind, key, RETRY_S)
+        return None, failed or self.job(kind, {"key": key, "request": request}, key, late=late)
 
     def _may_compute(self) -> None:
         if self.settings.read_only:
@@ -208,9 +247,8 @@ class Service:
 
     def samples(self, trial: str) -> tuple[dict[str, Any], pa.Table]:
         """Return the conditions and the samples of a trial."""
-        trials, row = self.found(trial)
-        (shown,) = trials.items([row])
-        own, batch = self._loaded(trial, trials.stored_at(row), shown)
+        shown = self.found(trial)
+        own, batch = self._loaded(trial, self.catalogue.stored_at(trial), shown)
         arrays = {"time_s": batch.time, **{name: getattr(batch, name) for name in SAMPLES[1:]}}
         present = {name: values[0] for name, values in arrays.items() if values is not None}
         length = int(own.column("rows")[0].as_py())
@@ -229,12 +267,21 @@ class Service:
             raise Problem(404, "The trial was removed a moment ago.", found=trial, where="trial")
         return own, load_batch(self.settings.processed, own.slice(0, 1))
 
-    def found(self, trial: str) -> tuple[Trials, int]:
-        """Return the trials and the row of one of them."""
-        trials = self.catalogue.trials()
-        if trial not in trials.place:
+    def found(self, trial: str) -> dict[str, Any]:
+        """Return a trial as the API shows it."""
+        found = self.catalogue.trial(trial)
+        if found is None:
             raise Problem(404, "There is no such trial.", where="trial", found=trial)
-        return trials, trials.place[trial]
+        return found
+
+    def _place(self, trial: str) -> tuple[str, str] | None:
+        found = self.catalogue.trial(trial)
+        return (found["device"], found["experiment"]) if found else None
+
+
+def run_of(device: str, experiment: str) -> str:
+    """Return an experiment as one word of an address."""
+    return f"{folder_name(device)}/{folder_name(experiment)}"
 
 
 def service_of(request: Request) -> Service:

@@ -10,24 +10,25 @@ import hashlib
 import os
 import secrets
 import shutil
+from collections.abc import AsyncGenerator
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
-from python_multipart.exceptions import FormParserError
-from python_multipart.multipart import MultipartParser, parse_options_header
 from starlette.concurrency import run_in_threadpool
+from starlette.datastructures import FormData, UploadFile
+from starlette.formparsers import MultiPartException, MultiPartParser
 from starlette.requests import Request
 
 from pipeline.base.disk import make_folder, sync_folder
-from pipeline.base.errors import ProfileError
 from pipeline.base.file_names import path_text
 from pipeline.intake.quarantine import list_quarantine
 from pipeline.intake.sources import find_sources
 from pipeline.profiles.profile_files import load_profile, shipped_profiles
 from pipeline.service.database import Database
 from pipeline.service.problems import Problem
+from pipeline.service.profiles import profile_path
 from pipeline.service.settings import Settings
 from pipeline.store.names import folder_name
 
@@ -40,24 +41,22 @@ DEEPEST = 8
 LONGEST_FIELD = 1000
 """Bytes of a field that is no file."""
 
-PIECE = 1 << 20
-"""Bytes that are written at a time."""
+MOST_FIELDS = 20
 
+END_BYTES = 256
+"""Of a body that are looked at for its last boundary, which has 70 at most."""
 
 _NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
 
 
-@dataclass
+@dataclass(frozen=True)
 class _Part:
-    """A part of a form: a field, or a file that is written while it comes."""
+    """A file of a form, as it was stored."""
 
-    header: dict[str, bytes] = field(default_factory=dict)
-    value: bytearray = field(default_factory=bytearray)
-    name: str = ""
-    path: Path | None = None
-    stream: BinaryIO | None = None
-    size: int = 0
-    sha256: Any = field(default_factory=hashlib.sha256)
+    name: str
+    path: Path
+    size: int
+    sha256: str
 
 
 class Upload:
@@ -66,71 +65,105 @@ class Upload:
     Parameters
     ----------
     settings : Settings
+    folder : Path, optional
+        Where its files go; by default a new one among the uploads.
     """
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: Settings, folder: Path | None = None) -> None:
         self.settings = settings
         self.name = secrets.token_hex(8)
-        self.folder = settings.data / "logs" / self.name
+        self.folder = folder or settings.data / "logs" / self.name
         self.fields: dict[str, str] = {}
         self.files: list[_Part] = []
-        self._part = _Part()
-        self._header: tuple[bytearray, bytearray] = (bytearray(), bytearray())
-        self.ended = False
 
     async def receive(self, request: Request) -> None:
-        """Write what a request sends; nothing is kept where it cannot be accepted."""
-        kind, options = parse_options_header(request.headers.get("content-type", ""))
-        if kind != b"multipart/form-data" or not options.get(b"boundary"):
+        """Store what a request sends; nothing is kept where it cannot be accepted."""
+        kind = request.headers.get("content-type", "")
+        if not kind.startswith("multipart/form-data") or "boundary=" not in kind:
             raise Problem(422, "Send logs as multipart/form-data, in the field `files`.", where="Content-Type")
-        try:
-            parser = MultipartParser(options[b"boundary"], self._callbacks())
-            pending = bytearray()
+        end = bytearray()
+
+        async def stream() -> AsyncGenerator[bytes, None]:
             async for data in request.stream():
-                pending += data
-                if len(pending) >= PIECE:
-                    await run_in_threadpool(parser.write, bytes(pending))
-                    pending.clear()
-            await run_in_threadpool(parser.write, bytes(pending))
-            parser.finalize()
-        except FormParserError as error:
-            raise Problem(422, f"The form cannot be read: {error}.", where="body") from error
-        if not self.ended:
-            raise Problem(422, "The form ends before its last boundary.", where="body")
+                end.extend(data)
+                del end[:-END_BYTES]
+                yield data
+
+        most = self.settings.max_files
+        parser = MultiPartParser(
+            request.headers, stream(), max_files=most, max_fields=MOST_FIELDS, max_part_size=LONGEST_FIELD
+        )
+        try:
+            form = await parser.parse()
+            boundary = kind.partition("boundary=")[2].partition(";")[0].strip('" ')
+            if f"--{boundary}--".encode() not in end:
+                raise Problem(422, "The form ends before its last boundary.", where="body")
+            await run_in_threadpool(self._store, form)
+        except MultiPartException as error:
+            if error.message.startswith("Too many files"):
+                raise Problem(413, "There are too many files. Send them in parts.", expected=f"<= {most}") from error
+            large = error.message.startswith(("Too many", "Part exceeded"))
+            raise Problem(413 if large else 422, f"The form cannot be read: {error.message}", where="body") from error
+        finally:
+            for file in parser._files_to_close_on_error:  # all, those of a form without an end among them
+                file.close()
+
+    def _store(self, form: FormData) -> None:
+        for name, value in form.multi_items():
+            if not isinstance(value, UploadFile):
+                self.fields[name] = value
+            elif name != "files":
+                raise Problem(422, "Files belong into the field `files`.", where="form", found=name)
+            elif value.filename:  # else a form without a file
+                self.files.append(self._stored(value.filename, value))
+
+    def _stored(self, name: str, file: UploadFile) -> _Part:
+        if (file.size or 0) > self.settings.max_file:
+            raise Problem(
+                413, "A log is too large. Nothing was stored of this request.", where=name,
+                expected=f"<= {self.settings.max_file}",
+            )  # fmt: skip
+        path = self.folder.joinpath(*_parts(name))
+        make_folder(path.parent)
+        try:
+            with os.fdopen(os.open(path, _NEW, 0o600), "wb") as stream:
+                shutil.copyfileobj(file.file, stream)
+        except FileExistsError:
+            raise Problem(422, "Two files have one name. Send one of them by itself.", where=name) from None
+        with path.open("rb") as stream:
+            return _Part(name, path, path.stat().st_size, hashlib.file_digest(stream, "sha256").hexdigest())
 
     def discard(self) -> None:
         """Remove what was written."""
-        if self._part.stream is not None:
-            self._part.stream.close()
         shutil.rmtree(self.folder, ignore_errors=True)
 
-    def accept(self, database: Database) -> dict[str, Any]:
+    def accept(self, database: Database, author: str) -> dict[str, Any]:
         """Sync all that is new and queue its job; what was uploaded before is left out."""
-        profile = _profile(self.fields.get("profile", ""))
+        profile = self.fields.get("profile", "")
+        own = profile_path(self.settings, profile)
         if not self.files:
             raise Problem(422, "There is no file in the form.", where="files", expected="one or more")
-        known, again = self._known(database, profile)
+        known, again = self._known(database, profile, own)
         listed, new, refused = [], [], set[str]()
         for part in self.files:
-            assert part.path is not None, "it was written"
             if part.path in known:
                 part.path.unlink()
             else:
                 new.append(part)
             refused |= {again[part.path]} if part.path in again else set()
             state = "skipped" if part.path in known - again.keys() else "queued"
-            listed.append({"name": part.name, "size": part.size, "sha256": part.sha256.hexdigest(), "state": state})
-        self._sync([part.path for part in new if part.path is not None])
+            listed.append({"name": part.name, "size": part.size, "sha256": part.sha256, "state": state})
+        self._sync([part.path for part in new])
         with database.transaction():
             for part in new:
                 place = (self.name, str(part.path), part.name)
-                database.run("INSERT INTO uploads VALUES (?, ?, ?, ?, ?)", part.sha256.hexdigest(), profile, *place)
+                database.run("INSERT INTO uploads VALUES (?, ?, ?, ?, ?)", part.sha256, profile, *place)
             skipped = sum(file["state"] == "skipped" for file in listed)
             request = {"folder": self.name, "profile": profile, "skipped": skipped, "again": sorted(refused)}
-            job = database.add_job("upload", request, job=self.name)
+            job = database.add_job("upload", request, job=self.name, author=author)
         return {"job": job, "files": listed}
 
-    def _known(self, database: Database, profile: str) -> tuple[set[Path], dict[Path, str]]:
+    def _known(self, database: Database, profile: str, own: str | Path | None) -> tuple[set[Path], dict[Path, str]]:
         """Return the files that lie here from before, and of those that were refused the path of the log they are.
 
         What is read of a log depends on the name and on the files beside it, too: known is a log all of whose files
@@ -138,12 +171,12 @@ class Upload:
         """
         known: set[Path] = set()
         again: dict[Path, str] = {}
-        parts = {part.path: part for part in self.files if part.path is not None}
+        parts = {part.path: part for part in self.files}
         refused = {record.path for record in list_quarantine(self.settings.processed, {})}
         seen = set[tuple[tuple[str, str], ...]]()
-        for source in find_sources([self.folder], (load_profile(profile),) if profile else shipped_profiles()):
+        for source in find_sources([self.folder], shipped_profiles() if own is None else (load_profile(own),)):
             files = [file for file in source.files if file in parts]
-            names = tuple((file.name, parts[file].sha256.hexdigest()) for file in files)
+            names = tuple((file.name, parts[file].sha256) for file in files)
             places = [self._places(database, sha256, profile, name) for name, sha256 in names]
             before = sorted(set.intersection(*places)) if places else []
             if names in seen or before:
@@ -165,7 +198,7 @@ class Upload:
         return {place.parent for place in places if place.name == name and place.is_file()}
 
     def _path(self, job: str, path: str) -> Path:
-        """Return where an upload lies; its path is that of before, where a backup was restored elsewhere."""
+        """Return where an upload lies; its path is that of before, where folders were moved."""
         return self.settings.data / "logs" / job / path.rpartition(f"{os.sep}{job}{os.sep}")[2]
 
     def _sync(self, files: list[Path]) -> None:
@@ -174,74 +207,6 @@ class Upload:
         with ThreadPoolExecutor(16) as pool:
             list(pool.map(_sync_file, files))
             list(pool.map(sync_folder, [*folders, self.folder.parent] if files else []))
-
-    def _callbacks(self) -> Any:
-        return {
-            "on_part_begin": self._begin,
-            "on_header_field": lambda data, start, end: self._header[0].extend(data[start:end]),
-            "on_header_value": lambda data, start, end: self._header[1].extend(data[start:end]),
-            "on_header_end": self._header_end,
-            "on_headers_finished": self._open,
-            "on_part_data": self._data,
-            "on_part_end": self._part_end,
-            "on_end": self._end,
-        }
-
-    def _begin(self) -> None:
-        self._part = _Part()
-
-    def _header_end(self) -> None:
-        name, value = self._header
-        self._part.header[name.decode("latin-1").lower()] = bytes(value)
-        self._header = (bytearray(), bytearray())
-
-    def _open(self) -> None:
-        _, options = parse_options_header(self._part.header.get("content-disposition", b""))
-        self._part.name = options.get(b"name", b"").decode("utf-8", "replace")
-        if b"filename" not in options:
-            return
-        name = options[b"filename"].decode("utf-8", "replace")
-        if not name:  # a form without a file
-            return
-        if self._part.name != "files":
-            raise Problem(422, "Files belong into the field `files`.", where="form", found=self._part.name)
-        if len(self.files) >= self.settings.max_files:
-            raise Problem(
-                413, "There are too many files. Send them in parts.", expected=f"<= {self.settings.max_files}"
-            )
-        path = self.folder.joinpath(*_parts(name))
-        if any(other.path == path for other in self.files):
-            raise Problem(422, "Two files have one name. Send one of them by itself.", where=name)
-        make_folder(path.parent)
-        self._part.name, self._part.path = name, path
-        # closed at the end of the part
-        self._part.stream = os.fdopen(os.open(path, _NEW, 0o600), "wb")
-        self.files.append(self._part)
-
-    def _data(self, data: bytes, start: int, end: int) -> None:
-        part = self._part
-        part.size += end - start
-        if part.stream is None:
-            if part.size > LONGEST_FIELD:
-                raise Problem(413, "A field of the form is too long.", expected=f"<= {LONGEST_FIELD}")
-            part.value += data[start:end]
-            return
-        if part.size > self.settings.max_file:
-            raise Problem(
-                413, "A log is too large. Nothing was stored of this request.", where=part.name,
-                expected=f"<= {self.settings.max_file}",
-            )  # fmt: skip
-        part.sha256.update(data[start:end])
-        part.stream.write(data[start:end])
-
-    def _part_end(self) -> None:
-        if self._part.stream is not None:
-            self._part.stream.close()
-            return
-        self.fields[self._part.name] = self._part.value.decode("utf-8", "replace")
-
-    def _end(self) -> None:
-        self.ended = True
 
 
 def _parts(name: str) -> list[str]:
@@ -253,19 +218,6 @@ def _parts(name: str) -> list[str]:
             expected=f"at most {DEEPEST} parts of {LONGEST_NAME} bytes",
         )  # fmt: skip
     return parts
-
-
-def _profile(name: str) -> str:
-    """Return the name of a shipped profile, or an empty one; a path is none."""
-    if not name:
-        return ""
-    shipped = [profile.name for profile in shipped_profiles()]
-    if name not in shipped:
-        raise Problem(422, "There is no such profile.", where="profile", expected=shipped, found=name)
-    try:
-        return load_profile(name).name
-    except ProfileError as error:
-        raise Problem(422, str(error), where="profile") from error
 
 
 def _sync_file(file: Path) -> None:

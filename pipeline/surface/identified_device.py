@@ -13,7 +13,7 @@ from pipeline.base.errors import LogError, ParameterError, UsageError
 from pipeline.device_data.devices import known_devices
 from pipeline.intake.reading import load_source, motion_of
 from pipeline.intake.sources import Source, find_sources
-from pipeline.loop.device_loop import general, loop_of, wall_units
+from pipeline.loop.device_loop import loop_of, wall_units
 from pipeline.measured.model.identified import Identified as Model
 from pipeline.measured.model.identified import identified
 from pipeline.measured.model.intervals import Interval
@@ -235,7 +235,7 @@ def _border(numbers: dict[str, Any], points: int) -> dict[str, Any]:
     )
     mass, period = numbers["mass"], numbers["sampling_period_s"]
     loop = loop_of(mass, numbers["damping"], numbers["stiffness"], numbers["delay_samples"], period, parts)
-    found, units = outline(general(loop), points), wall_units(mass, period, parts)
+    found, units = outline(loop, points), wall_units(mass, period, parts)
     if not len(found.beta):
         return {"stiffness_max": 0.0, "damping_at_stiffness_max": 0.0, "stiffness": [], "damping": []}
     return {

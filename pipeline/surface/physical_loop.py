@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import pandas as pd
@@ -15,7 +15,7 @@ from scipy.optimize import minimize_scalar
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop import loop as normalised
-from pipeline.loop.device_loop import general, loop_of, wall_units
+from pipeline.loop.device_loop import loop_of, wall_units
 from pipeline.loop.response import response
 from pipeline.records.batch import Floats
 from pipeline.records.loop_parts import LoopParts
@@ -27,7 +27,11 @@ from pipeline.theory.device.passive_walls import passive_outline, required_dampi
 from pipeline.theory.device_cases import islands_in_si
 from pipeline.theory.optimum.curves import Curve, best_damping, best_stiffness
 from pipeline.theory.stability.boundary import boundary
+from pipeline.theory.stability.margins import Margins, margins
 from pipeline.theory.stability.stability import spectral_radius
+
+if TYPE_CHECKING:  # takes longer to load than most answers to compute
+    from scipy.signal import StateSpace
 
 
 @dataclass(frozen=True)
@@ -37,7 +41,7 @@ class LoopOptimum:
     ``stiffness`` K [N/m, Nm/rad], ``damping`` B [Ns/m, Nms/rad]. ``cost``: settling times in samples, overshoot as a
     fraction, energies dimensionless; None where the criterion has none. ``reason`` says why, or that the optimum is a
     limit that no stable point reaches. ``box``: smallest and largest stiffness, then damping, where a region is equally
-    good.
+    good. ``note`` tells of stable walls that were not searched.
     """
 
     criterion: str
@@ -46,6 +50,7 @@ class LoopOptimum:
     cost: float | None
     reason: str | None = None
     box: tuple[float, float, float, float] | None = None
+    note: str | None = None
 
 
 @dataclass(frozen=True)
@@ -228,6 +233,7 @@ class Loop:
             damping=found["beta"] * B,
             cost=found["cost"],
             reason=found.get("reason"),
+            note=found.get("note"),
             box=box and (box["alpha_low"] * K, box["alpha_high"] * K, box["beta_low"] * B, box["beta_high"] * B),
         )
 
@@ -280,7 +286,7 @@ class Loop:
 
         Source: Hulin 2017, ch. 4; for delays that are no whole number of samples docs/definitions.md.
         """
-        loop, delta = general(self._normalised), self.damping / self._scale.damping
+        loop, delta = self._normalised, self.damping / self._scale.damping
         alpha, beta = passive_outline(loop, delta)
         best = np.zeros(2)
         if delta > 0:
@@ -337,6 +343,49 @@ class Loop:
         frame = pd.DataFrame({"time_s": time, "position": chi / unit})
         frame.attrs["units"] = units_of(("time_s", "position"), {self.motion})
         return frame
+
+    def margins(self, stiffness: float, damping: float) -> Margins:
+        """Return gain, phase and delay margin and bandwidth of a stable wall.
+
+        Parameters
+        ----------
+        stiffness, damping : float
+            Of one wall.
+
+        Returns
+        -------
+        Margins
+            ``gain``, ``gain_down``: factors of K and B together up, and down, to the limit; ``phase`` [rad], where the
+            loop's gain is 1; ``delay`` [samples] that may be added; ``bandwidth`` [rad/sample], where the position
+            after a command falls to 1/sqrt(2) of that at rest. Over 2 pi T the last is one in Hz. None: no limit.
+
+        Raises
+        ------
+        ParameterError
+            If the wall is unstable.
+        """
+        return margins(self._normalised, stiffness / self._scale.stiffness, damping / self._scale.damping)
+
+    def to_state_space(self, stiffness: float = 0.0, damping: float = 0.0) -> StateSpace:
+        """Return the loop as a discrete system of scipy, from a command [N, Nm] to the sensed position [m, rad].
+
+        Parameters
+        ----------
+        stiffness, damping : float
+            Of the wall that closes the loop; without one the open loop.
+
+        Returns
+        -------
+        scipy.signal.StateSpace
+            With ``dt``; ``control.ss(s.A, s.B, s.C, s.D, s.dt)`` is that of python-control. The command passes gain,
+            delay and lag as the wall's own does.
+        """
+        from scipy.signal import StateSpace
+
+        loop, wall = self._normalised, np.array([[stiffness / self._scale.stiffness], [damping / self._scale.damping]])
+        _, push, position, _ = loop.open_loop
+        command = push[:, None] / self._scale.stiffness
+        return StateSpace(loop.matrix(*wall)[0], command, position[None], 0.0, dt=self.sampling_period_s)
 
     def map(self, size: int = 251, criteria: Sequence[str] = MAP_DEFAULT) -> pd.DataFrame:
         """Return costs on a grid over the bounding box of the stable region, both ends included.

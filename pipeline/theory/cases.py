@@ -24,7 +24,7 @@ from pipeline.theory.cost.settling_overshoot import LONGEST
 from pipeline.theory.cost.theory_map import check_criteria
 from pipeline.theory.optimum.optimum import optimal_point
 from pipeline.theory.optimum.rules import POINT_CRITERIA, marked_point
-from pipeline.theory.stability.boundary import boundary
+from pipeline.theory.stability.boundary import boundary, has_islands
 from pipeline.theory.stability.robust import robust_outline
 from pipeline.theory.stability.stability import spectral_radius, stable_by_radius
 
@@ -41,6 +41,11 @@ MARGINAL = 1e-12
 """Distance of the spectral radius from 1 below which no cost is given: the poles are rounded to about 1e-15
 and energy costs grow with the inverse distance to the power of w + 1, so hardly three digits would be left."""
 
+
+_ISLANDS = (
+    "not searched: walls beyond an unstable stretch (at their damping, softer ones are unstable), which exist for this "
+    "loop and may cost less"
+)
 
 LARGEST = 1e200
 """Largest alpha and beta, far above any limit; the matrices of larger ones overflow."""
@@ -152,7 +157,8 @@ def point_costs(cases: Cases, criteria: Sequence[str] = POINT_COSTS) -> list[dic
     for number, plant in enumerate(plants):
         members = np.flatnonzero(group == number)
         try:
-            loop = Loop(*(float(value) for value in plant))
+            gamma, delta, delay = map(float, plant)
+            loop = Loop(gamma, delta, delay)
         except ParameterError as error:
             raise ParameterError(f"{cases.path}, row {cases.row[members[0]]}: {error}") from error
         alpha, beta = cases.values[members, 0], cases.values[members, 1]
@@ -275,6 +281,8 @@ def optimum_document(loop: Loop, criterion: str, signal: str | None = None) -> d
     document |= {"alpha": point.alpha, "beta": point.beta, "cost": point.cost}
     if not point.attained:
         document["reason"] = "a limit at the edge of the stable region, which no stable point reaches"
+    if has_islands(loop):
+        document["note"] = _ISLANDS
     if point.box is not None:
         document["box"] = dict(zip(("alpha_low", "alpha_high", "beta_low", "beta_high"), point.box, strict=True))
     return document

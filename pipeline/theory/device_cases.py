@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.base.errors import ParameterError
-from pipeline.loop.device_loop import general, loop_of, wall_units
+from pipeline.loop.device_loop import loop_of, wall_units
 from pipeline.loop.loop import Loop, Normalised
 from pipeline.records.batch import Floats
 from pipeline.records.loop_parts import LoopParts
@@ -111,7 +111,7 @@ def boundary_document(case: DeviceCase, points: int = 400) -> dict[str, Any]:
     ParameterError
         If no wall is stable at any damping.
     """
-    found, k, b = outline(general(case.loop), points), case.units.stiffness, case.units.damping
+    found, k, b = outline(case.loop, points), case.units.stiffness, case.units.damping
     if not len(found.beta) and not len(found.islands):
         raise ParameterError(
             f"device {case.device.name!r}, experiment {case.experiment.name!r}: no stiffness and damping stabilise "
@@ -147,7 +147,7 @@ def wall_documents(case: DeviceCase, walls: Cases, criteria: Sequence[str] = POI
     """
     check_criteria(criteria)
     alpha, beta = walls.values[:, 0] / case.units.stiffness, walls.values[:, 1] / case.units.damping
-    slowest = slowest_poles(general(case.loop), alpha, beta)
+    slowest = slowest_poles(case.loop, alpha, beta)
     radius = np.array([pole.radius for pole in slowest])
     found = points_of_loop(case.loop, alpha, beta, radius, criteria)
     return [
@@ -176,4 +176,4 @@ def device_optimum(case: DeviceCase, criterion: str, signal: str | None = None) 
             name.replace("alpha", "stiffness").replace("beta", "damping"): value * (k if "alpha" in name else b)
             for name, value in box.items()
         }
-    return result | {name: document[name] for name in ("reason",) if name in document}
+    return result | {name: document[name] for name in ("reason", "note") if name in document}

@@ -19,7 +19,7 @@ from pipeline.base.disk import if_writable, read_kept, write_kept
 from pipeline.base.errors import ParameterError
 from pipeline.base.process_pool import process_pool
 from pipeline.base.provenance import code_digest, digest, sha256
-from pipeline.loop.device_loop import DeviceLoop, general, loop_of, wall_units
+from pipeline.loop.device_loop import loop_of, wall_units
 from pipeline.loop.loop import Loop, Normalised
 from pipeline.records.batch import Floats
 from pipeline.records.criteria import criterion_of
@@ -72,7 +72,7 @@ class Theory:
     @cached_property
     def stabilised(self) -> bool:
         """Whether any damping stabilises a soft wall; there is neither boundary nor optimum otherwise."""
-        return not isinstance(self.loop, DeviceLoop) or len(outline(self.loop, _FEWEST).beta) > 0
+        return not self.loop.has_parts or len(outline(self.loop, _FEWEST).beta) > 0
 
     @property
     def wall_damping(self) -> float:
@@ -83,7 +83,7 @@ class Theory:
     @cached_property
     def passive_outline(self) -> tuple[Floats, Floats] | None:
         """Outline of the passive region, alpha and beta, that the device's own damping leaves; None without one."""
-        loop = general(self.loop)
+        loop = self.loop
         if self.parameters.damping <= 0 or (loop.mode is not None and loop.mode.sensor_far):
             return None
         return passive_outline(loop, self._own_delta)

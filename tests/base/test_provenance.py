@@ -12,12 +12,12 @@ from pathlib import Path
 import pytest
 from folders import DIRECTLY, MAY_IMPORT
 
+from pipeline import readers
 from pipeline.base.provenance import CODE, PACKAGE_FOLDER, code_digest, schema_folder
 from pipeline.comparison.compare import report_code
 from pipeline.intake import ingest
 from pipeline.measured.device import friction
 from pipeline.measured.stages.stages import STAGES
-from pipeline.readers.formats import hdf5
 from pipeline.records import models
 from pipeline.rendering import labels
 from pipeline.shell import cli
@@ -28,7 +28,7 @@ EDITS = [
     (optimum, {"theory", "report"}),
     (labels, {"report"}),
     (cli, {"report"}),
-    (hdf5, {"ingest", "report"}),
+    (readers, {"ingest", "report"}),
     (ingest, {"ingest", "report"}),
     (models, {"stages", "theory", "ingest", "report"}),
 ]

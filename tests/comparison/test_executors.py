@@ -160,7 +160,7 @@ def test_executors_by_name(monkeypatch):
     assert executor_of("local") is compute_stages
     assert executor_of("dask://[::1]:8786") == DaskCluster("tcp://[::1]:8786")
     monkeypatch.setattr(objects, "find_spec", lambda name: None)
-    with pytest.raises(UsageError, match=r"executor dask://h:1 needs distributed.*haptic-pipeline\[cluster\]"):
+    with pytest.raises(UsageError, match=r"executor dask://h:1 needs distributed.*pip install '.\[cluster\]'"):
         executor_of("dask://h:1")
 
 

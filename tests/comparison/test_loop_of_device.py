@@ -3,7 +3,6 @@
 import pytest
 
 from pipeline.comparison.figures.boundary_curves import linear_curve, passive_curve, theory_curve
-from pipeline.loop.device_loop import DeviceLoop
 from pipeline.loop.loop import Loop
 from pipeline.records.loop_parts import LoopParts
 from pipeline.records.results import TheoryParameters
@@ -30,7 +29,7 @@ def theory(parts: LoopParts = LoopParts()) -> Theory:  # noqa: B008
 
 def test_boundary_and_optimum_are_those_of_the_loop_with_its_parts():
     ideal, real = theory(), theory(PARTS)
-    assert (type(ideal.loop), type(real.loop)) == (Loop, DeviceLoop)
+    assert (type(ideal.loop), type(real.loop)) == (Loop, Loop)
     assert max(theory_curve(real, "").stiffness) < 0.6 * max(theory_curve(ideal, "").stiffness)
     best = [one.physical(optimal_point(one.loop, "energy_step_w0")) for one in (ideal, real)]
     assert best[1].stiffness < 0.8 * best[0].stiffness

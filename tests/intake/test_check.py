@@ -9,7 +9,7 @@ from stored import check_whole, flip
 
 from pipeline.comparison.compare import compare
 from pipeline.intake.check import check
-from pipeline.intake.exclude import exclude, use_again
+from pipeline.intake.correct import exclude, use_again
 from pipeline.intake.ingest import ingest
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.store import batch_files

@@ -18,7 +18,7 @@ EXTREME = extreme_cases()
 
 def trajectory(loop: Loop, alpha: float, beta: float, signal: str, samples: int) -> np.ndarray:
     matrix = loop.matrix(np.array([alpha]), np.array([beta]))[0]
-    z, out = loop.initial(signal), []
+    z, out = loop.starts(np.array([alpha]), signal)[0], []
     for _ in range(samples + 1):
         out.append(z[:2].copy())
         z = matrix @ z
@@ -119,7 +119,7 @@ def test_size_of_the_state() -> None:
         ((0.0, 0.0, math.nan), "delay"),
         ((0.0, 0.0, math.inf), "delay"),
         ((0.0, 0.0, LARGEST_DELAY + 0.5), "at most 256"),
-        ((0.0, 1e300, 0.0), r"delta = 1e\+300: expected at most 1e\+100"),  # its square overflows
+        ((0.0, 1e300, 0.0), r"delta = 1e\+300: expected at most 1e\+07"),
         ((math.pi**2 * (1 + 1e-12), 0.0, 0.0), r"\(4.15\)"),
         ((math.pi**2 + 1.01, 2.0, 0.0), r"\(4.15\)"),
     ],
@@ -130,7 +130,7 @@ def test_parameters_out_of_range_are_named(values: tuple[float, float, float], w
 
 
 def test_extreme_parameters_are_accepted() -> None:
-    for values in [(math.pi**2, 0.0, 0.0), (math.pi**2 + 25, 10.0, 64.0), (5e-324, 0.0, 256.0), (0.0, 1e100, 2.0)]:
+    for values in [(math.pi**2, 0.0, 0.0), (math.pi**2 + 25, 10.0, 64.0), (5e-324, 0.0, 256.0), (0.0, 1e7, 2.0)]:
         assert np.isfinite(Loop(*values).matrix(np.array([0.1]), np.array([0.1]))).all()
 
 
@@ -145,7 +145,7 @@ def test_units_need_positive_mass_and_period(mass: float) -> None:
 @pytest.mark.parametrize("signal", ["ramp", "", "Step"])
 def test_unknown_signals_are_refused(signal: str) -> None:
     with pytest.raises(ParameterError, match="expected 'step' or 'impulse'"):
-        Loop(0, 0, 0).initial(signal)
+        Loop(0, 0, 0).starts(np.ones(1), signal)
 
 
 def test_points_must_be_finite_lists() -> None:

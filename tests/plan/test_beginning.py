@@ -9,7 +9,7 @@ import pytest
 
 from pipeline.base.errors import DeviceError, UsageError
 from pipeline.device_data.devices import load_device
-from pipeline.loop.device_loop import general, loop_of, wall_units
+from pipeline.loop.device_loop import loop_of, wall_units
 from pipeline.loop.loop import Normalised
 from pipeline.plan.course import Wish, beginning, open_course, wanted_dampings
 from pipeline.plan.planner import plan, plan_of
@@ -40,7 +40,7 @@ def test_the_start_is_the_limit_of_the_declared_loop(begun, parts):
     declared = LoopParts(**parts)
     loop = loop_of(of.mass, of.damping, of.stiffness, of.delay_samples, T, declared)
     units = wall_units(of.mass, T, declared)
-    expected = np.nan_to_num(limits(general(loop), np.array(dampings) / units.damping).alpha) * units.stiffness
+    expected = np.nan_to_num(limits(loop, np.array(dampings) / units.damping).alpha) * units.stiffness
     assert start.limit == pytest.approx(expected, rel=1e-9)
 
 

@@ -7,7 +7,7 @@ import pytest
 from kinds import kinds
 
 from pipeline.device_data.devices import load_device
-from pipeline.loop.device_loop import general, loop_of, wall_units
+from pipeline.loop.device_loop import loop_of, wall_units
 from pipeline.measured.ladder.device import Device
 from pipeline.measured.signal.response import find_response
 from pipeline.plan.evidence import Evidence
@@ -25,7 +25,7 @@ def truth(device):
     of, T = device.experiments[0], device.sampling_period_s
     parts = device.loop_of(of)
     loop, units = loop_of(of.mass, of.damping, of.stiffness, of.delay_samples, T, parts), wall_units(of.mass, T, parts)
-    return np.nan_to_num(limits(general(loop), DAMPINGS / units.damping).alpha) * units.stiffness
+    return np.nan_to_num(limits(loop, DAMPINGS / units.damping).alpha) * units.stiffness
 
 
 @pytest.mark.parametrize("kind", ["ideal", "actuator lag", "butterworth filter"])

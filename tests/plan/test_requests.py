@@ -109,11 +109,11 @@ def test_without_logs_the_first_walls_are_well_inside_what_the_file_predicts(tmp
 
 
 def stated(experiment):
-    from pipeline.loop.device_loop import general, loop_of, wall_units
+    from pipeline.loop.device_loop import loop_of, wall_units
 
     of = next(each for each in FALCON.experiments if each.name == experiment)
     about = of.delay_samples, FALCON.sampling_period_s, FALCON.loop_of(of)
-    return general(loop_of(of.mass, of.damping, of.stiffness, *about)), wall_units(of.mass, *about[1:])
+    return loop_of(of.mass, of.damping, of.stiffness, *about), wall_units(of.mass, *about[1:])
 
 
 def test_logs_that_nobody_asked_for_answer_nothing():

@@ -212,6 +212,7 @@ ANSWERS = {
     "columns.command.sign": "1",
     "columns.position.sign": "1",
     "decimal": '"."',
+    "name_pattern": '"K(?P<stiffness>[0-9]+)"',
 }
 
 

@@ -65,10 +65,10 @@ def test_from_a_foreign_csv_to_a_report(capsys):
     questions = outputs["pipeline profile check lab.toml lab/K4800_B24.csv"]
     assert "would be stored" in questions
     first = next(out + err for command, out, err in printed if command.startswith("pipeline profile check lab.toml"))
-    for key in ("columns.time.unit", "columns.command.name", "columns.command.sign", "name_pattern", "step_at"):
+    for key in ("columns.command.unit", "columns.position.unit", "name_pattern", "constants.device"):
         assert f"'{key}': open question" in first
     # the page shows the first of them as it is printed
-    (shown,) = re.findall(r"`(lab\.toml:\d+: key 'columns\.time\.unit': .*?)`", " ".join(PAGE.split()))
+    (shown,) = re.findall(r"`(lab\.toml:\d+: key 'columns\.command\.unit': .*?)`", " ".join(PAGE.split()))
     assert shown in " ".join(first.split())
     report = Path("reports/bench.html").read_text(encoding="utf-8")
     assert "<svg" in report
@@ -115,7 +115,7 @@ def test_each_family_is_read(title, capsys):
 
 
 def test_families_and_their_values(capsys):
-    assert len(FAMILIES) == 12
+    assert len(FAMILIES) == 13
     (_, out, _), *_ = follow(section("### Headerless columns in counts"), capsys)
     # 1000 us over the wrap: 4294967296 - 4294966796 + 500
     assert re.search(r"time +0 to 0\.003 s", out)

@@ -75,7 +75,6 @@ def objects_73():
         matlab_class(file.create_dataset("t", data=TIME[None, :]), "double")
         series = matlab_class(file.create_dataset("ts", data=np.zeros((1, 6), dtype="u4")), "timeseries")
         series.attrs["MATLAB_object_decode"] = np.int32(3)
-        file.create_group("#subsystem#")
 
     return version_73(write), ("t", "ts.Data", "ts.Time")
 

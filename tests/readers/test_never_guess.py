@@ -15,7 +15,7 @@ from pipeline.base.errors import LogError, ProfileError
 from pipeline.profiles.profile_files import read_profile
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers import Log, RawLog, reader_of
-from pipeline.readers.formats.delimited import list_columns
+from pipeline.readers.formats.files import read_file
 from pipeline.shell.cli import run
 from pipeline.shell.profile.profile_check import check_samples
 from pipeline.shell.profile.profile_draft import draft_profile
@@ -289,7 +289,8 @@ def test_a_check_warns_of_another_unit_or_step_and_of_a_motion_against_it(tmp_pa
     rows = [(k, 8 * (k > 4), 0.01 * max(k - 6, 0) ** 2) for k in range(40)]
     assert checked(tmp_path, TOML, rows) == ()
     micro = TOML.replace('unit = "ms"', 'unit = "us"').replace("0.001", "1e-6")
-    (warning,) = checked(tmp_path, micro, rows)
+    (*implausible, warning) = checked(tmp_path, micro, rows)
+    assert [text.split()[0] for text in implausible] == ["sampling_period_s", "duration_s"]
     assert warning == "columns.time.unit is 'us', but the file says 'ms': which is right?"
     (warning,) = checked(tmp_path, TOML.replace("step = 8", "step = 9"), rows)
     assert warning == "the command jumps by 8 in row 5, but the step is 9: which is right?"
@@ -300,7 +301,7 @@ def test_a_check_warns_of_another_unit_or_step_and_of_a_motion_against_it(tmp_pa
 def test_units_of_a_unit_line_are_known_in_their_brackets(tmp_path):
     text = "t\tF\tx\n[ms]\t(N)\t[mm]\n" + "".join(f"{t}\t{force}\t{x}.5\n" for t, force, x in RUN)
     chosen = profile(TEXT | {"delimiter": "\t", "unit_line": True})
-    assert [info.hint for info in list_columns("a", text.encode(), chosen)] == ["ms", "N", "mm"]
+    assert [info.hint for info in read_file(chosen, ("a",), (text.encode(),)).listed()] == ["ms", "N", "mm"]
     (tmp_path / "a.txt").write_text(text, encoding="utf-8")
     draft = draft_profile(tmp_path / "a.txt")
     assert "columns.time.unit: the file says 'ms'; is it right? One of s, ms, us, ns, min.\n# unit = \"ms\"" in draft

@@ -1,13 +1,19 @@
 """A lab's own files, as a new user brings them: what the draft proposes, what check says, what gets in."""
 
+import warnings
+
 import numpy as np
+import pandas as pd
 import pytest
+from foreign_files import list_columns, read_frame
 from scipy.io import savemat
 from typer.testing import CliRunner
 
-from pipeline.base.errors import ProfileError
+from pipeline.base.errors import LogError, ProfileError
 from pipeline.intake.ingest import ingest
 from pipeline.profiles.profile_files import read_profile
+from pipeline.profiles.profile_lines import find_questions
+from pipeline.readers.layout import format_of
 from pipeline.shell.cli import application
 from pipeline.shell.profile.profile_draft import draft_profile
 from pipeline.store.samples import load_batch
@@ -122,12 +128,149 @@ def test_the_pattern_of_names_keeps_signs(tmp_path, name, found):
     assert {key: trials.column(key)[0].as_py() for key in found} == found
 
 
-def test_check_says_that_a_file_has_several_steps(tmp_path):
-    command = 6.0 * (TIME >= 0.05) + 6.0 * (TIME >= 0.15) - 6.0 * (TIME >= 0.25) - 6.0 * (TIME >= 0.35)
-    log = write(tmp_path / "run.csv", "t,F,x", TIME, command, np.cumsum(command) * 1e-5)
+FOUR = 6.0 * (TIME >= 0.05) + 6.0 * (TIME >= 0.15) - 6.0 * (TIME >= 0.25) - 6.0 * (TIME >= 0.35)
+
+
+def test_a_piecewise_constant_command_is_parted_at_its_changes(tmp_path):
+    log = write(tmp_path / "run.csv", "t,F,x", TIME, FOUR, np.cumsum(FOUR) * 1e-5)
     lab = profile(tmp_path / "lab.toml", COMMAND='{ name = "F", unit = "N", sign = 1 }')
+    assert ingest([log], tmp_path / "processed", lab).ingested == 1
+    trials = read_trials(tmp_path / "processed").sort_by("label")
+    assert trials.column("step").to_pylist() == [6, 6, -6, -6]
+    for i, (start, end) in enumerate(((0, 150), (50, 250), (150, 350), (250, 400))):
+        batch = load_batch(tmp_path / "processed", trials.slice(i, 1))
+        np.testing.assert_array_equal(batch.command[0], FOUR[start:end])
     done = pipeline("profile", "check", lab, log)
-    assert "[[steps]]" in done.output
+    assert "4 trials would be stored" in done.output
+    assert "step 3 of 4 found in the command, by -6 in row 250" in done.output
+
+
+@pytest.mark.parametrize("command", ["relay", "sweep"])
+def test_any_command_gets_in_as_one_log(tmp_path, command):
+    values = 6.0 * np.sign(np.sin(TIME * 500)) if command == "relay" else 6.0 * np.sin(300 * TIME**2)
+    log = write(tmp_path / "run.csv", "t,F,x", TIME, values, np.cumsum(np.cumsum(values)) * 1e-7)
+    lab = profile(tmp_path / "lab.toml", COMMAND='{ name = "F", unit = "N", sign = 1 }')
+    report = ingest([log], tmp_path / "processed", lab)
+    assert (report.ingested, report.quarantined) == (1, ())
+    assert any("kept as one log" in str(warning) for warning in report.warnings)
+    assert len(read_trials(tmp_path / "processed")) == 1
+
+
+def test_a_log_without_wall_and_step_states_none_of_them(tmp_path):
+    lab = profile(tmp_path / "lab.toml", COMMAND='{ name = "F", unit = "N", sign = 1 }', COMMON="")
+    log = write(tmp_path / "run.csv", "t,F,x", TIME, FOUR, np.cumsum(FOUR) * 1e-5)
+    text = lab.read_text()
+    lab.write_text(text.replace("stiffness = 0, damping = 0, step = 6, ", ""))
+    assert ingest([log], tmp_path / "processed", lab).ingested == 1
+    lab.write_text(text.replace("stiffness = 0, damping = 0, step = 6, ", "stiffness = 0, "))
+    with pytest.raises(ProfileError, match=r"constants\.damping"):
+        read_profile(lab)
+    native = "# device: motor\n# experiment: 2\n# sampling_period_s: 0.001\n# motion: translation\n"
+    rows = "".join(f"{t:.3f},{f},{x:.9g}\n" for t, f, x in zip(TIME, FOUR, np.cumsum(FOUR) * 1e-5, strict=True))
+    (tmp_path / "free.csv").write_text(f"{native}time_s,command,position\n{rows}")
+    assert ingest([tmp_path / "free.csv"], tmp_path / "processed").ingested == 1
+    trials = read_trials(tmp_path / "processed")
+    assert trials.column("stiffness").to_pylist() == trials.column("step").to_pylist() == [0, 0]
+    (tmp_path / "half.csv").write_text(f"# stiffness: 3\n{native}time_s,command,position\n{rows}")
+    (refusal,) = ingest([tmp_path / "half.csv"], tmp_path / "processed").quarantined
+    assert "has no 'damping' and no 'step'" in refusal.reason
+
+
+def wall(stiffness, damping, rows=400, delay=2):
+    """Command [N] and position [m] of a mass of 0.6 kg at a wall, stepped by 8 N in row 50."""
+    position, command = np.zeros(rows), np.zeros(rows)
+    place = speed = 0.0
+    for k in range(rows):
+        position[k] = round(place / 1e-6) * 1e-6
+        command[k] = 8.0 * (k >= 50) - stiffness * position[k]
+        command[k] -= damping * (position[k] - position[max(k - 1, 0)]) / 0.001
+        for _ in range(4):
+            speed += 0.00025 * (command[max(k - delay, 0)] - 4 * speed) / 0.6
+            place += 0.00025 * speed
+    return command, position
+
+
+@pytest.mark.parametrize("mirrored", [1, -1])
+def test_a_draft_of_own_files_asks_only_what_the_command_does_not_tell(tmp_path, mirrored):
+    files = []
+    for number, text in enumerate(("0.5", "2")):
+        command, position = wall(1000 * float(text), 12.0)
+        rows = "".join(
+            f"{1e3 * t:.1f};{f:.6f};{x:.6f}\n" for t, f, x in zip(TIME, command, mirrored * 1e3 * position, strict=True)
+        )
+        files.append(tmp_path / f"K{text}_B12_{number}.csv")
+        files[-1].write_text("Zeit;Kraft;Weg\n" + rows.replace(".", ","))
+    text = draft_profile(*files)
+    asked = {".".join(map(str, question.place)) for question in find_questions(text)}
+    assert asked == {"constants.device", "constants.motion", "columns.command.unit", "columns.position.unit"}
+    for key in ("device", "motion", "unit"):
+        text = text.replace(f"\n# {key} = ", f"\n{key} = ")
+    assert f"sign = {mirrored}" in text
+    (tmp_path / "lab.toml").write_text(text)
+    done = pipeline("profile", "check", tmp_path / "lab.toml", *files)
+    assert done.exit_code == 0, done.output
+    assert "stiffness            500 N/m" in done.output
+    wrongs = (
+        ('unit = "mm"', 'unit = "m"', "[columns.position] unit"),
+        ('stiffness = "N/mm"', "", '[units] stiffness = "N/mm"'),
+    )
+    for right, wrong, cure in wrongs:
+        (tmp_path / "wrong.toml").write_text(text.replace(right, wrong))
+        done = pipeline("profile", "check", tmp_path / "wrong.toml", *files)
+        assert done.exit_code == 1
+        assert cure in done.output
+
+
+def series(values):
+    """A timeseries as MATLAB saves it: equidistant times are not stored, but start, increment and length."""
+    opaque = pytest.importorskip("matio.utils.matclass").MatlabOpaque
+    empty, one = np.zeros((0, 0)), lambda value: np.array([[float(value)]])
+    info = {"Start_": one(0), "Increment_": one(0.001), "Length": one(len(values)), "Time_": empty, "Units": "seconds"}
+    parts = {"Data_": values[:, None], "Time_": empty, "TimeInfo": opaque(info, "tsdata.timemetadata"), "Name": "x"}
+    return opaque(parts, "timeseries")
+
+
+@pytest.mark.parametrize("version", ["v7", "v7.3"])
+def test_timeseries_and_timetables_of_matlab_are_read(tmp_path, version):
+    matio = pytest.importorskip("matio")
+    frame = pd.DataFrame({"x": TIME**2}, index=pd.to_timedelta(np.arange(ROWS), unit="ms").astype("timedelta64[ns]"))
+    contents = {"F": series(FOUR), "x": series(TIME**2), "log": frame, "K": np.array([[300.0]])}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        matio.save_to_mat(tmp_path / "run.mat", contents, version=version)
+    data = (tmp_path / "run.mat").read_bytes()
+    read = read_frame("matlab", "run.mat", data, ["F.Time", "F.Data", "x.Data"])
+    np.testing.assert_allclose(read.columns["F.Time"], TIME, rtol=0, atol=1e-15)
+    np.testing.assert_array_equal(read.columns["F.Data"], FOUR)
+    np.testing.assert_array_equal(read.columns["x.Data"], TIME**2)
+    assert read.attributes["K"] == 300
+    table = read_frame("matlab", "run.mat", data, ["log.Time", "log.x"])
+    assert table.columns["log.Time"].tolist() == list(range(0, ROWS * 10**6, 10**6))
+    assert table.units["log.Time"] == "ns"
+    np.testing.assert_array_equal(table.columns["log.x"], TIME**2)
+
+
+def test_mdf_channels_are_read_with_their_time(tmp_path):
+    asammdf = pytest.importorskip("asammdf")
+    with asammdf.MDF(version="4.10") as file:
+        signals = [
+            asammdf.Signal(values, TIME, name=name, unit=unit)
+            for name, values, unit in (("F", FOUR, "N"), ("x", TIME**2, "mm"))
+        ]
+        file.append(signals)
+        file.append([asammdf.Signal(TIME[:7], TIME[:7], name="F", unit="V")])
+        path = file.save(tmp_path / "run.mf4", overwrite=True)
+    data = path.read_bytes()
+    read = read_frame("mdf", "run.mf4", data, ["0/@time", "0/F", "0/x"])
+    np.testing.assert_array_equal(read.columns["0/@time"], TIME)
+    np.testing.assert_array_equal(read.columns["0/F"], FOUR)
+    infos = {info.name: info for info in list_columns("mdf", "run.mf4", data)}
+    assert (infos["0/x"].hint, infos["0/F"].rows, infos["1/F"].rows) == ("mm", ROWS, 7)
+    with pytest.raises(LogError, match="different lengths"):
+        read_frame("mdf", "run.mf4", data, ["0/@time", "1/F"])
+    assert format_of("run.mf4", data) == "mdf"
+    with pytest.raises(LogError, match="cannot be read as an MDF file"):
+        read_frame("mdf", "run.mf4", data[:400], ["0/F"])
 
 
 def test_objects_of_matlab_are_named_with_their_export(tmp_path):
@@ -137,6 +280,8 @@ def test_objects_of_matlab_are_named_with_their_export(tmp_path):
         item.attrs["MATLAB_class"] = np.bytes_("timeseries")
         item.attrs["MATLAB_object_decode"] = np.int32(3)
         file["#sigstream#/0/#data#"] = TIME
+    data = (tmp_path / "run.mat").read_bytes()
+    (tmp_path / "run.mat").write_bytes(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM" + data[128:])
     with pytest.raises(ProfileError) as caught:
         draft_profile(tmp_path / "run.mat")
     assert "class timeseries" in str(caught.value)

@@ -5,17 +5,16 @@ from io import BytesIO
 import numpy as np
 import pyarrow as pa
 import pytest
-from foreign_files import START, arrow_log, arrow_table, profile, samples
+from foreign_files import START, arrow_log, arrow_table, list_columns, read_frame, samples
 from pyarrow import parquet
 
 from pipeline.base.errors import LogError
-from pipeline.readers.formats.arrow_tables import list_columns, read_frame
 
 KINDS = ["parquet", "lz4", "zstd", "uncompressed"]
 
 
 def frame(data, *wanted):
-    return read_frame(profile(), "log.parquet", data, wanted)
+    return read_frame("parquet" if data[:4] == b"PAR1" else "feather", "log.parquet", data, wanted)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -54,9 +53,9 @@ def test_wanted_columns_keep_their_order(kind):
     [
         ("tt", "no column 'tt'.*It has: t, stamp"),
         ("raw", "is binary"),
-        ("q", "is list<.*>; expected numbers"),
-        ("q[3]", "no element of a list of one length"),
-        ("state", "is struct<"),
+        ("q", "Name one element"),
+        ("q[3]", "Name one element"),
+        ("state", "Nearest: state.w"),
     ],
 )
 def test_columns_that_are_none_are_refused(wanted, words):
@@ -80,7 +79,7 @@ def test_long_whole_numbers_with_gaps_are_refused():
 
 
 def test_columns_are_listed():
-    infos = {info.name: info for info in list_columns("log.feather", arrow_log("lz4"))}
+    infos = {info.name: info for info in list_columns("feather", "log.feather", arrow_log("lz4"))}
     assert (infos["stamp"].dtype, infos["stamp"].hint) == ("integer", "ns")
     assert (infos["q[1]"].dtype, infos["q[1]"].rows) == ("number", 40)
     assert infos["label"].first == ("a", "bb", "a")
@@ -92,16 +91,9 @@ def test_an_empty_table_has_no_rows():
     assert len(frame(buffer.getvalue(), "t", "label")) == 0
 
 
-def test_other_files_are_refused():
-    with pytest.raises(LogError, match="begins with b'time_s,c'"):
-        frame(b"time_s,command,position\n")
-    with pytest.raises(LogError, match="version 1"):
-        frame(b"FEA1" + bytes(100))
-
-
 def test_a_claim_of_many_rows_is_refused_before_they_are_read():
     buffer = BytesIO()
     parquet.write_table(pa.table({"t": pa.array(np.zeros(20_000_000))}), buffer)
     assert len(buffer.getvalue()) < 1e5
-    with pytest.raises(LogError, match="a table of 20000000 rows claims 160000000 bytes"):
+    with pytest.raises(LogError, match="takes more memory than a file of its size may"):
         frame(buffer.getvalue(), "t")

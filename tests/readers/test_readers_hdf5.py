@@ -5,14 +5,13 @@ from concurrent.futures import ThreadPoolExecutor
 import h5py
 import numpy as np
 import pytest
-from foreign_files import hdf5_file, hdf5_log, profile, samples
+from foreign_files import hdf5_file, hdf5_log, list_columns, read_frame, samples
 
 from pipeline.base.errors import LogError
-from pipeline.readers.formats.hdf5 import list_columns, open_image, read_frame
 
 
 def frame(data, *wanted):
-    return read_frame(profile(), "log.h5", data, wanted)
+    return read_frame("hdf5", "log.h5", data, wanted)
 
 
 def test_every_value_comes_back():
@@ -56,17 +55,17 @@ def test_axis_of_time_is_the_one_that_fits():
     assert read.columns["wide[6]"].tolist() == [30, 31, 32, 33, 34]
     assert read.columns["square[1]"].tolist() == [1, 6, 11, 16, 21]
     assert read.columns["pose[1][2]"].tolist() == [6, 22, 38, 54, 70]
-    with pytest.raises(LogError, match=r"different lengths .'/t': 5, '/other': 3") as error:
+    with pytest.raises(LogError, match=r"different lengths .'t': 5, 'other': 3") as error:
         frame(data, "t", "other")
     assert error.value.row == 4
-    with pytest.raises(LogError, match=r"shape \(7, 5\).*'/wide\[0\]' to '/wide\[6\]'.*'/wide\[7\]'"):
+    with pytest.raises(LogError, match=r"shape \(7, 5\).*'/wide\[0\]' to '/wide\[6\]'.*'wide\[7\]'"):
         frame(data, "t", "wide[7]")
     with pytest.raises(LogError, match="Name one element"):
         frame(data, "t", "wide")
 
 
 def test_columns_are_listed():
-    infos = {info.name: info for info in list_columns("log.h5", hdf5_file(hdf5_log))}
+    infos = {info.name: info for info in list_columns("hdf5", "log.h5", hdf5_file(hdf5_log))}
     assert (infos["/arm/t"].dtype, infos["/arm/t"].rows, infos["/arm/t"].hint) == ("number", 40, "s")
     assert infos["/log.n"].first == ("0", "1", "2")
     assert infos["/stiffness"].rows == 1
@@ -78,11 +77,11 @@ def test_what_is_no_column_is_refused_with_the_reason():
         file["z"] = np.array([1 + 1j])
         file["nothing"] = h5py.Empty("f8")
 
-    with pytest.raises(LogError, match="'/z' is of type complex128"):
+    with pytest.raises(LogError, match="'/z' holds complex numbers"):
         frame(hdf5_file(write), "t", "z")
     with pytest.raises(LogError, match="'/nothing' is empty"):
         frame(hdf5_file(write), "nothing")
-    with pytest.raises(LogError, match=r"no column '/tt'.*It has: /t\. Not readable: '/nothing'"):
+    with pytest.raises(LogError, match=r"no column 'tt'.*It has: /t\. Not readable: '/nothing'"):
         frame(hdf5_file(write), "tt")
 
 
@@ -99,10 +98,10 @@ def test_no_other_file_is_opened(tmp_path):
         file.create_dataset("raw", (3,), "f8", external=str(tmp_path / "secret.h5"))
 
     data = hdf5_file(write)
-    infos = {info.name: info.hint for info in list_columns("log.h5", data)}
+    infos = {info.name: info.hint for info in list_columns("hdf5", "log.h5", data)}
     assert list(infos) == ["/t", "/raw", "/virtual"]
     assert "other files" in infos["/raw"]
-    with pytest.raises(LogError, match="no column '/link'"):
+    with pytest.raises(LogError, match="no column 'link'"):
         frame(data, "link")
     for name in ("virtual", "raw"):
         with pytest.raises(LogError, match="values in other files"):
@@ -111,10 +110,10 @@ def test_no_other_file_is_opened(tmp_path):
 
 def test_a_claim_of_many_values_is_refused_before_they_are_read():
     data = hdf5_file(lambda file: file.create_dataset("t", (10**12,), "f8", chunks=(1000,)))
-    with pytest.raises(LogError, match="dataset '/t' claims 8000000000000 bytes in a file of"):
+    with pytest.raises(LogError, match="takes more memory than a file of its size may"):
         frame(data, "t")
-    (info,) = list_columns("log.h5", data)
-    assert "claims 8000000000000 bytes" in info.hint
+    (info,) = list_columns("hdf5", "log.h5", data)
+    assert "claims more values" in info.hint
 
 
 def test_loops_of_groups_end():
@@ -127,9 +126,6 @@ def test_loops_of_groups_end():
 
 def test_two_files_of_one_name_stay_apart():
     first, second = (hdf5_file(lambda file, n=n: file.create_dataset("t", data=np.full(3, n))) for n in (1.0, 2.0))
-    with open_image(first, "hdf5") as one, open_image(second, "hdf5") as two:
-        assert one["t"][0] == 1.0
-        assert two["t"][0] == 2.0
     with ThreadPoolExecutor(4) as pool:
         found = list(pool.map(lambda data: frame(data, "t").columns["t"][0], [first, second] * 20))
     assert found == [1.0, 2.0] * 20

@@ -6,17 +6,16 @@ from io import BytesIO
 import numpy as np
 import pytest
 import scipy.io
-from foreign_files import hdf5_file, matlab5_log, matlab73_log, profile, samples
+from foreign_files import hdf5_file, list_columns, matlab5_log, matlab73_log, read_frame, samples
 from places import SHARED
 
 from pipeline.base.errors import LogError
-from pipeline.readers.formats.matlab import list_columns, read_frame
 
 DEVICE = SHARED / "real" / "ohara_haptics" / "own_ctrl_pop.mat"
 
 
 def frame(data, *wanted):
-    return read_frame(profile(), "log.mat", data, wanted)
+    return read_frame("matlab", "log.mat", data, wanted)
 
 
 @pytest.mark.parametrize("compressed", [False, True])
@@ -55,8 +54,7 @@ def test_a_big_endian_file_is_read():
     assert frame(data, "t").columns["t"].tolist() == [0.5, 1.5, 2.5]
 
 
-@pytest.mark.parametrize("userblock", [0, 512])
-def test_every_value_of_version_73_comes_back(userblock):
+def test_every_value_of_version_73_comes_back():
     time, position, _ = samples()
     expected = {
         "t": time,
@@ -65,7 +63,7 @@ def test_every_value_of_version_73_comes_back(userblock):
         "signals[0].values": position[:, 0],
         "signals[1].values": position[:, 1],
     }
-    data = hdf5_file(matlab73_log, userblock)
+    data = hdf5_file(matlab73_log, 512)
     read = frame(data, *expected)
     for key, values in expected.items():
         np.testing.assert_array_equal(read.columns[key], values, err_msg=key)
@@ -82,7 +80,7 @@ def test_objects_are_refused_with_how_to_export_them():
             match=r"object of class timeseries.*struct\('time', ts\.Time, 'data', ts\.Data\); save\('log\.mat'",
         ):
             frame(hdf5_file(matlab73_log, 512), "t", wanted)
-    hints = {info.name: info.hint for info in list_columns("log.mat", hdf5_file(matlab73_log, 512))}
+    hints = {info.name: info.hint for info in list_columns("matlab", "log.mat", hdf5_file(matlab73_log, 512))}
     assert "class timeseries" in hints["ts"]
     assert "#refs#" not in " ".join(hints)
 
@@ -139,7 +137,7 @@ def test_wrong_names_are_explained(wanted, words):
 
 
 def test_signals_are_listed_with_their_labels():
-    infos = {info.name: info for info in list_columns("log.mat", matlab5_log(True))}
+    infos = {info.name: info for info in list_columns("matlab", "log.mat", matlab5_log(True))}
     assert infos["scope.signals[1].values"].hint == "-F_h"
     assert (infos["log.by_joint[2]"].rows, infos["log.by_joint[2]"].dtype) == (40, "number")
     assert infos["none"].rows == 0
@@ -148,7 +146,7 @@ def test_signals_are_listed_with_their_labels():
 def test_other_files_are_refused():
     with pytest.raises(LogError, match=r"version 4 file must be saved again"):
         frame(bytes(200))
-    with pytest.raises(LogError, match="no MATLAB file: expected version 5 or 7"):
+    with pytest.raises(LogError, match="no MATLAB file; expected version 5 or 7"):
         frame(b"time_s,command\n")
 
 
@@ -187,6 +185,6 @@ def test_haptic_device_log_equals_scipy():
         for j in range(2):
             assert read.columns[f"scope.signals[{i}].values[{j}]"].tolist() == values[:, j].tolist()
     assert read.attributes["J"] == pytest.approx(1 / 631.36, rel=1e-12)
-    hints = {info.name: info.hint for info in list_columns(DEVICE.name, data)}
+    hints = {info.name: info.hint for info in list_columns("matlab", DEVICE.name, data)}
     assert hints["scope.signals[1].values[0]"] == "Interaction forces (Nm at lever)     -F_h, F_e"
     assert "class tf" in hints["Zm"]

@@ -5,12 +5,7 @@ import shutil
 import pytest
 from served import serving
 
-from pipeline.service.backup import backup
-from pipeline.service.database import Database
 from pipeline.service.settings import Settings
-
-TOLD = ("devices", "experiments", "trials?limit=1000&sort=settle_2pct", "jobs?limit=1000", "experiments/falcon/1/notes",
-        "experiments/falcon/1/tags", "experiments/falcon/1/estimates", "experiments/falcon/1/boundary")  # fmt: skip
 
 
 @pytest.fixture(scope="session")
@@ -68,22 +63,3 @@ def compared(served):
     job = served.done(first.content["job"])
     assert (job["state"], job["problem"]) == ("done", None)
     return asked, first, job["result"]["key"]
-
-
-@pytest.fixture(scope="session")
-def kept(served, compared, tmp_path_factory, logs):
-    """A backup of a running server with an upload, notes, a token and a report, and what the server told."""
-    file, settings = tmp_path_factory.mktemp("kept") / "lab.zip", served.settings
-    served.upload(logs)
-    served.all_done()
-    words = {"notes": {"text": "a stiff spring"}, "tags": {"tags": ["spring"]}}
-    for kind, document in words.items():
-        served.ask("PUT", f"experiments/falcon/1/{kind}", document=document)
-    served.get("experiments/falcon/1/estimates")
-    token = Database(settings.data).create_token("viewer", "Ada")
-    found = backup(settings, file)
-    told = {path: served.get(path).content for path in (*TOLD, f"comparisons/{compared[2]}/report")}
-    for kind, document in (("notes", {"text": ""}), ("tags", {"tags": []})):
-        served.ask("PUT", f"experiments/falcon/1/{kind}", document=document)
-    assert found["files"] > 10
-    return file, told, token, logs

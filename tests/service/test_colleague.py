@@ -1,59 +1,108 @@
-"""A colleague's way: upload from the browser, mend what is refused, compare, write a note, move the lab elsewhere."""
+"""A lab's morning in a browser: own logs are described, come in, are looked at, corrected, compared; all is by name."""
 
 import html
 import re
+from urllib.parse import unquote
 
 import pytest
-from served import Browser, form, page, serving
+from served import Browser, form, serving
 
-from pipeline.service.backup import backup, restore
+from pipeline.service.database import Database
 from pipeline.service.settings import Settings
 
 
-def settings_of(folder):
-    return Settings(folder / "processed", folder / "reports", wait_s=200.0)
+def own_layout(data):
+    """A native log as the lab's own recorder writes it: other names, units and a header of its own."""
+    head, _, rows = data.decode().partition("time_s,command,position\n")
+    told = dict(re.findall(r"# (\w+): (\S+)", head))
+    lines = [",".join([row.split(",")[0], row.split(",")[1], repr(float(row.split(",")[2]) * 1e3)])
+             for row in rows.splitlines()]  # fmt: skip
+    return told, ("t,force,x_mm\n" + "\n".join(lines) + "\n").encode()
 
 
-@pytest.mark.slow
-def test_a_colleague_s_way(kept, falcon, tmp_path):
-    """The lab has a Falcon; 30 logs of a new rig come, two of them damaged."""
-    restore(settings_of(tmp_path), kept[0])
-    files = sorted(falcon.raw.rglob("*.csv"))[::6][:30]
-    logs = {file.name: file.read_bytes().replace(b"# device: falcon", b"# device: new rig") for file in files}
-    assert len(logs) == 30
-    broken = [*logs][3:5]
-    sent = {name: data.replace(b"\n0.01", b"\nzero", 1) if name in broken else data for name, data in logs.items()}
-    with serving(settings_of(tmp_path)) as client:
+@pytest.fixture
+def lab(tmp_path):
+    settings = Settings(tmp_path / "processed", tmp_path / "reports", host="0.0.0.0", wait_s=240.0, renew=False)
+    token = Database(settings.data).create_token("admin", "Ada")
+    with serving(settings) as client:
         browser = Browser(client)
+        answer = browser.send("/login?next=%2Fupload%3Fx%3D1", "/login", secret=token)
+        assert (answer.status, answer.headers["location"]) == (303, "/upload?x=1"), "a shared link leads through login"
+        client.asked = client.ask
+        client.ask = lambda method, path, body=None, headers=None, document=None: client.asked(
+            method, path, body, {"Authorization": f"Bearer {token}", **(headers or {})}, document
+        )
+        browser.client.plain = client.asked
+        yield client, browser
 
-        def upload(files):
-            body = form(files, form=browser.token("/upload"), profile="")
-            answer = browser.ask("POST", "/upload", body["body"], body["headers"])
-            assert answer.status == 303
-            job = client.done(answer.headers["location"].rpartition("/")[2])
-            return job["result"], html.unescape(page(client, answer.headers["location"]))
 
-        result, told = upload([*sent.items()])
-        assert (result["ingested"], len(result["quarantined"])) == (28, 2)
-        for refused in result["quarantined"]:
-            assert refused["path"] in broken
-            assert f"{refused['path']}</strong>, row {refused['row']}: {refused['reason']}" in told
-        result, _ = upload([(name, logs[name]) for name in broken])
-        assert (result["ingested"], result["quarantined"]) == (2, [])
-        client.all_done()
-        link = "/compare?runs=new%20rig/1&runs=falcon/1"
-        client.get("experiments/new%20rig/1/estimates")
-        compared = page(client, link)
-        assert compared.count("key-mark run-") == 2
-        mass = re.search(r'<th scope="row">mass</th>.*?</tr>', compared)[0]
-        assert len(re.findall(r"<small>[^<]* to [^<]*</small>", mass)) == 2
-        at = "/devices/new%20rig/experiments/1"
-        words = {"of": ["experiment", "new rig", "1"], "notes": "gears greased", "tags": "new"}
-        assert browser.send("/words", at, **words).status == 303
-        backup(settings_of(tmp_path), tmp_path / "lab.zip")
-    elsewhere = settings_of(tmp_path / "elsewhere")
-    restore(elsewhere, tmp_path / "lab.zip")
-    with serving(elsewhere) as client:
-        assert page(client, link) == compared
-        assert client.get("experiments/new%20rig/1/notes").content == {"text": "gears greased"}
-        assert "gears greased" in page(client, at)
+def shown(browser, path):
+    return html.unescape(browser.ask("GET", path).content.decode())
+
+
+def test_a_morning(lab, logs):
+    client, browser = lab
+    told = [own_layout(data)[0] for _, data in logs]
+    sent = [
+        (f"K{t['stiffness']}_B{t['damping']}.log.csv", own_layout(data)[1])
+        for t, (_, data) in zip(told, logs, strict=True)
+    ]
+
+    def upload(files, **fields):
+        body = form(files, form=browser.token("/upload"), **fields)
+        answer = browser.ask("POST", "/upload", body["body"], body["headers"])
+        assert answer.status == 303, answer.content
+        return client.done(answer.headers["location"].rpartition("/")[2])
+
+    # no profile reads them: refused, and named with who sent them
+    job = upload(sent[:1], profile="")
+    assert (job["author"], len(job["result"]["quarantined"])) == ("Ada", 1)
+    assert "uploaded by Ada" in shown(browser, "/quarantine")
+    # one is described, tried and kept
+    body = form(sent[:1], form=browser.token("/upload"))
+    drafted = html.unescape(browser.ask("POST", "/draft", body["body"], body["headers"]).content.decode())
+    assert "open question" in drafted
+    sample = re.search(r'name="sample" value="(\w+)"', drafted)[1]
+    text = re.search(r"<textarea[^>]*>(.*?)</textarea>", drafted, re.DOTALL)[1].replace(
+        'name = "', 'name = "rig" # ', 1
+    )
+    asked = re.findall(r"<code>([\w.]+)</code>.*?name=\"(answer-\d+)\" value=\"(.*?)\">", drafted)
+    given = {"constants.device": "rig", "constants.step": told[0]["step"], "columns.command.name": "force"}
+    answers = {field: given.get(key, proposal) for key, field, proposal in asked}
+    tried = browser.send("/profile", "/upload", profile=text, sample=sample, name="rig", act="try", **answers)
+    tried = html.unescape(tried.content.decode())
+    assert "Refused" not in tried, tried
+    assert "x_mm [mm]" in tried
+    text = re.search(r"<textarea[^>]*>(.*?)</textarea>", tried, re.DOTALL)[1]
+    assert browser.send("/profile", "/upload", profile=text, sample=sample, name="rig", act="keep").status == 303
+    assert "rig" in client.get("profiles").content
+    # the refused one is read again by it, and the others come
+    (one,) = client.get("quarantine").content
+    answer = browser.send("/quarantine", "/quarantine", id=one["id"], profile="rig", act="retry")
+    client.done(answer.headers["location"].rpartition("/")[2])
+    assert client.get("quarantine").content == []
+    job = upload(sent[1:], profile="rig")
+    assert job["result"]["ingested"] == len(sent) - 1
+    client.all_done()
+    items = client.get("trials?q=Ada&sort=-stiffness").content["items"]
+    assert [item["uploader"] for item in items] == ["Ada"] * len(sent)
+    assert all(item["verdict"] for item in items)
+    # the experiment, three trials over each other, one excluded, a device renamed
+    at = "/devices/rig/experiments/1"
+    client.get("experiments/rig/1/boundary")
+    assert "Next wall" in shown(browser, at) or client.all_done()
+    three = "&".join(f"trial={item['id']}" for item in items[:3])
+    browser.ask("GET", f"/overlay?{three}")
+    client.all_done()
+    assert "Displacement over time of 3 trials" in shown(browser, f"/overlay?{three}")
+    out = browser.send("/exclusions", at, of=["trial", items[0]["id"]], reason="slipped")
+    assert out.status == 303
+    assert browser.send("/words", at, of=["experiment", "rig", "1"], notes="gears greased", tags="new").status == 303
+    moved = browser.send("/moves", at, of=["experiment", "rig", "1"], device="new rig", experiment="1")
+    assert unquote(moved.headers["location"]) == "/devices/new rig/experiments/1"
+    assert client.get("experiments/new%20rig/1/notes").content["author"] == "Ada"
+    assert client.get("trials?q=greased").content["total"] == len(sent)
+    done = shown(browser, "/audit")
+    for deed in ("kept a profile", "tried again", "excluded", "wrote notes", "moved"):
+        assert deed in done
+    assert done.count("Ada") >= 5

@@ -49,11 +49,13 @@ def test_tokens_are_made_listed_and_revoked(tmp_path):
     place = ("--processed", tmp_path / "processed")
     token = run("token", "create", "--role", "viewer", "--name", "Ada", *place).stdout.strip()
     database = Database(Settings(tmp_path / "processed", tmp_path).data)
-    assert database.role_of(token) == "viewer"
+    assert database.holder_of(token) == ("viewer", "Ada")
     (listed,) = json.loads(run("token", "list", "--json", *place).stdout)
     assert (listed["role"], listed["name"]) == ("viewer", "Ada")
     assert run("token", "revoke", listed["id"], *place).returncode == 0
-    assert database.role_of(token) is None
+    assert database.holder_of(token) is None
+    short = run("token", "create", "--role", "viewer", "--days", "0", *place).stdout.strip()
+    assert database.holder_of(short) is None
     assert run("token", "revoke", listed["id"], *place).returncode == 2
     assert run("token", "create", "--role", "king", *place).returncode == 2
 

@@ -214,12 +214,17 @@ def test_a_killed_worker_is_followed_by_another(empty, logs, tmp_path):
 def test_logs_and_verdicts_come_before_what_is_looked_at(tmp_path):
     database = Database(tmp_path)
     for number in range(3):
-        database.add_job("trial", {}, f"{number}")
-    kinds = ("comparison", "trial", "experiment", "stages", "upload")
+        database.add_job("drawing", {}, f"{number}")
+    database.add_job("comparison", {}, "renewed", late=1)
+    kinds = ("comparison", "drawing", "experiment", "stages", "upload")
     for kind in kinds:
         database.add_job(kind, {}, kind)
+    assert database.claim("other", urgent=False)["kind"] == "experiment"
     taken = [database.claim("one")["kind"] for _ in range(8)]
-    assert taken == ["upload", "stages", "experiment", "comparison", *["trial"] * 4]
+    assert taken == ["upload", "stages", "comparison", *["drawing"] * 4, "comparison"]
+    for number in range(150):
+        database.add_job("drawing", {}, f"left {number}")
+    assert database.job_counts()["queued"] == 100, "who asked for older ones has left their page"
 
 
 def test_verdicts_are_asked_for_once_and_come_after_logs(tmp_path):

@@ -12,7 +12,7 @@ from native_logs import short_log
 
 from pipeline.base.errors import DeviceError, StoreError
 from pipeline.comparison.scene.scene import open_scene
-from pipeline.intake.exclude import exclude
+from pipeline.intake.correct import exclude
 from pipeline.intake.ingest import ingest
 from pipeline.store import batch_files
 from pipeline.store.batch_files import compact

@@ -63,7 +63,7 @@ def test_folders_are_no_urls(tmp_path):
 
 def test_without_the_extra_it_is_told_what_to_install(monkeypatch):
     monkeypatch.setattr(objects_module, "find_spec", lambda name: None)
-    with pytest.raises(UsageError, match=r"s3://x needs obstore.*pip install 'haptic-pipeline\[cluster\]'"):
+    with pytest.raises(UsageError, match=r"s3://x needs obstore.*pip install '.\[cluster\]'"):
         Objects("s3://x")
     with pytest.raises(UsageError, match="needs distributed"):
         check_installed("distributed", "a cluster")

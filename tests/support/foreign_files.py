@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from importlib import import_module
 from io import BytesIO
 from pathlib import Path
@@ -23,6 +23,8 @@ from rosbags.rosbag2 import Writer as Bag2
 from rosbags.typesys import Stores, get_typestore
 
 from pipeline.profiles.profile_model import Profile
+from pipeline.readers.formats.files import read_file
+from pipeline.readers.frame import ColumnInfo, Frame
 
 zstd = import_module("compression.zstd" if sys.version_info >= (3, 14) else "backports.zstd")
 
@@ -30,9 +32,19 @@ START = 1_732_060_000_000_000_000
 """Time of the first message of a bag [ns]: a float of it is wrong by up to 128 ns."""
 
 
-def profile(records: str | None = None) -> Profile:
+def profile(kind: str = "json", **settings: Any) -> Profile:
     """A profile of which only what format readers look at is there."""
-    return Profile.model_construct(name="lab", format="json", records=records)
+    return Profile.model_construct(name="lab", format=kind, files=("*",), **settings)
+
+
+def read_frame(kind: str, name: str, data: bytes, wanted: Sequence[str] = (), **settings: Any) -> Frame:
+    """Columns of a file as they stand in it."""
+    return read_file(profile(kind, **settings), (name,), (data,), wanted).frame()
+
+
+def list_columns(kind: str, name: str, data: bytes, **settings: Any) -> list[ColumnInfo]:
+    """The columns that a file offers."""
+    return read_file(profile(kind, **settings), (name,), (data,)).listed()
 
 
 def samples(rows: int = 40) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -42,10 +54,12 @@ def samples(rows: int = 40) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def hdf5_file(write: Callable[[h5py.File], None], userblock: int = 0) -> bytes:
+    """An HDF5 file; with a user block of 512 bytes, one that begins as MATLAB 7.3 begins it."""
     buffer = BytesIO()
     with h5py.File(buffer, "w", userblock_size=userblock) as file:
         write(file)
-    return buffer.getvalue()
+    head = b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM"
+    return (head if userblock else b"") + buffer.getvalue()[len(head) if userblock else 0 :]
 
 
 def hdf5_log(file: h5py.File) -> None:
@@ -66,6 +80,8 @@ def hdf5_log(file: h5py.File) -> None:
 
 def matlab_class(item: Any, kind: str) -> Any:
     item.attrs["MATLAB_class"] = np.bytes_(kind)
+    if kind == "char":
+        item.attrs["MATLAB_int_decode"] = np.int32(2)
     return item
 
 
@@ -91,7 +107,6 @@ def matlab73_log(file: h5py.File) -> None:
     matlab_class(file.create_dataset("cell", data=np.array(texts, dtype=h5py.ref_dtype)[:, None]), "cell")
     series = matlab_class(file.create_dataset("ts", data=np.zeros((1, 6), dtype="u4")), "timeseries")
     series.attrs["MATLAB_object_decode"] = np.int32(3)
-    file.create_group("#subsystem#")
 
 
 def matlab5_log(compressed: bool) -> bytes:

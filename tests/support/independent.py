@@ -360,3 +360,11 @@ def horizon(case: tuple[float, ...], decades: float = 14.0) -> int:
     polynomial = [float(c) for c in characteristic(gamma, delta, p / q, alpha, beta)]
     radius = float(np.abs(np.roots(polynomial)).max())
     return int(decades * math.log(10) / -math.log(max(radius, 0.3))) + 20
+
+
+def maximum_passive_stiffness(delays):
+    """Largest passive K T/b and its B/b over delay factors d, as printed in eq. 4.11."""
+    d = np.atleast_1d(np.asarray(delays, dtype=float))
+    quarter = 0.25 * np.pi / (d + 1)
+    damping = np.where(d == 0, 0.0, (np.cos(2 * quarter) - d / (d + 1)) / np.sin(2 * quarter))
+    return 2 * np.tan(quarter), damping

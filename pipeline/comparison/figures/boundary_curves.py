@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.loop.device_loop import general
 from pipeline.loop.loop import LARGEST_DELAY
 from pipeline.records.figure_records import Curve
 from pipeline.records.findings import Estimate
@@ -173,7 +172,7 @@ def friction_curves(theory: Theory, facts: FrictionFacts) -> list[Curve]:
     """
     gain, units, border = theory.parameters.loop.force_gain, theory.units, theory.boundary
     damping = np.linspace(border.beta.min(), border.beta_max, FRICTION_POINTS + 2)[1:-1]
-    stiffness = step_limits(general(theory.loop), damping, facts.coulomb / gain / facts.step) * units.stiffness
+    stiffness = step_limits(theory.loop, damping, facts.coulomb / gain / facts.step) * units.stiffness
     found = []
     if np.isfinite(stiffness).any():
         found.append(Curve("limit with Coulomb friction", "friction", stiffness, damping * units.damping))

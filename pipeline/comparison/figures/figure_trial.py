@@ -8,7 +8,6 @@ import pyarrow.compute as pc
 from pipeline.base.errors import ParameterError
 from pipeline.comparison.figures.figure_response import LONGEST_SHOWN
 from pipeline.comparison.loops.loop_range import adequate_theory
-from pipeline.loop.device_loop import general
 from pipeline.measured.fit.ghost import simulate_ghost
 from pipeline.measured.law.log_rows import LogRows
 from pipeline.measured.stages.stage_groups import TrialGroup
@@ -84,7 +83,7 @@ def response(theory: Theory, stiffness: float, damping: float, force: Floats) ->
 
     Source: Hulin 2017, eqs. 3.9 and 3.18, with the parts of a loop that is not ideal.
     """
-    free, push, position, velocity = general(theory.loop).open_loop
+    free, push, position, velocity = theory.loop.open_loop
     units = theory.units
     wall = stiffness / units.stiffness * position + damping / units.damping * velocity
     closed = free - np.outer(push, wall)

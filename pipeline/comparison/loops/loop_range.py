@@ -9,7 +9,7 @@ import numpy as np
 
 from pipeline.comparison.loops.loop_record import parts_of
 from pipeline.comparison.scores.theory_band import ParameterBox, theory_band
-from pipeline.loop.device_loop import DeviceLoop, longest_delay, loop_of, wall_units
+from pipeline.loop.device_loop import longest_delay, loop_of, wall_units
 from pipeline.loop.loop import LARGEST_DELAY, Loop
 from pipeline.measured.experiment.known_delay import whole_delay
 from pipeline.measured.explained import EXPLAINED
@@ -70,7 +70,7 @@ class LoopPoint:
     def stiffest(self) -> float:
         """Damping B [Ns/m, Nms/rad] of the stiffest stable wall; 0 where there is none."""
         loop = self.loop
-        if isinstance(loop, DeviceLoop):
+        if loop.has_parts:
             # nan where no damping stabilises a soft wall
             damping = max(0.0, outline(loop, _OUTLINE).beta_at_alpha_max)
         else:

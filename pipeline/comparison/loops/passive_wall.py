@@ -9,7 +9,7 @@ import numpy as np
 
 from pipeline.comparison.loops.loop_range import LoopPoint, LoopRange
 from pipeline.comparison.scores.overlap import measured_limits
-from pipeline.loop.device_loop import general, longest_delay, wall_units
+from pipeline.loop.device_loop import longest_delay, wall_units
 from pipeline.records.loop_records import PassiveWall
 from pipeline.records.results import ExperimentResult
 from pipeline.theory.device.passive_walls import required_damping, stiffest_passive
@@ -80,7 +80,7 @@ def _stiffest(loops: list[LoopPoint], damping: float) -> tuple[float, float]:
     found = []
     for each in loops:
         units = wall_units(each.mass, each.sampling_period_s, each.parts)
-        alpha, beta = stiffest_passive(general(each.loop), damping / units.damping)
+        alpha, beta = stiffest_passive(each.loop, damping / units.damping)
         found.append((alpha * units.stiffness, beta * units.damping))
     return min(found)
 
@@ -145,4 +145,4 @@ def _needed(point: LoopPoint, stiffness: float, damping: float) -> float:
     """Return the damping [Ns/m, Nms/rad] that a wall needs of the device."""
     units = wall_units(point.mass, point.sampling_period_s, point.parts)
     wall = np.array([stiffness / units.stiffness]), np.array([damping / units.damping])
-    return float(required_damping(general(point.loop), *wall)[0]) * units.damping
+    return float(required_damping(point.loop, *wall)[0]) * units.damping

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from pipeline.loop.device_loop import DeviceLoop, Vibration
+from pipeline.loop.loop import Loop, Vibration
 from pipeline.records.batch import Floats
 
 Sensor = Literal["", "motor", "load"]
@@ -87,7 +87,7 @@ class Device:
         return np.clip(command, -largest, largest)
 
     @property
-    def loop(self) -> DeviceLoop:
+    def loop(self) -> Loop:
         """Its loop without gain, force and what is not linear."""
         n = self.numbers
         mode = None
@@ -96,4 +96,4 @@ class Device:
             reduced, turn = far * (1 - far), np.exp(n["turn"])
             damping = 2 * np.exp(n["ratio"]) * turn * reduced
             mode = Vibration(float(far), float(reduced * turn**2), float(damping), self.sensor == "load")
-        return DeviceLoop(n.get("gamma", 0.0), n["delta"], n["delay"], n.get("lag", 0.0), mode)
+        return Loop(n.get("gamma", 0.0), n["delta"], n["delay"], n.get("lag", 0.0), mode)

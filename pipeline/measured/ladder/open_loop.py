@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.loop.device_loop import DeviceLoop
+from pipeline.loop.loop import Loop
 from pipeline.records.batch import Floats
 
 
@@ -35,7 +35,7 @@ class Commands:
         both = np.concatenate([force, np.ones((1, rows))])
         return cls(rfft(both, size, axis=1), rows, size)
 
-    def response(self, loop: DeviceLoop) -> Floats:
+    def response(self, loop: Loop) -> Floats:
         """Return the sensed position of a device of unit mass that rests before the first row, shape (n + 1, N).
 
         Unit: that of the command times T^2, per mass. The last row is the answer to a constant force of 1.
@@ -46,12 +46,12 @@ class Commands:
         return np.asarray(irfft(self.spectrum * answer, self.size, axis=1)[:, : self.rows])
 
 
-def pulse_response(loop: DeviceLoop, rows: int) -> Floats:
+def pulse_response(loop: Loop, rows: int) -> Floats:
     """Return the sensed position at samples 0, 1, ... after a unit command over sample 0, shape (rows,).
 
     Parameters
     ----------
-    loop : DeviceLoop
+    loop : Loop
         Whose filter does not matter here.
     rows : int
 

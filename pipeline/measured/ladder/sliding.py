@@ -12,7 +12,7 @@ from math import floor
 
 import numpy as np
 
-from pipeline.loop.device_loop import DeviceLoop
+from pipeline.loop.loop import Loop
 from pipeline.measured.ladder.open_loop import moved
 from pipeline.records.batch import Booleans, Floats, Integers
 
@@ -31,12 +31,12 @@ class _Part:
     friction: Floats
 
 
-def sliding(loops: list[DeviceLoop], coulomb: Floats, command: Floats, force: Floats) -> Floats:
+def sliding(loops: list[Loop], coulomb: Floats, command: Floats, force: Floats) -> Floats:
     """Return the sensed position of devices of unit mass that rest before the first row, shape (V, n, N).
 
     Parameters
     ----------
-    loops : list of DeviceLoop, length V
+    loops : list of Loop, length V
         With the same parts.
     coulomb, force : float64, shape (V,)
         Coulomb friction, and a constant force beside the command [N, Nm].
@@ -154,13 +154,13 @@ def _shift(state: Floats, device: Integers, trial: Integers, position: Floats, v
         state[device, row, trial] += change
 
 
-def _parts(loops: list[DeviceLoop], fractions: list[float]) -> tuple[_Part | None, _Part]:
+def _parts(loops: list[Loop], fractions: list[float]) -> tuple[_Part | None, _Part]:
     """Return the part of a sample before its command changes, None where no device has one, and the part behind."""
     early = _part(loops, np.array(fractions)) if any(fractions) else None
     return early, _part(loops, 1 - np.array(fractions))
 
 
-def _part(loops: list[DeviceLoop], duration: Floats) -> _Part:
+def _part(loops: list[Loop], duration: Floats) -> _Part:
     slides, sticks, command, friction = [], [], [], []
     for loop, time in zip(loops, duration, strict=True):
         matrix, push, _ = _by_sides(loop)
@@ -180,7 +180,7 @@ def _part(loops: list[DeviceLoop], duration: Floats) -> _Part:
     return _Part(np.maximum(duration, 1e-300), *named)
 
 
-def _by_sides(loop: DeviceLoop) -> tuple[Floats, Floats, Floats]:
+def _by_sides(loop: Loop) -> tuple[Floats, Floats, Floats]:
     """Return matrix, input and sensor of a device by its sides: the motor's, and the far mass's from there."""
     matrix, push, sensor = loop.device
     if loop.mode is None:
@@ -193,7 +193,7 @@ def _by_sides(loop: DeviceLoop) -> tuple[Floats, Floats, Floats]:
     return turn @ matrix @ back, turn @ push, sensor @ back
 
 
-def _blow(loop: DeviceLoop) -> Floats:
+def _blow(loop: Loop) -> Floats:
     """Return what a unit of force on the motor's side itself does to the states: it passes no lag."""
     near = 1.0 - (loop.mode.far_mass if loop.mode else 0.0)
     result = np.zeros(len(loop.device[1]))

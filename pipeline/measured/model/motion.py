@@ -11,7 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
-from pipeline.loop.device_loop import DeviceLoop, Vibration
+from pipeline.loop.loop import Loop, Vibration
 from pipeline.records.batch import Floats, Integers
 
 _TERMS = 14
@@ -48,7 +48,7 @@ class Physics:
             reduced = self.share * (1 - self.share)
             mode = Vibration(self.share, reduced * self.turn**2, 2 * max(self.ratio, 0.0) * self.turn * reduced, False)
         # the parts of `loop`, whose own numbers may not be negative; those of a search may
-        shape = DeviceLoop(0.0, 0.0, 0.0, max(self.lag, SHORTEST_LAG) if self.lag else 0.0, mode)
+        shape = Loop(0.0, 0.0, 0.0, max(self.lag, SHORTEST_LAG) if self.lag else 0.0, mode)
         matrix, push, sensor = (part.copy() for part in shape.device)
         matrix[1] -= self.gamma * sensor + self.delta * np.roll(sensor, 1)
         blow = np.zeros(len(push))

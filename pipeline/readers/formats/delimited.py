@@ -1,320 +1,266 @@
-"""Reads delimited text (CSV, TSV, semicolons, runs of blanks, terminal logs; gzip, zstd), as a profile lays it out."""
+"""Delimited text (CSV, TSV, semicolons, runs of blanks, terminal logs; gzip, zstd), as a profile lays it out."""
 
 from __future__ import annotations
 
+import codecs
 import csv
 import re
-from collections.abc import Sequence
-from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.csv as pacsv
-from numpy.typing import NDArray
 
-from pipeline.base.errors import LogError
 from pipeline.profiles.patterns import find_groups
 from pipeline.profiles.profile_model import Profile
 from pipeline.profiles.profile_text import BLANKS, TextLayout
 from pipeline.readers.dates import whole_dates
-from pipeline.readers.formats.plain_text import plain_text
-from pipeline.readers.frame import ColumnInfo, Frame, Scalar
-from pipeline.readers.limits import LONGEST_BANNER
-from pipeline.readers.safety import check_columns
+from pipeline.readers.frame import Array, Contents
+from pipeline.readers.limits import LARGEST_LOG, LONGEST_LINE
+from pipeline.readers.refusals import refusal
 from pipeline.records.batch import Integers
 
-SHOWN_VALUES = 3
-"""First values of a column that `list_columns` gives."""
+LONGEST_CHARACTER = 4
+"""Bytes of the longest character in UTF-8 and UTF-16: a cut file lacks fewer than that."""
 
+_BLOCK = 1 << 22
+"""Bytes that are unpacked at once."""
+
+PACKED = {b"\x1f\x8b": "gzip", b"\x28\xb5\x2f\xfd": "zstd"}
+"""First bytes of packed files."""
+
+_MARKS = {codecs.BOM_UTF8: "utf-8", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
 _INTEGER = r"^[+-]?[0-9]{1,20}$"
 _LABEL_BEGINS = re.compile(r"\s*[^\W\d]")
 """A label begins with a letter: "12:30" is a time of day."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Table:
-    """The rows of the table as text, one a line.
-
-    ``top`` is the number of the line of names (of the first row without one), ``line`` that of the first row where all
-    follow each other, else of each row. ``whole`` says whether the last line has a line end.
-    """
-
-    top: int
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    body: str
-    line: int | Integers
-    whole: bool
-    attributes: dict[str, Scalar]
-
-    def row(self, count: int) -> Integers:
-        """Return the line numbers of the first rows."""
-        return np.arange(self.line, self.line + count) if isinstance(self.line, int) else self.line[:count]
-
-
-def read_frame(profile: Profile, name: str, data: bytes, wanted: Sequence[str]) -> Frame:
-    """Read the wanted columns (all where none is named) of a delimited file.
+def read(path: Path, settings: Profile, contents: Contents) -> None:
+    """Add the columns of the table.
 
     A last row that is cut (fewer cells than the others, or without line end and with a cell that is no number) is left
     out with a warning and kept verbatim as the attribute ``cut_last_row``.
-
-    Raises
-    ------
-    LogError
-        If the table is not found, a column is missing or named twice, or a row has another number of cells.
     """
-    table = _find_table(profile, name, data)
-    places = _places(profile, name, table, wanted)
-    rows = table.row(table.body.count("\n"))
-    if not len(rows):
-        text = f"{name} has 0 samples; expected at least 2. Was the recording cut off? Record it again."
-        raise LogError(text, table.top + 1, code="empty")
-    cells, dropped = _cells(profile, name, table, sorted(set(places.values())))
-    warnings = []
-    last = table.body[table.body.rfind("\n", 0, -1) + 1 : -1]
-    cut = len(rows) - 1 in dropped
-    columns = {place: _values(profile, values) for place, values in cells.items()}
-    if not cut and not table.whole and len(rows) > 1 and _last_is_cut(profile, cells, columns):
-        cells = {place: values[:-1] for place, values in cells.items()}
-        columns = {place: _values(profile, values) for place, values in cells.items()}
-        cut, dropped = True, {*dropped, len(rows) - 1}
-    attributes = dict(table.attributes)
+    contents.row_name = "line"
+    text, whole = plain_text(settings, contents.name, path.read_bytes())
+    lines = text.split("\n")[:-1]
+    top = _top(settings, contents, lines)
+    names = _split(settings, contents, lines[top], top + 1)
+    names = names if settings.header else [str(i + 1) for i in range(len(names))]
+    first = top + settings.header + settings.unit_line
+    units = _split(settings, contents, lines[first - 1], first) if settings.unit_line and first <= len(lines) else []
+    row = _rows(settings, contents, lines, first)
+    places = _places(settings, contents, names, top + 1)
+    if not len(row):
+        raise refusal("too-short", contents.name, "has 0 samples", "at least 2", row=top + 2)
+    cells, kept = _cells(settings, contents, [lines[i - 1] for i in row], names, sorted({*places.values()}), row)
+    last, columns = lines[row[-1] - 1], {place: _values(settings, values) for place, values in cells.items()}
+    cut = kept[-1] != len(row) - 1 and len(kept) == len(row) - 1 - sum(np.diff(kept, prepend=-1) - 1)
+    if not cut and not whole and len(kept) > 1 and _last_is_cut(settings, cells, columns):
+        cut, kept, cells = True, kept[:-1], {place: values[:-1] for place, values in cells.items()}
+        columns = {place: _values(settings, values) for place, values in cells.items()}
     if cut:
-        attributes["cut_last_row"] = last
-        warnings.append(f"last row is cut: {last[:200]!r} (line {rows[-1]}) was left out and is kept verbatim")
-    elif not table.whole:
-        warnings.append(f"line {rows[-1]} is the last one and has no line end: its last value may be cut")
-    return Frame(
-        columns={key: columns[place] for key, place in places.items()},
-        row=np.delete(rows, sorted(dropped)),
-        row_name="line",
-        attributes=attributes,
-        warnings=tuple(warnings),
-        dates=_dates(profile, places, cells, columns),
-    )
+        contents.note("cut_last_row", last)
+        contents.warnings.append(f"last row is cut: {last[:200]!r} (line {row[-1]}) was left out and is kept verbatim")
+    elif not whole:
+        contents.warnings.append(f"line {row[-1]} is the last one and has no line end: its last value may be cut")
+    contents.row = row[kept]
+    time = settings.columns.time if settings.columns else None
+    for key, place in places.items():
+        contents.add(key, columns[place], units[place].strip("[]() ") if place < len(units) else "")
+        # stamps may be dates with decimals or blank cells
+        stamps = time is not None and key == time.key and columns[place].dtype.kind == "f"
+        if time is not None and stamps and (dates := whole_dates(time, _numbers(settings, cells[place])[1])):
+            contents.dates[key] = dates
 
 
-def _dates(
-    profile: Profile, places: dict[str, int], cells: dict[int, pa.ChunkedArray], columns: dict[int, NDArray[Any]]
-) -> dict[str, tuple[Integers, int]]:
-    """Return the stamps of the time column exactly where they are dates with decimals or blank cells."""
-    source = profile.columns.time if profile.columns else None
-    place = None if source is None else places.get(source.key)
-    if source is None or place is None or columns[place].dtype.kind != "f":
-        return {}
-    found = whole_dates(source, _numbers(profile, cells[place])[1])
-    return {} if found is None else {source.key: found}
-
-
-def list_columns(name: str, data: bytes, profile: Profile | None = None) -> list[ColumnInfo]:
-    """Return the columns of a delimited file, laid out as the profile says (commas and decimal points without one).
+def unpacked(name: str, data: bytes) -> bytes:
+    """Return the bytes of a text file, unpacked where it is packed by gzip or zstd.
 
     Raises
     ------
     LogError
-        As `read_frame`.
+        If it cannot be unpacked, or holds more than `LARGEST_LOG`.
     """
-    if profile is None:
-        profile = Profile.model_construct(name="none", format="delimited", files=("*",))
-    units = _find_table(profile, name, data).units
-    frame = read_frame(profile, name, data, ())
-    kinds = {"i": "integer", "f": "number"}
-    return [
-        ColumnInfo(
-            column,
-            kinds.get(values.dtype.kind, "text"),
-            len(values),
-            tuple(str(value) for value in values[:SHOWN_VALUES]),
-            units[index].strip("[]() ") if index < len(units) else "",
+    codec = next((codec for magic, codec in PACKED.items() if data.startswith(magic)), None)
+    if codec is None:
+        return data
+    parts: list[bytes] = []
+    try:
+        with pa.CompressedInputStream(pa.BufferReader(data), codec) as stream:
+            while len(parts) * _BLOCK <= LARGEST_LOG and (part := stream.read(_BLOCK)):
+                parts.append(part)
+    except (OSError, pa.ArrowException) as error:
+        raise refusal("damaged", name, f"cannot be unpacked ({codec}): {error}") from error
+    if len(text := b"".join(parts)) > LARGEST_LOG:
+        raise refusal("unpacks-too-large", name, f"unpacks to more than {LARGEST_LOG} bytes", "a log")
+    return text
+
+
+def plain_text(layout: TextLayout, name: str, data: bytes) -> tuple[str, bool]:
+    """Return the text of a file without blanks at its end, and whether the last line had a line end.
+
+    Lines are parted by one line feed each, and the last one ends with one.
+
+    Raises
+    ------
+    LogError
+        If the file cannot be unpacked, has a line longer than `LONGEST_LINE`, or is not encoded as the profile says.
+    """
+    text = _decoded(layout, name, unpacked(name, data)).replace("\r\n", "\n").replace("\r", "\n")
+    end = len(text.rstrip(" \t\n"))
+    if not end:
+        return "", True
+    if len(text) > LONGEST_LINE:
+        for number, line in enumerate(text.split("\n"), start=1):
+            if len(line) > LONGEST_LINE:
+                found = f"has a line of more than {LONGEST_LINE} characters"
+                raise refusal("too-long-line", name, found, "one line for each sample", row=number)
+    # blank cells at the end of the last row stay, blank lines below it go
+    last, line_end, _ = text[end:].partition("\n")
+    return text[:end] + last + "\n", bool(line_end)
+
+
+def _decoded(layout: TextLayout, name: str, data: bytes) -> str:
+    marked = next((encoding for mark, encoding in _MARKS.items() if data.startswith(mark)), None)
+    if marked is not None and marked != layout.encoding:
+        found, line = (
+            f"begins with the byte order mark of {marked}, the profile reads {layout.encoding}",
+            f'encoding = "{marked}"',
         )
-        for index, (column, values) in enumerate(frame.columns.items())
-    ]
+        raise refusal("encoding", name, found, "", f"Add {line} to the profile.", 1, line)
+    codec = "utf-8-sig" if layout.encoding == "utf-8" else layout.encoding
+    try:
+        return data.decode(codec)
+    except UnicodeDecodeError as error:
+        if error.end >= len(data) and error.start > max(len(data) - LONGEST_CHARACTER, 0):
+            # the recording was cut inside a character; its row is found to be cut, too
+            return data[: error.start].decode(codec)
+        found = f"is no {layout.encoding.upper()} text ({error.reason}, byte {data[error.start]:#04x} at {error.start})"
+        cure = 'If it was written on Windows or by an older tool, add encoding = "latin-1" (or "cp1252", "utf-16").'
+        row = data.count(b"\n", 0, error.start) + 1
+        raise refusal("encoding", name, found, "", cure, row, 'encoding = "latin-1"') from error
 
 
-def _find_table(layout: Profile, name: str, data: bytes) -> _Table:
-    """Return the table: what stands above it is skipped, or read as labels."""
-    text, whole = plain_text(layout, name, data)
-    attributes: dict[str, Scalar] = {}
+def _top(layout: Profile, contents: Contents, lines: list[str]) -> int:
+    """Return where the line of names is, or the first row without one; lines above it are skipped or labels."""
     below, at = layout.header_after, layout.header_at
-    start, number, top = 0, 0, 1
-    names: tuple[str, ...] = ()
-    while start < len(text) and number < layout.skip_rows + LONGEST_BANNER:
-        number += 1
-        end = text.find("\n", start) + 1
-        line = text[start:end].rstrip("\n")
-        before, start = start, end
-        if at is not None and number > layout.skip_rows and find_groups(at, line) is not None:
-            at = None
-        elif number <= layout.skip_rows or at is not None or below is not None or _is_comment(layout, line):
-            _take_label(layout, name, line, number, attributes)
-            if below is not None and number > layout.skip_rows and find_groups(below, line) is not None:
-                below = None
-            continue
-        elif layout.labels is not None and (not line.strip() or _take_label(layout, name, line, number, attributes)):
-            continue
-        top = number
-        if layout.header:
-            names = _split(layout, name, line, number)
-            break
-        start, number = before, number - 1
-        names = tuple(str(i + 1) for i in range(len(_split(layout, name, line, number + 1))))
-        break
-    check_columns(name, len(names))
-    if not names:
-        raise LogError(
-            f"{name} is empty{_looked_for(layout)}; expected a line of column names and samples.", 1, code="empty"
-        )
-    units: tuple[str, ...] = ()
-    if layout.unit_line:
-        number += 1
-        end = text.find("\n", start) + 1
-        units, start = _split(layout, name, text[start:end], number), end
-    body, line_numbers = _rows(layout, name, text[start:], number + 1)
-    return _Table(top, names, units, body, line_numbers, whole, attributes)
-
-
-def _looked_for(layout: TextLayout) -> str:
-    """Say in a message what marks the table."""
-    for key in ("header_at", "header_after"):
-        pattern = getattr(layout, key)
-        if pattern is not None:
-            return f" or has no line that fits {key} = {pattern!r}"
-    return f" below skip_rows = {layout.skip_rows}" if layout.skip_rows else ""
+    for number, line in enumerate(lines):
+        if number < layout.skip_rows:
+            _take_label(layout, contents, line, number + 1)
+        elif at is not None and find_groups(at, line) is not None:
+            return number
+        elif below is not None and find_groups(below, line) is not None:
+            _take_label(layout, contents, line, number + 1)
+            below = None
+        elif at is not None or below is not None or _is_comment(layout, line):
+            _take_label(layout, contents, line, number + 1)
+        elif layout.labels is None or (line.strip() and not _take_label(layout, contents, line, number + 1)):
+            return number
+    key = "header_at" if at else "header_after"
+    looked = f" or has no line that fits {key} = {at or below!r}" if at or below else ""
+    looked = looked or (f" below skip_rows = {layout.skip_rows}" if layout.skip_rows else "")
+    raise refusal("empty", contents.name, f"is empty{looked}", "a line of column names and samples", row=1)
 
 
 def _is_comment(layout: TextLayout, line: str) -> bool:
     return layout.comment is not None and line.lstrip().startswith(layout.comment)
 
 
-def _take_label(layout: Profile, name: str, line: str, row: int, attributes: dict[str, Scalar]) -> bool:
+def _take_label(layout: Profile, contents: Contents, line: str, row: int) -> bool:
     """Keep a line "label: value" as an attribute; return whether it is one.
 
     Of a label that stands several times the last value is kept, but a condition must not change.
     """
     if layout.labels is None:
         return False
-    if _is_comment(layout, line):
-        line = line.lstrip()[len(layout.comment or "") :]
-    label, sign, value = line.partition(layout.labels)
+    line = line.lstrip()[len(layout.comment or "") :] if _is_comment(layout, line) else line
+    label, sign, value = (part.strip() for part in line.partition(layout.labels))
     if not sign or not _LABEL_BEGINS.match(label):
         return False
-    label, value = label.strip(), value.strip()
     key = next((key for key, wanted in layout.attributes.items() if wanted == label), None)
-    if key is not None and attributes.get(label, value) != value:
-        raise LogError(
-            f"{name}: the label {label!r}, which gives the {key}, is {attributes[label]!r} and here {value!r}; "
-            "expected one value for a log. Give the condition by [[file]] or [[steps]] and remove it from "
-            "[attributes], or part the file.",
-            row,
-            code="condition-wrong",
-        )
-    attributes[label] = value
+    if key is not None and contents.attributes.get(label, value) != value:
+        found = f"the label {label!r}, which gives the {key}, is {contents.attributes[label]!r} and here {value!r}"
+        cure = "Give the condition by [[file]] or [[steps]] and remove it from [attributes], or part the file."
+        raise refusal("condition-wrong", contents.name, found, "one value for a log", cure, row)
+    contents.note(label, value)
     return True
 
 
-def _split(layout: TextLayout, name: str, line: str, row: int) -> tuple[str, ...]:
+def _split(layout: TextLayout, contents: Contents, line: str, row: int) -> list[str]:
     """Return the cells of a line of names or units."""
     if layout.delimiter == BLANKS:
-        return tuple(line.split())
+        return line.split()
     try:
-        cells = [cell.strip() for cell in next(csv.reader([line.rstrip("\n")], delimiter=layout.delimiter), [])]
+        cells = [cell.strip() for cell in next(csv.reader([line], delimiter=layout.delimiter), [])]
     except csv.Error as error:
-        raise LogError(
-            f"{name}: the line of names cannot be taken apart ({error}); expected names of columns. Correct the "
-            f"delimiter ({layout.delimiter!r}), or export the file again.",
-            row,
-            code="too-long-line",
-        ) from error
-    if layout.trailing_delimiter and cells and not cells[-1]:
-        cells.pop()
-    return tuple(cells)
+        found = f"the line of names cannot be taken apart by {layout.delimiter!r} ({error})"
+        raise refusal("too-long-line", contents.name, found, "names of columns", row=row) from error
+    return cells[:-1] if layout.trailing_delimiter and cells and not cells[-1] else cells
 
 
-def _rows(layout: TextLayout, name: str, body: str, first: int) -> tuple[str, int | Integers]:
-    """Return the text of the table with one delimiter between cells and none behind, and the line numbers."""
-    numbers: int | Integers = first
-    blank = re.search(r"^[ \t]*\n", body, re.MULTILINE)
-    if blank and layout.blank_lines == "refuse":
-        raise LogError(
-            f'{name}: found a blank line between rows; expected a row. Remove it, or add blank_lines = "skip".',
-            first + body.count("\n", 0, blank.start()),
-            code="row-length",
-            profile_line='blank_lines = "skip"',
-        )
-    if blank or layout.comment is not None:
-        lines = body.split("\n")[:-1]
-        kept = [i for i, line in enumerate(lines) if line.strip() and not _is_comment(layout, line)]
-        numbers = first + np.array(kept, dtype=np.int64)
-        body = "".join(f"{lines[i]}\n" for i in kept)
-    if layout.delimiter == BLANKS:
-        # runs become single tabs first: to look for the end of a line in a long run takes its length squared
-        body = re.sub(r"^\t|\t$", "", re.sub(r"[ \t]+", "\t", body), flags=re.MULTILINE)
-    elif layout.trailing_delimiter:
-        body = _without_last_delimiter(layout.delimiter, body)
-    return body, numbers
+def _rows(layout: TextLayout, contents: Contents, lines: list[str], first: int) -> Integers:
+    """Return the numbers of the lines that are rows, and give these one delimiter between cells and none behind."""
+    row = []
+    for number in range(first, len(lines)):
+        line = lines[number]
+        if not line.strip(" \t"):
+            if layout.blank_lines == "refuse":
+                cure, line = 'Remove it, or add blank_lines = "skip".', 'blank_lines = "skip"'
+                raise refusal("row-length", contents.name, "a blank line between rows", "a row", cure, number + 1, line)
+        elif not _is_comment(layout, line):
+            row.append(number + 1)
+            if layout.delimiter == BLANKS:
+                lines[number] = "\t".join(line.split())
+            elif layout.trailing_delimiter:
+                lines[number] = line.rstrip(" \t".replace(layout.delimiter, "")).removesuffix(layout.delimiter)
+    return np.array(row, np.int64)
 
 
-def _without_last_delimiter(delimiter: str, body: str) -> str:
-    """Return the rows without the delimiter at their ends and the blanks behind it."""
-    if delimiter not in " \t":
-        return re.sub(f"{re.escape(delimiter)}[ \t]*$", "", body, flags=re.MULTILINE)
-    # of a run of blanks, what stands before the first delimiter stays; a run is taken from its beginning only
-    return re.sub(r"(?<![ \t])[ \t]+$", lambda run: run[0].partition(delimiter)[0], body, flags=re.MULTILINE)
-
-
-def _places(profile: Profile, name: str, table: _Table, wanted: Sequence[str]) -> dict[str, int]:
-    """Return the position of each wanted column, counted from 0; where none is wanted, of all that have a name."""
-    names = table.names
-    if not wanted:
+def _places(profile: Profile, contents: Contents, names: list[str], row: int) -> dict[str, int]:
+    """Return the position of each wanted column, counted from 0; where none is wanted, of all."""
+    if not contents.wanted:
         return {label if names.index(label) == i else f"{label} ({i + 1})": i for i, label in enumerate(names)}
     by_position = {str(source.column) for source in profile.column_sources().values() if source.column is not None}
     keys = {column: key for file in ("source", "partner") for key, column in profile.wanted(file).items()}
-    places = {}
-    if len(names) == 1 < len(set(wanted)):
-        raise LogError(
-            f"{name}: has one column, {names[0]!r}, but profile {profile.name} wants {', '.join(wanted)}. Correct the "
-            f"delimiter ({profile.delimiter!r}); a log needs command and position, or velocity, in each row.",
-            table.top,
-            code="column-missing",
-        )
-    for column in wanted:
+    places, delimiter = {}, f"Correct the delimiter ({profile.delimiter!r}), or the name."
+    for column in contents.wanted:
+        wants = f"profile {profile.name} wants column {column!r} for {keys.get(column, column)}"
         if column in by_position or not profile.header:
             if not column.isdecimal() or not 1 <= int(column) <= len(names):
-                raise LogError(
-                    f"{name}: profile {profile.name} wants column {column} for {keys.get(column, column)}, found "
-                    f"{len(names)} columns. Correct it, or the delimiter ({profile.delimiter!r}).",
-                    table.top,
-                    code="column-missing",
-                )
+                found = f"{wants}, found {len(names)} columns"
+                raise refusal("column-missing", contents.name, found, cure=delimiter, row=row)
             places[column] = int(column) - 1
+        elif len(names) == 1 < len(contents.wanted):
+            found = f"has one column, {names[0]!r}, but profile {profile.name} wants {', '.join(contents.wanted)}"
+            cure = f"{delimiter} A log needs command and position, or velocity, in each row."
+            raise refusal("column-missing", contents.name, found, cure=cure, row=row)
         elif names.count(column) != 1:
-            raise LogError(
-                f"{name}: profile {profile.name} wants column {column!r} for {keys.get(column, column)} once, found it "
-                f"{names.count(column)} times among {list(names)}. Correct the name, give column = <position>, or "
-                f"correct the delimiter ({profile.delimiter!r}).",
-                table.top,
-                code="column-missing",
+            found = f"{wants} once, found it {names.count(column)} times among {names}"
+            raise refusal(
+                "column-missing", contents.name, found, cure=f"{delimiter} Or give column = <position>.", row=row
             )
         else:
             places[column] = names.index(column)
     return places
 
 
-def _cells(layout: Profile, name: str, table: _Table, places: list[int]) -> tuple[dict[int, pa.ChunkedArray], set[int]]:
-    """Return the cells of columns as text, and the rows (counted from 0) that were left out."""
-    width, count = len(table.names), table.body.count("\n")
+def _cells(
+    layout: Profile, contents: Contents, lines: list[str], names: list[str], places: list[int], row: Integers
+) -> tuple[dict[int, pa.ChunkedArray], Integers]:
+    """Return the cells of columns as text, and the rows (counted from 0) that were kept."""
     bad: list[tuple[int, int, str]] = []
 
-    def take(row: pacsv.InvalidRow) -> str:
-        bad.append((row.number - 1, row.actual_columns, row.text))
+    def take(found: pacsv.InvalidRow) -> str:
+        bad.append((found.number - 1, found.actual_columns, found.text))
         return "skip"
 
-    labels = [str(i) for i in range(width)]
+    labels = [str(i) for i in range(len(names))]
     try:
         data = pacsv.read_csv(
-            pa.BufferReader(table.body.encode()),
+            pa.BufferReader("".join(f"{line}\n" for line in lines).encode()),
             # rows are numbered in the order of the file by one thread only
             read_options=pacsv.ReadOptions(column_names=labels, use_threads=False),
             parse_options=pacsv.ParseOptions(
@@ -330,37 +276,29 @@ def _cells(layout: Profile, name: str, table: _Table, places: list[int]) -> tupl
             ),
         )
     except pa.ArrowInvalid as error:
-        raise LogError(
-            f"{name} cannot be read as delimited text: {error}.", int(table.row(1)[0]), code="damaged"
-        ) from error
-    if data.num_rows + len(bad) != count:
+        found = f"cannot be read as delimited text: {error}"
+        raise refusal("damaged", contents.name, found, row=int(row[0])) from error
+    if data.num_rows + len(bad) != len(lines):
         # a quotation mark that is not closed takes the lines below into its cell
-        at = next((i for i, line in enumerate(table.body.split("\n")) if line.count('"') % 2), 0)
-        raise LogError(
-            f"{name}: found {data.num_rows + len(bad)} rows in {count} lines; expected each row on one line. Is a "
-            "quotation mark not closed here? Remove it, or leave this log out.",
-            int(table.row(count)[at]),
-            code="row-length",
-        )
-    for row, found, text in bad:
-        last_is_cut = row == count - 1 and found < width and row > 0
-        line = int(table.row(count)[row])
-        if not last_is_cut and not _take_label(layout, name, text, line, table.attributes):
-            one_more = found == width + 1 and text.rstrip().endswith(layout.delimiter)
-            one_more |= found == width - 1 and not table.names[-1]  # of the line of names
-            hint = ", or add trailing_delimiter = true" if one_more else ""
-            commas = layout.delimiter == "," and found > width
-            decimal = ', or write decimal = "," and another delimiter.' if commas else "."
-            raise LogError(
-                f"{name}: expected {width} values, found {found} ({text[:200]!r}). Repair the row{hint}{decimal}",
-                line,
-                code="row-length",
-                profile_line="trailing_delimiter = true" if one_more else None,
-            )
-    return {i: data.column(labels[i]) for i in places}, {row for row, _, _ in bad}
+        at = next((i for i, line in enumerate(lines) if line.count('"') % 2), 0)
+        found = f"{data.num_rows + len(bad)} rows in {len(lines)} lines; is a quotation mark not closed here?"
+        raise refusal("row-length", contents.name, found, row=int(row[at]))
+    for number, width, text in bad:
+        last_is_cut = number == len(lines) - 1 and number > 0 and width < len(names)
+        if not last_is_cut and not _take_label(layout, contents, text, int(row[number])):
+            more = width == len(names) + 1 and text.rstrip().endswith(layout.delimiter)
+            more |= width == len(names) - 1 and not names[-1]  # of the line of names
+            line = "trailing_delimiter = true" if more else ""
+            cure = f"Repair the row, or add {line}." if more else "Repair the row, or leave this log out."
+            if layout.delimiter == "," and width > len(names):
+                cure += ' If these are decimal commas, write decimal = "," and another delimiter.'
+            found = f"expected {len(names)} values, found {width} ({text[:200]!r})"
+            raise refusal("row-length", contents.name, found, "", cure, int(row[number]), line)
+    kept = np.delete(np.arange(len(lines)), [number for number, _, _ in bad])
+    return {i: data.column(labels[i]) for i in places}, kept
 
 
-def _last_is_cut(layout: TextLayout, cells: dict[int, pa.ChunkedArray], columns: dict[int, NDArray[Any]]) -> bool:
+def _last_is_cut(layout: TextLayout, cells: dict[int, pa.ChunkedArray], columns: dict[int, Array]) -> bool:
     """Return whether a column is of numbers, none of them missing, but for its last cell."""
     for place, values in columns.items():
         if values.dtype.kind == "U" and _values(layout, cells[place][:-1]).dtype.kind != "U":
@@ -378,21 +316,17 @@ def _numbers(layout: TextLayout, column: pa.ChunkedArray) -> tuple[pa.Array, pa.
     return text, pc.replace_substring(number, ",", ".") if layout.decimal == "," else number
 
 
-def _values(layout: TextLayout, column: pa.ChunkedArray) -> NDArray[Any]:
+def _values(layout: TextLayout, column: pa.ChunkedArray) -> Array:
     """Return cells as integers where all are whole numbers, as float64 where all are numbers or blank, else as text."""
     text, number = _numbers(layout, column)
     blank = pc.is_null(number)
-    if layout.decimal == "," and pc.any(pc.and_not(pc.match_substring(text, "."), blank)).as_py():
-        return np.array(text.to_pylist(), dtype=np.str_)
-    if not pc.any(blank).as_py() and pc.all(pc.match_substring_regex(number, _INTEGER)).as_py():
-        for kind in (pa.int64(), pa.uint64()):
-            try:
-                integers: NDArray[Any] = pc.cast(pc.utf8_ltrim(number, "+"), kind).to_numpy(zero_copy_only=False)
-                return integers
-            except pa.ArrowInvalid:  # does not fit
-                continue
-    try:
-        floats: NDArray[Any] = pc.cast(number, pa.float64()).to_numpy(zero_copy_only=False)
-        return floats
-    except pa.ArrowInvalid:
-        return np.array(pc.if_else(blank, "", text).to_pylist(), dtype=np.str_)
+    points = layout.decimal == "," and pc.any(pc.and_not(pc.match_substring(text, "."), blank)).as_py()
+    whole = not pc.any(blank).as_py() and pc.all(pc.match_substring_regex(number, _INTEGER)).as_py()
+    kinds: tuple[Any, ...] = () if points else (pa.int64(), pa.uint64(), pa.float64()) if whole else (pa.float64(),)
+    for kind in kinds:
+        try:
+            plain = pc.utf8_ltrim(number, "+") if kind != pa.float64() else number
+            return np.asarray(pc.cast(plain, kind).to_numpy(zero_copy_only=False))
+        except pa.ArrowInvalid:  # does not fit
+            continue
+    return np.array(text.to_pylist() if points else pc.if_else(blank, "", text).to_pylist(), dtype=np.str_)

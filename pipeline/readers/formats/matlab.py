@@ -1,59 +1,170 @@
-"""Reads MATLAB files: version 5 (``save``, ``-v6``, ``-v7``) and 7.3 (an HDF5 file with MATLAB's conventions).
+"""MATLAB files: arrays by name, fields of structs by dotted path, elements of struct arrays and cells in brackets.
 
-Columns are plain arrays by name, fields of structs by dotted path, elements of struct arrays and of matrices in
-brackets, counted from 0. A Simulink "Structure with time" is such a struct: ``scope.time``,
-``scope.signals[1].values[0]``. Objects (timeseries, table, string, Simulink.SimulationOutput) are refused.
+A Simulink "Structure with time" is such a struct: ``scope.time``, ``scope.signals[1].values[0]``. A timeseries gives
+``ts.Time`` [s] and ``ts.Data``, a table or timetable its variables as ``T.x`` (and ``T.Time``). scipy reads version 5
+(``save``, ``-v6``, ``-v7``) without objects, mat-io version 7.3 and objects of both.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import replace
+import warnings
+from pathlib import Path
+from typing import Any
 
-from pipeline.base.errors import LogError
-from pipeline.readers.formats.hdf5 import is_hdf5, open_image
-from pipeline.readers.formats.matlab5 import MatContents, collect_version_5
-from pipeline.readers.formats.matlab73 import collect
-from pipeline.readers.frame import ColumnInfo, Frame
-from pipeline.readers.isolation import isolated_reader
+import numpy as np
 
-read_frame, list_columns = isolated_reader(__name__, "a MATLAB file", ("h5py", "scipy.io"))
-"""Single numbers and texts are attributes; objects are listed with no rows and the reason as hint."""
+from pipeline.profiles.profile_model import Profile
+from pipeline.readers.frame import Array, Contents
+from pipeline.readers.isolation import library
+from pipeline.readers.limits import DEEPEST
+from pipeline.readers.refusals import refusal
 
-
-def frame_here(name: str, data: bytes, wanted: Sequence[str]) -> Frame:
-    """Read columns by paths such as ``"t"``, ``"log.position"``, ``"scope.signals[1].values[0]"``, in the worker."""
-    with _opened(name, data) as contents:
-        return contents.frame(name, wanted)
-
-
-def columns_here(name: str, data: bytes) -> list[ColumnInfo]:
-    """List the arrays, in the worker process."""
-    with _opened(name, data) as contents:
-        return contents.listed()
-
-
-@contextmanager
-def _opened(name: str, data: bytes) -> Iterator[MatContents]:
-    if not is_hdf5(data):
-        yield _version_5(name, data)
-        return
-    with open_image(data, "mat") as file:
-        yield collect(name, file, len(data))
+_SERIES = "s = struct('time', ts.Time, 'data', ts.Data)"
+_EXPORTS = {
+    "timeseries": _SERIES,
+    "Simulink.SimulationData.Dataset": f"ts = logsout{{1}}.Values; {_SERIES}",
+    "Simulink.SimulationData.Signal": f"ts = signal.Values; {_SERIES}",
+    "Simulink.SimulationOutput": f"ts = out.logsout{{1}}.Values; {_SERIES}",
+    "table": "s = table2struct(T, 'ToScalar', true)",
+    "timetable": "s = table2struct(timetable2table(T), 'ToScalar', true)",
+    "string": "s = char(x)",
+    "datetime": "s = seconds(x - x(1))",
+    "duration": "s = seconds(x)",
+}
+"""How MATLAB makes plain arrays of what it saves in a form of its own, by class."""
 
 
-def _version_5(name: str, data: bytes) -> MatContents:
-    if data[126:128] not in (b"IM", b"MI"):
-        raise LogError(
-            f"{name} is no MATLAB file: expected version 5 or 7.3, found the first bytes {data[:16]!r}. A version 4 "
-            "file must be saved again: save('log.mat', 't', 'x', '-v7'). Otherwise correct `format` in the profile.",
-            code="unsupported",
-        )
-    contents = collect_version_5(name, data)
-    for path, array in contents.arrays.items():
+def read(path: Path, settings: Profile, contents: Contents) -> None:
+    """Add the variables; what cannot be read is named with what makes it plain in MATLAB."""
+    head = path.read_bytes()[:128]
+    newer, objects = head[124:126] in (b"\x00\x02", b"\x02\x00"), head[116:124].strip(b" \0") != b""
+    if not head.startswith(b"MATLAB") and head[126:128] not in (b"IM", b"MI"):
+        cure = "A version 4 file must be saved again: save('log.mat', 't', 'x', '-v7'). Otherwise correct `format`."
+        raise refusal("unsupported", contents.name, "no MATLAB file", "version 5 or 7.3", cure)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        variables = _by_matio(contents, path, newer) if newer or objects else _by_scipy(path)
+    for name, value in variables.items():
+        # insides of objects have a name with # or __
+        if not name.startswith(("#", "__")):
+            _add(contents, name, value, 0)
+    for name, label in contents.attributes.items():
         # Simulink writes what a signal is beside its values
-        label = contents.attributes.get(path.removesuffix("values") + "label") if path.endswith(".values") else None
-        if label:
-            contents.arrays[path] = replace(array, hint=str(label))
-    return contents
+        if name.endswith(".label") and (stem := name.removesuffix("label") + "values") in contents.columns:
+            contents.hints[stem] = str(label)
+
+
+def _by_scipy(path: Path) -> dict[str, Any]:
+    from scipy.io import loadmat
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", np.exceptions.ComplexWarning)
+        try:
+            # MATLAB stores whole numbers of type double in the smallest type that holds them
+            return dict(loadmat(path, mat_dtype=True))
+        except np.exceptions.ComplexWarning:  # it would drop the imaginary part
+            return dict(loadmat(path))
+
+
+def _by_matio(contents: Contents, path: Path, newer: bool) -> dict[str, Any]:
+    matio = library("matio", "mat")
+    try:
+        return dict(matio.load_from_mat(path))
+    except Exception:  # one variable that it cannot read must not hide the others
+        found: dict[str, Any] = {}
+        for name, kind in _classes(path, newer).items():
+            try:
+                found |= matio.load_from_mat(path, variable_names=name)
+            except Exception as error:
+                plain = kind in ("double", "single", "struct", "cell", "char", "logical") or "int" in kind
+                contents.refused[name] = (
+                    f"cannot be read ({error or type(error).__name__})." if plain else _advice(kind)
+                )
+        return found
+
+
+def _classes(path: Path, newer: bool) -> dict[str, str]:
+    """Return the class of each variable by name."""
+    if not newer:
+        return {name: kind for name, (_, kind) in library("matio", "mat").whosmat(path).items()}
+    with library("h5py", "mat").File(path) as file:
+        kinds = {name: item.attrs.get("MATLAB_class", b"") for name, item in file.items() if name[0] != "#"}
+        return {name: kind.decode() if isinstance(kind, bytes) else str(kind) for name, kind in kinds.items()}
+
+
+def _advice(kind: str) -> str:
+    """Return why an object of a class is not read, and how it is exported."""
+    export = _EXPORTS.get(kind, "s = struct('time', <its times>, 'data', <its values>)")
+    each = " for each of its elements" if kind.endswith(("Dataset", "Output")) else ""
+    return (
+        f"is a MATLAB object of class {kind[:80]}, whose form only MATLAB knows. Export it there{each}: {export}; "
+        + ("save('log.mat', 's', '-v7').")
+    )
+
+
+def _add(contents: Contents, path: str, value: Any, depth: int) -> None:
+    """Add a variable, a field of a struct, an element of a cell or what an object holds."""
+    if depth > DEEPEST:
+        raise refusal("too-deep", contents.name, f"structs more than {DEEPEST} deep", "recorded signals")
+    if hasattr(value, "properties"):
+        _add_object(contents, path, value, depth)
+    elif hasattr(value, "columns"):  # a table or timetable
+        frame = value.reset_index() if value.index.name else value
+        for name in frame.columns:
+            column = frame[name].to_numpy()
+            contents.add(f"{path}.{name}", column, unit="ns" if column.dtype.kind in "mM" else "")
+    elif type(value).__name__ == "MatlabOpaque":  # as scipy has it
+        own, _, kind, _ = (part.decode("utf-8", "replace") if isinstance(part, bytes) else "" for part in value.flat[0])
+        contents.refused[path if depth else own] = _advice(kind)
+    elif hasattr(value, "classname"):
+        contents.refused[path] = _advice(str(value.classname))
+    elif type(value).__name__ == "MatlabFunction":
+        contents.refused[path] = "is a function; expected numbers."
+    elif not isinstance(value, np.ndarray):
+        sparse = "is a sparse matrix; save full(x)."
+        contents.refused[path] = sparse if hasattr(value, "todense") else f"is {type(value).__name__}, no array."
+    elif value.dtype.names:
+        for number, element in enumerate(value.reshape(-1, order="F")):
+            place = path if value.size == 1 else f"{path}[{number}]"
+            for key in value.dtype.names:
+                _add(contents, f"{place}.{key}", element[key], depth + 1)
+    elif value.dtype.kind == "O" and not (texts := _texts(value)).size:
+        for number, element in enumerate(value.reshape(-1, order="F")):
+            _add(contents, f"{path}[{number}]", element, depth + 1)
+    else:
+        text = value.dtype.kind in "UTO"
+        values = texts if value.dtype.kind == "O" else value if value.size or not text else np.array([""])
+        rows = np.array([str(row) if len(values) == 1 else str(row).rstrip() for row in values.reshape(-1)])
+        contents.add(path, rows if text else values, unit="ns" if value.dtype.kind in "mM" else "")
+
+
+def _texts(value: Array) -> Array:
+    """Return a cell array of texts as one column, empty where it is none."""
+    cells = [cell for cell in value.flat if getattr(cell, "dtype", value.dtype).kind == "U" and cell.size <= 1]
+    texts = [cell.item() if cell.size else "" for cell in cells]
+    return np.array(texts if 1 < len(texts) == value.size else [])
+
+
+def _add_object(contents: Contents, path: str, value: Any, depth: int) -> None:
+    """Add times and values of a timeseries; of other objects, those of the timeseries in them."""
+    known, inner = value.properties, {}
+    if value.classname == "timeseries" and isinstance(known, dict):
+        info = getattr(known.get("TimeInfo"), "properties", {})
+        times = next((t for t in (known.get("Time_"), info.get("Time_")) if t is not None and np.size(t)), None)
+        if times is None and all(key in info for key in ("Start_", "Increment_", "Length")):
+            start, step, rows = (float(np.ravel(info[key])[0]) for key in ("Start_", "Increment_", "Length"))
+            times = start + step * np.arange(int(rows))
+        data = known.get("Data_", known.get("Data"))
+        unit = str(np.ravel(info.get("Units", ["seconds"]))[0])
+        if times is not None and isinstance(data, np.ndarray) and data.dtype.kind in "fiub":
+            contents.add(f"{path}.Time", np.ravel(times), unit)
+            contents.add(f"{path}.Data", data)
+            return
+    elif isinstance(known, dict):
+        inner = {key: part for key, part in known.items() if hasattr(part, "properties")}
+    for key, part in inner.items():
+        _add_object(contents, f"{path}.{key}", part, depth + 1)
+    if not any(key.startswith(f"{path}.") for key in contents.columns):
+        for key in [key for key in contents.refused if key.startswith(f"{path}.")]:
+            del contents.refused[key]
+        contents.refused[path] = _advice(value.classname)

@@ -7,8 +7,10 @@ for the row at fault.
 from __future__ import annotations
 
 import re
+from array import array
 from collections.abc import Sequence
 from dataclasses import replace
+from io import BytesIO
 
 import numpy as np
 import pyarrow as pa
@@ -19,6 +21,7 @@ from pipeline.profiles.profile_model import Profile
 from pipeline.readers.file_kind import refuse_other_kind
 from pipeline.readers.limits import LONGEST_HEADER, LONGEST_HEADER_LINE, LONGEST_LINE
 from pipeline.readers.log import Log, RawLog, check_samples
+from pipeline.readers.refusals import CURES, refusal
 from pipeline.records.batch import Floats
 from pipeline.records.native import COLUMN_LINE, NativeHeader, parse_header
 
@@ -26,9 +29,6 @@ _NAMES = COLUMN_LINE.split(",")
 # float() would take digits of every script, which the common parse does not; no digit may belong to two parts, or a
 # million of them would be divided in every way
 _NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
-_SEARCHED = 1 << 20
-"""Bytes of a body that are searched at once for the row at fault: lines as objects take ten times their bytes."""
-
 _BLANK = b"\r\n\t "
 _LINE_FEED = 10
 
@@ -105,45 +105,34 @@ def _copied(log: Log) -> Log:
 def _split(data: bytes) -> tuple[NativeHeader, int, int]:
     """Return the header, the offset of the first sample and its line number."""
     head = data[:LONGEST_HEADER]
+    cure = "Correct the column line, or describe the file by a profile."
     if not head.strip(b"\xef\xbb\xbf \t\r\n"):
-        raise LogError(
-            "file is empty; expected a header, the column line and samples. Record the log again.", 1, code="empty"
-        )
+        raise refusal("empty", "", "file is empty", "a header, the column line and samples", row=1)
     lines: list[str] = []
     start = 0
     while start < len(head):
         end = head.find(b"\n", start) + 1 or len(head)
+        row = len(lines) + 1
         if end - start > LONGEST_HEADER_LINE:
-            raise LogError(
-                f"line has more than {LONGEST_HEADER_LINE} bytes; expected header lines `# key: value` and the column "
-                f"line {COLUMN_LINE!r}. Shorten the line, or describe the file by a profile.",
-                len(lines) + 1,
-                code="too-long-line",
-            )
+            found = f"line has more than {LONGEST_HEADER_LINE} bytes"
+            expected = f"header lines `# key: value` and the column line {COLUMN_LINE!r}"
+            raise refusal("too-long-line", "", found, expected, "Shorten it, or describe the file by a profile.", row)
         try:
             text = head[start:end].decode("utf-8-sig" if start == 0 else "utf-8").strip()
         except UnicodeDecodeError as error:
-            raise LogError(
-                f"line is no UTF-8 text ({error.reason}). Save the log as UTF-8.", len(lines) + 1, code="encoding"
-            ) from error
+            found = f"line is no UTF-8 text ({error.reason})"
+            raise refusal("encoding", "", found, cure="Save the log as UTF-8.", row=row) from error
         start = end
         if text and not text.startswith("#"):
             header = parse_header(lines)
             if [cell.strip() for cell in text.split(",")] != _NAMES:
-                raise LogError(
-                    f"columns must be exactly {COLUMN_LINE!r}, found {text[:200]!r}. "
-                    "Correct the column line, or describe the file by a profile.",
-                    len(lines) + 1,
-                    code="column-missing",
-                )
-            return header, start, len(lines) + 2
+                found = f"columns must be exactly {COLUMN_LINE!r}, found {text[:200]!r}"
+                raise refusal("column-missing", "", found, cure=cure, row=row)
+            return header, start, row + 1
         lines.append(text)
     parse_header(lines)
-    raise LogError(
-        f"column line {COLUMN_LINE!r} is missing below the header; add it and the samples.",
-        len(lines) + 1,
-        code="header-missing",
-    )
+    found = f"column line {COLUMN_LINE!r} is missing below the header"
+    raise refusal("header-missing", "", found, cure="Add it and the samples.", row=len(lines) + 1)
 
 
 def _parse(text: bytes, lines: int, use_threads: bool) -> Columns | None:
@@ -169,52 +158,26 @@ def _parse(text: bytes, lines: int, use_threads: bool) -> Columns | None:
 
 
 def _parse_alone(body: _Body) -> Columns:
-    text = body.text
-    columns = _parse(text, body.lines, use_threads=False)
+    """Return the columns of a log whose lines the common parse does not take, if they are numbers all the same."""
+    columns = _parse(body.text, body.lines, use_threads=False)
     if columns is not None:
         return columns
-    parts: list[Columns] = []
-    start, row = 0, body.first_row
-    while start < len(text):
-        # whole lines, and at least one
-        end = text.rfind(b"\n", start, start + _SEARCHED) + 1 or text.find(b"\n", start) + 1
-        block = text[start:end]
-        lines = block.count(b"\n")
-        part = _parse(block, lines, use_threads=False)
-        parts.append(_parse_lines(block, row) if part is None else part)
-        start, row = end, row + lines
-    time, command, position = (np.concatenate(column) for column in zip(*parts, strict=True))
-    return time, command, position
-
-
-def _parse_lines(block: bytes, first_row: int) -> Columns:
-    """Return the numbers of some lines that the common parse does not take, if they are numbers all the same."""
-    lines = block.decode("utf-8", "replace").split("\n")[:-1]
-    values = np.empty((len(lines), 3))
-    for index, line in enumerate(lines):
-        row = first_row + index
+    values = array("d")
+    # one line at a time: lines as objects take ten times their bytes
+    for row, line in enumerate(BytesIO(body.text), start=body.first_row):
         if len(line) > LONGEST_LINE:
-            raise LogError(
-                f"line has more than {LONGEST_LINE} characters; expected 3 values ({COLUMN_LINE}). Repair the row, or "
-                "leave this log out.",
-                row,
-                code="too-long-line",
-            )
-        cells = [cell.strip() for cell in line.split(",")]
+            found = f"line has more than {LONGEST_LINE} characters"
+            cure = CURES["row-length"]
+            raise refusal("too-long-line", "", found, f"3 values ({COLUMN_LINE})", cure, row)
+        text = line.decode("utf-8", "replace").removesuffix("\n")
+        cells = [cell.strip() for cell in text.split(",")]
         if len(cells) != 3:
-            what = "a blank line" if not line.strip() else f"{len(cells)} values ({line.strip()[:200]!r})"
-            raise LogError(
-                f"expected 3 values ({COLUMN_LINE}), found {what}. Repair the row, or leave this log out.",
-                row,
-                code="row-length",
-            )
-        for column, (name, cell) in enumerate(zip(_NAMES, cells, strict=True)):
+            what = "a blank line" if not text.strip() else f"{len(cells)} values ({text.strip()[:200]!r})"
+            raise refusal("row-length", "", f"expected 3 values ({COLUMN_LINE}), found {what}", row=row)
+        for name, cell in zip(_NAMES, cells, strict=True):
             if _NUMBER.fullmatch(cell) is None:
-                raise LogError(
-                    f"{name} must be a finite number with a decimal point, found {cell[:200]!r}. "
-                    "Repair the row, or leave this log out.",
-                    row,
-                    code="not-a-number",
-                )
-            values[index, column] = float(cell)
-    return values[:, 0], values[:, 1], values[:, 2]
+                found = f"{name} must be a finite number with a decimal point, found {cell[:200]!r}"
+                raise refusal("not-a-number", "", found, row=row)
+            values.append(float(cell))
+    time, command, position = np.frombuffer(values).reshape(-1, 3).T
+    return time, command, position

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import cycle
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -41,6 +43,32 @@ def courses(figure: Figure[TrialCourse], motion: Motion = "translation") -> tupl
     return (
         *canvas.draw_panels(figure, SIZE, [(52, 44 + legend, 14, 26)], responses),
         *canvas.draw_panels(other, SIZE, [(52, 44 + legend, 14, 26)], residuals),
+    )
+
+
+def overlaid(
+    figures: Sequence[Figure[TrialCourse]], labels: Sequence[str], motion: Motion = "translation"
+) -> tuple[str, ...]:
+    """Draw the responses of several trials over each other, each with that of theory (dashed, in its colour)."""
+    unit, size = "mm" if motion == "translation" else "mrad", (440.0, 290.0 + LEGEND_HEIGHT * len(labels))
+    shown = [figure.panels[0] for figure in figures]
+
+    def paint(_: object, axes: Axes) -> tuple[str, str]:
+        handles = []
+        for course, label, colour in zip(shown, labels, cycle(style.SERIES), strict=False):
+            handles += axes.plot(*_line(course.time, course.position), color=colour, lw=1.6, label=label)
+            for each in course.beside:
+                if each.label == "theory":
+                    axes.plot(*_line(course.time, each.position), color=colour, ls=style.LINES["theory"], lw=1.0)
+        axes.set_xlim(min(course.time[0] for course in shown) * MILLI, max(course.time[-1] for course in shown) * MILLI)
+        axes.set_ylim(*_range(MILLI * np.concatenate([course.position for course in shown])))
+        canvas.frame(axes, "time after the command edge [ms]", f"displacement [{unit}]")
+        axes.figure.legend(handles=handles, ncols=1, loc="lower left", bbox_to_anchor=(52 / size[0], 0.0), **LEGEND)
+        return ": responses", f"Displacement over time of {len(shown)} trials; dashed: theory."
+
+    margins = [(52, 44 + LEGEND_HEIGHT * len(labels), 14, 12)]
+    return canvas.draw_panels(
+        replace(figures[0], identifier="trials", title="Trials", panels=figures[0].panels[:1]), size, margins, paint
     )
 
 

@@ -4,70 +4,46 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from pipeline.base.disk import write_text
 from pipeline.base.errors import DeviceError, PipelineError
 from pipeline.base.file_names import path_of_text
-from pipeline.base.provenance import digest
 from pipeline.comparison.against_run import against_experiments
-from pipeline.comparison.compare import compare, report_code
+from pipeline.comparison.compare import compare
 from pipeline.comparison.executors import LOCAL, executor_of
-from pipeline.comparison.figures.figure_trial import trial_figure
 from pipeline.comparison.scene.scene import needed_stages, open_scene
 from pipeline.comparison.stage_pool import compute_stages
-from pipeline.device_data.devices import declared_spring, known_devices
 from pipeline.intake.ingest import ingest
 from pipeline.measured.stages.stages import STAGES, ExperimentStages
+from pipeline.plan.course import Wish
+from pipeline.plan.planner import plan
 from pipeline.records.findings import Note
-from pipeline.records.results import ExperimentResult
+from pipeline.records.results import ComparisonResult
 from pipeline.rendering.report.report_against import write
 from pipeline.service.database import Database
+from pipeline.service.jobs import drawings
+from pipeline.service.jobs.documents import document_file, key_of, read_document
+from pipeline.service.profiles import profile_path
 from pipeline.service.settings import Settings
-from pipeline.store.corrections import read_corrections
-from pipeline.store.storage import list_devices, list_experiments, trials_files
+from pipeline.store.storage import list_devices, list_experiments
 
 Progress = Callable[[object], None]
-
-
-def state_of(processed: Path, device: str, experiments: Sequence[str]) -> str:
-    """Return a hash of what is stored of experiments: another one after any change, exclusions by hand among them."""
-    files = [file for name in experiments for file in trials_files(processed, device, name)]
-    places = [(device, name) for name in experiments]
-    known = read_corrections(processed).values()
-    corrected = [one.model_dump() for one in known if {one.place, (one.device, one.experiment)} & {*places}]
-    return digest([[[file.name, *file.stat()[6:9:2]] for file in files], corrected])
-
-
-def key_of(settings: Settings, request: dict[str, Any]) -> str:
-    """Return the key of an experiment's document or a comparison: a hash of request, logs, device file and code."""
-    sides = [(request["device"], request["experiments"])]
-    if request.get("against"):
-        sides.append((request["against"]["device"], [request["against"]["experiment"]]))
-    known = known_devices()
-    devices = [known[name].model_dump_json() if name in known else "" for name, _ in sides]
-    states = [state_of(settings.processed, *side) for side in sides]
-    return digest([request, states, devices, report_code()])
-
-
-def document_file(settings: Settings, key: str, report: bool = False) -> Path:
-    """Return the file of a document, that of an experiment or of a report."""
-    folder = settings.comparisons if report else settings.data / "documents"
-    return folder / f"{key}.json"
 
 
 def run_upload(settings: Settings, database: Database, request: dict[str, Any], progress: Progress) -> Any:
     """Ingest uploaded logs; the result is what ``ingest --json`` prints, with the names as uploaded."""
     skipped, result = request["skipped"], {"found": 0, "ingested": 0, "skipped": 0, "quarantined": []}
-    folder = settings.data / "logs" / request["folder"]
-    places = [Path(path) for path in (folder, *request.get("again", ())) if os.path.exists(path)]
+    folder = settings.data / "logs" / (request["folder"] or "none")
+    places = [path for path in (folder, *map(path_of_text, request.get("again", ()))) if os.path.exists(path)]
     if places:
         report = ingest(
             places,
             settings.processed,
-            request["profile"] or None,
+            profile_path(settings, request["profile"]),
+            rehash=bool(request.get("again")),
             progress=lambda done, found: progress({"done": done, "found": found}),
             wait_s=3600.0,
         )
@@ -132,32 +108,38 @@ def _without_stages(settings: Settings, failed: dict[str, str]) -> list[tuple[Ex
 
 
 def run_experiment(settings: Settings, _database: Database, request: dict[str, Any], progress: Progress) -> Any:
-    """Compare one experiment with theory, for its numbers alone."""
-    document = _compared(settings, request, None, progress)
-    write_text(document_file(settings, request["key"]), json.dumps(document))
+    """Compare one experiment with theory, for its numbers and the report's first figures."""
+    result = _compared(settings, request, None, progress)
+    found = result.model_dump(mode="json")
+    causes = {each["experiment"]: each["causes"] for each in found["experiments"]}
+    drawn = drawings.of_experiment(settings.processed, result)
+    write_text(document_file(settings, request["key"]), json.dumps({**found, "causes": causes, "figures": drawn}))
     return {"key": request["key"]}
 
 
-def run_trial(settings: Settings, database: Database, request: dict[str, Any], progress: Progress) -> Any:
-    """Draw a trial beside theory and the fitted loop of its experiment, which is compared first where it was not."""
-    key, asked = request["key"], request["request"]
-    whole = {name: value for name, value in asked.items() if name != "trial"}
-    whole_key = key_of(settings, whole)
-    file = document_file(settings, whole_key)
-    if not file.is_file():
-        run_experiment(settings, database, {"key": whole_key, "request": whole}, progress)
-    document = json.loads(file.read_bytes())
-    device, (experiment,) = asked["device"], asked["experiments"]
-    found = ExperimentResult.model_validate(document["experiments"][0])
-    spring = declared_spring(known_devices().get(device), experiment)
-    stages = ExperimentStages.stored(settings.processed, device, experiment, spring)
-    figure = trial_figure(stages, found, asked["trial"], document["motion"])
-    # matplotlib takes half a second, which jobs that draw nothing need not wait for
-    from pipeline.rendering.figures.trial_drawing import courses
+def run_plan(settings: Settings, _database: Database, request: dict[str, Any], _progress: Progress) -> Any:
+    """Ask the planner which walls to try next."""
+    asked = request["request"]
+    found = plan(asked["device"], settings.processed, asked["experiments"][0], Wish(goal=asked["goal"]))
+    write_text(document_file(settings, request["key"]), found.model_dump_json())
+    return {"key": request["key"]}
 
-    panels = courses(figure, document["motion"])
-    write_text(document_file(settings, key), json.dumps({"panels": panels, "caption": figure.caption}))
-    return {"key": key}
+
+def run_drawing(settings: Settings, database: Database, request: dict[str, Any], progress: Progress) -> Any:
+    """Draw trials or experiments; these are compared first where they were not."""
+    asked = request["request"]
+    found = []
+    for device, experiment, *_ in dict.fromkeys(map(tuple, (place[:2] for place in asked["places"]))):
+        whole = {"device": device, "experiments": [experiment], "criteria": None}
+        key = key_of(settings, whole)
+        if not document_file(settings, key).is_file():
+            run_experiment(settings, database, {"key": key, "request": whole}, progress)
+        document = read_document(settings, key) or {}
+        found.append({name: value for name, value in document.items() if name not in ("causes", "figures")})
+    results = [ComparisonResult.model_validate(each) for each in found]
+    drawn = drawings.DRAWINGS[asked["what"]](settings.processed, asked, results)
+    write_text(document_file(settings, request["key"]), json.dumps(drawn))
+    return {"key": request["key"]}
 
 
 def run_comparison(settings: Settings, _database: Database, request: dict[str, Any], progress: Progress) -> Any:
@@ -178,7 +160,7 @@ def _notes(asked: dict[str, Any]) -> list[Note]:
     return [Note.model_validate(one) for one in asked.get("notes", ())]
 
 
-def _compared(settings: Settings, request: dict[str, Any], report: Path | None, progress: Progress) -> Any:
+def _compared(settings: Settings, request: dict[str, Any], report: Path | None, progress: Progress) -> ComparisonResult:
     asked = request["request"]
     result = compare(
         asked["device"],
@@ -191,21 +173,15 @@ def _compared(settings: Settings, request: dict[str, Any], report: Path | None, 
         executor=executor_of(settings.executor),
     ).result
     assert result is not None, "only a dry run has none"
-    document = result.model_dump(mode="json")
-    return {**document, "causes": {each["experiment"]: each["causes"] for each in document["experiments"]}}
+    return result
 
 
 KINDS = {
     "upload": run_upload,
     "stages": run_stages,
     "experiment": run_experiment,
-    "trial": run_trial,
+    "plan": run_plan,
+    "drawing": run_drawing,
     "comparison": run_comparison,
 }
 """Function of each kind of job."""
-
-
-def uploaded_name(database: Database, source: str) -> str:
-    """Return the name under which a source was uploaded, or its path."""
-    rows = database.run("SELECT name FROM uploads WHERE path = ?", source)
-    return rows[0]["name"] if rows else str(path_of_text(source))

@@ -1,8 +1,9 @@
 """A process that works at jobs, one after the other, while its server lives.
 
-Run as ``python -m pipeline.service.jobs.worker PROCESSED REPORTS EXECUTOR``. A byte on standard input says that a job
-waits, its end that the server ended: then this process ends, too, and another one takes the job when its lease has run
-out. What the functions of jobs write is whole at any moment, and they can be run again.
+Run as ``python -m pipeline.service.jobs.worker PROCESSED REPORTS EXECUTOR KIND``, of which the last is ``urgent`` or
+``other``. A byte on standard input says that a job waits, its end that the server ended: then this process ends, too,
+and another one takes the job when its lease has run out. What the functions of jobs write is whole at any moment, and
+they can be run again.
 """
 
 from __future__ import annotations
@@ -52,9 +53,9 @@ class _Beats:
         self.progress = progress
 
 
-def work(settings: Settings, database: Database, owner: str) -> bool:
+def work(settings: Settings, database: Database, owner: str, urgent: bool | None = None) -> bool:
     """Do the next job; return whether there was one."""
-    job = database.claim(owner)
+    job = database.claim(owner, urgent)
     if job is None:
         return False
     from pipeline.service.jobs.results import KINDS
@@ -90,7 +91,7 @@ def main() -> None:
     database, owner = Database(settings.data), f"{os.getpid()}-{secrets.token_hex(4)}"
     print(owner, flush=True)
     while True:
-        while work(settings, database, owner):
+        while work(settings, database, owner, sys.argv[4] == "urgent"):
             pass
         waiting.wait(BEAT_S)
         waiting.clear()

@@ -13,15 +13,15 @@ from pipeline.service.settings import Settings
 class Workers:
     """The workers of a server; they end with it, in whatever way that ends."""
 
-    def __init__(self, settings: Settings, database: Database, number: int = 1) -> None:
-        self.settings, self.database, self.number = settings, database, number
+    def __init__(self, settings: Settings, database: Database) -> None:
+        self.settings, self.database = settings, database
         self._running: list[subprocess.Popen[bytes]] = []
         self._ended = threading.Event()
 
     def start(self) -> None:
-        """Begin all."""
-        for _ in range(self.number):
-            threading.Thread(target=self._keep, daemon=True).start()
+        """Begin both: one for logs and their verdicts, one for what is looked at."""
+        for kind in ("urgent", "other"):
+            threading.Thread(target=self._keep, args=(kind,), daemon=True).start()
 
     def stop(self) -> None:
         """End all; what they work at is another's when its lease has run out."""
@@ -38,8 +38,8 @@ class Workers:
             except OSError:  # it has just ended, and its follower looks by itself
                 pass
 
-    def _keep(self) -> None:
-        given = [str(self.settings.processed), str(self.settings.reports), self.settings.executor]
+    def _keep(self, kind: str) -> None:
+        given = [str(self.settings.processed), str(self.settings.reports), self.settings.executor, kind]
         command = [sys.executable, "-m", "pipeline.service.jobs.worker", *given]
         while not self._ended.is_set():
             # a session of its own: Ctrl-C ends the server, and the server its workers

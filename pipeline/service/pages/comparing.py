@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Literal
 from urllib.parse import urlencode
 
@@ -10,16 +11,23 @@ from fastapi import APIRouter, Query, Request
 from fastapi.responses import HTMLResponse, RedirectResponse, Response
 from starlette.concurrency import run_in_threadpool
 
+from pipeline.comparison.against import compare_pair
+from pipeline.records.against_records import PairDifference, Side
 from pipeline.records.criteria import REPORTED
-from pipeline.service.pages.frame import busy, fields_of, page_of, run_of
-from pipeline.service.pages.page_figures import differences, limits, planes
+from pipeline.records.results import ExperimentResult
+from pipeline.records.score_records import TheoryParameters
+from pipeline.service.pages.frame import busy, fields_of, page_of
 from pipeline.service.problems import Problem
-from pipeline.service.shared import ComparisonRequest, Service, Shared
+from pipeline.service.shared import ComparisonRequest, Service, Shared, run_of
 from pipeline.store.names import name_of_folder
+from pipeline.theory.predictions import Theory
 
 comparing = APIRouter(include_in_schema=False, default_response_class=HTMLResponse)
 
 MOST_RUNS = 6
+
+Run = tuple[str, str, Mapping[str, Any]]
+"""Device, experiment, and the document of its comparison with theory."""
 
 Runs = Annotated[list[str], Query(max_length=50)]
 Plane = Annotated[Literal["", "physical", "normalised"], Query()]
@@ -53,7 +61,7 @@ async def ask_comparison(service: Shared, request: Request) -> Response:
             "criteria": fields.get("criteria"),
         }
     )
-    key, job = await run_in_threadpool(service.comparison, asked)
+    key, job = await run_in_threadpool(service.comparison, asked, request.state.who)
     return RedirectResponse(f"/jobs/{job}" if job else f"/api/v1/comparisons/{key}/report", 303)
 
 
@@ -70,6 +78,10 @@ def _content(service: Service, asked: list[str], plane: str) -> dict[str, Any]:
     waiting = [(d, e, service.database.job(job)) for d, e, _, job in found if job]
     possible = planes(runs)
     shown = plane if plane in possible else next(iter(possible), "")
+    drawn, job = None, None
+    if shown and not waiting:
+        drawn, job = service.drawn("limits", [(d, e) for d, e, _ in runs], plane=shown)
+    waiting += [("limits", "", service.database.job(job))] if job else []
     query = [("runs", run_of(d, e)) for d, e in chosen]
     return {
         "runs": runs,
@@ -77,12 +89,59 @@ def _content(service: Service, asked: list[str], plane: str) -> dict[str, Any]:
         "busy": any(busy(job) for *_, job in waiting),
         "planes": possible,
         "plane": shown,
-        "plot": limits(runs, shown) if shown else None,
+        "plot": drawn,
         "pairs": [(d, e, *differences(runs[0], (d, e, document))) for d, e, document in runs[1:]],
         "criteria": REPORTED,
-        "all": service.catalogue.trials().experiments,
+        "all": service.catalogue.experiments,
         "chosen": {run_of(*run) for run in chosen},
         "query": urlencode([*query, *([("plane", plane)] if plane else [])]),
         "switch": {name: urlencode([*query, ("plane", name)]) for name in possible},
         "now": time.time(),
     }
+
+
+def planes(runs: Sequence[Run]) -> dict[str, str]:
+    """Return the planes in which limits can be drawn over each other, by name, and what they are called.
+
+    Those in K and B where all move alike, in alpha and beta where the mass of each is known.
+    """
+    found = {}
+    if runs and len({document["motion"] for *_, document in runs}) == 1:
+        found["physical"] = "stiffness K and damping B"
+    if runs and all(_units(document) for *_, document in runs):
+        found["normalised"] = "α and β, normalised by mass and sampling period"
+    return found
+
+
+def differences(first: Run, second: Run) -> tuple[PairDifference | None, str]:
+    """Return what two experiments differ in, second minus first; None, and why, where devices cannot be compared."""
+    scales = None
+    if first[0] != second[0]:
+        own, others = _units(first[2]), _units(second[2])
+        if own is None or others is None:
+            return None, (
+                "two devices are compared in the plane of α and β, which needs the mass of each: there is no device "
+                "file, and the logs of one give no estimate"
+            )
+        scales = own, others
+    one, other = (
+        Side(
+            device=device,
+            experiment=experiment,
+            version=document["provenance"].get("version", "?"),
+            code=document["provenance"].get("code", "?"),
+            simulated=document["simulated"],
+        )
+        for device, experiment, document in (first, second)
+    )
+    a, b = (ExperimentResult.model_validate(document["experiments"][0]) for *_, document in (first, second))
+    return compare_pair(one, other, (a, b), None, (first[2]["motion"], second[2]["motion"]), scales), ""
+
+
+def _units(document: Mapping[str, Any]) -> tuple[float, float] | None:
+    """Return the units of stiffness and damping that alpha and beta of 1 stand for; None without a theory."""
+    theory = document["experiments"][0]["theory"]
+    if theory is None:
+        return None
+    units = Theory(TheoryParameters.model_validate(theory)).units
+    return units.stiffness, units.damping

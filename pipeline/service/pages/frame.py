@@ -8,20 +8,21 @@ from collections.abc import Callable, Mapping
 from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
-from urllib.parse import quote
+from urllib.parse import quote, urlencode
 
 from fastapi import Request
 from fastapi.responses import HTMLResponse
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from pipeline.rendering.labels import criterion_name, significant
+from pipeline.rendering.labels import cost_text, criterion_label, criterion_name, significant
 from pipeline.rendering.report.page_template import TEMPLATES
 from pipeline.rendering.report.report_against import value_name
 from pipeline.service.database import ENDED
 from pipeline.service.problems import Problem
+from pipeline.service.rest.remarks import tag_of
 from pipeline.service.security import FORM, cookies_of, form_token, is_form
-from pipeline.service.shared import Service
+from pipeline.service.shared import Service, run_of
 from pipeline.store.names import folder_name
 
 HERE = Path(__file__).parent
@@ -41,6 +42,13 @@ def _environment() -> Environment:
         "name": criterion_name,
         "value_name": value_name,
         "when": _when,
+        "cost": cost_text,
+        "label": criterion_label,
+        "etag": tag_of,
+        "ago": _ago,
+        "about": _about,
+        "sorting": _sorting,
+        "last_part": lambda path: path.rpartition("/")[2],
     }
     found.globals |= {
         "experiment_url": experiment_url, "device_url": device_url, "run_of": run_of, "style_sheet": style_sheet,
@@ -62,6 +70,28 @@ def _when(seconds: float) -> str:
     return time.strftime("%Y-%m-%d %H:%M", time.localtime(seconds))
 
 
+def _ago(since: float) -> str:
+    """Return how long ago something was."""
+    passed = max(time.time() - since, 0.0)
+    if passed < 100:
+        return f"{passed:.0f} s"
+    return f"{passed / 60:.0f} min" if passed < 6000 else f"{passed / 3600:.0f} h"
+
+
+def _about(job: Mapping[str, Any]) -> str:
+    """Return in words what a job does."""
+    asked = job["request"].get("request", {})
+    places = asked.get("places") or [[asked.get("device", ""), *asked.get("experiments", ())]]
+    where = "; ".join(", ".join(place) for place in places if place[0])
+    words = {"upload": "ingest of logs", "stages": "verdicts and costs", "comparison": "report", "plan": "next wall"}
+    return f"{words.get(job['kind'], job['kind'])}{' of ' if where else ''}{where}"
+
+
+def _sorting(state: Mapping[str, str], name: str) -> str:
+    """Return the address of the same trials sorted by a column, the other way where they are."""
+    return urlencode({**state, "sort": f"-{name}" if state["sort"] == name else name})
+
+
 @lru_cache(maxsize=4096)  # each row of a list has two
 def _segment(name: str) -> str:
     """Return a name as a part of an address; one that is written in signs of its own is quoted twice."""
@@ -78,18 +108,13 @@ def experiment_url(device: str, experiment: str) -> str:
     return f"{device_url(device)}/experiments/{_segment(experiment)}"
 
 
-def run_of(device: str, experiment: str) -> str:
-    """Return an experiment as one word of an address."""
-    return f"{folder_name(device)}/{folder_name(experiment)}"
-
-
 def page_of(service: Service, request: Request, template: str, status: int = 200, **content: object) -> HTMLResponse:
     """Return a page by its template; its forms bear the token of the browser that asks."""
     browser = cookies_of(request.scope).get(FORM)
     if browser is None:
         browser = request.scope["state"]["form"] = secrets.token_urlsafe(16)
     who = {"login": not service.settings.loopback, "form": form_token(service.database, browser), "offline": False}
-    given = {"role": request.state.role, "path": request.url.path, **who, **content}
+    given = {"role": request.state.role, "who": request.state.who, "path": request.url.path, **who, **content}
     return HTMLResponse(_environment().get_template(template).render(**given), status)
 
 

@@ -6,43 +6,41 @@ import csv
 import io
 import json
 from collections.abc import Mapping, Sequence
+from html import escape
 from pathlib import Path
 from typing import Annotated, Any, Literal
 from urllib.parse import quote, urlencode
 
-import numpy as np
 from fastapi import APIRouter, Query, Request
 from fastapi.responses import FileResponse, HTMLResponse, RedirectResponse, Response
 from markupsafe import Markup
 from pydantic import ConfigDict, field_validator
 from starlette.concurrency import run_in_threadpool
 
+from pipeline.intake.correct import in_bin
 from pipeline.intake.quarantine import list_quarantine
-from pipeline.profiles.profile_files import shipped_profiles
 from pipeline.records.criteria import REPORTED
 from pipeline.rendering.labels import UNITS
-from pipeline.service.catalogue import SORTS
-from pipeline.service.jobs.results import uploaded_name
+from pipeline.service import profiles
+from pipeline.service.catalogue import WORDS, Selection
 from pipeline.service.metrics import MEDIA
 from pipeline.service.pages.frame import HERE, busy, check, fields_of, kept, page_of, part_of, style_sheet
-from pipeline.service.pages.page_figures import plane, units_of
-from pipeline.service.pages.plots import Layer, figure
 from pipeline.service.problems import Problem
-from pipeline.service.rest import api
+from pipeline.service.rest import api, lab
 from pipeline.service.rest.api import Segment
 from pipeline.service.rest.sample_forms import FORMS
 from pipeline.service.shared import Service, Shared
 
 pages = APIRouter(include_in_schema=False, default_response_class=HTMLResponse)
 
-SHOWN = 100
-"""Trials in a table."""
+SHOWN, LISTED, OVERLAID = 100, 20, 6
+"""Trials in a table, on the page of an experiment, and over each other at most."""
 
-_STATE = {*api.WORDS, *api.RANGES, "q", "sort"}
+_STATE = {*WORDS, *api.RANGES, "q", "sort"}
 """What of an address says which trials are listed."""
 
 PLOTTED = 3000
-"""Trials in a plane: more are no longer told apart."""
+"""Trials of a plane that lead to their pages: more are no longer told apart."""
 
 
 @pages.get("/static/{name}")
@@ -57,39 +55,91 @@ def static(name: str) -> Response:
 
 @pages.get("/")
 def home(service: Shared, request: Request) -> Response:
-    """Show the devices and their experiments."""
-    trials = service.catalogue.trials()
-    by_device = {d["device"]: [e for e in trials.experiments if e["device"] == d["device"]] for d in trials.devices}
-    return page_of(service, request, "home.html.j2", devices=by_device, trials=trials.rows, damaged=trials.damaged)
+    """Show the devices and their experiments, each with its picture, the verdict of theory and its tags."""
+    all_ = service.catalogue
+
+    def cards() -> Markup:
+        tags = {tuple(of[1:]): value for kind, of, value in service.database.all_words() if (kind, of[0]) == EXPERIMENT}
+        by_device: dict[str, list[dict[str, Any]]] = {}
+        for e in all_.experiments:
+            document = service.peek(e["device"], e["experiment"])
+            told = (document or {}).get("answer") or {}
+            shown = {
+                "picture": bool(document and document["figures"].get("limits")),
+                "verdict": told.get("verdict", ""),
+            }
+            by_device.setdefault(e["device"], []).append(
+                {**e, **shown, "tags": tags.get((e["device"], e["experiment"]), [])}
+            )
+        return part_of("cards.html.j2", devices=by_device)
+
+    done = service.database.run("SELECT count(*) FROM jobs WHERE kind = 'experiment' AND state = 'done'")[0][0]
+    body = all_.once(f"home {done}", cards)
+    return page_of(service, request, "home.html.j2", body=body, devices=len(all_.devices), trials=all_.rows,
+                   damaged=all_.damaged)  # fmt: skip
+
+
+EXPERIMENT = ("tags", "experiment")
 
 
 @pages.get("/devices/{device}")
 def one_device(service: Shared, request: Request, device: Segment) -> Response:
-    """Show the experiments of a device."""
-    own = [e for e in service.catalogue.trials().experiments if e["device"] == device]
+    """Show the experiments of a device over each other."""
+    own = [e for e in service.catalogue.experiments if e["device"] == device]
     if not own:
         raise Problem(404, "There are no trials of this device.", found=device)
-    return page_of(service, request, "device.html.j2", device=device, experiments=own, criteria=REPORTED)
+    places = [(device, e["experiment"]) for e in own[:OVERLAID]]
+    drawn, job, problem = kept(service, lambda: service.drawn("limits", places, plane="physical"))
+    return page_of(service, request, "device.html.j2", device=device, experiments=own, criteria=REPORTED,
+                   drawn=drawn, job=job, problem=problem)  # fmt: skip
 
 
 @pages.get("/devices/{device}/experiments/{experiment}")
 def one_experiment(service: Shared, request: Request, device: Segment, experiment: Segment) -> Response:
-    """Show the trials of an experiment in their plane, and what was found."""
+    """Show the trials of an experiment in their plane beside theory, what was found, and the next wall."""
     document, job, problem = kept(service, lambda: service.experiment(device, experiment))
-    trials = service.catalogue.trials()
-    mask, facets = trials.selected({"device": device, "experiment": experiment}, {})
-    rows = np.flatnonzero(mask)[:PLOTTED].tolist()
-    shown = trials.items(rows)
+    chosen = Selection({"device": device, "experiment": experiment}, {})
+    total, facets = service.catalogue.selected(chosen)
+    trials, _ = service.catalogue.page(chosen, "stiffness", PLOTTED, None)
     found = document["experiments"][0] if document else None
-    words = {kind: service.database.words(kind, ["experiment", device, experiment]) for kind in ("notes", "tags")}
+    drawn = document["figures"].get("limits") if document else None
+    next_, planning = None, job
+    if found:
+        next_, planning, _ = kept(service, lambda: service.plan(device, experiment, "boundary"))
+    of = ["experiment", device, experiment]
     return page_of(
-        service, request, "experiment.html.j2", device=device, experiment=experiment, trials=shown,
-        total=int(mask.sum()), facets=facets, units=units_of(shown),
-        plot=plane(shown, found), found=found, job=job, problem=problem,
+        service, request, "experiment.html.j2", device=device, experiment=experiment, trials=trials[:LISTED],
+        total=total, facets=facets, units=UNITS[trials[0]["motion"] if trials else "translation"],
+        plot=clickable(drawn, trials) if drawn else None, caption=drawn["caption"] if drawn else "",
+        found=found, answer=(document or {}).get("answer"), job=job or planning, problem=problem, plan=next_,
         causes=document["causes"][experiment] if document else [],
-        excluded=service.excluded_of(device, experiment),
-        remarks=[note for note in service.notes(device, experiment) if note.trial_id], **words,
+        excluded=service.excluded(of), words=words_of(service, of), of=of,
+        remarks=[note for note in service.notes(device, experiment) if note.trial_id],
     )  # fmt: skip
+
+
+def words_of(service: Service, of: list[str]) -> dict[str, Any]:
+    """Return notes and tags with their authors."""
+    return {kind: service.database.words(kind, of) for kind in ("notes", "tags")}
+
+
+def clickable(drawn: Mapping[str, Any], trials: Sequence[Mapping[str, Any]]) -> Markup:
+    """Return the drawing of a plane of K and B in which a click on a trial leads to its page."""
+    panel, axes = drawn["panels"][0], drawn["shown"][0]["axes"][0]
+    left, top, right, bottom = axes["box"]
+    (k_low, k_high), (b_low, b_high) = axes["x"], axes["y"]
+    links = []
+    for trial in trials:
+        if trial["stiffness"] is None or trial["damping"] is None:
+            continue
+        x = left + (trial["stiffness"] - k_low) / (k_high - k_low) * (right - left)
+        y = bottom - (trial["damping"] - b_low) / (b_high - b_low) * (bottom - top)
+        if left <= x <= right and top <= y <= bottom:
+            name = escape(f"trial {trial['id']}, {trial['verdict'] or 'no verdict yet'}")
+            links.append(f'<a href="/trials/{quote(trial["id"])}" aria-label="{name}"><title>{name}</title>'
+                         f'<circle class="hit" cx="{x:.0f}" cy="{y:.0f}" r="60"/></a>')  # fmt: skip
+    whole = panel.replace('role="img"', 'role="group"', 1)
+    return Markup(whole.removesuffix("</svg>") + "".join(links) + "</svg>")
 
 
 class TrialForm(api.TrialQuery):
@@ -108,7 +158,7 @@ class TrialForm(api.TrialQuery):
 @pages.get("/trials")
 def trials(service: Shared, request: Request, asked: Annotated[TrialForm, Query()]) -> Response:
     """Show a list of trials, or its CSV."""
-    all_, shown = service.catalogue.trials(), asked.model_copy(update={"limit": SHOWN})
+    all_, shown = service.catalogue, asked.model_copy(update={"limit": SHOWN})
     if asked.format == "csv":
         return _csv(api.trial_list(all_, shown)["items"])
 
@@ -116,35 +166,35 @@ def trials(service: Shared, request: Request, asked: Annotated[TrialForm, Query(
         found = api.trial_list(all_, shown)
         state = {"sort": asked.sort} | {k: v for k, v in request.query_params.items() if v and k in _STATE}
         following = urlencode({**state, "cursor": found["next_cursor"]}) if found["next_cursor"] else None
-        more = {"state": state, "following": following, "query": urlencode(state), "sorts": SORTS}
+        more = {"state": state, "following": following, "query": urlencode(state)}
         return found["total"], part_of("trial_list.html.j2", **found, **more)
 
     total, body = all_.once(f"page {request.url.query}", listing)
     return page_of(service, request, "trials.html.j2", total=total, listing=body)
 
 
+@pages.get("/overlay")
+def overlay(service: Shared, request: Request, trial: Annotated[list[str], Query(max_length=50)] = []) -> Response:  # noqa: B006
+    """Show the responses of chosen trials over each other, with those of theory."""
+    chosen = list(dict.fromkeys(trial))
+    if not 1 <= len(chosen) <= OVERLAID:
+        raise Problem(422, "Choose one to six trials by their boxes.", where="trial", found=len(chosen))
+    found = [service.found(one) for one in chosen]
+    places = [(one["device"], one["experiment"], one["id"]) for one in found]
+    drawn, job, problem = kept(service, lambda: service.drawn("trials", places))
+    return page_of(service, request, "overlay.html.j2", trials=found, drawn=drawn, job=job, problem=problem)
+
+
 @pages.get("/trials/{trial}")
 def one_trial(service: Shared, request: Request, trial: str) -> Response:
     """Show the response of a trial beside theory and fitted loop, and what is known of it."""
-    trials, row = service.found(trial)
-    (about,) = trials.items([row])
-    drawn, job, problem = kept(service, lambda: service.drawn(about["device"], about["experiment"], trial))
-    figures = [Markup(panel) for panel in drawn["panels"]] if drawn else [_plain_response(service, trial)]
-    words = {kind: service.database.words(kind, ["trial", trial]) for kind in ("notes", "tags")}
+    about = service.found(trial)
+    place = about["device"], about["experiment"], trial
+    drawn, job, problem = kept(service, lambda: service.drawn("trials", [place]))
     return page_of(
-        service, request, "trial.html.j2", trial=about, units=UNITS[about["motion"]], panels=figures,
-        caption=drawn["caption"] if drawn else "", job=job, problem=problem,
-        source=uploaded_name(service.database, about["source"]), **words,
+        service, request, "trial.html.j2", trial=about, units=UNITS[about["motion"]], drawn=drawn, job=job,
+        problem=problem, words=words_of(service, ["trial", trial]),
     )  # fmt: skip
-
-
-def _plain_response(service: Service, trial: str) -> Markup:
-    """Return the response of a trial as it was measured."""
-    about, table = service.samples(trial)
-    time_s, position = (table.column(name).to_numpy() for name in ("time_s", "position"))
-    unit = "rad" if about["motion"] == "rotation" else "m"
-    layers = [Layer("response", time_s, position, "position")]
-    return figure(layers, "time [s]", f"position [{unit}]", f"Response of trial {trial}", zero=False)
 
 
 @pages.get("/trials/{trial}/samples.{ending}")
@@ -163,7 +213,7 @@ def download(service: Shared, trial: str, ending: str) -> Response:
 def upload(service: Shared, request: Request) -> Response:
     """Show the form for logs."""
     return page_of(
-        service, request, "upload.html.j2", profiles=[p.name for p in shipped_profiles()], settings=service.settings
+        service, request, "upload.html.j2", profiles=profiles.names(service.settings), settings=service.settings
     )
 
 
@@ -172,6 +222,36 @@ async def receive(service: Shared, request: Request) -> Response:
     """Take logs."""
     accepted = await api.receive(service, request, lambda fields: check(service, request, fields.get("form", "")))
     return RedirectResponse(f"/jobs/{accepted['job']}", 303)
+
+
+@pages.post("/draft")
+async def draft(service: Shared, request: Request) -> Response:
+    """Draft a profile for a sample, and show it with its questions."""
+    found = await lab.drafted(service, request, lambda fields: check(service, request, fields.get("form", "")))
+    return page_of(service, request, "profile.html.j2", **found, name="", checked=None, problem="")
+
+
+@pages.post("/profile")
+async def profile(service: Shared, request: Request) -> Response:
+    """Try a profile on its sample, or keep it."""
+    fields = {name: values[0] for name, values in (await fields_of(service, request)).items()}
+    answers = {int(key[7:]): value for key, value in fields.items() if key[:7] == "answer-" and key[7:].isdigit()}
+    text = profiles.answered(fields.get("profile", "").replace("\r\n", "\n"), answers)
+    name = fields.get("name", "").strip()
+    asked = lab.Tried(profile=text, sample=fields.get("sample", ""))
+    try:
+        if fields.get("act") == "keep":
+            asked_name = lab.NamedProfile(name=name).name
+            await run_in_threadpool(profiles.keep, service.settings, asked_name, text)
+            service.database.note(request.state.who, "kept a profile", {"name": name})
+            return RedirectResponse("/upload", 303)
+        checked, problem = await run_in_threadpool(lab.preview, service, asked), ""
+    except Problem as error:
+        checked, problem = None, str(error)
+    return page_of(
+        service, request, "profile.html.j2", profile=text, sample=asked.sample, name=name, checked=checked,
+        questions=profiles.questions(text), problem=problem,
+    )  # fmt: skip
 
 
 @pages.get("/jobs")
@@ -187,19 +267,14 @@ def jobs(service: Shared, request: Request, before: int = 2**62) -> Response:
 @pages.get("/jobs/{job}")
 def one_job(service: Shared, request: Request, job: str) -> Response:
     """Show a job."""
-    found = service.database.job(job)
-    if found is None:
-        raise Problem(404, "There is no such job.", found=job)
-    return page_of(service, request, "job.html.j2", job=found, busy=busy(found))
+    return page_of(service, request, "job.html.j2", job=(found := api.one_job(service, job)), busy=busy(found))
 
 
 @pages.post("/jobs/{job}/cancel")
 async def cancel(service: Shared, request: Request, job: str) -> Response:
     """Cancel a job."""
     await fields_of(service, request)
-    if request.state.role != "admin":
-        raise Problem(403, "Only an admin cancels jobs.", expected="admin", found=request.state.role)
-    await run_in_threadpool(service.database.cancel, job)
+    await run_in_threadpool(api.cancel_job, service, job, request.state.role, request.state.who)
     return RedirectResponse(f"/jobs/{quote(job)}", 303)
 
 
@@ -207,29 +282,49 @@ async def cancel(service: Shared, request: Request, job: str) -> Response:
 def quarantine(service: Shared, request: Request) -> Response:
     """List what could not be ingested."""
     damaged: dict[Path, str] = {}
-    records = [
-        (uploaded_name(service.database, r.path), r) for r in list_quarantine(service.settings.processed, damaged)
-    ]
-    return page_of(service, request, "quarantine.html.j2", records=records, damaged=damaged)
+    list_quarantine(service.settings.processed, damaged)
+    return page_of(service, request, "quarantine.html.j2", records=lab.refused(service), damaged=damaged,
+                   profiles=profiles.names(service.settings))  # fmt: skip
+
+
+@pages.post("/quarantine")
+async def settle(service: Shared, request: Request) -> Response:
+    """Read a refused log again, by another profile where one is chosen, or dismiss it."""
+    fields = {name: values[0] for name, values in (await fields_of(service, request)).items()}
+    which, who = fields.get("id", ""), request.state.who
+    if fields.get("act") == "dismiss":
+        await run_in_threadpool(lab.dismiss_log, service, which, who)
+        return RedirectResponse("/quarantine", 303)
+    job = await run_in_threadpool(lab.retry_log, service, which, fields.get("profile", ""), who)
+    return RedirectResponse(f"/jobs/{job}", 303)
 
 
 @pages.get("/reports")
 def reports(service: Shared, request: Request) -> Response:
     """List reports."""
-    rows = service.database.run(
-        "SELECT * FROM jobs WHERE kind = 'comparison' AND state = 'done' ORDER BY number DESC LIMIT ?", SHOWN
-    )
-    jobs = [job for row in rows if (job := service.database.job(row["id"]))]
+    jobs = service.database.reports(SHOWN)
     asked = [json.dumps(job["request"].get("asked", job["id"])) for job in jobs]
     earlier = {job["id"] for place, job in enumerate(jobs) if asked[place] in asked[:place]}
-    files = (
-        sorted(file.name for file in service.settings.reports.glob("*.html"))
-        if service.settings.reports.is_dir()
-        else []
-    )
-    return page_of(
-        service, request, "reports.html.j2", jobs=jobs, earlier=earlier, files=files, folder=service.settings.reports
-    )
+    folder = service.settings.reports
+    files = sorted(file.name for file in folder.glob("*.html")) if folder.is_dir() else []
+    return page_of(service, request, "reports.html.j2", jobs=jobs, earlier=earlier, files=files, folder=folder)
+
+
+@pages.get("/audit")
+def audit(service: Shared, request: Request, before: int = 2**62) -> Response:
+    """List who did what, and what is in the bin."""
+    found = service.database.audit(min(max(before, 0), 2**62), SHOWN + 1)
+    last = found[SHOWN - 1]["number"] if len(found) > SHOWN else None
+    rubbish: dict[tuple[str, str], int] = {}
+    for one in in_bin(service.settings.processed):
+        rubbish[one.device, one.experiment] = rubbish.get((one.device, one.experiment), 0) + 1
+    return page_of(service, request, "audit.html.j2", deeds=found[:SHOWN], last=last, rubbish=rubbish)
+
+
+@pages.get("/api")
+def readable(service: Shared, request: Request) -> Response:
+    """Show the API, from its schema."""
+    return page_of(service, request, "api.html.j2", schema=request.app.openapi())
 
 
 @pages.get("/metrics")
@@ -241,7 +336,7 @@ def metrics(service: Shared) -> Response:
 def _csv(items: Sequence[Mapping[str, Any]]) -> Response:
     stream = io.StringIO()
     writer = csv.writer(stream)
-    plain = ("id", "device", "experiment", "stiffness", "damping", "verdict", "outcome", "excluded")
+    plain = ("id", *WORDS[:2], "stiffness", "damping", *WORDS[2:], "excluded", "source", "uploader")
     writer.writerow([*plain, *(f"{c}{end}" for c in REPORTED for end in ("", "_low", "_high"))])
     for item in items:
         costs = (item["costs"].get(c, {}).get(key) for c in REPORTED for key in ("value", "low", "high"))

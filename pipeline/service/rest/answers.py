@@ -47,13 +47,14 @@ class Device(Answer):
 
 
 class Experiment(Answer):
-    """An experiment, with numbers of its trials by verdict."""
+    """An experiment, with numbers of its trials by verdict, and the time of its last log."""
 
     device: str
     experiment: str
     motion: str
     trials: int
     verdicts: dict[str, int]
+    last: float
 
 
 class Cost(Answer):
@@ -79,12 +80,33 @@ class Trial(Answer):
     damping: float | None
     costs: dict[str, Cost]
     source: str
+    recorded: float
+    uploader: str | None
+    tags: list[str]
 
 
 class NotedTrial(Trial):
     """A trial with what people wrote on it."""
 
     notes: str
+
+
+class Written(Answer):
+    """Who wrote something last, and when."""
+
+    author: str | None
+    changed: float | None
+
+
+class WrittenNotes(Written):
+    """A text on a trial or experiment."""
+
+    text: str
+
+
+class WrittenTags(Written):
+    """Short words on a trial or experiment."""
+
     tags: list[str]
 
 
@@ -121,7 +143,8 @@ class Job(Answer):
 
     id: str
     number: int
-    kind: Literal["upload", "stages", "experiment", "trial", "comparison"]
+    kind: str
+    author: str
     state: Literal["queued", "running", "done", "failed", "cancelled"]
     created: float
     changed: float
@@ -163,6 +186,63 @@ class Made(Answer):
     """The key of a comparison that is there."""
 
     key: str
+
+
+class Comparison(Answer):
+    """A comparison that was made: its key, when, for whom, and what was asked."""
+
+    key: str
+    made: float
+    author: str
+    asked: dict[str, Any]
+
+
+class Count(Answer):
+    """How many trials something was done with."""
+
+    trials: int
+
+
+class Deleted(Answer):
+    """A trial in the bin."""
+
+    trial_id: str
+    device: str
+    experiment: str
+    source: str
+
+
+class Deed(Answer):
+    """What somebody did by hand, and when."""
+
+    number: int
+    time: float
+    who: str
+    did: str
+    what: dict[str, Any]
+
+
+class Draft(Answer):
+    """A drafted profile as TOML, its open questions with line and key, and the name of the sample for previews."""
+
+    sample: str
+    profile: str
+    questions: list[dict[str, Any]]
+
+
+class Refused(Answer):
+    """A refused log."""
+
+    id: str
+    name: str
+    since: float
+    author: str | None
+    row: int | None
+    reason: str
+    code: str | None
+    profile: str | None
+    profile_line: str | None
+    excerpt: list[tuple[int, str]]
 
 
 class Excluded(Answer):
@@ -242,5 +322,7 @@ def describe(app: FastAPI) -> dict[str, Any]:
     if app.openapi_schema is None:
         schema = get_openapi(title=app.title, version=app.version, routes=app.routes)
         schema["components"]["schemas"][ProblemDocument.__name__] = ProblemDocument.model_json_schema()
+        schema["components"]["securitySchemes"] = {"token": {"type": "http", "scheme": "bearer"}}
+        schema["security"] = [{"token": []}, {}]
         app.openapi_schema = schema
     return app.openapi_schema

@@ -4,7 +4,7 @@ import asyncio
 import base64
 import json
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Callable
 from typing import Annotated, Any, Literal
 
 from fastapi import APIRouter, Path, Query, Request
@@ -13,12 +13,12 @@ from pydantic import AfterValidator, BaseModel, Field
 from starlette.concurrency import run_in_threadpool
 
 from pipeline import __version__
-from pipeline.profiles.profile_files import shipped_profiles
 from pipeline.records.against_records import AgainstResult
+from pipeline.records.criteria import REPORTED
 from pipeline.records.results import ComparisonResult
-from pipeline.service.catalogue import SORTED, Trials, page_of
+from pipeline.service.catalogue import SORTED, WORDS, Catalogue, Selection, page_of
 from pipeline.service.database import ENDED
-from pipeline.service.jobs import results
+from pipeline.service.jobs import documents
 from pipeline.service.problems import Problem
 from pipeline.service.rest import answers
 from pipeline.service.rest.sample_forms import FORMS, form_of
@@ -41,6 +41,9 @@ REPORT_POLICY = (
     "script-src 'unsafe-inline'"
 )
 
+BACK = '<p class="layout"><a href="/reports">All reports</a> · <a href="/">Experiments</a></p>'
+"""The way back from a report, which knows of no server."""
+
 Limit = Annotated[int, Query(ge=1, le=MOST, description="Items of a page.")]
 Name = Annotated[str, Query(max_length=500)]
 CURSOR = "^[A-Za-z0-9_=-]+$"
@@ -50,10 +53,11 @@ Segment = Annotated[str, AfterValidator(name_of_folder)]
 """A name in an address: one with a slash or % is written as `names.folder_name` has it, and then quoted."""
 
 Word = Annotated[str, Field(max_length=500)]
+Asked = tuple[dict[str, Any] | None, str | None]
+"""A document, or the job that makes it."""
 FiniteNumber = Annotated[float, Field(allow_inf_nan=False)]
-WORDS = ("device", "experiment", "verdict", "outcome")
 RANGES = ("stiffness_min", "stiffness_max", "damping_min", "damping_max")
-"""Parts of a `TrialQuery` that name properties, and that bound them."""
+"""Parts of a `TrialQuery` that bound properties."""
 
 
 LOGS = {
@@ -65,13 +69,13 @@ LOGS = {
                 "required": ["files"],
                 "properties": {
                     "files": {"type": "array", "minItems": 1, "items": {"type": "string", "format": "binary"}},
-                    "profile": {"type": "string", "enum": ["", *(profile.name for profile in shipped_profiles())]},
+                    "profile": {"type": "string", "maxLength": 100},
                 },
             }
         }
     },
 }
-"""Body of an upload; it is read part by part (`uploads`)."""
+"""Body of an upload; `uploads` reads it."""
 
 
 def cursor(value: object) -> str | None:
@@ -93,6 +97,14 @@ def place(word: str | None, kinds: tuple[type, ...]) -> Any:
     return value
 
 
+def numbered(word: str | None) -> int:
+    """Return the number below which a list goes on, by its cursor."""
+    before: int = (place(word, (int,)) or [2**62])[0]
+    if not 0 <= before < 2**63:
+        raise Problem(400, "The cursor is none of this list. Begin without one.", where="cursor")
+    return before
+
+
 class TrialQuery(BaseModel):
     """Which trials are asked for, and in which order."""
 
@@ -110,18 +122,21 @@ class TrialQuery(BaseModel):
     cursor: Place | None = None
 
 
-def trial_list(trials: Trials, query: TrialQuery) -> dict[str, Any]:
+def trial_list(catalogue: Catalogue, query: TrialQuery) -> dict[str, Any]:
     """Return a page of trials with facets, as the API and the pages show it."""
     name = query.sort.lstrip("-")
-    kind = (type(None),) if name == "id" else (str,) if name in trials.texts else (float, int, type(None))
+    texts = name in (*WORDS, "uploader")
+    kind = (type(None),) if name == "id" else (str, type(None)) if texts else (float, int, type(None))
     after = place(query.cursor, (kind, str))  # type: ignore[arg-type]
     given = {key: value for key, value in query if value not in ("", None)}
-    asked = {key: "" if given[key] == "none yet" else given[key] for key in WORDS if key in given}
-    mask, facets = trials.selected(asked, {key: given[key] for key in RANGES if key in given}, query.q)
-    rows, more = trials.page(mask, query.sort, query.limit, after)
-    last = [trials.value(rows[-1], name), trials.ids[rows[-1]]] if more else None
-    items = trials.items(rows)
-    return {"items": items, "next_cursor": cursor(last), "total": int(mask.sum()), "facets": facets}
+    words = {key: None if given[key] == "none yet" else given[key] for key in WORDS if key in given}
+    chosen = Selection(words, {key: given[key] for key in RANGES if key in given}, query.q)
+    total, facets = catalogue.selected(chosen)
+    items, more = catalogue.page(chosen, query.sort, query.limit, after)
+    last = items[-1] if more else {}
+    at = last.get("costs", {}).get(name, {}).get("value") if name in REPORTED else last.get(name)
+    following = cursor([None if name == "id" else at, last["id"]]) if more else None
+    return {"items": items, "next_cursor": following, "total": total, "facets": facets}
 
 
 @api.get("/health", response_model=answers.Health)
@@ -134,7 +149,7 @@ def health(service: Shared) -> dict[str, Any]:
 @api.get("/devices", response_model=answers.Page[answers.Device])
 def devices(service: Shared, limit: Limit = 100, cursor_: Cursor = None) -> dict[str, Any]:
     """List the devices that have trials."""
-    items, last = page_of(service.catalogue.trials().devices, ("device",), limit, place(cursor_, (str,)))
+    items, last = page_of(service.catalogue.devices, ("device",), limit, place(cursor_, (str,)))
     return {"items": items, "next_cursor": cursor(last)}
 
 
@@ -146,7 +161,7 @@ def experiments(
     cursor_: Cursor = None,
 ) -> dict[str, Any]:
     """List the experiments, of one device where one is named."""
-    all_ = [e for e in service.catalogue.trials().experiments if device in (None, e["device"])]
+    all_ = [e for e in service.catalogue.experiments if device in (None, e["device"])]
     items, last = page_of(all_, ("device", "experiment"), limit, place(cursor_, (str, str)))
     return {"items": items, "next_cursor": cursor(last)}
 
@@ -154,7 +169,7 @@ def experiments(
 @api.get("/trials", response_model=answers.TrialPage)
 def trials(service: Shared, asked: Annotated[TrialQuery, Query()]) -> Response:
     """List trials by their properties, with how many there are of each."""
-    all_ = service.catalogue.trials()
+    all_ = service.catalogue
     content = all_.once(f"document {asked.model_dump_json()}", lambda: JSONResponse(trial_list(all_, asked)).body)
     return Response(content, media_type=JSONResponse.media_type)
 
@@ -162,13 +177,8 @@ def trials(service: Shared, asked: Annotated[TrialQuery, Query()]) -> Response:
 @api.get("/trials/{trial}", response_model=answers.NotedTrial, responses=answers.NAMED)
 def one_trial(service: Shared, trial: str) -> dict[str, Any]:
     """Return a trial: conditions, verdict, costs, notes and tags."""
-    found, row = service.found(trial)
-    words = {kind: service.database.words(kind, ["trial", trial]) for kind in ("notes", "tags")}
-    return {
-        **found.items([row])[0],
-        **words,
-        "source": results.uploaded_name(service.database, found.sources[row].as_py()),
-    }
+    words = {kind: service.database.words(kind, ["trial", trial])["value"] for kind in ("notes", "tags")}
+    return {**service.found(trial), **words}
 
 
 @api.get(
@@ -193,10 +203,7 @@ async def logs(service: Shared, request: Request) -> dict[str, Any]:
 @api.get("/jobs", response_model=answers.Page[answers.Job])
 def jobs(service: Shared, limit: Limit = 100, cursor_: Cursor = None) -> dict[str, Any]:
     """List jobs, the latest first."""
-    before = (place(cursor_, (int,)) or [2**62])[0]
-    if not 0 <= before < 2**63:
-        raise Problem(400, "The cursor is none of this list. Begin without one.", where="cursor")
-    found = service.database.jobs(before, limit + 1)
+    found = service.database.jobs(numbered(cursor_), limit + 1)
     last = [found[limit - 1]["number"]] if len(found) > limit else None
     return {"items": found[:limit], "next_cursor": cursor(last)}
 
@@ -211,10 +218,9 @@ def one_job(service: Shared, job: str) -> dict[str, Any]:
 
 
 @api.delete("/jobs/{job}", response_model=answers.Job, responses=answers.NAMED)
-def cancel(service: Shared, job: str) -> dict[str, Any]:
-    """Cancel a job that has not ended."""
-    one_job(service, job)
-    service.database.cancel(job)
+def cancel(service: Shared, request: Request, job: str) -> dict[str, Any]:
+    """Cancel a job that has not ended; for who asked for it, and admins."""
+    cancel_job(service, job, request.state.role, request.state.who)
     return one_job(service, job)
 
 
@@ -246,10 +252,21 @@ async def events(service: Shared, job: str, request: Request) -> StreamingRespon
     response_model=answers.Made,
     responses={202: {"description": "A job makes it.", "model": answers.QueuedComparison}, **answers.NAMED},
 )
-def compare(service: Shared, asked: ComparisonRequest) -> JSONResponse:
+def compare(service: Shared, request: Request, asked: ComparisonRequest) -> JSONResponse:
     """Ask for a comparison; one that is there is named at once."""
-    key, job = service.comparison(asked)
+    key, job = service.comparison(asked, request.state.who)
     return JSONResponse({"key": key}) if job is None else JSONResponse({"job": job, "key": key}, 202)
+
+
+@api.get("/comparisons", response_model=list[answers.Comparison])
+def comparisons(service: Shared) -> list[dict[str, Any]]:
+    """List the comparisons that were made, the latest first; of equal ones the newest."""
+    found: dict[str, dict[str, Any]] = {}
+    for job in service.database.reports(MOST):
+        asked = job["request"].get("asked") or {}
+        shown = {"key": job["result"]["key"], "made": job["changed"], "author": job["author"], "asked": asked}
+        found.setdefault(json.dumps(asked), shown)
+    return list(found.values())
 
 
 @api.get("/comparisons/{key}", response_model=ComparisonResult | AgainstResult, responses=answers.NAMED)
@@ -265,7 +282,7 @@ def report(service: Shared, key: Annotated[str, Path(pattern="^[0-9a-f]{16}$")])
 
 
 def _add_part(part: str, shape: Any) -> None:
-    """Add the route of a part of an experiment's results."""
+    """Add the route of a part of an experiment's documents."""
 
     @api.get(
         f"/experiments/{{device}}/{{experiment}}/{part}",
@@ -276,7 +293,7 @@ def _add_part(part: str, shape: Any) -> None:
     async def experiment_part(service: Shared, device: Segment, experiment: Segment) -> Response:
         document, job = await experiment_document(service, device, experiment)
         if document is None:
-            return JSONResponse({"job": job}, 202, {"Retry-After": "5", "Location": f"/api/v1/jobs/{job}"})
+            return later(job)
         return JSONResponse(part_of(document, part))
 
 
@@ -288,18 +305,37 @@ async def experiment_document(
     service: Service, device: str, experiment: str
 ) -> tuple[dict[str, Any] | None, str | None]:
     """Return the document of an experiment, or the job that makes it where that takes long."""
-    document, job = await run_in_threadpool(service.experiment, device, experiment)
+    return await awaited(service, lambda: service.experiment(device, experiment), f"{device}, experiment {experiment}")
+
+
+async def awaited(service: Service, ask: Callable[[], Asked], where: str) -> Asked:
+    """Return a document, or the job that makes it where that takes long."""
+    document, job = await run_in_threadpool(ask)
     until = time.monotonic() + service.settings.wait_s
     while document is None and time.monotonic() < until:
         assert job is not None, "there is a document or a job"
         shown = await run_in_threadpool(service.database.job, job)
         if shown is not None and shown["state"] in ENDED:
             if shown["problem"]:
-                raise Problem(503, shown["problem"]["detail"], where=f"{device}, experiment {experiment}")
-            document, job = await run_in_threadpool(service.experiment, device, experiment)
+                raise Problem(503, shown["problem"]["detail"], where=where)
+            document, job = await run_in_threadpool(ask)
         else:
             await asyncio.sleep(0.1)
     return document, job
+
+
+def later(job: str | None) -> Response:
+    """Return the answer where a job takes longer than a request waits."""
+    return JSONResponse({"job": job}, 202, {"Retry-After": "5", "Location": f"/api/v1/jobs/{job}"})
+
+
+def cancel_job(service: Service, job: str, role: str, who: str) -> None:
+    """Cancel a job; only who asked for it may, and an admin."""
+    shown = one_job(service, job)
+    if role != "admin" and shown["author"] != who:
+        raise Problem(403, "Only who asked for a job, or an admin, cancels it.", expected=shown["author"], found=who)
+    service.database.cancel(job)
+    service.database.note(who, "cancelled", {"job": job, "kind": shown["kind"]})
 
 
 async def receive(service: Service, request: Request, check: Any = lambda _: None) -> dict[str, Any]:
@@ -308,7 +344,7 @@ async def receive(service: Service, request: Request, check: Any = lambda _: Non
     try:
         await upload.receive(request)
         check(upload.fields)
-        accepted = await run_in_threadpool(upload.accept, service.database)
+        accepted = await run_in_threadpool(upload.accept, service.database, request.state.who)
     except BaseException:
         upload.discard()
         raise
@@ -327,9 +363,10 @@ def part_of(document: dict[str, Any], part: str) -> Any:
 
 def _file(service: Service, key: str, ending: str, media: str) -> Response:
     """Return a file of a comparison; the scripts of a page run as those of a site of its own."""
-    file = results.document_file(service.settings, key, report=True).with_suffix(ending)
+    file = documents.document_file(service.settings, key, report=True).with_suffix(ending)
     if not file.is_file():
         raise Problem(404, "There is no such comparison. POST comparisons makes one.", where="key", found=key)
-    return FileResponse(
-        file, media_type=media, headers={"content-security-policy": REPORT_POLICY} if ending == ".html" else {}
-    )
+    if ending == ".json":
+        return FileResponse(file, media_type=media)
+    whole = file.read_text("utf-8").replace("<body>", f"<body>{BACK}", 1)
+    return HTMLResponse(whole, headers={"content-security-policy": REPORT_POLICY})

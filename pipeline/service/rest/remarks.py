@@ -1,16 +1,24 @@
-"""REST for what people say of trials and experiments: notes, tags, and exclusions."""
+"""REST for what people say of what is stored: notes, tags, exclusions, moves, deletions; who did what."""
 
 from collections.abc import Callable
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends
+from fastapi import APIRouter, Depends, Header, Request
+from fastapi.responses import JSONResponse, Response
 from pydantic import BaseModel, ConfigDict, Field
 
+from pipeline.base.provenance import digest
+from pipeline.intake.correct import in_bin
+from pipeline.service.jobs.documents import uploaded_name
+from pipeline.service.problems import Problem
 from pipeline.service.rest import answers
-from pipeline.service.rest.api import Segment
-from pipeline.service.shared import Shared
+from pipeline.service.rest.api import Cursor, Limit, Segment, cursor, numbered
+from pipeline.service.shared import Service, Shared
 
 remarks = APIRouter(prefix="/api/v1", responses=answers.EVERYWHERE)
+
+Name = Annotated[str, Field(min_length=1, max_length=200)]
+STALE = answers.problems(404, 412)
 
 
 class Notes(BaseModel):
@@ -34,6 +42,36 @@ class Exclusion(BaseModel):
     reason: Annotated[str, Field(min_length=1, max_length=1000)] | None
 
 
+class DeviceChange(BaseModel):
+    """The name that a device gets."""
+
+    model_config = ConfigDict(extra="forbid")
+    device: Name
+
+
+class Change(BaseModel):
+    """Where an experiment, or a trial, is to count; what is not given stays."""
+
+    model_config = ConfigDict(extra="forbid")
+    device: Name | None = None
+    experiment: Name | None = None
+
+
+class InBin(BaseModel):
+    """Which trials of the bin are meant: a device, of it an experiment, or a trial."""
+
+    model_config = ConfigDict(extra="forbid")
+    device: Name | None = None
+    experiment: Name | None = None
+    trial: Name | None = None
+
+    @property
+    def of(self) -> list[str]:
+        """The same as `Service.restore` takes it."""
+        names = [name for name in (self.device, self.experiment) if name]
+        return ["trial", self.trial] if self.trial else ["experiment", *names]
+
+
 def of_trial(service: Shared, trial: str) -> list[str]:
     """Return what notes of a trial belong to."""
     service.found(trial)
@@ -46,55 +84,118 @@ def of_experiment(service: Shared, device: Segment, experiment: Segment) -> list
     return ["experiment", device, experiment]
 
 
+def tag_of(found: dict[str, Any]) -> str:
+    """Return the ETag of notes or tags: another one after each change."""
+    return f'"{digest([found["value"], found["changed"]])}"'
+
+
+def keep_words(service: Service, kind: str, of: list[str], value: object, who: str, known: str | None) -> None:
+    """Store notes or tags, unless they are not those any more that the sender knew by their ETag."""
+    with service.database.transaction():
+        found = service.database.words(kind, of)
+        if known not in (None, "*", tag_of(found)):
+            raise Problem(
+                412, f"{found['author'] or 'Somebody'} changed this meanwhile. Read it again.", where="If-Match"
+            )
+        if found["value"] != value:
+            service.database.set_words(kind, of, value, who)
+            service.database.note(who, f"wrote {kind}", {"of": of})
+
+
 def _add_words(owner: str, of: Callable[..., list[str]]) -> None:
     """Add the routes of notes and tags of trials or experiments."""
     owned = Annotated[list[str], Depends(of)]
+    known = Annotated[str | None, Header(alias="If-Match", max_length=100)]
 
-    @remarks.get(f"{owner}/notes", response_model=Notes, responses=answers.NAMED)
-    def notes(service: Shared, of: owned) -> dict[str, Any]:
-        return {"text": service.database.words("notes", of)}
+    def told(service: Service, kind: str, name: str, of: list[str]) -> Response:
+        found = service.database.words(kind, of)
+        shown = {name: found["value"], "author": found["author"], "changed": found["changed"]}
+        return JSONResponse(shown, headers={"ETag": tag_of(found)})
 
-    @remarks.put(f"{owner}/notes", response_model=Notes, responses=answers.NAMED)
-    def put_notes(service: Shared, of: owned, notes: Notes) -> dict[str, Any]:
-        service.database.set_words("notes", of, notes.text)
-        return notes.model_dump()
+    @remarks.get(f"{owner}/notes", response_model=answers.WrittenNotes, responses=answers.NAMED)
+    def notes(service: Shared, of: owned) -> Response:
+        return told(service, "notes", "text", of)
 
-    @remarks.get(f"{owner}/tags", response_model=Tags, responses=answers.NAMED)
-    def tags(service: Shared, of: owned) -> dict[str, Any]:
-        return {"tags": service.database.words("tags", of)}
+    @remarks.put(f"{owner}/notes", response_model=answers.WrittenNotes, responses=STALE)
+    def put_notes(service: Shared, request: Request, of: owned, notes: Notes, match: known = None) -> Response:
+        keep_words(service, "notes", of, notes.text, request.state.who, match)
+        return told(service, "notes", "text", of)
 
-    @remarks.put(f"{owner}/tags", response_model=Tags, responses=answers.NAMED)
-    def put_tags(service: Shared, of: owned, tags: Tags) -> dict[str, Any]:
-        service.database.set_words("tags", of, tags.tags)
-        return tags.model_dump()
+    @remarks.get(f"{owner}/tags", response_model=answers.WrittenTags, responses=answers.NAMED)
+    def tags(service: Shared, of: owned) -> Response:
+        return told(service, "tags", "tags", of)
 
+    @remarks.put(f"{owner}/tags", response_model=answers.WrittenTags, responses=STALE)
+    def put_tags(service: Shared, request: Request, of: owned, tags: Tags, match: known = None) -> Response:
+        keep_words(service, "tags", of, tags.tags, request.state.who, match)
+        return told(service, "tags", "tags", of)
 
-@remarks.get("/trials/{trial}/exclusion", response_model=answers.Excluded, responses=answers.NAMED)
-def excluded(service: Shared, trial: str) -> dict[str, Any]:
-    """Return why a trial is excluded by hand."""
-    return {"excluded": service.excluded(trial)}
+    @remarks.get(f"{owner}/exclusion", response_model=answers.Excluded, responses=answers.NAMED)
+    def excluded(service: Shared, of: owned) -> dict[str, Any]:
+        return {"excluded": service.excluded(of)}
 
+    @remarks.put(f"{owner}/exclusion", response_model=answers.Excluded, responses=answers.NAMED)
+    def put_exclusion(service: Shared, request: Request, of: owned, asked: Exclusion) -> dict[str, Any]:
+        return {"excluded": service.exclude(of, asked.reason, request.state.who)}
 
-@remarks.put("/trials/{trial}/exclusion", response_model=answers.Excluded, responses=answers.NAMED)
-def put_exclusion(service: Shared, trial: str, asked: Exclusion) -> dict[str, Any]:
-    """Exclude a trial by hand, or use it again."""
-    return {"excluded": service.exclude(trial, asked.reason)}
+    @remarks.patch(owner, response_model=answers.Count, responses=answers.NAMED)
+    def move(service: Shared, request: Request, of: owned, asked: Change) -> dict[str, int]:
+        if of[0] == "trial":
+            about = service.found(of[1])
+            place = about["device"], about["experiment"]
+        else:
+            place = of[1], of[2]
+        to = (asked.device or place[0], asked.experiment or place[1])
+        return {"trials": service.move(of, to, request.state.who)}
 
-
-EXPERIMENT_EXCLUSION = "/experiments/{device}/{experiment}/exclusion"
-
-
-@remarks.get(EXPERIMENT_EXCLUSION, response_model=answers.Excluded, responses=answers.NAMED)
-def excluded_of(service: Shared, device: Segment, experiment: Segment) -> dict[str, Any]:
-    """Return the trials of an experiment that are excluded by hand."""
-    return {"excluded": service.excluded_of(device, experiment)}
-
-
-@remarks.put(EXPERIMENT_EXCLUSION, response_model=answers.Excluded, responses=answers.NAMED)
-def put_exclusions(service: Shared, device: Segment, experiment: Segment, asked: Exclusion) -> dict[str, Any]:
-    """Exclude all trials of an experiment that are in use, or use all again."""
-    return {"excluded": service.exclude_experiment(device, experiment, asked.reason)}
+    @remarks.delete(owner, response_model=answers.Count, responses=answers.NAMED)
+    def delete(service: Shared, request: Request, of: owned) -> dict[str, int]:
+        return {"trials": service.delete(of, request.state.who)}
 
 
 for owner, of in (("/trials/{trial}", of_trial), ("/experiments/{device}/{experiment}", of_experiment)):
     _add_words(owner, of)
+
+
+@remarks.patch("/devices/{device}", response_model=answers.Count, responses=answers.NAMED)
+def rename_device(service: Shared, request: Request, device: Segment, asked: DeviceChange) -> dict[str, int]:
+    """Let all trials of a device count as of another one."""
+    return {"trials": service.move(["device", device], (asked.device,), request.state.who)}
+
+
+@remarks.delete("/devices/{device}", response_model=answers.Count, responses=answers.NAMED)
+def delete_device(service: Shared, request: Request, device: Segment) -> dict[str, int]:
+    """Put all trials of a device into the bin."""
+    return {"trials": service.delete(["device", device], request.state.who)}
+
+
+@remarks.get("/bin", response_model=list[answers.Deleted])
+def bin_(service: Shared) -> list[dict[str, Any]]:
+    """List the deleted trials that are stored still."""
+    return [
+        {
+            **one.model_dump(include={"trial_id", "device", "experiment"}),
+            "source": uploaded_name(service.database, one.source_path),
+        }
+        for one in in_bin(service.settings.processed)
+    ]
+
+
+@remarks.post("/bin/restore", response_model=answers.Count)
+def restore(service: Shared, request: Request, asked: InBin) -> dict[str, int]:
+    """Take trials out of the bin."""
+    return {"trials": service.restore(asked.of, request.state.who)}
+
+
+@remarks.delete("/bin", response_model=answers.Count)
+def empty_bin(service: Shared, request: Request) -> dict[str, int]:
+    """Remove what is in the bin from the store; logs are never touched."""
+    return {"trials": service.empty_bin(request.state.who)}
+
+
+@remarks.get("/audit", response_model=answers.Page[answers.Deed])
+def audit(service: Shared, limit: Limit = 100, cursor_: Cursor = None) -> dict[str, Any]:
+    """List who did what by hand, the latest first."""
+    found = service.database.audit(numbered(cursor_), limit + 1)
+    last = [found[limit - 1]["number"]] if len(found) > limit else None
+    return {"items": found[:limit], "next_cursor": cursor(last)}

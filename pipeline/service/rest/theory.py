@@ -12,10 +12,13 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.device_data.devices import find_experiment, load_device
 from pipeline.loop.loop import Loop
 from pipeline.records.criteria import CRITERIA, with_discrete
 from pipeline.service.problems import Problem
+from pipeline.theory import device_cases
 from pipeline.theory.cases import Cases, boundary_document, optimum_document, point_costs
+from pipeline.theory.device_cases import DeviceCase
 from pipeline.theory.optimum.rules import POINT_CRITERIA
 
 LONGEST_DELAY = 64.0
@@ -86,3 +89,15 @@ def points(rows: list[tuple[float, ...]]) -> list[dict[str, Any]]:
     """Return the document of `theory points` for rows of alpha, beta, gamma, delta, delay."""
     values = np.array(rows, dtype=np.float64)
     return point_costs(Cases(Path("points"), values, tuple(range(1, len(rows) + 1))))
+
+
+def of_device(what: str, device: str, experiment: str | None, *values: Any) -> Any:
+    """Return the document of a theory command with ``--device``: in SI."""
+    known = load_device(device)
+    case = DeviceCase(known, find_experiment(known, experiment) if experiment else known.experiments[0])
+    if what == "boundary":
+        return device_cases.boundary_document(case)
+    if what == "optimum":
+        return device_cases.device_optimum(case, *values)
+    walls = np.array(values[0], dtype=np.float64)
+    return device_cases.wall_documents(case, Cases(Path("points"), walls, tuple(range(1, len(walls) + 1))))

@@ -1,4 +1,4 @@
-"""REST of theory: ``/api/v1/theory/...``, in a process of its own (`theory`)."""
+"""REST of theory: ``/api/v1/theory/...``, in a process of its own (`theory`); with a device in SI, else normalised."""
 
 from typing import Annotated, Any, Literal
 
@@ -6,46 +6,84 @@ from fastapi import APIRouter, Query
 
 from pipeline.service.problems import Problem
 from pipeline.service.rest import answers, theory
-from pipeline.service.rest.api import FiniteNumber
+from pipeline.service.rest.api import FiniteNumber, Name
 from pipeline.service.shared import Shared
 
-theories = APIRouter(prefix="/api/v1/theory", responses={**answers.EVERYWHERE, **answers.problems(504)})
+theories = APIRouter(prefix="/api/v1/theory", responses={**answers.EVERYWHERE, **answers.problems(404, 504)})
 
 Coefficient = Annotated[float, Query(allow_inf_nan=False)]
 Coordinates = Annotated[list[FiniteNumber], Query(max_length=theory.MOST_POINTS)]
-Delay = Annotated[float, Query(ge=0, le=theory.LONGEST_DELAY, description="Delay in samples.")]
+Delay = Annotated[float | None, Query(ge=0, le=theory.LONGEST_DELAY, description="Delay in samples, without a device.")]
+Device = Annotated[Name | None, Query(description="Name of a device; all is then in SI, for its experiment.")]
 
 
-@theories.get("/boundary", response_model=answers.Boundary)
-def boundary(service: Shared, delay: Delay, gamma: Coefficient = 0.0, delta: Coefficient = 0.0) -> Any:
-    """Return the stability boundary of the ideal loop, normalised."""
-    return service.theory.compute(theory.boundary, gamma, delta, delay)
+def _delay(delay: float | None) -> float:
+    if delay is None:
+        raise Problem(422, "Give the delay in samples, or a device.", where="delay")
+    return delay
 
 
-@theories.get("/optimum", response_model=answers.BestPoint, response_model_exclude_unset=True)
+def _alone(device: str | None, delay: float | None, gamma: float, delta: float) -> bool:
+    """Return whether a device is asked for, which has all that the others say."""
+    if device is not None and (delay is not None or gamma or delta):
+        raise Problem(422, "A device has a delay, gamma and delta of its own. Leave these out.", where="device")
+    return device is not None
+
+
+@theories.get("/boundary", response_model=answers.Boundary | dict[str, Any])
+def boundary(
+    service: Shared,
+    delay: Delay = None,
+    gamma: Coefficient = 0.0,
+    delta: Coefficient = 0.0,
+    device: Device = None,
+    experiment: Name | None = None,
+) -> Any:
+    """Return the stability boundary."""
+    if _alone(device, delay, gamma, delta):
+        return service.theory.compute(theory.of_device, "boundary", device, experiment)
+    return service.theory.compute(theory.boundary, gamma, delta, _delay(delay))
+
+
+@theories.get("/optimum", response_model=answers.BestPoint | dict[str, Any], response_model_exclude_unset=True)
 def optimum(
     service: Shared,
     criterion: Literal[theory.OPTIMA],  # type: ignore[valid-type]
-    delay: Delay,
+    delay: Delay = None,
     gamma: Coefficient = 0.0,
     delta: Coefficient = 0.0,
     signal: Literal["continuous", "discrete"] | None = None,
+    device: Device = None,
+    experiment: Name | None = None,
 ) -> Any:
-    """Return the point of least cost by a criterion, normalised."""
-    return service.theory.compute(theory.optimum, gamma, delta, delay, criterion, signal)
+    """Return the point of least cost by a criterion."""
+    if _alone(device, delay, gamma, delta):
+        return service.theory.compute(theory.of_device, "optimum", device, experiment, criterion, signal)
+    return service.theory.compute(theory.optimum, gamma, delta, _delay(delay), criterion, signal)
 
 
-@theories.get("/points", response_model=list[answers.Point])
+@theories.get("/points", response_model=list[answers.Point | dict[str, Any]])
 def points(
     service: Shared,
-    alpha: Coordinates,
-    beta: Coordinates,
-    delay: Delay,
+    alpha: Coordinates = [],  # noqa: B006
+    beta: Coordinates = [],  # noqa: B006
+    stiffness: Coordinates = [],  # noqa: B006
+    damping: Coordinates = [],  # noqa: B006
+    delay: Delay = None,
     gamma: Coefficient = 0.0,
     delta: Coefficient = 0.0,
+    device: Device = None,
+    experiment: Name | None = None,
 ) -> Any:
-    """Return stability and costs of points, normalised."""
-    if len(alpha) != len(beta):
-        raise Problem(422, "Each point needs an alpha and a beta.", where="alpha, beta")
-    rows = [(a, b, gamma, delta, delay) for a, b in zip(alpha, beta, strict=True)]
+    """Return stability and costs of points: alpha and beta, or with a device stiffness and damping."""
+    own = _alone(device, delay, gamma, delta)
+    (name, first), (other, second) = (
+        (("stiffness", stiffness), ("damping", damping)) if own else (("alpha", alpha), ("beta", beta))
+    )
+    if len(first) != len(second) or not first:
+        raise Problem(422, f"Each point needs {name} and {other}.", where=f"{name}, {other}")
+    if own:
+        walls = list(zip(first, second, strict=True))
+        return service.theory.compute(theory.of_device, "points", device, experiment, walls)
+    rows = [(a, b, gamma, delta, _delay(delay)) for a, b in zip(first, second, strict=True)]
     return service.theory.compute(theory.points, rows)

@@ -45,9 +45,6 @@ def serve(
         typer.Option("--rate", min=0, help="Requests a minute of a token or address; 0: any. 3000, on 127.0.0.1 any."),
     ] = None,
     renew: Annotated[bool, typer.Option("--renew/--no-renew", help="Make reports anew when logs come.")] = True,
-    unix_socket: Annotated[
-        Path | None, typer.Option("--unix-socket", help="Listen at this path, for its owner alone, and at no address.")
-    ] = None,
     executor: ExecutorName = "local",
 ) -> None:
     """Serve what is stored in the browser and by REST, take uploads, compare. Ctrl-C ends it.
@@ -70,7 +67,6 @@ def serve(
         max_request=max_request_mib << 20,
         rate=rate,
         renew=renew,
-        unix_socket=unix_socket,
         executor=executor,
     )
     run(settings, lambda place: console.note(f"{place} (Ctrl-C ends it)"))
@@ -80,16 +76,17 @@ def serve(
 def create(
     role: Annotated[
         RoleName,
-        typer.Option("--role", help="viewer reads, contributor uploads and compares, admin cancels jobs, too."),
+        typer.Option("--role", help="viewer reads, contributor uploads, compares and corrects, admin deletes, too."),
     ],
-    name: Annotated[str, typer.Option("--name", help="Whose it is, for `pipeline token list`.")] = "",
+    name: Annotated[str, typer.Option("--name", help="Whose it is: stands beside all that he does.")] = "",
+    days: Annotated[float | None, typer.Option("--days", min=0, help="Days after which it ends.")] = None,
     processed: Processed = Path("processed"),
 ) -> None:
     """Make a token and print it, once: only its hash is stored.
 
     Example: pipeline token create --role contributor --name "lab computer"
     """
-    console.say(_database(processed).create_token(role.value, name))
+    console.say(_database(processed).create_token(role.value, name, days))
 
 
 @token_app.command("list")
@@ -98,12 +95,14 @@ def list_tokens(processed: Processed = Path("processed"), as_json: Json = False)
 
     Example: pipeline token list
     """
-    rows = _database(processed).run("SELECT substr(hash, 1, 12) AS id, role, name FROM tokens ORDER BY created")
+    rows = _database(processed).run(
+        "SELECT substr(hash, 1, 12) AS id, role, name, date(expires, 'unixepoch') AS ends FROM tokens ORDER BY created"
+    )
     tokens = [dict(row) for row in rows]
     if as_json:
         console.print_json(tokens)
         return
-    for line in console.table(tokens, ("id", "role", "name")):
+    for line in console.table(tokens, ("id", "role", "name", "ends")):
         console.say(line)
 
 
@@ -124,7 +123,10 @@ def revoke(
 def push(
     folder: Annotated[Path, typer.Argument(help="Folder with logs (searched below, too), or one log.")],
     to: Annotated[str, typer.Option("--to", help="Address of the server, such as http://127.0.0.1:8000.")],
-    profile: Annotated[str | None, typer.Option("--profile", help="Log profile by name.")] = None,
+    profile: Annotated[
+        str | None,
+        typer.Option("--profile", help="Log profile by name, or a profile file (.toml), which the server keeps."),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Upload logs to a server; what it has already is skipped, so that the same command resumes.
@@ -151,45 +153,6 @@ def push(
             console.say(f"{refusal['path']}{row}: {refusal['reason']}")
     if report["damaged"] or report["quarantined"]:
         raise typer.Exit(EXIT_ERROR if report["damaged"] else EXIT_QUARANTINED)
-
-
-def backup(
-    file: Annotated[Path, typer.Argument(help="File to write.")],
-    processed: Processed = Path("processed"),
-    reports: Reports = Path("reports"),
-    as_json: Json = False,
-) -> None:
-    """Write all that is stored (tables, uploads, notes, tokens, reports) into one file, beside a running server.
-
-    Example: pipeline backup lab.zip
-    """
-    from pipeline.service.backup import backup as write
-    from pipeline.service.settings import Settings
-
-    _tell(write(Settings(processed, reports), file), as_json)
-
-
-def restore(
-    file: Annotated[Path, typer.Argument(help="File that `pipeline backup` wrote.")],
-    processed: Processed = Path("processed"),
-    reports: Reports = Path("reports"),
-    as_json: Json = False,
-) -> None:
-    """Put a backup into folders that are empty or not there yet; nothing is overwritten.
-
-    Example: pipeline restore lab.zip --processed processed
-    """
-    from pipeline.service.backup import restore as put_back
-    from pipeline.service.settings import Settings
-
-    _tell(put_back(Settings(processed, reports), file), as_json)
-
-
-def _tell(report: dict[str, int], as_json: bool) -> None:
-    if as_json:
-        console.print_json(report)
-    else:
-        console.say(f"{report['files']} files, {report['bytes'] / 2**20:.1f} MiB")
 
 
 def _check_installed() -> None:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
@@ -14,6 +14,8 @@ from pipeline.shell.commands.options import Json, Processed, ProfileFile, Store
 
 if TYPE_CHECKING:
     from pipeline.intake.check import CheckReport
+
+Result = TypeVar("Result")
 
 Wait = Annotated[
     float, typer.Option("--wait", help="Seconds to wait while another command writes there; 0 refuses at once.")
@@ -136,11 +138,9 @@ def compact(
     Example: pipeline compact --processed processed
     """
     from pipeline.store.batch_files import compact as compact_store
-    from pipeline.store.mirror import stored_by
 
-    _must_exist(processed)
     note = None if as_json else console.note
-    report = stored_by(processed, lambda folder: compact_store(folder, dry_run, wait, note))
+    report = _stored_by(processed, lambda folder: compact_store(folder, dry_run, wait, note))
     if as_json:
         console.print_json(report.model_dump(mode="json"))
         return
@@ -278,18 +278,23 @@ def doctor(processed: Processed = Path("processed"), as_json: Json = False) -> N
     raise typer.Exit(EXIT_ERROR if any(check.state == "wrong" for check in checks) else EXIT_OK)
 
 
+Trials = Annotated[
+    str, typer.Argument(help="DEVICE, DEVICE/EXPERIMENT, trial id or the beginning of one, or path of a log.")
+]
+
+
 def exclude(
-    trial: Annotated[str, typer.Argument(help="Trial id, the beginning of one, or the path of a log with one trial.")],
+    trial: Trials,
     reason: Annotated[str | None, typer.Option("--reason", help="Why; every report shows it.")] = None,
     undo: Annotated[bool, typer.Option("--undo", help="Use the trial again.")] = False,
     processed: Store = "processed",
     wait: Wait = WAIT_S,
     as_json: Json = False,
 ) -> None:
-    """Exclude a trial by hand: it is kept, used for no estimate, boundary, cost or optimum, and named in every report.
+    """Exclude trials by hand: kept, used for no estimate, boundary, cost or optimum, and named in every report.
 
-    It stays excluded when its log is ingested again or renamed, and when the store is merged or repaired. Reports are
-    made anew by `pipeline compare`. `pipeline status` lists what is excluded.
+    They stay excluded when their logs are ingested again or renamed, and when the store is merged or repaired. Reports
+    are made anew by `pipeline compare`. `pipeline status` lists what is excluded.
 
     Example: pipeline exclude 3f9a12c07be41d55 --reason "gripper slipped"
 
@@ -297,26 +302,96 @@ def exclude(
 
     Example: pipeline exclude 3f9a --undo
     """
-    from pipeline.intake import exclude as exclusions
-    from pipeline.store.mirror import stored_by
+    from pipeline.intake import correct
 
-    _must_exist(processed)
     if undo == (reason is not None):
         raise UsageError(f'{trial}: expected either --reason "<words>" or --undo, found {"both" if undo else "none"}.')
-    note = None if as_json else console.note
-    found = stored_by(
+    how = (wait, None if as_json else console.note)
+    found = _stored_by(
         processed,
         lambda folder: (
-            exclusions.use_again(folder, trial, wait, note)
-            if reason is None
-            else exclusions.exclude(folder, trial, reason, wait, note)
+            correct.use_again(folder, trial, *how) if reason is None else correct.exclude(folder, trial, reason, *how)
         ),
     )
     if as_json:
-        console.print_json({"excluded": not undo, **found.model_dump(mode="json")})
+        console.print_json({"excluded": not undo, "trials": [one.model_dump(mode="json") for one in found]})
         return
     done = "used again; it was excluded" if undo else "excluded"
-    console.say(f"{_excluded_words(found.model_dump())}: {done}: {found.exclusion_reason}")
+    for one in found:
+        console.say(f"{_excluded_words(one.model_dump())}: {done}: {one.exclusion_reason}")
+
+
+def move(
+    trial: Trials,
+    to: Annotated[str, typer.Argument(help="DEVICE or DEVICE/EXPERIMENT; a slash in a name is %2F.")],
+    processed: Store = "processed",
+    wait: Wait = WAIT_S,
+    as_json: Json = False,
+) -> None:
+    """Rename or move a device, an experiment or a trial; what is stored, and logs, stay as they are.
+
+    It holds when logs are ingested again. Moving back undoes it.
+
+    Example: pipeline move falcn falcon
+
+    Example: pipeline move falcon/2 falcon/without-grip
+    """
+    from pipeline.intake import correct
+
+    note = None if as_json else console.note
+    _tell_count(_stored_by(processed, lambda f: correct.move(f, trial, to, wait, note)), f"now {to}", as_json)
+
+
+def delete(
+    trial: Annotated[str | None, typer.Argument(help="As for `exclude`; not given: list the bin.")] = None,
+    undo: Annotated[bool, typer.Option("--undo", help="Take them out of the bin.")] = False,
+    empty: Annotated[bool, typer.Option("--empty", help="Remove what is in the bin from the store.")] = False,
+    processed: Store = "processed",
+    wait: Wait = WAIT_S,
+    as_json: Json = False,
+) -> None:
+    """Put a device, an experiment or a trial into the bin, show the bin, or empty it. Logs are never touched.
+
+    What was deleted stays so when its logs are ingested again, until --undo.
+
+    Example: pipeline delete falcon/2
+
+    Example: pipeline delete falcon/2 --undo
+
+    Example: pipeline delete --empty
+    """
+    from pipeline.intake import correct
+
+    if (trial is None and undo) or (empty and trial is not None):
+        raise UsageError("give what to delete, with --undo to take it out of the bin, or --empty alone.")
+    note = None if as_json else console.note
+    if trial is not None:
+        act = correct.restore if undo else correct.delete
+        count = _stored_by(processed, lambda folder: act(folder, trial, wait, note))
+        _tell_count(count, "restored" if undo else "in the bin", as_json)
+    elif empty:
+        count = _stored_by(processed, lambda folder: correct.empty_bin(folder, wait, note))
+        _tell_count(count, "removed from the store", as_json)
+    else:
+        found = [one.model_dump(mode="json") for one in _stored_by(processed, correct.in_bin)]
+        if as_json:
+            console.print_json({"bin": found})
+        for line in () if as_json else _listed("in the bin", [_excluded_words(one) for one in found]):
+            console.say(line)
+
+
+def _stored_by(processed: str, work: Callable[[Path], Result]) -> Result:
+    from pipeline.store.mirror import stored_by
+
+    _must_exist(processed)
+    return stored_by(processed, work)
+
+
+def _tell_count(trials: int, done: str, as_json: bool) -> None:
+    if as_json:
+        console.print_json({"trials": trials})
+    else:
+        console.say(f"{trials} {'trial' if trials == 1 else 'trials'} {done}")
 
 
 def _excluded_words(one: Mapping[str, Any]) -> str:

@@ -22,15 +22,21 @@ from pipeline.profiles.profile_columns import QUANTITIES, ColumnSource, CommandS
 from pipeline.profiles.profile_model import CONDITION_QUANTITIES, CONDITIONS, Profile
 from pipeline.readers import Log, RawLog
 from pipeline.readers.conditions import entry_of, places_of
-from pipeline.readers.formats import module_of
-from pipeline.readers.frame import ColumnInfo
+from pipeline.readers.formats.files import read_file
 from pipeline.readers.obeyed import cure, obeyed
 from pipeline.readers.time_axis import step_flags
 from pipeline.records.batch import TrialBatch
 from pipeline.records.findings import Record
 from pipeline.records.models import Motion
 from pipeline.shell.console import grouped
-from pipeline.shell.profile.profile_warnings import late_velocity, other_step, other_units
+from pipeline.shell.profile.profile_warnings import (
+    PLAUSIBLE,
+    facts,
+    implausible,
+    late_velocity,
+    other_step,
+    other_units,
+)
 
 NOTHING = 1e-15
 """Size [SI] up to which a number is what rounding leaves of 0."""
@@ -66,7 +72,7 @@ class CheckedTrial(Record):
     ``time`` holds the flags of `pipeline.readers.time_axis.step_flags` and what was settled in the rows. ``step_row``
     is the row of the step, counted from 0, ``step`` how it is known, or why it is not. ``other_gains``
     says which stiffness, damping or step the command obeys where the conditions state others, and the line that cures
-    it.
+    it. ``plausible`` are the numbers that are held against what devices have (`profile_warnings.PLAUSIBLE`).
     """
 
     label: str | None
@@ -77,6 +83,7 @@ class CheckedTrial(Record):
     step_row: int | None
     step: str
     other_gains: str | None
+    plausible: tuple[tuple[str, float], ...]
     warnings: tuple[str, ...]
 
 
@@ -133,16 +140,12 @@ def _hints(profile: Profile, raw: RawLog) -> dict[str, str]:
     if profile.format in ("native", "json"):  # they say nothing of columns
         return {}
     try:
-        infos = [info for data, name in zip(raw.data, raw.names, strict=True) for info in _infos(profile, name, data)]
+        files = zip(raw.data, raw.names, strict=True)
+        infos = [info for data, name in files for info in read_file(profile, (name,), (data,)).listed()]
     except LogError:  # what is not asked for may be damaged
         return {}
     by_position = {str(i + 1): info.hint for i, info in enumerate(infos)} if profile.format == "delimited" else {}
     return by_position | {info.name: info.hint for info in infos}
-
-
-def _infos(profile: Profile, name: str, data: bytes) -> list[ColumnInfo]:
-    infos: list[ColumnInfo] = module_of(profile.format).list_columns(name, data, profile)
-    return infos
 
 
 def _trial(profile: Profile, name: str, log: Log, motion: Motion, hints: dict[str, str]) -> CheckedTrial:
@@ -161,7 +164,14 @@ def _trial(profile: Profile, name: str, log: Log, motion: Motion, hints: dict[st
         step_row=step_row,
         step=step,
         other_gains=None if (other := obeyed(log)) is None else f"{other.sentence}. To cure it: {cure(profile, other)}",
-        warnings=(*log.warnings, *other_units(profile, said), *other_step(log, step_row, batch), *late_velocity(batch)),
+        plausible=tuple(facts(log).items()),
+        warnings=(
+            *log.warnings,
+            *implausible(log, motion),
+            *other_units(profile, said),
+            *other_step(log, step_row, batch),
+            *late_velocity(batch),
+        ),
     )
 
 
@@ -293,23 +303,31 @@ def _short(trial: CheckedTrial) -> str:
 def _full_lines(sample: CheckedSample) -> list[str]:
     lines = [f"{sample.path}: {_stored_words(sample)}"]
     for trial in sample.trials:
-        if trial.label is not None:
-            lines.append(f"trial {trial.label!r}")
-        for condition in trial.conditions:
-            value = condition.value if isinstance(condition.value, str) else f"{condition.value:.9g}"
-            lines.append(f"  {condition.name:<20} {f'{value} {condition.unit}'.strip():<20} from {condition.place}")
+        lines += [] if trial.label is None else [f"trial {trial.label!r}"]
+        motion: Motion = "rotation" if any(c.value == "rotation" for c in trial.conditions) else "translation"
+        shown = {
+            c.name: (f"{c.value if isinstance(c.value, str) else f'{c.value:.9g}'} {c.unit}", c.place)
+            for c in trial.conditions
+        }
+        derived = {
+            "displacement": next((c.unit_si for c in trial.columns if c.column == "position"), ""),
+            "duration_s": "s",
+        }
+        shown |= {key: (f"{value:.4g} {derived[key]}", "") for key, value in trial.plausible if key in derived}
+        for key, (text, place) in shown.items():
+            low, high = PLAUSIBLE[key][motion] if key in PLAUSIBLE else (0.0, 0.0)
+            usual = f"usual {low:g} to {high:g}" if high else ""
+            origin = f"from {place}" if place else ""
+            lines.append(f"  {key:<20} {text.strip():<20} {origin:<24} {usual}".rstrip())
         for column in trial.columns:
             said = f" (the file says {column.file_says})" if column.file_says else ""
-            origin = f"{column.source} [{column.unit}]{said}" if column.unit else f"{column.source}{said}"
+            name = f"{column.source} [{column.unit}]{said}" if column.unit else f"{column.source}{said}"
             values = f"{_shown(column.first):.9g} to {_shown(column.last):.9g} {column.unit_si}"
-            lines.append(f"  {column.column:<20} {values:<32} from {origin}")
-        settled = {key: value for key, value in trial.time.items() if value and abs(value) > NOTHING}
-        lines.append(f"  {'rows':<20} {trial.rows}")
-        times = ", ".join(f"{key} {value:.6g}" for key, value in settled.items())
-        lines.append(f"  {'quality of time':<20} {times}")
-        lines.append(
-            f"  {'step':<20} {'not known' if trial.step_row is None else f'row {trial.step_row}'}: {trial.step}"
-        )
+            lines.append(f"  {column.column:<20} {values:<32} from {name}")
+        settled = ", ".join(f"{key} {value:.6g}" for key, value in trial.time.items() if value and abs(value) > NOTHING)
+        row = "not known" if trial.step_row is None else f"row {trial.step_row}"
+        last = {"rows": str(trial.rows), "quality of time": settled, "step": f"{row}: {trial.step}"}
+        lines += [f"  {key:<20} {text}" for key, text in last.items()]
         lines += [f"  {'warning':<20} {text}" for text in trial.warnings]
     return lines
 

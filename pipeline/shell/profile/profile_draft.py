@@ -1,27 +1,34 @@
 """A first profile for a sample: TOML with what is sure filled in, and questions where nothing must be guessed.
 
-A question stands as ``# QUESTION: key: words`` above the key, which is commented out with a possible answer.
+A question stands as ``# QUESTION: key: words`` above the key, which is commented out with a possible answer: to take
+the remark sign off the key, and to correct its value, answers it. Where the command obeys a wall law, columns, signs,
+step, unit of time and sampling period (devices have 20 us to 0.1 s) and the unit of the stiffness in the file names are
+no questions: the law tells them, and `check` holds it against the answers.
 """
 
 from __future__ import annotations
 
 import json
+import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from pipeline.base.errors import LogError, ProfileError, UsageError
-from pipeline.base.units import UNITS, find_unit, unit_in_heading
+from pipeline.base.units import UNITS, find_unit, unit_between, unit_in_heading
+from pipeline.profiles.patterns import find_groups
 from pipeline.profiles.profile_columns import QUANTITIES
 from pipeline.profiles.profile_lines import QUESTION
-from pipeline.profiles.profile_model import Format, Profile
-from pipeline.readers.formats import module_of
-from pipeline.readers.formats.plain_text import is_packed, unpacked
+from pipeline.profiles.profile_model import CONDITION_QUANTITIES, Format, Profile
+from pipeline.readers.formats.delimited import PACKED, unpacked
+from pipeline.readers.formats.files import read_file
 from pipeline.readers.frame import ColumnInfo, Frame
 from pipeline.readers.layout import Layout, format_of, text_layout
+from pipeline.readers.obeyed import Law, law_of
+from pipeline.records.models import Motion
 
 LISTED_CHOICES = 10
 """Columns that a question names; with more it points to the list."""
@@ -31,6 +38,22 @@ LONGEST_FIRST = 80
 
 LISTED_COLUMNS = 24
 """Columns that the draft lists as comments; a robot with seven joints has some thirty, a bag hundreds."""
+
+MOST_TRIED = 8
+"""Columns of numbers that are tried as command and position."""
+
+SAME = 0.1
+"""Part by which a number may differ from what the command obeys: names are rounded."""
+
+_RANGES = {"time": (2e-5, 0.1), "command": (1e-3, 1e4), "position": (1e-6, 0.8)}
+"""Sampling period [s], and range of command [N, Nm] and position [m, rad] in one log of a device."""
+
+_USUAL = {
+    "time": ("s", "ms", "us", "ns"),
+    "command": ("N", "mN", "Nm", "mNm"),
+    "position": ("m", "mm", "um", "rad", "deg"),
+}
+"""Units in the order in which they are proposed."""
 
 _ROLES = {
     "time": r"t|time|times?tamps?|stamp|zeit|zeitstempel|tout|@stamp|@time",
@@ -71,8 +94,7 @@ class Sample:
 
     def frame(self, wanted: tuple[str, ...]) -> Frame:
         """Return columns by name as they stand in the file; raises LogError where they do not go together."""
-        result: Frame = module_of(self.kind).read_frame(self.profile, self.name, self.data, wanted)
-        return result
+        return read_file(self.profile, (self.name,), (self.data,), wanted).frame()
 
     @property
     def profile(self) -> Profile:
@@ -95,18 +117,17 @@ def open_sample(path: Path) -> Sample:
     except OSError as error:
         raise UsageError(f"{path}: cannot be read ({error.strerror}). Give a log.") from error
     kind = format_of(path.name, data)
-    if kind == "delimited" and is_packed(data):
+    if kind == "delimited" and data.startswith(tuple(PACKED)):
         kind = format_of(path.name, unpacked(path.name, data))
     layout = text_layout(path.name, data) if kind == "delimited" else Layout()
     sample = Sample(path.name, data, kind, layout, [])
     if kind == "native":
         return sample
-    infos: list[ColumnInfo] = module_of(kind).list_columns(path.name, data, sample.profile)
+    contents = read_file(sample.profile, (path.name,), (data,))
+    layout.keys |= contents.keys
+    infos = contents.listed()
     refused = [f"{info.name} {info.hint}" for info in infos if not info.rows and info.hint]
     infos = [info for info in infos if info.rows > 1 and info.name]
-    if kind == "json" and infos and infos[0].hint:
-        layout.keys["records"] = json.loads(infos[0].hint.removeprefix("records = "))
-        infos = [replace(info, hint="") for info in infos]
     if all(info.dtype == "text" for info in infos):
         raise LogError(
             "it holds no columns of numbers with several rows. "
@@ -130,7 +151,7 @@ def draft_profile(path: Path, *others: Path) -> str:
         sample = open_sample(path)
         if sample.kind == "native":
             raise ProfileError(f"{path} is a native log, which needs no profile: `pipeline ingest {path}` reads it.")
-        lines = [*_lines(sample), *(text for other in others if (text := _difference(sample, other)))]
+        lines = [*_lines(sample, path, others), *(text for other in others if (text := _difference(sample, other)))]
         return "".join(f"{_printable(line)}\n" for line in lines)
     except LogError as error:
         raise ProfileError(f"{path}: no profile can be drafted: {error.reason}") from error
@@ -153,13 +174,77 @@ def _difference(sample: Sample, path: Path) -> str:
     return f"# {path.name} is laid out otherwise: {', '.join(found)}" if found else ""
 
 
-def _lines(sample: Sample) -> Iterator[str]:
+@dataclass(frozen=True)
+class Evidence:
+    """What the numbers of a log show: the wall law that its command obeys, its columns by role, and their units.
+
+    ``units`` are those that the file states, else the first in which the numbers are plausible.
+    """
+
+    law: Law
+    columns: dict[str, ColumnInfo]
+    units: dict[str, str]
+    time_is_sure: bool
+    period_s: float
+    first_row: bool
+
+    def si(self, key: str) -> float:
+        """Return stiffness, damping or step in SI, in the units that are proposed."""
+        factor = UNITS[self.units["command"]].factor
+        return (
+            float(abs(getattr(self.law, key))) * factor / (1 if key == "step" else UNITS[self.units["position"]].factor)
+        )
+
+
+def _evidence(sample: Sample, likely: dict[str, ColumnInfo]) -> Evidence | None:
+    """Return what the numbers show; None where no columns obey a wall law with a stiffness."""
+    time, *rest = [likely.get("time"), *_numbers(sample.infos)[:MOST_TRIED]]
+    pairs = [(a, b) for a in rest for b in rest if a is not b and time is not None and time not in (a, b)]
+    own = (likely.get("command"), likely.get("position"))
+    for command, position in sorted(pairs, key=lambda pair: pair != own):
+        assert time is not None
+        try:
+            values = sample.frame((time.name, command.name, position.name)).columns.values()
+            stamps, force, place = (np.asarray(column, dtype=np.float64) for column in values)
+        except (LogError, ValueError):
+            return None
+        columns = {"time": time, "command": command, "position": position}
+        pace = float(np.median(np.diff(stamps)))
+        spans = {"time": pace, "command": float(np.ptp(force)), "position": float(np.ptp(place))}
+        units = {key: _plausible(key, columns[key], span) for key, span in spans.items()}
+        if not all(units.values()):
+            continue
+        factor = UNITS[units["time"][0]].factor
+        law = law_of(stamps * factor, force, place)
+        if law is not None and law.stiffness and law.step:
+            chosen = {key: found[0] for key, found in units.items()}
+            return Evidence(
+                law, columns, chosen, len(units["time"]) == 1, pace * factor, abs(force[0]) > abs(law.step) / 2
+            )
+    return None
+
+
+def _plausible(key: str, info: ColumnInfo, span: float) -> list[str]:
+    """Return the units in which the numbers of a column are those of a device; the stated one alone where it is."""
+    low, high = _RANGES[key]
+    fits = [unit for unit in _USUAL[key] if low <= span * UNITS[unit].factor <= high]
+    stated = _bare(info, key)[1].translate(str.maketrans("µμ", "uu"))
+    return [stated] if stated in fits else fits
+
+
+def _lines(sample: Sample, path: Path, others: Sequence[Path]) -> Iterator[str]:
     """Yield the lines of the draft."""
     name, kind, layout, infos = sample.name, sample.kind, sample.layout, sample.infos
     packed = name.lower().endswith((".gz", ".zst"))
     suffix = "".join(Path(name).suffixes[-2 if packed else -1 :])
     short = re.sub(r"[^a-z0-9]+", "_", Path(name).stem.lower()).strip("_")
-    yield f"# Draft for {_toml(name)}. Where a question stands: set the key below it, then remove its line."
+    by_position = kind == "delimited" and not layout.keys.get("header", True)
+    roles = {} if by_position else _roles(infos)
+    likely = _likely(sample, roles)
+    seen = None if by_position or _speed(likely.get("position")) else _evidence(sample, likely)
+    if seen:
+        roles = likely = seen.columns
+    yield f"# Draft for {_toml(name)}. Where a question stands: set the key below it."
     yield f"name = {_toml(short or 'lab')}"
     yield f"format = {_toml(kind)}"
     yield f"files = [{_toml(_files(name, suffix))}] # names of the logs"
@@ -167,12 +252,20 @@ def _lines(sample: Sample) -> Iterator[str]:
         yield f"{key} = {_toml(value)}"
     for key, words in layout.questions.items():
         yield from _question(key, words, f"{key} = {_toml(',' if key == 'decimal' else 'latin-1')}")
-    yield from _step_question()
+    if seen:
+        yield f'step_at = "{"first row" if seen.first_row else "command edge"}"'
+    else:
+        words = 'when does the step happen: "command edge" (found in the command; rows before it are recorded) or '
+        words += '"first row"? Or give step_row or step_time_s in its place.'
+        yield from _question("step_at", words, 'step_at = "command edge"')
     wall = _wall_in_name(name.removesuffix(suffix))
-    if wall:
-        words = "does the file name hold stiffness and damping? Else put both into [constants]."
+    groups = {key: float(value) for key, value in (find_groups(wall, name) or {}).items()} if wall else {}
+    if wall and others and seen and all(find_groups(wall, other.name) for other in others):
+        yield f"name_pattern = {_toml(wall)}"
+    elif wall:
+        given = " and ".join(groups)
+        words = f"does the file name hold {given}? Else put it into [constants]."
         yield from _question("name_pattern", words, f"name_pattern = {_toml(wall)}")
-    by_position = kind == "delimited" and not layout.keys.get("header", True)
     yield ""
     yield "# Columns of the file:"
     for info in infos[:LISTED_COLUMNS]:
@@ -182,13 +275,34 @@ def _lines(sample: Sample) -> Iterator[str]:
     yield from (f"# Not read: {text}" for text in sample.refused)
     if len(infos) > LISTED_COLUMNS:
         yield f"#   and {len(infos) - LISTED_COLUMNS} more"
-    roles = {} if by_position else _roles(infos)
-    likely = _likely(sample, roles)
+    if seen:
+        told = ", ".join(f"{key} {seen.si(key):.4g}" for key in ("stiffness", "damping", "step"))
+        yield "# The command obeys a wall law in the columns below, which tells them, the step and the signs (but for"
+        yield f"# the direction that counts as positive): {told} in SI, if the units are right."
     frame = _frame(sample, roles)
-    for key in QUANTITIES:
-        if key in ("time", "command", "position"):
-            yield from _column(key, roles.get(key), likely.get(key), infos, by_position, frame)
-    yield from _constants(name, frame, wall)
+    for key in ("time", "command", "position"):
+        yield from _column(key, roles.get(key), likely.get(key), infos, by_position, frame, seen)
+    yield from _units(seen, groups)
+    yield from _constants(path, frame, groups, seen)
+
+
+def _units(seen: Evidence | None, groups: dict[str, float]) -> Iterator[str]:
+    """Yield the unit of conditions in file names, where the command tells it."""
+    found = {}
+    for key, value in groups.items():
+        factor = seen.si(key) / abs(value) if seen and value else 1.0
+        base = next(symbol for symbol, unit in UNITS.items() if unit == (CONDITION_QUANTITIES[key][_motion(seen)], 1.0))
+        if abs(factor - 1) > SAME and (unit := unit_between(base, factor, SAME)):
+            found[key] = "N/mm" if unit == "kN/m" else unit
+    if found:
+        yield ""
+        yield "[units] # the command obeys the numbers in the file name in these units"
+        yield from (f"{key} = {_toml(unit)}" for key, unit in found.items())
+
+
+def _motion(seen: Evidence | None) -> Motion:
+    turns = seen is not None and UNITS[seen.units["position"]].quantity == "angle"
+    return "rotation" if turns else "translation"
 
 
 def _files(name: str, suffix: str) -> str:
@@ -198,13 +312,14 @@ def _files(name: str, suffix: str) -> str:
 
 
 def _wall_in_name(stem: str) -> str:
-    """Return the pattern of a name that has a stiffness and a damping, empty where it has not one of each."""
+    """Return the pattern of a name that has a stiffness or a damping, each once; empty where it has not."""
     found = [match.groups() for match in _NAMED_WALL.finditer(stem)]
-    if sorted(letter.upper() for letter, *_ in found) != ["B", "K"]:
+    letters = [letter.upper() for letter, *_ in found]
+    if "K" not in letters or len(set(letters)) < len(letters):
         return ""
     groups = {"K": "stiffness", "B": "damping"}
     # a dash behind both letters parts them from their numbers; behind one alone it is its sign
-    dashed = all(minus for *_, minus in found)
+    dashed = len(found) > 1 and all(minus for *_, minus in found)
     return ".*".join(
         f"{letter}{sign}{'-' if dashed else ''}(?P<{groups[letter.upper()]}>-?[0-9]+[.]?[0-9]*)"
         for letter, sign, _ in found
@@ -225,24 +340,15 @@ def _question(key: str, words: str, answer: str) -> Iterator[str]:
     yield f"# {answer}"
 
 
-def _step_question() -> Iterator[str]:
-    yield from _question(
-        "step_at",
-        'when does the step happen: "command edge" (found in the command; rows before it are recorded) or "first row"? '
-        "Or give step_row or step_time_s in its place.",
-        'step_at = "command edge"',
-    )
-
-
 def _bare(info: ColumnInfo, role: str) -> tuple[str, str]:
     """Return the last part of a name without its unit, and the unit that the file states there or in its hint."""
     name, unit = unit_in_heading(info.name, [*QUANTITIES[role].values(), *(_SPEEDS if role == "position" else ())])
     return re.split(r"[./]", name)[-1].strip().lower(), unit or info.hint
 
 
-def _speed(info: ColumnInfo) -> str | None:
+def _speed(info: ColumnInfo | None) -> str | None:
     """Return the quantity of a column that states the unit of a velocity."""
-    unit = find_unit(unit_in_heading(info.name, _SPEEDS)[1] or info.hint)
+    unit = None if info is None else find_unit(unit_in_heading(info.name, _SPEEDS)[1] or info.hint)
     return None if unit is None or unit.quantity not in _SPEEDS else unit.quantity
 
 
@@ -298,6 +404,7 @@ def _column(
     infos: list[ColumnInfo],
     by_position: bool,
     frame: Frame | None,
+    seen: Evidence | None,
 ) -> Iterator[str]:
     yield ""
     yield f"[columns.{key}]"
@@ -331,9 +438,15 @@ def _column(
     fits = match is not None and match.quantity in quantities
     said = f"the file says {stated!r}; is it right? " if stated else "the file does not say it. "
     counts = " For counts give counts_per_unit, too." if key == "position" else ""
-    answer = stated if fits else known[0]
-    yield from _question(f"columns.{key}.unit", f"{said}One of {', '.join(known)}.{counts}", f"unit = {_toml(answer)}")
-    if key in _SIGN_QUESTIONS:
+    answer = stated if fits else seen.units[key] if seen else known[0]
+    if seen and key == "time" and seen.time_is_sure:
+        yield f"unit = {_toml(answer)}"
+    else:
+        words = f"{said}One of {', '.join(known)}.{counts}"
+        yield from _question(f"columns.{key}.unit", words, f"unit = {_toml(answer)}")
+    if seen and key in _SIGN_QUESTIONS:
+        yield f"sign = {-1 if key == 'position' and seen.law.stiffness < 0 else 1}"
+    elif key in _SIGN_QUESTIONS:
         yield from _question(f"columns.{key}.sign", _SIGN_QUESTIONS[key], "sign = 1")
     if key == "time":
         yield from _time_questions(info, frame)
@@ -367,7 +480,7 @@ def _time_questions(info: ColumnInfo | None, frame: Frame | None) -> Iterator[st
         yield from _question("columns.time.duplicates", words, 'duplicates = "keep first"')
 
 
-def _constants(name: str, frame: Frame | None, wall: str) -> Iterator[str]:
+def _constants(path: Path, frame: Frame | None, groups: dict[str, float], seen: Evidence | None) -> Iterator[str]:
     attributes = {} if frame is None else dict(frame.attributes)
     yield ""
     if attributes:
@@ -375,21 +488,36 @@ def _constants(name: str, frame: Frame | None, wall: str) -> Iterator[str]:
         shown = list(attributes.items())[:LISTED_COLUMNS]
         yield from (f"#   {_toml(key)}: {_toml(str(value)[:LONGEST_FIRST])}" for key, value in shown)
     yield "# Conditions that differ from file to file may come from name_pattern, [attributes], [condition_columns] or"
-    yield "# [[file]]: then put the key there in place of the one below."
-    numbers = re.findall(r"([A-Za-z]+)[_=-]?(-?\d+(?:\.\d+)?)", Path(name).stem)
-    if numbers and not wall:
+    yield "# [[file]]: then put the key there in place of the one below. A log of motion without wall and step has no"
+    yield "# stiffness, damping and step."
+    numbers = re.findall(r"([A-Za-z]+)[_=-]?(-?\d+(?:\.\d+)?)", path.stem)
+    if numbers and not groups:
         pattern = ".*".join(f"{letters}(?P<...>[-0-9.]+)" for letters, _ in numbers)
         yield f"# The file name has numbers; if they are conditions: name_pattern = {_toml(pattern)} (above all tables)"
     yield "[constants]"
     yield from _question("constants.device", "what is the device called?", 'device = "bench"')
-    yield from _question("constants.experiment", "what is the experiment called?", 'experiment = "1"')
-    yield from _question("constants.motion", 'is it a "translation" or a "rotation"?', 'motion = "translation"')
+    if seen:
+        yield f"experiment = {_toml(path.absolute().parent.name or '1')}"
+    else:
+        yield from _question("constants.experiment", "what is the experiment called?", 'experiment = "1"')
+    words = 'is it a "translation" or a "rotation"?'
+    yield from _question("constants.motion", words, f"motion = {_toml(_motion(seen))}")
     asked = {
         "stiffness": "virtual stiffness K of the wall, in N/m or Nm/rad (or its unit in [units]); 0 without a wall",
         "damping": "virtual damping B of the wall, in Ns/m or Nms/rad",
         "step": "size of the external step, in N or Nm; 0 where none was commanded",
         "sampling_period_s": "sampling period T of the controller, in s",
     }
-    for key in list(asked)[2:] if wall else asked:
-        words = asked[key]
-        yield from _question(f"constants.{key}", f"{words}?", f"{key} = {'0.001' if key == 'sampling_period_s' else 0}")
+    for key, words in asked.items():
+        if key in groups:
+            continue
+        if seen is None:
+            proposed = "0.001" if key == "sampling_period_s" else "0"
+            yield from _question(f"constants.{key}", f"{words}?", f"{key} = {proposed}")
+        elif key == "sampling_period_s" and seen.time_is_sure:
+            yield f"{key} = {seen.period_s:.9g} # as the stamps rise in the median"
+        elif key == "step":
+            yield f"step = {math.copysign(seen.si('step'), seen.law.step):.4g} # the command jumps by it"
+        else:
+            value = seen.period_s if key == "sampling_period_s" else seen.si(key)
+            yield from _question(f"constants.{key}", f"{words}?", f"{key} = {value:.4g}")

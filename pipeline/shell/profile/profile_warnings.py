@@ -14,6 +14,7 @@ from pipeline.profiles.profile_columns import QUANTITIES
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers import Log
 from pipeline.records.batch import TrialBatch
+from pipeline.records.models import Motion
 
 FIRST_MOTION = 0.05
 """Part of the largest excursion from which on the first motion after the step counts: above the quantum of coarse
@@ -27,6 +28,33 @@ STEP_TOLERANCE = 0.1
 
 LEAST_LAG = 0.5
 """Lag of a velocity in sampling periods that any difference of two positions has."""
+
+
+PLAUSIBLE: dict[str, dict[Motion, tuple[float, float]]] = {
+    "stiffness": {"translation": (1.0, 1e6), "rotation": (1e-2, 1e5)},
+    "damping": {"translation": (1e-2, 1e4), "rotation": (1e-4, 1e3)},
+    "step": {"translation": (1e-2, 1e3), "rotation": (1e-4, 1e3)},
+    "sampling_period_s": {"translation": (2e-5, 0.1), "rotation": (2e-5, 0.1)},
+    "displacement": {"translation": (1e-6, 1.0), "rotation": (1e-6, 100.0)},
+    "duration_s": {"translation": (5e-3, 1e3), "rotation": (5e-3, 1e3)},
+}
+"""Range of each number in SI that devices have: fingers and arms, drives of a watt to a kilowatt; 0 is none."""
+
+
+def implausible(log: Log, motion: Motion) -> list[str]:
+    """Return which numbers of a log no device has, so that a unit may be wrong."""
+    found = []
+    for key, value in facts(log).items():
+        low, high = PLAUSIBLE[key][motion]
+        if value and not low <= abs(value) <= high:
+            found.append(f"{key} is {value:.4g} [SI]; devices have {low:g} to {high:g}: is its unit right?")
+    return found
+
+
+def facts(log: Log) -> dict[str, float]:
+    """Return the numbers of a log that `PLAUSIBLE` knows."""
+    conditions = {key: float(getattr(log.header, key)) for key in list(PLAUSIBLE)[:4]}
+    return {**conditions, "displacement": float(np.ptp(log.position)), "duration_s": float(np.ptp(log.time))}
 
 
 def other_units(profile: Profile, said: Mapping[str, str]) -> list[str]:

@@ -1,6 +1,6 @@
-"""Ladders of a loop with filter, lag, mode and fractional delay; its truth by other roads, in 100 digits and more.
+"""Ladders of a loop with filter, lag, mode and fractional delay; its truth by other roads.
 
-Limits and pole radii are bisected by Routh's criterion, costs summed over a response that is followed sample by sample.
+Limits and pole radii are bisected by Routh's criterion; costs are those of responses that `integrated` follows.
 """
 
 from __future__ import annotations
@@ -11,19 +11,18 @@ from functools import cache
 
 import numpy as np
 
-from pipeline.loop.device_loop import DeviceLoop, Vibration
-from pipeline.loop.loop import Loop
-from pipeline.loop.many_digits import as_exact, as_floats, bilinear, many_digits
-from pipeline.loop.velocity_filter import filter_in_z
+from pipeline.loop.loop import Loop, Vibration
+from pipeline.loop.many_digits import as_exact, bilinear, many_digits
 from pipeline.records.accuracy import OURS
 from pipeline.records.batch import Floats
 from pipeline.records.loop_parts import Butterworth
+from pipeline.studies.accuracy.integrated import HARD_LOOPS, HardLoop, followed
 from pipeline.studies.accuracy.rungs import Ladder, Method, Values
 from pipeline.studies.accuracy.searches import bisect_limit
-from pipeline.theory.cost.settling_overshoot import transient_costs
+from pipeline.theory.cost.pointcosts import point_costs_by_name
+from pipeline.theory.cost.settling_overshoot import LONGEST
 from pipeline.theory.device.crossings import branches, on_circle, right_half
 from pipeline.theory.device.slowest_pole import characteristic, slowest_poles
-from pipeline.theory.device.state_sums import device_energy
 from pipeline.theory.stability.region import stiffness_limit
 from pipeline.theory.stability.stability import spectral_radius
 
@@ -39,15 +38,21 @@ SAMPLES = 1200
 _HALVINGS = 52
 _RADIUS_BRACKET = 1e-6
 
-BOUNDARY, RADIUS, OVERSHOOT = "boundary, general loop", "spectral radius, general loop", "overshoot, general loop"
-ENERGIES = tuple(f"energy, w = {w}, general loop" for w in range(3))
-DEVICE_QUANTITIES = (BOUNDARY, RADIUS, OVERSHOOT, *ENERGIES)
+BOUNDARY, RADIUS, OVERSHOOT = "boundary, general loop", "spectral radius, general loop", "overshoot, hard loops"
+COSTS = {
+    "settling time, hard loops": ("settle", "settle_1pct"),
+    OVERSHOOT: ("overshoot", "overshoot"),
+    **{f"energy, w = {w}, hard loops": (f"energy_w{w}", f"energy_step_w{w}_discrete") for w in range(3)},
+}
+"""What `integrated.followed` calls each quantity, and what theory does."""
+
+DEVICE_QUANTITIES = (BOUNDARY, RADIUS, *COSTS)
 
 
-def device() -> DeviceLoop:
+def device() -> Loop:
     """Return the loop, made anew: nothing is known of it yet."""
     velocity = Butterworth(kind="butterworth", order=2, cutoff_hz=CUTOFF)
-    return DeviceLoop(0.0, 0.006, 2.4, LAG, Vibration(0.3, 0.5, 0.03, sensor_far=False), velocity)
+    return Loop(0.0, 0.006, 2.4, LAG, Vibration(0.3, 0.5, 0.03, sensor_far=False), velocity)
 
 
 @cache
@@ -93,40 +98,28 @@ def exact_radii() -> Floats:
 
 
 @cache
-def exact_costs() -> dict[str, Floats]:
-    """Return the costs of the sampled responses."""
-    alpha, _ = walls()
-    sampled = np.array([_followed(float(a), float(b)) for a, b in zip(*walls(), strict=True)]).T
-    return _costs_of(sampled, alpha)
+def hard_loops() -> tuple[HardLoop, ...]:
+    """Return loops with their walls whose costs are looked at: those of `walls`, and the hard ones."""
+    d = device()
+    mode = d.mode or Vibration(0.0, 0.0, 0.0, sensor_far=False)
+    far = mode.far_mass, mode.stiffness, mode.damping
+    own = [
+        HardLoop(float(a), float(b), d.gamma, d.delta, d.delay, SAMPLES, d.lag, *far, CUTOFF)
+        for a, b in zip(*walls(), strict=True)
+    ]
+    return (*own, *HARD_LOOPS.values())
 
 
-def _followed(alpha: float, beta: float) -> Floats:
-    """Return the deviations of a step response, in SAMPLES samples: each part moved by itself, without a matrix."""
-    loop, result = device(), []
-    with many_digits(loop.digits):
-        b, a = filter_in_z(loop.velocity)
-        state, sensor = as_exact(np.zeros(len(loop.device[1]))), as_exact(loop.device[2])
-        state[0], before = Decimal(-1), Decimal(-1)
-        rates, speeds = [Decimal(0)] * len(b), [Decimal(0)] * (len(a) - 1)
-        forces = [Decimal(alpha)] * (loop.oldest_force + 1)
-        for _ in range(SAMPLES):
-            place = sensor @ state
-            result.append(place)
-            rates = [place - before, *rates[:-1]]
-            speed = b @ np.array(rates, dtype=object) - a[1:] @ np.array(speeds, dtype=object)
-            speeds, before = [speed, *speeds[:-1]], place
-            forces = [-Decimal(alpha) * place - Decimal(beta) * speed, *forces[:-1]]
-            for segment, (transition, gain) in zip(loop.segments, loop.over_segments, strict=True):
-                state = transition @ state + gain * forces[segment.age]
-    return as_floats(np.array(result, dtype=object))
+def costs_of(tolerance: float) -> Values:
+    """Return the costs of all `hard_loops` by `integrated.followed`."""
+    found = [followed(loop, tolerance=tolerance) for loop in hard_loops()]
+    return {quantity: np.array([costs[name] for costs in found]) for quantity, (name, _) in COSTS.items()}
 
 
-def _costs_of(sampled: Floats, alpha: Floats) -> dict[str, Floats]:
-    """Return overshoot and energies of sampled deviations, shape (samples, n)."""
-    change = np.diff(sampled, axis=0, prepend=sampled[:1])
-    energy, k = sampled**2 + change**2 / alpha, np.arange(len(sampled))[:, None]
-    found = {name: (k**w * energy).sum(axis=0) for w, name in enumerate(ENERGIES)}
-    return {OVERSHOOT: np.maximum(sampled.max(axis=0), 0.0), **found}
+@cache
+def exact_costs() -> Values:
+    """Return the true costs."""
+    return costs_of(1e-13)
 
 
 def device_ladders() -> Iterator[Ladder]:
@@ -181,27 +174,24 @@ def _radius() -> Ladder:
 
 
 def _costs() -> Ladder:
-    alpha, beta = walls()
-
-    def recurrence(samples: int) -> Values:
-        loop = device()
-        matrix, state, seen = loop.matrix(alpha, beta), loop.starts(alpha, "step")[:, :, None], []
-        for _ in range(samples):
-            seen.append(state[:, :, 0] @ loop.open_loop[2])
-            state = matrix @ state
-        return _costs_of(np.array(seen), alpha)
-
     def ours() -> Values:
-        loop = device()
-        energies = device_energy(loop, alpha, beta, "step")
-        peak = transient_costs(loop, alpha, beta, (), continuous=False)["overshoot_discrete"]
-        return {OVERSHOOT: peak, **{n: energies[f"energy_step_w{w}_discrete"] for w, n in enumerate(ENERGIES)}}
+        found = [_own_costs(loop) for loop in hard_loops()]
+        return {quantity: np.array([costs[name] for costs in found]) for quantity, (_, name) in COSTS.items()}
 
     return Ladder(
         exact_costs(),
         (
-            Method("truncated recurrence", recurrence, "{} samples", (64, 128, 256, 512, 1024), (64, 512)),
+            Method("solve_ivp (scipy), hold by hold", costs_of, "tolerance {:.0e}", (1e-6, 1e-9, 1e-11), (1e-6,)),
             Method(OURS, ours, "modes"),
         ),
         scale={OVERSHOOT: 1.0},
     )
+
+
+def _own_costs(hard: HardLoop) -> dict[str, float]:
+    mode = Vibration(hard.far_mass, hard.spring, hard.damper, sensor_far=False) if hard.far_mass else None
+    velocity = Butterworth(kind="butterworth", order=hard.order, cutoff_hz=hard.cutoff) if hard.cutoff else None
+    loop = Loop(hard.gamma, hard.delta, hard.delay, hard.lag, mode, velocity)
+    wall = np.array([hard.alpha]), np.array([hard.beta])
+    found = point_costs_by_name(loop, *wall, [name for _, name in COSTS.values()], LONGEST)
+    return {name: float(values[0]) for name, values in found.items()}

@@ -1,46 +1,35 @@
 """Energy costs of the loop's step and impulse response, summed exactly to infinity.
 
-The weighted sums X_w = sum_k k^w z_k z_k' of the loop state follow by doubling the number of samples, so no horizon
-is cut; every energy cost is the trace of a small quadratic form with them. For many points or states the few sums that
-these forms need come from linear equations instead (`pipeline.theory.cost.lagsums`), much faster.
+The energy of a sampling interval is a form of few numbers, the device's state at its start and the wall's forces in it;
+every energy cost follows from the sums of their products with the weights k^w. These are refined to the last digit
+(`refinement`); for many points they come from linear equations (`lagsums`, ideal loops) or from the modes, much faster,
+and are refined only where these lose digits.
 """
 
 from __future__ import annotations
 
-from functools import lru_cache, partial
-from math import ceil, comb, log2
+from math import comb
 
 import numpy as np
-from numpy.polynomial.legendre import leggauss
 
 from pipeline.base.errors import ParameterError
-from pipeline.loop.device_loop import DeviceLoop
 from pipeline.loop.loop import Loop, as_points
-from pipeline.loop.plant import flow
-from pipeline.records.batch import Floats
-from pipeline.theory.cost.doubling import doubled, size, weighted_sums
-from pipeline.theory.cost.lagsums import LagSums, lag_sums, one_step
-from pipeline.theory.cost.refinement import Sums, refined
-from pipeline.theory.device.state_sums import device_energy
-
-_SLOW = 25.0
-"""Mean age of the energy [samples], times d + 1, from which on its sums are refined. Radii are then above 0.98 (d = 0)
-and rounding, which grows with the age, reaches 1e-12 at the worst plants."""
+from pipeline.records.batch import Booleans, Floats
+from pipeline.theory.cost.lagsums import lag_sums
+from pipeline.theory.cost.refinement import refined_sums
+from pipeline.theory.device.modes import TOGETHER, Modes, modes
+from pipeline.theory.device.pieces import WEIGHTS, energy_forms
 
 _ENTRIES = 1 << 18
 """Entries of the matrices that are doubled at a time: of some ten arrays, 20 MB."""
 
-_FEW, _SHORT = 128, 8
-"""Points and delay up to which doubling takes less time than the linear equations; both reach 1e-11."""
+_FEW, _SHORT = 128, 12
+"""Points and states up to which all sums are refined: that takes less time than the other ways."""
 
-_NODES = 24
-"""Gauss points over each panel of an interval (or part of one); exact to rounding with the limit below, by test."""
+_EPS = np.finfo(np.float64).eps
 
-_PANEL = 8.0
-"""Largest delta times duration of a panel: a faster decay is integrated over panels that halve towards its start."""
-
-WEIGHTS = (0, 1, 2)
-"""Weighting exponents w of the energy criteria (5.14)."""
+_SKEW = 1e-11
+"""Bound of the share that rounding may have in sums by modes, above which they are refined."""
 
 
 def energy_costs(loop: Loop, alpha: object, beta: object, signal: str = "step") -> dict[str, Floats]:
@@ -56,7 +45,8 @@ def energy_costs(loop: Loop, alpha: object, beta: object, signal: str = "step") 
     Returns
     -------
     dict of float64, shape (n,)
-        ``energy_<signal>_w0`` to ``_w2`` and the same with ``_discrete`` appended; dimensionless.
+        ``energy_<signal>_w0`` to ``_w2`` and the same with ``_discrete`` appended; dimensionless. NaN where rounding
+        leaves nothing of the sums.
 
     Raises
     ------
@@ -67,105 +57,64 @@ def energy_costs(loop: Loop, alpha: object, beta: object, signal: str = "step") 
     -----
     Continuous: (1/E_0) times the integral of tau^w E(tau), tau in samples, along the exact motion between samples.
     Discrete: (1/E_0) sum_k k^w [(alpha+gamma)/2 (chi_k - chi_inf)^2 + (chi_k - chi_{k-1})^2/2], chi_{-1} = chi_0.
+    The energy is that of the sensed position and its velocity, with the mass of all: what the wall sees. A step's E_0
+    is that of the thesis; an impulse of unit momentum has E_0 = 1/2.
 
     Source: Hulin 2017, eqs. 5.7, 5.14; discrete form as reproduced from Tables D.2, D.3, D.5 and D.6.
     """
     a, b = as_points(alpha, beta)
     if np.any(a + loop.gamma <= 0):
         raise ParameterError("energy costs need alpha + gamma > 0: without stiffness there is no final position.")
-    if isinstance(loop, DeviceLoop):
-        return device_energy(loop, a, b, signal)
-    result = {f"energy_{signal}_w{w}{suffix}": np.empty(len(a)) for w in WEIGHTS for suffix in ("", "_discrete")}
-    rest = np.arange(len(a))
-    if len(a) > _FEW or loop.delay > _SHORT:
-        sums = lag_sums(loop, a, b, signal)
-        result = _energy_of_sums(loop, a, sums, signal)
-        rest = np.flatnonzero(~sums.trusted)
-    chunk = max(1, _ENTRIES // loop.states**2)
-    for some in (rest[i : i + chunk] for i in range(0, len(rest), chunk)):
-        for name, values in _energy_by_doubling(loop, a[some], b[some], signal).items():
+    result = {f"energy_{signal}_w{w}{suffix}": np.empty(len(a)) for suffix in ("", "_discrete") for w in WEIGHTS}
+    for first in range(0, len(a), TOGETHER):
+        some = slice(first, first + TOGETHER)
+        for name, values in zip(result, _energies(loop, a[some], b[some], signal), strict=True):
             result[name][some] = values
     return result
 
 
-def _scales(stiffness: Floats, signal: str) -> tuple[Floats, Floats]:
-    """Factors of e^2 and v^2 in E/E_0."""
-    one = np.ones_like(stiffness)
+def _energies(loop: Loop, alpha: Floats, beta: Floats, signal: str) -> list[Floats]:
+    sums, forms = _sums(loop, alpha, beta, signal), energy_forms(loop)
+    stiffness, one = alpha + loop.gamma, np.ones_like(alpha)
     # deviations of a step are relative to chi_inf, E/E_0 = e^2 + v^2/(alpha + gamma); an impulse starts with v = 1
-    return (one, 1 / stiffness) if signal == "step" else (stiffness, one)
+    potential, kinetic = (one, 1 / stiffness) if signal == "step" else (stiffness, one)
+    with np.errstate(invalid="ignore"):  # of sums that rounding left nothing of
+        traces = sums.reshape(len(WEIGHTS), len(alpha), -1) @ forms.reshape(-1, sums.shape[-1] ** 2).T
+    parts = np.moveaxis(traces, 1, 2).reshape(len(WEIGHTS), *forms.shape[:3], len(alpha))
+    summed = potential * parts[:, 0] + kinetic * parts[:, 1]
+    # (k + tau)^w = sum_i binomial(w, i) k^(w-i) tau^i
+    return [sum(comb(w, i) * summed[w - i, kind, i] for i in range(w + 1)) for kind in (0, 1) for w in WEIGHTS]
 
 
-def _energy_of_sums(loop: Loop, alpha: Floats, sums: LagSums, signal: str) -> dict[str, Floats]:
-    potential, kinetic = _scales(alpha + loop.gamma, signal)
-    step = one_step(loop)
-    result = {f"energy_{signal}_w{w}": np.zeros(len(alpha)) for w in WEIGHTS}
-    offset = 0.0
-    for segment, start in zip(loop.segments, step.starts, strict=True):
-        moments = _motion_moments(loop.gamma, loop.delta, offset, segment.duration)
-        offset += segment.duration
-        for w in WEIGHTS:
-            # (k + tau)^w = sum_i binomial(w, i) k^(w-i) tau^i
-            for i, (place, speed) in enumerate(moments[: w + 1]):
-                stored, moving = (sums.form(start.T @ form @ start, w - i) for form in (place, speed))
-                result[f"energy_{signal}_w{w}"] += comb(w, i) * (potential * stored + kinetic * moving)
-    # chi_{k+1} - chi_k of sample k, with weight (k + 1)^w
-    moves = [sums.form(np.outer(step.move, step.move), w) for w in WEIGHTS]
-    for w in WEIGHTS:
-        move = sum(comb(w, i) * moves[i] for i in range(w + 1))
-        result[f"energy_{signal}_w{w}_discrete"] = potential * sums.moments[w, 0, 0] + kinetic * move
-    return result
-
-
-def _energy_by_doubling(loop: Loop, alpha: Floats, beta: Floats, signal: str) -> dict[str, Floats]:
-    sums = _sums_of_points(loop, alpha, beta, signal)
-    potential, kinetic = _scales(alpha + loop.gamma, signal)
-    moments = np.zeros((len(WEIGHTS), *sums[0].shape))
-    # chi_{k+1} - chi_k of sample k, with weight (k + 1)^w: a difference of sums would cancel for slow motion
-    move = loop.segment_maps(alpha, beta)[-1][0][:, 0].copy()
-    move[:, 0] -= 1.0
-    offset = 0.0
-    for segment, (start, force) in zip(loop.segments, loop.segment_maps(alpha, beta), strict=False):
-        rows = np.concatenate([start, force[:, None, :]], axis=1)
-        for w, (place, speed) in enumerate(_motion_moments(loop.gamma, loop.delta, offset, segment.duration)):
-            form = potential[:, None, None] * place + kinetic[:, None, None] * speed
-            moments[w] += np.swapaxes(rows, 1, 2) @ form @ rows
-        offset += segment.duration
-    result = {}
-    for w in WEIGHTS:
-        # (k + tau)^w = sum_i binomial(w, i) k^(w-i) tau^i
-        parts = [comb(w, i) * np.einsum("nij,nij->n", moments[i], sums[w - i]) for i in range(w + 1)]
-        result[f"energy_{signal}_w{w}"] = np.sum(parts, axis=0)
-        step = np.sum([comb(w, i) * np.einsum("ni,nij,nj->n", move, sums[i], move) for i in range(w + 1)], axis=0)
-        result[f"energy_{signal}_w{w}_discrete"] = potential * sums[w][:, 0, 0] + kinetic * step
-    return result
-
-
-def _sums_of_points(loop: Loop, alpha: Floats, beta: Floats, signal: str) -> Sums:
-    matrix = loop.matrix(alpha, beta)
-    sums = weighted_sums(matrix, loop.initial(signal))
-    slow = np.flatnonzero(size(sums[1]) > _SLOW * (loop.delay + 1) * size(sums[0]))
-    if len(slow):
-        rough = sums[0][slow], sums[1][slow], sums[2][slow]
-        exact = refined(loop, alpha[slow], beta[slow], signal, rough, partial(doubled, matrix[slow]))
-        for part, better in zip(sums, exact, strict=True):
-            part[slow] = better
+def _sums(loop: Loop, alpha: Floats, beta: Floats, signal: str) -> Floats:
+    """Return sum_k k^w g_k g_k' of what an interval sees (`Loop.seen`), shape (3, n, q, q)."""
+    law, n, q = loop.law(alpha, beta), len(alpha), len(loop.device[1]) + len(loop.segments)
+    sums, rest = np.empty((len(WEIGHTS), n, q, q)), np.arange(n)
+    if n > _FEW or loop.states > _SHORT:
+        if loop.has_parts:
+            sums, good = _by_modes(loop, law, modes(loop, alpha, beta, signal))
+        else:
+            found = lag_sums(loop, alpha, beta, signal)
+            sums, good = np.moveaxis(found.moments, 3, 1), found.trusted
+        rest = np.flatnonzero(~good)
+    chunk = max(1, _ENTRIES // loop.states**2)
+    for some in (rest[i : i + chunk] for i in range(0, len(rest), chunk)):
+        for w, part in enumerate(refined_sums(loop, alpha[some], beta[some], signal)):
+            sums[w, some] = loop.seen(law[some], np.swapaxes(loop.seen(law[some], part), 1, 2))
     return sums
 
 
-@lru_cache(maxsize=64)
-def _motion_moments(gamma: float, delta: float, offset: float, duration: float) -> tuple[tuple[Floats, Floats], ...]:
-    """Integrals of (offset + tau)^w p p' over a segment for w = 0, 1, 2, with p the row of position, then velocity."""
-    nodes, weights = leggauss(_NODES)
-    halvings = max(0, ceil(log2(delta * duration / _PANEL))) if delta > 0 else 0
-    edges = np.append(0.0, duration * 0.5 ** np.arange(halvings, -1, -1.0))
-    widths = np.diff(edges)[:, None]
-    time = (edges[:-1, None] + 0.5 * widths * (nodes + 1)).ravel()
-    weights = (0.5 * widths * weights).ravel()
-    motion = flow(gamma, delta, time)
-    rows = np.concatenate([motion.transition, motion.gain[..., None]], axis=2)
-    result = []
-    for w in WEIGHTS:
-        weight = weights * (offset + time) ** w
-        place, speed = (np.einsum("t,ti,tj->ij", weight, rows[:, part], rows[:, part]) for part in (0, 1))
-        result.append((place, speed))
-    return tuple(result)
+def _by_modes(loop: Loop, law: Floats, found: Modes) -> tuple[Floats, Booleans]:
+    """Return the sums, and where rounding has a small share in them."""
+    seen = loop.seen(law, found.state)
+    back = np.swapaxes(seen.conj(), 1, 2)
+    ratio = found.pole[:, :, None] * found.pole[:, None, :].conj()
+    once = 1 / (1 - ratio)
+    first = ratio * once * once
+    weights = (once, first, (1 + ratio) * first * once)  # sum_k k^w ratio^k
+    sums = np.stack([((seen @ weight) @ back).real for weight in weights])
+    # poles are rounded by 1e-16 and more, and count by 1/(1 - ratio); modes that cancel magnify that
+    size, slowness = np.abs(seen), np.abs(once)
+    gross = ((size @ slowness) * size).sum(axis=2) / np.einsum("nii->ni", sums[0])
+    with np.errstate(invalid="ignore"):
+        return sums, np.asarray(_EPS * slowness.max(axis=(1, 2)) * gross.max(axis=1) < _SKEW)

@@ -145,7 +145,7 @@ class _Solver:
     def __init__(self, loop: Loop, step: Step, alpha: Floats, beta: Floats, signal: str) -> None:
         self.p, self.change, self.gain = int(loop.delay), step.change, step.gain
         self.alpha, self.beta = alpha, beta
-        q, start = len(step.gain), loop.initial(signal)
+        q, start = len(step.gain), loop.starts(np.ones(1), signal)[0]  # position, velocity, position before
         self.before = float(start[2])
         self.start = np.zeros((q, len(alpha)))
         self.start[:2] = start[:2, None]

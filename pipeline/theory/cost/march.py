@@ -18,7 +18,6 @@ from pipeline.loop.plant import turning_time
 from pipeline.records.batch import Booleans, Floats, Integers
 from pipeline.theory.cost.envelope import envelope_end, excess, untouched
 from pipeline.theory.cost.march_buffer import Buffer, joined
-from pipeline.theory.cost.settling_overshoot import Crossing, entry_times, lever
 from pipeline.theory.cost.slowmodes import SlowModes, slow_modes, velocity_factor
 
 _CHUNK = 2048
@@ -50,13 +49,31 @@ _SETTLED = 0.1
 
 
 @dataclass
+class _Crossing:
+    """Last entry into a band: start, length, state and input of the segment in which it happened."""
+
+    start: Floats
+    low: Floats
+    high: Floats
+    position: Floats
+    velocity: Floats
+    force: Floats
+    level: Floats
+
+    @classmethod
+    def empty(cls, n: int) -> _Crossing:
+        """Return crossings of n points, none of them known yet."""
+        return cls(*(np.full(n, np.nan) for _ in range(7)))
+
+
+@dataclass
 class _Found:
     """What is known of each point."""
 
     settled: Floats
     peak: Floats
     sampled_peak: Floats
-    crossing: Crossing
+    crossing: _Crossing
     unfinished: list[Integers] = field(default_factory=list)
 
 
@@ -83,7 +100,7 @@ def step_transients(
     Source: Hulin 2017, eqs. 5.10 to 5.12.
     """
     n = len(alpha)
-    found = _Found(np.zeros(n), np.zeros(n), np.zeros(n), Crossing.empty(n))
+    found = _Found(np.zeros(n), np.zeros(n), np.zeros(n), _Crossing.empty(n))
     motion = _Motion(loop, band, quiet)
     rest: list[Buffer] = []
     ahead: list[Buffer] = []
@@ -109,7 +126,7 @@ def step_transients(
     found.peak = np.maximum(found.peak, found.sampled_peak)
     result = {
         "settle_discrete": found.settled + 1,
-        "settle": _parabolic_entries(found.crossing) if motion.parabolic else entry_times(loop, found.crossing),
+        "settle": _parabolic_entries(found.crossing) if motion.parabolic else _entry_times(loop, found.crossing),
         "overshoot_discrete": found.sampled_peak,
         "overshoot": found.peak,
     }
@@ -142,7 +159,24 @@ def _joined_jumps(jumps: list[_Jump]) -> _Jump:
     return _Jump(joined([jump.before for jump in jumps]), modes, ends, windows)
 
 
-def _parabolic_entries(crossing: Crossing) -> Floats:
+def _lever(loop: Loop, alpha: Floats) -> Floats:
+    """Samples for which a velocity may carry on before the wall turns it: the delay, or an eighth of an oscillation."""
+    return np.maximum(8 * (loop.delay + 1), 2 / np.sqrt(alpha + loop.gamma))
+
+
+def _entry_times(loop: Loop, crossing: _Crossing) -> Floats:
+    """Time of entry into the band: root of a monotone motion, by bisection to the last bit."""
+    low, high = np.nan_to_num(crossing.low), np.nan_to_num(crossing.high)
+    outside = np.sign(crossing.level)
+    for _ in range(54):  # halves an interval of one sample to below 1e-16
+        middle = 0.5 * (low + high)
+        excess = loop.position_after(middle, crossing.position, crossing.velocity, crossing.force) - crossing.level
+        still = excess * outside > 0
+        low, high = np.where(still, middle, low), np.where(still, high, middle)
+    return crossing.start + 0.5 * (low + high)  # NaN where the band was never entered
+
+
+def _parabolic_entries(crossing: _Crossing) -> Floats:
     """Time of entry into the band of a double integrator: the root of a parabola at which it moves inwards."""
     v, u = crossing.velocity, crossing.force
     above = crossing.position - crossing.level
@@ -175,7 +209,7 @@ class _Motion:
         position[-self.history - 1 :] = -1.0  # `run` begins with the end of the buffer before
         velocity[-1] = 0.0
         sample, stop = np.zeros(n), np.full(n, np.inf)
-        return Buffer(index, alpha, beta, lever(self.loop, alpha), position, velocity, push, sample, stop)
+        return Buffer(index, alpha, beta, _lever(self.loop, alpha), position, velocity, push, sample, stop)
 
     def run(self, at: Buffer, found: _Found, samples: int) -> Buffer:
         """March on by at least so many samples; return the points that still move."""
@@ -335,7 +369,7 @@ class _Motion:
     def _note(
         self,
         at: Buffer,
-        crossing: Crossing,
+        crossing: _Crossing,
         row: Integers,
         point: Integers,
         side: Floats,

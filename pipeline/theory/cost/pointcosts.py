@@ -7,15 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.loop.device_loop import DeviceLoop, general, has_general
 from pipeline.loop.loop import Loop
-from pipeline.loop.plant import turning_time
 from pipeline.records.batch import Floats
 from pipeline.records.criteria import DISCRETE, RISE_LEVELS, criterion_of
 from pipeline.theory.cost.energy import energy_costs
 from pipeline.theory.cost.march import step_transients
 from pipeline.theory.cost.poles import damping_ratio
-from pipeline.theory.cost.settling_overshoot import QUIET, Active, Crossing, Move, entry_times, transient_costs
+from pipeline.theory.cost.settling_overshoot import QUIET, transient_costs
 from pipeline.theory.device.modes import TOGETHER
 from pipeline.theory.device.step_response import first_reached
 from pipeline.theory.stability.stability import spectral_radius
@@ -81,44 +79,8 @@ def _poles(loop: Loop, alpha: Floats, beta: Floats, names: Sequence[str], _: Fol
 def _rises(loop: Loop, alpha: Floats, beta: Floats, names: Sequence[str], follow: Following) -> dict[str, Floats]:
     """Rise times; stability is not needed, so that they are also told along the edge of the stable region."""
     asked = alpha, beta, [share - 1.0 for share in RISE_LEVELS], follow.longest, "rise_time" in names
-    exact, sampled = first_reached(general(loop), *asked) if has_general(loop) else _first_reached(loop, *asked)
+    exact, sampled = first_reached(loop, *asked)
     return {"rise_time": exact[-1] - exact[0], f"rise_time{DISCRETE}": sampled[-1] - sampled[0]}
-
-
-def _first_reached(
-    loop: Loop, alpha: Floats, beta: Floats, levels: Sequence[float], longest: int, between: bool
-) -> tuple[Floats, Floats]:
-    """As `device.step_response.first_reached`, of an ideal loop."""
-    run = Active.start(loop, alpha, beta)
-    exact = [Crossing.empty(len(alpha)) for _ in levels]
-    sampled = np.full((len(levels), len(alpha)), np.nan)
-    for k in range(longest):
-        if not len(run.index):
-            break
-        for move in run.moves(loop, k):
-            for level, crossing in zip(levels, exact if between else (), strict=False):
-                _note_first(loop, run, move, level, crossing)
-        for level, row in zip(levels, sampled, strict=True):
-            at = np.flatnonzero(np.isnan(row[run.index]) & (run.position >= level))
-            row[run.index[at]] = k + (level - run.before[at]) / (run.position[at] - run.before[at])
-        run.keep(np.isnan(sampled[-1][run.index]))
-    return np.array([entry_times(loop, crossing) for crossing in exact]), sampled
-
-
-def _note_first(loop: Loop, run: Active, move: Move, level: float, crossing: Crossing) -> None:
-    """Note where the motion of a segment reaches a level for the first time: at its end, or at an extremum within."""
-    start, duration, force, position, velocity = move
-    still = np.isnan(crossing.start[run.index])
-    over = still & (position >= level)
-    turn = np.flatnonzero(still & ~over & (run.velocity > 0) & (velocity < 0))
-    e, v, u = run.position[turn], run.velocity[turn], force[turn]
-    when = turning_time(loop.gamma, loop.delta, e, v, u, duration)
-    high = np.full(len(position), duration)
-    high[turn] = when
-    over[turn] = loop.position_after(when, e, v, u) >= level
-    at = np.flatnonzero(over)
-    place = run.position[at], run.velocity[at], force[at], np.full(len(at), level)
-    crossing.set(run.index[at], start, 0.0, high[at], *place)
 
 
 FAMILIES: dict[str, PointCosts] = {
@@ -163,7 +125,7 @@ def point_costs_by_name(
     for name in names:
         groups.setdefault(FAMILIES[criterion_of(name).family.name], []).append(name)
     result = {name: np.empty(len(alpha)) for name in names}
-    together = TOGETHER if isinstance(loop, DeviceLoop) else max(1, len(alpha))  # they share their modes
+    together = TOGETHER if loop.has_parts else max(1, len(alpha))  # they share their modes
     for first in range(0, len(alpha), together):
         some = slice(first, first + together)
         for function, group in groups.items():
@@ -174,4 +136,4 @@ def point_costs_by_name(
 
 
 def _can_march(loop: Loop) -> bool:
-    return not isinstance(loop, DeviceLoop) and loop.oldest_force == loop.delay <= _LARGEST_DELAY
+    return not loop.has_parts and loop.oldest_force == loop.delay <= _LARGEST_DELAY

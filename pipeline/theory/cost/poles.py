@@ -9,7 +9,6 @@ import numpy as np
 from numpy.polynomial import Polynomial
 
 from pipeline.base.errors import ParameterError
-from pipeline.loop.device_loop import DeviceLoop
 from pipeline.loop.loop import Loop, as_points
 from pipeline.records.batch import Booleans, Floats
 from pipeline.theory.cost.settling_overshoot import transient_costs
@@ -100,7 +99,7 @@ def threefold_pole(loop: Loop, near: float) -> tuple[float, float, float] | None
     beta = W', alpha = W - beta s. An eigenvalue solver splits such poles by eps^(1/3), 1e-5, on each processor
     otherwise; here they are simple roots of a polynomial.
     """
-    if isinstance(loop, DeviceLoop):
+    if loop.has_parts:
         return None
     top, bottom, power = _delayed_plant(loop)
     u, slope, bend = Polynomial([1.0, -1.0]), top.deriv(), bottom.deriv()

@@ -1,4 +1,4 @@
-"""The weighted sums of slow responses in more digits than doubles hold.
+"""Sums over all samples of what a stable loop's states do: by doubling, and refined with twice the digits of a double.
 
 A sum over 10^k samples magnifies the rounding of the loop matrix and of its powers by as much, and again by as much as
 its modes are skew: next to resonance (gamma = 9.87, d = 0.25) the last bit of alpha counts 1e-10 at a pole radius of
@@ -8,10 +8,6 @@ computed with twice the digits, from a plant that is known to as many, and the s
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
-from decimal import Decimal, localcontext
-from functools import lru_cache
 from math import comb
 
 import numpy as np
@@ -23,13 +19,15 @@ from pipeline.theory.cost.twofold import add, from_decimals, multiply, twofold
 Sums = tuple[Floats, Floats, Floats]
 """Three matrices a point, each of shape (n, states, states), for the weights w = 0, 1, 2."""
 
-Rows = list[list[Decimal]]
+_DOUBLINGS = 60
+"""2^60 samples: the sum of any response with a spectral radius below 1 - 1e-16 has ended long before."""
 
-_DIGITS = 50
-"""Of the plant: 32 are used, and each squaring loses a bit; strong damping takes more and has small gains."""
+_CONVERGED = 1e-18
+"""Relative size of a last addend that no longer changes a double."""
 
-_TERMS = 32
-"""Of the exponential series at norms up to 1/2: what follows is below 1e-45."""
+_SLOW = 25.0
+"""Mean age of the energy [samples], times d + 1, from which on its sums are refined. Radii are then above 0.98 (d = 0)
+and rounding, which grows with the age, reaches 1e-12 at the worst plants."""
 
 _ROUNDS = 4
 """Rounds of refinement: each squares the relative error, 1e-4 at a pole radius of 1 - 1e-12."""
@@ -38,40 +36,101 @@ _MET = 1e-9
 """Relative change after which the next would be below the last digit."""
 
 
-def refined(loop: Loop, alpha: Floats, beta: Floats, signal: str, sums: Sums, solve: Callable[[Sums], Sums]) -> Sums:
-    """Return weighted sums that meet their equations to the last digit of a double.
+def weighted_sums(matrix: Floats, initial: Floats) -> Sums:
+    """Return X_w = sum_k k^w z_k z_k' for w = 0, 1, 2 of z_{k+1} = A z_k, each of shape (n, states, states).
+
+    Parameters
+    ----------
+    matrix : float64, shape (n, states, states)
+        Stable matrices A.
+    initial : float64, shape (states,) or (n, states)
+        z_0, the same for all or one each.
+
+    Notes
+    -----
+    From the sums over N samples, those over 2 N follow as X_w + A^N [sum_i binomial(w, i) N^(w-i) X_i] A^N', so m
+    doublings sum 2^m samples. All addends are positive semidefinite: nothing cancels.
+    """
+    first = np.broadcast_to(initial[..., :, None] * initial[..., None, :], matrix.shape)
+    return _doubled(matrix, (first, np.zeros_like(matrix), np.zeros_like(matrix)))
+
+
+def refined_sums(loop: Loop, alpha: Floats, beta: Floats, signal: str) -> Sums:
+    """Return the weighted sums of responses to the last digit or two of a double.
 
     Parameters
     ----------
     loop : Loop
     alpha, beta : float64, shape (n,)
     signal : {"step", "impulse"}
-    sums : Sums
-        X_0 = z z' + A X_0 A', X_1 = A (X_1 + X_0) A', X_2 = A (X_2 + 2 X_1 + X_0) A', roughly.
-    solve : callable
-        From what these equations leave unmet, gives the change that meets them, to some digits.
+
+    Notes
+    -----
+    X_0 = z z' + A X_0 A', X_1 = A (X_1 + X_0) A', X_2 = A (X_2 + 2 X_1 + X_0) A'. NaN where these have no solution.
     """
-    top, columns = _matrix_rows(loop, alpha, beta)
-    start = loop.initial(signal)
-    known = twofold(np.multiply.outer(np.ones(len(alpha)), np.outer(start, start)))
-    x = [_symmetric(part) for part in sums]
+    matrix, start = loop.matrix(alpha, beta), loop.starts(alpha, signal)
+    sums = weighted_sums(matrix, start)
+    slow = np.flatnonzero(_size(sums[1]) > _SLOW * (loop.delay + 1) * _size(sums[0]))
+    if loop.mode is not None:  # modes of a light side are skew
+        slow = np.arange(len(alpha))
+    if len(slow):
+        rough = [_symmetric(part[slow]) for part in sums]
+        exact = _refined(loop, (alpha[slow], beta[slow]), matrix[slow], start[slow], rough)
+        for part, better in zip(sums, exact, strict=True):
+            part[slow] = better
+    return sums
+
+
+def _refined(loop: Loop, walls: tuple[Floats, Floats], matrix: Floats, start: Floats, x: list[Floats]) -> Sums:
+    top, columns = _matrix_rows(loop, *walls)
+    known = multiply(twofold(start)[..., :, None], twofold(start)[..., None, :])
     for _ in range(_ROUNDS):
-        right = [_moved(top, columns, _raised(x, w)) for w in range(3)]
+        right = [_moved(loop, top, columns, _raised(x, w)) for w in range(3)]
         right[0] = add(right[0], known)
         rest = [add(side, twofold(-part))[0] for side, part in zip(right, x, strict=True)]
-        change = solve((rest[0], rest[1], rest[2]))
+        change = _doubled(matrix, (rest[0], rest[1], rest[2]))
         x = [_symmetric(part + more) for part, more in zip(x, change, strict=True)]
-        if all(np.all(_size(more) <= _MET * _size(part)) for part, more in zip(x, change, strict=True)):
+        if not any(np.any(_largest(more) > _MET * _largest(part)) for part, more in zip(x, change, strict=True)):
             break
     return x[0], x[1], x[2]
 
 
+def _doubled(matrix: Floats, addends: Sums) -> Sums:
+    """Solutions of X_0 = R_0 + A X_0 A', X_1 = R_1 + A (X_1 + X_0) A', X_2 = R_2 + A (X_2 + 2 X_1 + X_0) A'.
+
+    NaN where they do not converge: of a matrix that is not stable, or is not to the digits of a double.
+    """
+    x0, x1, x2 = addends
+    power, count = matrix, 1.0
+    with np.errstate(over="ignore", invalid="ignore"):
+        for _ in range(_DOUBLINGS):
+            turned = np.swapaxes(power, 1, 2)
+            add2 = power @ (x2 + 2 * count * x1 + count * count * x0) @ turned
+            add1 = power @ (x1 + count * x0) @ turned
+            add0 = power @ x0 @ turned
+            x0, x1, x2 = x0 + add0, x1 + add1, x2 + add2
+            total = _size(x2)
+            ended = (_size(add2) <= _CONVERGED * total) & (_size(add0) <= _CONVERGED * _size(x0))
+            if np.all(ended | ~np.isfinite(total)):
+                break
+            power = power @ power
+            count *= 2
+    for sums in (x0, x1, x2):
+        sums[~ended] = np.nan
+    return x0, x1, x2
+
+
 def _size(matrices: Floats) -> Floats:
+    """Sum of the sizes along the diagonal, where sums of squares have their largest entries."""
+    return np.asarray(np.abs(np.diagonal(matrices, axis1=1, axis2=2)).sum(axis=1))
+
+
+def _largest(matrices: Floats) -> Floats:
     return np.asarray(np.abs(matrices).max(axis=(1, 2)))
 
 
 def _symmetric(matrices: Floats) -> Floats:
-    """What rounding made skew would grow from round to round, as the equations below are those of the upper half."""
+    """What rounding made skew would grow from round to round, as the equations are those of the upper half."""
     return 0.5 * (matrices + np.swapaxes(matrices, 1, 2))
 
 
@@ -83,15 +142,15 @@ def _raised(x: list[Floats], w: int) -> Floats:
     return result
 
 
-def _moved(top: Floats, columns: list[int], z: Floats) -> Floats:
-    """A Z A' for symmetric Z: below its first two rows, A only moves states on to the next place."""
-    result = np.empty_like(z)
-    source = [0, *range(2, z.shape[-1] - 1)]
+def _moved(loop: Loop, top: Floats, columns: list[int], z: Floats) -> Floats:
+    """A Z A' for symmetric Z: below its first rows, A only moves forces on to the next place."""
+    result, rows, own = np.empty_like(z), top.shape[2], len(loop.own.free)
+    source = slice(own, z.shape[-1] - 1)
     side = _product(top, columns, z)
-    result[..., 2:, 2:] = z[..., source, :][..., source]
-    result[..., :2, 2:] = side[..., source]
-    result[..., 2:, :2] = np.swapaxes(side[..., source], -1, -2)
-    result[..., :2, :2] = _product(top, columns, np.swapaxes(side, -1, -2))
+    result[..., rows:, rows:] = z[..., source, source]
+    result[..., :rows, rows:] = side[..., source]
+    result[..., rows:, :rows] = np.swapaxes(side[..., source], -1, -2)
+    result[..., :rows, :rows] = _product(top, columns, np.swapaxes(side, -1, -2))
     return result
 
 
@@ -104,57 +163,24 @@ def _product(top: Floats, columns: list[int], z: Floats) -> Floats:
 
 
 def _matrix_rows(loop: Loop, alpha: Floats, beta: Floats) -> tuple[Floats, list[int]]:
-    """First two rows of the loop matrix: their columns other than zero, shape (2, n, 2, columns), and which these are.
+    """First rows of the loop matrix, down to the newest force: their columns, shape (2, n, rows, columns), and which.
 
-    Source: Hulin 2017, eq. 3.1, as `Loop.force_rows`.
+    Source: Hulin 2017, eq. 3.1, as `Loop.matrix`.
     """
-    move, pushes = _plant(loop)
-    a, b = twofold(-alpha)[..., None], twofold(beta)[..., None]
-    parts = {column: move[:, None, :, column] for column in (0, 1)}
-    now = add(a, -b)
-    for segment, push in zip(loop.segments, np.moveaxis(pushes, 2, 0), strict=True):
-        places = (0, 2) if segment.age == 0 else (segment.age + 1, segment.age + 2)
-        for place, factor in zip(places, (now, b), strict=True):
-            term = multiply(push[:, None], factor)
-            parts[place] = add(parts[place], term) if place in parts else term
-    return np.stack(np.broadcast_arrays(*parts.values()), axis=-1), list(parts)
-
-
-@lru_cache(maxsize=64)
-def _plant(loop: Loop) -> tuple[Floats, Floats]:
-    """Motion of (e, v) over a sample, (2, 2, 2), and what the force of each segment adds to it, (2, 2, segments)."""
-    with localcontext() as context:
-        context.prec = _DIGITS + 2 * math.ceil(math.log10(1 + loop.delta))
-        first = Decimal(loop.delay) - math.floor(loop.delay)
-        times = [first, 1 - first] if first else [Decimal(1)]
-        flows = [_motion(Decimal(loop.gamma), Decimal(loop.delta), time) for time in times]
-        late = flows[-1]
-        whole = _times(late, flows[0]) if first else late
-        # a force over one segment moves on freely in the next
-        pushes = [[row[2] for row in late]]
-        if first:
-            pushes.insert(0, [row[0] * flows[0][0][2] + row[1] * flows[0][1][2] for row in late[:2]])
-        return (
-            from_decimals([row[:2] for row in whole[:2]]),
-            from_decimals([[push[i] for push in pushes] for i in (0, 1)]),
-        )
-
-
-def _motion(gamma: Decimal, delta: Decimal, time: Decimal) -> Rows:
-    """Exponential of the plant's motion of (x, v, u), by squaring that over a time short enough for its series."""
-    zero, one = Decimal(0), Decimal(1)
-    halvings = max(0, math.ceil(math.log2(2 * float(time) * (1 + float(gamma) + float(delta)))))
-    t = time / 2**halvings
-    rate = [[zero, t, zero], [-gamma * t, -delta * t, t], [zero, zero, zero]]
-    result = [[one if i == j else zero for j in range(3)] for i in range(3)]
-    term = result
-    for n in range(1, _TERMS):
-        term = [[value / n for value in row] for row in _times(term, rate)]
-        result = [[a + b for a, b in zip(*rows, strict=True)] for rows in zip(result, term, strict=True)]
-    for _ in range(halvings):
-        result = _times(result, result)
-    return result
-
-
-def _times(a: Rows, b: Rows) -> Rows:
-    return [[sum((row[k] * b[k][j] for k in range(3)), Decimal(0)) for j in range(3)] for row in a]
+    steps, points = loop.own, np.ones((len(alpha), 1))
+    position, velocity, *gains = from_decimals([steps.position, steps.velocity, *steps.gains]).swapaxes(0, 1)
+    pulls = ((-alpha, position), (-beta, velocity))
+    law = add(*(multiply(twofold(by[:, None]), row[:, None]) for by, row in pulls))
+    block, columns, own = from_decimals(steps.free)[:, None] * points[..., None], [*range(len(position[0]))], law
+    if loop.oldest_force:
+        block = np.concatenate([block, law[:, :, None]], axis=2)
+    for segment, gain in zip(loop.segments, gains, strict=True):
+        if segment.age == 0:
+            rows = slice(len(gain[0]))
+            block[:, :, rows, rows] = add(block[:, :, rows, rows], multiply(gain[:, None, :, None], own[:, :, None]))
+    for segment, gain in zip(loop.segments, gains, strict=True):
+        if segment.age:
+            late = np.zeros((*block.shape[:3], 1))
+            late[:, :, : len(gain[0]), 0] = gain[:, None]
+            block, columns = np.concatenate([block, late], axis=3), [*columns, len(gain[0]) - 1 + segment.age]
+    return block, columns

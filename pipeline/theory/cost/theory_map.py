@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.base.errors import ParameterError
-from pipeline.loop.device_loop import DeviceLoop
 from pipeline.loop.loop import Loop, Normalised
 from pipeline.records.batch import Booleans, Floats
 from pipeline.records.criteria import CRITERIA, REPORTED, with_discrete
@@ -59,7 +58,7 @@ def bounding_box(loop: Loop) -> tuple[float, float, float, float]:
 
     The region's lowest beta is often the limit of the boundary for theta -> 0, on the line alpha = -gamma.
     """
-    if isinstance(loop, DeviceLoop):
+    if loop.has_parts:
         border = boundary(loop, _FEWEST)  # its extremes are searched for whatever the points between
         return -loop.gamma, border.alpha_max, float(border.beta[0]), border.beta_max
     border = boundary(loop)

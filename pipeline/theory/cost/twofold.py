@@ -5,7 +5,7 @@ Arrays of them have a first axis of length 2: the value rounded to a double, and
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from decimal import Decimal
 
 import numpy as np
@@ -21,7 +21,7 @@ def twofold(values: Floats) -> Floats:
     return np.stack([values, np.zeros_like(values)])
 
 
-def from_decimals(rows: Sequence[Sequence[Decimal]]) -> Floats:
+def from_decimals(rows: Iterable[Iterable[Decimal]]) -> Floats:
     """Return a matrix of decimals as twofold numbers, shape (2, rows, columns)."""
     pairs = [[(float(value), float(value - Decimal(float(value)))) for value in row] for row in rows]
     return np.moveaxis(np.array(pairs), 2, 0)

@@ -13,7 +13,7 @@ from math import comb
 
 import numpy as np
 
-from pipeline.loop.device_loop import DeviceLoop
+from pipeline.loop.loop import Loop
 from pipeline.records.batch import Floats, Integers
 from pipeline.theory.cost.envelope import envelope_end, untouched
 from pipeline.theory.cost.slowmodes import SlowModes
@@ -143,8 +143,8 @@ def _placed(run: Motion, past: Modes, sample: Floats) -> Motion:
 
 
 @lru_cache(maxsize=64)
-def _bernstein(loop: DeviceLoop) -> Floats:
-    """Return the coefficients of the sensed position over all pieces as forms of `DeviceLoop.seen`, (13 pieces, q)."""
+def _bernstein(loop: Loop) -> Floats:
+    """Return the coefficients of the sensed position over all pieces as forms of `Loop.seen`, (13 pieces, q)."""
     change = [[comb(j, i) / comb(DEGREE, i) for i in range(DEGREE + 1)] for j in range(DEGREE + 1)]
     return np.concatenate(
         [np.array(change) @ piece.place @ given for piece, given in zip(pieces(loop), starts(loop), strict=True)]

@@ -18,7 +18,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from pipeline.loop.device_loop import DeviceLoop
+from pipeline.loop.loop import Loop
 from pipeline.loop.many_digits import (
     Digits,
     as_exact,
@@ -98,7 +98,7 @@ class OnCircle:
 
 
 @lru_cache(maxsize=64)
-def on_circle(loop: DeviceLoop) -> OnCircle:
+def on_circle(loop: Loop) -> OnCircle:
     """Return a loop's condition on the unit circle."""
     g = loop.sampled
     with many_digits(loop.digits):
@@ -118,7 +118,7 @@ def on_circle(loop: DeviceLoop) -> OnCircle:
 
 
 @lru_cache(maxsize=64)
-def branches(loop: DeviceLoop) -> Branches:
+def branches(loop: Loop) -> Branches:
     """Return what is known of a loop's crossings once."""
     c = on_circle(loop)
     with many_digits(loop.digits):
@@ -147,7 +147,7 @@ def branches(loop: DeviceLoop) -> Branches:
 
 
 @lru_cache(maxsize=64)
-def turning_dampings(loop: DeviceLoop) -> Floats:
+def turning_dampings(loop: Loop) -> Floats:
     """Return every beta, in order, at which stable stretches may begin or end, join, or their ends have an extremum.
 
     Between two of these each end of a stretch is monotone in beta, and soft walls (alpha -> 0 or -gamma) are all stable
@@ -180,12 +180,12 @@ class Stretches:
     outline: Integers
 
 
-def stretches(loop: DeviceLoop, beta: Floats) -> Stretches:
+def stretches(loop: Loop, beta: Floats) -> Stretches:
     """Return the stable intervals of alpha above -gamma at each beta, upwards; ends to some 11 digits.
 
     Parameters
     ----------
-    loop : DeviceLoop
+    loop : Loop
     beta : float64, shape (n,)
     """
     b, everyone = branches(loop), np.arange(len(beta))
@@ -213,7 +213,7 @@ def stretches(loop: DeviceLoop, beta: Floats) -> Stretches:
     return Stretches(i[stable], a[stable], a[stable + 1], at[stable], at[stable + 1], outline)
 
 
-def polished(loop: DeviceLoop, beta: Floats, place: Floats) -> Floats:
+def polished(loop: Loop, beta: Floats, place: Floats) -> Floats:
     """Return alpha of crossings at ln s near ``place``, shape (n,), to the last digit or two of a double."""
     c, result = on_circle(loop), []
     with many_digits(loop.digits):
@@ -226,7 +226,7 @@ def polished(loop: DeviceLoop, beta: Floats, place: Floats) -> Floats:
     return np.array([float(a) for a in result])
 
 
-def _solved(loop: DeviceLoop, b: Branches, cell: Integers, beta: Floats) -> Floats:
+def _solved(loop: Loop, b: Branches, cell: Integers, beta: Floats) -> Floats:
     """Return ln s at which a cell meets its beta, by halving."""
     low, high = b.low[cell], b.high[cell]
     rises = b.beta_high[cell] > b.beta_low[cell]
@@ -238,12 +238,17 @@ def _solved(loop: DeviceLoop, b: Branches, cell: Integers, beta: Floats) -> Floa
     return 0.5 * (low + high)
 
 
-def _alpha(loop: DeviceLoop, place: Floats, beta: Floats) -> Floats:
+def _alpha(loop: Loop, place: Floats, beta: Floats) -> Floats:
     inverse, rate = _inverse_and_rate(loop, place)
     return np.asarray(inverse.real - beta * rate.real)
 
 
-def _inverse_and_rate(loop: DeviceLoop, place: Floats) -> tuple[np.ndarray, np.ndarray]:
+def on_circle_response(loop: Loop, angle: Floats) -> tuple[np.ndarray, np.ndarray]:
+    """Return -1/G and N at angles in (0, pi), complex, shape (n,)."""
+    return _inverse_and_rate(loop, 2 * np.log(np.tan(0.5 * angle)))
+
+
+def _inverse_and_rate(loop: Loop, place: Floats) -> tuple[np.ndarray, np.ndarray]:
     """Return -1/G and N on the unit circle at ln s, complex, shape (n,)."""
     w = 1j * np.exp(0.5 * place)
     far = place > 0
@@ -256,7 +261,7 @@ def _inverse_and_rate(loop: DeviceLoop, place: Floats) -> tuple[np.ndarray, np.n
 
 
 @lru_cache(maxsize=64)
-def _rounded(loop: DeviceLoop) -> Floats:
+def _rounded(loop: Loop) -> Floats:
     """Return the coefficients of the four polynomials, upwards and downwards, shape (2, 4, degree + 1)."""
     g = loop.sampled
     degree = max(len(part) for part in (g.motion, g.velocity))
@@ -282,7 +287,7 @@ def _exact_alpha(c: OnCircle, s: Decimal, beta: Decimal) -> Decimal:
     return Decimal(-stretch - beta * value(c.level, s) / value(c.filter, s))
 
 
-def _at_minus_one(loop: DeviceLoop) -> tuple[float, float, tuple[float, float]]:
+def _at_minus_one(loop: Loop) -> tuple[float, float, tuple[float, float]]:
     """Return value, slope and the two parts of the bend of the line on which a pole lies at z = -1.
 
     In u = 1/w, z^delay = (-1)^delay (1 + 2 delay u + ...), N = 2 velocity/((1 + u) filter), and z < -1 is u > 0.
@@ -306,7 +311,7 @@ def _slope(top: Digits, bottom: Digits) -> Decimal:
     return Decimal((top[1] * bottom[0] - top[0] * bottom[1]) / bottom[0] ** 2)
 
 
-def _unstable_when_stiff(loop: DeviceLoop) -> int:
+def _unstable_when_stiff(loop: Loop) -> int:
     """Number of poles outside the circle, the right half of w, of an endlessly stiff wall without damping."""
     g = loop.sampled
     up, down = as_exact([1, 1]), as_exact([1, -1])

@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from pipeline.loop.device_loop import DeviceLoop
+from pipeline.loop.loop import Loop
 from pipeline.records.batch import Floats, Integers
 
 Complexes = NDArray[np.complex128]
@@ -56,12 +56,12 @@ class Modes:
         return np.ascontiguousarray((self.state @ self.grown(sample)[:, :, None])[:, :, 0].real.T)
 
 
-def modes(loop: DeviceLoop, alpha: Floats, beta: Floats, signal: str) -> Modes:
+def modes(loop: Loop, alpha: Floats, beta: Floats, signal: str) -> Modes:
     """Return the modes of responses; those of the latest points are kept, as several costs ask for them.
 
     Parameters
     ----------
-    loop : DeviceLoop
+    loop : Loop
     alpha, beta : float64, shape (n,)
     signal : {"step", "impulse"}
 
@@ -75,7 +75,7 @@ def modes(loop: DeviceLoop, alpha: Floats, beta: Floats, signal: str) -> Modes:
 
 
 @lru_cache(maxsize=1)
-def _modes(loop: DeviceLoop, alpha: bytes, beta: bytes, signal: str) -> Modes:
+def _modes(loop: Loop, alpha: bytes, beta: bytes, signal: str) -> Modes:
     a, b = np.frombuffer(alpha), np.frombuffer(beta)
     pole, vectors = (part.astype(np.complex128) for part in np.linalg.eig(loop.matrix(a, b)))
     start = loop.starts(a, signal)

@@ -7,13 +7,13 @@ from functools import lru_cache
 
 import numpy as np
 
-from pipeline.loop.device_loop import DeviceLoop
+from pipeline.loop.loop import Loop
 from pipeline.records.batch import Booleans, Floats, Integers
 from pipeline.theory.device.pieces import DEGREE, pieces, starts
 
 
 @lru_cache(maxsize=64)
-def _interval(loop: DeviceLoop) -> Floats:
+def _interval(loop: Loop) -> Floats:
     """Return what a sampling interval makes of what it starts with, shape (rows, columns).
 
     Columns: the loop's state but the forces of former samples, and the wall's force in each of `segments`. Rows: sensed
@@ -43,7 +43,7 @@ class Motion:
 
     Parameters
     ----------
-    loop : DeviceLoop
+    loop : Loop
     alpha, beta : float64, shape (n,)
     between : bool
         Whether the motion between samples is asked for.
@@ -56,7 +56,7 @@ class Motion:
 
     _OF_POINTS = ("index", "alpha", "beta", "sample", "since", "stop", "state", "scale")
 
-    def __init__(self, loop: DeviceLoop, alpha: Floats, beta: Floats, *, between: bool) -> None:
+    def __init__(self, loop: Loop, alpha: Floats, beta: Floats, *, between: bool) -> None:
         self.loop, self.index, self.alpha, self.beta = loop, np.arange(len(alpha)), alpha, beta
         self.pieces = pieces(loop) if between else ()
         self.own = loop.states - loop.oldest_force
@@ -141,7 +141,7 @@ def joined(parts: list[Motion]) -> Motion:
     return result
 
 
-def _levers(loop: DeviceLoop, alpha: Floats) -> Floats:
+def _levers(loop: Loop, alpha: Floats) -> Floats:
     """Return what each state of the device may do to the position, shape (states, n)."""
     lever = np.maximum(8 * (loop.delay + loop.lag + 1), 2 / np.sqrt(alpha + loop.gamma))
     rows = [np.ones_like(lever), lever]

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.loop.device_loop import DeviceLoop
+from pipeline.loop.loop import Loop
 from pipeline.records.batch import Floats, Integers
 from pipeline.theory.device.crossings import polished, stretches, turning_dampings
 
@@ -67,12 +67,12 @@ class Outline:
     beta_at_alpha_max: float
 
 
-def limits(loop: DeviceLoop, beta: Floats, *, exact: bool = True) -> Limits:
+def limits(loop: Loop, beta: Floats, *, exact: bool = True) -> Limits:
     """Return the limit of walls at each beta.
 
     Parameters
     ----------
-    loop : DeviceLoop
+    loop : Loop
     beta : float64, shape (n,)
     exact : bool
         Whether crossings are polished in many digits; some 11 digits else.
@@ -93,12 +93,12 @@ def limits(loop: DeviceLoop, beta: Floats, *, exact: bool = True) -> Limits:
     return Limits(alpha, angle, np.stack([beta[index], low, high], axis=1)[~soft])
 
 
-def outline(loop: DeviceLoop, points: int = 400) -> Outline:
+def outline(loop: Loop, points: int = 400) -> Outline:
     """Return the limit of walls over all dampings at which there is one.
 
     Parameters
     ----------
-    loop : DeviceLoop
+    loop : Loop
     points : int
         Number of dampings of the outline, >= 8, spread over its parts and denser towards their ends; both sides of
         every corner and jump come beside these.
@@ -134,7 +134,7 @@ def outline(loop: DeviceLoop, points: int = 400) -> Outline:
     return Outline(beta, alpha, known.islands, float(alpha[best]), float(beta[best]))
 
 
-def _corners(loop: DeviceLoop, levels: Floats) -> Floats:
+def _corners(loop: Loop, levels: Floats) -> Floats:
     """Return both sides of each damping between levels, in order, at which other branches begin to bound."""
     known = _bounds(loop, levels)
     low, high, left, right = levels[:-1], levels[1:], known[:-1], known[1:]
@@ -154,7 +154,7 @@ def _corners(loop: DeviceLoop, levels: Floats) -> Floats:
     return np.concatenate(corners)
 
 
-def _bounds(loop: DeviceLoop, beta: Floats) -> Integers:
+def _bounds(loop: Loop, beta: Floats) -> Integers:
     """Return a number for the branches that bound what is stable at each beta."""
     found, result = stretches(loop, beta), np.zeros(len(beta), np.intp)
     np.add.at(result, found.index, (found.outline + 1) ** 2)

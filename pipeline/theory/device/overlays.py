@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pipeline.loop.device_loop import DeviceLoop
+from pipeline.loop.loop import Loop
 from pipeline.records.batch import Floats
 from pipeline.theory.device.outline import limits
 
@@ -23,12 +23,12 @@ _SEEN = 0.1
 """Limit, as a share of the largest, of the dampings that say which equivalent dampings to try."""
 
 
-def step_limits(loop: DeviceLoop, beta: Floats, share: float) -> Floats:
+def step_limits(loop: Loop, beta: Floats, share: float) -> Floats:
     """Return the limit at dampings for oscillations as large as a step's way, F_0/(K + k); nan where not valid.
 
     Parameters
     ----------
-    loop : DeviceLoop
+    loop : Loop
     beta : float64, shape (n,)
     share : float
         Friction over the step, f_c/F_0, > 0.

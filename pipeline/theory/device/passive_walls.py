@@ -17,7 +17,7 @@ from __future__ import annotations
 import numpy as np
 
 from pipeline.base.errors import ParameterError
-from pipeline.loop.device_loop import DeviceLoop
+from pipeline.loop.loop import Loop
 from pipeline.records.batch import Floats
 
 _ANGLES = 40
@@ -36,12 +36,12 @@ _ZOOMS = 12
 """Zooms onto the worst angle, each to a quarter: a flat maximum to 1e-13."""
 
 
-def required_damping(loop: DeviceLoop, alpha: Floats, beta: Floats) -> Floats:
+def required_damping(loop: Loop, alpha: Floats, beta: Floats) -> Floats:
     """Return the normalised damping that walls need of the device's near side, shape (n,); 0 at least.
 
     Parameters
     ----------
-    loop : DeviceLoop
+    loop : Loop
         Its delay, lag and filter enter.
     alpha, beta : float64, shape (n,)
 
@@ -68,12 +68,12 @@ def required_damping(loop: DeviceLoop, alpha: Floats, beta: Floats) -> Floats:
     return np.asarray(np.maximum(np.maximum(largest, (4 * near - twice) / 3), 0.0))
 
 
-def passive_outline(loop: DeviceLoop, delta: float) -> tuple[Floats, Floats]:
+def passive_outline(loop: Loop, delta: float) -> tuple[Floats, Floats]:
     """Return the outline of the passive region, alpha and beta, from (0, -delta) on; of zeros where delta is 0."""
     return _reached(loop, delta, np.linspace(-0.5 * np.pi, 0.5 * np.pi, _DIRECTIONS))
 
 
-def stiffest_passive(loop: DeviceLoop, delta: float) -> tuple[float, float]:
+def stiffest_passive(loop: Loop, delta: float) -> tuple[float, float]:
     """Return alpha and beta of the stiffest passive wall; the region is convex, so that it has one peak."""
     low, high = -0.5 * np.pi, 0.5 * np.pi
     for _ in range(_ROUNDS):
@@ -84,7 +84,7 @@ def stiffest_passive(loop: DeviceLoop, delta: float) -> tuple[float, float]:
     return float(alpha[best]), float(beta[best])
 
 
-def _reached(loop: DeviceLoop, delta: float, angle: Floats) -> tuple[Floats, Floats]:
+def _reached(loop: Loop, delta: float, angle: Floats) -> tuple[Floats, Floats]:
     """Return the last passive walls in directions, of which 0 is that of alpha."""
     # dampings are wider than stiffnesses by about the delay: directions are even in alpha (delay + lag + 1/2), beta
     alpha, beta = np.cos(angle) / (loop.delay + loop.lag + 0.5), np.sin(angle)
@@ -92,7 +92,7 @@ def _reached(loop: DeviceLoop, delta: float, angle: Floats) -> tuple[Floats, Flo
     return alpha * reach, beta * reach
 
 
-def _needed(loop: DeviceLoop, alpha: Floats, beta: Floats, angle: Floats) -> Floats:
+def _needed(loop: Loop, alpha: Floats, beta: Floats, angle: Floats) -> Floats:
     u = np.exp(-1j * angle)
     b, a = loop.filter_in_z
     rate = (1 - u) * np.polyval(b[::-1], u) / np.polyval(a[::-1], u)
@@ -102,7 +102,7 @@ def _needed(loop: DeviceLoop, alpha: Floats, beta: Floats, angle: Floats) -> Flo
     return np.asarray(0.5 * (real + np.sqrt(real**2 + np.abs(y) ** 2 * np.maximum(s0 * s2 - np.abs(s1) ** 2, 0.0))))
 
 
-def _alias_sums(loop: DeviceLoop, angle: Floats) -> tuple[Floats, np.ndarray, Floats]:
+def _alias_sums(loop: Loop, angle: Floats) -> tuple[Floats, np.ndarray, Floats]:
     """Return S0, S1, S2: sums over aliases as sums over samples of a ramp behind delay and lag (Poisson)."""
     u = np.exp(-1j * angle)
     first = int(np.ceil(loop.delay))

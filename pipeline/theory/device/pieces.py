@@ -13,7 +13,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.polynomial.legendre import leggauss
 
-from pipeline.loop.device_loop import DeviceLoop
+from pipeline.loop.loop import Loop
 from pipeline.loop.many_digits import Digits, as_exact, as_floats, many_digits
 from pipeline.records.batch import Floats
 
@@ -57,7 +57,7 @@ class Piece:
 
 
 @lru_cache(maxsize=64)
-def pieces(loop: DeviceLoop) -> tuple[Piece, ...]:
+def pieces(loop: Loop) -> tuple[Piece, ...]:
     """Return the pieces of a sampling interval in order."""
     result, offset = [], 0.0
     for segment in loop.segments:
@@ -73,8 +73,8 @@ def pieces(loop: DeviceLoop) -> tuple[Piece, ...]:
 
 
 @lru_cache(maxsize=64)
-def energy_forms(loop: DeviceLoop) -> Floats:
-    """Return what an interval adds to the sums of e^2 and of v^2, as forms of `DeviceLoop.seen`.
+def energy_forms(loop: Loop) -> Floats:
+    """Return what an interval adds to the sums of e^2 and of v^2, as forms of `Loop.seen`.
 
     Shape (2, 2, 3, q, q): position and velocity; integrals of tau^w over the interval, and for w = 0, 1, 2 the first
     sample, or the way to the next, with its weight 1^w.
@@ -99,8 +99,8 @@ def energy_forms(loop: DeviceLoop) -> Floats:
 
 
 @lru_cache(maxsize=64)
-def starts(loop: DeviceLoop) -> tuple[Floats, ...]:
-    """Return the device's state at the start of each piece, and its input, from `DeviceLoop.seen`; (p + 1, q) each."""
+def starts(loop: Loop) -> tuple[Floats, ...]:
+    """Return the device's state at the start of each piece, and its input, from `Loop.seen`; (p + 1, q) each."""
     p, q = len(loop.device[1]), len(loop.device[1]) + len(loop.segments)
     ages, start, result = [segment.age for segment in loop.segments], np.eye(p, q), []
     for piece in pieces(loop):
@@ -110,7 +110,7 @@ def starts(loop: DeviceLoop) -> tuple[Floats, ...]:
     return tuple(result)
 
 
-def _edges(loop: DeviceLoop, duration: float) -> Floats:
+def _edges(loop: Loop, duration: float) -> Floats:
     rates = np.linalg.eigvals(loop.device[0])
     turning = float(np.abs(rates[np.abs(rates.imag) > np.abs(rates.real)]).max(initial=0.0))
     settling = float(np.abs(rates[np.abs(rates.imag) <= np.abs(rates.real)]).max(initial=0.0))
@@ -123,7 +123,7 @@ def _edges(loop: DeviceLoop, duration: float) -> Floats:
     return np.append(np.concatenate(fine), duration)
 
 
-def _motion(loop: DeviceLoop, duration: float) -> tuple[Digits, Digits, Floats]:
+def _motion(loop: Loop, duration: float) -> tuple[Digits, Digits, Floats]:
     """Return transition, gain, and the coefficients of the polynomial through exact places."""
     with many_digits(loop.digits):
         transition, gain = loop.moved(duration / DEGREE)

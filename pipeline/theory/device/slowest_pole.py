@@ -7,7 +7,7 @@ from decimal import Decimal
 
 import numpy as np
 
-from pipeline.loop.device_loop import DeviceLoop
+from pipeline.loop.loop import Loop
 from pipeline.loop.many_digits import Digits, as_exact, derivative, many_digits, power, product, total
 from pipeline.records.batch import Floats
 
@@ -34,13 +34,13 @@ class SlowestPole:
     separation: float
 
 
-def slowest_poles(loop: DeviceLoop, alpha: Floats, beta: Floats) -> list[SlowestPole]:
+def slowest_poles(loop: Loop, alpha: Floats, beta: Floats) -> list[SlowestPole]:
     """Return the slowest pole of each point, alpha and beta of shape (n,)."""
     found = np.linalg.eigvals(loop.matrix(alpha, beta))
     return [_slowest(loop, a, b, z) for a, b, z in zip(alpha, beta, found, strict=True)]
 
 
-def characteristic(loop: DeviceLoop, alpha: float, beta: float) -> Digits:
+def characteristic(loop: Loop, alpha: float, beta: float) -> Digits:
     """Return the characteristic polynomial in w = (z - 1)/(z + 1), lowest power first."""
     g = loop.sampled
     with many_digits(loop.digits):
@@ -50,7 +50,7 @@ def characteristic(loop: DeviceLoop, alpha: float, beta: float) -> Digits:
         return total(product(power(up, g.delay), g.motion, bottom), product(power(down, g.delay), g.force, wall))
 
 
-def _slowest(loop: DeviceLoop, alpha: float, beta: float, poles: np.ndarray) -> SlowestPole:
+def _slowest(loop: Loop, alpha: float, beta: float, poles: np.ndarray) -> SlowestPole:
     size = np.abs(poles)
     candidates = poles[(size >= size.max() * (1 - _NEAR)) & (poles.imag >= 0)]
     polynomial = characteristic(loop, alpha, beta)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from pipeline.loop.device_loop import DeviceLoop
+from pipeline.loop.loop import Loop
 from pipeline.records.batch import Booleans, Floats, Integers
 from pipeline.theory.device.ahead import earlier, outlooks
 from pipeline.theory.device.modes import TOGETHER
@@ -119,7 +119,7 @@ class _Passing:
         return self.start + 0.5 * (low + high) * self.duration
 
 
-def step_costs(loop: DeviceLoop, alpha: Floats, beta: Floats, asked: Asked) -> dict[str, Floats]:
+def step_costs(loop: Loop, alpha: Floats, beta: Floats, asked: Asked) -> dict[str, Floats]:
     """Return settling times and overshoot, named and defined as by `settling_overshoot.transient_costs`."""
     found, everyone = _Found(asked, len(alpha)), Motion(loop, alpha, beta, between=asked.continuous)
     for first in range(0, len(alpha), TOGETHER):
@@ -129,7 +129,7 @@ def step_costs(loop: DeviceLoop, alpha: Floats, beta: Floats, asked: Asked) -> d
     return found.costs()
 
 
-def late_sample(loop: DeviceLoop, alpha: Floats, beta: Floats, first: int, longest: int, faded: float) -> Floats:
+def late_sample(loop: Loop, alpha: Floats, beta: Floats, first: int, longest: int, faded: float) -> Floats:
     """Return the largest deviation of samples from ``first`` on, until all motion is below a share ``faded`` of it."""
     run, largest, calm = Motion(loop, alpha, beta, between=False), np.zeros(len(alpha)), np.zeros(len(alpha))
     for count in _rounds(first - 1, _BLOCK):
@@ -145,7 +145,7 @@ def late_sample(loop: DeviceLoop, alpha: Floats, beta: Floats, first: int, longe
 
 
 def first_reached(
-    loop: DeviceLoop, alpha: Floats, beta: Floats, levels: Sequence[float], longest: int, between: bool
+    loop: Loop, alpha: Floats, beta: Floats, levels: Sequence[float], longest: int, between: bool
 ) -> tuple[Floats, Floats]:
     """Return when a step's motion first reaches deviations below zero, shape (levels, n); nan where it does not.
 

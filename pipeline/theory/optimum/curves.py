@@ -327,11 +327,11 @@ def _late_deviation(loop: Loop, alpha: Floats, beta: Floats, first: Floats) -> F
     for group in np.unique(octave):  # so that a slow line does not make all others be followed as long
         which = np.flatnonzero(octave == group)
         matrix, start = loop.matrix(alpha[which], beta[which]), first[which]
-        state = np.repeat(loop.initial("step")[None, :, None], len(which), axis=0)
+        sensor, state = loop.open_loop[2], loop.starts(alpha[which], "step")[:, :, None]
         most = np.zeros(len(which))
         for k in range(1, max(2 * int(start.max()), int(_DECIDED * (loop.delay + 1))) + 1):
             state = matrix @ state
-            most = np.where(k >= start, np.maximum(most, np.abs(state[:, 0, 0])), most)
+            most = np.where(k >= start, np.maximum(most, np.abs(sensor @ state)[:, 0]), most)
         largest[which] = most
     return largest
 

@@ -13,7 +13,6 @@ from functools import lru_cache, partial
 import numpy as np
 
 from pipeline.base.errors import ParameterError
-from pipeline.loop.device_loop import DeviceLoop
 from pipeline.loop.loop import Loop
 from pipeline.records.batch import Floats, Integers
 from pipeline.records.criteria import CRITERIA, DISCRETE, SETTLING_BANDS, criterion_of, with_discrete
@@ -100,7 +99,7 @@ def optimal_point(loop: Loop, criterion: str) -> OptimalPoint:
 
 def _least(loop: Loop, criterion: str) -> OptimalPoint:
     """Smallest cost inside the stable region or, as a limit, along its edge, where the cost must be continuous."""
-    longest, general = int(_ENDLESS * (loop.delay + 1)), isinstance(loop, DeviceLoop)
+    longest, general = int(_ENDLESS * (loop.delay + 1)), loop.has_parts
 
     def at(place: Floats) -> tuple[Floats, Floats]:
         """The edge by its angle, a general loop's by its damping."""

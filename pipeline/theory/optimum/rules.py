@@ -32,47 +32,6 @@ class MarkedPoint:
     beta: float
 
 
-def _total_stiffness(loop: Loop, alpha: object) -> Floats:
-    total = np.atleast_1d(np.asarray(alpha, dtype=np.float64)) + loop.gamma
-    if not np.all(total >= 0):
-        raise ParameterError("alpha + gamma: expected numbers that are not negative; the wall would push outwards.")
-    return total
-
-
-def critical_damping(loop: Loop, alpha: object) -> Floats:
-    """Return the beta at which wall and device without sampling and delay are critically damped.
-
-    Parameters
-    ----------
-    loop : Loop
-        Only gamma and delta enter.
-    alpha : array_like, shape (n,)
-        Normalised virtual stiffness, alpha + gamma >= 0.
-
-    Raises
-    ------
-    ParameterError
-        If alpha + gamma is negative.
-
-    Notes
-    -----
-    A rule of continuous time: for walls stiffer than the optimum it is not even stable (5.3).
-
-    Source: Hulin 2017, eq. 5.17: beta + delta = 2 sqrt(alpha + gamma).
-    """
-    return np.asarray(2 * np.sqrt(_total_stiffness(loop, alpha)) - loop.delta)
-
-
-def optimal_damping(loop: Loop, alpha: object) -> Floats:
-    """Return the beta at which wall and device without sampling and delay have the damping ratio 1/sqrt(2).
-
-    Parameters, errors and validity are those of `critical_damping`.
-
-    Source: Hulin 2017, eq. 5.17: beta + delta = sqrt(2 (alpha + gamma)).
-    """
-    return np.asarray(np.sqrt(2 * _total_stiffness(loop, alpha)) - loop.delta)
-
-
 def marked_point(loop: Loop, name: str) -> MarkedPoint:
     """Return the stable point of largest stiffness or damping, or the Ziegler-Nichols point.
 
@@ -169,15 +128,3 @@ def approximate_cost(criterion: str, delay: object, factor: float | None = None)
         raise ParameterError("delay: expected numbers that are not negative.")
     scale = scaling_factor(criterion) if factor is None else factor
     return np.asarray((d + 1) ** cost_exponent(criterion) * scale)
-
-
-def approximation_error(criterion: str, delay: object, factor: float | None = None) -> Floats:
-    """Return the relative error rho of `approximate_cost` against the exact optimal cost at gamma = delta = 0.
-
-    Parameters and errors as for `approximate_cost`; shape (n,), as the delays.
-
-    Source: Hulin 2017, eq. 5.20.
-    """
-    d = np.atleast_1d(np.asarray(delay, dtype=np.float64))
-    exact = np.array([optimal_cost(Loop(0.0, 0.0, float(value)), criterion) for value in d])
-    return np.asarray(approximate_cost(criterion, d, factor) / exact - 1)

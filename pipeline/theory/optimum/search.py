@@ -24,7 +24,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.base.errors import ParameterError
-from pipeline.loop.device_loop import DeviceLoop
 from pipeline.loop.loop import Loop
 from pipeline.records.batch import Floats
 from pipeline.theory.device.outline import limits
@@ -108,7 +107,7 @@ def box(loop: Loop, inset: float = _INSET) -> tuple[Floats, Floats]:
 
 def region(loop: Loop, inset: float = _INSET) -> tuple[Floats, Floats]:
     """Return the corners of the stable region in the coordinates of `chart`."""
-    return (np.array([inset, 0.0]), np.ones(2)) if isinstance(loop, DeviceLoop) else box(loop, inset)
+    return (np.array([inset, 0.0]), np.ones(2)) if loop.has_parts else box(loop, inset)
 
 
 def chart(loop: Loop) -> Chart:
@@ -117,7 +116,7 @@ def chart(loop: Loop) -> Chart:
     Of a general one the share of alpha + gamma in its limit, and the way along the outline as a share of its length,
     with the region's height and width as units.
     """
-    if not isinstance(loop, DeviceLoop):
+    if not loop.has_parts:
         return lambda alpha, beta: (alpha, beta)
     border = boundary(loop)
     reach = border.beta[-1] - border.beta[0], border.alpha_max + loop.gamma

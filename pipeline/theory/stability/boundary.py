@@ -11,13 +11,18 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pipeline.base.errors import ParameterError
-from pipeline.loop.device_loop import DeviceLoop
 from pipeline.loop.loop import Loop
 from pipeline.records.batch import Floats
 from pipeline.theory.device.outline import outline
-from pipeline.theory.stability.extent import smooth_levels, stiffest_point
+from pipeline.theory.stability.extent import damping_range, smooth_levels, stiffest_point
 from pipeline.theory.stability.region import region, stable_intervals
 from pipeline.theory.stability.stability import bisect, boundary_points
+
+_FEWEST = 8
+"""Points of an outline of which only the islands are asked for: they are known whatever its points."""
+
+_LEVELS = 241
+"""Dampings at which an ideal loop's second stable stretches are looked for; those of two springs are wide."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +77,7 @@ def boundary(loop: Loop, points: int = 400) -> Boundary:
     """
     if points < 8:
         raise ParameterError(f"points = {points}: expected at least 8.")
-    if isinstance(loop, DeviceLoop):
+    if loop.has_parts:
         return _of_device(loop, points)
     first = region(loop).first
     if first is None or first.high[-1] < 0:  # several branches, or an end that only counts its angle from pi
@@ -98,7 +103,15 @@ def boundary(loop: Loop, points: int = 400) -> Boundary:
     )
 
 
-def _of_device(loop: DeviceLoop, points: int) -> Boundary:
+def has_islands(loop: Loop) -> bool:
+    """Return whether walls are stable somewhere beyond an unstable stretch of softer ones, down to alpha -> 0."""
+    if loop.has_parts:
+        return len(outline(loop, _FEWEST).islands) > 0
+    found = stable_intervals(loop, np.linspace(*damping_range(loop), _LEVELS))
+    return bool((found.low > 0).any())
+
+
+def _of_device(loop: Loop, points: int) -> Boundary:
     """Boundary of a general loop over beta; its angles are not given."""
     found = outline(loop, points)
     if not len(found.beta):

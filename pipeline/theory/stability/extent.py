@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pipeline.base.errors import ParameterError
-from pipeline.loop.loop import Loop, as_points
+from pipeline.loop.loop import Loop
 from pipeline.records.batch import Booleans, Floats
 from pipeline.theory.stability.branches import Cells, curve_points
 from pipeline.theory.stability.region import Region, region, solve, stable_intervals, stiffness_limit
@@ -81,65 +81,6 @@ def stiffest_point(loop: Loop) -> tuple[float, float]:
         reach = 0.2 * (high - low)
         low, high = max(low, at - 0.5 * reach), min(high, at + 0.5 * reach)
     return peak, at
-
-
-def maximum_stiffness(delays: object, gamma: float, delta: float) -> tuple[Floats, Floats]:
-    """Return alpha_max and its beta over delay factors d, shape (n,) each.
-
-    Source: Hulin 2017, Figs. 3.9 and 4.4(a), Tables B.1 to B.4.
-    """
-    d, _ = as_points(delays, 0.0)
-    found = np.array([stiffest_point(Loop(gamma, delta, float(value))) for value in d]).reshape(len(d), 2)
-    return found[:, 0], found[:, 1]
-
-
-def linear_error(loop: Loop, beta: object) -> Floats:
-    """Return the relative error of the linear condition at each beta, with its sign.
-
-    (alpha_lin - alpha)/(alpha + gamma), alpha_lin = (beta + delta)/(1/2 + d) and alpha on the boundary; (3.28) is its
-    modulus. Positive where the linear condition calls unstable walls stable; nan where no alpha is stable. Beta and
-    result have the shape (n,).
-
-    Raises
-    ------
-    ParameterError
-        If a beta is not finite.
-
-    Source: Hulin 2017, eqs. 3.27 and 3.28, Fig. 3.11.
-    """
-    _, b = as_points(0.0, beta)
-    limit = stiffness_limit(loop, b)
-    limit[limit == -np.inf] = np.nan
-    return ((b + loop.delta) / (0.5 + loop.delay) - limit) / (limit + loop.gamma)
-
-
-def linear_error_crossings(loop: Loop, level: float) -> tuple[Floats, Floats]:
-    """Return the boundary points (alpha, beta), upwards, at which the error of the linear condition is a level.
-
-    Parameters
-    ----------
-    loop : Loop
-    level : float
-        Modulus (3.28), >= 0: 0, 0.02 and 0.05 are the circles, triangles and squares of Fig. 3.11.
-
-    Source: Hulin 2017, eq. 3.28 and Fig. 3.11.
-    """
-    bottom, top = damping_range(loop)
-    x = 0.5 * (1 - np.cos(np.pi * (np.arange(_SWEEP) + 0.5) / _SWEEP))  # dense at both ends
-    levels = bottom + (top - bottom) * x
-    roots = []
-    for sign in (1.0, -1.0) if level > 0 else (1.0,):
-        above = linear_error(loop, levels) > sign * level
-        at = np.flatnonzero(above[1:] != above[:-1])
-        good = np.where(above[at], levels[at], levels[at + 1])
-        bad = np.where(above[at], levels[at + 1], levels[at])
-        roots.append(bisect(partial(_exceeds, loop, sign * level), good, bad)[0])
-    b = np.sort(np.concatenate(roots))
-    return stiffness_limit(loop, b), b
-
-
-def _exceeds(loop: Loop, level: float, beta: Floats) -> Booleans:
-    return np.asarray(linear_error(loop, beta) > level)
 
 
 def _any_stable(loop: Loop, beta: Floats) -> Booleans:

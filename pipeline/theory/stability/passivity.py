@@ -16,7 +16,6 @@ import numpy as np
 from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import LARGEST_DELAY, as_points
 from pipeline.records.batch import Floats
-from pipeline.theory.stability.extent import maximum_stiffness
 
 _SERIES = 0.1
 """Largest (d + 1) w for the power series of the boundary near w = 0, where the closed form loses w^2 relative to 1."""
@@ -79,34 +78,6 @@ def _rest(a: float, w: Floats) -> Floats:
     for order in range(11, 1, -2):
         total = (1 - x * total) / (order * (order - 1)) if order > 3 else -(a**3) * (1 - x * total) / 6
     return total
-
-
-def maximum_passive_stiffness(delays: object) -> tuple[Floats, Floats]:
-    """Return the largest passive K T/b and its B/b over delay factors d, shape (n,) each.
-
-    Source: Hulin 2017, eq. 4.11 and Fig. 4.2.
-    """
-    d, _ = as_points(delays, 0.0)
-    for value in d:
-        _checked(float(value))
-    quarter = 0.25 * np.pi / (d + 1)
-    # cos(pi d/(2 (d + 1))) = sin(pi/(2 (d + 1))): 4.11 becomes 2 tan
-    stiffness = 2 * np.tan(quarter)
-    damping = np.where(d == 0, 0.0, (np.cos(2 * quarter) - d / (d + 1)) / np.sin(2 * quarter))
-    return stiffness, damping
-
-
-def passive_to_stable(delays: object, gamma: float, delta: float) -> Floats:
-    """Return the ratio eta of the largest passive to the largest stable stiffness over delay factors, shape (n,).
-
-    Raises
-    ------
-    ParameterError
-        If a parameter is out of range, or no wall is stable.
-
-    Source: Hulin 2017, Fig. 4.4; eta = alpha_max(passive)/alpha_max(stable).
-    """
-    return delta * maximum_passive_stiffness(delays)[0] / maximum_stiffness(delays, gamma, delta)[0]
 
 
 def _checked(delay: float) -> float:

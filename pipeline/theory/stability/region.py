@@ -15,7 +15,6 @@ from functools import lru_cache
 
 import numpy as np
 
-from pipeline.loop.device_loop import DeviceLoop
 from pipeline.loop.loop import Loop, as_points
 from pipeline.records.batch import Booleans, Floats
 from pipeline.theory.device.crossings import stretches
@@ -245,7 +244,7 @@ class Intervals:
 def stable_intervals(loop: Loop, beta: object) -> Intervals:
     """Return the intervals of alpha that are stable at each beta, array_like of shape (n,)."""
     _, b = as_points(0.0, beta)
-    if isinstance(loop, DeviceLoop):
+    if loop.has_parts:
         found = stretches(loop, b)
         return Intervals.plain(found.index, found.low, found.high)
     r = region(loop)
@@ -318,7 +317,7 @@ def is_inside(loop: Loop, alpha: object, beta: object) -> Booleans:
     Source: Hulin 2017, sec. 3.4.
     """
     a, b = as_points(alpha, beta)
-    if isinstance(loop, DeviceLoop):
+    if loop.has_parts:
         return np.asarray(_margins(loop, a, b) > 0)
     r = region(loop)
     if r.first is None:

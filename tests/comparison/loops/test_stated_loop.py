@@ -8,7 +8,7 @@ from general_devices import Example, ManyDigits
 from pipeline.comparison.compare import compare
 from pipeline.device_data.devices import read_device
 from pipeline.intake.ingest import ingest
-from pipeline.loop.device_loop import general, loop_of, wall_units
+from pipeline.loop.device_loop import loop_of, wall_units
 from pipeline.records.loop_parts import LoopParts
 from pipeline.simulation.course import run_course, write_course
 from pipeline.theory.stability.region import stiffness_limit
@@ -177,6 +177,6 @@ def test_what_the_wall_feels_is_the_same_loop():
     limits = []
     for numbers, some in ((whole, parts), ((mass, damping, stiffness), left)):
         units = wall_units(numbers[0], 1e-3, some)
-        loop = general(loop_of(*numbers, 2.4, 1e-3, some))
+        loop = loop_of(*numbers, 2.4, 1e-3, some)
         limits.append(stiffness_limit(loop, wall / units.damping) * units.stiffness)
     np.testing.assert_allclose(limits[0], limits[1], rtol=1e-9)

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from pipeline.loop.device_loop import DeviceLoop, Vibration
+from pipeline.loop.loop import Loop, Vibration
 from pipeline.measured.ladder.open_loop import Commands, pulse_response
 
 FAR, SPRING, DAMPER = 0.3, 0.02, 0.004
 
 
-def motion(command: np.ndarray, loop: DeviceLoop, rows: int) -> np.ndarray:
+def motion(command: np.ndarray, loop: Loop, rows: int) -> np.ndarray:
     """Motor and load of unit mass together, each moved by its own forces; time in samples."""
     near = 1.0 - FAR if loop.mode else 1.0
 
@@ -42,7 +42,7 @@ def motion(command: np.ndarray, loop: DeviceLoop, rows: int) -> np.ndarray:
 @pytest.mark.parametrize("sensor_far", [None, False, True])
 def test_positions_are_those_of_a_fine_integration(delay, lag, sensor_far):
     mode = None if sensor_far is None else Vibration(FAR, SPRING, DAMPER, sensor_far)
-    loop = DeviceLoop(0.003, 0.01, delay, lag, mode)
+    loop = Loop(0.003, 0.01, delay, lag, mode)
     command = np.random.default_rng(1).normal(size=(2, 25))
     found = Commands.of(command).response(loop)
     for row, u in zip(found, [*command, np.ones(25)], strict=True):
@@ -52,4 +52,4 @@ def test_positions_are_those_of_a_fine_integration(delay, lag, sensor_far):
 
 
 def test_a_command_that_comes_after_the_log_moves_nothing():
-    assert not pulse_response(DeviceLoop(0.0, 0.01, 30.0), 20).any()
+    assert not pulse_response(Loop(0.0, 0.01, 30.0), 20).any()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.loop.device_loop import general, loop_of
+from pipeline.loop.device_loop import loop_of
 from pipeline.measured.ladder.open_loop import Commands
 from pipeline.measured.ladder.sliding import sliding
 from pipeline.records.loop_parts import Friction, LoopParts, Mode
@@ -50,7 +50,7 @@ def test_motion_is_that_of_the_simulator(lag, mode, delay, off):
         reduced, turn = mode.mass * near / MASS, 2 * np.pi * mode.frequency_hz
         spring, damper = reduced * turn**2, 2 * mode.damping_ratio * turn * reduced
     coulomb = np.array([0.4, 0.9])
-    loop = general(loop_of(MASS, DAMPING, STIFFNESS, delay, T, LoopParts(actuator_lag_s=lag, mode=mode)))
+    loop = loop_of(MASS, DAMPING, STIFFNESS, delay, T, LoopParts(actuator_lag_s=lag, mode=mode))
     for seed in (1, 2):
         command = commands(seed)
         found = T**2 / MASS * sliding([loop, loop], coulomb, np.stack([command, command]), np.zeros(2))
@@ -63,7 +63,7 @@ def test_motion_is_that_of_the_simulator(lag, mode, delay, off):
 
 
 def test_without_friction_it_is_the_linear_motion():
-    loop = general(loop_of(MASS, DAMPING, 0.0, 2.3, T, LoopParts()))
+    loop = loop_of(MASS, DAMPING, 0.0, 2.3, T, LoopParts())
     command = commands(3)
     linear = Commands.of(command).response(loop)[:-1]
     (found,) = sliding([loop], np.zeros(1), command[None], np.zeros(1))

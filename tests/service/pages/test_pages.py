@@ -13,7 +13,7 @@ from pipeline.service.database import Database
 from pipeline.service.settings import Settings
 
 PAGES = ("/", "/devices/falcon", "/devices/falcon/experiments/1", "/trials?sort=-stiffness", "/compare?runs=falcon/1",
-         "/upload", "/jobs", "/quarantine", "/reports", "/login", "/nothing")  # fmt: skip
+         "/upload", "/jobs", "/quarantine", "/reports", "/audit", "/api", "/login", "/nothing")  # fmt: skip
 
 
 @pytest.mark.parametrize("path", PAGES)
@@ -32,7 +32,9 @@ def test_the_experiment_page_has_the_numbers_of_the_api(served, falcon):
     shown = [float(word) for word in re.findall(r"\d[\d.]*(?=[< ])", row)][:3]
     assert shown == pytest.approx([estimate["value"], estimate["low"], estimate["high"]], rel=1e-3)
     trials = falcon.stages("1").trials.num_rows
-    assert text.count('<circle class="mark"') + text.count('<path class="mark"') == trials
+    # those behind no wall lie beyond the axes
+    assert 0.9 * trials <= text.count('class="hit"') <= trials
+    assert "limit by theory" in text
 
 
 def test_lists_turn_pages_and_keep_their_state(served):
@@ -63,7 +65,7 @@ def test_a_trial_page_offers_its_samples(served):
 def test_a_trial_page_draws_theory_and_fits_once(served):
     trial = served.get("trials?limit=1&verdict=stable&sort=-stiffness").content["items"][0]["id"]
     first = page(served, f"/trials/{trial}")
-    assert first.count("<svg") == 1
+    assert "<svg" not in first
     job = re.search(r'href="/jobs/(\w+)"', first)[1]
     assert 'http-equiv="refresh"' in first
     assert served.done(job)["problem"] is None
@@ -77,11 +79,11 @@ def test_a_trial_page_draws_theory_and_fits_once(served):
     assert served.get("jobs?limit=1").content["items"][0]["id"] == job
 
 
-def test_a_read_only_server_shows_what_was_measured(falcon, tmp_path):
+def test_a_read_only_server_says_what_was_not_drawn(falcon, tmp_path):
     with serving(Settings(falcon.processed, tmp_path / "reports", read_only=True)) as client:
         trial = client.get("trials?limit=1").content["items"][0]["id"]
         text = page(client, f"/trials/{trial}")
-        assert text.count("<svg") == 1
+        assert "samples.csv" in text
         assert "cannot be drawn: This was not computed yet, and the server is read-only." in text
 
 
@@ -147,8 +149,8 @@ def test_forms_of_a_browser(tmp_path, logs):
         words = {"of": ["experiment", "falcon", "1"], "notes": "stiff\r\nspring", "tags": "a, b,,"}
         answer = browser.send("/words", "/devices/falcon/experiments/1", **words)
         assert (answer.status, answer.headers["location"]) == (303, "/devices/falcon/experiments/1")
-        assert client.get("experiments/falcon/1/notes").content == {"text": "stiff\nspring"}
-        assert client.get("experiments/falcon/1/tags").content == {"tags": ["a", "b"]}
+        assert client.get("experiments/falcon/1/notes").content["text"] == "stiff\nspring"
+        assert client.get("experiments/falcon/1/tags").content["tags"] == ["a", "b"]
         assert browser.send("/words", "/upload", of=["trial", "none"]).status == 404
         assert browser.send("/words", "/upload", of="nothing").status == 422
         assert browser.send("/compare", "/upload", device="nobody").status == 404
@@ -224,8 +226,11 @@ def test_pages_in_a_browser(served, tmp_path):
         pytest.skip("no chromium")
     served.get("experiments/falcon/1/estimates")
     trial = served.get("trials?limit=1&verdict=stable").content["items"][0]["id"]
-    page(served, f"/trials/{trial}")
-    served.all_done()  # a page that waits for figures loads itself again
+    for path in (*PAGES[:-1], f"/trials/{trial}"):
+        page(served, path)
+        served.all_done()  # a page that waits for figures loads itself again
+        page(served, path)
+        served.all_done()  # and for the next wall
     problems = []
     with sync.sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"])

@@ -23,8 +23,8 @@ from independent import (
 
 from pipeline.base.errors import ParameterError
 from pipeline.loop.loop import Loop, Normalised
-from pipeline.theory.cost.doubling import weighted_sums
 from pipeline.theory.cost.energy import energy_costs
+from pipeline.theory.cost.refinement import weighted_sums
 from pipeline.theory.stability.boundary import boundary
 
 RANDOM = stable_walls(random_loops(60, seed=21), each=5, seed=22, slowest=0.85)

@@ -39,7 +39,7 @@ def test_long_delays_against_the_motion_stepped_through_time(plant, signal):
 
 @pytest.mark.parametrize("signal", ["step", "impulse"])
 @pytest.mark.parametrize("loop", MIXED, ids=str)
-def test_equations_and_doubling_agree(loop, signal):
+def test_equations_and_doubling_agree(loop, signal, monkeypatch):
     """Random points, some close to the corner alpha = -gamma; rounding of the poles alone allows 1e-11 there."""
     rng = np.random.default_rng(77)
     box = bounding_box(loop)
@@ -49,9 +49,11 @@ def test_equations_and_doubling_agree(loop, signal):
     alpha, beta = alpha[chosen], beta[chosen]
     sums = energy.lag_sums(loop, alpha, beta, signal)
     assert sums.trusted.mean() > 0.95
-    expected = energy._energy_by_doubling(loop, alpha, beta, signal)
-    for name, values in energy._energy_of_sums(loop, alpha, sums, signal).items():
-        np.testing.assert_allclose(values[sums.trusted], expected[name][sums.trusted], rtol=2e-11, err_msg=name)
+    found = energy.energy_costs(loop, alpha, beta, signal)
+    for limit in ("_FEW", "_SHORT"):
+        monkeypatch.setattr(energy, limit, 10**6)
+    for name, expected in energy.energy_costs(loop, alpha, beta, signal).items():
+        np.testing.assert_allclose(found[name], expected, rtol=2e-11, err_msg=name)
 
 
 def test_points_in_any_order_and_number_have_the_same_energies():

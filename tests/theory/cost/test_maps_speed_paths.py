@@ -37,24 +37,12 @@ def stable_points(loop, count, seed, nearest=1e-4):
     return alpha[chosen], beta[chosen], radius[chosen]
 
 
-@pytest.mark.parametrize("signal", ["step", "impulse"])
-@pytest.mark.parametrize("loop", LOOPS, ids=str)
-def test_linear_equations_give_the_energies_of_doubling(loop, signal):
-    alpha, beta, _ = stable_points(loop, 300, 1)
-    assert len(alpha) > 20
-    sums = energy.lag_sums(loop, alpha, beta, signal)
-    assert sums.trusted.mean() > 0.8
-    found = energy._energy_of_sums(loop, alpha, sums, signal)
-    expected = energy._energy_by_doubling(loop, alpha, beta, signal)
-    for name, values in found.items():
-        np.testing.assert_allclose(values[sums.trusted], expected[name][sums.trusted], rtol=1e-10, err_msg=name)
-
-
 @pytest.mark.parametrize("loop", LOOPS[:5], ids=str)
-def test_linear_equations_give_the_plain_sums_over_samples(loop):
+def test_linear_equations_give_the_plain_sums_over_samples(loop, monkeypatch):
     alpha, beta, _ = stable_points(loop, 120, 2, nearest=0.03)
-    found = energy._energy_of_sums(loop, alpha, energy.lag_sums(loop, alpha, beta, "step"), "step")
-    z = np.tile(loop.initial("step"), (len(alpha), 1))
+    monkeypatch.setattr(energy, "_FEW", 0)
+    found = energy.energy_costs(loop, alpha, beta, "step")
+    z = loop.starts(alpha, "step")
     matrix, before = loop.matrix(alpha, beta), z[:, 0]
     sums = np.zeros((3, len(alpha)))
     for k in range(1500):
@@ -113,7 +101,7 @@ def test_slow_modes_are_the_poles_and_reproduce_the_motion():
     loop = Loop(0, 0, 4)
     alpha, beta, _ = stable_points(loop, 200, 4)
     matrix = loop.matrix(alpha, beta)
-    z = np.tile(loop.initial("step"), (len(alpha), 1))
+    z = loop.starts(alpha, "step")
     motion = [z[:, 0]]
     for _ in range(150):
         z = np.einsum("nij,nj->ni", matrix, z)
@@ -147,7 +135,7 @@ def test_a_later_sample_may_exceed_the_samples_so_far():
     """The motion's largest excess comes first, 0.94355; no sample meets it, and the 93rd comes closest."""
     loop, beta = Loop(0, 0, 1), 0.2041052336331193
     alpha = 0.10468793422177697 * np.linspace(1, 0.999, 300)
-    state, matrix = np.tile(loop.initial("step"), (300, 1)), loop.matrix(alpha, np.full(300, beta))
+    state, matrix = loop.starts(alpha, "step"), loop.matrix(alpha, np.full(300, beta))
     largest = np.zeros(300)
     for _ in range(20000):
         state = (matrix @ state[..., None])[..., 0]

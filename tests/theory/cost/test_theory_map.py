@@ -11,7 +11,7 @@ from pipeline.base.errors import ParameterError, PipelineError
 from pipeline.loop.loop import Loop
 from pipeline.theory import cases as theory
 from pipeline.theory.cost import map_file, theory_map
-from pipeline.theory.cost.energy import _energy_by_doubling
+from pipeline.theory.cost.energy import energy_costs
 from pipeline.theory.cost.settling_overshoot import transient_costs
 from pipeline.theory.cost.theory_map import CostMap
 from pipeline.theory.stability import stability
@@ -136,7 +136,7 @@ def test_blocks_of_any_size_give_the_same_map(loop, names):
     columns = {name: whole.column(name).to_numpy() for name in whole.column_names}
     some = np.random.default_rng(13).choice(np.flatnonzero(columns["energy_step_w0"] > 0), 40, replace=False)
     alpha, beta = columns["alpha"][some], columns["beta"][some]
-    expected = _energy_by_doubling(loop, alpha, beta, "step") | _energy_by_doubling(loop, alpha, beta, "impulse")
+    expected = energy_costs(loop, alpha, beta, "step") | energy_costs(loop, alpha, beta, "impulse")
     expected |= transient_costs(loop, alpha, beta, (0.02,), longest=2000, quiet=1e-13)
     steady = np.isfinite(expected["settle_2pct"] + expected["overshoot"])  # the plain march gives up slow points
     assert steady.sum() > 25

@@ -24,7 +24,7 @@ from independent import (
     stable_walls,
 )
 
-import pipeline.theory.cost.settling_overshoot
+import pipeline.theory.device.step_response
 from pipeline.base.errors import ParameterError
 from pipeline.loop.device_loop import loop_of
 from pipeline.loop.loop import Loop, Normalised
@@ -173,7 +173,7 @@ def test_ending_a_response_early_changes_nothing(
     alpha, beta = alpha[keep], beta[keep]
     assert len(alpha) > 20
     early = transient_costs(loop, alpha, beta)
-    monkeypatch.setattr(pipeline.theory.cost.settling_overshoot, "_SETTLED", 1e-6)
+    monkeypatch.setattr(pipeline.theory.device.step_response, "_SETTLED", 1e-6)
     late = transient_costs(loop, alpha, beta, quiet=1e-15)
     for name, values_ in early.items():
         np.testing.assert_allclose(values_, late[name], rtol=1e-12, atol=1e-12, err_msg=name)

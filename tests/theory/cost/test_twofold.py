@@ -47,19 +47,26 @@ def test_decimals_keep_twice_the_digits() -> None:
     "loop", [Loop(9.8, 0.3, 0.25), Loop(0.0, 0.0, 0.0), Loop(1e-16, 1e-16, 3.0), Loop(4.0, 1000.0, 1.7), Loop(3, 9, 2)]
 )
 def test_rows_of_the_loop_matrix_have_twice_the_digits(loop: Loop) -> None:
-    alpha, beta = 0.3, 0.1
+    """States: position, velocity, last position, forces."""
+    alpha, beta, whole = 0.3, 0.1, int(loop.delay)
     rows, columns = _matrix_rows(loop, np.array([alpha]), np.array([beta]))
-    found = dict(zip(columns, rows[:, 0].transpose(2, 1, 0).tolist(), strict=True))
-    whole = int(loop.delay)
     with mp.workdps(50):
         fraction = mp.mpf(loop.delay) - whole
         first, late = (flow_in_many_digits(loop.gamma, loop.delta, time) for time in (fraction, 1 - fraction))
-        truth = {column: [(late * first)[i, column] for i in (0, 1)] for column in (0, 1)}
-        old = [late[i, 0] * first[0, 2] + late[i, 1] * first[1, 2] for i in (0, 1)]
-        for age, push in ((whole, [late[i, 2] for i in (0, 1)]), (whole + 1, old)):
-            for place, factor in ((age + 1 if age else 0, -mp.mpf(alpha) - mp.mpf(beta)), (age + 2, mp.mpf(beta))):
-                term = [factor * value for value in push]
-                truth[place] = [p + q for p, q in zip(truth.get(place, [0, 0]), term, strict=True)]
-        for column, pair in found.items():
-            for (high, low), true in zip(pair, truth[column], strict=True):
-                assert abs(mp.mpf(high) + mp.mpf(low) - true) <= abs(true) * mp.mpf(10) ** -30, (loop, column)
+        move = late * first
+        pushes = {whole: [late[i, 2] for i in (0, 1)]}
+        if fraction:
+            pushes[whole + 1] = [late[i, 0] * first[0, 2] + late[i, 1] * first[1, 2] for i in (0, 1)]
+        law = {0: -mp.mpf(alpha) - mp.mpf(beta), 2: mp.mpf(beta)}
+        truth = {(i, j): move[i, j] for i in (0, 1) for j in (0, 1)} | {(2, 0): mp.mpf(1)}
+        for age, push in pushes.items():
+            for i in (0, 1):
+                terms = {j: push[i] * value for j, value in law.items()} if age == 0 else {2 + age: push[i]}
+                for j, term in terms.items():
+                    truth[i, j] = truth.get((i, j), mp.mpf(0)) + term
+        if len(rows[0, 0]) > 3:
+            truth |= {(3, j): value for j, value in law.items()}
+        for i, row in enumerate(rows[:, 0].transpose(1, 2, 0).tolist()):
+            for column, (high, low) in zip(columns, row, strict=True):
+                true = truth.get((i, column), mp.mpf(0))
+                assert abs(mp.mpf(high) + mp.mpf(low) - true) <= abs(true) * mp.mpf(10) ** -30, (loop, i, column)

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from general_devices import EXTREMES, random_device
 
-from pipeline.loop.device_loop import DeviceLoop, general, loop_of
+from pipeline.loop.device_loop import loop_of
+from pipeline.loop.loop import Loop
 from pipeline.theory.cost.settling_overshoot import transient_costs
 from pipeline.theory.device import ahead
 from pipeline.theory.device.outline import limits, outline
@@ -16,7 +17,7 @@ SLOWEST = 0.995
 def points(rng, kind):
     """A random device and walls that settle within some thousand samples, one without damping among them."""
     while True:
-        loop = general(loop_of(*random_device(rng, kind).arguments))
+        loop = loop_of(*random_device(rng, kind).arguments)
         found = outline(loop, 8)
         if not len(found.beta):
             continue
@@ -59,7 +60,7 @@ def test_so_are_parts_of_them(options, monkeypatch):
 
 
 def test_a_wall_next_to_its_limit_settles_when_its_slowest_pole_says():
-    loop = DeviceLoop(0.0, 0.01, 2.0, lag=1.0)
+    loop = Loop(0.0, 0.01, 2.0, lag=1.0)
     beta = np.array([0.15])
     alpha = limits(loop, beta).alpha * (1 - 1e-7)
     pole = np.abs(np.linalg.eigvals(loop.matrix(alpha, beta))[0]).max()
@@ -73,7 +74,7 @@ def test_a_wall_next_to_its_limit_settles_when_its_slowest_pole_says():
 @pytest.mark.parametrize("seed", [8, 9, 10])
 def test_walls_next_to_the_limit_end(seed):
     """The envelope may lie so far above the slow motion that the window before its end is too long to follow."""
-    loop = general(loop_of(*random_device(np.random.default_rng(seed), "").arguments))
+    loop = loop_of(*random_device(np.random.default_rng(seed), "").arguments)
     beta = np.linspace(*outline(loop, 8).beta[[0, -1]], 7)[1:-1]
     alpha = limits(loop, beta, exact=True).alpha
     near = np.concatenate([alpha * (1 - 1e-9), alpha * 0.3])

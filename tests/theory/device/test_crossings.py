@@ -8,7 +8,7 @@ import pytest
 from general_devices import EXTREMES, Example, ManyDigits, random_device
 
 from pipeline.base.errors import ParameterError
-from pipeline.loop.device_loop import DeviceLoop, general, loop_of, wall_units
+from pipeline.loop.device_loop import loop_of, wall_units
 from pipeline.loop.loop import Loop
 from pipeline.loop.many_digits import as_exact, many_digits, product
 from pipeline.records.loop_parts import Coefficients, LoopParts
@@ -29,7 +29,7 @@ def many():
 def checked(example: Example, rng: np.random.Generator) -> int:
     """Hold the limit at a random damping; returns whether there was one."""
     loop, units = (
-        general(loop_of(*example.arguments)),
+        loop_of(*example.arguments),
         wall_units(example.mass, example.sampling_period_s, example.parts),
     )
     found = outline(loop, 8)
@@ -67,7 +67,7 @@ def test_stable_stretches_are_those_of_the_poles():
     """Verdicts over the plane, islands included, against eigenvalues."""
     rng, islands = np.random.default_rng(3), 0
     for _ in range(40):
-        loop = general(loop_of(*random_device(rng).arguments))
+        loop = loop_of(*random_device(rng).arguments)
         found = outline(loop, 8)
         top = found.alpha_max if len(found.beta) else 0.1
         islands += len(found.islands) > 0
@@ -84,7 +84,7 @@ def test_stable_stretches_are_those_of_the_poles():
     ("gamma", "delta", "delay"), [(0, 0.01, 2.0), (1e-3, 0.05, 3.4), (0, 0, 0.6), (0.02, 0.3, 0.0)]
 )
 def test_general_loop_equals_the_ideal_one(gamma, delta, delay):
-    ideal, loop = Loop(gamma, delta, delay), DeviceLoop(gamma, delta, delay)
+    ideal, loop = Loop(gamma, delta, delay), Loop(gamma, delta, delay)
     border = boundary(ideal)
     beta = np.linspace(0.02, 0.98, 60) * border.beta_max
     expected = stiffness_limit(ideal, beta)
@@ -108,12 +108,12 @@ def test_ideal_closed_forms_refuse_a_general_loop():
     from pipeline.theory.stability.stability import sampled_plant
 
     with pytest.raises(ParameterError, match="ideal loops only"):
-        sampled_plant(DeviceLoop(0.0, 0.01, 2.0, lag=1.0))
+        sampled_plant(Loop(0.0, 0.01, 2.0, lag=1.0))
 
 
 def test_a_loop_that_nothing_stabilises_has_an_empty_outline():
     of_change = Coefficients(kind="coefficients", b=(1.0, -1.0), a=(1.0,))  # no damping at low frequencies
-    found = outline(DeviceLoop(0.0, 0.0, 5.0, lag=3.0, velocity=of_change))
+    found = outline(Loop(0.0, 0.0, 5.0, lag=3.0, velocity=of_change))
     assert len(found.beta) == 0
     assert np.isnan(found.alpha_max)
 
@@ -123,7 +123,7 @@ def test_a_loop_that_nothing_stabilises_has_an_empty_outline():
 )
 def test_loops_out_of_range_are_refused(arguments):
     with pytest.raises(ParameterError, match="expected"):
-        DeviceLoop(**{"gamma": 0.0, "delta": 0.01, "delay": 2.0, **arguments})
+        Loop(**{"gamma": 0.0, "delta": 0.01, "delay": 2.0, **arguments})
 
 
 def test_all_positive_roots_are_found():

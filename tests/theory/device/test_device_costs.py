@@ -10,8 +10,8 @@ from scipy.integrate import simpson
 from scipy.interpolate import CubicHermiteSpline
 from scipy.linalg import expm
 
-from pipeline.loop.device_loop import DeviceLoop, Vibration, general, loop_of, wall_units
-from pipeline.loop.loop import Loop
+from pipeline.loop.device_loop import loop_of, wall_units
+from pipeline.loop.loop import Loop, Vibration
 from pipeline.records.loop_parts import Butterworth
 from pipeline.theory.cost.energy import energy_costs
 from pipeline.theory.cost.pointcosts import point_costs_by_name
@@ -20,7 +20,7 @@ from pipeline.theory.device.outline import outline
 from pipeline.theory.device.slowest_pole import slowest_poles
 from pipeline.theory.optimum.optimum import optimal_point
 
-RICH = DeviceLoop(
+RICH = Loop(
     *(1e-4, 0.01, 2.4),
     lag=1.5,
     mode=Vibration(0.3, 0.5, 0.01, sensor_far=True),
@@ -71,7 +71,7 @@ def fine(loop, alpha, beta, samples, steps=256):
 @pytest.mark.parametrize("sensor_far", [False, True])
 def test_costs_equal_fine_integration(sensor_far):
     # a fraction of 2^-n of a sample lies on the fine steps
-    finely_right(DeviceLoop(1e-4, 0.01, 2.375, 1.5, Vibration(0.3, 0.5, 0.01, sensor_far), RICH.velocity))
+    finely_right(Loop(1e-4, 0.01, 2.375, 1.5, Vibration(0.3, 0.5, 0.01, sensor_far), RICH.velocity))
 
 
 @pytest.mark.slow
@@ -79,7 +79,7 @@ def test_costs_equal_fine_integration(sensor_far):
 def test_costs_of_random_devices_equal_fine_integration(seed):
     rng = np.random.default_rng(100 + seed)
     while True:
-        loop = general(loop_of(*random_device(rng).arguments))
+        loop = loop_of(*random_device(rng).arguments)
         loop = replace(loop, delay=np.floor(64 * loop.delay) / 64)
         if len(outline(loop, 8).beta) and slowest_poles(loop, *a_wall(loop))[0].radius < 0.97:
             break
@@ -144,10 +144,10 @@ def test_discrete_energies_equal_long_sums_in_many_digits(seed):
         for _ in range(20):
             example = random_device(rng)
             loop = loop_of(*example.arguments)
-            if not len(outline(general(loop), 8).beta):
+            if not len(outline(loop, 8).beta):
                 continue
-            alpha, beta = a_wall(general(loop), 0.3)
-            radius = slowest_poles(general(loop), alpha, beta)[0].radius
+            alpha, beta = a_wall(loop, 0.3)
+            radius = slowest_poles(loop, alpha, beta)[0].radius
             if radius < 0.93:
                 break
         assert radius < 0.93
@@ -165,7 +165,7 @@ def test_general_energies_equal_ideal_ones(signal):
     alpha, beta = np.array([0.002, 0.01, 0.03]), np.array([0.1, 0.15, 0.2])
     for gamma, delta, delay in ((0.0, 0.01, 2.0), (1e-3, 0.05, 1.4)):
         ideal = energy_costs(Loop(gamma, delta, delay), alpha, beta, signal)
-        found = energy_costs(DeviceLoop(gamma, delta, delay), alpha, beta, signal)
+        found = energy_costs(Loop(gamma, delta, delay), alpha, beta, signal)
         for name, values in ideal.items():
             np.testing.assert_allclose(found[name], values, rtol=1e-10, err_msg=name)
 
@@ -176,7 +176,7 @@ def test_general_transients_equal_ideal_ones():
         ideal, found = (
             transient_costs(loop, alpha, beta)
             | point_costs_by_name(loop, alpha, beta, ("rise_time", "rise_time_discrete"), 5000)
-            for loop in (Loop(gamma, delta, delay), DeviceLoop(gamma, delta, delay))
+            for loop in (Loop(gamma, delta, delay), Loop(gamma, delta, delay))
         )
         for name, values in ideal.items():
             np.testing.assert_allclose(found[name], values, rtol=1e-10, atol=1e-12, err_msg=name)
@@ -187,7 +187,7 @@ def test_slowest_pole_in_many_digits(extreme):
     rng = np.random.default_rng(2)
     for _ in range(6):
         example = random_device(rng, extreme)
-        loop = general(loop_of(*example.arguments))
+        loop = loop_of(*example.arguments)
         if len(outline(loop, 8).beta):
             break
     alpha, beta = a_wall(loop, 0.5)
@@ -209,7 +209,7 @@ def test_slowest_pole_in_many_digits(extreme):
 @pytest.mark.slow
 @pytest.mark.parametrize("criterion", ["energy_step_w0", "settle_2pct_discrete", "pole_radius"])
 def test_no_random_wall_beats_the_optimum(criterion):
-    loop = DeviceLoop(0.0, 0.02, 1.5, lag=0.7, velocity=Butterworth(kind="butterworth", order=1, cutoff_hz=0.1))
+    loop = Loop(0.0, 0.02, 1.5, lag=0.7, velocity=Butterworth(kind="butterworth", order=1, cutoff_hz=0.1))
     best = optimal_point(loop, criterion)
     rng = np.random.default_rng(0)
     found = outline(loop, 32)
@@ -228,7 +228,7 @@ def test_no_random_wall_beats_the_optimum(criterion):
 
 
 def test_the_soonest_rise_of_a_general_loop_is_the_ideal_one_along_its_edge():
-    ideal, found = (optimal_point(loop(1e-3, 0.02, 1.5), "rise_time") for loop in (Loop, DeviceLoop))
+    ideal, found = (optimal_point(loop(1e-3, 0.02, 1.5), "rise_time") for loop in (Loop, Loop))
     assert found.cost == pytest.approx(ideal.cost, rel=1e-9)
     assert not found.attained
     assert (found.alpha, found.beta) == pytest.approx((ideal.alpha, ideal.beta), rel=1e-5)  # flat there

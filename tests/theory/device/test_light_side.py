@@ -6,7 +6,7 @@ import mpmath as mp
 import numpy as np
 import pytest
 
-from pipeline.loop.device_loop import DeviceLoop, Vibration
+from pipeline.loop.loop import Loop, Vibration
 from pipeline.theory.cost.energy import energy_costs
 
 
@@ -42,7 +42,7 @@ def test_energies_of_a_light_motor_side(near, blow, far):
     stiffness, damping = reduced * 0.3**2, 2 * 0.9 * 0.3 * reduced
     stiffness, damping = (stiffness, damping) if near > 0.1 else (2e-2, 8e-2)
     wall, delta = (1e-3, 0.05), 0.03
-    loop = DeviceLoop(0.0, delta, 1.0, mode=Vibration(1 - near, stiffness, damping, far))
+    loop = Loop(0.0, delta, 1.0, mode=Vibration(1 - near, stiffness, damping, far))
     assert np.abs(np.linalg.eigvals(loop.matrix(*(np.array([v]) for v in wall)))).max() < 0.995
     signal = "impulse" if blow else "step"
     found = energy_costs(loop, *wall, signal)[f"energy_{signal}_w0_discrete"][0]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pipeline.loop.device_loop import DeviceLoop
+from pipeline.loop.loop import Loop
 from pipeline.records.loop_parts import Butterworth
 from pipeline.theory.cost.energy import energy_costs
 from pipeline.theory.cost.settling_overshoot import transient_costs
@@ -16,7 +16,7 @@ from pipeline.theory.device.slowest_pole import slowest_poles
 @pytest.mark.sampled
 @pytest.mark.parametrize(("order", "cutoff"), [(4, 0.01), (4, 0.001), (3, 0.003), (2, 0.3)])
 def test_every_wall_of_a_slow_filter_has_costs(order, cutoff):
-    loop = DeviceLoop(0, 1e-3, 2.0, velocity=Butterworth(kind="butterworth", order=order, cutoff_hz=cutoff))
+    loop = Loop(0, 1e-3, 2.0, velocity=Butterworth(kind="butterworth", order=order, cutoff_hz=cutoff))
     found, rng = outline(loop, 30), np.random.default_rng(17)
     beta = rng.uniform(found.beta[0], found.beta[-1], 35)
     alpha = limits(loop, beta).alpha * rng.uniform(0.05, 0.95, 35)

@@ -7,7 +7,8 @@ import pytest
 from general_devices import random_device
 
 import pipeline
-from pipeline.loop.device_loop import DeviceLoop, general, loop_of
+from pipeline.loop.device_loop import loop_of
+from pipeline.loop.loop import Loop
 from pipeline.theory.device.outline import outline
 
 LONG = {
@@ -31,16 +32,16 @@ LONG = {
 """Loops of 1 kg at 1 kHz whose region is a long horn: stiffest wall [N/m], largest damping [Ns/m]."""
 
 
-def radius(loop: DeviceLoop, alpha: np.ndarray, beta: np.ndarray) -> np.ndarray:
+def radius(loop: Loop, alpha: np.ndarray, beta: np.ndarray) -> np.ndarray:
     """Largest pole modulus of each point."""
     return np.abs(np.linalg.eigvals(loop.matrix(alpha, beta))).max(axis=1)
 
 
-def random_loops(count: int, seed: int) -> list[DeviceLoop]:
+def random_loops(count: int, seed: int) -> list[Loop]:
     """Random devices of all kinds that some wall stabilises."""
     rng, found = np.random.default_rng(seed), []
     while len(found) < count:
-        loop = general(loop_of(*random_device(rng, "").arguments))
+        loop = loop_of(*random_device(rng, "").arguments)
         if len(outline(loop, 8).beta):
             found.append(loop)
     return found
@@ -55,7 +56,7 @@ def test_the_boundary_of_a_long_horn_is_whole(name):
     assert boundary["stiffness"].max() == boundary.attrs["stiffness_max"]
 
 
-def check_whole(loop: DeviceLoop, seed: int) -> None:
+def check_whole(loop: Loop, seed: int) -> None:
     """No soft wall outside the told dampings, none between them that is not, and no wall stiffer than the stiffest."""
     found, rng = outline(loop, 60), np.random.default_rng(seed)
     low, high = found.beta[0], found.beta[-1]

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from pipeline.loop.device_loop import DeviceLoop
+from pipeline.loop.loop import Loop
 from pipeline.theory.device.outline import limits
 from pipeline.theory.device.overlays import quantum_limit, step_limits
 
 DELAY, DELTA, FRICTION, FINE = 2, 0.005, 1e-3, 100
-LOOP = DeviceLoop(0.0, DELTA, float(DELAY))
+LOOP = Loop(0.0, DELTA, float(DELAY))
 
 
 def motion(alpha, beta, start, samples=900, friction=FRICTION, quantum=0.0):

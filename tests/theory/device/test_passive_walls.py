@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
+from independent import maximum_passive_stiffness
 
 from pipeline.base.errors import ParameterError
-from pipeline.loop.device_loop import DeviceLoop, Vibration
+from pipeline.loop.loop import Loop, Vibration
 from pipeline.records.loop_parts import Butterworth
 from pipeline.theory.device.passive_walls import passive_outline, required_damping
-from pipeline.theory.stability.passivity import boundary_angle, maximum_passive_stiffness, passive_boundary
+from pipeline.theory.stability.passivity import boundary_angle, passive_boundary
 
 ALIASES = 400
 
@@ -15,7 +16,7 @@ ALIASES = 400
 @pytest.mark.parametrize("delay", [0.0, 1.0, 2.0, 5.0])
 def test_integer_delays_need_what_the_thesis_says(delay):
     """(4.6) to (4.11): walls on the boundary need all of the damping."""
-    loop, angle = DeviceLoop(0.0, 0.1, delay), boundary_angle(delay) * np.linspace(0, 0.95, 13)
+    loop, angle = Loop(0.0, 0.1, delay), boundary_angle(delay) * np.linspace(0, 0.95, 13)
     alpha, beta = (0.1 * side for side in passive_boundary(delay, angle))
     np.testing.assert_allclose(required_damping(loop, alpha, beta), 0.1, rtol=1e-8)
     stiffest = passive_outline(loop, 0.1)[0].max()
@@ -23,7 +24,7 @@ def test_integer_delays_need_what_the_thesis_says(delay):
 
 
 def test_half_a_sample_needs_more_than_the_formula_of_integer_delays():
-    assert required_damping(DeviceLoop(0.0, 0.1, 0.5), np.ones(1), np.zeros(1))[0] == pytest.approx(1.0590, abs=1e-4)
+    assert required_damping(Loop(0.0, 0.1, 0.5), np.ones(1), np.zeros(1))[0] == pytest.approx(1.0590, abs=1e-4)
 
 
 def generated(loop, alpha, beta, angle, aliases=ALIASES):
@@ -51,9 +52,9 @@ def generated(loop, alpha, beta, angle, aliases=ALIASES):
 @pytest.mark.parametrize(
     "loop",
     [
-        DeviceLoop(0.0, 0.1, 0.5),
-        DeviceLoop(0.0, 0.1, 1.3, lag=0.8),
-        DeviceLoop(0.0, 0.1, 0.5, lag=0.3, velocity=Butterworth(kind="butterworth", order=2, cutoff_hz=0.1)),
+        Loop(0.0, 0.1, 0.5),
+        Loop(0.0, 0.1, 1.3, lag=0.8),
+        Loop(0.0, 0.1, 0.5, lag=0.3, velocity=Butterworth(kind="butterworth", order=2, cutoff_hz=0.1)),
     ],
 )
 def test_energy_in_the_time_domain(loop):
@@ -100,7 +101,7 @@ def energy_in_time(loop, alpha, beta, w, speeds, settle=400, samples=400, steps=
 
 
 def test_region_scales_with_the_damping_and_holds_what_is_passive():
-    loop = DeviceLoop(0.0, 0.1, 1.3, lag=0.8)
+    loop = Loop(0.0, 0.1, 1.3, lag=0.8)
     alpha, beta = passive_outline(loop, 0.1)
     twice = passive_outline(loop, 0.2)
     np.testing.assert_allclose(twice[0], 2 * alpha, rtol=1e-12, atol=1e-15)
@@ -111,4 +112,4 @@ def test_region_scales_with_the_damping_and_holds_what_is_passive():
 
 def test_sensing_beyond_a_mode_is_refused():
     with pytest.raises(ParameterError, match="beyond the vibration mode"):
-        required_damping(DeviceLoop(0.0, 0.1, 1.0, mode=Vibration(0.3, 0.5, 0.01, True)), np.ones(1), np.ones(1))
+        required_damping(Loop(0.0, 0.1, 1.0, mode=Vibration(0.3, 0.5, 0.01, True)), np.ones(1), np.ones(1))

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from independent import maximum_passive_stiffness
 from independent import needed_damping as by_the_printed_condition
 
 from pipeline.base.errors import ParameterError
-from pipeline.loop.device_loop import general
 from pipeline.loop.loop import Loop
 from pipeline.theory.device.passive_walls import passive_outline, required_damping, stiffest_passive
-from pipeline.theory.stability.passivity import maximum_passive_stiffness
 
 
 def needed_damping(delay: float, stiffness: list[float], damping: list[float]) -> np.ndarray:
     """What walls of an ideal loop need of the device, T = 1."""
-    return required_damping(general(Loop(0.0, 0.0, delay)), np.array(stiffness), np.array(damping))
+    return required_damping(Loop(0.0, 0.0, delay), np.array(stiffness), np.array(damping))
 
 
 def by_aliases(delay: float, stiffness: float, damping: float, aliases: int = 4000) -> float:
@@ -45,7 +44,7 @@ def test_half_a_sample_needs_more_than_the_form_for_whole_ones_says():
 
 @pytest.mark.parametrize("delay", [0, 1, 2, 4, 8, 64])
 def test_whole_delays_give_the_published_wall(delay):
-    kappa, ratio = stiffest_passive(general(Loop(0.0, 0.0, float(delay))), 1.0)
+    kappa, ratio = stiffest_passive(Loop(0.0, 0.0, float(delay)), 1.0)
     published, at = (float(value[0]) for value in maximum_passive_stiffness([delay]))
     assert kappa == pytest.approx(published, rel=2e-5)
     assert ratio == pytest.approx(at, abs=5e-3)  # the maximum over B is flat
@@ -61,6 +60,6 @@ def test_need_grows_in_proportion_and_delays_out_of_range_are_refused():
 @pytest.mark.parametrize("delay", [0.3, 0.5, 1.5, 7.5])
 def test_no_wall_on_the_outline_needs_more_than_the_device_has(delay):
     """The form for whole delays is up to 8.8 % too optimistic between them, and was drawn."""
-    alpha, beta = passive_outline(general(Loop(0.0, 0.0, delay)), 1.0)
+    alpha, beta = passive_outline(Loop(0.0, 0.0, delay), 1.0)
     worst = max(by_aliases(delay, float(k), float(b), 400) for k, b in zip(alpha[20::40], beta[20::40], strict=True))
     assert worst == pytest.approx(1.0, abs=1e-3)

@@ -8,11 +8,35 @@ if (form) {
     drop.addEventListener(kind, (event) => {
       event.preventDefault();
       drop.classList.toggle("over", kind === "dragover");
-      if (kind === "drop") input.files = event.dataTransfer.files;
+      if (kind === "drop") take(event.dataTransfer);
     });
+  /* a folder is read to its depth; its files keep their paths, by which pairs are known */
+  const walk = async (entry, path, found) => {
+    if (entry.isFile) {
+      if (!entry.name.startsWith(".")) found.push([path + entry.name, await new Promise((done, failed) => entry.file(done, failed))]);
+      return;
+    }
+    const reader = entry.createReader();
+    for (;;) {
+      const some = await new Promise((done, failed) => reader.readEntries(done, failed));
+      if (!some.length) return;
+      for (const one of some) await walk(one, path + entry.name + "/", found);
+    }
+  };
+  let dropped = null;
+  const take = async (given) => {
+    const entries = [...given.items].map((item) => item.webkitGetAsEntry && item.webkitGetAsEntry()).filter(Boolean);
+    const found = [];
+    for (const entry of entries) await walk(entry, "", found);
+    dropped = found.length ? found : null;
+    input.required = !dropped;
+    told.textContent = `${found.length} files are ready.`;
+  };
+  input.addEventListener("change", () => { dropped = null; });
   form.addEventListener("submit", (event) => {
     event.preventDefault();
-    const files = [...input.files], most = form.dataset;
+    const named = dropped || [...input.files].map((file) => [file.name, file]);
+    const files = named.map(([, file]) => file), most = form.dataset;
     const large = files.find((file) => file.size > most.maxFile);
     const whole = files.reduce((sum, file) => sum + file.size, 0);
     if (large) { told.textContent = `${large.name} is too large.`; return; }
@@ -27,6 +51,9 @@ if (form) {
       if (request.status === 202) location.assign(`/jobs/${answer.job}`);
       else told.textContent = [answer.where, answer.detail].filter(Boolean).join(": ");
     };
-    request.send(new FormData(form));
+    const data = new FormData();
+    data.append("profile", form.elements.profile.value);
+    for (const [name, file] of named) data.append("files", file, name);
+    request.send(data);
   });
 }

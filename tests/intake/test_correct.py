@@ -18,7 +18,7 @@ from pipeline.comparison.against_run import against_document, against_experiment
 from pipeline.comparison.compare import compare
 from pipeline.device_data.devices import load_device
 from pipeline.intake.check import check
-from pipeline.intake.exclude import exclude, use_again
+from pipeline.intake.correct import delete, empty_bin, exclude, in_bin, move, restore, use_again
 from pipeline.intake.ingest import ingest
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.rendering.report.report_against import render
@@ -71,14 +71,14 @@ def excluded(processed: Path) -> list[str]:
 def test_a_trial_is_kept_and_not_used(store, way):
     trial = ids(store)["2.csv"]
     words = {"id": trial, "prefix": trial[:9], "path": str(store.parent / "logs" / "2.csv")}[way]
-    found = exclude(store, words, "  gripper\n slipped ")
+    (found,) = exclude(store, words, "  gripper\n slipped ")
     assert (found.trial_id, found.exclusion_reason, found.experiment) == (trial, WHY, "9")
     assert read_trials(store).num_rows == 4
     table = pipeline.trials(store)
     assert table.loc[table["exclusion_reason"] == WHY, "trial_id"].tolist() == [trial]
     assert used(store, "9") == [ids(store)["0.csv"]]
     assert len(used(store, "10")) == 2
-    assert use_again(store, words).trial_id == trial
+    assert [one.trial_id for one in use_again(store, words)] == [trial]
     assert len(used(store, "9")) == 2
     assert read_exclusions(store) == {}
 
@@ -213,7 +213,7 @@ def test_the_command(store):
     where = ("--processed", str(store))
     done = run("exclude", trial[:8], "--reason", WHY, *where, "--json")
     assert json.loads(done.stdout)["excluded"] is True
-    assert json.loads(done.stdout)["trial_id"] == trial
+    assert [one["trial_id"] for one in json.loads(done.stdout)["trials"]] == [trial]
     told = run("status", *where).stdout
     assert trial in told
     assert WHY in told
@@ -222,6 +222,84 @@ def test_the_command(store):
     assert run("exclude", trial, "--reason", "a", "--undo", *where).exception.exit_status == EXIT_USAGE
     assert "used again" in run("exclude", trial, "--undo", *where).stdout
     assert run("exclude", trial, "--undo", *where).exception.exit_status == EXIT_USAGE
+
+
+def places(processed: Path) -> set[tuple[str, str, int]]:
+    columns = (read_trials(processed).column(name).to_pylist() for name in ("device", "experiment", "stiffness"))
+    return {(device, experiment, int(k)) for device, experiment, k in zip(*columns, strict=True)}
+
+
+BEFORE = {("bench", "9", 0), ("bench", "9", 2), ("bench", "10", 1), ("bench", "10", 3)}
+
+
+@pytest.mark.parametrize(
+    ("wanted", "to", "after"),
+    [
+        ("bench", "a/b", None),
+        ("bench", "rig", {("rig", e, k) for _, e, k in BEFORE}),
+        ("bench/9", "bench/10", {("bench", "10", k) for _, _, k in BEFORE}),
+        ("bench/9", "new%2Frig/1", {("new/rig", "1", 0), ("new/rig", "1", 2), ("bench", "10", 1), ("bench", "10", 3)}),
+        ("2.csv", "bench/10", {("bench", "9", 0), *(("bench", "10", k) for k in (1, 2, 3))}),
+    ],
+)
+def test_what_is_moved_stays_there_and_can_be_moved_back(store, wanted, to, after):
+    wanted = str(store.parent / "logs" / wanted) if wanted.endswith("csv") else wanted
+    after = after or {("a", "b", k) for _, _, k in BEFORE}
+    count = move(store, wanted, to)
+    assert count == len(after - BEFORE)
+    assert places(store) == after
+    ingest([store.parent / "logs"], store, jobs=1, rehash=True)
+    compact(store)
+    assert places(store) == after
+    for name, trial in ids(store).items():
+        move(store, trial, "bench/10" if name in ("1.csv", "3.csv") else "bench/9")
+    assert places(store) == BEFORE
+
+
+def test_loops_that_differ_are_not_moved_together(store, tmp_path):
+    slow = log_text(9.0, experiment="slow").replace("period_s: 0.001", "period_s: 0.002")
+    (tmp_path / "logs" / "slow.csv").write_text(slow.replace("motion: translation", "motion: rotation"))
+    ingest([tmp_path / "logs"], store, jobs=1)
+    for wanted, to in (("bench/slow", "bench/9"), ("bench", "bench/9"), ("bench/9", ""), ("bench/9", "a/b/c")):
+        with pytest.raises(UsageError):
+            move(store, wanted, to)
+    assert ("bench", "slow", 9) in places(store)
+
+
+def test_what_is_deleted_lies_in_a_bin_until_that_is_emptied(store):
+    logs = store.parent / "logs"
+    assert delete(store, "bench/9") == 2
+    assert places(store) == {one for one in BEFORE if one[1] == "10"}
+    assert ingest([logs], store, jobs=1, rehash=True).skipped == 4
+    assert {(one.experiment, one.deleted) for one in in_bin(store)} == {("9", True)}
+    assert restore(store, "bench/9") == 2
+    assert places(store) == BEFORE
+    trial = ids(store)["2.csv"]
+    delete(store, trial)
+    assert empty_bin(store) == 1
+    assert in_bin(store) == []
+    assert check(store).damage == ()
+    again = ingest([logs], store, jobs=1)
+    assert again.ingested == 1
+    assert "deleted by hand" in again.warnings[0].warning
+    assert [one.trial_id for one in in_bin(store)] == [trial]
+    assert ("bench", "9", 2) not in places(store)
+    assert empty_bin(store) == 1
+    assert restore(store, trial) == 1
+    ingest([logs], store, jobs=1)
+    assert places(store) == BEFORE
+
+
+def test_the_commands_that_move_and_delete(store):
+    where = ("--processed", str(store))
+    assert "2 trials now bench/11" in run("move", "bench/9", "bench/11", *where).stdout
+    assert json.loads(run("delete", "bench/11", *where, "--json").stdout) == {"trials": 2}
+    assert len(json.loads(run("delete", *where, "--json").stdout)["bin"]) == 2
+    assert "2 trials restored" in run("delete", "bench/11", "--undo", *where).stdout
+    run("delete", "bench/11", *where)
+    assert "2 trials removed" in run("delete", "--empty", *where).stdout
+    for words in (("delete", "--undo"), ("delete", "bench", "--empty"), ("delete", "bench/11"), ("move", "x", "y")):
+        assert run(*words, *where).exception.exit_status == EXIT_USAGE
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,201 @@
+"""Corrects stored trials by hand, and undoes it: the only writer of what `store.corrections` reads.
+
+All functions take words that name trials: a device, ``device/experiment`` (names as `names.folder_name` has them), the
+id of a trial, the beginning of one, or the path of a log with one trial. ``wait_s`` and ``say`` are those of
+`lock.writing`. They raise `UsageError` where the words fit nothing, or several trials, and `StoreError` where the store
+is damaged, cannot be written, or others write there.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from difflib import get_close_matches
+from pathlib import Path
+
+from pipeline.base.errors import StoreError, UsageError
+from pipeline.base.file_names import path_of_text, path_text, storable
+from pipeline.base.lock import WAIT_S, writing
+from pipeline.intake.periods import alike
+from pipeline.store.batch_files import tidy
+from pipeline.store.corrections import (
+    IDENTITY,
+    Correction,
+    Exclusion,
+    read_corrections,
+    read_exclusions,
+    write_corrections,
+)
+from pipeline.store.names import name_of_folder
+from pipeline.store.storage import read_trials, read_versions
+
+NEAREST = 5
+"""Trials that a message shows."""
+
+Say = Callable[[str], None] | None
+
+
+def exclude(processed: Path, wanted: str, reason: str, wait_s: float = WAIT_S, say: Say = None) -> list[Exclusion]:
+    """Exclude trials; one that is excluded already gets the new reason, unless it is one of a whole experiment."""
+    text = storable(" ".join(reason.split()))
+    if not text:
+        raise UsageError('reason is blank, but every report shows why a trial is excluded. Give --reason "<words>".')
+    with _changing(processed, wait_s, say):
+        rows = _meant(processed, wanted, _stored(processed), "stored")
+        out = read_exclusions(processed)
+        rows = [row for row in rows if len(rows) == 1 or row["trial_id"] not in out]
+        new = {"exclusion_reason": text, "excluded_since": datetime.now(UTC).isoformat(timespec="seconds")}
+        _correct(processed, rows, new)
+    return [Exclusion(**row, **new) for row in rows]
+
+
+def use_again(processed: Path, wanted: str, wait_s: float = WAIT_S, say: Say = None) -> list[Exclusion]:
+    """Undo the exclusion of trials and return it."""
+    with _changing(processed, wait_s, say):
+        known = read_exclusions(processed)
+        rows = _meant(processed, wanted, [one.model_dump() for one in known.values()], "excluded")
+        _correct(processed, rows, {"exclusion_reason": "", "excluded_since": ""})
+    return [known[row["trial_id"]] for row in rows]
+
+
+def move(processed: Path, wanted: str, to: str, wait_s: float = WAIT_S, say: Say = None) -> int:
+    """Let trials count as of another place, ``device`` or ``device/experiment``, and return how many.
+
+    Raises
+    ------
+    UsageError
+        If the trials there move otherwise, or have another sampling period.
+    """
+    place = _place_of(to)
+    if len(place) > 2 or not all(place):
+        raise UsageError(f"{to}: is no place. Give DEVICE, or DEVICE/EXPERIMENT (a slash in a name as %2F).")
+    with _changing(processed, wait_s, say):
+        more = ("motion", "sampling_period_s")
+        stored = read_trials(processed, columns=[*IDENTITY, *more]).to_pylist()
+        rows = _meant(processed, wanted, stored, "stored")
+        loops: dict[str, set[tuple[str, float]]] = {}
+        moved = {row["trial_id"] for row in rows}
+        for row in stored:
+            experiment = place[1] if len(place) > 1 else row["experiment"]
+            if row["trial_id"] in moved or (row["device"], row["experiment"]) == (place[0], experiment):
+                loops.setdefault(experiment, set()).add(tuple(row[name] for name in more))
+        for experiment, found in loops.items():
+            (motion, period), *others = sorted(found)
+            if any(other != motion or not alike(period, apart) for other, apart in others):
+                raise UsageError(
+                    f"{wanted}: cannot become {place[0]}, experiment {experiment}: motion or sampling period differ "
+                    f"({', '.join(f'{m}, {1e3 * t:.4g} ms' for m, t in sorted(found))}). Choose another name."
+                )
+        names = ("moved_device", "moved_experiment")
+        _correct(processed, [{n: row[n] for n in IDENTITY} for row in rows], dict(zip(names, place, strict=False)))
+    return len(rows)
+
+
+def delete(processed: Path, wanted: str, wait_s: float = WAIT_S, say: Say = None) -> int:
+    """Put trials into the bin and return how many: they are kept, and seen nowhere else, until `empty_bin`."""
+    with _changing(processed, wait_s, say):
+        rows = _meant(processed, wanted, _stored(processed), "stored")
+        _correct(processed, rows, {"deleted": True})
+    return len(rows)
+
+
+def restore(processed: Path, wanted: str, wait_s: float = WAIT_S, say: Say = None) -> int:
+    """Take trials out of the bin and return how many; those that are not stored any more come with their logs."""
+    with _changing(processed, wait_s, say):
+        rows = _meant(processed, wanted, [one.model_dump() for one in deleted(processed)], "deleted")
+        _correct(processed, rows, {"deleted": False})
+    return len(rows)
+
+
+def deleted(processed: Path) -> list[Correction]:
+    """Return all trials that are deleted, at the place that they had; whether they are stored still or not."""
+    found = (one for one in read_corrections(processed).values() if one.deleted)
+    return [one.model_copy(update=dict(zip(("device", "experiment"), one.place, strict=True))) for one in found]
+
+
+def in_bin(processed: Path) -> list[Correction]:
+    """Return the deleted trials that are still stored."""
+    stored = {row["trial_id"] for row in _all_rows(processed)}
+    return [one for one in deleted(processed) if one.trial_id in stored]
+
+
+def empty_bin(processed: Path, wait_s: float = WAIT_S, say: Say = None) -> int:
+    """Remove the trials of the bin from the store and return how many.
+
+    They stay deleted: where their logs are read again, they are in the bin.
+    """
+    with _changing(processed, wait_s, say):
+        gone = {one.trial_id for one in deleted(processed)}
+        rows = [row for row in _all_rows(processed) if row["trial_id"] in gone]
+        tidy(processed, {(row["source_path"], row["trial_id"], row["profile_sha256"]) for row in rows})
+    return len({row["trial_id"] for row in rows})
+
+
+def _all_rows(processed: Path) -> list[dict[str, str]]:
+    names = ["source_path", "trial_id", "profile_sha256"]
+    rows: list[dict[str, str]] = read_versions(processed, None, None, names, {})[0].select(names).to_pylist()
+    return rows
+
+
+def _stored(processed: Path) -> list[dict[str, str]]:
+    rows: list[dict[str, str]] = read_trials(processed, columns=list(IDENTITY)).to_pylist()
+    return rows
+
+
+def _correct(processed: Path, rows: Sequence[Mapping[str, str]], change: Mapping[str, object]) -> None:
+    """Change what is corrected of trials; they are given by rows of the trials table, with their present place."""
+    known = read_corrections(processed)
+    ones = (known.get(row["trial_id"]) or Correction(**{name: row[name] for name in IDENTITY}) for row in rows)
+    write_corrections(processed, [one.model_copy(update=change) for one in ones])
+
+
+@contextmanager
+def _changing(processed: Path, wait_s: float, say: Callable[[str], None] | None) -> Iterator[None]:
+    try:
+        with writing(processed, wait_s, say):
+            yield
+    except OSError as error:
+        raise StoreError(
+            f"{processed}: cannot be written ({error}). What was excluded before still is; make room or correct the "
+            "permissions and run the command again."
+        ) from error
+
+
+def _place_of(word: str) -> tuple[str, ...]:
+    return tuple(map(name_of_folder, word.split("/")))
+
+
+def _meant(processed: Path, wanted: str, rows: Sequence[dict[str, str]], state: str) -> list[dict[str, str]]:
+    """Return the rows of a device or experiment, or the one that is meant by an id, the beginning of one, or a path."""
+    place = _place_of(wanted)
+    if own := [row for row in rows if (row["device"], row["experiment"])[: len(place)] == place]:
+        return own
+    path = wanted if path_of_text(wanted) != Path(wanted) else path_text(os.path.abspath(wanted))
+    tests: tuple[Callable[[Mapping[str, str]], bool], ...] = (
+        lambda row: row["trial_id"] == wanted,
+        lambda row: row["source_path"] in (wanted, path),
+        lambda row: bool(wanted) and row["trial_id"].startswith(wanted),
+    )
+    for test in tests:
+        found = [row for row in rows if test(row)]
+        if len(found) == 1:
+            return found
+        if found:
+            raise UsageError(f"{wanted}: fits {len(found)} {state} trials: {_shown(found)}. Give one id.")
+    names = [row["trial_id"] for row in rows] + [row["source_path"] for row in rows]
+    near = dict.fromkeys(get_close_matches(wanted, names, NEAREST, 0.5) + get_close_matches(path, names, NEAREST, 0.8))
+    nearest = _shown([row for name in near for row in rows if name in (row["trial_id"], row["source_path"])])
+    raise UsageError(
+        f"{wanted}: is no {state} trial of {processed}, by id, beginning of an id, or path of its log, nor a device or "
+        "DEVICE/EXPERIMENT. " + (f"Nearest: {nearest}." if nearest else f"{len(rows)} trials are {state}.")
+    )
+
+
+def _shown(rows: Sequence[Mapping[str, str]]) -> str:
+    shown = [
+        f"{row['trial_id']} ({Path(row['source_path']).name}{', ' + row['label'] if row['label'] else ''})"
+        for row in rows[:NEAREST]
+    ]
+    return ", ".join(shown) + (", ..." if len(rows) > NEAREST else "")

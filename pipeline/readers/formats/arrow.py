@@ -1,0 +1,81 @@
+"""Parquet and Feather (Arrow IPC) files: fields of structs by dotted path, elements of lists in brackets, from 0.
+
+Time stamps and durations are whole nanoseconds; a null is NaN, or an empty text.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+from pyarrow import feather, parquet
+
+from pipeline.profiles.profile_model import Profile
+from pipeline.readers.frame import Array, Contents, with_gaps
+from pipeline.readers.refusals import refusal
+
+
+def read(path: Path, settings: Profile, contents: Contents) -> None:
+    """Add the columns of a table."""
+    contents.row_name = "record"
+    packed = path.read_bytes()[:4]
+    schema = parquet.read_schema(path) if packed == b"PAR1" else pa.ipc.open_file(pa.OSFile(str(path))).schema
+    asked = [name for name in schema.names if contents.asks(name)] if contents.wanted else schema.names
+    for name in asked:
+        if schema.names.count(name) > 1:
+            text = f"column {name!r} stands {schema.names.count(name)} times in the file"
+            cure = "Name the columns apart where the file is written."
+            raise refusal("header-missing", contents.name, text, "it once, since nobody can tell which is meant", cure)
+    read_table = parquet.read_table if packed == b"PAR1" else feather.read_table
+    table = read_table(path, columns=asked, use_threads=False)
+    # a damaged file may point outside its own buffers, which only this looks at
+    table.validate(full=True)
+    for prefix, metadata in [("", schema.metadata), *((f"{field.name}@", field.metadata) for field in schema)]:
+        for key, value in (metadata or {}).items():
+            if key not in (b"ARROW:schema", b"pandas"):
+                contents.note(prefix + key.decode("utf-8", "replace"), value)
+    for name in asked:
+        hints = (contents.attributes.get(f"{name}@{unit}") for unit in ("unit", "units"))
+        _add(contents, name, table.column(name).combine_chunks(), str(next(filter(None, hints), "")))
+
+
+def _add(contents: Contents, path: str, column: Any, hint: str = "") -> None:
+    column = pa.concat_arrays(column.chunks) if isinstance(column, pa.ChunkedArray) else column
+    kind = column.type
+    if pa.types.is_struct(kind):
+        for number, part in enumerate(column.flatten()):
+            _add(contents, f"{path}.{kind.field(number).name}", part)
+        return
+    timed = pa.types.is_timestamp(kind) or pa.types.is_duration(kind) or pa.types.is_time(kind)
+    if timed:
+        contents.note(f"{path}@unit", "ns")
+    contents.add(path, lambda: _values(f"{contents.name}: column {path!r}", column), hint, "ns" if timed else "")
+
+
+def _values(where: str, column: Any) -> Array:
+    kind = column.type
+    if pa.types.is_list(kind) or pa.types.is_large_list(kind) or pa.types.is_fixed_size_list(kind):
+        if column.null_count or len(lengths := pc.list_value_length(column).unique()) > 1:
+            raise TypeError(f"is {kind}, whose lists have several lengths; expected numbers or texts")
+        width = lengths[0].as_py() if len(lengths) else 0
+        return _values(where, column.flatten()).reshape(len(column), width)
+    if pa.types.is_dictionary(kind):
+        column = column.dictionary_decode()
+    elif pa.types.is_timestamp(kind):
+        column = column.cast(pa.timestamp("ns", kind.tz)).cast(pa.int64())
+    elif pa.types.is_duration(kind) or pa.types.is_time(kind):
+        column = column.cast(pa.duration("ns") if pa.types.is_duration(kind) else pa.time64("ns")).cast(pa.int64())
+    elif pa.types.is_decimal(kind):
+        column = column.cast(pa.float64())
+    elif pa.types.is_boolean(kind):
+        column = column.cast(pa.int8())
+    if not any(test(column.type) for test in (pa.types.is_integer, pa.types.is_floating, pa.types.is_string)):
+        raise TypeError(f"is {kind}; expected numbers or texts")
+    known = np.flatnonzero(column.is_valid().to_numpy(zero_copy_only=False))
+    values = column.drop_null().to_numpy(zero_copy_only=False)
+    if values.dtype.kind == "O":
+        values = np.array(values, np.str_)
+    return with_gaps(where, values, known, len(column))

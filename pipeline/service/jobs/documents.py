@@ -1,0 +1,61 @@
+"""Where results of jobs are kept: by a key of what they rest on. Light, as the server needs no more of jobs."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from pipeline.base.file_names import path_of_text
+from pipeline.base.provenance import code_digest, digest, sha256
+from pipeline.device_data.devices import known_devices
+from pipeline.device_data.published import published_files
+from pipeline.service.database import Database
+from pipeline.service.settings import Settings
+from pipeline.store.corrections import read_corrections
+from pipeline.store.storage import trials_files
+
+
+def state_of(processed: Path, device: str, experiments: Sequence[str]) -> str:
+    """Return a hash of what is stored of experiments: another one after any change, exclusions by hand among them."""
+    files = [file for name in experiments for file in trials_files(processed, device, name)]
+    places = [(device, name) for name in experiments]
+    known = read_corrections(processed).values()
+    corrected = [one.model_dump() for one in known if {one.place, (one.device, one.experiment)} & {*places}]
+    return digest([[[file.name, *file.stat()[6:9:2]] for file in files], corrected])
+
+
+def key_of(settings: Settings, request: dict[str, Any]) -> str:
+    """Return the key of a document: a hash of request, logs, device files and code."""
+    sides = [(place[0], [place[1]]) for place in request.get("places", ())] or [
+        (request["device"], request["experiments"])
+    ]
+    if request.get("against"):
+        sides.append((request["against"]["device"], [request["against"]["experiment"]]))
+    known = known_devices()
+    devices = [known[name].model_dump_json() if name in known else "" for name, _ in sides]
+    states = [state_of(settings.processed, *side) for side in sides]
+    code = [code_digest("report"), *(sha256(file.read_bytes()) for file in published_files())]
+    return digest([request, states, devices, code])
+
+
+def document_file(settings: Settings, key: str, report: bool = False) -> Path:
+    """Return the file of a document, that of an experiment or of a report."""
+    folder = settings.comparisons if report else settings.data / "documents"
+    return folder / f"{key}.json"
+
+
+def read_document(settings: Settings, key: str) -> dict[str, Any] | None:
+    """Return a document that is kept, that of an experiment, a plan or a drawing."""
+    try:
+        document: dict[str, Any] = json.loads(document_file(settings, key).read_bytes())
+    except FileNotFoundError:
+        return None
+    return document
+
+
+def uploaded_name(database: Database, source: str) -> str:
+    """Return the name under which a source was uploaded, or its path."""
+    rows = database.run("SELECT name FROM uploads WHERE path = ?", source)
+    return rows[0]["name"] if rows else str(path_of_text(source))

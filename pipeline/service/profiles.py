@@ -1,0 +1,149 @@
+"""Profiles of the lab: TOML files beside the shipped ones, drafted and tried as on the command line.
+
+Drafts and previews read files that somebody sent, in a process of their own that is ended where it takes too long.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+import sys
+import threading
+import time
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from pipeline.base.disk import make_folder, write_text
+from pipeline.base.errors import ProfileError
+from pipeline.base.provenance import schema_folder
+from pipeline.profiles.profile_files import read_profile, shipped_profiles
+from pipeline.profiles.profile_lines import find_questions
+from pipeline.service.problems import Problem
+from pipeline.service.settings import Settings
+
+NAME = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$"
+LONGEST = 100_000
+"""Letters of a profile."""
+
+WAIT_S, DRAFT_S = 30.0, 86400.0
+"""Longest time of a draft or preview, and for which samples are kept [s]."""
+
+_AT_WORK = threading.Lock()
+
+
+def names(settings: Settings) -> list[str]:
+    """Return the names of all profiles, those of the lab first."""
+    own = sorted(file.stem for file in (settings.data / "profiles").glob("*.toml"))
+    return [*own, *(profile.name for profile in shipped_profiles() if profile.name not in own)]
+
+
+def profile_path(settings: Settings, name: str) -> str | Path | None:
+    """Return what names a profile for an ingest: its file, a shipped one's name, None for an empty name."""
+    own = settings.data / "profiles" / f"{name}.toml"
+    if not name or (re.match(NAME, name) and own.is_file()):
+        return own if name else None
+    if name not in names(settings):
+        raise Problem(422, "There is no such profile.", where="profile", expected=names(settings), found=name)
+    return name
+
+
+def text_of(settings: Settings, name: str) -> str:
+    """Return the TOML of a profile."""
+    found = profile_path(settings, name)
+    file = found if isinstance(found, Path) else schema_folder() / "profiles" / f"{name}.toml"
+    if found is None or not file.is_file():
+        raise Problem(404, "There is no such profile.", where="name", expected=names(settings), found=name)
+    return file.read_text("utf-8")
+
+
+def keep(settings: Settings, name: str, text: str) -> None:
+    """Keep a profile of the lab, in place of an earlier one of its name."""
+    if name in {profile.name for profile in shipped_profiles()}:
+        raise Problem(409, "A shipped profile has this name. Choose another one.", where="name", found=name)
+    folder = settings.data / "profiles"
+    make_folder(folder)
+    trial = folder / f".{name}.tmp"
+    write_text(trial, text)
+    try:
+        found = read_profile(trial)
+    except ProfileError as error:
+        raise Problem(422, str(error).replace(str(trial), f"{name}.toml"), where="profile") from error
+    finally:
+        trial.unlink(missing_ok=True)
+    if found.name != name:
+        raise Problem(422, "The profile has another name.", where="name", expected=name, found=found.name)
+    write_text(folder / f"{name}.toml", text)
+
+
+def samples_folder(settings: Settings, sample: str) -> Path:
+    """Return where samples of a draft lie; older ones are removed."""
+    folder = settings.data / "drafts"
+    for old in folder.glob("*"):
+        if time.time() - old.stat().st_mtime > DRAFT_S:
+            shutil.rmtree(old, ignore_errors=True)
+    return folder / sample
+
+
+def draft(folder: Path) -> dict[str, Any]:
+    """Return the draft of a profile for samples: its text, and the open questions with line and key."""
+    found = _asked("draft", *map(str, sorted(file for file in folder.rglob("*") if file.is_file())))
+    return {"profile": found["profile"], "questions": questions(found["profile"])}
+
+
+def preview(folder: Path, text: str) -> list[Any]:
+    """Return what a profile would read of samples; a refused one has the reason."""
+    file = folder.with_suffix(".toml")
+    write_text(file, text)
+    found = _asked("check", str(file), str(folder))["samples"]
+    return [{**sample, "path": Path(sample["path"]).relative_to(folder).as_posix()} for sample in found]
+
+
+def questions(text: str) -> list[dict[str, Any]]:
+    """Return what a draft still asks: line, key, the question, and what the line below it proposes (TOML)."""
+    lines = [*text.splitlines(), ""]
+    return [
+        {
+            "line": q.line,
+            "key": ".".join(map(str, q.place)),
+            "question": q.text,
+            "proposal": lines[q.line].partition("=")[2].strip() if lines[q.line].startswith("# ") else "",
+        }
+        for q in find_questions(text)
+    ]
+
+
+def answered(text: str, answers: Mapping[int, str]) -> str:
+    """Return a draft in which questions, by their lines, are answered; a word that is no TOML is a text."""
+    lines = text.splitlines()
+    for line, answer in sorted(answers.items(), reverse=True):
+        if not answer.strip() or line >= len(lines) or not lines[line].startswith("# "):
+            continue
+        key = lines[line].removeprefix("# ").partition("=")[0].strip()
+        try:
+            tomllib.loads(f"x = {answer}")
+        except tomllib.TOMLDecodeError:
+            answer = json.dumps(answer.strip())
+        lines[line - 1 : line + 1] = [f"{key} = {answer.strip()}"]
+    return "\n".join(lines) + "\n"
+
+
+def _asked(*words: str) -> Any:
+    """Return what a command on profiles prints; its complaint is a problem."""
+    if not _AT_WORK.acquire(timeout=WAIT_S):
+        raise Problem(503, "Profiles are drafted for others; ask again.", where="profile")
+    try:
+        command = [sys.executable, "-m", "pipeline", "profile", *words, "--json"]
+        done = subprocess.run(command, capture_output=True, timeout=WAIT_S, check=False, text=True, encoding="utf-8")
+    except subprocess.TimeoutExpired:
+        raise Problem(504, f"This took more than {WAIT_S:g} s. Send a shorter sample.", where="files") from None
+    finally:
+        _AT_WORK.release()
+    try:
+        return json.loads(done.stdout)
+    except ValueError:
+        told = re.sub(r"/\S*/", "", done.stderr.strip()).removeprefix("error: ")
+        raise Problem(422, told[-2000:] or "The sample cannot be read.", where="profile") from None

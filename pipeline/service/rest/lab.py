@@ -1,0 +1,198 @@
+"""REST for what a lab brings and asks: profiles, refused logs, next walls, figures."""
+
+import os
+import secrets
+import shutil
+from typing import Annotated, Any, Literal
+
+from fastapi import APIRouter, Path, Query, Request
+from fastapi.responses import JSONResponse, Response
+from pydantic import BaseModel, ConfigDict, Field
+from starlette.concurrency import run_in_threadpool
+
+from pipeline.base.file_names import path_of_text
+from pipeline.intake.quarantine import excerpt_of, list_quarantine, record_id, release
+from pipeline.service import profiles
+from pipeline.service.jobs.documents import uploaded_name
+from pipeline.service.problems import Problem
+from pipeline.service.rest import answers
+from pipeline.service.rest.api import Name, Segment, awaited, experiment_document, later
+from pipeline.service.shared import Service, Shared
+from pipeline.service.uploads import Upload
+
+lab = APIRouter(prefix="/api/v1", responses=answers.EVERYWHERE)
+
+ProfileName = Annotated[str, Path(pattern=profiles.NAME)]
+Toml = Annotated[str, Field(max_length=profiles.LONGEST)]
+QUEUED: dict[int | str, dict[str, Any]] = {202: {"description": "It takes longer.", "model": answers.Queued}}
+FILES = {
+    "required": True,
+    "content": {"multipart/form-data": {"schema": {"type": "object", "required": ["files"], "properties": {
+        "files": {"type": "array", "minItems": 1, "items": {"type": "string", "format": "binary"}}}}}},
+}  # fmt: skip
+
+
+class ProfileText(BaseModel):
+    """A profile as TOML."""
+
+    model_config = ConfigDict(extra="forbid")
+    profile: Toml
+
+
+class Tried(ProfileText):
+    """A profile, and the sample of a draft that it is to read."""
+
+    sample: Annotated[str, Field(pattern="^[0-9a-f]{16}$")]
+
+
+class NamedProfile(BaseModel):
+    """The name of a profile of the lab."""
+
+    name: Annotated[str, Field(pattern=profiles.NAME)]
+
+
+class Retry(BaseModel):
+    """The profile by which a refused log is to be read, empty for that which claims it."""
+
+    model_config = ConfigDict(extra="forbid")
+    profile: Annotated[str, Field(max_length=100)] = ""
+
+
+@lab.get("/profiles", response_model=list[str])
+def profile_names(service: Shared) -> list[str]:
+    """List the profiles: those of the lab, then the shipped ones."""
+    return profiles.names(service.settings)
+
+
+@lab.get("/profiles/{name}", response_model=ProfileText, responses=answers.NAMED)
+def profile(service: Shared, name: ProfileName) -> dict[str, str]:
+    """Return the TOML of a profile."""
+    if name not in profiles.names(service.settings):
+        raise Problem(404, "There is no such profile.", where="name", found=name)
+    return {"profile": profiles.text_of(service.settings, name)}
+
+
+@lab.put("/profiles/{name}", response_model=ProfileText)
+def put_profile(service: Shared, request: Request, name: ProfileName, asked: ProfileText) -> dict[str, str]:
+    """Keep a profile of the lab, in place of an earlier one of its name."""
+    profiles.keep(service.settings, name, asked.profile)
+    service.database.note(request.state.who, "kept a profile", {"name": name})
+    return asked.model_dump()
+
+
+@lab.post("/profiles/draft", response_model=answers.Draft, openapi_extra={"requestBody": FILES},
+          responses=answers.problems(504))  # fmt: skip
+async def draft(service: Shared, request: Request) -> dict[str, Any]:
+    """Draft a profile for sample logs; they are kept for a day, for previews."""
+    return await drafted(service, request)
+
+
+async def drafted(service: Service, request: Request, check: Any = lambda _: None) -> dict[str, Any]:
+    """Return the draft of a profile for the files of a request."""
+    sample = secrets.token_hex(8)
+    upload = Upload(service.settings, profiles.samples_folder(service.settings, sample))
+    try:
+        await upload.receive(request)
+        check(upload.fields)
+        if not upload.files:
+            raise Problem(422, "There is no file in the form.", where="files", expected="one or more")
+        return {"sample": sample, **await run_in_threadpool(profiles.draft, upload.folder)}
+    except BaseException:
+        upload.discard()
+        raise
+
+
+@lab.post("/profiles/preview", response_model=list[Any], responses=answers.problems(404, 504))
+def preview(service: Shared, asked: Tried) -> list[Any]:
+    """Return what a profile would read of the sample of a draft, as `pipeline profile check --json` does."""
+    folder = profiles.samples_folder(service.settings, asked.sample)
+    if not folder.is_dir():
+        raise Problem(404, "The sample is not kept any more. Draft again.", where="sample", found=asked.sample)
+    return profiles.preview(folder, asked.profile)
+
+
+def refused(service: Service) -> list[dict[str, Any]]:
+    """Return the refused logs, with names as uploaded, who sent them, and the lines around the row at fault."""
+    processed = service.settings.processed
+    found = []
+    for record in list_quarantine(processed, {}):
+        since = os.stat(processed / "quarantine" / record_id(record)).st_mtime
+        shown = record.model_dump(include={"row", "reason", "code", "profile", "profile_line"})
+        author = service.database.uploader(record.path)
+        name = uploaded_name(service.database, record.path)
+        found.append({"id": record_id(record), "name": name, "since": since, "author": author, **shown,
+                      "excerpt": excerpt_of(processed, record)})  # fmt: skip
+    return found
+
+
+@lab.get("/quarantine", response_model=list[answers.Refused])
+def quarantine(service: Shared) -> list[dict[str, Any]]:
+    """List the logs that were refused, with reason and date."""
+    return refused(service)
+
+
+def _path_of(service: Service, which: str) -> str:
+    for record in list_quarantine(service.settings.processed, {}):
+        if record_id(record) == which:
+            return record.path
+    raise Problem(404, "There is no such log in quarantine.", where="id", found=which)
+
+
+def retry_log(service: Service, which: str, profile: str, who: str) -> str:
+    """Queue another ingest of a refused log, and return the job."""
+    path = _path_of(service, which)
+    if not path_of_text(path).exists():
+        raise Problem(409, "The log is not where it was. Send it again.", where="id", found=path_of_text(path).name)
+    profiles.profile_path(service.settings, profile)
+    service.database.note(who, "tried again", {"log": uploaded_name(service.database, path), "profile": profile})
+    return service.job("upload", {"folder": "", "profile": profile, "skipped": 0, "again": [path]}, author=who)
+
+
+def dismiss_log(service: Service, which: str, who: str) -> None:
+    """Remove a refused log from quarantine, and from the uploads where it came by these."""
+    path = _path_of(service, which)
+    name, log = uploaded_name(service.database, path), path_of_text(path)
+    if (service.settings.data / "logs").absolute() in log.absolute().parents:
+        service.database.run("DELETE FROM uploads WHERE path = ?", path)
+        shutil.rmtree(log) if log.is_dir() else log.unlink(missing_ok=True)
+    release(service.settings.processed, path)
+    service.database.note(who, "dismissed", {"log": name})
+
+
+@lab.post("/quarantine/{which}/retry", status_code=202, response_model=answers.Queued, responses=answers.NAMED)
+def retry(service: Shared, request: Request, which: str, asked: Retry) -> dict[str, str]:
+    """Read a refused log again, by another profile where one is given."""
+    return {"job": retry_log(service, which, asked.profile, request.state.who)}
+
+
+@lab.delete("/quarantine/{which}", status_code=204, response_class=Response, responses=answers.NAMED)
+def dismiss(service: Shared, request: Request, which: str) -> Response:
+    """Dismiss a refused log."""
+    dismiss_log(service, which, request.state.who)
+    return Response(status_code=204)
+
+
+@lab.get("/plan", response_model=dict[str, Any], responses={**QUEUED, **answers.NAMED})
+async def plan(
+    service: Shared,
+    device: Name,
+    experiment: Name,
+    goal: Annotated[Literal["boundary", "optimum"], Query()] = "boundary",
+) -> Response:
+    """Return which walls to try next, as `pipeline plan --json`."""
+    document, job = await awaited(service, lambda: service.plan(device, experiment, goal), f"{device}, {experiment}")
+    return JSONResponse(document) if document is not None else later(job)
+
+
+@lab.get("/figures/{device}/{experiment}/{name}.svg", response_class=Response,
+         responses={200: {"content": {"image/svg+xml": {}}}, **QUEUED, **answers.NAMED})  # fmt: skip
+async def figure(service: Shared, device: Segment, experiment: Segment, name: str) -> Response:
+    """Return a figure of an experiment: ``limits`` with theory, or ``response``."""
+    from pipeline.rendering.figures.figure_files import standalone
+
+    document, job = await experiment_document(service, device, experiment)
+    if document is None:
+        return later(job)
+    if name not in document["figures"]:
+        raise Problem(404, "There is no such figure.", where="name", expected=sorted(document["figures"]), found=name)
+    return Response(standalone(document["figures"][name]["panels"][0]), media_type="image/svg+xml")
