@@ -121,8 +121,3 @@ class Errors:
             top = value + reach if value >= 0 else value + float(np.hypot(value, reach))
             return Interval(max(value, 0.0), 0.0, max(top, 0.0), error)
         return Interval(value, value - reach, value + reach, error)
-
-
-def inverted(base: Interval) -> Interval:
-    """Return the interval of 1/q for one of q that does not hold 0."""
-    return Interval(1 / base.value, 1 / base.high, 1 / base.low, base.error / base.value**2)

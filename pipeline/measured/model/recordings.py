@@ -247,6 +247,8 @@ def _moving(trial: int, each: Recording, seen: Motion, stuck: Booleans, rows: tu
     for a, b in ends:
         # the smoothed velocity still moves as many rows behind a stop as it takes from before it
         stop = b - seen.half if b < len(sign) else b
+        if stop <= a:
+            continue
         edge = _edge(each, seen, first, first + a, lead)
         if edge is not None:
             start = max(first, edge - EARLIER)

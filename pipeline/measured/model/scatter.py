@@ -32,10 +32,6 @@ class Moments:
     products: Floats
     rows: Floats
 
-    def chosen(self, which: Integers) -> Moments:
-        """Return those of some trials."""
-        return Moments(self.products[which], self.rows[which])
-
 
 @dataclass(frozen=True, eq=False)
 class Solved:

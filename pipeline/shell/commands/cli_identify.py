@@ -25,10 +25,10 @@ def identify(
     paths: Annotated[list[Path], typer.Argument(help="Logs with command and position, or folders with some.")],
     profile: ProfileFile = None,
     period: Annotated[
-        float | None, typer.Option("--period", help="Sampling period [s] of the walls; that of the logs if not given.")
+        float | None, typer.Option("--period", help="Sampling period of the walls in s; that of the logs if not given.")
     ] = None,
     delay: Annotated[
-        float | None, typer.Option("--delay", help="Delay [samples] of the walls; that of the logs if not given.")
+        float | None, typer.Option("--delay", help="Delay of the walls in samples; that of the logs if not given.")
     ] = None,
     out: Annotated[Path | None, typer.Option("--out", help="Device file (.toml) to write.")] = None,
     as_json: Json = False,

@@ -6,6 +6,7 @@ import mpmath as mp
 import numpy as np
 import pytest
 
+import pipeline
 from pipeline.loop.loop import Loop, Vibration
 from pipeline.theory.cost.energy import energy_costs
 
@@ -47,3 +48,20 @@ def test_energies_of_a_light_motor_side(near, blow, far):
     signal = "impulse" if blow else "step"
     found = energy_costs(loop, *wall, signal)[f"energy_{signal}_w0_discrete"][0]
     assert found == pytest.approx(iterated(near, stiffness, damping, delta, wall, far, blow), rel=1e-9)
+
+
+def test_sums_that_rounding_keeps_from_their_equations_are_none():
+    # a radius of 1 - 7e-12: mpmath with 70 digits has 6.311e10, four rounds of refinement told 6.552e12
+    device = pipeline.Loop(
+        mass=1.0,
+        damping=17.250022087330652,
+        sampling_period_s=0.001,
+        delay_samples=5.0,
+        stiffness=0.0,
+        velocity={"kind": "butterworth", "order": 3, "cutoff_hz": 243.6823222407204},
+        actuator_lag_s=0.0001802570302356224,
+    )
+    unit = device._scale
+    wall = [2.2239988459545563e-05 / unit.stiffness], [-17.250021954961706 / unit.damping]
+    found = energy_costs(device._normalised, *wall, "impulse")["energy_impulse_w0"]
+    assert np.isnan(found[0]) or found[0] == pytest.approx(63110474678.73257, rel=1e-9)
