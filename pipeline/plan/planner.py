@@ -81,6 +81,12 @@ def asked_of(course: Course, answer: Plan) -> Requests:
     return course.requests.asking([(wall.stiffness, wall.damping) for wall in answer.next], course.walls)
 
 
+OF_THE_STEP = (
+    "these limits are those of steps of {:g} {}: if friction is why, a harder push is unstable at softer walls "
+    "(pipeline compare says from which stiffness on)"
+)
+
+
 def with_remark(answer: Plan, remark: str) -> Plan:
     """Return a plan of which something more is to be said."""
     return answer.model_copy(update={"remarks": (*answer.remarks, remark)})
@@ -183,6 +189,7 @@ def _remarks(course: Course, found: State) -> tuple[str, ...]:
             "why): its limits are off by some "
             f"{found.forecast.misfit:.0%}, and each damping is finished by its verdicts"
         )
+        said.append(OF_THE_STEP.format(course.step, "Nm" if course.rotation else "N"))
     return tuple(said)
 
 

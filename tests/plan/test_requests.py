@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from labs import make_lab
 
 from pipeline.device_data.devices import load_device
 from pipeline.intake.ingest import ingest
@@ -160,3 +161,10 @@ def test_a_second_planner_is_told_of_the_first(tmp_path):
         finally:
             first.terminate()
     assert plan("falcon", tmp_path / "processed", "1").remarks == ()
+
+
+def test_limits_with_friction_are_said_to_be_those_of_the_step(tmp_path: Path) -> None:
+    device = load_device("falcon-real")
+    lab = make_lab(tmp_path, device, ("1",), coarsen=10, seed=3)
+    (said,) = [remark for remark in plan("falcon-real", lab.processed, "1").remarks if "harder push" in remark]
+    assert f"steps of {device.step:g} N" in said
