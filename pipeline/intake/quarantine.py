@@ -19,7 +19,6 @@ from pipeline.base.provenance import digest
 from pipeline.base.provenance import sha256 as sha256_of
 from pipeline.base.regular_files import open_regular
 from pipeline.intake.sources import Source
-from pipeline.readers.formats.delimited import unpacked
 from pipeline.records.findings import Record
 
 LARGEST_COPY = 64 << 20
@@ -246,6 +245,8 @@ def _content(file: Path, within: str | None) -> tuple[bytes, os.stat_result] | N
 
 def excerpt_of(processed: Path, record: QuarantineRecord) -> list[tuple[int, str]]:
     """Return number and text of the lines around the row at fault, safe to print; nothing of a file without lines."""
+    from pipeline.readers.formats.delimited import unpacked  # which loads what computes with Arrow
+
     folder = quarantine_folder(processed) / digest(record.path)
     copies = [file for file in sorted(folder.glob("*")) if not file.name.startswith(f"{RECORD}-")]
     if ".json" in record.path.lower() and record.code != "syntax":

@@ -115,7 +115,10 @@ def obeyed(log: Log) -> Obeyed | None:
 
 @dataclass(frozen=True)
 class Law:
-    """Stiffness, damping and step that explain a command, in its numbers, those of the position and seconds."""
+    """Stiffness, damping and step that explain a command, in its numbers, those of the position and seconds.
+
+    What makes no part of the command that is seen is 0.
+    """
 
     stiffness: float
     damping: float
@@ -138,7 +141,10 @@ def law_of(time: Floats, command: Floats, position: Floats) -> Law | None:
     if free.sum() < max(LEAST_ROWS, len(free) // 2):
         return None
     values, _, left = _fit(terms[free], command[free])
-    return None if left > EXACT * np.sqrt(np.mean(command**2)) else Law(*map(float, values))
+    if left > EXACT * np.sqrt(np.mean(command**2)):
+        return None
+    told = np.abs(terms[free]).max(axis=0) * np.abs(values) > SHARE * np.abs(command).max()
+    return Law(*map(float, np.where(told, values, 0.0)))
 
 
 def _terms(time: Floats, command: Floats, position: Floats, period: float, declared: str | None) -> Floats:

@@ -28,6 +28,7 @@ EXTRAS = {
     "hdf5": "HDF5 files",
     "bags": "ROS bags",
     "tdms": "TDMS files",
+    "mdf": "MDF files",
     "serve": "pipeline serve",
     "cluster": "stores by URL, and clusters",
 }

@@ -114,7 +114,7 @@ def test_what_was_saved_is_stored_in_si(make, lab, tmp_path):
             objects_73,
             ("'ts' is a MATLAB object of class timeseries", "s = struct('time', ts.Time, 'data', ts.Data); save("),
         ),
-        (zero_length, ("run.mat has 0 samples; expected at least 2",)),
+        (zero_length, ("run.mat: has 0 samples; expected at least 2",)),
     ],
 )
 def test_what_holds_no_samples_is_refused(make, words, lab):

@@ -71,7 +71,7 @@ def test_a_change_reaches_the_wish_and_less_does_not(seed: int) -> None:
         assert short.boundary(16).attrs["stiffness_max"] < 1.05 * wanted
 
 
-@pytest.mark.sampled
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_a_settling_time_is_that_of_a_simulation(seed: int) -> None:
     random = np.random.default_rng(100 + seed)

@@ -30,7 +30,7 @@ def test_an_old_or_missing_package_comes_with_its_remedy(tmp_path, monkeypatch):
     real = importlib.metadata.version
 
     def version(name: str) -> str:
-        if name == "h5py":
+        if name == "mat-io":
             raise importlib.metadata.PackageNotFoundError(name)
         return "1.26.4" if name == "numpy" else real(name)
 

@@ -29,6 +29,10 @@ SIGNATURES = {
     "compare": ["device", "processed", "experiments", "criteria", "full"],
     "load": ["report"],
     "human_arms": [],
+    "identify": ["paths", "profile", "period", "delay"],
+    "Identified": ["document"],
+    "design": ["loop", "stiffness", "settling_s", "overshoot", "margin", "tolerance", "keep"],
+    "Design": ["wish", "reached", "wall", "stiffness_reached", "changes", "out_of_reach", "sensitivities"],
     "Loop": [
         *("mass", "damping", "sampling_period_s", "delay_samples", "stiffness", "motion"),
         *("velocity", "actuator_lag_s", "force_gain", "mode", "operator"),
