@@ -40,6 +40,9 @@ UNITS: dict[str, tuple[str, str]] = {
 }
 """Units of parameters and combinations, for translation and rotation."""
 
+FOLLOWS = 50.0
+"""Fit of free runs [%] below which a model does not predict its device: half of the motion is left."""
+
 WITHOUT_WALL = {"device": "device", "experiment": "1", "stiffness": "0", "damping": "0", "step": "0"}
 """What a native log of no wall need not state."""
 
@@ -186,7 +189,7 @@ def _loop_document(found: Model) -> dict[str, Any]:
     mode = {name: parameter(f"mode_{name}") for name in ("frequency", "damping_ratio", "mass")}
     return {
         "source": "estimated",
-        "adequate": bool(told),
+        "adequate": bool(told) and len(fits) > 0 and float(np.median(fits)) >= FOLLOWS,
         "reason": (
             f"free runs fit held-out logs to {np.median(fits):.1f} %" if len(fits) else "no log could be replayed"
         )

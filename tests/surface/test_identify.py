@@ -79,6 +79,22 @@ def test_the_command_prints_the_document_and_writes_the_file(staircase, tmp_path
     assert read_device(out).sampling_period_s == 0.0005
 
 
+def test_a_device_that_another_force_moves_is_not_predicted(tmp_path):
+    random = np.random.default_rng(5)
+    command = np.repeat(random.uniform(-0.3, 0.3, 12), 50)
+    hand = np.repeat(random.uniform(-4, 4, 60), 10)
+    log = written(tmp_path / "held.csv", command + hand)
+    rows = [line.split(",") for line in log.read_text(encoding="utf-8").splitlines()[1:]]
+    lines = [f"{t},{own!r},{x}" for (t, _, x), own in zip(rows, command.tolist(), strict=True)]
+    log.write_text("time_s,command,position\n" + "\n".join(lines) + "\n", encoding="utf-8")
+    found = pipeline.identify(log)
+    assert not found.document["loop"]["adequate"]
+    said = CliRunner().invoke(application("identify"), ["identify", str(log)])
+    assert "does not predict the device" in said.output
+    mass = found.estimates.set_index("name").loc["mass"]
+    assert np.isnan(mass["value"]) or mass["low"] <= MASS <= mass["high"]
+
+
 def test_a_constant_command_gives_no_device_file(tmp_path):
     log = written(tmp_path / "pushed.csv", np.full(400, 2.0))
     found = pipeline.identify(log)

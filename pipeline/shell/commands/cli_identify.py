@@ -58,6 +58,8 @@ def identify(
 
 
 def _lines(document: dict[str, Any]) -> list[str]:
+    from pipeline.surface.identified_device import FOLLOWS
+
     fit = document["replay"]["fit_percent"]
     lines = [f"{document['trials']} logs, {document['rows']} rows, T = {document['sampling_period_s']:g} s", ""]
     lines += console.table(document["parameters"], ("name", "value", "low", "high", "unit"))
@@ -78,10 +80,13 @@ def _lines(document: dict[str, Any]) -> list[str]:
         )
     if not document["scatter_in_interval"]:
         lines.append("the intervals are from within the logs; what differs from run to run needs 8 logs or more")
-    if fit is not None and fit > 0:
+    if fit is not None:
         lines.append(f"free runs of held-out logs: fit {fit:.1f} % (median)")
-    elif fit is not None:
-        lines.append("free runs do not follow held-out logs: what moves the device is not in the command")
+        if fit < FOLLOWS:
+            lines.append(
+                "this model does not predict the device by its command alone: something else moves it, or a part is "
+                "missing, and the intervals hold only as far as the model does"
+            )
     border = document["boundary"]
     if border is not None:
         top = border["stiffness_max"]
