@@ -128,9 +128,9 @@ def boundary_band(
     softest unstable one above all stable ones, so that repeated trials that disagree widen it, and undecided ones do
     that `WITNESSES` stiffer ones do not outvote. Verdicts within `CONCLUSIVE` standard errors of zero growth, and those
     that the sign of the growth contradicts, are not counted. Where the scatter of the rates cannot be told, as with two
-    of them, the allowed range is the interval and the interpolation of two rates, or its middle, the value; a zero
-    outside of it widens it. The limit can therefore lie outside ``stable`` and ``unstable``, which are plain counts of
-    verdicts.
+    of them, the allowed range is the interval and the interpolation of two rates, or the middle of what verdicts
+    bracket, the value; a zero outside of it widens it. The limit can therefore lie outside ``stable`` and ``unstable``,
+    which are plain counts of verdicts.
 
     The limit is that of walls with K >= 0. With jitter of the delay it is the limit of the jittering loop, which is
     not that of its mean delay.
@@ -164,7 +164,7 @@ def boundary_band(
     # rates that contradict the verdicts: a mode that grows below the sensor's floor beside one that dies away
     apart = ~told & ~interpolated
     low, high = (np.where(apart, end(limit, centre), limit) for end, limit in ((np.fmin, low), (np.fmax, high)))
-    value = np.where(told | interpolated, np.clip(found.zero, low, high), 0.5 * (low + high))
+    value = np.where(told | interpolated, np.clip(found.zero, low, high), _middle(columns, low, high))
     low, high = (
         np.where(told, np.fmax(found.zero - reach, low), low),
         np.where(told, np.fmin(found.zero + reach, high), high),
@@ -184,6 +184,15 @@ def boundary_band(
         )
         for p, v, a, h, n, known, found in zip(points, value, low, high, counts, limited, located, strict=True)
     )
+
+
+def _middle(c: _Columns, low: Floats, high: Floats) -> Floats:
+    """Return the middle of what verdicts bracket, conclusive or not; where they contradict each other, of the range."""
+    stiffest = np.where(c.stable, c.stiffness, 0.0).max(axis=1)
+    softest = np.where(c.unstable, c.stiffness, np.inf).min(axis=1)
+    agree = (stiffest > 0) & (stiffest < softest) & np.isfinite(softest)
+    result: Floats = np.clip(0.5 * np.where(agree, stiffest + softest, low + high), low, high)
+    return result
 
 
 def _side_by_side(stiffness: Floats, damping: Floats, verdict: NDArray[np.str_], growth: Floats) -> _Columns:

@@ -343,3 +343,12 @@ def test_trials_that_are_all_stable_give_a_lower_bound_and_no_limit():
     (p,) = boundary_band(np.array([1e3, 2e3, 3e3]), np.zeros(3), ["stable"] * 3, np.array([-9.0, -6.0, -3.0]))
     assert (p.stable, p.unstable, p.censored) == (3000.0, None, True)
     assert (p.estimate, p.low, p.high) == (None, 3000.0, None)
+
+
+def test_a_middle_is_that_of_the_verdicts_though_the_range_reaches_lower():
+    """A stable trial without a growth rate leaves the range open below it, and draws the estimate no lower."""
+    K = np.array([800.0, 1600.0, 1760.0, 1920.0, 2080.0, 2240.0, 2400.0])
+    growth = np.array([-6.047, 8.406, np.nan, 7.503, -0.016, 0.733, 7.378])
+    verdict = ["stable", "undecided", "stable", "undecided", "undecided", "unstable", "unstable"]
+    (point,) = boundary_band(K, np.zeros(7), verdict, growth)
+    assert point.low < 1760 <= point.estimate <= point.high == 2240
