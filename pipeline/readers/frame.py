@@ -166,14 +166,23 @@ class Contents:
             self.refused[path] = f"{large if isinstance(error, MemoryError) else error}."
             return
         self.values += column.size
-        if self.values > self.most:
-            text = f"claims more than {self.most} values"
-            raise refusal("unpacks-too-large", self.name, text, "a log of one step response")
+        self.claim(self.values)
         self.columns[path] = column
         self.hints |= {path: hint} if hint else {}
         self.units |= {path: unit} if unit else {}
         if column.size == 1:
             self.note(path, column.reshape(-1)[0])
+
+    def claim(self, values: int) -> None:
+        """Refuse a file that claims more values than it may hold, where it can before they are unpacked.
+
+        Raises
+        ------
+        LogError
+        """
+        if values > self.most:
+            text = f"claims more than {self.most} values"
+            raise refusal("unpacks-too-large", self.name, text, "a log of one step response")
 
     def note(self, key: str, value: Any) -> None:
         """Keep a single value as an attribute, if it is a number or a text."""

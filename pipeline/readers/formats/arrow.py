@@ -22,14 +22,17 @@ def read(path: Path, settings: Profile, contents: Contents) -> None:
     """Add the columns of a table."""
     contents.row_name = "record"
     packed = path.read_bytes()[:4]
-    schema = parquet.read_schema(path) if packed == b"PAR1" else pa.ipc.open_file(pa.OSFile(str(path))).schema
+    footer = parquet.read_metadata(path) if packed == b"PAR1" else None
+    schema = footer.schema.to_arrow_schema() if footer else pa.ipc.open_file(pa.OSFile(str(path))).schema
     asked = [name for name in schema.names if contents.asks(name)] if contents.wanted else schema.names
     for name in asked:
         if schema.names.count(name) > 1:
             text = f"column {name!r} stands {schema.names.count(name)} times in the file"
             cure = "Name the columns apart where the file is written."
             raise refusal("header-missing", contents.name, text, "it once, since nobody can tell which is meant", cure)
-    read_table = parquet.read_table if packed == b"PAR1" else feather.read_table
+    # the library does not survive that its memory ends; constant columns pack without bound
+    contents.claim(footer.num_rows * len(asked) if footer else 0)
+    read_table = parquet.read_table if footer else feather.read_table
     table = read_table(path, columns=asked, use_threads=False)
     # a damaged file may point outside its own buffers, which only this looks at
     table.validate(full=True)
