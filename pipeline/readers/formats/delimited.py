@@ -18,7 +18,8 @@ from pipeline.profiles.profile_model import Profile
 from pipeline.profiles.profile_text import BLANKS, TextLayout
 from pipeline.readers.dates import whole_dates
 from pipeline.readers.frame import Array, Contents
-from pipeline.readers.limits import LARGEST_LOG, LONGEST_LINE
+from pipeline.readers.isolation import allowed_bytes
+from pipeline.readers.limits import LONGEST_LINE
 from pipeline.readers.refusals import refusal
 from pipeline.records.batch import Integers
 
@@ -82,20 +83,21 @@ def unpacked(name: str, data: bytes) -> bytes:
     Raises
     ------
     LogError
-        If it cannot be unpacked, or holds more than `LARGEST_LOG`.
+        If it cannot be unpacked, or holds more than a file of its size may.
     """
     codec = next((codec for magic, codec in PACKED.items() if data.startswith(magic)), None)
     if codec is None:
         return data
     parts: list[bytes] = []
+    most = allowed_bytes(len(data))
     try:
         with pa.CompressedInputStream(pa.BufferReader(data), codec) as stream:
-            while len(parts) * _BLOCK <= LARGEST_LOG and (part := stream.read(_BLOCK)):
+            while len(parts) * _BLOCK <= most and (part := stream.read(_BLOCK)):
                 parts.append(part)
     except (OSError, pa.ArrowException) as error:
         raise refusal("damaged", name, f"cannot be unpacked ({codec}): {error}") from error
-    if len(text := b"".join(parts)) > LARGEST_LOG:
-        raise refusal("unpacks-too-large", name, f"unpacks to more than {LARGEST_LOG} bytes", "a log")
+    if len(text := b"".join(parts)) > most:
+        raise refusal("unpacks-too-large", name, f"unpacks to more than {most} bytes", "a log")
     return text
 
 
