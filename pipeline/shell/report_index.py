@@ -26,6 +26,7 @@ from pipeline.records.findings import BoundaryPoint
 from pipeline.records.models import Motion
 from pipeline.rendering.labels import UNITS, decimal, percent_text, stiffness_text
 from pipeline.rendering.report.page_template import fill_template
+from pipeline.rendering.report.report_scripts import policy, script_text
 
 INDEX_FILE = "index.html"
 INDEX_MARK = '<meta name="generator" content="pipeline index">'
@@ -149,10 +150,13 @@ def read_reports(folder: Path) -> tuple[tuple[IndexEntry, ...], tuple[IndexEntry
 
 
 def render_index(entries: Sequence[IndexEntry], others: Sequence[IndexEntry] = ()) -> str:
-    """Return the index as one HTML document that needs no network and has no scripts."""
+    """Return the index as one HTML document that needs no network; a script sorts its table."""
+    script = script_text("report/tables.js")
     page = fill_template(
         "index.html.j2",
         mark=INDEX_MARK,
+        policy=policy((script,)),
+        script=script,
         entries=[entry for entry in entries if not entry.problem],
         damaged=[entry for entry in entries if entry.problem],
         others=others,

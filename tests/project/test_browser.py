@@ -22,6 +22,7 @@ from trial_pages import trial_page
 from pipeline.comparison.compare import Outcome
 from pipeline.rendering.report import report
 from pipeline.shell.profile.log_picture import look, page
+from pipeline.shell.report_index import write_index
 
 pytestmark = pytest.mark.browser
 playwright = pytest.importorskip("playwright.sync_api", reason="no Playwright: pip install -e '.[dev]'")
@@ -97,6 +98,25 @@ def title(page: Any) -> str:
 
 def status(page: Any) -> str:
     return str(page.locator("#plane-status").inner_text())
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_the_index_has_a_margin_and_sorts(browser: Any, tmp_path: Path, width: int) -> None:
+    for name in "bac":
+        data = report_data(full=False)
+        data = replace(data, result=data.result.model_copy(update={"device": name, "title": name}))
+        report.write(data, tmp_path / f"{name}.html")
+        (tmp_path / f"{name}.json").write_text(data.result.model_dump_json())
+    path = write_index(tmp_path)
+    assert path is not None
+    with Opened(browser, path, width=width, wait=False) as page:
+        assert page.evaluate("document.querySelector('table').getBoundingClientRect().left") >= 16
+        assert page.evaluate("document.documentElement.scrollWidth") <= width
+        if width == WIDTHS[0]:
+            head = page.locator("button.sort").first
+            head.click()
+            head.click()
+            assert page.locator("tbody th a").all_inner_texts() == ["c", "b", "a"]
 
 
 @pytest.mark.parametrize("scheme", SCHEMES)

@@ -28,16 +28,16 @@ def scripts(with_trials: bool) -> tuple[str, ...]:
     with_trials : bool
         Whether the page shows trials, which asks for the plot library and its licence.
     """
-    tables = "".join(_text(name) for name in PAGE_SCRIPTS)
+    tables = "".join(script_text(name) for name in PAGE_SCRIPTS)
     if not with_trials:
         return (tables,)
-    licence = f"/*! uPlot\n{_text(PLOT_LICENCE).strip()}\n*/\n"
-    return tables, licence + _text(PLOT), "".join(_text(name) for name in TRIALS_SCRIPTS)
+    licence = f"/*! uPlot\n{script_text(PLOT_LICENCE).strip()}\n*/\n"
+    return tables, licence + script_text(PLOT), "".join(script_text(name) for name in TRIALS_SCRIPTS)
 
 
 def plot_style() -> str:
     """Return the style sheet of the plot library."""
-    return _text(PLOT_STYLE)
+    return script_text(PLOT_STYLE)
 
 
 def policy(inline: tuple[str, ...]) -> str:
@@ -64,7 +64,8 @@ def json_text(content: Any) -> str:
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
-def _text(name: str) -> str:
+def script_text(name: str) -> str:
+    """Return the text of a script or style sheet of the templates."""
     return (TEMPLATES / name).read_text(encoding="utf-8")
 
 
