@@ -32,7 +32,6 @@ from pipeline.comparison.scene.scene_parts import plan_parts
 from pipeline.comparison.scores.scores import add_scores
 from pipeline.comparison.stage_pool import compute_stages
 from pipeline.comparison.summary.answer import answer
-from pipeline.comparison.summary.summary import summarise
 from pipeline.comparison.summary.summary_warnings import warnings_of
 from pipeline.comparison.tables_d import TableBuilder
 from pipeline.comparison.truths import truths, with_truth
@@ -48,6 +47,7 @@ from pipeline.records.results import (
 )
 from pipeline.rendering.labels import UNITS
 from pipeline.rendering.report.report import write as write_report
+from pipeline.rendering.report.report_answer import answer_lines
 from pipeline.store.gone import gone
 from pipeline.store.mirror import origin
 from pipeline.theory.predictions import Predictions, Theory
@@ -153,7 +153,7 @@ def compare(
         trials = partial(trial_page, data, found.results, found.theories, full=full, responses=responses)
         page = ReportData(
             result,
-            figures=FigureBuilder(data, found.theories, found.results, result.answer).asked(found.rows, predictions),
+            figures=FigureBuilder(data, found.theories, found.results, result.told).asked(found.rows, predictions),
             stages=_rows(plan),
             accuracy=accuracy,
             trials=trials() if asked.has_figure("trials") else None,
@@ -212,9 +212,8 @@ def _result(
 ) -> ComparisonResult:
     units = UNITS[motion_of(data)]
     told = answer(data, found.results, found.rows, units)
-    sentences = summarise(told, found.results, found.rows, units)
     logs = tuple(log_list(stages) for stages in data.experiments)
-    return ComparisonResult(
+    result = ComparisonResult(
         device=data.scene.device,
         title=data.device.title if data.device else data.scene.device,
         motion=motion_of(data),
@@ -224,14 +223,14 @@ def _result(
         experiments=tuple(found.results),
         tables=found.rows,
         answer=told,
-        summary=tuple(sentence.text for sentence in sentences),
-        summary_sources=tuple(sentence.source for sentence in sentences),
+        summary=(),
         warnings=warnings_of(data, found.results),
         excluded=excluded_trials(data),
         report=str(report) if report else None,
         provenance=origin(data, logs, code=report_code()),
         logs=logs,
     )
+    return result.model_copy(update={"summary": answer_lines(result)})
 
 
 def _rows(plan: Sequence[PlannedStage]) -> tuple[tuple[str, str, str], ...]:

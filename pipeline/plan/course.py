@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf
 from pathlib import Path
 from typing import Literal
@@ -22,7 +22,7 @@ from pipeline.plan.forecast import Forecast
 from pipeline.plan.model import Range
 from pipeline.plan.requests import NOTHING_ASKED, Requests, Wall, read_requests, requests_folder, walls_of
 from pipeline.plan.verdicts import Tried
-from pipeline.records.batch import TrialBatch
+from pipeline.records.batch import Floats, TrialBatch
 from pipeline.records.models import Device, Experiment
 from pipeline.store.samples import load_groups
 from pipeline.store.storage import list_experiments, read_trials
@@ -140,36 +140,46 @@ def open_course(
         return Course(name, chosen, tried, device, of_file, *about, device.motion == "rotation", None, (), requests)
     trials = read_trials(processed, name, chosen)
     stages = ExperimentStages(processed, name, chosen, trials, spring=declared_spring(device, chosen))
-    columns = {key: stages.column("response", key) for key in ("stiffness", "damping", "growth_per_s")}
-    cost = stages.cost(wish.criterion)[0] if wish.goal == "optimum" else np.full(len(columns["stiffness"]), np.nan)
-    force = np.full(len(cost), np.nan)
+    force = None
     if wish.largest_force < inf:
+        force = np.full(trials.num_rows, np.nan)
         groups = load_groups(processed, trials)
         for rows, batch in zip(groups.places, groups.parts, strict=True):
             force[rows] = np.nanmax(np.abs(batch.command), axis=1)
-    tried = Tried(
-        columns["stiffness"],
-        columns["damping"],
-        stages.verdicts.verdict,
-        columns["growth_per_s"],
-        force,
-        cost,
-    )
-    walls = walls_of(tried.stiffness, tried.damping)
+    course = course_of(stages, device, of_file, wish, force)
+    fitted = learnt(processed, trials, known, look)
+    return replace(course, fitted=fitted, requests=requests.answered(course.walls))
+
+
+def course_of(
+    stages: ExperimentStages,
+    device: Device | None,
+    of_file: Experiment | None,
+    wish: Wish,
+    force: Floats | None = None,
+) -> Course:
+    """Return the trials of an experiment as verdicts alone tell of them: no device learnt, nothing asked before.
+
+    ``force`` is the largest absolute command of each trial [N, Nm], where it matters.
+    """
+    trials = stages.trials
+    columns = [stages.column("response", key) for key in ("stiffness", "damping", "growth_per_s")]
+    nothing = np.full(trials.num_rows, np.nan)
+    cost = stages.cost(wish.criterion)[0] if wish.goal == "optimum" else nothing
+    K, B, growth = columns
+    tried = Tried(K, B, stages.verdicts.verdict, growth, nothing if force is None else force, cost)
     period = float(np.median(trials.column("sampling_period_s").to_numpy()))
     return Course(
-        name,
-        chosen,
-        tried.select((tried.stiffness > 0) & (tried.damping >= 0)),
+        stages.device,
+        stages.experiment,
+        tried.select((K > 0) & (B >= 0)),
         device,
         of_file,
         period,
         float(np.median(trials.column("rows").to_numpy())) * period,
         float(np.max(np.abs(trials.column("step").to_numpy()))),
         "rotation" in trials.column("motion").to_pylist(),
-        learnt(processed, trials, known, look),
-        walls,
-        requests.answered(walls),
+        walls=walls_of(K, B),
     )
 
 

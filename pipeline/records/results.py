@@ -134,25 +134,69 @@ class UseRegion(Record):
     point: UsePoint
 
 
-class Mark(Record):
-    """Whether something that the numbers rest on holds, and the sentence that says so."""
+class AnswerEstimate(Record):
+    """A quantity of the first screen with its 95 % interval; an end is null where nothing bounds it."""
 
-    name: Literal["wall_law", "loop", "limits"]
-    state: Literal["yes", "partly", "no", "unknown"]
-    text: str
+    name: Literal["delay_samples", "mass", "damping", "friction", "stiffness_max", "replay"]
+    value: float
+    low: float | None
+    high: float | None
+    unit: str
+
+
+class Prediction(Record):
+    """Whether theory predicts the device: distance of the measured limits from it, and of the costs on tested walls.
+
+    ``percent`` is the median distance of ``limits`` limits, null where it is no headline (`scores.agreement`);
+    ``percent_with_friction`` that from the found device with its friction. ``safe`` where all walls that theory calls
+    stable are. ``reason`` says why it is unknown.
+    """
+
+    code: Literal["yes", "with_friction", "no", "unknown"]
+    percent: float | None = None
+    percent_with_friction: float | None = None
+    limits: int = 0
+    overlap_percent: float | None = None
+    safe: bool = False
+    costs: int = 0
+    costs_percent: float | None = None
+    reason: str = ""
+
+
+class AnswerCause(Record):
+    """Why limits deviate from theory: a code (of `Cause`, or of a score), a sentence, and what shows it."""
+
+    code: str
+    sentence: str
+    evidence: str
+
+
+class NextWall(Record):
+    """The wall that the planner asks for next, why, and the command that plans on from it."""
+
+    stiffness: float
+    damping: float
+    why: str
+    command: str
 
 
 class Answer(Record):
-    """What a reader of one screen is told: verdict, walls to use, what to trust, and causes in order.
+    """What a reader of one screen is told: which wall, how sure, whether theory predicts it, why not, what is next.
 
-    ``experiment`` is the one that is spoken of, and drawn beside; ``use`` is empty where no wall can be named.
+    ``experiment`` is the one that is spoken of, and drawn beside. ``spacing_percent`` is the distance of the tested
+    walls where theory's optimum lies between them; ``next`` is null without ``next_reason`` where the limits are known.
     """
 
     experiment: str
-    verdict: str
-    use: str = ""
-    marks: tuple[Mark, ...] = ()
-    causes: tuple[str, ...] = ()
+    wall: UsePoint | None
+    wall_reason: str = ""
+    spacing_percent: float | None = None
+    estimates: tuple[AnswerEstimate, ...] = ()
+    estimates_reason: str = ""
+    predicts: Prediction
+    causes: tuple[AnswerCause, ...] = ()
+    next: NextWall | None = None
+    next_reason: str = ""
 
 
 class HeaderLine(Record):
@@ -257,14 +301,18 @@ class ComparisonResult(Record):
     tables: tuple[ComparisonRow, ...]
     answer: Answer | None = None
     summary: tuple[str, ...]
-    summary_sources: tuple[str, ...] = ()
-    """Anchor of the figure or table that each sentence of the summary rests on; empty where there is none."""
     warnings: tuple[str, ...]
     excluded: tuple[ExcludedTrial, ...] = ()
     notes: tuple[Note, ...] = ()
     report: str | None = None
     provenance: dict[str, str]
     logs: tuple[LogList, ...] = ()
+
+    @property
+    def told(self) -> ExperimentResult | None:
+        """The experiment that the answer is about."""
+        name = self.answer.experiment if self.answer else None
+        return next((each for each in self.experiments if each.experiment == name), None)
 
     def numbers(self) -> dict[str, Any]:
         """Return the document as JSON values, without what tells of files and runs."""

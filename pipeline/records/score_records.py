@@ -59,7 +59,7 @@ class DistanceScore(Record):
     censored ones with theory above it: nothing is known there, and they are left out. Of the dampings, ``bounded`` have
     a limit with bounds on both sides (or a lower one that theory is below): at ``agreeing`` of these theory meets the
     interval of the limit, or is nearer to it than 2 %, at ``above`` the limit lies above theory. ``largest`` is among
-    the bounded ones, where there are any.
+    the bounded ones, where there are any. The median is ``steady`` where no single limit decides it.
     """
 
     median: float
@@ -73,6 +73,7 @@ class DistanceScore(Record):
     bounded: int
     agreeing: int
     above: int
+    steady: bool = False
 
 
 class VerdictScore(Record):

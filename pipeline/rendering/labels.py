@@ -8,8 +8,9 @@ from dataclasses import dataclass
 
 from pipeline.base.wording import true_minus
 from pipeline.records.criteria import CRITERIA, criterion_of
-from pipeline.records.findings import BoundaryPoint, Estimate
+from pipeline.records.findings import Estimate
 from pipeline.records.models import Motion
+from pipeline.records.results import AnswerEstimate
 
 MISSING = "–"
 
@@ -189,7 +190,7 @@ def share_text(value: float, places: int = 1) -> str:
     return "99.9" if text == "100.0" else text
 
 
-def estimate_texts(estimate: Estimate) -> tuple[str, str, str]:
+def estimate_texts(estimate: Estimate | AnswerEstimate) -> tuple[str, str, str]:
     """Return value and both ends of the interval with as many digits as tell them apart; empty where missing."""
     given = (estimate.value, estimate.low, estimate.high)
     known = {x for x in given if x is not None}
@@ -207,11 +208,3 @@ def _with_zeros(value: float, text: str, digits: int) -> str:
         return text
     places = max(digits - 1 - math.floor(math.log10(abs(value))), 0)
     return f"{value:.{places}f}".replace("-", "\N{MINUS SIGN}")
-
-
-def step_words(point: BoundaryPoint, unit: str) -> str:
-    """Return what a stable wall of a device with friction holds for, to stand behind its stiffness; else nothing."""
-    if point.stiffness_large_motion is None:
-        return ""
-    large = stiffness_text(point.stiffness_large_motion)
-    return f" for this step; a harder push is unstable from {large} {unit} on"

@@ -84,11 +84,14 @@ def test_nothing_is_recommended_in_units_that_the_command_does_not_obey(tmp_path
     assert found.use is found.passive is found.loop_boundary is None
     assert (found.optimum, found.scores) == ({}, ())
     assert not any(point.unstable or point.estimate for point in found.boundary)
-    assert (result.answer.verdict, result.answer.use) == (found.causes[0].sentence, "")
+    told = result.answer
+    assert (told.wall, told.next, told.predicts.code) == (None, None, "unknown")
+    assert told.causes[0].sentence == found.causes[0].sentence
+    assert "stiffness_max" not in {each.name for each in told.estimates}
     assert all(row.trial_id is None for row in result.tables)
     told = re.sub(r"<[^>]+>", " ", page.read_text(encoding="utf-8"))
     assert "obeys another wall than the headers state" in told
-    assert not re.search(r"Set K =|times as stiff|has at most K|largest stable stiffness measured is", told)
+    assert not re.search(r"× K|largest stable K", told)
 
 
 def test_single_logs_of_another_wall_are_left_out_by_name_and_the_rest_is_used(tmp_path, course):
@@ -153,7 +156,7 @@ def test_stable_with_friction_is_said_of_the_step_with_the_limit_of_large_motion
         assert point.stiffness_large_motion == pytest.approx(limit, rel=0.02)
     best = found.stiffest
     assert best.stiffness_large_motion < best.stable
-    words = f"for this step; a harder push is unstable from {best.stiffness_large_motion:.0f} N/m on"
-    assert words in result.answer.verdict
+    assert result.answer.predicts.code in ("with_friction", "no")
     assert found.use is None or found.use.point.margin_large_motion >= 1.25
-    assert "harder push" in page.read_text(encoding="utf-8")
+    if found.use is not None:
+        assert "for a harder push" in page.read_text(encoding="utf-8")

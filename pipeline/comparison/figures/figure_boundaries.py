@@ -31,7 +31,7 @@ from pipeline.comparison.scores.agreement import NEAR_ZERO
 from pipeline.comparison.scores.overlap import measured_limits
 from pipeline.records.figure_records import Curve, Figure, Limits
 from pipeline.records.models import Experiment
-from pipeline.records.results import Answer, ExperimentResult, TheoryParameters
+from pipeline.records.results import ExperimentResult, TheoryParameters
 from pipeline.rendering.labels import UNITS, Units, percent_text, stiffness_text
 from pipeline.theory.predictions import Theory
 from pipeline.theory.stability.region import stiffness_limit
@@ -58,9 +58,9 @@ def boundary_figures(
     return tuple(figure for figure in figures if figure is not None)
 
 
-def answer_figure(data: SceneData, told: Answer, theory: Theory | None, result: ExperimentResult) -> Figure[Limits]:
+def answer_figure(data: SceneData, theory: Theory | None, result: ExperimentResult) -> Figure[Limits]:
     """Return the picture beside the answer: measured limits with intervals, theory, walls to use, and all trials."""
-    stages = next(each for each in data.experiments if each.experiment == told.experiment)
+    stages = next(each for each in data.experiments if each.experiment == result.experiment)
     K, B = stages.column("response", "stiffness"), stages.column("response", "damping")
     wall, verdict = K > 0, stages.verdicts.verdict
     trials = [
@@ -68,18 +68,18 @@ def answer_figure(data: SceneData, told: Answer, theory: Theory | None, result: 
         for kind in ("stable", "unstable")
         if (at := wall & (verdict == kind)).any()
     ]
-    number = data.scene.experiments.index(told.experiment)
+    number = data.scene.experiments.index(result.experiment)
     curves = [replace(measured_curve(result, "measured limit", open_ends=True), number=number)]
     if theory is not None and data.scene.shown.has_overlay("theory"):
         curves.append(theory_curve(theory, "limit by theory"))
     if result.use is not None:
         curves.append(use_curve(result.use))
     shaded = "; pale bars: their 95 % intervals" if any(point.low is not None for point in result.boundary) else ""
-    shaded += ", thin where nothing bounds them from below" if any(point.low == 0 for point in result.boundary) else ""
+    shaded += ", none where nothing bounds them from below" if any(point.low == 0 for point in result.boundary) else ""
     return Figure(
         "boundaries",
         ANSWER,
-        f"Where experiment {told.experiment} is stable",
+        f"Where experiment {result.experiment} is stable",
         f"Every trial, and the largest stable stiffness at each damping{shaded}.",
         (("", (*curves, *trials)),),
     )

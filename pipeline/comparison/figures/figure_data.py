@@ -25,7 +25,7 @@ from pipeline.records.criteria import criterion_of
 from pipeline.records.delay_rows import delay_points
 from pipeline.records.figure_records import CostMap, DelayPanel, Figure, Limits
 from pipeline.records.models import ComparisonRow, FigureKind, TableLayout
-from pipeline.records.results import Answer, ExperimentResult, TheoryParameters
+from pipeline.records.results import ExperimentResult, TheoryParameters
 from pipeline.rendering.labels import criterion_label, table_label
 from pipeline.theory.predictions import Predictions, Request, Theory
 
@@ -62,7 +62,7 @@ class FigureBuilder:
     data: SceneData
     theories: Mapping[str, Theory]
     results: Sequence[ExperimentResult]
-    told: Answer | None = None
+    told: ExperimentResult | None = None
 
     def asked(self, rows: Sequence[ComparisonRow], predictions: Predictions) -> tuple[Figure[Any], ...]:
         """Return all figures that the scene asks for, as far as there is data for them."""
@@ -81,10 +81,8 @@ class FigureBuilder:
 
     def answered(self) -> Iterator[Figure[Limits]]:
         """Yield the picture beside the answer, where there is one and a limit to draw."""
-        name = self.told.experiment if self.told else ""
-        for result in self.results:
-            if self.told and result.experiment == name and result.boundary:
-                yield answer_figure(self.data, self.told, self.theories.get(name), result)
+        if self.told and self.told.boundary:
+            yield answer_figure(self.data, self.theories.get(self.told.experiment), self.told)
 
     def boundaries(self) -> tuple[Figure[Limits], ...]:
         """Return boundary figures: without and with operator, over delay, from the estimates, and normalised."""

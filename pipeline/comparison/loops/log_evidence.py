@@ -169,10 +169,7 @@ def friction_words(coulomb: float, unit: str, stages: ExperimentStages) -> str:
     text = f"The device has Coulomb friction of {significant(coulomb, 2)} {unit}"
     if not step or coulomb <= SETTLING * step:
         return f"{text}."
-    return (
-        f"{text}, {share_text(coulomb / step, 0)} % of the step: settling times depend on how far off F_0/K it lets "
-        "the device rest."
-    )
+    return f"{text}, {share_text(coulomb / step, 0)} % of the step: it rests off target, and settling times show that."
 
 
 def rest_words(rest: RestForces, unit: str) -> str:

@@ -17,6 +17,12 @@ NEAR_ZERO = 0.25
 """Theoretical limit relative to the largest one below which no distance is divided by it: at both ends of a boundary it
 tends to zero, and one step of the stiffness (200 N/m of 13,000) would be any percentage of it."""
 
+FEWEST_COMPARISONS = 5
+"""Comparisons from which on their median may be a headline."""
+
+NEGLIGIBLE = 1e-3
+"""Size of a median whose sign says nothing: it is told as less than 0.1 %."""
+
 FEWEST_TRIALS = 10
 """Common trials from which on a rank correlation is given: with ten, chance alone reaches 0.63 in 5 % of cases."""
 
@@ -77,7 +83,31 @@ def boundary_distance(limits: MeasuredLimits, theory: Floats) -> DistanceScore |
         bounded=int(bounded.sum()),
         agreeing=int((bounded & ~above & ~below).sum()),
         above=int(above.sum()),
+        steady=is_steady(share),
     )
+
+
+def is_steady(values: Floats) -> bool:
+    """Tell whether the median of values may be a headline: of five or more, and no single one decides it.
+
+    Leaving out any of them moves it by less than half the half width of its 95 % interval (by order statistics), and
+    keeps its sign.
+
+    >>> is_steady(np.array([0.27, 0.28, 0.29, 0.3, 0.31])), is_steady(np.array([0.1, 0.2, 0.21, 0.3, 0.4]))
+    (True, True)
+    >>> is_steady(np.array([-0.3, -0.2, -0.1, 0.15, 0.2, 0.3])), is_steady(np.ones(4))
+    (False, False)
+    """
+    from scipy.stats import binom
+
+    n, ordered, middle = len(values), np.sort(values), float(np.median(values))
+    if n < FEWEST_COMPARISONS:
+        return False
+    rank = max(int(binom.ppf(0.025, n, 0.5)) - 1, 0)
+    half = 0.5 * (ordered[n - 1 - rank] - ordered[rank])
+    without = [float(np.median(np.delete(ordered, place))) for place in (0, n // 2, n - 1)]
+    kept = abs(middle) < NEGLIGIBLE or all(value * middle > 0 for value in without)
+    return kept and all(abs(value - middle) <= 0.5 * half for value in without)
 
 
 def verdict_agreement(stiffness: Floats, verdict: NDArray[np.str_], predicted: Booleans) -> VerdictScore | None:

@@ -1,4 +1,4 @@
-"""Which stiffness and damping to use: stable, good trials far from the limit, and what is passive."""
+"""Which stiffness and damping to use: stable, good trials far from the limit."""
 
 from __future__ import annotations
 
@@ -18,8 +18,7 @@ from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.batch import Booleans, Floats
 from pipeline.records.findings import Optimum
 from pipeline.records.results import STIFFEST, CostRange, ExperimentResult, UsePoint, UseRegion
-from pipeline.rendering.labels import Units, criterion_name, significant
-from pipeline.rendering.report.report_answer import use_facts, use_note
+from pipeline.rendering.labels import criterion_name
 
 PREFERRED = ("settle_2pct", "settle_5pct", "settle_1pct", "energy_step_w1", "energy_step_w0", "energy_step_w2")
 """Criteria by which walls are recommended, the first one that has a cost: how fast a wall comes to rest is what a user
@@ -54,8 +53,8 @@ def region_to_use(result: ExperimentResult, stages: ExperimentStages) -> tuple[U
     Notes
     -----
     Usable are stable trials at K > 0 that overshoot by at most `CALM`, as far as that is known. Where too few of them
-    have a cost, the stiffest walls at the margin `FAR` are named. The one to set has a cost of its own, and its log
-    came to rest undisturbed.
+    have a cost, the stiffest walls at the margin `FAR` are named. The one to set has a cost of its own, its log came to
+    rest undisturbed, and no softer wall of its damping is undecided.
     """
     # a limit that nothing bounds from below is none to keep away from: those beside it are
     limits = measured_limits([p for p in result.boundary if p.low is None or p.low > 0])
@@ -66,6 +65,7 @@ def region_to_use(result: ExperimentResult, stages: ExperimentStages) -> tuple[U
     over = stages.sure_cost("overshoot") if "overshoot" in result.optimum else np.zeros_like(K)
     usable = stable & ~(over > CALM)
     clean, finished = _judged(result, stages)
+    finished &= ~_above_undecided(K, B, stages.verdicts.verdict == "undecided")
     found, why, region = recommended(result), "no criterion by which walls are chosen has a cost", None
     criterion = found[0] if found else STIFFEST
     if found:
@@ -78,8 +78,18 @@ def region_to_use(result: ExperimentResult, stages: ExperimentStages) -> tuple[U
         tested = WallTrials(K, B, softness, np.where(usable & clean, softness, np.inf), usable, finished)
         criterion, region = STIFFEST, best_rectangle(tested, limits, FAR)
         if region is None:
-            return None, f"{why}; no {FEWEST} stable neighbours lie {FAR:g} times below the limit"
+            return None, f"{why}; fewer than {FEWEST} stable neighbours lie at half the limit or below"
     return _described(criterion, tested, region, limits, result, stages), why
+
+
+def _above_undecided(stiffness: Floats, damping: Floats, undecided: Booleans) -> Booleans:
+    """Return which trials have an undecided one of K > 0 below them, at the same damping."""
+    least = np.full(len(stiffness), np.inf)
+    for B in np.unique(damping[undecided]):
+        at = damping == B
+        least[at] = stiffness[at & undecided & (stiffness > 0)].min(initial=np.inf)
+    above: Booleans = stiffness > least
+    return above
 
 
 SPOILT = ("no_step", "travel_limit", "too_short", "saturated", "disturbed")
@@ -107,7 +117,7 @@ def _judged(result: ExperimentResult, stages: ExperimentStages) -> tuple[Boolean
 
 
 def _too_few(criterion: str, known: int, stable: int) -> str:
-    return f"only {known} of {stable} stable trials have a {criterion_name(criterion)}; no {FEWEST} neighbours are good"
+    return f"only {known} of {stable} stable trials have a {criterion_name(criterion)}"
 
 
 def _described(
@@ -145,38 +155,4 @@ def _described(
 def _range(values: Floats) -> CostRange:
     return CostRange(
         median=float(np.median(values)), low=float(values.min()), high=float(values.max()), trials=len(values)
-    )
-
-
-def use_text(result: ExperimentResult, units: Units) -> str:
-    """Return the sentences that say which (K, B) to set, what it costs, and how far the limit is; else nothing."""
-    if result.use is None:
-        return ""
-    (_, wall), *costs, (_, limit), (number, box) = use_facts(result, units).items()
-    told = "".join(f"; {name}: {text}" for name, text in costs)
-    text = (
-        f"Set {wall} (experiment {result.experiment}){told}; the limit is {limit}. Stable {number}: "
-        f"{box}. {use_note(result)}"
-    )
-    return text.rstrip()
-
-
-def passive_choice(result: ExperimentResult, units: Units) -> str:
-    """Return the sentence that names the stiffest passive wall, which is stable with every passive hand, or why none.
-
-    Source: Hulin 2017, eqs. 4.6 and 4.11.
-    """
-    wall, loop = result.passive, result.loop
-    if wall is None:
-        return f"No passive wall is named: {result.passive_reason}." if result.passive_reason else ""
-    reach = ""
-    if loop is not None and loop.damping is not None and loop.delay_samples is not None:
-        b, d = loop.damping, loop.delay_samples
-        # a hand that lets go takes its damping along
-        least = f"b = {significant(b.low, 4)} to {significant(b.high, 4)} {units.damping}"
-        own = "the device's own damping" if loop.operator else f"all of {least}"
-        reach = f" (4.6, for {own} and d = {significant(d.low, 4)} to {significant(d.high, 4)})"
-    return (
-        f"A wall that is passive, and so stable with every passive hand, has at most K = {wall.stiffness:.4g} "
-        f"{units.stiffness} at B = {wall.damping:.4g} {units.damping}{reach}."
     )

@@ -1,4 +1,4 @@
-"""Why a measured boundary deviates from theory, as far as the logs tell: sentences by rules, each from one score."""
+"""Why a measured boundary deviates from theory, as far as the logs tell: rules, each from one score."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pipeline.comparison.figures.boundary_curves import too_late
 from pipeline.comparison.loops.loop_range import MATTERS
 from pipeline.comparison.scores.overlap import measured_limits
 from pipeline.comparison.scores.theory_band import ParameterBox, band_score
-from pipeline.records.results import ExperimentResult
+from pipeline.records.results import AnswerCause, ExperimentResult
 from pipeline.records.score_records import BandScore, BoundScore
 from pipeline.rendering.labels import Units, damping_text, decimal, significant
 
@@ -18,7 +18,7 @@ SOME = 0.8
 """The same from which on it is told that they could, with the number of limits beside."""
 
 
-def causes(result: ExperimentResult, units: Units) -> list[str]:
+def causes(result: ExperimentResult, units: Units) -> list[AnswerCause]:
     """Return what may make the boundary of an experiment deviate, most certain first; empty where nothing is known.
 
     Parameters
@@ -30,25 +30,25 @@ def causes(result: ExperimentResult, units: Units) -> list[str]:
     if not result.scores:
         return []
     first = result.scores[0]
-    texts = []
+    found = []
     if first.bound is not None:
-        texts.append(_bound(first.bound, units))
+        found.append(_bound(first.bound, units))
     band = next((s.band for s in result.scores if s.band is not None), None)
     distance = first.distance
     if distance is not None and abs(distance.median) >= MATTERS:
-        texts += [_delay_alone(result)] if band is None and not result.causes else []
-        texts += [] if band is None else [_band(band, units)]
-    return [text for text in texts if text]
+        found += _delay_alone(result) if band is None and not result.causes else []
+        found += [] if band is None else [_band(band, units)]
+    return found
 
 
-def _delay_alone(result: ExperimentResult) -> str:
+def _delay_alone(result: ExperimentResult) -> list[AnswerCause]:
     """Return that the delays that the logs leave open explain the limits by themselves, where they do.
 
     Asked only where the logs show no cause: a wide range of delays explains what friction did.
     """
     theory, delay = result.scores[0].parameters, result.estimates["delay_samples"]
     if delay.low is None or delay.high is None or delay.low == delay.high or too_late(delay):
-        return ""
+        return []
     box = ParameterBox(
         (theory.mass, theory.mass),
         (theory.damping, theory.damping),
@@ -59,34 +59,34 @@ def _delay_alone(result: ExperimentResult) -> str:
     )
     met = band_score(measured_limits(result.boundary), box)
     if met is None or met.share < SOME:
-        return ""
+        return []
     low, high, own = (significant(d, 3) for d in (delay.low, delay.high, theory.delay_samples))
-    return (
-        f"Delays of {low} to {high} samples in the logs (theory: {own}) could alone explain {met.inside} of "
-        f"{counted(met.points, 'limit')}."
+    sentence = f"Another delay could explain it: {low} to {high} samples in the logs, {own} in theory."
+    evidence = f"{met.inside} of {counted(met.points, 'limit')} agree with some delay of that range"
+    return [AnswerCause(code="delay_range", sentence=sentence, evidence=evidence)]
+
+
+def _bound(bound: BoundScore, units: Units) -> AnswerCause:
+    line = f"K ≤ {significant(bound.stiffness, 3)} {units.stiffness} \N{MINUS SIGN} {significant(bound.slope, 3)} s⁻¹ B"
+    return AnswerCause(
+        code="straight_limit",
+        sentence="A straight line cuts the boundary off, as vibration modes and a coarse encoder do (6.1.3).",
+        evidence=f"{line} from B = {damping_text(bound.damping_low)} {units.damping}; "
+        f"{decimal(100 * bound.cut, 0)} % of the region is cut off",
     )
 
 
-def _bound(bound: BoundScore, units: Units) -> str:
-    return (
-        f"From B = {damping_text(bound.damping_low)} {units.damping} on the boundary is a straight line, "
-        f"K ≤ {significant(bound.stiffness, 3)} {units.stiffness} \N{MINUS SIGN} {significant(bound.slope, 3)} s⁻¹ B, "
-        f"that theory does not have; it cuts off {decimal(100 * bound.cut, 0)} % of the region. Vibration modes of the "
-        "device and encoder resolution are known causes (6.1.3)."
-    )
-
-
-def _band(band: BandScore, units: Units) -> str:
+def _band(band: BandScore, units: Units) -> AnswerCause:
     low, high = (significant(d, 3) for d in band.delay_samples)
-    ranges = f"the estimated m, b and d = {low} to {high}" if low != high else "the estimated m, b and d"
+    ranges = f"m, b and d = {low} to {high}" if low != high else "m, b and d"
+    evidence = f"{band.inside} of {counted(band.points, 'limit')} agree with the band of theory"
     if band.share >= MOSTLY:
-        return (
-            f"The intervals of {ranges} allow this deviation: {band.inside} of {counted(band.points, 'limit')} meet "
-            "the band of theory that they span."
+        sentence = f"The intervals of {ranges} allow the deviation."
+    else:
+        where = max(band.departures, key=lambda d: d.dampings)
+        sentence = f"Not the parameters: the intervals of {ranges} do not explain the deviation."
+        evidence += (
+            f"; the boundary lies {where.side} it from B = {damping_text(where.damping_low)} to "
+            f"{damping_text(where.damping_high)} {units.damping}"
         )
-    where = max(band.departures, key=lambda d: d.dampings)
-    return (
-        f"The intervals of {ranges} do not explain it: only {band.inside} of {counted(band.points, 'limit')} meet "
-        f"their band; the boundary lies {where.side} it from B = {damping_text(where.damping_low)} to "
-        f"{damping_text(where.damping_high)} {units.damping}."
-    )
+    return AnswerCause(code="parameter_range", sentence=sentence, evidence=evidence)

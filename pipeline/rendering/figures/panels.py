@@ -67,9 +67,7 @@ THIN = 0.9
 """Width of theory curves where there is one to each of many measured ones."""
 SHADES = {"envelope": 0.13, "use": 0.3, "passive": 0.22, "measured": 0.45}
 """Opacity of filled areas: light enough for the lines and dots on them, apart from each other in grey."""
-INTERVAL, OPEN_INTERVAL = 6.0, 2.0
-"""Width of the bar of an interval [px], and of one without a lower end."""
-LABELLED_KINDS = ("measured", "theory")
+INTERVAL, LABELLED_KINDS = ("measured", "theory")
 """Kinds of curves whose tip may bear a label; linear conditions and bands have none of their own."""
 
 
@@ -141,7 +139,7 @@ def _draw_trials(axes: Axes, curve: Curve, look: dict[str, Any]) -> Artist:
 
 
 def _draw_intervals(axes: Axes, curve: Curve, colour: str) -> None:
-    """Draw what measured limits leave open as a pale bar at each damping; thin where nothing bounds it from below."""
+    """Draw what measured limits leave open as a pale bar at each damping; none where nothing bounds it from below."""
     if curve.low is None or curve.high is None:
         return
     known = np.isfinite(curve.low) & np.isfinite(curve.high)
@@ -149,11 +147,10 @@ def _draw_intervals(axes: Axes, curve: Curve, colour: str) -> None:
     for side, stiffness in (("from", low), ("to", high)):
         tell(axes, f"{curve.label}: 95 % {side}", stiffness, b)
     bounded = low > 0
-    for at, width in ((bounded, INTERVAL), (~bounded, OPEN_INTERVAL)):
-        if at.any():
-            gap = np.full(int(at.sum()), np.nan)
-            x, y = (np.stack([*ends, gap], axis=1).ravel() for ends in ((low[at], high[at]), (b[at], b[at])))
-            axes.plot(x, y, color=colour, alpha=SHADES["measured"], lw=width, solid_capstyle="butt", label="_interval")
+    low, high, b = low[bounded], high[bounded], b[bounded]
+    if len(b):
+        x, y = (np.stack([*ends, np.full(len(b), np.nan)], axis=1).ravel() for ends in ((low, high), (b, b)))
+        axes.plot(x, y, color=colour, alpha=SHADES["measured"], lw=INTERVAL, solid_capstyle="butt", label="_interval")
 
 
 def _fill_between(axes: Axes, curve: Curve, colour: str) -> Artist:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from pipeline.rendering import labels
+
 TEMPLATES = Path(__file__).parents[1] / "templates"
 """Folder of templates, style sheets, scripts and the vendored plot library."""
 
@@ -16,7 +18,7 @@ def fill_template(name: str, **content: object) -> str:
     name : str
         File name of the template.
     **content : object
-        What its names stand for. Text is escaped unless the template calls it safe.
+        What its names stand for. In pages (``.html.j2``) text is escaped unless the template calls it safe.
 
     Raises
     ------
@@ -27,9 +29,18 @@ def fill_template(name: str, **content: object) -> str:
 
     environment = Environment(
         loader=FileSystemLoader(TEMPLATES),
-        autoescape=True,
+        autoescape=lambda name: name is not None and name.endswith(".html.j2"),
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.filters |= {
+        "stiffness": labels.stiffness_text,
+        "damping": labels.damping_text,
+        "digits": labels.significant,
+        "capitalised": lambda text: text[:1].upper() + text[1:],
+        "size": labels.size_text,
+        "cost": lambda cost, criterion: labels.cost_range_text(criterion, cost, cost),
+        "rounded": labels.estimate_texts,
+    }
     return environment.get_template(name).render(**content)

@@ -7,7 +7,6 @@ reads them back, which is what `pipeline verify` compares.
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -17,9 +16,8 @@ from pipeline.base.errors import PipelineError
 from pipeline.base.wording import duration, error_text, unbroken
 from pipeline.records.accuracy import AccuracyReport, own_rungs
 from pipeline.records.criteria import criterion_of
-from pipeline.records.results import ComparisonResult, ExperimentResult, ReportData
+from pipeline.records.results import ComparisonResult, ReportData
 from pipeline.records.trial_codec import NO_TRIALS, TrialPage, pack
-from pipeline.rendering.labels import UNITS
 from pipeline.rendering.report import (
     report_answer,
     report_estimates,
@@ -75,8 +73,6 @@ PARTS = {"score_costs": "scores", "score_rules": "scores"}
 
 _DIGEST_SLOT = "digest-of-cells"
 _PARTS_SLOT = "digests-of-parts"
-_SOURCE = re.compile(r' <a class="source" href="#([^"]*)">[^<]*</a>')
-"""Link behind a sentence; a scene may leave out what it leads to."""
 
 
 def render(data: ReportData) -> str:
@@ -110,13 +106,10 @@ def render(data: ReportData) -> str:
         families=list(dict.fromkeys(criterion_of(name).family for name in result.criteria)),
         figures=figures,
         figure_json=report_scripts.json_text({"figures": pack(numbers)}) if numbers else "",
-        use_facts=_use_facts(result),
-        use_note=_use_note(result),
-        loop_line=_loop_line(result),
+        **report_answer.answer_content(result),
         **_tables(data),
     )
     page = unbroken(page)
-    page = _SOURCE.sub(lambda link: link[0] if f'id="{link[1]}"' in page else "", page)
     found = report_parts.take_apart(page)
     if found.doubles:
         raise PipelineError(
@@ -139,27 +132,6 @@ def tables_of(name: str, result: ComparisonResult, trials: TrialPage = NO_TRIALS
     found = TABLES[name](result, trials)
     tables = found if isinstance(found, list) else [found] if found else []
     return [marked(table, simulated=result.simulated) for table in tables]
-
-
-def _told(result: ComparisonResult) -> ExperimentResult | None:
-    """The experiment that the answer is about."""
-    name = result.answer.experiment if result.answer else None
-    return next((e for e in result.experiments if e.experiment == name), None)
-
-
-def _use_facts(result: ComparisonResult) -> dict[str, str]:
-    told = _told(result)
-    return report_answer.use_facts(told, UNITS[result.motion]) if told else {}
-
-
-def _loop_line(result: ComparisonResult) -> str:
-    told = _told(result)
-    return report_answer.loop_line(told, result.motion) if told else ""
-
-
-def _use_note(result: ComparisonResult) -> str:
-    told = _told(result)
-    return report_answer.use_note(told) if told else ""
 
 
 def _tables(data: ReportData) -> dict[str, Any]:

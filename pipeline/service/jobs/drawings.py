@@ -17,7 +17,7 @@ from pipeline.device_data.devices import declared_spring, known_devices
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.figure_records import Figure
 from pipeline.records.models import Motion
-from pipeline.records.results import Answer, ComparisonResult
+from pipeline.records.results import ComparisonResult
 from pipeline.rendering.labels import significant
 from pipeline.theory.predictions import Theory
 
@@ -29,8 +29,8 @@ def of_experiment(processed: Path, result: ComparisonResult) -> dict[str, Drawn]
     """Return the first figures of the report of an experiment by name: limits with theory, and a response."""
     (found,) = result.experiments
     data = open_scene(result.device, processed, [found.experiment], None)
-    told, theory = Answer(experiment=found.experiment, verdict=""), Theory(found.theory) if found.theory else None
-    figures = {"limits": answer_figure(data, told, theory, found)} if found.boundary else {}
+    theory = Theory(found.theory) if found.theory else None
+    figures = {"limits": answer_figure(data, theory, found)} if found.boundary else {}
     drawn = {name: _drawn(replace(each, simulated=result.simulated), result.motion) for name, each in figures.items()}
     for response in response_figures(data, result.motion):
         drawn["response"] = _drawn(replace(response, simulated=result.simulated), result.motion)

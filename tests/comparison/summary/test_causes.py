@@ -5,9 +5,8 @@ from __future__ import annotations
 import pytest
 from report_data import BOUND
 
-from pipeline.comparison.summary.advice import passive_choice
 from pipeline.comparison.summary.causes import causes
-from pipeline.records.loop_records import Cause, PassiveWall
+from pipeline.records.loop_records import Cause
 from pipeline.records.score_records import BandScore, Departure
 from pipeline.rendering.labels import UNITS
 
@@ -39,24 +38,26 @@ def test_agreement_needs_no_cause(result):
 
 def test_band_explains_a_deviation_or_not(result):
     inside = BandScore(**BAND, points=20, inside=20)
-    (text,) = causes(with_scores(result, band=inside, distance=off(result, 0.1)), FALCON)
-    assert text.startswith("The intervals of the estimated m, b and d = 3 to 5 allow this deviation: 20 of 20")
+    (cause,) = causes(with_scores(result, band=inside, distance=off(result, 0.1)), FALCON)
+    assert cause.sentence == "The intervals of m, b and d = 3 to 5 allow the deviation."
+    assert cause.evidence.startswith("20 of 20 limits")
     departures = (
         Departure(side="above", damping_low=0, damping_high=8, dampings=2),
         Departure(side="below", damping_low=100, damping_high=148, dampings=8),
     )
     outside = BandScore(**BAND, points=20, inside=10, departures=departures)
-    (text,) = causes(with_scores(result, band=outside, distance=off(result, 0.1)), FALCON)
-    assert "do not explain it: only 10 of 20" in text
-    assert "lies below it from B = 100 to 148 Ns/m" in text
+    (cause,) = causes(with_scores(result, band=outside, distance=off(result, 0.1)), FALCON)
+    assert "do not explain the deviation" in cause.sentence
+    assert cause.evidence.startswith("10 of 20 limits")
+    assert "lies below it from B = 100 to 148 Ns/m" in cause.evidence
 
 
 def test_delays_that_the_logs_leave_open_are_told_where_they_explain_the_limits_alone(result):
     delay = result.estimates["delay_samples"].model_copy(update={"low": 3.0, "high": 6.0})
     shifted = with_scores(result, distance=off(result, 0.28))
     jittering = shifted.model_copy(update={"estimates": result.estimates | {"delay_samples": delay}})
-    (text,) = causes(jittering, FALCON)
-    assert text.startswith("Delays of 3 to 6 samples in the logs (theory: 4) could alone explain ")
+    (cause,) = causes(jittering, FALCON)
+    assert (cause.code, "3 to 6 samples in the logs, 4 in theory" in cause.sentence) == ("delay_range", True)
     # beside what the logs show, a wide range of delays is no cause
     friction = Cause(code="coulomb_friction", sentence="The device has Coulomb friction of 0.9 N.", evidence="")
     assert causes(jittering.model_copy(update={"causes": (friction,)}), FALCON) == []
@@ -67,19 +68,9 @@ def test_delays_that_the_logs_leave_open_are_told_where_they_explain_the_limits_
 def test_bound_is_named_first(result):
     gone = Departure(side="below", damping_low=100, damping_high=180, dampings=19)
     band = BandScore(**BAND, points=20, inside=1, departures=(gone,))
-    texts = causes(with_scores(result, bound=BOUND, band=band, distance=off(result, 0.1)), FALCON)
-    assert texts[0].startswith("From B = 100 Ns/m on the boundary is a straight line, K ≤ 38000 N/m − 230 s⁻¹ B")
-    assert "20 % of the region" in texts[0]
-    assert len(texts) == 2
-
-
-def test_the_passive_wall_is_named_as_it_was_checked_or_its_absence_explained(result):
-    wall = PassiveWall(stiffness=1548.0, damping=2.387)
-    assert "at most K = 1548 N/m at B = 2.387 Ns/m" in passive_choice(
-        result.model_copy(update={"passive": wall}), FALCON
-    )
-    none = result.model_copy(update={"passive": None, "passive_reason": "b may be 0"})
-    assert passive_choice(none, FALCON) == "No passive wall is named: b may be 0."
+    found = causes(with_scores(result, bound=BOUND, band=band, distance=off(result, 0.1)), FALCON)
+    assert [cause.code for cause in found] == ["straight_limit", "parameter_range"]
+    assert found[0].evidence == "K ≤ 38000 N/m − 230 s⁻¹ B from B = 100 Ns/m; 20 % of the region is cut off"
 
 
 def test_a_deviation_below_two_percent_needs_no_band(result):
