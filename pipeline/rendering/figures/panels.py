@@ -67,7 +67,9 @@ THIN = 0.9
 """Width of theory curves where there is one to each of many measured ones."""
 SHADES = {"envelope": 0.13, "use": 0.3, "passive": 0.22, "measured": 0.45}
 """Opacity of filled areas: light enough for the lines and dots on them, apart from each other in grey."""
-INTERVAL, LABELLED_KINDS = ("measured", "theory")
+INTERVAL = 6.0
+"""Width of the bar of an interval [px]."""
+LABELLED_KINDS = ("measured", "theory")
 """Kinds of curves whose tip may bear a label; linear conditions and bands have none of their own."""
 
 
