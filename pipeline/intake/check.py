@@ -22,7 +22,7 @@ from pipeline.base.errors import LogError, StoreError, UsageError
 from pipeline.base.file_names import path_of_text
 from pipeline.base.lock import WAIT_S, writing
 from pipeline.intake.ingest import ingest
-from pipeline.intake.quarantine import RECORD, list_quarantine, quarantine_folder, record_id
+from pipeline.intake.quarantine import RECORD, quarantine_folder
 from pipeline.intake.reading import load_source
 from pipeline.intake.sources import find_sources
 from pipeline.profiles.profile_files import load_profile, shipped_profiles
@@ -127,7 +127,6 @@ def check(
                 faults[file] = str(error.strerror)
         if progress:
             progress(done, len(files))
-    faults |= _copies(processed)
     trials = [file for file in faults if file.relative_to(processed).parts[0] == "trials"]
     known = {p.name: p for p in (*shipped_profiles(), *([load_profile(profile)] if profile else []))}
     damage = [_of_others(processed, file, fault) for file, fault in faults.items() if file not in trials]
@@ -156,17 +155,6 @@ def _files(processed: Path) -> Iterator[Path]:
 
 def _is_stored(file: Path) -> bool:
     return file.is_file() and not file.name.startswith(".")
-
-
-def _copies(processed: Path) -> dict[Path, str]:
-    """Return the copies of refused logs that are not as the log was; of one with several files none is told."""
-    found = {}
-    for record in list_quarantine(processed, {}):
-        folder = quarantine_folder(processed) / record_id(record)
-        copies = [file for file in folder.glob("*") if not file.name.startswith((".", f"{RECORD}-"))]
-        if len(copies) == 1 and record.sha256 not in (None, content_of(copies[0])):
-            found[copies[0]] = "is not as the log that was refused"
-    return found
 
 
 def _of_others(processed: Path, file: Path, fault: str) -> Damage:

@@ -133,7 +133,7 @@ def ingest(
             run.find_removed(folders)
             return run.report()
     except (KeyboardInterrupt, Ended) as error:
-        stored, kept = (0, 0) if run is None else (len(run.writer.visible), run.keeper.kept)
+        stored, kept = (0, 0) if run is None else (len(run.writer.visible), run.kept)
         error.add_note(when_stopped(processed, stored, kept))
         raise
     except OSError as error:
@@ -207,7 +207,7 @@ class _Ingest(Tally):
                 for batch in in_order(read, batches_of(unsettled), pool, jobs):
                     for done in batch:
                         self._settle(done)
-                    self.keeper.flush()
+                    self._keep()
                 self._written(self.writer.flush())
             except BaseException:
                 self.writer.discard()
