@@ -60,7 +60,6 @@ def ingest(
     growing: Collection[str] = (),
     wait_s: float = WAIT_S,
     say: Callable[[str], None] | None = None,
-    without: Sequence[Path] = (),
 ) -> IngestReport:
     """Store all new logs below some folders.
 
@@ -91,8 +90,6 @@ def ingest(
         How long to wait for another command that writes to `processed` [s].
     say : callable, optional
         Gets a line when waiting begins.
-    without : sequence of Path
-        Stored files of which nothing is known: they are damaged, and their logs are to be read again.
 
     Returns
     -------
@@ -116,7 +113,7 @@ def ingest(
     run: _Ingest | None = None
     try:
         with nullcontext() if dry_run else writing(processed, wait_s, say):
-            run = _Ingest(processed, dry_run, rehash, replace, digests, progress, without)
+            run = _Ingest(processed, dry_run, rehash, replace, digests, progress)
 
             def noticed(folder: Path, text: str) -> None:
                 assert run is not None, "it is made above"
@@ -154,15 +151,14 @@ class _Ingest(Tally):
         replace: bool,
         digests: dict[Profile, str],
         progress: Callable[[int, int], None] | None,
-        without: Sequence[Path],
     ) -> None:
         super().__init__(processed, dry_run, progress)
         self.rehash, self.replace, self.digests = rehash, replace, digests
         self.motions = {name: device.motion for name, device in known_devices().items()}
         claims = digest(sorted(digests.values()))
-        self.stored = StoredSources(processed, claims, self.damaged, without)
+        self.stored = StoredSources(processed, claims, self.damaged)
         self.writer = TrialWriter(processed, PENDING_BYTES, claims, self.stored.latest)
-        if not dry_run and not without:
+        if not dry_run:
             for name in ("trials", "quarantine", "corrections"):
                 remove_temporary(processed / name, deep=True)
             remove_all(self.stored.replaced)
@@ -200,9 +196,7 @@ class _Ingest(Tally):
         # stored sources come first: a log that was copied and touched is recognised at its old place
         unsettled.sort(key=lambda source: (source.key not in self.stored, source.key))
         read = partial(self._read, use_threads=jobs > 2)
-        # one pool reads and writes: more threads than processors only take the interpreter from each other
         with ThreadPoolExecutor(jobs) if jobs > 1 and unsettled else nullcontext() as pool:
-            self.writer.executor = pool
             try:
                 for batch in in_order(read, batches_of(unsettled), pool, jobs):
                     for done in batch:
@@ -246,7 +240,7 @@ class _Ingest(Tally):
         return True
 
     def _read(self, sources: list[Source], use_threads: bool) -> list[Read]:
-        return read_and_check(sources, self._is_known, use_threads)[0]
+        return read_and_check(sources, self._is_known, use_threads)
 
     def _is_known(self, source: Source, sha256: str) -> bool:
         """Return whether a content was read by the same profile and is stored as a whole, here or elsewhere."""

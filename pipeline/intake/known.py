@@ -64,20 +64,15 @@ class StoredSources(Mapping[str, StoredSource]):
         Hash of all profiles that may claim a file now.
     damaged : dict of Path to str
         As for `storage.read_trials`.
-    without : sequence of Path
-        Files of which nothing is known to be stored, as they are damaged.
     """
 
-    def __init__(self, processed: Path, claims: str, damaged: dict[Path, str], without: Sequence[Path] = ()) -> None:
+    def __init__(self, processed: Path, claims: str, damaged: dict[Path, str]) -> None:
         columns = ["source_size", "source_trials", "device", "experiment", "sampling_period_s", "profile", "claims"]
         self.table, self.files, self.replaced = read_versions(
             processed, None, None, [*columns, *VERSION_COLUMNS], damaged
         )
         self.processed, self.claims = processed, claims
         self._newest = newest_versions(self.table)
-        if without:
-            owner = self.table.column("file_index").to_pylist()
-            self._newest &= np.array([self.files[index] not in without for index in owner], dtype=np.bool_)
         self._columns: dict[str, list[Any]] = {}
         paths = self._column("source_path")
         rows = np.flatnonzero(self._newest).tolist()
