@@ -24,7 +24,6 @@ from pipeline.intake.ingest_report import (
     ChangedSource,
     IngestReport,
     LogWarning,
-    when_stopped,
 )
 from pipeline.intake.known import Places, StoredSource, StoredSources, gone_of, stored_source
 from pipeline.intake.periods import Periods
@@ -131,7 +130,10 @@ def ingest(
             return run.report()
     except (KeyboardInterrupt, Ended) as error:
         stored, kept = (0, 0) if run is None else (len(run.writer.visible), run.kept)
-        error.add_note(when_stopped(processed, stored, kept))
+        error.add_note(
+            f"{stored} new logs are stored in {processed} and {kept} more are in quarantine. The same command finds "
+            "the rest again."
+        )
         raise
     except OSError as error:
         raise StoreError(

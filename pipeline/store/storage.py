@@ -13,6 +13,7 @@ the folder again where it changed while they read.
 from __future__ import annotations
 
 import os
+import re
 import shlex
 import time
 from collections.abc import Callable
@@ -96,19 +97,8 @@ def _places(processed: Path, device: str | None = None) -> set[tuple[str, str]]:
 
 def natural_key(name: str) -> tuple[tuple[int, int | str], ...]:
     """Return a sort key that orders numbers inside names by value."""
-    parts: list[tuple[int, int | str]] = []
-    digits = ""
-    for character in name:
-        if character.isascii() and character.isdigit():
-            digits += character
-            continue
-        if digits:
-            parts.append((0, int(digits)))
-            digits = ""
-        parts.append((1, character))
-    if digits:
-        parts.append((0, int(digits)))
-    return tuple(parts)
+    parts = re.findall(r"[0-9]+|[^0-9]", name)
+    return tuple((0, int(part)) if part.isdecimal() and part.isascii() else (1, part) for part in parts)
 
 
 def trials_files(processed: Path, device: str | None = None, experiment: str | None = None) -> list[Path]:
