@@ -169,7 +169,6 @@ class _Ingest(Tally):
         self.replaced: set[tuple[str, str, str]] = set()
         self.present: set[str] = set()
         self.renamed: set[str] = set()
-        self.periods = Periods(self.stored.table)
         self.places = Places({}, {})
         self.gone: dict[tuple[str, str], list[str]] = {}
         self.taken: dict[str, StoredSource] = {}
@@ -195,6 +194,7 @@ class _Ingest(Tally):
             # a source that is looked at again enters after that
             self.places = self.stored.places({source.key for source in unsettled})
             self.gone = gone_of(self.stored, self.present)
+            self.periods = Periods(self.stored.table)
         # stored sources come first: a log that was copied and touched is recognised at its old place
         unsettled.sort(key=lambda source: (source.key not in self.stored, source.key))
         read = partial(self._read, use_threads=jobs > 2)

@@ -145,9 +145,9 @@ def _files(
                     name = entry.name
                     if name[0] == ".":
                         continue
-                    known = unchanged.get(below + name)
-                    if known and _state(entry) == known:
-                        present.add(below + name)
+                    path = below + name
+                    if path in unchanged and _state(entry) == unchanged[path]:
+                        present.add(path)
                     elif _is_folder(entry):
                         if os.path.realpath(entry.path) in excluded:
                             continue
@@ -163,12 +163,12 @@ def _files(
 
 
 def _state(entry: os.DirEntry[str]) -> tuple[int, int] | None:
-    """Return size and time of a file that is no link."""
+    """Return size and time of what has a name: of a link those of the link itself."""
     try:
         status = entry.stat(follow_symlinks=False)
     except OSError:
         return None
-    return (status.st_size, status.st_mtime_ns) if stat.S_ISREG(status.st_mode) else None
+    return status.st_size, status.st_mtime_ns
 
 
 def _is_folder(entry: os.DirEntry[str]) -> bool:

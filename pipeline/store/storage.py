@@ -252,7 +252,7 @@ def _rows(
     try:
         with open_table(file) as stored:
             replaced.update(replaced_by(stored.schema_arrow))
-            table = stored.read([name for name in columns if name not in LOCATION])
+            table = stored.read([name for name in columns if name not in LOCATION], use_threads=False)
     except StoreError as error:
         if damaged is None:
             raise
@@ -277,16 +277,21 @@ def _schema(columns: list[str]) -> pa.Schema:
     return pa.schema([whole.field(name) for name in columns])
 
 
+def each_once(table: pa.Table) -> bool:
+    """Return whether no two rows of `read_versions` have one path or content, and none was renamed."""
+    alone = all(len(set(table.column(name).to_pylist())) == len(table) for name in ("source_path", "source_sha256"))
+    return alone and table.column("formerly").null_count == len(table)
+
+
 def newest_versions(table: pa.Table) -> Booleans:
     """Return which rows of `read_versions` are the newest of their source path, each trial once.
 
     A log that stands under two paths, as while one is renamed, is returned under the one that was stored later.
     """
-    paths, sources = (table.column(name).to_pylist() for name in ("source_path", "source_sha256"))
-    formerly = table.column("formerly")
-    if len(set(paths)) == len(set(sources)) == len(paths) and formerly.null_count == len(paths):
+    if each_once(table):
         return np.ones(table.num_rows, dtype=np.bool_)
-    trials, profiles, before = (table.column(name).to_pylist() for name in ("trial_id", "profile_sha256", "formerly"))
+    names = ("source_path", "source_sha256", "trial_id", "profile_sha256", "formerly")
+    paths, sources, trials, profiles, before = (table.column(name).to_pylist() for name in names)
     order = np.lexsort([table.column(name).to_numpy() for name in ("source_mtime_ns", "version")]).tolist()
     newest: dict[str, tuple[str, str] | None] = {}
     for row in order:
