@@ -138,7 +138,7 @@ def test_names_of_any_bytes_are_stored_told_and_found_again(logs, processed, sto
         assert not re.search(r"[\x00-\x09\x0b-\x1f\x7f]", out), "no command reaches the terminal"
     assert len(list(processed.glob("quarantine/*/*"))) == 2, "record and copy"
     path.write_text(GOOD)
-    status, out = call(capsys, "quarantine", "retry", "--processed", processed, "--json")
+    status, out = call(capsys, "quarantine", "--retry", "--processed", processed, "--json")
     assert (status, json.loads(out)["ingested"], json.loads(out)["gone"]) == (0, 1, [])
     assert not list(processed.glob("quarantine/*"))
     (stored,) = read_trials(processed).column("source_path").to_pylist()
@@ -452,10 +452,10 @@ def test_the_record_names_code_place_and_remedy(logs, processed, store, lab, cap
     assert (record["code"], record["row"]) == ("not-a-number", 3)
     assert record["profile_line"] == 'missing = ["--"]'
     assert (folder / "a.csv").read_bytes() == (logs / "a.csv").read_bytes()
-    _, out = call(capsys, "quarantine", "list", "--processed", processed)
+    _, out = call(capsys, "quarantine", "--processed", processed)
     assert "[not-a-number]" in out
     assert 'profile: missing = ["--"]' in out
-    _, out = call(capsys, "quarantine", "show", logs / "a.csv", "--processed", processed)
+    _, out = call(capsys, "quarantine", logs / "a.csv", "--processed", processed)
     assert '\n    missing = ["--"]\n' in out
     assert ">      3  1,1,--\n" in out
     for arguments in (("list",), ("show", logs / "a.csv")):
