@@ -230,7 +230,7 @@ def _overlay(
     )
 
 
-def names_of(words: str, device: str, other_device: str | None, experiments: Sequence[str]) -> tuple[str, str]:
+def names_of(words: str, device: str, experiments: Sequence[str]) -> tuple[str, str]:
     """Return device and experiment that ``--against`` means: ``EXPERIMENT``, or ``DEVICE:EXPERIMENT``.
 
     Parameters
@@ -238,13 +238,9 @@ def names_of(words: str, device: str, other_device: str | None, experiments: Seq
     words : str
     device : str
         Device of the first experiment.
-    other_device : str or None
-        By ``--against-device``.
     experiments : sequence of str
         Experiments that are stored of the first device; their names may hold a colon.
     """
-    if other_device is not None:
-        return other_device, words
     if words in experiments or ":" not in words:
         return device, words
     other, _, experiment = words.partition(":")

@@ -141,7 +141,7 @@ def find_record(processed: Path, wanted: str) -> QuarantineRecord:
     for record in list_quarantine(processed):
         if wanted == record_id(record) or path == record.path:
             return record
-    raise UsageError(f"{wanted}: is not in quarantine. `pipeline quarantine list` shows ids and paths of what is.")
+    raise UsageError(f"{wanted}: is not in quarantine. `pipeline quarantine` shows ids and paths of what is.")
 
 
 def record_of(source: Source, sha256: str | None, error: LogError, profile_sha256: str | None) -> QuarantineRecord:

@@ -32,16 +32,15 @@ COMMANDS = {
     "bundle": ("cli_verify", "bundle"),
     "accuracy": ("cli_course", "accuracy"),
     "serve": ("cli_serve", "serve"),
-    "token": ("cli_serve", "token_app"),
+    "token": ("cli_serve", "token"),
     "push": ("cli_serve", "push"),
     "theory": ("cli_theory", "app"),
     "look": ("cli_profiles", "look"),
     "profile": ("cli_profiles", "profile_app"),
-    "quarantine": ("cli_profiles", "quarantine_app"),
+    "quarantine": ("cli_profiles", "quarantine"),
     "identify": ("cli_identify", "identify"),
     "plan": ("cli_plan", "plan"),
     "design": ("cli_design", "design"),
-    "scene": ("cli_report", "scene_app"),
     "doctor": ("cli_storage", "doctor"),
 }
 """Module and name of each command, or group of commands, in the order of the help."""

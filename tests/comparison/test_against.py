@@ -300,10 +300,9 @@ def test_wrong_documents_and_pairs_are_refused(falcon, falcon_outcome, tmp_path)
 
 
 def test_names_of_the_other_experiment():
-    assert names_of("2", "falcon", None, ["1", "2"]) == ("falcon", "2")
-    assert names_of("lwr:delay-4", "falcon", None, ["1"]) == ("lwr", "delay-4")
-    assert names_of("a:b", "falcon", None, ["1", "a:b"]) == ("falcon", "a:b")
-    assert names_of("a:b", "falcon", "lwr", []) == ("lwr", "a:b")
+    assert names_of("2", "falcon", ["1", "2"]) == ("falcon", "2")
+    assert names_of("lwr:delay-4", "falcon", ["1"]) == ("lwr", "delay-4")
+    assert names_of("a:b", "falcon", ["1", "a:b"]) == ("falcon", "a:b")
 
 
 def test_command_prints_and_writes_what_differs(lwr, tmp_path):
@@ -337,7 +336,7 @@ def test_the_document_of_the_report_itself_is_read_before_it_is_replaced(lwr, tm
     (tmp_path / "old").mkdir()
     for path in (tmp_path / "old" / "lwr.json", report.with_suffix(".json")):
         path.write_text(json.dumps(document), encoding="utf-8")
-        result = CliRunner().invoke(app, [*arguments, "--against-report", str(path)])
+        result = CliRunner().invoke(app, [*arguments, "--against", str(path)])
         assert result.exit_code == 0, result.output
         page = json.loads(result.stdout)
         assert page["pairs"][0]["first"]["version"] == "0.0.9"

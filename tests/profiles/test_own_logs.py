@@ -138,11 +138,11 @@ def test_equal_reasons_are_told_once_with_what_helps(call):
     lines = out.splitlines()
     assert (status, len(lines), lines[-1]) == (3, 4, hint.format(""))
     assert lines[2].startswith("3 logs, first logs/wall_K200_B5.csv, row 1: header has none of device, ")
-    _, out = call("quarantine", "list")
+    _, out = call("quarantine")
     assert len(out.splitlines()) == 3
     assert "3 logs, first " in out
     assert "pipeline profile draft " in out
-    assert len(json.loads(call("quarantine", "list", "--json")[1])) == 3
+    assert len(json.loads(call("quarantine", "--json")[1])) == 3
     assert hint.format("") in call("look", "logs/wall_K200_B5.csv")[1]
 
 
@@ -152,7 +152,7 @@ def test_a_profile_that_does_not_fit_leaves_the_better_reason(call, tmp_path):
     (tmp_path / "logs" / "wall_K9_B9.csv").write_text(text)
     call("ingest", "logs")
     before = {record.path: record for record in list_quarantine(tmp_path / "processed")}
-    status, out = call("quarantine", "retry", "--profile", "mine.toml")
+    status, out = call("quarantine", "--retry", "--profile", "mine.toml")
     assert (status, out.splitlines()[0]) == (3, "5 tried, 3 accepted, 2 refused, 0 gone")
     after = list_quarantine(tmp_path / "processed")
     assert after == [before[record.path] for record in after]

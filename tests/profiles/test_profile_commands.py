@@ -1,4 +1,4 @@
-"""`pipeline profile check | draft` and `pipeline quarantine list | show | retry`."""
+"""`pipeline profile check | draft` and `pipeline quarantine`."""
 
 import gzip
 import json
@@ -21,9 +21,7 @@ from pipeline.shell.profile.profile_draft import draft_profile
 COMMANDS = {
     "profile check": ["--json"],
     "profile draft": ["--out", "--overwrite", "--json"],
-    "quarantine list": ["--processed", "--json"],
-    "quarantine show": ["--processed", "--json"],
-    "quarantine retry": ["--profile", "--processed", "--json"],
+    "quarantine": ["--retry", "--profile", "--processed", "--json"],
 }
 
 TOML = """name = "lab"
@@ -432,26 +430,26 @@ def refused(call, tmp_path):
 
 def test_quarantine_is_listed_and_shown(call, refused, tmp_path):
     text, row = refused
-    (record,) = json.loads(call("quarantine", "list", "--json")[1])
+    (record,) = json.loads(call("quarantine", "--json")[1])
     assert (record["path"], record["row"], record["profile"]) == (str(tmp_path / "logs" / "bad.csv"), row, "native")
     assert (tmp_path / "processed" / "quarantine" / record["id"]).is_dir()
-    status, out, _ = call("quarantine", "list")
+    status, out, _ = call("quarantine")
     assert status == 0
     line = f"{record['id']}  {record['path']}, row {row} [{record['code']}]: {record['reason']}"
     assert out.splitlines() == [line, "1 in quarantine"]
-    by_path = call("quarantine", "show", "logs/bad.csv")
-    assert by_path == call("quarantine", "show", record["id"])
+    by_path = call("quarantine", "logs/bad.csv")
+    assert by_path == call("quarantine", record["id"])
     lines = text.splitlines()
     assert f"> {row:>6}  {lines[row - 1]}\n" in by_path[1]
     assert f"  {row - 1:>6}  {lines[row - 2]}\n" in by_path[1]
-    shown = json.loads(call("quarantine", "show", record["id"], "--json")[1])
+    shown = json.loads(call("quarantine", record["id"], "--json")[1])
     last = min(row + 3, len(lines))
     assert shown["excerpt"] == [[number, lines[number - 1]] for number in range(row - 3, last + 1)]
-    status, _, err = call("quarantine", "show", "logs/good.csv")
+    status, _, err = call("quarantine", "logs/good.csv")
     assert (status, "is not in quarantine" in err) == (2, True)
 
 
-@pytest.mark.parametrize("words", [["list"], ["list", "--json"], ["show", "bad.csv"], ["retry"]])
+@pytest.mark.parametrize("words", [[], ["--json"], ["bad.csv"], ["--retry"]])
 def test_a_mistyped_folder_is_not_one_without_refusals(call, refused, words, tmp_path):
     status, out, err = call("quarantine", *words, "--processed", "procesed")
     assert (status, out) == (2, "")
@@ -460,27 +458,27 @@ def test_a_mistyped_folder_is_not_one_without_refusals(call, refused, words, tmp
 
 
 def test_a_repaired_log_is_tried_again(call, refused, tmp_path):
-    status, out, _ = call("quarantine", "retry")
+    status, out, _ = call("quarantine", "--retry")
     assert (status, out.splitlines()[0]) == (3, "1 tried, 0 accepted, 1 refused, 0 gone")
     (tmp_path / "logs" / "bad.csv").write_text(log_text(600.0))
-    status, out, _ = call("quarantine", "retry", "logs/bad.csv", "--json")
+    status, out, _ = call("quarantine", "--retry", "logs/bad.csv", "--json")
     assert (status, json.loads(out)["ingested"], json.loads(out)["gone"]) == (0, 1, [])
-    assert json.loads(call("quarantine", "list", "--json")[1]) == []
+    assert json.loads(call("quarantine", "--json")[1]) == []
 
 
 def test_a_log_that_is_gone_is_told(call, refused, tmp_path):
     os.remove(tmp_path / "logs" / "bad.csv")
-    status, out, _ = call("quarantine", "retry")
+    status, out, _ = call("quarantine", "--retry")
     assert (status, out.splitlines()[0]) == (3, "1 tried, 0 accepted, 0 refused, 1 gone")
     assert "Put it back" in out
-    assert len(json.loads(call("quarantine", "list", "--json")[1])) == 1
+    assert len(json.loads(call("quarantine", "--json")[1])) == 1
 
 
 def test_retry_with_a_profile(call, lab):
     # no shipped profile reads it; the native one claims it by its ending
     assert call("ingest", "K300.csv")[0] == 3
-    assert call("quarantine", "retry", "--profile", "lab.toml")[0] == 0
-    assert call("quarantine", "list")[1] == "0 in quarantine\n"
+    assert call("quarantine", "--retry", "--profile", "lab.toml")[0] == 0
+    assert call("quarantine")[1] == "0 in quarantine\n"
 
 
 # a time in the packed file may look like UTF-16
@@ -496,13 +494,13 @@ def test_an_excerpt_of_packed_and_encoded_text(call, lab, pack):
     toml = TOML.replace('decimal = ","', 'decimal = ","\nencoding = "utf-16"') if b"\0t" in pack(b"tt") else TOML
     (lab / "lab.toml").write_text(toml, encoding="utf-8")
     assert call("ingest", "K300.csv", "--profile", "lab.toml")[0] == 3
-    assert re.search(r"^> +5  3;much;0,25", call("quarantine", "show", "K300.csv")[1], re.MULTILINE)
+    assert re.search(r"^> +5  3;much;0,25", call("quarantine", "K300.csv")[1], re.MULTILINE)
 
 
 def test_a_binary_file_has_no_excerpt(call, tmp_path):
     (tmp_path / "a.csv").write_bytes(b"\0\1\2" * 50)
     assert call("ingest", "a.csv")[0] == 3
-    status, out, _ = call("quarantine", "show", "a.csv")
+    status, out, _ = call("quarantine", "a.csv")
     assert (status, "no excerpt" in out) == (0, True)
 
 

@@ -437,7 +437,7 @@ def test_wrong_comparisons_are_refused(call, course, arguments, status, message,
         *(
             ["accuracy", "--quick", "--out"],
             ["profile", "draft", "s.csv", "--out"],
-            ["scene", "draft", "--device", "lwr", "--out"],
+            ["compare", "--device", "lwr", "--save-scene"],
         ),
     ],
 )
@@ -464,8 +464,8 @@ def test_reports_that_cannot_be_written_stop_demo_and_comparison_at_once(call, c
     "words",
     [
         *(["--against", "delay-4", "--dry-run"], ["--against", "delay-4", "--full"]),
-        *(["--against", "delay-4", "--tables-format", "csv"], ["--against-device", "lwr", "--dry-run"]),
-        *(["--against-report", "a.json", "--tables-format", "csv"], ["--against", "x", "--against-report", "a.json"]),
+        *(["--against", "delay-4", "--tables-format", "csv"], ["--against", "lwr:delay-4", "--dry-run"]),
+        *(["--against", "a.json", "--tables-format", "csv"], ["--against", "a.json", "--figures", "figures"]),
     ],
 )
 def test_options_without_effect_on_the_page_of_two_are_refused(call, course, words, tmp_path):

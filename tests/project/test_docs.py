@@ -32,7 +32,7 @@ def test_command_check_finds_faults() -> None:
     assert fault("pipeline frobnicate logs") is not None
     assert fault("pipeline theory frobnicate") is not None
     assert fault("pipeline compare --devise falcon") is not None
-    assert fault("pipeline scene draft --overwrite") is not None
+    assert fault("pipeline quarantine --overwrite") is not None
     assert fault("pipeline demo here") is not None
     assert commands("a `pipeline` b `pipeline demo` c\n\n    pipeline ingest logs/\n") == [
         "pipeline demo",

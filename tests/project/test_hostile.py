@@ -138,7 +138,7 @@ def test_names_of_any_bytes_are_stored_told_and_found_again(logs, processed, sto
         assert not re.search(r"[\x00-\x09\x0b-\x1f\x7f]", out), "no command reaches the terminal"
     assert len(list(processed.glob("quarantine/*/*"))) == 1
     path.write_text(GOOD)
-    status, out = call(capsys, "quarantine", "retry", "--processed", processed, "--json")
+    status, out = call(capsys, "quarantine", "--retry", "--processed", processed, "--json")
     assert (status, json.loads(out)["ingested"], json.loads(out)["gone"]) == (0, 1, [])
     assert not list(processed.glob("quarantine/*"))
     (stored,) = read_trials(processed).column("source_path").to_pylist()
@@ -451,13 +451,13 @@ def test_the_record_names_code_place_and_remedy(logs, processed, store, lab, cap
     record = json.loads(file.read_text())
     assert (record["code"], record["row"]) == ("not-a-number", 3)
     assert record["profile_line"] == 'missing = ["--"]'
-    _, out = call(capsys, "quarantine", "list", "--processed", processed)
+    _, out = call(capsys, "quarantine", "--processed", processed)
     assert "[not-a-number]" in out
     assert 'profile: missing = ["--"]' in out
-    _, out = call(capsys, "quarantine", "show", logs / "a.csv", "--processed", processed)
+    _, out = call(capsys, "quarantine", logs / "a.csv", "--processed", processed)
     assert '\n    missing = ["--"]\n' in out
     assert ">      3  1,1,--\n" in out
-    for arguments in (("list",), ("show", logs / "a.csv")):
+    for arguments in ((), (logs / "a.csv",)):
         _, out = call(capsys, "quarantine", *arguments, "--processed", processed, "--json")
         document = json.loads(out)
         shown = document[0] if isinstance(document, list) else document

@@ -75,8 +75,8 @@ def test_from_a_foreign_csv_to_a_report(capsys):
     assert "tability boundar" in report
     assert "largest stable stiffness" in outputs["pipeline compare --device bench"]
     assert "lab/K100_B1.csv, row 4: " in outputs["pipeline ingest lab --profile lab.toml"]
-    assert ">      4  1;--;0;" in outputs["pipeline quarantine show lab/K100_B1.csv"]
-    assert "1 tried, 1 accepted, 0 refused, 0 gone" in outputs["pipeline quarantine retry --profile lab.toml"]
+    assert ">      4  1;--;0;" in outputs["pipeline quarantine lab/K100_B1.csv"]
+    assert "1 tried, 1 accepted, 0 refused, 0 gone" in outputs["pipeline quarantine --retry --profile lab.toml"]
 
 
 def test_the_foreign_course_gives_the_same_trials_as_the_simulated_logs(capsys):

@@ -49,7 +49,7 @@ def read_scene(path: Path) -> SceneFile:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise SceneError(
-            f"{path}: cannot be read ({error}). Give a scene file (TOML); `pipeline scene draft` writes one."
+            f"{path}: cannot be read ({error}). Give a scene file (TOML); `pipeline compare --save-scene` writes one."
         ) from error
     try:
         values = tomllib.loads(text)

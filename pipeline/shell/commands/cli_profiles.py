@@ -1,4 +1,4 @@
-"""Commands of `pipeline profile` and `pipeline quarantine`: parse, call, print."""
+"""Commands of foreign logs: `profile`, `look` and `quarantine`: parse, call, print."""
 
 from __future__ import annotations
 
@@ -21,10 +21,6 @@ if TYPE_CHECKING:
 profile_app = typer.Typer(
     no_args_is_help=True,
     help="Profiles of foreign logs: draft one from a sample, check what one reads.",
-)
-quarantine_app = typer.Typer(
-    no_args_is_help=True,
-    help="Logs that were refused: list them, show where each is wrong, try again.",
 )
 
 
@@ -150,17 +146,41 @@ def _see_folder(processed: Path) -> None:
         raise UsageError(f"{processed}: no such folder. Give the folder of the stored tables (--processed).")
 
 
-@quarantine_app.command("list")
-def list_(processed: Processed = Path("processed"), as_json: Json = False) -> None:
-    """List the logs in quarantine with id, path, row, code and reason, and a line of a profile that might help.
+def quarantine(
+    logs: Annotated[
+        list[str] | None, typer.Argument(help="Ids or paths of logs in quarantine; all where none is given.")
+    ] = None,
+    again: Annotated[bool, typer.Option("--retry", help="Ingest them again, after they were corrected.")] = False,
+    profile: ProfileFile = None,
+    processed: Processed = Path("processed"),
+    as_json: Json = False,
+) -> None:
+    """List refused logs; show why some were, with the lines around the fault; or ingest them again.
 
-    Codes are explained in docs/logs.md.
+    Codes are explained in docs/logs.md. Exit status 3 where --retry leaves some refused, or some are gone.
 
-    Example: pipeline quarantine list
+    Example: pipeline quarantine
+
+    Example: pipeline quarantine logs/run_01.csv
+
+    Example: pipeline quarantine --retry --profile lab.toml
     """
+    if profile is not None and not again:
+        raise UsageError("--profile reads logs again: give --retry, too.")
+    _see_folder(processed)
+    if again:
+        _retry(logs, profile, processed, as_json)
+    elif logs:
+        for log in logs:
+            _show(log, processed, as_json)
+    else:
+        _list(processed, as_json)
+
+
+def _list(processed: Path, as_json: bool) -> None:
+    """Print the logs in quarantine with id, path, row, code and reason, and a line of a profile that might help."""
     from pipeline.intake.quarantine import list_quarantine, record_id
 
-    _see_folder(processed)
     records = list_quarantine(processed)
     if as_json:
         console.print_json([{"id": record_id(record), **record.model_dump(mode="json")} for record in records])
@@ -180,19 +200,10 @@ def list_(processed: Processed = Path("processed"), as_json: Json = False) -> No
     console.say(f"{len(records)} in quarantine")
 
 
-@quarantine_app.command("show")
-def show(
-    wanted: Annotated[str, typer.Argument(help="Id or path of a log in quarantine.", metavar="ID_OR_PATH")],
-    processed: Processed = Path("processed"),
-    as_json: Json = False,
-) -> None:
-    """Show why a log was refused, with the lines around the row at fault.
-
-    Example: pipeline quarantine show logs/run_01.csv
-    """
+def _show(wanted: str, processed: Path, as_json: bool) -> None:
+    """Print why a log was refused, with the lines around the row at fault."""
     from pipeline.intake.quarantine import excerpt_of, find_record, record_id
 
-    _see_folder(processed)
     record = find_record(processed, wanted)
     excerpt = excerpt_of(record)
     if as_json:
@@ -211,26 +222,12 @@ def show(
         console.say(f"{'>' if number == record.row else ' '} {number:>6}  {line}")
 
 
-@quarantine_app.command("retry")
-def retry(
-    paths: Annotated[
-        list[str] | None, typer.Argument(help="Paths or ids of logs in quarantine; all where none is given.")
-    ] = None,
-    profile: ProfileFile = None,
-    processed: Processed = Path("processed"),
-    as_json: Json = False,
-) -> None:
-    """Ingest logs in quarantine again, after they or the profile were corrected.
-
-    Exit status 3 where some are still refused, or are no longer where they were.
-
-    Example: pipeline quarantine retry --profile lab.toml
-    """
+def _retry(paths: Sequence[str] | None, profile: str | None, processed: Path, as_json: bool) -> None:
+    """Ingest logs in quarantine again."""
     from pipeline.base.file_names import path_of_text
     from pipeline.intake.ingest import ingest
     from pipeline.intake.quarantine import find_record, list_quarantine, quarantine_folder, record_id
 
-    _see_folder(processed)
     records = [find_record(processed, path) for path in paths] if paths else list_quarantine(processed)
     sources = {record.path: path_of_text(record.path) for record in records}
     ids = {record.path: record_id(record) for record in records}

@@ -1,4 +1,4 @@
-"""Commands about reports and scenes: parse, call, print."""
+"""The command that compares and writes reports: parse, call, print."""
 
 from __future__ import annotations
 
@@ -12,12 +12,10 @@ from pipeline.base.errors import UsageError
 from pipeline.base.outputs import check_output
 from pipeline.shell import console
 from pipeline.shell.commands import cli_theory
-from pipeline.shell.commands.options import Criteria, ExecutorName, Experiments, Json, Processed, Store
+from pipeline.shell.commands.options import Criteria, ExecutorName, Experiments, Json, Store
 
 if TYPE_CHECKING:
     from pipeline.rendering.report.report_against import AgainstPage
-
-scene_app = typer.Typer(no_args_is_help=True, help="Scene files: what one report shows. Draft one, check one.")
 
 
 def compare(
@@ -48,14 +46,11 @@ def compare(
     ] = None,
     against: Annotated[
         str | None,
-        typer.Option("--against", help="Compare one experiment against this one: EXPERIMENT, or DEVICE:EXPERIMENT."),
+        typer.Option("--against", help="Compare against EXPERIMENT, DEVICE:EXPERIMENT, or an earlier report (.json)."),
     ] = None,
-    against_device: Annotated[
-        str | None, typer.Option("--against-device", help="Device of the experiment that --against names.")
-    ] = None,
-    against_report: Annotated[
+    save_scene: Annotated[
         Path | None,
-        typer.Option("--against-report", help="Compare against the document (.json) of an earlier report."),
+        typer.Option("--save-scene", help="Write a scene file of all that is stored of the device, nothing else."),
     ] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be done and why, do nothing.")] = False,
     full: Annotated[
@@ -70,6 +65,7 @@ def compare(
 
     Example: pipeline compare --device falcon --experiment 1 --criteria settle_2pct,overshoot
     """
+    from pipeline.comparison.against_run import against_document, read_document
     from pipeline.comparison.compare import compare as compare_device
     from pipeline.comparison.executors import executor_of
     from pipeline.comparison.scene.scene_file import read_scene
@@ -78,38 +74,38 @@ def compare(
     from pipeline.store.mirror import opened
     from pipeline.store.names import page_against_document, report_of
 
-    two = against is not None or against_device is not None
+    earlier = Path(against) if against is not None and against.endswith(".json") else None
+    two = against is not None and earlier is None
     if two:
-        _refuse("--against", dry_run=dry_run, full=full, against_report=against_report is not None)
-    if two or against_report is not None:
-        _refuse("--against" if two else "--against-report", tables_format=tables_format is not None)
-        _refuse("--against" if two else "--against-report", figures=figures is not None)
+        _refuse(dry_run=dry_run, full=full)
+    if against is not None:
+        _refuse(tables_format=tables_format is not None, figures=figures is not None)
     asked = None if scene is None else read_scene(scene)
     name = device or (asked.device if asked else None)
     if name is None:
         raise typer.BadParameter("no device is given. Name it here, or in a scene file.", param_hint="--device")
+    if save_scene is not None:
+        _save_scene(name, processed, save_scene)
+        return
     formats = parse_formats(tables_format or ())
     wanted = cli_theory.split(criteria) if criteria is not None else asked.chosen_criteria if asked else None
-    if two:
-        names = experiment or (asked.experiments if asked else None)
+    names = experiment or (asked.experiments if asked else None)
+    if against is not None and two:
         with opened(processed) as folder:
-            _compare_against(name, names, against, against_device, folder, wanted, report, as_json)
+            _compare_against((name, names), against, folder, wanted, report, as_json)
         return
     computes = executor_of(executor)
     drawn = Path(asked.report) if asked and asked.report else report_of(Path("reports"), name)
     target = report or drawn
     if not dry_run:
         check_output(target, "--report", document_beside=True)
-    if against_report is not None:
-        from pipeline.comparison.against_run import against_document, read_document
-
-        # read before the comparison, which may replace it
-        earlier = read_document(against_report, name)
+    # read before the comparison, which may replace it
+    document = None if earlier is None else read_document(earlier, name)
     with opened(processed, name) as folder:
         outcome = compare_device(
             name,
             folder,
-            experiments=experiment or (asked.experiments if asked else None),
+            experiments=names,
             criteria=wanted,
             report=target,
             dry_run=dry_run,
@@ -129,9 +125,8 @@ def compare(
         return
     # other folders may be anybody's: there an index is kept current, but not begun
     write_index(target.parent, only_renew=target.parent != Path("reports"))
-    if against_report is not None:
-        page = against_document(outcome.result, earlier)
-        _print_against(page, page_against_document(target, against_report), as_json)
+    if document is not None and earlier is not None:
+        _print_against(against_document(outcome.result, document), page_against_document(target, earlier), as_json)
         return
     drawn_files = _write_figures(outcome.report, figures) if figures and outcome.report else ()
     written = export_tables(outcome.result, tables_folder(target), formats) if formats else ()
@@ -162,31 +157,23 @@ def _write_figures(report: Path, folder: Path) -> tuple[Path, ...]:
 
 
 def _compare_against(
-    device: str,
-    experiments: Sequence[str] | None,
-    against: str | None,
-    against_device: str | None,
+    of: tuple[str, Sequence[str] | None],
+    against: str,
     processed: Path,
     criteria: Sequence[str] | None,
     report: Path | None,
     as_json: bool,
 ) -> None:
-    """Compare two experiments and print what differs."""
+    """Compare the experiment of a device with another one, and print what differs."""
     from pipeline.comparison.against_run import against_experiments, names_of
     from pipeline.store.names import page_against
     from pipeline.store.storage import list_experiments
 
+    device, experiments = of
     if experiments is None or len(experiments) != 1:
         raise UsageError("--against compares one experiment with another one. Name the first with --experiment.")
     (first,) = experiments
-    if against is None:
-        stored = list_experiments(processed, against_device or device)
-        if len(stored) != 1:
-            raise UsageError(
-                f"device {against_device!r} has the experiments {', '.join(stored) or 'none'}; name one with --against."
-            )
-        against = stored[0]
-    second = names_of(against, device, against_device, list_experiments(processed, device))
+    second = names_of(against, device, list_experiments(processed, device))
     target = report or page_against(Path("reports"), (device, first), second)
     check_output(target, "--report", document_beside=True)
     progress = None if as_json else console.note
@@ -194,12 +181,12 @@ def _compare_against(
     _print_against(page, target, as_json)
 
 
-def _refuse(option: str, **others: bool) -> None:
-    """Refuse options that another one would leave without effect."""
+def _refuse(**others: bool) -> None:
+    """Refuse options that --against would leave without effect."""
     for other, given in others.items():
         if given:
             raise UsageError(
-                f"{option} and --{other.replace('_', '-')} do not go together: the page of two experiments knows no "
+                f"--against and --{other.replace('_', '-')} do not go together: the page of two experiments knows no "
                 "such choice. Leave one of them out."
             )
 
@@ -220,56 +207,15 @@ def _print_against(page: AgainstPage, report: Path, as_json: bool) -> None:
     console.say(f"report: {result.report}")
 
 
-@scene_app.command("draft")
-def draft(
-    device: Annotated[str, typer.Option("--device", help="Device with stored logs.", show_default=False)],
-    processed: Processed = Path("processed"),
-    out: Annotated[
-        Path | None, typer.Option("--out", help="Scene file to write; printed where not given.", show_default=False)
-    ] = None,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the scene file.")] = False,
-) -> None:
-    """Write a scene file with all that is stored of a device, to be shortened.
-
-    Example: pipeline scene draft --device falcon --out falcon.toml
-    """
+def _save_scene(device: str, processed: str, path: Path) -> None:
+    """Write a scene file with all that is stored of a device, to be shortened."""
     from pipeline.base.disk import write_text
     from pipeline.comparison.scene.scene_file import draft_scene
+    from pipeline.store.mirror import opened
 
-    if out is not None:
-        check_output(out, "--out")
-    if out is not None and out.exists() and not overwrite:
-        raise UsageError(f"{out}: exists. Give another file, or --overwrite.")
-    text = draft_scene(device, processed)
-    if out is None:
-        console.say(text.rstrip("\n"))
-        return
-    write_text(out, text)
-    console.say(f"scene: {out}")
-
-
-@scene_app.command("check")
-def check(
-    scene: Annotated[Path, typer.Argument(help="Scene file (.toml).")],
-    processed: Annotated[
-        Path | None, typer.Option("--processed", help="Check against what is stored there, too.")
-    ] = None,
-    as_json: Json = False,
-) -> None:
-    """Check a scene file, and show what it asks for. Exit status 1 where it is wrong: all mistakes are told at once.
-
-    Example: pipeline scene check falcon.toml
-    """
-    from pipeline.comparison.scene.scene import open_scene
-    from pipeline.comparison.scene.scene_file import read_scene
-
-    asked = read_scene(scene)
-    if processed is not None:
-        open_scene(asked.device, processed, asked.experiments, asked.chosen_criteria, asked.shown)
-    document = asked.model_dump(mode="json") | {"criteria": list(asked.chosen_criteria)}
-    if as_json:
-        console.print_json(document)
-        return
-    for key, value in document.items():
-        words = ", ".join(str(v) for v in value) if isinstance(value, list) else value
-        console.say(f"{key:<12} {'all' if value is None else words}")
+    check_output(path, "--save-scene")
+    if path.exists():
+        raise UsageError(f"{path}: exists. Give another file, or remove it.")
+    with opened(processed, device) as folder:
+        write_text(path, draft_scene(device, folder))
+    console.say(f"scene: {path}")

@@ -13,9 +13,6 @@ from pipeline.base.errors import EXIT_ERROR, EXIT_QUARANTINED, UsageError
 from pipeline.shell import console
 from pipeline.shell.commands.options import ExecutorName, Json, Processed
 
-token_app = typer.Typer(no_args_is_help=True, help="Tokens for other computers: make, list, revoke.")
-
-
 TOKEN_VARIABLE = "PIPELINE_TOKEN"
 
 
@@ -72,52 +69,54 @@ def serve(
     run(settings, lambda place: console.note(f"{place} (Ctrl-C ends it)"))
 
 
-@token_app.command("create")
-def create(
+class Deed(StrEnum):
+    """What is done with tokens."""
+
+    create = "create"
+    list = "list"
+    revoke = "revoke"
+
+
+def token(
+    deed: Annotated[Deed, typer.Argument(help="What to do.", metavar="create|list|revoke")],
+    identifier: Annotated[str | None, typer.Argument(help="Token to revoke, as the list shows it.")] = None,
     role: Annotated[
-        RoleName,
+        RoleName | None,
         typer.Option("--role", help="viewer reads, contributor uploads, compares and corrects, admin deletes, too."),
-    ],
+    ] = None,
     name: Annotated[str, typer.Option("--name", help="Whose it is: stands beside all that he does.")] = "",
     days: Annotated[float | None, typer.Option("--days", min=0, help="Days after which it ends.")] = None,
     processed: Processed = Path("processed"),
+    as_json: Json = False,
 ) -> None:
-    """Make a token and print it, once: only its hash is stored.
+    """Create, list or revoke tokens for other computers. A new one is printed once: only its hash is stored.
 
     Example: pipeline token create --role contributor --name "lab computer"
-    """
-    console.say(_database(processed).create_token(role.value, name, days))
-
-
-@token_app.command("list")
-def list_tokens(processed: Processed = Path("processed"), as_json: Json = False) -> None:
-    """List tokens by the first digits of their hashes.
 
     Example: pipeline token list
-    """
-    rows = _database(processed).run(
-        "SELECT substr(hash, 1, 12) AS id, role, name, date(expires, 'unixepoch') AS ends FROM tokens ORDER BY created"
-    )
-    tokens = [dict(row) for row in rows]
-    if as_json:
-        console.print_json(tokens)
-        return
-    for line in console.table(tokens, ("id", "role", "name", "ends")):
-        console.say(line)
-
-
-@token_app.command("revoke")
-def revoke(
-    identifier: Annotated[str, typer.Argument(help="As `pipeline token list` shows it.")],
-    processed: Processed = Path("processed"),
-) -> None:
-    """Revoke a token, and end the logins by it.
 
     Example: pipeline token revoke 0123456789ab
     """
-    rows = _database(processed).run("DELETE FROM tokens WHERE substr(hash, 1, 12) = ? RETURNING hash", identifier)
-    if not rows:
-        raise UsageError(f"no token {identifier!r}. `pipeline token list` shows all.")
+    if (deed is Deed.create) != (role is not None) or (deed is Deed.revoke) != (identifier is not None):
+        raise UsageError("expected create --role ROLE, list, or revoke ID.")
+    database = _database(processed)
+    if role is not None:
+        console.say(database.create_token(role.value, name, days))
+    elif identifier is not None:
+        rows = database.run("DELETE FROM tokens WHERE substr(hash, 1, 12) = ? RETURNING hash", identifier)
+        if not rows:
+            raise UsageError(f"no token {identifier!r}. `pipeline token list` shows all.")
+    else:
+        rows = database.run(
+            "SELECT substr(hash, 1, 12) AS id, role, name, date(expires, 'unixepoch') AS ends "
+            "FROM tokens ORDER BY created"
+        )
+        tokens = [dict(row) for row in rows]
+        if as_json:
+            console.print_json(tokens)
+            return
+        for line in console.table(tokens, ("id", "role", "name", "ends")):
+            console.say(line)
 
 
 def push(

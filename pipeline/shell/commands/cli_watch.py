@@ -91,7 +91,7 @@ def _watched(
             raise UsageError(f"{folder}: lies in {processed}, where results are kept. Give folders with logs.")
     for scene in scenes:
         if not scene.is_file():
-            raise UsageError(f"{scene}: no such file. `pipeline scene draft` writes a scene file.")
+            raise UsageError(f"{scene}: no such file. `pipeline compare --save-scene` writes one.")
     return Watched(tuple(folders), processed, reports, profile, tuple(scenes), settle)
 
 

@@ -71,7 +71,7 @@ def test_a_missing_device_and_a_wrong_syntax_are_told(scene, tmp_path):
         read_scene(scene('criteria = ["overshoot"]\n'))
     with pytest.raises(SceneError, match=r"is no TOML: Invalid value \(at end of document\)"):
         read_scene(scene('device = "a"\ncriteria = [\n'))
-    with pytest.raises(SceneError, match="scene draft"):
+    with pytest.raises(SceneError, match="--save-scene"):
         read_scene(tmp_path / "none.toml")
 
 
@@ -224,15 +224,13 @@ def test_delays_of_the_scene_replace_those_of_the_device_file(falcon, tmp_path):
     assert {m[1] for m in re.finditer(r"d = ([\d.]+) \(theory\)", drawing)} == {"2.5", "7"}
 
 
-def test_commands_draft_check_and_use_a_scene(falcon, tmp_path):
+def test_a_scene_is_saved_and_used(falcon, tmp_path):
     runner = CliRunner()
     path = tmp_path / "f.toml"
     processed = ["--processed", str(falcon.processed)]
-    result = runner.invoke(app, ["scene", "draft", "--device", "falcon", "--out", str(path), *processed])
+    result = runner.invoke(app, ["compare", "--device", "falcon", "--save-scene", str(path), *processed])
     assert result.exit_code == 0, result.output
-    result = runner.invoke(app, ["scene", "check", str(path), *processed])
-    assert result.exit_code == 0, result.output
-    assert "device       falcon" in result.stdout
+    assert runner.invoke(app, ["compare", "--device", "falcon", "--save-scene", str(path), *processed]).exit_code == 2
     only = tmp_path / "only.toml"
     only.write_text('device = "falcon"\ncriteria = ["overshoot"]\nfigures = []\ntables = ["D.1"]\noverlays = []\n')
     result = runner.invoke(
@@ -241,8 +239,7 @@ def test_commands_draft_check_and_use_a_scene(falcon, tmp_path):
     assert result.exit_code == 0, result.output
     assert f"--scene {only}" in json.loads(result.stdout)["provenance"]["command"]
     assert take_apart((tmp_path / "o.html").read_text(encoding="utf-8")).figures == {}
-    asked = json.loads(runner.invoke(app, ["scene", "check", str(path), "--json"]).stdout)
-    assert asked["experiments"] == ["1"]
+    assert read_scene(path).experiments == ("1",)
     result = runner.invoke(app, ["compare", "--scene", str(path), *processed, "--dry-run", "--criteria", "overshoot"])
     assert result.exit_code == 0, result.output
     assert "1: settling" in result.stdout
