@@ -1,5 +1,6 @@
 """The command line: each option is parsed, calls the right function, and prints and exits as promised."""
 
+import inspect
 import json
 import re
 import subprocess
@@ -84,6 +85,15 @@ def test_help_shows_every_word_of_what_options_say(call, words, command):
     for parameter in command.params:
         if parameter.help and not parameter.hidden:  # square brackets would be taken for a style, and vanish
             assert "".join(parameter.help.split()) in shown, parameter.name
+
+
+@pytest.mark.parametrize("words", [words for words, _ in leaves(typer.main.get_command(app))], ids=" ".join)
+def test_help_begins_with_one_short_line(words):
+    command = dict(leaves(typer.main.get_command(app)))[words]
+    first = inspect.cleandoc(command.help).splitlines()[0]
+    assert len(first) <= 70
+    assert first.endswith(".")
+    assert first.split()[0] not in ("The", "A", "Whether", "This")
 
 
 def test_help_and_version_need_none_of_the_heavy_packages():

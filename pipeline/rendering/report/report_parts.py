@@ -41,12 +41,11 @@ _META = re.compile(rf'(<meta name="(?:{CELLS_META}|{DIGESTS_META})" content=")[^
 
 
 class Digests(BaseModel):
-    """Hashes that a page carries of itself: of each free part, of each figure, and of all of it."""
+    """Hashes that a page carries of itself: of each free part, and of all of it."""
 
     page: str = ""
     cells: dict[str, str] = {}
     texts: dict[str, str] = {}
-    figures: dict[str, str] = {}
 
 
 @dataclass(frozen=True)
@@ -122,8 +121,7 @@ def digests_of(page: str, parts: Parts | None = None) -> Digests:
     found = parts or take_apart(page)
     cells = {name: short(text) for name, text in found.cells.items() if is_free_cell(name)}
     texts = {name: short(text) for name, text in found.texts.items() if is_free_text(name)}
-    figures = {name: short(text) for name, text in found.figures.items()}
-    return Digests(page=page_digest(page), cells=cells, texts=texts, figures=figures)
+    return Digests(page=page_digest(page), cells=cells, texts=texts)
 
 
 def page_digest(page: str) -> str:

@@ -28,7 +28,7 @@ class DampingRange(StrEnum):
 def demo(
     full: Annotated[bool, typer.Option("--full", help="Thesis size: all experiments, all trials.")] = False,
 ) -> None:
-    """Simulate, ingest and compare a small course of the Falcon and of the light-weight robot.
+    """Simulate, ingest and compare small courses of two devices.
 
     Writes raw/demo/, processed/demo/, reports/falcon.html and reports/lwr.html below the current folder, and
     replaces files of these names.
@@ -75,7 +75,7 @@ def simulate(
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the logs of an earlier simulation.")] = False,
     as_json: Json = False,
 ) -> None:
-    """Write simulated logs of a device, and the true parameters beside them (truth.json).
+    """Write simulated logs of a device, with the truth beside them.
 
     Example: pipeline simulate falcon --experiment 1 --out raw --seed 1
     """
@@ -134,7 +134,7 @@ def accuracy(
     processed: Processed = Path("processed"),
     as_json: Json = False,
 ) -> None:
-    """Measure error against run time of every numerical method of theory, and write a page.
+    """Measure error against run time of each numerical method.
 
     Reports of comparisons show the results while code and machine are unchanged.
 

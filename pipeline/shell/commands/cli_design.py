@@ -54,7 +54,7 @@ def design(
     ] = "sampling_period_s,delay_samples",
     as_json: Json = False,
 ) -> None:
-    """Whether a rig renders the wall that is wanted, and the smallest changes of the rig that reach it.
+    """Find the smallest changes of a rig that reach the wanted wall.
 
     Example: pipeline design --device falcon --stiffness 5000 --overshoot 0
 
@@ -67,8 +67,15 @@ def design(
         check_output(picture, "--picture")
         if picture.suffix not in (".svg", ".pdf", ".png"):
             raise UsageError(f"--picture {picture}: expected a name that ends with .svg, .pdf or .png.")
-    wish = {"settling_s": settling, "overshoot": overshoot, "margin": margin, "tolerance": tolerance}
-    answer = answer_of(loop, stiffness, keep=keep or (), **wish)  # type: ignore[arg-type]
+    answer = answer_of(
+        loop,
+        stiffness,
+        settling_s=settling,
+        overshoot=overshoot,
+        margin=margin,
+        tolerance=tolerance,
+        keep=keep or (),
+    )
     if picture is not None:
         from pipeline.rig.picture import picture as draw
 

@@ -33,7 +33,7 @@ def identify(
     out: Annotated[Path | None, typer.Option("--out", help="Device file (.toml) to write.")] = None,
     as_json: Json = False,
 ) -> None:
-    """Identify a device from any logs: parameters with intervals, its parts, and the walls it can render.
+    """Identify a device from any logs, and the walls it can render.
 
     No wall and no rest are needed; steps, staircases, sweeps and wall trials all serve. A native log of no wall may
     leave out stiffness, damping, step and names.

@@ -69,7 +69,7 @@ def plan(
         bool, typer.Option("--json", help="Print one JSON document; with --watch one line each.")
     ] = False,
 ) -> None:
-    """Say which virtual wall (K, B) to try next, why, and when it is enough.
+    """Plan which wall (K, B) to try next, and when to stop.
 
     Example: pipeline plan --device falcon --experiment 1
 

@@ -34,7 +34,7 @@ def check(
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Show what a profile would read of samples: conditions, columns in SI, quality of time, step, warnings.
+    """Show what a profile reads of sample logs. Nothing is stored.
 
     Nothing is stored. Exit status 3 where a sample would be refused, 1 where the profile itself is wrong (all of its
     mistakes are told at once) or a command obeys another K, B or step than the conditions say.
@@ -67,7 +67,7 @@ def look(
     out: Annotated[Path, typer.Option("--out", help="HTML file.")] = Path("look.html"),
     as_json: Json = False,
 ) -> None:
-    """Draw a log as it was recorded, before anything is said of it: columns, step, jumps, rests, missing rows.
+    """Draw a log as recorded: columns, step, jumps, rests, missing rows.
 
     By a profile, or where a shipped one fits, columns are in SI over time; all others stand as they are in the file,
     over the number of the row. Nothing is stored.
@@ -110,7 +110,7 @@ def draft(
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the profile file.")] = False,
     as_json: Json = False,
 ) -> None:
-    """Write a first profile for a sample: what is sure is filled in, the rest is asked.
+    """Draft a profile from sample logs; open questions are marked.
 
     Lines "# QUESTION: key: ..." stand where units, signs, conditions and the like must not be guessed. Set the key
     below and remove the line; `pipeline profile check` lists what is open. With --json: the profile's text, the file
@@ -155,7 +155,7 @@ def quarantine(
     processed: Processed = Path("processed"),
     as_json: Json = False,
 ) -> None:
-    """List refused logs; show why some were, with the lines around the fault; or ingest them again.
+    """List refused logs, show why, or ingest them again.
 
     Codes are explained in docs/logs.md. Exit status 3 where --retry leaves some refused, or some are gone.
 

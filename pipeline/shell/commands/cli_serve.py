@@ -44,7 +44,7 @@ def serve(
     renew: Annotated[bool, typer.Option("--renew/--no-renew", help="Make reports anew when logs come.")] = True,
     executor: ExecutorName = "local",
 ) -> None:
-    """Serve what is stored in the browser and by REST, take uploads, compare. Ctrl-C ends it.
+    """Serve the lab in the browser and by REST, until Ctrl-C.
 
     Example: pipeline serve --processed processed
     """
@@ -89,7 +89,9 @@ def token(
     processed: Processed = Path("processed"),
     as_json: Json = False,
 ) -> None:
-    """Create, list or revoke tokens for other computers. A new one is printed once: only its hash is stored.
+    """Create, list or revoke tokens for other computers.
+
+    A new token is printed once: only its hash is stored.
 
     Example: pipeline token create --role contributor --name "lab computer"
 
@@ -128,7 +130,7 @@ def push(
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Upload logs to a server; what it has already is skipped, so that the same command resumes.
+    """Upload logs to a server; run again to resume.
 
     A token is taken from the variable PIPELINE_TOKEN. Exit status 3 where a log was refused.
 

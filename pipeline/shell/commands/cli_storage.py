@@ -46,7 +46,7 @@ def ingest(
     wait: Wait = WAIT_S,
     as_json: Json = False,
 ) -> None:
-    """Check logs and store what is new; logs that are refused go into quarantine with the reason.
+    """Check and store new logs; refused ones go into quarantine.
 
     Logs are only read. An interrupted ingest is finished by the next one. Exit status 3 where a log is in quarantine, 1
     where a stored file is damaged: it is named, and all other logs are stored.
@@ -136,7 +136,7 @@ def check(
     wait: Wait = WAIT_S,
     as_json: Json = False,
 ) -> None:
-    """Hold every stored file against the hash that it is named by: names damaged ones, and saves what can be saved.
+    """Verify checksums; name damaged files, and repair them on request.
 
     Exit status 1 where something is damaged or gone; with --repair where something could not be saved.
 
@@ -173,7 +173,7 @@ def status(
     reports: Annotated[Path, typer.Option("--reports", help="Folder of the reports.")] = Path("reports"),
     as_json: Json = False,
 ) -> None:
-    """Show what is stored, what is out of date, which logs changed or are gone, and who writes at this moment.
+    """Show what is stored, out of date, changed or in quarantine.
 
     Nothing is changed.
 
@@ -224,7 +224,7 @@ def status(
 
 
 def doctor(processed: Processed = Path("processed"), as_json: Json = False) -> None:
-    """Say whether this machine has what commands need, and what to install or mend where it has not.
+    """Check this installation.
 
     Packages, formats of logs, disk, locks, files of devices and profiles. Nothing is changed. Exit status 1 where
     something keeps commands from working; what is optional and missing is named.
@@ -259,7 +259,7 @@ def exclude(
     wait: Wait = WAIT_S,
     as_json: Json = False,
 ) -> None:
-    """Exclude trials by hand: kept, used for no estimate, boundary, cost or optimum, and named in every report.
+    """Exclude trials from all results; they stay stored, and are reported.
 
     They stay excluded when their logs are ingested again or renamed, and when the store is merged or repaired. Reports
     are made anew by `pipeline compare`. `pipeline status` lists what is excluded.
@@ -296,7 +296,7 @@ def move(
     wait: Wait = WAIT_S,
     as_json: Json = False,
 ) -> None:
-    """Rename or move a device, an experiment or a trial; what is stored, and logs, stay as they are.
+    """Rename or move a device, an experiment or a trial.
 
     It holds when logs are ingested again. Moving back undoes it.
 
@@ -318,7 +318,7 @@ def delete(
     wait: Wait = WAIT_S,
     as_json: Json = False,
 ) -> None:
-    """Put a device, an experiment or a trial into the bin, show the bin, or empty it. Logs are never touched.
+    """Move trials to the bin, list it, or empty it. Logs stay untouched.
 
     What was deleted stays so when its logs are ingested again, until --undo.
 

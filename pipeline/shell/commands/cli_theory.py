@@ -62,7 +62,7 @@ def points(
     experiment: OfExperiment = None,
     as_json: Json = False,
 ) -> None:
-    """Stability, spectral radius and costs of the points listed in a CSV file.
+    """Compute stability and costs of the points in a CSV file.
 
     Example: pipeline theory points cases.csv --json
     """
@@ -98,7 +98,7 @@ def boundary(
     ] = False,
     as_json: Json = False,
 ) -> None:
-    """Boundary of the stable region and its extreme points.
+    """Compute the stability boundary and its extreme points.
 
     Example: pipeline theory boundary --delay 2 --gamma 0.001 --delta 0.02 --json
 
@@ -144,7 +144,7 @@ def optimum(
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Optimal virtual stiffness and damping for a criterion.
+    """Compute the optimal stiffness and damping for a criterion.
 
     Example: pipeline theory optimum --criterion settle_2pct --delay 1 --signal discrete --json
     """
@@ -190,7 +190,7 @@ def cost_map(
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Costs on a grid over the bounding box of the stable region, as a Parquet file.
+    """Compute costs on a grid over the stable region, as Parquet.
 
     Example: pipeline theory map --delay 1 --criteria settle_2pct,energy_step_w0 --out map.parquet
     """
@@ -219,7 +219,7 @@ def tables(
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Tables B.1 to B.4, C.1 to C.3 and 5.1 of the thesis, computed anew beside the printed numbers.
+    """Compute Tables B.1 to B.4, C.1 to C.3 and 5.1 of the thesis anew.
 
     Example: pipeline theory tables --table C.1 --table C.2
     """

@@ -35,7 +35,7 @@ def verify(
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Compute the numbers of a report anew from the logs, and name those that differ.
+    """Recompute the numbers of a report, and name those that differ.
 
     Reads the logs from where they lay (their stored samples where they are gone), from --logs, or from a bundle,
     computes everything in a temporary folder, and compares each cell, figure, sentence and value. What no log
@@ -76,7 +76,7 @@ def bundle(
     profile: Profiles = None,
     as_json: Json = False,
 ) -> None:
-    """Write a report and all that `pipeline verify` needs into one zip: page, document, logs, profiles, device file.
+    """Pack a report and all that `pipeline verify` needs into one zip.
 
     Example: pipeline bundle reports/falcon.html
     """

@@ -48,7 +48,7 @@ def watch(
     ] = False,
     as_json: JsonLines = False,
 ) -> None:
-    """Keep reports and the index page current while logs arrive, until Ctrl-C or SIGTERM.
+    """Keep reports and the index current while logs arrive.
 
     Only reports whose logs changed are renewed. Logs that are refused go into quarantine, and the watch goes on.
     Nothing is lost when it is killed: the next start does what is left. Exit status with --once: 1 where something

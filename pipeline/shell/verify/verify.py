@@ -148,7 +148,7 @@ def verify(
     as_made = untouched and not problems
     parts = Comparison(rounding=as_made)
     differences = [*part_differences(expected, found, parts), *free_differences(found)]
-    kinds = {"cells": found.cells, "figures": found.figures, "sentences": found.texts, "data": found.data}
+    kinds = {"cells": found.cells, "sentences": found.texts}
     checked = {kind: len(held) for kind, held in kinds.items()}
     if document and result:
         values = Comparison(rounding=as_made and request.document == digest(document.numbers()))
@@ -161,7 +161,7 @@ def verify(
             "report is as it was written"
         )
     if not differences and stored and not untouched:
-        text = "the page was changed outside its numbers, sentences and figures"
+        text = "the page was changed outside its cells and sentences: in a drawing, a script or its frame"
         differences.append(Difference(name="page", kind="page", expected=stored.page, found=text))
     return Verification(
         report=str(report),

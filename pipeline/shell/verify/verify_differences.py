@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -12,12 +11,11 @@ from typing import Any, Literal
 
 from pipeline.records.findings import Record
 from pipeline.records.results import ComparisonResult
-from pipeline.records.trial_codec import unpack
 from pipeline.rendering.report import report_parts
 from pipeline.rendering.report.report_parts import Parts
-from pipeline.shell.verify.verify_rounding import same_drawing, same_text, same_value
+from pipeline.shell.verify.verify_rounding import same_text, same_value
 
-Kind = Literal["cell", "figure", "data", "sentence", "value", "page"]
+Kind = Literal["cell", "sentence", "value", "page"]
 
 ROUNDING = 1e-9
 """Relative difference of two values of the JSON document that counts as none: other processors and builds of numpy
@@ -30,9 +28,6 @@ MISSING = "(missing)"
 
 TRIAL_DATA = "trial-data"
 """Data block with the trials of the page."""
-
-PACKED = ("/columns", "/responses", "/figures")
-"""Ends of the places in it that `trial_codec.pack` packed."""
 
 
 class Difference(Record):
@@ -70,16 +65,9 @@ class Comparison:
 
 
 def part_differences(expected: Parts, found: Parts, comparison: Comparison) -> Iterator[Difference]:
-    """Yield which cells, drawings, data and sentences of a page (``found``) are not those computed anew."""
+    """Yield which cells and sentences of a page (``found``) are not those computed anew; drawings are not compared."""
     cells = ({n: t for n, t in p.cells.items() if not report_parts.is_free_cell(n)} for p in (expected, found))
     yield from _text_differences("cell", comparison, *cells)
-    for name in {**expected.figures, **found.figures}:
-        pair = (expected.figures.get(name), found.figures.get(name))
-        if not comparison.equal(*pair, same_drawing):
-            new, old = ("(missing)" if text is None else f"drawing {report_parts.short(text)}" for text in pair)
-            yield Difference(name=f"figure {name}", kind="figure", expected=new, found=old)
-    for name in {**expected.data, **found.data}:
-        yield from _data_differences(name, expected.data.get(name), found.data.get(name), comparison)
     texts = ({n: t for n, t in p.texts.items() if not report_parts.is_free_text(n)} for p in (expected, found))
     yield from _text_differences("sentence", comparison, *texts)
 
@@ -111,21 +99,6 @@ def _text_differences(
             yield _difference(kind, name, *(MISSING if text is None else text for text in (new, old)))
 
 
-def _data_differences(
-    name: str, expected: str | None, found: str | None, comparison: Comparison
-) -> Iterator[Difference]:
-    if expected == found:
-        return
-    try:
-        new, old = (dict(leaves(json.loads(text or "null"))) for text in (expected, found))
-    except json.JSONDecodeError:
-        new, old = ({"": report_parts.short(text) if text is not None else None} for text in (expected, found))
-    for place in {**new, **old}:
-        a, b = new.get(place, MISSING), old.get(place, MISSING)
-        if not comparison.equal(a, b, lambda a, b: same_text(json.dumps(a), json.dumps(b))):
-            yield _difference("data", f"{name}{place}", str(a), str(b))
-
-
 def value_differences(
     expected: ComparisonResult, found: ComparisonResult, comparison: Comparison
 ) -> Iterator[Difference]:
@@ -149,10 +122,8 @@ def embedded_responses(found: Parts, experiments: int) -> list[int] | None:
 
 
 def leaves(value: Any, place: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield place and value of everything in a document that is no list and no object, also of what is packed in it."""
+    """Yield place and value of everything in a document that is no list and no object."""
     items: Iterable[tuple[Any, Any]]
-    if place.endswith(PACKED):
-        value = _unpacked(value)
     if isinstance(value, dict):
         items = value.items()
     elif isinstance(value, list):
@@ -162,14 +133,6 @@ def leaves(value: Any, place: str = "") -> Iterator[tuple[str, Any]]:
         return
     for key, part in items:
         yield from leaves(part, f"{place}/{key}")
-
-
-def _unpacked(value: Any) -> Any:
-    """Return what is packed in a value; the value where nothing is. The same content packs to other bytes elsewhere."""
-    try:
-        return unpack(value)
-    except (TypeError, ValueError, zlib.error):
-        return value
 
 
 def _difference(kind: Kind, name: str, expected: str, found: str) -> Difference:
