@@ -135,13 +135,17 @@ class UseRegion(Record):
 
 
 class AnswerEstimate(Record):
-    """A quantity of the first screen with its 95 % interval; an end is null where nothing bounds it."""
+    """A quantity of the first screen with its 95 % interval; an end is null where nothing bounds it.
+
+    ``large_motion`` is the linear limit of a device with friction, from which on a harder push is unstable.
+    """
 
     name: Literal["delay_samples", "mass", "damping", "friction", "stiffness_max", "replay"]
     value: float
     low: float | None
     high: float | None
     unit: str
+    large_motion: float | None = None
 
 
 class Prediction(Record):

@@ -104,8 +104,16 @@ def _estimates(result: ExperimentResult, units: Units, *, limit: bool) -> tuple[
             found.append(AnswerEstimate(name=name, value=estimate.value, low=ends[0], high=ends[1], unit=unit))
     point = result.stiffest
     if point is not None and limit:
-        value, low = point.estimate or point.stable or 0.0, point.low or point.stable
-        found.append(AnswerEstimate(name="stiffness_max", value=value, low=low, high=point.high, unit=units.stiffness))
+        found.append(
+            AnswerEstimate(
+                name="stiffness_max",
+                value=point.estimate or point.stable or 0.0,
+                low=point.low or point.stable,
+                high=point.high,
+                unit=units.stiffness,
+                large_motion=point.stiffness_large_motion,
+            )
+        )
     return tuple(found)
 
 
@@ -121,6 +129,8 @@ def _prediction(result: ExperimentResult, rows: Sequence[ComparisonRow], misled:
     """Does theory predict the device: limits of the leading experiment, costs of all."""
     region = result.scores[0].region if result.scores else None
     distance = result.scores[0].distance if result.scores else None
+    if not misled and region is None and (rubbed := _with_friction(result)) is not None:
+        return Prediction(code="with_friction", percent_with_friction=rubbed, limits=len(result.loop_boundary or ()))
     if misled or region is None or distance is None:
         why = "the command obeys another wall than the headers state" if misled else "no theory to compare limits with"
         return Prediction(code="unknown", reason=why)
