@@ -158,6 +158,20 @@ def test_every_command_and_option_is_documented() -> None:
     assert [word for word in missing if not word.endswith(" --help")] == []
 
 
+def test_every_criterion_and_format_is_documented() -> None:
+    from typing import get_args
+
+    from pipeline.profiles.profile_model import Format
+    from pipeline.records.criteria import CRITERIA
+    from pipeline.theory.optimum.rules import POINT_CRITERIA
+
+    text = read(ROOT / "docs" / "definitions.md")
+    names = {name.removesuffix("_discrete") for name in (*CRITERIA, *POINT_CRITERIA)}
+    assert len(names) > 15
+    assert [name for name in sorted(names) if f"`{name}`" not in text] == []
+    assert [name for name in get_args(Format) if f"`{name}`" not in read(ROOT / "docs" / "logs.md")] == []
+
+
 def test_every_setting_is_documented() -> None:
     from pipeline.records.loop_parts import LoopParts
     from pipeline.records.simulation_parts import SimulationParts
