@@ -21,7 +21,8 @@ from pipeline.studies.accuracy.rungs import Ladder, Method, Values
 from pipeline.studies.accuracy.searches import bisect_limit
 from pipeline.theory.cost.pointcosts import point_costs_by_name
 from pipeline.theory.cost.settling_overshoot import LONGEST
-from pipeline.theory.device.crossings import branches, on_circle, right_half
+from pipeline.theory.device.crossings import branches, on_circle
+from pipeline.theory.device.ends import right_half
 from pipeline.theory.device.slowest_pole import characteristic, slowest_poles
 from pipeline.theory.stability.region import stiffness_limit
 from pipeline.theory.stability.stability import spectral_radius

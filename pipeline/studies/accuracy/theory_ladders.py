@@ -23,8 +23,9 @@ from pipeline.studies.accuracy.rungs import Ladder, Method, Values
 from pipeline.theory.cost.energy import energy_costs
 from pipeline.theory.cost.maps import cost_maps
 from pipeline.theory.cost.settling_overshoot import transient_costs
+from pipeline.theory.device.plain_branches import first_branch
 from pipeline.theory.optimum.optimum import optimal_point
-from pipeline.theory.stability.region import region, stiffness_limit
+from pipeline.theory.stability.region import stiffness_limit
 from pipeline.theory.stability.stability import spectral_radius
 
 BAND = 0.02
@@ -143,7 +144,7 @@ def _boundary() -> Ladder:
         return _named("boundary", searches.bisect_limit, radius, beta, high)
 
     def ours() -> Values:
-        region.cache_clear()
+        first_branch.cache_clear()
         return {"boundary": stiffness_limit(loop, beta)}
 
     states = partial(methods.radius_by_eigenvalues, case)

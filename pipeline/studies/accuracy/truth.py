@@ -22,7 +22,7 @@ from pipeline.simulation.simulate import simulate
 from pipeline.theory.cost.pointcosts import point_costs_by_name
 from pipeline.theory.optimum.optimum import optimal_point
 from pipeline.theory.optimum.search import OptimalPoint
-from pipeline.theory.stability.extent import damping_range
+from pipeline.theory.stability.boundary import boundary
 from pipeline.theory.stability.region import stiffness_limit
 from pipeline.theory.stability.stability import spectral_radius
 
@@ -105,7 +105,7 @@ class Truth:
     @cached_property
     def largest_damping(self) -> float:
         """Largest stable virtual damping [Ns/m, Nms/rad]."""
-        return damping_range(self.loop)[1] * self.units.damping
+        return boundary(self.loop).beta_max * self.units.damping
 
     def radius(self, stiffness: Floats, damping: Floats) -> Floats:
         """Return the exact spectral radius of each pair (K, B), shape (n,)."""
