@@ -40,6 +40,9 @@ _END = Decimal("1e-36")
 
 _POLISHINGS = 2
 
+_FARTHEST = Decimal("1e-4")
+"""Change of s that polishing may come to; where beta touches its value the slope is none."""
+
 _NEXT = 1 + Decimal("1e-20")
 """Factor to a place beside another, to see whether beta rises."""
 
@@ -206,13 +209,14 @@ def polished(loop: Loop, beta: Floats, place: Floats) -> Floats:
     with many_digits(loop.digits):
         twist, turn = derivative(c.twist), derivative(c.turn)
         for b, start in zip(as_exact(beta), place, strict=True):
-            s = Decimal(float(np.exp(start)))
+            first = s = Decimal(float(np.exp(start)))
             for _ in range(_POLISHINGS):
                 # of twist + beta (1 + s)^delay turn
                 pull, lever = b * (1 + s) ** c.delay, value(c.turn, s)
                 slope = value(twist, s) + pull * (value(turn, s) + c.delay * lever / (1 + s))
                 s -= (value(c.twist, s) + pull * lever) / slope
-            result.append(_exact_alpha(c, s, b))
+            touches = abs(s - first) > _FARTHEST * first
+            result.append(_exact_alpha(c, first if touches else s, b))
     return np.array([float(a) for a in result])
 
 

@@ -110,7 +110,7 @@ def limits(loop: Loop, beta: Floats, *, exact: bool = True, floor: float = 0.0) 
     ends = np.full((4, len(beta)), np.nan)
     angle = np.nan_to_num(angle_of(found.high_at[above]), nan=np.pi)
     ends[:, index[soft]] = np.array([np.maximum(high, floor), angle, low, angle_of(found.low_at[above])])[:, soft]
-    return Limits(*ends, np.stack([beta[index], low, high], axis=1)[~soft])
+    return Limits(ends[0], ends[1], ends[2], ends[3], np.stack([beta[index], low, high], axis=1)[~soft])
 
 
 def outline(loop: Loop, points: int = 400, floor: float = 0.0) -> Outline:
@@ -152,9 +152,8 @@ def outline(loop: Loop, points: int = 400, floor: float = 0.0) -> Outline:
     kept = np.isfinite(found.alpha)
     beta, found = beta[kept], found.part(kept)
     best = int(np.argmax(found.alpha))
-    return Outline(
-        beta, found, known.islands, float(found.alpha[best]), float(beta[best]), (float(low[0]), float(high[-1]))
-    )
+    peak, at = float(found.alpha[best]), float(beta[best])
+    return Outline(beta, found, known.islands, peak, at, (float(low[0]), float(high[-1])))
 
 
 def _corners(loop: Loop, levels: Floats) -> Floats:
