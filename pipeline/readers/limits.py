@@ -59,9 +59,6 @@ LISTED_ELEMENTS = 64
 LISTED_NAMES = 40
 """Names that a message lists."""
 
-DEEPEST = 32
-"""Lists and objects inside each other: what robots log has two to five."""
-
 EXACT = 1 << 53
 """Whole numbers up to this one are floats without loss."""
 

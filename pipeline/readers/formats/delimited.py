@@ -63,8 +63,7 @@ def read(path: Path, settings: Profile, contents: Contents) -> None:
         cut, kept, cells = True, kept[:-1], {place: values[:-1] for place, values in cells.items()}
         columns = {place: _values(settings, values) for place, values in cells.items()}
     if cut:
-        contents.note("cut_last_row", last)
-        contents.warnings.append(f"last row is cut: {last[:200]!r} (line {row[-1]}) was left out and is kept verbatim")
+        contents.cut_row(last, int(row[-1]))
     elif not whole:
         contents.warnings.append(f"line {row[-1]} is the last one and has no line end: its last value may be cut")
     contents.row = row[kept]
