@@ -404,18 +404,6 @@ def test_a_native_log_needs_no_draft(call, tmp_path):
     assert call("profile", "draft", "none.csv")[0] == 2
 
 
-def test_time_that_is_not_plain_is_asked(tmp_path):
-    def questions(stamps):
-        path = tmp_path / "a.csv"
-        path.write_text("time,x\n" + "".join(f"{t},1.5\n" for t in stamps), encoding="utf-8")
-        return {".".join(map(str, q.place)) for q in find_questions(draft_profile(path))}
-
-    rising = questions([1, 2, 3, 4])
-    assert questions([1, 2, 0, 1]) - rising == {"columns.time.kind"}
-    assert questions([1, 2, 2, 3]) - rising == {"columns.time.duplicates"}
-    assert questions([1, 2, "", 3]) - rising == {"columns.time.blanks"}
-
-
 # quarantine
 
 

@@ -16,7 +16,6 @@ from pipeline.profiles.profile_files import read_profile
 from pipeline.profiles.profile_model import Profile
 from pipeline.readers import Log, RawLog, reader_of
 from pipeline.readers.formats.files import read_file
-from pipeline.shell.cli import run
 from pipeline.shell.profile.profile_check import check_samples
 from pipeline.shell.profile.profile_draft import draft_profile
 
@@ -312,13 +311,3 @@ def test_labels_in_remarks_are_read_by_the_draft(tmp_path):
     draft = draft_profile(tmp_path / "a.csv")
     assert 'labels = "="\ncomment = "#"' in draft
     assert '#   "K": "300"' in draft
-
-
-def test_a_draft_shows_steps_of_long_stamps_exactly(tmp_path, capsys, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    rows = ((1_700_000_000_000_000_000 + 1_000_000 * k, force, x) for k, force, x in RUN)
-    (tmp_path / "a.csv").write_text(table(rows), encoding="utf-8")
-    with pytest.raises(SystemExit) as end:
-        run(["profile", "draft", "a.csv"])
-    assert end.value.code in (0, None)
-    assert "# stamps rise by 1e+06 in the median, 1e+06 to 1e+06" in capsys.readouterr().out
