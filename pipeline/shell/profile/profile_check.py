@@ -200,7 +200,7 @@ def _columns(profile: Profile, log: Log, motion: Motion, hints: dict[str, str]) 
             continue
         source, unit = sources.get(key), si_unit(QUANTITIES[key][motion])
         name, written = (key, unit) if source is None else (source.key, source.unit or "")
-        if isinstance(source, TimeSource) and not source.has_stamps:
+        if isinstance(source, TimeSource) and not source.in_file:
             name, written = "(one row each sampling period)", ""
         if isinstance(source, CommandSource) and source.value is not None:
             start = f"row {source.from_row}" if source.from_s is None else f"{source.from_s:g} s"
