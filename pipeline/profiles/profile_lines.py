@@ -34,6 +34,7 @@ _WORDS = {
     "tuple_type": "Input should be a list in brackets",
     "model_type": "Input should be a table of keys",
     "dict_type": "Input should be a table of keys",
+    "string_pattern_mismatch": "must be part of a file name in the same folder",
 }
 """Kinds of values in the words of TOML, not of Python."""
 

@@ -35,7 +35,7 @@ def entry_of(profile: Profile, name: str) -> FileEntry | None:
     entries = [entry for entry in profile.file if fnmatchcase(name.lower(), entry.match.lower())]
     if len(entries) > 1:
         found = f"fits {len(entries)} entries [[file]] of profile {profile.name}, match = {[e.match for e in entries]}"
-        raise refusal("profile-wrong", name, found, "one", "Narrow the patterns.")
+        raise refusal("profile-wrong", name, found, "one")
     return entries[0] if entries else None
 
 
@@ -74,10 +74,8 @@ def conditions_of(
         if key in special or key in profile.condition_columns:
             continue
         if attribute not in frame.attributes:
-            found = (
-                f"has no attribute {attribute!r}, which profile {profile.name} takes the {key} from (attributes.{key}"
-            )
-            raise refusal("condition-missing", where, f"{found}); found {sorted(frame.attributes)[:40]}")
+            found = f"has no attribute {attribute!r} (attributes.{key}); found {sorted(frame.attributes)[:40]}"
+            raise refusal("condition-missing", where, found)
         given[key] = frame.attributes[attribute]
     for key, column in profile.condition_columns.items():
         if key not in special:
@@ -89,7 +87,7 @@ def conditions_of(
         if condition not in given:
             line = f'[[file]]\nmatch = "{name}"\n{condition} = <value>'
             found = f"profile {profile.name} does not give the {condition} of this file"
-            raise refusal("condition-missing", where, found, cure=f"Add to it:\n{line}", line=line)
+            raise refusal("condition-missing", where, found, line=line)
     # names of files have points also where the numbers in them have commas
     inside = (set(profile.attributes) | set(profile.condition_columns)) - set(special)
     return {key: _in_si(profile, where, key, value, key in inside) for key, value in given.items()}

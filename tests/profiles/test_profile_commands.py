@@ -151,7 +151,7 @@ def test_check_shows_what_ingest_stores(call, lab):
 @pytest.mark.parametrize(
     ("name", "text", "row", "words"),
     [
-        ("K300.csv", LOG.replace("8;0,25", "8;0.25"), 5, 'Write decimal = "."'),
+        ("K300.csv", LOG.replace("8;0,25", "8;0.25"), 5, 'help in the profile: decimal = "."'),
         ("K300.csv", LOG.replace("8;0,25", ";0,25"), 5, 'blanks = "skip"'),
         ("run.csv", LOG, None, "fits none of files = ['K*.csv']"),
         ("Kx.csv", LOG, None, "does not fit name_pattern"),

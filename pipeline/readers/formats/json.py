@@ -126,8 +126,7 @@ def _records(contents: Contents, value: Any, path: str) -> list[Any] | None:
         listing = ", ".join(f"{key!r} ({len(found)} records)" for key, found in lists.items()) or "no key"
         found = f"has lists of records under {listing}, and not under {path!r}"
         line = f'records = "{best}"' if best else ""
-        cure = "Correct `records` in the profile." if path else f"Add {line} (or another of them) to the profile."
-        raise refusal("profile-wrong", contents.name, found, "", cure, 1, line)
+        raise refusal("profile-wrong", contents.name, found, cure="Correct `records` in the profile.", row=1, line=line)
     if best and not path:
         contents.keys["records"] = best
     return lists[path or best] if lists else None

@@ -35,13 +35,13 @@ class Cells(NamedTuple):
         texts = [isinstance(value, str) for value in self.values]
         large = [isinstance(value, int) and abs(value) > EXACT for value in self.values]
         code: Code
-        whole = np.uint64 if any(large) and not any(texts) and min(self.values) >= 0 else np.int64
+        beyond = any(large) and not any(texts) and max(self.values) >= 1 << 63
         if any(texts) != all(texts):
             at, code, found = texts.index(False), "not-a-number", "mixes texts and numbers"
         elif any(large) and any(isinstance(value, float) for value in self.values):
             at, code, found = large.index(True), "no-value", "mixes fractions and whole numbers of more than 15 digits"
         else:
-            values = np.array(self.values, whole if any(large) else None)
+            values = np.array(self.values, np.uint64 if beyond else None)
             return with_gaps(where, values.astype(np.int64) if values.dtype == np.bool_ else values, place, rows, row)
         at_row = int(place[at] + 1 if row is None else row[place[at]])
         raise refusal(code, where, f"{found}, such as {self.values[at]!r}", row=at_row)
