@@ -103,7 +103,7 @@ def test_delimited_log_is_converted_to_si(profile_file):
         (
             TEXT.replace("x;", "y;"),
             2,
-            r"wants column 'x' for columns.position once, found it 0 times among \['t'",
+            r"wants column 'x' for columns.position once, found it 0 times among 4 columns: \['t'",
         ),
         (TEXT.replace("ignored", "x"), 2, "found it 2 times"),
         (TEXT.replace("2,5", "much"), 4, "command must be a number .*found 'much'"),
