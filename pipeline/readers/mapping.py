@@ -136,7 +136,6 @@ def logs_of(profile: Profile, names: Sequence[str], frames: Sequence[Frame]) -> 
             at, cure = int(row[min(len(frame), len(other))]), "Were they recorded together?"
             raise refusal("lengths-differ", "", found, cure=cure, row=at)
     entry = entry_of(profile, name)
-    special = entry.given() if entry else {}
     step: StepTime = entry if entry is not None and entry.declared else profile
     window = entry.window if entry is not None and entry.window is not None else profile.window
     logs = []
@@ -144,15 +143,14 @@ def logs_of(profile: Profile, names: Sequence[str], frames: Sequence[Frame]) -> 
         where = name if label is None else f"{name}, trial {label!r}"
         # what several steps differ in is asked for step by step
         required = ("sampling_period_s",) if profile.steps else REQUIRED_CONDITIONS
-        given = conditions_of(profile, name, where, frame, index, special, required)
+        given = conditions_of(profile, (name, where), frame, index, (entry, None), required)
         rows = rows_of(profile, where, names, frames, index, _period(where, given))
         if not profile.steps:
             log = _log(profile, where, frame, rows, given, step, window, label)
             logs += _steps_of(log) if step.step_at == "command edge" else [log]
         for part in profile.steps:
-            special_part = special | part.given()
             place = f"{where}, step {part.label!r}"
-            of_part = conditions_of(profile, name, place, frame, index, special_part)
+            of_part = conditions_of(profile, (name, place), frame, index, (entry, part))
             logs.append(_log(profile, place, frame, rows, of_part, part if part.declared else step, part, part.label))
     return logs
 

@@ -109,7 +109,7 @@ def test_delimited_log_is_converted_to_si(profile_file):
         (TEXT.replace("2,5", "much"), 4, "command must be a number .*found 'much'"),
         (TEXT.replace("1;b;", "1;"), 4, "expected 4 values, found 3"),
         (TEXT.replace("1e3", "nan"), 5, "position has no value: column 'x' is blank, or no number"),
-        (TEXT.replace("2;c", "1;c"), 5, "expected it to increase"),
+        (TEXT.replace("2;c", "1;c"), 5, "in two rows"),
         ("made by lab\n", 1, "is empty"),
         ("made by lab\nt;ignored;x;F\n", 3, "0 samples"),
     ],

@@ -468,7 +468,7 @@ def test_conditions_come_from_the_most_special_place(lab):
         ("32 Nm", "measures torque; expected stiffness"),
         ("much", "stiffness is 'much'; expected a number"),
         ("nan", "stiffness must be a finite number"),
-        ("3 N/mm", "but units.stiffness of profile lab is 'N/m'"),
+        ("3 N/mm", "but units.stiffness is 'N/m'"),
     ],
 )
 def test_a_condition_that_cannot_be_read_is_refused(lab, gain, words):

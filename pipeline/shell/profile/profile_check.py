@@ -20,7 +20,7 @@ from pipeline.measured.signal.response import NO_ROW, find_response
 from pipeline.profiles.profile_columns import QUANTITIES, CommandSource
 from pipeline.profiles.profile_model import CONDITION_QUANTITIES, CONDITIONS, Profile
 from pipeline.readers import Log, RawLog
-from pipeline.readers.conditions import entry_of, places_of
+from pipeline.readers.conditions import entry_of, statements
 from pipeline.readers.formats.files import read_file
 from pipeline.readers.obeyed import cure, obeyed
 from pipeline.readers.time_axis import step_flags
@@ -168,9 +168,10 @@ def _trial(profile: Profile, name: str, log: Log, motion: Motion, hints: dict[st
 def _conditions(profile: Profile, name: str, log: Log, motion: Motion) -> tuple[CheckedCondition, ...]:
     native = profile.format == "native"
     part = next((step for step in profile.steps if step.label == log.label), None)
-    places = {} if native else places_of(profile, name, entry_of(profile, name), part)
-    stated = log.header.motion if native else "motion" in profile.constants.model_fields_set
-    places |= {"motion": "header" if native else "constants"} if stated else {}
+    stated = {} if native else statements(profile, name, (entry_of(profile, name), part))
+    places = {key: place for key, (place, _) in stated.items()}
+    moving = log.header.motion if native else "motion" in profile.constants.model_fields_set
+    places |= {"motion": "header" if native else "constants"} if moving else {}
     units = {key: si_unit(quantities[motion]) for key, quantities in CONDITION_QUANTITIES.items()}
     values = {key: getattr(log.header, key) for key in CONDITIONS} | {"motion": motion}
     default = {key: "header" if native and key != "motion" else "default" for key in values}

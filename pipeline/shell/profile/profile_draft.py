@@ -34,40 +34,24 @@ from pipeline.records.models import Motion
 ROLES = ("time", "command", "position")
 
 KEYS: dict[str, tuple[Any, str]] = {
-    "step_at": (
-        "command edge",
-        'when does the step happen: "command edge" (found in the command; rows before it are recorded) or "first row"? '
-        "Or give step_row or step_time_s in its place.",
-    ),
+    "step_at": ("command edge", 'when does the step happen: "command edge", "first row", or step_row or step_time_s?'),
     "name_pattern": (None, "does the file name hold these conditions? Else put them into [constants]."),
-    "columns.time.name": (
-        None,
-        'which column holds the time stamps (without any, give kind = "sampled" in its place)?',
-    ),
+    "columns.time.name": (None, 'which column holds the time stamps (without any: kind = "sampled")?'),
     "columns.time.unit": ("s", ""),
     "columns.command.name": (None, "which column holds the total force or torque that the controller commands?"),
     "columns.command.unit": ("N", ""),
     "columns.command.sign": (1, "does a positive command push towards greater positions (1), or against them (-1)?"),
     "columns.position.name": (None, "which column holds the position that the controller measures?"),
-    "columns.position.integrate": (
-        None,
-        'a velocity: is the position its integral? By differences, or by trapezoids ("trapezoid").',
-    ),
+    "columns.position.integrate": (None, 'a velocity: is the position its integral by differences, or by "trapezoid"?'),
     "columns.position.unit": ("m", ""),
-    "columns.position.sign": (
-        1,
-        "do its numbers rise in the direction that counts as positive (1), or fall (-1)?",
-    ),
+    "columns.position.sign": (1, "do its numbers rise in the direction that counts as positive (1), or fall (-1)?"),
     "constants.device": ("bench", "what is the device called?"),
     "constants.experiment": ("1", "what is the experiment called?"),
     "constants.motion": ("translation", 'is it a "translation" or a "rotation"?'),
-    "constants.stiffness": (
-        0,
-        "virtual stiffness K of the wall, in N/m or Nm/rad (or its unit in [units]); 0 without a wall?",
-    ),
-    "constants.damping": (0, "virtual damping B of the wall, in Ns/m or Nms/rad?"),
-    "constants.step": (0, "size of the external step, in N or Nm; 0 where none was commanded?"),
-    "constants.sampling_period_s": (0.001, "sampling period T of the controller, in s?"),
+    "constants.stiffness": (0, "virtual stiffness K of the wall [N/m, Nm/rad, or as in [units]]; 0 without a wall?"),
+    "constants.damping": (0, "virtual damping B of the wall [Ns/m, Nms/rad]?"),
+    "constants.step": (0, "size of the external step [N, Nm]; 0 where none was commanded?"),
+    "constants.sampling_period_s": (0.001, "sampling period T of the controller [s]?"),
 }
 """Keys of a draft in their order: what is proposed where nothing is seen, and the question."""
 
