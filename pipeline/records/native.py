@@ -142,14 +142,14 @@ def parse_header(lines: Iterable[str]) -> NativeHeader:
     LogError
         If a required key is missing or given twice, or a value is not legal; with the line number.
     """
-    values, extra = _lines_of(lines)
+    values, extra = _statements(lines)
     missing = [key for key in _REQUIRED if key not in values]
     if values and set(FREE) <= set(missing):
         values |= dict.fromkeys(FREE, ("0", 1))
         extra["wall"] = NOT_STATED
         missing = [key for key in missing if key not in FREE]
     if missing:
-        raise _lacking(missing, [*values, *extra], nothing=not values)
+        raise _incomplete(missing, values, extra)
     if "step_row" in extra:
         _count("step_row", extra["step_row"], 1)
     simulated = extra.get("origin") == "simulated"
@@ -170,8 +170,8 @@ def parse_header(lines: Iterable[str]) -> NativeHeader:
     )
 
 
-def _lines_of(lines: Iterable[str]) -> tuple[dict[str, tuple[str, int]], dict[str, str]]:
-    """Return the known keys with their value and line, and what other keys say."""
+def _statements(lines: Iterable[str]) -> tuple[dict[str, tuple[str, int]], dict[str, str]]:
+    """Return values with their line by the keys that are known, and the values of all other keys."""
     values: dict[str, tuple[str, int]] = {}
     extra: dict[str, str] = {}
     for row, line in enumerate(lines, start=1):
@@ -198,10 +198,10 @@ def _lines_of(lines: Iterable[str]) -> tuple[dict[str, tuple[str, int]], dict[st
     return values, extra
 
 
-def _lacking(missing: list[str], others: list[str], *, nothing: bool) -> LogError:
-    """Return the error of a header without some required keys, or without any of them."""
-    found = ", ".join(others) or "no `# key: value` line"
-    if nothing:
+def _incomplete(missing: list[str], values: dict[str, tuple[str, int]], extra: dict[str, str]) -> LogError:
+    """Return the refusal of a header that lacks keys."""
+    found = ", ".join([*values, *extra]) or "no `# key: value` line"
+    if not values:
         return LogError(
             f"header has none of {', '.join(_REQUIRED)}; found {found}. Add a line `# key: <value>` for each, or "
             "describe the file by a profile.",
