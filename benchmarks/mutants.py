@@ -49,7 +49,7 @@ CHANGES = (
     Change(VERDICT, "(2 * onset - start)", "(onset)"),
     Change(VERDICT, "rate / batch.sampling_period_s, tuple(reason)", "rate, tuple(reason)"),
     Change(VERDICT, "np.where(rate > 0, \"unstable\", \"stable\")", "np.where(rate < 0, \"unstable\", \"stable\")"),
-    Change(OUTCOME, "SETTLED_SAMPLES = 5", "SETTLED_SAMPLES = 1"),
+    Change(OUTCOME, "SETTLED_SAMPLES = 5", "SETTLED_SAMPLES = 60"),
     Change(OUTCOME, "BAND = 0.02", "BAND = 0.2"),
     Change(OUTCOME, "LASTING_RATIO = 0.6", "LASTING_RATIO = 0.05"),
     Change(SETTLING, "SETTLED_SAMPLES = 5", "SETTLED_SAMPLES = 0"),
