@@ -241,7 +241,6 @@ def test_wrong_arguments_are_named(alpha: float, beta: float, signal: str, what:
 @pytest.mark.filterwarnings("error")
 def test_sums_that_do_not_converge_are_missing():
     # beside a stable matrix, ones that grow slowly and until their powers overflow
-    matrix = np.array([0.5, 1.0, 1.5])[:, None, None] * np.eye(2)
-    for total in weighted_sums(matrix, np.ones(2)):
+    for total in weighted_sums(np.array([0.5, 1.0, 1.5])[:, None, None], np.ones(1)):
         assert np.isfinite(total[0]).all()
         assert np.isnan(total[1:]).all()
