@@ -31,7 +31,7 @@ ROWS = 620
 """Makes a log of 31 KB, 2,200 of which are 68 MB; numbers have 17 digits, as simulated and recorded ones have."""
 
 BODIES = 2200
-"""Logs whose samples differ; further ones repeat them under another stiffness, which saves time in preparation."""
+"""Logs whose samples differ; further ones repeat them under a slightly other stiffness, which saves preparation."""
 
 ONE_MORE = 10
 """Logs that are added one by one; the slowest counts."""
@@ -120,7 +120,7 @@ def text_of(stiffness: float, damping: float, body: str, experiment: int = 1) ->
     header = {
         "device": "falcon",
         "experiment": f"{experiment}",
-        "stiffness": f"{stiffness:g} [N/m]",
+        "stiffness": f"{stiffness:.12g} [N/m]",
         "damping": f"{damping:g} [Ns/m]",
         "step": "8 [N]",
         "sampling_period_s": "0.001",
@@ -135,20 +135,23 @@ def text_of(stiffness: float, damping: float, body: str, experiment: int = 1) ->
 def write_logs(folder: Path, logs: int, rows: int, experiments: int = 1) -> list[str]:
     """Write logs of decaying oscillations with the quantum of a sensor; returns their samples as text.
 
-    All differ by their stiffness; their experiments take turns.
+    All differ by their stiffness, which their commands obey; their experiments take turns.
     """
     folder.mkdir(parents=True)
     random = np.random.default_rng(0)
     time_s = np.arange(rows) * 1e-3
     bodies = []
-    for _ in range(min(logs, BODIES)):
-        decay, frequency, stiffness = random.uniform(3, 30), random.uniform(20, 200), random.uniform(200, 14_000)
+    for number in range(min(logs, BODIES)):
+        decay, frequency = random.uniform(3, 30), random.uniform(20, 200)
         x = 0.12 - 1e-3 * (1 - np.exp(-decay * time_s) * np.cos(frequency * time_s)) + random.normal(size=rows) * 2e-6
         x = np.round(x / 2e-6) * 2e-6
-        values = zip(time_s.tolist(), (8 + stiffness * (x[0] - x)).tolist(), x.tolist(), strict=True)
+        force = 8 + (100.0 + number) * (x[0] - x) - number % 180 * np.diff(x, prepend=x[:1]) / 1e-3
+        values = zip(time_s.tolist(), force.tolist(), x.tolist(), strict=True)
         bodies.append("".join(["%.17g,%.17g,%.17g\n" % row for row in values]))  # noqa: UP031  three times faster
     for number in range(logs):
-        text = text_of(100.0 + number, float(number % 180), bodies[number % BODIES], 1 + number % experiments)
+        body = number % BODIES
+        stiffness = (100.0 + body) * (1 + 1e-9 * (number // BODIES))
+        text = text_of(stiffness, float(body % 180), bodies[body], 1 + number % experiments)
         (folder / f"{number:06d}.csv").write_text(text, encoding="utf-8")
     return bodies
 
@@ -184,7 +187,9 @@ def measure(folder: Path, logs: int, rows: int, repeats: int) -> dict[str, float
     one_more_s, one_more_bytes = 0.0, 0
     for number in range(ONE_MORE):
         body = bodies[number % len(bodies)]
-        (folder / "raw" / f"more{number}.csv").write_text(text_of(0.5 + number, 1.0, body), encoding="utf-8")
+        (folder / "raw" / f"more{number}.csv").write_text(
+            text_of(100.0 + number + 1e-6, float(number), body), encoding="utf-8"
+        )
         before = files_of(folder / "processed")
         one_more_s = max(one_more_s, run(ingest, folder).seconds)
         after = files_of(folder / "processed")
