@@ -8,10 +8,10 @@ from itertools import chain
 from pathlib import Path
 
 import pytest
-from command_lines import commands, fault
+from command_lines import commands, every_command, fault
 from places import ROOT
 
-PAGES = [ROOT / name for name in ("README.md", "CHANGELOG.md", "CONTRIBUTING.md")]
+PAGES = [ROOT / name for name in ("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "SECURITY.md")]
 PAGES += sorted((ROOT / "docs").glob("*.md"))
 MODULES = sorted(".".join(path.relative_to(ROOT).with_suffix("").parts) for path in (ROOT / "pipeline").rglob("*.py"))
 LARGEST_IMAGE = 150_000
@@ -67,11 +67,19 @@ def test_make_targets_exist(page: Path) -> None:
     assert set(named) <= targets
 
 
+def headings_of(page: Path) -> set[str]:
+    """Anchors of the headings of a page, as MyST and others make them."""
+    titles = re.findall(r"^#+ (.*)$", read(page), flags=re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", title).strip().lower().replace(" ", "-") for title in titles}
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda path: path.name)
-def test_links_lead_to_files(page: Path) -> None:
+def test_links_lead_to_files_and_headings(page: Path) -> None:
     links = re.findall(r"\]\(([^)]+)\)", read(page))
-    local = [link.split("#")[0] for link in links if "://" not in link]
-    assert [link for link in local if not (page.parent / link).exists()] == []
+    local = [link.partition("#") for link in links if "://" not in link]
+    assert [file for file, _, _ in local if not (page.parent / file).exists()] == []
+    headings = {file: headings_of(page.parent / file if file else page) for file, _, anchor in local if anchor}
+    assert [f"{file}#{anchor}" for file, _, anchor in local if anchor and anchor not in headings[file]] == []
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda path: path.name)
@@ -114,27 +122,76 @@ def names_of_the_code() -> set[str]:
     return names
 
 
-def test_nomenclature_is_that_of_the_code() -> None:
+def names_on_the_page() -> set[str]:
+    """Names of code in the second column of the tables of symbols and of stored results."""
+    section = read(ROOT / "docs" / "definitions.md").partition("## Symbols and names")[2]
+    rows = [line.split("|") for line in section.splitlines() if line.startswith("|")]
+    return {name for row in rows for name in re.findall(r"`([^`]+)`", row[2])}
+
+
+def test_symbols_are_names_of_the_code() -> None:
     from pipeline.records.tables import COLUMNS
 
-    rows = [line.split("|") for line in read(ROOT / "docs" / "nomenclature.md").splitlines() if "|" in line]
-    listed = {name for row in rows for name in re.findall(r"`([^`]+)`", row[2])}
+    listed = names_on_the_page()
     assert len(listed) > 40
-    known = names_of_the_code()
-    bases = {name.removesuffix("_discrete") for name in listed}
     energy = {f"energy_{signal}_w{w}" for signal in ("step", "impulse") for w in (0, 1, 2)}
-    assert bases - known - energy - set(COLUMNS) == set()
+    assert listed - names_of_the_code() - energy - set(COLUMNS) == set()
 
 
-def test_stored_columns_are_in_the_nomenclature() -> None:
+def test_stored_columns_are_documented() -> None:
     from pipeline.records.tables import COLUMNS, TABLES
 
-    page = read(ROOT / "docs" / "nomenclature.md")
     results = {name for table, names in TABLES.items() if table != "trials" for name in names}
     # a correction repeats what its trial is known by
     results -= set(TABLES["trials"]) & set(TABLES["corrections"])
-    assert [name for name in sorted(results) if f"`{name}`" not in page] == []
-    assert set(COLUMNS) >= results
+    bases = {
+        re.sub(r"_w[12](?=_|$)", "_w0", re.sub(r"(?<!onset)(?<!peak)_(low|high|error)$", "", name)) for name in results
+    }
+    page = read(ROOT / "docs" / "definitions.md")
+    assert [name for name in sorted(bases) if f"`{name}`" not in page] == []
+    assert [name for name in sorted(results) if not COLUMNS[name].meaning] == []
+
+
+def pages() -> str:
+    return "\n".join(read(page) for page in PAGES if page.name not in ("CHANGELOG.md", "CONTRIBUTING.md"))
+
+
+def test_every_command_and_option_is_documented() -> None:
+    text = pages()
+    missing = []
+    for name, command in every_command():
+        options = [option for p in command.params for option in (*p.opts, *p.secondary_opts) if option.startswith("--")]
+        missing += [name] * (name not in text)
+        missing += [f"{name} {option}" for option in options if not re.search(rf"{option}(?![\w-])", text)]
+    assert [word for word in missing if not word.endswith(" --help")] == []
+
+
+def test_every_criterion_and_format_is_documented() -> None:
+    from typing import get_args
+
+    from pipeline.profiles.profile_model import Format
+    from pipeline.records.criteria import CRITERIA
+    from pipeline.theory.optimum.rules import POINT_CRITERIA
+
+    text = read(ROOT / "docs" / "definitions.md")
+    names = {name.removesuffix("_discrete") for name in (*CRITERIA, *POINT_CRITERIA)}
+    assert len(names) > 15
+    assert [name for name in sorted(names) if f"`{name}`" not in text] == []
+    assert [name for name in get_args(Format) if f"`{name}`" not in read(ROOT / "docs" / "logs.md")] == []
+
+
+def test_every_setting_is_documented() -> None:
+    from pipeline.records.loop_parts import LoopParts
+    from pipeline.records.simulation_parts import SimulationParts
+
+    page = read(ROOT / "docs" / "devices.md")
+    keys = [key for model in (LoopParts, SimulationParts) for key in model.model_fields]
+    assert len(keys) > 12
+    assert [key for key in keys if f"`{key}`" not in page] == []
+    source = "".join(read(path) for path in (ROOT / "pipeline").rglob("*.py"))
+    variables = set(re.findall(r"\bPIPELINE_[A-Z]+\b", source))
+    assert variables
+    assert [name for name in sorted(variables) if f"`{name}`" not in pages()] == []
 
 
 @pytest.mark.parametrize("name", MODULES)
