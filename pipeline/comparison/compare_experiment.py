@@ -146,7 +146,7 @@ def _with_loop(data: SceneData, stages: ExperimentStages, result: ExperimentResu
     loop = estimated_range(result, stages.sampling_period_s)
     if not findings.loop.adequate:
         device = stages.once(explaining_device)
-        if device is None or not device.is_nonlinear:
+        if device is None or not device.is_trusted:
             found |= {name: _doubted(found[name]) for name in _OF_A_LOOP if name in found}
         reason = "needs an adequate loop; the table of loops says why this one is not"
         found["implied_delay"] = _without("samples", reason)

@@ -94,6 +94,8 @@ def velocity_of(stages: ExperimentStages, departures: list[LawDeparture]) -> Vel
 def found_loop(result: ExperimentResult, stages: ExperimentStages, velocity: VelocityFilter | None) -> LoopRange | None:
     """Return the linear loop of the device that explains the logs, with their filter; else that of the estimates."""
     fitted = stages.once(explaining_device)
+    if fitted is not None and "delay_samples" in fitted.open:
+        return None
     if fitted is not None:
         return loop_range(fitted, stages.sampling_period_s, velocity)
     return with_filter(estimated_range(result, stages.sampling_period_s), velocity)

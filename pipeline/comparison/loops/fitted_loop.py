@@ -9,7 +9,7 @@ import numpy as np
 
 from pipeline.comparison.loops.loop_range import LoopPoint, LoopRange
 from pipeline.comparison.loops.loop_record import exact
-from pipeline.measured.experiment.fitted_device import METHOD, FittedDevice
+from pipeline.measured.experiment.fitted_device import FittedDevice
 from pipeline.measured.intervals import NORMAL_95
 from pipeline.records.batch import Floats
 from pipeline.records.findings import Estimate
@@ -100,16 +100,23 @@ def fitted_estimates(found: Mapping[str, Estimate], device: FittedDevice) -> dic
     """
     result = {}
     for name, term in _TERMS.items():
-        if name not in found:
+        # how a delay changes within a log no likelihood of these numbers tells
+        if name not in found or (device.likely and term == "jitter"):
             continue
-        before, number = found[name], device.parameter(term)
+        before, told = found[name], device.estimate(term, found[name].unit)
         methods = {**before.by_method, "before": before.model_copy(update={"by_method": {}})}
-        some = number.model_dump() if number else {"value": None, "reason": f"{METHOD} explains the logs without it"}
-        result[name] = Estimate(
-            **some, unit=before.unit, method=METHOD, trials=device.held_out, by_method=methods if number else {}
+        without = Estimate(
+            value=None,
+            reason=f"{device.method} explains the logs without it",
+            unit=before.unit,
+            method=device.method,
+            trials=device.held_out,
         )
+        result[name] = told.model_copy(update={"by_method": methods}) if told else without
     delay, by_ladder = found["delay_samples"], device.estimate("delay_samples", "samples")
     assert by_ladder is not None, "each device has a delay"
+    if by_ladder.value is None:
+        return result
     result["delay_samples"] = delay.model_copy(update={"by_method": {**delay.by_method, "ladder": by_ladder}})
     return result
 

@@ -116,6 +116,13 @@ def jitter_estimate(of: Stored) -> Estimate:
     return Estimate(value=None, unit=found.unit, method=found.method, reason=reason, refused=found.refused)
 
 
+def explains_itself(of: Stored) -> bool:
+    """Return whether the model of each trial explains nearly all, without friction that it takes for a jitter."""
+    check, gain = model_check(of), of.column("model", "friction_gain")
+    fall = float(np.nanmedian(gain)) if np.isfinite(gain).any() else 0.0
+    return check.trials > 0 and check.explained >= EXPLAINED * check.trials and fall <= FRICTION_GAIN
+
+
 def damping_estimate(of: Stored) -> Estimate:
     """Return the viscous damping of an experiment; the decay of free trials takes the delay and the model's mass."""
     mass, delay = model_mass(of), of.once(delay_estimate)
