@@ -13,7 +13,7 @@ from pydantic import Field
 from pipeline.records.accuracy import AccuracyReport
 from pipeline.records.figure_records import Figure
 from pipeline.records.findings import BoundaryPoint, Estimate, ExcludedTrial, ModelCheck, Note, Optimum, Record
-from pipeline.records.loop_records import Cause, LoopLimit, LoopResult, PassiveWall
+from pipeline.records.loop_records import Cause, LoopLimit, LoopResult, PassiveWall, WallReplay
 from pipeline.records.models import ComparisonRow, Motion
 from pipeline.records.score_records import Scores
 from pipeline.records.score_records import TheoryParameters as TheoryParameters
@@ -206,6 +206,7 @@ class ExperimentResult(Record):
     loop_boundary: tuple[LoopLimit, ...] | None = None
     passive: PassiveWall | None = None
     passive_reason: str | None = None
+    replay: WallReplay | None = None
     causes: tuple[Cause, ...] = ()
     header: tuple[HeaderLine, ...] = ()
     sampling_period_s: float | None = None

@@ -7,14 +7,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from pipeline.comparison.loops.loop_range import LoopPoint, LoopRange
+from pipeline.comparison.loops.log_evidence import LawDeparture, found_filter
+from pipeline.comparison.loops.loop_range import LoopPoint, LoopRange, estimated_range
 from pipeline.comparison.loops.loop_record import exact
-from pipeline.measured.experiment.fitted_device import FittedDevice
+from pipeline.measured.experiment.fitted_device import FittedDevice, explaining_device
 from pipeline.measured.intervals import NORMAL_95
+from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records.batch import Floats
 from pipeline.records.findings import Estimate
 from pipeline.records.loop_parts import LoopParts, Mode, VelocityFilter
 from pipeline.records.loop_records import Parameter
+from pipeline.records.results import ExperimentResult
 
 LOAD = "mode at the load"
 
@@ -126,3 +129,22 @@ def with_filter(loop: LoopRange | None, velocity: VelocityFilter | None) -> Loop
     if loop is None or velocity is None:
         return loop
     return replace(loop, parts=loop.parts.model_copy(update={"velocity": velocity}))
+
+
+def velocity_of(stages: ExperimentStages, departures: list[LawDeparture]) -> VelocityFilter | None:
+    """Return the velocity filter of the wall law; one that few logs show is none."""
+    # a controller filters the velocity in all trials or in none; single logs can imitate it
+    if not any(each.code == "velocity_filter" and each.logs > 0.5 * each.of for each in departures):
+        return None
+    found = found_filter(stages)
+    return found.declared if found is not None else None
+
+
+def found_loop(result: ExperimentResult, stages: ExperimentStages, velocity: VelocityFilter | None) -> LoopRange | None:
+    """Return the linear loop of the device that explains the logs, with their filter; else that of the estimates."""
+    fitted = stages.once(explaining_device)
+    if fitted is not None and "delay_samples" in fitted.open:
+        return None
+    if fitted is not None:
+        return loop_range(fitted, stages.sampling_period_s, velocity)
+    return with_filter(estimated_range(result, stages.sampling_period_s), velocity)

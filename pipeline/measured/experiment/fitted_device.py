@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -47,6 +48,12 @@ class FittedDevice:
         counts the trials that its free runs follow.
     open : tuple of str
         Names of its numbers that the logs leave open.
+    scatter : dict of str to float
+        Standard deviations from run to run by name.
+    folds : tuple of dict of str to float
+        Its values by the trials but every fifth from the first, the second ... on; empty where they are not known.
+    trials : tuple of str
+        That it was fitted to, in the order of these folds.
     """
 
     parts: tuple[str, ...]
@@ -59,6 +66,9 @@ class FittedDevice:
     saturated: float
     likely: bool = False
     open: tuple[str, ...] = ()
+    scatter: Mapping[str, float] = field(default_factory=dict)
+    folds: tuple[Mapping[str, float], ...] = ()
+    trials: tuple[str, ...] = ()
 
     @property
     def holds(self) -> bool:
@@ -125,6 +135,9 @@ def fitted_device(of: Stored) -> FittedDevice | None:
         numbers["saturated"],
         "scatter" in numbers,
         tuple(numbers.get("open", ())),
+        numbers.get("scatter", {}),
+        tuple(numbers.get("folds", ())),
+        tuple(numbers.get("trials", ())),
     )
 
 
