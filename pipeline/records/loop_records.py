@@ -121,7 +121,7 @@ class WallReplay(Record):
         if self.verdicts_same is None:
             return False
         # of few trials one may be chance
-        return limits and (1 - self.verdicts_same) * self.trials < max((1 - VERDICTS_RIGHT) * self.trials, 1.0) + 0.5
+        return limits and round((1 - self.verdicts_same) * self.trials) <= max((1 - VERDICTS_RIGHT) * self.trials, 1)
 
 
 class PassiveWall(Record):
