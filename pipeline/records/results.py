@@ -20,15 +20,6 @@ from pipeline.records.score_records import TheoryParameters as TheoryParameters
 from pipeline.records.trial_codec import TrialPage
 
 
-class MassWindow(Record):
-    """Mass by the momentum balance of the thesis for one window: median and scatter of the trials that have one."""
-
-    window_s: float
-    mass: float | None
-    scatter: float | None
-    trials: int
-
-
 class OtherDefinitions(Record):
     """Settling time [samples] and overshoot [1] of one trial by this report and by other tools."""
 
@@ -194,7 +185,6 @@ class ExperimentResult(Record):
     verdicts: dict[str, int]
     outcomes: dict[str, int] = Field(default_factory=dict)
     model_check: ModelCheck | None = None
-    mass_windows: tuple[MassWindow, ...] = ()
     other_definitions: tuple[OtherDefinitions, ...] = ()
     estimates: dict[str, Estimate]
     boundary: tuple[BoundaryPoint, ...]

@@ -31,7 +31,6 @@ def value_tables(result: ComparisonResult) -> tuple[Table, ...]:
         _table("estimates", units, _estimates(result)),
         _table("boundary", units | limits, _listed(result, "boundary")),
         _table("optima", units, _optima(result)),
-        _table("windows", units, _listed(result, "mass_windows")),
         _table("definitions", units, _listed(result, "other_definitions")),
         _table("scores", {}, _scores(result)),
         _table("loop_boundary", units, _listed(result, "loop_boundary")),

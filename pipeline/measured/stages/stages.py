@@ -23,7 +23,6 @@ from pipeline.measured.stages import (
     stage_response,
     stage_settling,
     stage_wall_law,
-    stage_windows,
 )
 from pipeline.measured.stages.stage_tables import SAMPLED, Stage, StageTables
 from pipeline.records.batch import Floats
@@ -58,7 +57,6 @@ STAGES: dict[str, Stage] = {
         derived=stage_mass.corrected,
     ),
     **{name: _cost_stage(family) for name, family in CRITERION_FAMILIES.items()},
-    "windows": Stage(("response", "delay"), whole=stage_windows.columns),
 }
 """Stages in the order in which they can be computed; the plan is made backwards along what they need."""
 

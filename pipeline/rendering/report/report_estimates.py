@@ -226,26 +226,6 @@ def method_table(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> Tab
     return table.filled
 
 
-def window_table(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> Table | None:
-    """Return the mass over the window of the momentum balance, or None where no mass was asked for."""
-    shown = [e for e in result.experiments if e.mass_windows]
-    columns = [Column("window", unit="ms", show="{:g}".format)]
-    for e in shown:
-        column = partial(Column, group=f"experiment {e.experiment}", why="fewer than two trials allow it")
-        columns += [column(f"{e.experiment}/{name}", name, show=_USUAL) for name in ("mass", "scatter")]
-        columns.append(column(f"{e.experiment}/trials", "trials"))
-    unit = UNITS[result.motion].mass
-    caption = f"Mass [{unit}] by the momentum balance (6.4) over its window: median and scatter of the trials"
-    table = Table("windows", caption, columns)
-    for window in sorted({w.window_s for e in shown for w in e.mass_windows}):
-        values: dict[str, Any] = {"window": 1e3 * window, **{f"{e.experiment}/trials": 0 for e in shown}}
-        for e in shown:
-            found = next((dict(w) for w in e.mass_windows if w.window_s == window), {})
-            values |= {f"{e.experiment}/{name}": value for name, value in found.items()}
-        table.add(f"{1e3 * window:g}", values)
-    return table.filled
-
-
 def definition_table(result: ComparisonResult, trials: TrialPage = NO_TRIALS) -> Table | None:
     """Return the best trials by the definitions of other tools, or None where settling or overshoot is left out."""
     table = Table("definitions", "The best trials by the definitions of other tools", _DEFINITIONS)
