@@ -64,7 +64,9 @@ def loop_findings(
     hard = [doubt for doubt in against if not doubt.soft]
     stated = loop.mass.value if parts and loop else None
     causes = direct_causes(result, stages, estimated, shown, stated, units, adequate=not hard)
-    limits, replay = _predicted(result, stages, (loop, estimated), shown, causes)
+    # a file that the logs contradict foretells no limit
+    loops = (estimated if hard and estimated is not None else loop, estimated)
+    limits, replay = _predicted(result, stages, loops, shown, causes)
     if replay is not None and replay.verdicts_same is not None:
         against = hard if replay.is_right else against or [Doubt(replay_words(replay))]
     record = _loop_result(result, loop, against, shown, parts)

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.measured.experiment.estimates import explains_itself
+from pipeline.measured.experiment.estimates import FRICTION_GAIN, explains_itself, friction_gain
 from pipeline.measured.experiment.rest_forces import rest_forces
 from pipeline.measured.explained import EXPLAINED
 from pipeline.measured.intervals import NORMAL_95
@@ -32,8 +32,9 @@ def columns(of: Experiment) -> Columns:
     Where no linear device explains the trials, the best one is the likeliest, friction and scatter included.
     """
     rest = of.once(rest_forces)
-    # what holds a device beside its place, and is no spring and no constant force, no linear device explains
-    found = {"role": []} if rest.tells and not (rest.constant or rest.spring) else _climbed(of)
+    # what holds a device beside its place against its motion, and is no constant force, no linear device explains
+    rubs = rest.tells and not (rest.constant or rest.spring) and friction_gain(of) > FRICTION_GAIN
+    found = {"role": []} if rubs else _climbed(of)
     if found["role"]:
         return found
     return {name: [] for name in TABLES["ladder"]} if explains_itself(of) else likeliest(of)
