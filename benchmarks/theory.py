@@ -23,8 +23,9 @@ from timing import fastest, once, run
 from pipeline.loop.loop import Loop
 from pipeline.theory.cost.energy import energy_costs
 from pipeline.theory.cost.theory_map import CostMap, bounding_box
+from pipeline.theory.device.plain_branches import first_branch
 from pipeline.theory.stability.boundary import boundary
-from pipeline.theory.stability.region import is_inside, region, stiffness_limit
+from pipeline.theory.stability.region import is_inside, stiffness_limit
 from pipeline.theory.stability.stability import spectral_radius
 
 ENDED = 64
@@ -75,7 +76,7 @@ def boundary_of_five_delays() -> Row:
         return [bisected_limits(loop, beta, top, 1e-8) for loop, beta, top in cases]
 
     def ours() -> list[np.ndarray]:
-        region.cache_clear()
+        first_branch.cache_clear()
         return [stiffness_limit(Loop(0.0, 0.0, loop.delay), beta) for loop, beta, _ in cases]
 
     difference = max(float(np.abs(a - b).max()) for a, b in zip(other(), ours(), strict=True))
@@ -94,7 +95,7 @@ def verdicts_of_a_map() -> Row:
         return (spectral_radius(Loop(0.0, 0.0, 4), alpha, beta) < 1) & (alpha > 0)
 
     def ours() -> np.ndarray:
-        region.cache_clear()
+        first_branch.cache_clear()
         return is_inside(Loop(0.0, 0.0, 4), alpha, beta)
 
     difference = float(np.count_nonzero(other() != ours()))
