@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -10,9 +11,10 @@ import numpy as np
 from pipeline.base.errors import ParameterError
 from pipeline.measured.ladder.trials import spread_over_plane
 from pipeline.measured.model.identified import Identified, identified
-from pipeline.measured.model.recordings import Recording
+from pipeline.measured.model.recordings import GAP, Recording
 from pipeline.measured.stages.stage_given import Experiment
 from pipeline.measured.stages.stage_groups import Columns, Given, TrialGroup
+from pipeline.records.batch import TrialBatch
 from pipeline.records.tables import TABLES
 
 MOST_TRIALS = 40
@@ -106,7 +108,7 @@ def recordings(group: TrialGroup, given: Given) -> list[Recording]:
         edge = max(int(group.found.edge_row[i]), 0)
         declared = batch.step_row is not None and int(batch.step_row[i]) >= 0
         first = max(edge - AHEAD, 0)
-        rows = slice(first, min(int(batch.rows[i]), first + MOST_ROWS))
+        rows = _complete(batch, i, slice(first, min(int(batch.rows[i]), first + MOST_ROWS)))
         found.append(
             Recording(
                 batch.trial_id[i],
@@ -114,7 +116,17 @@ def recordings(group: TrialGroup, given: Given) -> list[Recording]:
                 batch.command[i, rows],
                 batch.position[i, rows],
                 float(batch.sampling_period_s[i]),
-                edge - first if declared else None,
+                edge - first if declared and rows.start == first else None,
             )
         )
     return found
+
+
+def _complete(batch: TrialBatch, trial: int, rows: slice) -> slice:
+    """Return the rows between two that are lost in which the device moves most; all where none is lost."""
+    time, position = batch.time[trial, rows], batch.position[trial, rows]
+    gaps = np.flatnonzero(np.diff(time) > GAP * batch.sampling_period_s[trial]) + 1
+    bounds = [0, *gaps.tolist(), len(time)]
+    way = [float(np.abs(np.diff(position[a:b])).sum()) for a, b in pairwise(bounds)]
+    best = int(np.argmax(way)) if way else 0
+    return slice(rows.start + bounds[best], rows.start + bounds[best + 1])
