@@ -94,9 +94,10 @@ def _sums(loop: Loop, alpha: Floats, beta: Floats, signal: str) -> Floats:
     if n > _FEW or loop.states > _SHORT:
         found, size = modes(loop, alpha, beta, signal), max(1, _CACHED // loop.states**2)
         good = np.zeros(n, np.bool_)
-        for first in range(0, n, size):
-            near = slice(first, first + size)
-            sums[:, near], good[near] = _by_modes(loop, law[near], found.part(near))
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # of poles rounded to the circle: not good
+            for first in range(0, n, size):
+                near = slice(first, first + size)
+                sums[:, near], good[near] = _by_modes(loop, law[near], found.part(near))
         rest = np.flatnonzero(~good)
     chunk = max(1, _ENTRIES // loop.states**2)
     for some in (rest[i : i + chunk] for i in range(0, len(rest), chunk)):
@@ -117,5 +118,4 @@ def _by_modes(loop: Loop, law: Floats, found: Modes) -> tuple[Floats, Booleans]:
     # poles are rounded by 1e-16 and more, and count by 1/(1 - ratio); modes that cancel magnify that
     size, slowness = np.abs(seen), np.abs(once)
     gross = ((size @ slowness) * size).sum(axis=2) / np.einsum("nii->ni", sums[0])
-    with np.errstate(invalid="ignore"):
-        return sums, np.asarray(_EPS * slowness.max(axis=(1, 2)) * gross.max(axis=1) < _SKEW)
+    return sums, np.asarray(_EPS * slowness.max(axis=(1, 2)) * gross.max(axis=1) < _SKEW)

@@ -236,3 +236,10 @@ def test_unstable_points_have_no_energy_and_end_nothing(factor: float) -> None:
 def test_wrong_arguments_are_named(alpha: float, beta: float, signal: str, what: str) -> None:
     with pytest.raises(ParameterError, match=what):
         energy_costs(Loop(0, 0, 1), alpha, beta, signal)
+
+
+def test_a_wall_whose_pole_is_rounded_to_the_circle_leaves_the_others_their_energies() -> None:
+    alpha, beta = np.full(200, 0.07), np.full(200, 0.4)
+    alpha[0] = 1e-30
+    found = energy_costs(Loop(0, 0, 1), alpha, beta)["energy_step_w0"]
+    assert found[1] == pytest.approx(energy_costs(Loop(0, 0, 1), 0.07, 0.4)["energy_step_w0"][0], rel=1e-11)
