@@ -94,10 +94,9 @@ def _sums(loop: Loop, alpha: Floats, beta: Floats, signal: str) -> Floats:
     if n > _FEW or loop.states > _SHORT:
         found, size = modes(loop, alpha, beta, signal), max(1, _CACHED // loop.states**2)
         good = np.zeros(n, np.bool_)
-        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # of poles rounded to the circle: not good
-            for first in range(0, n, size):
-                near = slice(first, first + size)
-                sums[:, near], good[near] = _by_modes(loop, law[near], found.part(near))
+        for first in range(0, n, size):
+            near = slice(first, first + size)
+            sums[:, near], good[near] = _by_modes(loop, law[near], found.part(near))
         rest = np.flatnonzero(~good)
     chunk = max(1, _ENTRIES // loop.states**2)
     for some in (rest[i : i + chunk] for i in range(0, len(rest), chunk)):
@@ -111,11 +110,12 @@ def _by_modes(loop: Loop, law: Floats, found: Modes) -> tuple[Floats, Booleans]:
     seen = loop.seen(law, found.state)
     back = np.swapaxes(seen.conj(), 1, 2)
     ratio = found.pole[:, :, None] * found.pole[:, None, :].conj()
-    once = 1 / (1 - ratio)
-    first = ratio * once * once
-    weights = (once, first, (1 + ratio) * first * once)  # sum_k k^w ratio^k
-    sums = np.stack([((seen @ weight) @ back).real for weight in weights])
-    # poles are rounded by 1e-16 and more, and count by 1/(1 - ratio); modes that cancel magnify that
-    size, slowness = np.abs(seen), np.abs(once)
-    gross = ((size @ slowness) * size).sum(axis=2) / np.einsum("nii->ni", sums[0])
-    return sums, np.asarray(_EPS * slowness.max(axis=(1, 2)) * gross.max(axis=1) < _SKEW)
+    with np.errstate(divide="ignore", invalid="ignore"):  # a pole on the circle leaves no sum, and is not good
+        once = 1 / (1 - ratio)
+        first = ratio * once * once
+        weights = (once, first, (1 + ratio) * first * once)  # sum_k k^w ratio^k
+        sums = np.stack([((seen @ weight) @ back).real for weight in weights])
+        # poles are rounded by 1e-16 and more, and count by 1/(1 - ratio); modes that cancel magnify that
+        size, slowness = np.abs(seen), np.abs(once)
+        gross = ((size @ slowness) * size).sum(axis=2) / np.einsum("nii->ni", sums[0])
+        return sums, np.asarray(_EPS * slowness.max(axis=(1, 2)) * gross.max(axis=1) < _SKEW)
