@@ -22,7 +22,7 @@ def given_of(of: Experiment) -> Given:
 
 def sensor_of(of: Experiment, delay: int, spring: float) -> Given:
     """What a cost and the error of a reading take from all trials: a spring, the sensor, the usual gain."""
-    sensor = sensor_error(*(of.column("response", f"sensor_{name}") for name in ("noise", "quantum")))
+    sensor = sensor_error(*(of.column("response", name) for name in ("sensor_noise", "sensor_quantum", "edge_row")))
     if not np.isfinite(sensor):
         return {"delay": delay, "sensor": None, "gain": 1.0, "spring": spring}
     gain = np.concatenate(of.of_each(_gain_at_rest, delay=delay, sensor=sensor, spring=spring))
