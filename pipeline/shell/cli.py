@@ -22,7 +22,6 @@ COMMANDS = {
     "simulate": ("cli_course", "simulate"),
     "ingest": ("cli_storage", "ingest"),
     "status": ("cli_storage", "status"),
-    "compact": ("cli_storage", "compact"),
     "check": ("cli_storage", "check"),
     "exclude": ("cli_storage", "exclude"),
     "move": ("cli_storage", "move"),

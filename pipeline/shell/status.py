@@ -102,7 +102,7 @@ class Status(Record):
     refused_gone : tuple of str
         Those of them whose file is gone.
     temporary_bytes : int
-        Size of incomplete files [byte]; `pipeline compact` removes them. Where another command writes at this moment,
+        Size of incomplete files [byte]; the next ingest removes them. Where another command writes at this moment,
         they may be its own.
     lock : Writer or None
         Who writes at this moment.

@@ -7,7 +7,7 @@ when it is on the disk. So a trial is there at any moment, and whoever reads mea
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
@@ -17,23 +17,17 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from pipeline.base.disk import READABLE, NewFile, content_of, readers_of, remove_all, remove_temporary, said_content
-from pipeline.base.errors import StoreError
-from pipeline.base.lock import WAIT_S, writing
 from pipeline.base.provenance import stamp
 from pipeline.records.batch import Booleans
-from pipeline.records.findings import Record
 from pipeline.records.models import Motion
 from pipeline.records.table_files import WRITING, damaged_file, metadata_of, open_table
 from pipeline.records.tables import arrow_schema
-from pipeline.store.mirror import publish
 from pipeline.store.storage import (
     FILE,
     TABLE,
     VERSION_COLUMNS,
-    folders_of_experiments,
     newest_versions,
     read_versions,
-    steadily,
     trials_folder,
 )
 
@@ -261,90 +255,3 @@ def merge_small(processed: Path, folder: Path) -> None:
         if full is None:
             return
         rewrite(processed, [batch.file for batch in full])
-
-
-class ExperimentMerge(Record):
-    """Batches of an experiment that are merged into one, and the bytes of their files before and after.
-
-    ``bytes_after`` is None where nothing was written.
-    """
-
-    device: str
-    experiment: str
-    batches: int
-    trials: int
-    bytes_before: int
-    bytes_after: int | None
-
-
-class CompactReport(Record):
-    """What `compact` did, or would do."""
-
-    merged: tuple[ExperimentMerge, ...]
-
-
-def compact(
-    processed: Path, dry_run: bool = False, wait_s: float = WAIT_S, say: Callable[[str], None] | None = None
-) -> CompactReport:
-    """Merge all batches of each experiment into one.
-
-    An experiment with a damaged file is left as it is, and named when all others are done.
-
-    Parameters
-    ----------
-    processed : Path
-    dry_run : bool
-        Only say what would be done.
-    wait_s : float
-        How long to wait for another command that writes to `processed` [s].
-    say : callable, optional
-        Gets a line when waiting begins.
-
-    Raises
-    ------
-    StoreError
-        If a file is damaged or cannot be written, or another command writes there. What could be read is stored still.
-    """
-    if dry_run:
-        return steadily(processed / "trials", lambda: _compacted(processed, dry_run=True))
-    try:
-        with writing(processed, wait_s, say):
-            tidy(processed)
-            return _compacted(processed, dry_run=False)
-    except OSError as error:
-        raise StoreError(
-            f"{processed}: cannot be written ({error}). All trials are still stored; make room (as much as the largest "
-            "experiment takes) or correct the permissions and run the command again."
-        ) from error
-
-
-def _compacted(processed: Path, dry_run: bool) -> CompactReport:
-    merged: list[ExperimentMerge] = []
-    faults = []
-    for folder in folders_of_experiments(processed):
-        try:
-            kinds: dict[tuple[str, int], list[_Batch]] = defaultdict(list)
-            for batch in _batches(folder):
-                kinds[batch.kind].append(batch)
-            for batches in kinds.values():
-                if len(batches) > 1:
-                    merged.append(_merged(processed, batches, dry_run))
-        except StoreError as error:
-            faults.append(str(error))
-    if faults:
-        raise StoreError("\n".join(faults))
-    return CompactReport(merged=tuple(merged))
-
-
-def _merged(processed: Path, batches: Sequence[_Batch], dry_run: bool) -> ExperimentMerge:
-    told = metadata_of(pq.read_schema(batches[0].file))
-    path = None if dry_run else rewrite(processed, [batch.file for batch in batches])
-    publish(processed)
-    return ExperimentMerge(
-        device=told["pipeline.device"],
-        experiment=told["pipeline.experiment"],
-        batches=len(batches),
-        trials=sum(batch.trials for batch in batches),
-        bytes_before=sum(batch.bytes for batch in batches),
-        bytes_after=None if path is None else path.stat().st_size,
-    )

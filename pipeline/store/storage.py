@@ -15,7 +15,7 @@ from __future__ import annotations
 import os
 import shlex
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeVar
@@ -308,11 +308,6 @@ def newest_versions(table: pa.Table) -> Booleans:
     mask = np.zeros(table.num_rows, dtype=np.bool_)
     mask[list(kept.values())] = True
     return mask
-
-
-def folders_of_experiments(processed: Path) -> Iterator[Path]:
-    """Yield the folders with files of trials, as they lie, whatever was moved by hand."""
-    yield from sorted({file.parent for file in trials_files(processed)})
 
 
 def check_version(processed: Path) -> None:

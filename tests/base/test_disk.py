@@ -10,11 +10,11 @@ import tracemalloc
 
 import pytest
 from native_logs import FAULTS, log_text
+from stored import merge_all
 
 from pipeline.base import disk, lock
 from pipeline.base.disk import NewFile, kept_files, read_kept, remove_temporary, replacing, write_kept
 from pipeline.intake.ingest import ingest
-from pipeline.store.batch_files import compact
 
 
 def test_threads_may_write_one_file(tmp_path):
@@ -141,7 +141,7 @@ def test_trials_are_read_by_whom_the_log_may_be_read(tmp_path, modes, found):
             (logs / f"{number}.csv").write_text(log_text(number))
             (logs / f"{number}.csv").chmod(modes[number % len(modes)])
             ingest([logs / f"{number}.csv"], tmp_path / "processed", jobs=1)
-        compact(tmp_path / "processed")
+        merge_all(tmp_path / "processed")
     finally:
         os.umask(former)
     files = list((tmp_path / "processed" / "trials").rglob("*.parquet"))

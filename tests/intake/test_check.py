@@ -5,7 +5,7 @@ import random
 import pyarrow.parquet as pq
 import pytest
 from native_logs import FAULTS, short_log
-from stored import check_whole, flip
+from stored import check_whole, flip, merge_all
 
 from pipeline.comparison.compare import compare
 from pipeline.intake.check import check
@@ -84,7 +84,7 @@ def test_what_was_undone_deleted_or_replaced_is_not_gone(lab):
     assert check(processed).gone == ()
     log.write_text(short_log(1.5, rows=40))
     ingest([lab / "logs"], processed, jobs=1)
-    batch_files.compact(processed)
+    merge_all(processed)
     assert check(processed).gone == ()
 
 

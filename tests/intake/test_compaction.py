@@ -9,14 +9,13 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from native_logs import short_log
-from stored import check_whole, stored_rows
+from stored import check_whole, merge_all, stored_rows
 
 from pipeline.base.errors import StoreError
 from pipeline.intake.ingest import ingest
 from pipeline.measured.stages.stages import ExperimentStages
 from pipeline.records import table_files
 from pipeline.store import batch_files, storage
-from pipeline.store.batch_files import compact
 from pipeline.store.samples import load_batch
 from pipeline.store.storage import read_trials, trials_files
 
@@ -41,18 +40,13 @@ def grow(tmp_path, monkeypatch):
 def test_one_batch_is_left_and_the_same_is_read(grow):
     processed, logs = grow(5)
     before = load_batch(processed, read_trials(processed))
-    plan = compact(processed, dry_run=True)
     assert len(trials_files(processed)) == 5
-    report = compact(processed)
-    (merged,) = report.merged
-    assert (merged.batches, merged.trials, merged.bytes_before) == (5, 5, plan.merged[0].bytes_before)
-    (file,) = trials_files(processed)
-    assert merged.bytes_after == file.stat().st_size
+    merge_all(processed)
+    assert len(trials_files(processed)) == 1
     after = load_batch(processed, read_trials(processed))
     assert after.trial_id == before.trial_id
     np.testing.assert_array_equal(after.position, before.position)
     assert check_whole(processed, logs) == set(logs)
-    assert compact(processed).merged == ()
 
 
 def test_results_that_rest_on_trials_stay_valid(grow):
@@ -61,7 +55,7 @@ def test_results_that_rest_on_trials_stay_valid(grow):
     for _ in range(2):
         stages = ExperimentStages(processed, "bench", "1", read_trials(processed, "bench", "1"))
         keys.append(stages.key("response"))
-        compact(processed)
+        merge_all(processed)
     assert keys[0] == keys[1]
 
 
@@ -98,7 +92,7 @@ def test_replaced_and_incomplete_files_are_left_out_and_removed(grow, tmp_path):
     (folder,) = {file.parent for file in trials_files(processed)}
     former = {file: file.read_bytes() for file in trials_files(processed)}
     (folder / ".batch.0123456789abcdef.tmp").write_bytes(b"x")
-    compact(processed)
+    merge_all(processed)
     for file, content in former.items():
         file.write_bytes(content)
     assert check_whole(processed, logs) == set(logs)
@@ -111,7 +105,7 @@ def test_replaced_and_incomplete_files_are_left_out_and_removed(grow, tmp_path):
 def test_row_groups_are_small(grow, monkeypatch, limit, value):
     monkeypatch.setattr(batch_files, limit, value)
     processed, logs = grow(8, rows=4)
-    compact(processed)
+    merge_all(processed)
     (file,) = trials_files(processed)
     groups = pq.read_metadata(file)
     assert [groups.row_group(i).num_rows for i in range(groups.num_row_groups)] == [3, 3, 2]
@@ -127,7 +121,7 @@ def test_translation_and_rotation_keep_their_own_files(tmp_path):
             text.replace("motion: translation", "motion: rotation").replace("N/m", "Nm/rad") if number % 2 else text
         )
         ingest([path], processed, jobs=1)
-    compact(processed)
+    merge_all(processed)
     files = trials_files(processed)
     assert len(files) == 2
     motions = {file: table_files.read_table(file).column("motion").unique().to_pylist() for file in files}
@@ -166,7 +160,7 @@ def test_a_damaged_batch_stops_the_merge_and_loses_nothing(grow):
     data[20] ^= 0xFF
     file.write_bytes(data)
     with pytest.raises(StoreError, match="is missing or damaged"):
-        compact(processed)
+        merge_all(processed)
     assert len(trials_files(processed)) == 3
     assert not list(processed.rglob("*.tmp"))
 
@@ -175,7 +169,7 @@ def test_readers_find_samples_that_were_moved_meanwhile(grow, monkeypatch):
     processed, _ = grow(3)
     trials = read_trials(processed)
     before = load_batch(processed, trials)
-    compact(processed)
+    merge_all(processed)
     assert not (processed / trials.column("sample_file")[0].as_py()).exists()
     np.testing.assert_array_equal(load_batch(processed, trials).position, before.position)
 
@@ -189,7 +183,7 @@ def test_a_listing_that_a_merge_tears_is_read_again(grow, monkeypatch):
         found = original(folder)
         listings.append(folder)
         if len(listings) == 1:
-            compact(processed)
+            merge_all(processed)
             return dict(list(found.items())[1:])
         return found
 
@@ -209,7 +203,7 @@ def test_trials_that_are_replaced_while_they_are_read_are_named(grow, tmp_path):
     trials = read_trials(processed)
     (tmp_path / "000.csv").write_text(short_log(99.0))
     ingest([tmp_path / "000.csv"], processed, jobs=1)
-    compact(processed)
+    merge_all(processed)
     with pytest.raises(StoreError, match="1 trials were removed while they were read"):
         load_batch(processed, trials)
 
@@ -232,7 +226,7 @@ def test_readers_see_each_trial_once_while_batches_are_merged(grow, monkeypatch)
     reader = threading.Thread(target=read)
     reader.start()
     for _ in range(3):
-        compact(processed)
+        merge_all(processed)
         # one batch becomes six again
         for path in logs:
             Path(path).write_text(short_log(logs[path]) + "\n")

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from labs import Lab, make_lab
 from native_logs import log_text
+from stored import merge_all
 from typer.testing import CliRunner
 
 import pipeline
@@ -27,7 +28,6 @@ from pipeline.shell.cli import application
 from pipeline.shell.status import status
 from pipeline.shell.verify.verify import verify
 from pipeline.shell.watch.watch_pass import _inputs
-from pipeline.store.batch_files import compact
 from pipeline.store.corrections import read_exclusions
 from pipeline.store.storage import read_trials
 
@@ -90,7 +90,7 @@ def test_a_second_reason_replaces_the_first(store):
 
 
 def test_it_stays_excluded_through_all_that_rewrites_the_store(store):
-    """Ingest of everything again, of a renamed log, compaction and repair."""
+    """Ingest of everything again, of a renamed log, merges and repair."""
     trial = ids(store)["2.csv"]
     exclude(store, trial, WHY)
     logs = store.parent / "logs"
@@ -98,7 +98,7 @@ def test_it_stays_excluded_through_all_that_rewrites_the_store(store):
     (logs / "4.csv").write_text(log_text(4.0, experiment="9"))
     (logs / "2.csv").rename(logs / "renamed.csv")
     ingest([logs], store, jobs=1)
-    compact(store)
+    merge_all(store)
     file = next((store / "trials" / "bench" / "9").glob("*.parquet"))
     data = bytearray(file.read_bytes())
     data[20] ^= 0xFF
@@ -249,7 +249,7 @@ def test_what_is_moved_stays_there_and_can_be_moved_back(store, wanted, to, afte
     assert count == len(after - BEFORE)
     assert places(store) == after
     ingest([store.parent / "logs"], store, jobs=1, rehash=True)
-    compact(store)
+    merge_all(store)
     assert places(store) == after
     for name, trial in ids(store).items():
         move(store, trial, "bench/10" if name in ("1.csv", "3.csv") else "bench/9")

@@ -28,7 +28,6 @@ COMMANDS = {
     "watch": [
         *("--processed", "--reports", "--profile", "--scene", "--interval", "--settle", "--once", "--json"),
     ],
-    "compact": ["--processed", "--dry-run", "--wait", "--json"],
     "check": ["--repair", "--processed", "--profile", "--wait", "--json"],
     "compare": ["--device", "--experiment", "--criteria", "--processed", "--report", "--dry-run", "--json"],
     "theory points": ["--device", "--experiment", "--json"],
@@ -299,14 +298,13 @@ def test_a_second_writer_is_refused_and_readers_are_not(call, logs, tmp_path):
     assert call("ingest", "logs")[0] == 0
     (logs / "new.csv").write_text(log_text(1.0))
     with writing(tmp_path / "processed", 0):
-        for command in (["ingest", "logs"], ["compact"]):
+        for command in (["ingest", "logs"], ["move", "bench", "other"]):
             status, out, err = call(*command, "--wait", "0")
             assert (status, out) == (1, "")
             assert "writes there; waited 0 s" in err
         found = document(call("status", "--json"))
         assert found["lock"]["pid"] > 0
         assert call("status")[1].splitlines()[-1].startswith(f"process {found['lock']['pid']} on ")
-        assert call("compact", "--dry-run")[0] == 0
         assert call("ingest", "logs", "--dry-run")[0] == 0
     assert document(call("ingest", "logs", "--wait", "0", "--json"))["ingested"] == 1
 
@@ -326,7 +324,7 @@ def test_check_names_what_is_damaged_and_repairs_it(call, logs):
     assert call("check")[0] == 0
 
 
-def test_status_and_compact_show_and_merge_what_is_stored(call, logs):
+def test_status_shows_what_is_stored(call, logs):
     for number in range(3):
         (logs / f"new{number}.csv").write_text(log_text(float(number)))
         assert call("ingest", "logs")[0] == 0
@@ -338,14 +336,8 @@ def test_status_and_compact_show_and_merge_what_is_stored(call, logs):
     assert columns.split() == ["device", "experiment", "trials", "rows", "batches", "row_groups", "size", "stale"]
     assert row.split()[:6] == ["bench", "1", "5", "150", "3", "3"]
     assert gone == f"gone: {logs / '300.csv'}"
-    (merged,) = document(call("compact", "--dry-run", "--json"))["merged"]
-    assert (merged["batches"], merged["trials"], merged["bytes_after"]) == (3, 5, None)
-    lines = call("compact")[1].splitlines()
-    assert lines[1].split()[:4] == ["bench", "1", "3", "5"]
-    assert call("compact")[1] == "nothing to merge\n"
-    assert document(call("status", "--json"))["experiments"][0]["batches"] == 1
-    for command in ("status", "compact"):
-        assert call(command, "--processed", "nowhere")[0] == 2
+    assert document(call("status", "--json"))["experiments"][0]["batches"] == 3
+    assert call("status", "--processed", "nowhere")[0] == 2
 
 
 def test_quarantine_is_told_and_leaves_with_3(call, logs):

@@ -7,13 +7,12 @@ from pathlib import Path
 import pytest
 from failing_disk import FailingOs, after_power_loss, files_of, generator
 from native_logs import short_log
-from stored import check_whole, stored_rows
+from stored import check_whole, merge_all, stored_rows
 
 from pipeline.base import disk, lock
 from pipeline.base.errors import StoreError
 from pipeline.intake.ingest import ingest
 from pipeline.store import batch_files
-from pipeline.store.batch_files import compact
 
 
 class Lab:
@@ -46,7 +45,7 @@ class Lab:
         if kind == "ingest":
             self.ingest(processed)
         else:
-            compact(processed, wait_s=0)
+            merge_all(processed)
 
     def check_repaired(self, kind: str, processed: Path) -> None:
         """Whatever happened before: what is visible is right, and the same work once more completes all."""
@@ -75,7 +74,7 @@ def lab(tmp_path, monkeypatch):
 
 
 def prepared(lab: Lab, kind: str) -> None:
-    if kind == "compact":
+    if kind == "merge":
         # several batches of an experiment
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(batch_files, "MOST_SMALL", 100)
@@ -93,7 +92,7 @@ def recorded(lab: Lab, kind: str, monkeypatch, target: Path) -> list:
 
 
 @pytest.mark.sampled
-@pytest.mark.parametrize("kind", ["ingest", "compact"])
+@pytest.mark.parametrize("kind", ["ingest", "merge"])
 def test_each_call_may_fail(lab, kind, monkeypatch, tmp_path):
     prepared(lab, kind)
     calls = recorded(lab, kind, monkeypatch, tmp_path / "clean")
@@ -133,13 +132,13 @@ def lose_power(lab, kind, monkeypatch, tmp_path, chances, step):
 
 
 @pytest.mark.sampled
-@pytest.mark.parametrize("kind", ["ingest", "compact"])
+@pytest.mark.parametrize("kind", ["ingest", "merge"])
 def test_power_may_fail_at_each_call(lab, kind, monkeypatch, tmp_path):
     lose_power(lab, kind, monkeypatch, tmp_path, (0.0, 0.5, 1.0), 3 if kind == "ingest" else 1)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["ingest", "compact"])
+@pytest.mark.parametrize("kind", ["ingest", "merge"])
 def test_power_may_fail_at_each_call_in_many_ways(lab, kind, monkeypatch, tmp_path):
     lose_power(lab, kind, monkeypatch, tmp_path, (0.0, 1.0, *[0.5] * 8), 1)
 
@@ -148,4 +147,4 @@ def test_the_model_of_lost_power_finds_a_missing_sync(lab, monkeypatch, tmp_path
     """Without syncs of folders the removal of former files may be on the disk before the new ones are."""
     monkeypatch.setattr(disk, "sync_folder", lambda folder: None)
     with pytest.raises((AssertionError, StoreError)):
-        lose_power(lab, "compact", monkeypatch, tmp_path, (0.5, 0.5), 1)
+        lose_power(lab, "merge", monkeypatch, tmp_path, (0.5, 0.5), 1)

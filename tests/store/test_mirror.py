@@ -9,13 +9,13 @@ from contextlib import suppress
 import pyarrow.parquet as pq
 import pytest
 from native_logs import short_log
+from stored import merge_all
 
 from pipeline.base.errors import DeviceError, StoreError
 from pipeline.comparison.scene.scene import open_scene
 from pipeline.intake.correct import exclude
 from pipeline.intake.ingest import ingest
 from pipeline.store import batch_files
-from pipeline.store.batch_files import compact
 from pipeline.store.corrections import read_exclusions
 from pipeline.store.mirror import opened, publish, stored_by
 from pipeline.store.objects import Objects
@@ -75,11 +75,10 @@ def test_changed_excluded_and_merged_trials(s3, tmp_path, monkeypatch):
     stored_by(s3, lambda processed: exclude(processed, str(logs / "1-3.csv"), "slipped"))
     with opened(s3, "bench") as processed:
         assert [one.exclusion_reason for one in read_exclusions(processed).values()] == ["slipped"]
-    report = stored_by(s3, compact)
-    assert [(one.batches, one.trials) for one in report.merged] == [(2, 3)]
+    assert len(objects_of(s3)) == 2
+    stored_by(s3, merge_all)
     assert seen(s3) == [1, 3, 20]
     assert len(objects_of(s3)) == 1, "former files are gone"
-    assert stored_by(s3, compact).merged == ()
     monkeypatch.setattr(batch_files, "MOST_SMALL", 2)
     store(s3, write_logs(tmp_path / "more", [4, 5, 6]))
     assert seen(s3) == [1, 3, 4, 5, 6, 20]
@@ -90,7 +89,7 @@ def test_a_reader_sees_one_moment(s3, tmp_path):
     store(s3, write_logs(tmp_path / "logs", [1, 2]))
     with opened(s3, "bench") as processed:
         store(s3, write_logs(tmp_path / "logs", [3]))
-        stored_by(s3, compact)
+        stored_by(s3, merge_all)
         trials = read_trials(processed)
         assert sorted(load_batch(processed, trials).stiffness.tolist()) == [1, 2], "its objects are still there"
     assert seen(s3) == [1, 2, 3]
@@ -134,12 +133,12 @@ def test_two_merges_and_an_ingest_at_once_lose_nothing(s3, tmp_path, meanwhile):
         store(s3, write_logs(logs, [number]))
 
     def other():
-        stored_by(s3, compact)
+        stored_by(s3, merge_all)
         (logs / "1-0.csv").write_text(short_log(50.0))
         store(s3, write_logs(logs, [7]))
 
     meanwhile(other)
-    stored_by(s3, compact)
+    stored_by(s3, merge_all)
     assert seen(s3) == [1, 2, 3, 7, 50]
     store(s3, write_logs(logs, [8]))
     assert seen(s3) == rows_of(s3) == [1, 2, 3, 7, 8, 50]
@@ -168,7 +167,7 @@ def test_a_file_that_is_merged_while_it_is_brought(s3, tmp_path, monkeypatch):
     def get(self, name):
         if pending:
             pending.pop()
-            stored_by(s3, compact)
+            stored_by(s3, merge_all)
         return original(self, name)
 
     monkeypatch.setattr(Objects, "get", get)

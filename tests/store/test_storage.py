@@ -12,13 +12,13 @@ import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from stored import merge_all
 
 from pipeline.base.errors import StoreError
 from pipeline.intake.ingest import ingest
 from pipeline.records.native import NativeHeader, format_header
 from pipeline.records.table_files import parquet_bytes
 from pipeline.records.tables import COLUMNS, LOCATION, TABLES, to_arrow
-from pipeline.store.batch_files import compact
 from pipeline.store.corrections import IDENTITY, Correction, read_exclusions, write_corrections
 from pipeline.store.names import folder_name, name_of_folder, page_against, page_against_document, place_of, report_of
 from pipeline.store.samples import load_batch, load_trial
@@ -247,7 +247,7 @@ def test_what_is_moved_or_deleted_by_hand_stays_so(processed, tmp_path):
 
     check()
     ingest([tmp_path / "logs"], processed, rehash=True)
-    compact(processed)
+    merge_all(processed)
     check()
     assert len(list((processed / "corrections").iterdir())) == 1
     write_corrections(processed, [one.model_copy(update={"deleted": False}) for one in new[2:]])

@@ -125,38 +125,6 @@ def _listed(title: str, paths: list[str]) -> Iterable[str]:
         yield f"  and {len(paths) - LISTED} more"
 
 
-def compact(
-    processed: Store = "processed",
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Say what would be done, do nothing.")] = False,
-    wait: Wait = WAIT_S,
-    as_json: Json = False,
-) -> None:
-    """Merge all batches of each experiment into one file, and remove what interrupted commands left.
-
-    No trial is changed, and results that rest on them stay valid. What is stored can be read meanwhile.
-
-    Example: pipeline compact --processed processed
-    """
-    from pipeline.store.batch_files import compact as compact_store
-
-    note = None if as_json else console.note
-    report = _stored_by(processed, lambda folder: compact_store(folder, dry_run, wait, note))
-    if as_json:
-        console.print_json(report.model_dump(mode="json"))
-        return
-    rows = [
-        {
-            **{key: getattr(merged, key) for key in ("device", "experiment", "batches", "trials")},
-            "MB before": merged.bytes_before / 1e6,
-            "MB after": None if merged.bytes_after is None else merged.bytes_after / 1e6,
-        }
-        for merged in report.merged
-    ]
-    columns = ("device", "experiment", "batches", "trials", "MB before", "MB after")
-    for line in console.table(rows, columns) if rows else ["nothing to merge"]:
-        console.say(line)
-
-
 def check(
     repair: Annotated[
         bool, typer.Option("--repair", help="Save what can be saved; what cannot is kept in PROCESSED/damaged.")
@@ -244,7 +212,7 @@ def status(
         console.say(line)
     if found.temporary_bytes:
         if found.lock is None:
-            console.say(f"left by interrupted commands: {_mb(found.temporary_bytes)}; `pipeline compact` removes it")
+            console.say(f"left by interrupted commands: {_mb(found.temporary_bytes)}; `pipeline ingest` removes it")
         else:
             console.say(f"not complete, or left by interrupted commands: {_mb(found.temporary_bytes)}")
     if found.lock is not None:
