@@ -307,7 +307,8 @@ def _dependence(answer: np.ndarray[tuple[int, ...], np.dtype[np.complex128]], su
     power = sums.spring[:, None] + sums.inertia[:, None] * (2 * np.sin(0.5 * frequency)) ** 2
     spectrum = np.abs(answer) ** 2 * power
     mean = spectrum.mean(axis=1)
-    return np.divide((spectrum**2).mean(axis=1), mean**2, out=np.ones(len(mean)), where=mean > 0)
+    result: Floats = np.divide((spectrum**2).mean(axis=1), mean**2, out=np.ones(len(mean)), where=mean > 0)
+    return result
 
 
 def _shifted(value: Floats, shift: int) -> Floats:

@@ -22,7 +22,8 @@ def given_of(of: Experiment) -> Given:
 
 def sensor_of(of: Experiment, delay: int, spring: float) -> Given:
     """What a cost and the error of a reading take from all trials: a spring, the sensor, the usual gain."""
-    sensor = sensor_error(*(of.column("response", name) for name in ("sensor_noise", "sensor_quantum", "edge_row")))
+    noise, quantum, rows = (of.column("response", name) for name in ("sensor_noise", "sensor_quantum", "edge_row"))
+    sensor = sensor_error(noise, quantum, rows.astype(np.int64))
     if not np.isfinite(sensor):
         return {"delay": delay, "sensor": None, "gain": 1.0, "spring": spring}
     gain = np.concatenate(of.of_each(_gain_at_rest, delay=delay, sensor=sensor, spring=spring))
