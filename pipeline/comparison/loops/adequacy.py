@@ -150,6 +150,7 @@ _HELP = {
     "sampling_period": "the sampling period by which the stamps are apart, in the header",
     "saturation": "a smaller step, or the command before it is clipped in the log",
     "velocity_filter": "a device file that declares the filter",
+    "adaptive_velocity": "a velocity over a constant number of samples, which theory can hold",
 }
 _UNIT = "the unit of the position, or of K, B and the step, corrected in the profile (see `pipeline profile check`)"
 
