@@ -81,7 +81,7 @@ LIMIT_LOGS, AGAIN_LIMIT_S, MEMORY_LIMIT_MIB = 101_000, 1.5, 422.0
 """Number of logs that the limits of "nothing new" and "one more log" are meant for [s, MiB]."""
 
 REFUSED_LIMIT_S, REFUSED_LIMIT_BYTES = 2e-3, 2000
-"""Of quarantine for each log, beside the copy."""
+"""Of quarantine for each log."""
 
 REPEATS = 3
 

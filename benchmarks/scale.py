@@ -7,7 +7,7 @@ wall time, processor time of all processes, and the largest memory of a worker. 
 wall times say little, and a worker of Dask keeps itself up all that time (its rate is measured while it is idle). Two
 more columns say what a free machine would need, from processor times without that upkeep: of all processes, and of
 the longest path, which is the command and the busiest worker. Last come the requests of a job, the bytes of a log, and
-what 10,000 experiments of 2,000 logs come to (docs/scale.md). S3 is the server of moto.
+what 10,000 experiments of 2,000 logs come to (docs/storage.md). S3 is the server of moto.
 """
 
 from __future__ import annotations

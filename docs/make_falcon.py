@@ -21,7 +21,6 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from pipeline import Loop
 from pipeline.device_data.devices import load_device
 from pipeline.device_data.published import find
 from pipeline.measured.signal.verdict import judge
@@ -47,8 +46,8 @@ NAMES = {
     "settle_2pct": "settling time [T]",
     "overshoot": "stiffest wall without overshoot [N/m]",
     **{name: f"energy, w = {name[-1]}" for name in ENERGIES},
-    "line": "limits, B = 104 to 160: rms to 38,000 - 230 B [N/m]",
-    "origin": "limits, B = 8 to 40, over those of d = 3",
+    "line": "rms off the line [N/m]",
+    "origin": "limits near the origin over d = 3",
     "stiffest": "stiffest stable wall [N/m]",
     "period": "period at K = 400, B = 4 [s]",
     "damping": "b by the limit at K = 0 [Ns/m]",
@@ -380,51 +379,56 @@ def best_of(kept: Path) -> Iterator[tuple[str, Candidate, Values, bool, int]]:
                 yield falcon, candidate, values, measured, len(mine) // 2
 
 
-def _cell(value: float, residual: float) -> str:
-    text = f"{value:.3g}" if value < 100 else f"{value:.0f}"
-    return f"**{text}**" if abs(residual) <= 1 else text
-
-
-def family_tables(kept: Path) -> Iterator[str]:
-    """Yield the lines of a table a Falcon: the best device of each family beside what is printed."""
+def family_table(kept: Path) -> Iterator[str]:
+    """Yield the lines of a table: the best device of each family, its misfit and distance from the line, by Falcon."""
+    rows: dict[str, list[str]] = {}
+    tried = []
     for falcon in FALCONS:
-        target = printed(falcon)
-        shown = [name for name in NAMES if name in target]
-        yield f"\n### Falcon {falcon}, no operator (experiment {FALCONS[falcon][0]})\n"
-        yield "| family | tried | x_inf | " + " | ".join(NAMES[name] for name in shown) + " | misfit |"
-        yield "|---" * (len(shown) + 4) + "|"
-        yield "| printed | | | " + " | ".join(_wanted(name, target) for name in shown) + " | |"
-        ranked = _ranked(kept, falcon)
-        for _, candidate, values, measured, tried in ranked:
-            off = residuals(values, target)
-            cells = " | ".join(_cell(values[name], off[name]) for name in shown)
-            place = "measured" if measured else "F_0/K"
-            yield f"| {candidate.family} | {tried} | {place} | {cells} | {misfit(values, target):.0f} |"
-        yield ""
-        for _, candidate, _, _, _ in ranked[:4]:
-            yield f"* {candidate.family}: {candidate.words()}"
+        for _, candidate, values, _, number in _ranked(kept, falcon):
+            cells = [f"{misfit(values, printed(falcon)):.0f}", f"{values['line'] / 1e3:.1f}"]
+            rows.setdefault(candidate.family, []).extend(cells)
+            tried.append(number)
+    yield "\n### Families\n"
+    yield (
+        f"Best of {min(tried)} to {max(tried)} devices: misfit, and rms distance of the limits at B = 104 to 160 from "
+        "the line [kN/m].\n"
+    )
+    yield "| family | " + " | ".join(f"{falcon}: misfit | line" for falcon in FALCONS) + " |"
+    yield "|---" * (1 + 2 * len(FALCONS)) + "|"
+    for family, cells in rows.items():
+        yield f"| {family} | " + " | ".join(cells) + " |"
 
 
 def full_size(kept: Path, count: int = 3) -> Iterator[str]:
-    """Yield the lines of a table of the best families with all trials of the course, and of what was not fitted."""
+    """Yield the lines of a table: the best devices of both Falcons, with all trials, beside what is printed."""
     origin = limits(Candidate("ideal", delay=3.0).course(1, 0))
+    rows: dict[str, list[str]] = {}
+    devices = []
     for falcon in FALCONS:
         target, grip = printed(falcon), printed(falcon, firm=True)
         names = [name for name in NAMES if name in target]
-        head = [*(NAMES[name] for name in names), "mass by (6.4) [kg]", *(f"firm grip: {NAMES[name]}" for name in grip)]
-        yield f"\n### Falcon {falcon}, all trials, {len(SEEDS)} seeds; last {1 + len(grip)} columns: not fitted\n"
-        yield "| family | " + " | ".join(head) + " |"
-        yield "|---" * (len(head) + 1) + "|"
-        wanted = [*(_wanted(n, target) for n in names), f"{MASS}", *(_wanted(n, grip) for n in grip)]
-        yield "| printed | " + " | ".join(wanted) + " |"
-        for _, candidate, _, measured, _ in _ranked(kept, falcon)[:count]:
+        cells = {NAMES[name]: [_wanted(name, target)] for name in names} | {"mass by (6.4) [kg] *": [f"{MASS}"]}
+        cells |= {f"firm grip: {NAMES[name]} *": [_wanted(name, grip)] for name in grip}
+        for number, (_, candidate, _, measured, _) in enumerate(_ranked(kept, falcon)[:count], 1):
             courses = [candidate.course(1, seed) for seed in SEEDS]
             free = [numbers(candidate, course, origin, measured) for course in courses]
             held = [firm_grip(candidate, measured, seed) for seed in SEEDS]
             spans = [_span([values[name] for values in free]) for name in names]
             spans += [_span([momentum_mass(course) for course in courses])]
             spans += [_span([values[name] for values in held]) for name in grip]
-            yield f"| {candidate.family} | " + " | ".join(spans) + " |"
+            for column, span in zip(cells.values(), spans, strict=True):
+                column.append(span)
+            devices.append(f"* {falcon}{number}: {candidate.words()}")
+        for name, column in cells.items():
+            rows.setdefault(name, []).extend(column)
+    heads = [f"{falcon} printed | " + " | ".join(f"{falcon}{n + 1}" for n in range(count)) for falcon in FALCONS]
+    yield f"\n### The first {count} families, all trials, {len(SEEDS)} seeds; *: not fitted\n"
+    yield "| number | " + " | ".join(heads) + " |"
+    yield "|---" * (1 + len(FALCONS) * (1 + count)) + "|"
+    for name, column in rows.items():
+        yield f"| {name} | " + " | ".join(column) + " |"
+    yield ""
+    yield from devices
 
 
 def _wanted(name: str, target: Values) -> str:
@@ -439,7 +443,7 @@ def _ranked(kept: Path, falcon: str) -> list[tuple[str, Candidate, Values, bool,
 
 def _span(values: list[float]) -> str:
     low, high = min(values), max(values)
-    return " to ".join(dict.fromkeys(f"{v:.3g}" if v < 100 else f"{v:.0f}" for v in (low, high)))
+    return "–".join(dict.fromkeys(f"{v:.3g}" if v < 100 else f"{v:.0f}" for v in (low, high)))
 
 
 def limit_at(candidate: Candidate, damping: float, step: float) -> tuple[float, float]:
@@ -457,42 +461,20 @@ def limit_at(candidate: Candidate, damping: float, step: float) -> tuple[float, 
 
 
 def decisive(kept: Path, count: int = 3) -> Iterator[str]:
-    """Yield the lines of a table of what further measurements would show of each of the best families."""
+    """Yield the lines of a table of what further measurements would show of each of the best devices."""
     yield "\n### What would tell them apart\n"
-    yield (
-        "| Falcon | family | limit at B = 24 with F_0 = 2 / 8 / 16 N [N/m] | frequency of just unstable trials at "
-        "B = 104 / 128 / 152 [Hz] | scatter of K (x_end - x_0) - F_0 [N] |"
-    )
-    yield "|---|---|---|---|---|"
+    yield "Limit at B = 24 [N/m] by step; frequency of just unstable trials [Hz] by B; scatter of K Δx − F_0 [N].\n"
+    yield "| device | 2 / 8 / 16 N | B = 104 / 128 / 152 | scatter |"
+    yield "|---" * 4 + "|"
     for falcon in FALCONS:
-        for _, candidate, _, _, _ in _ranked(kept, falcon)[:count]:
-            steps = " / ".join(f"{limit_at(candidate, 24.0, step)[0]:.0f}" for step in (2.0, 8.0, 16.0))
-            tones = " / ".join(f"{limit_at(candidate, damping, 8.0)[1]:.0f}" for damping in (104.0, 128.0, 152.0))
+        for number, (_, candidate, *_) in enumerate(_ranked(kept, falcon)[:count], 1):
+            steps = "/".join(f"{limit_at(candidate, 24.0, step)[0]:.0f}" for step in (2.0, 8.0, 16.0))
+            tones = "/".join(f"{limit_at(candidate, damping, 8.0)[1]:.0f}" for damping in (104.0, 128.0, 152.0))
             course = candidate.course(COARSEN, 1)
             batch, kept_rows = course.batch, (course.verdict == "stable") & (course.batch.stiffness > 0)
             moved = batch.position[kept_rows, -WINDOW:].mean(axis=1) - batch.position[kept_rows, 0]
             rest = float(np.std(moved * batch.stiffness[kept_rows] - course.setup.step))
-            yield f"| {falcon} | {candidate.family} | {steps} | {tones} | {rest:.2g} |"
-
-
-def robot() -> Iterator[str]:
-    """Yield the lines of a table of the light-weight robot's optima (Tables D.4, D.5) for parts of its loop."""
-    yield "\n### Light-weight robot (Tables D.4, D.5): optimal costs of linear loops, continuous\n"
-    yield "| loop | settling time [T] | energy, w = 0 | w = 1 | w = 2 |"
-    yield "|---|---|---|---|---|"
-    names = ("settle_2pct", *ENERGIES)
-    rows = [find("D.4" if name == "settle_2pct" else "D.5", name, "experiment") for name in names]
-    yield "| printed, measured | " + " | ".join(f"{row.cost:g}" for row in rows if row) + " |"
-    parts: dict[str, dict[str, Any]] = {
-        "ideal, d = 2": {},
-        "velocity over 2 samples": {"velocity": {"kind": "difference", "samples": 2}},
-        "Butterworth, order 1, 150 Hz": {"velocity": {"kind": "butterworth", "order": 1, "cutoff_hz": 150.0}},
-        "lag of 1 ms": {"actuator_lag_s": 1e-3},
-        "joint damping of 15 Nms/rad": {"damping": 15.0},
-    }
-    for name, part in parts.items():
-        loop = Loop(**{"mass": 0.19, "damping": 0.0, "sampling_period_s": 1e-3, "delay_samples": 2.0, **part})
-        yield f"| {name} | " + " | ".join(f"{loop.optimum(criterion).cost:.4g}" for criterion in names) + " |"
+            yield f"| {falcon}{number} | {steps} | {tones} | {rest:.2g} |"
 
 
 def draw(kept: Path) -> None:
@@ -518,7 +500,7 @@ def draw(kept: Path) -> None:
 
 def write(kept: Path) -> None:
     """Replace the tables of falcon.md, and the figure."""
-    lines = [*family_tables(kept), *full_size(kept), *decisive(kept), *robot()]
+    lines = [*family_table(kept), *full_size(kept), *decisive(kept)]
     head, _, _ = FILE.read_text(encoding="utf-8").partition(SECTION)
     FILE.write_text(f"{head}{SECTION}\n" + "\n".join(lines) + "\n", encoding="utf-8")
     draw(kept)

@@ -1,8 +1,8 @@
-"""Make `gallery.md` (``make docs``): figures of reports of simulated devices, and those of the scripts in `gallery`.
+"""Make the gallery in `theory.md` (``make docs``): figures of reports of simulated devices, and those of scripts.
 
     python docs/make_gallery.py [figure_3_06 ...]
 
-With names of scripts, these alone are drawn again; the page is written in any case.
+With names of scripts, these alone are drawn again; the section is written in any case.
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ from pathlib import Path
 
 from pipeline.shell.cli import run
 
-PAGE = Path(__file__).with_name("gallery.md")
+PAGE = Path(__file__).with_name("theory.md")
+SECTION = "## Gallery"
 IMAGES = Path(__file__).parent / "img" / "gallery"
 SCRIPTS = sorted((Path(__file__).parent / "gallery").glob("figure_*.py"))
 CHAPTERS = {"3": "Stability", "4": "Passivity", "5": "Control design"}
@@ -28,25 +29,15 @@ COURSES = {"falcon-real": ("1", "4", "7"), "lwr": ("delay-2", "2", "7")}
 SHOWN = {
     ("falcon-real", "boundaries-answer-0"): (
         "Where a device is stable, and which walls to use",
-        "Measured limits with 95 % intervals lie above the theory of a loop without friction: the device has some. The "
-        "first figure of each report.",
+        "Measured limits lie above a theory without friction.",
     ),
-    ("falcon-real", "first-response-0"): (
-        "One response",
-        "A wall that rings: the period of the oscillation, and where the device should come to rest.",
-    ),
+    ("falcon-real", "first-response-0"): ("One response", "A wall that rings, and its rest."),
     ("lwr", "boundaries-answer-0"): (
         "A light-weight robot behind two samples of delay",
-        "Without friction, measured limits and theory agree.",
+        "Without friction limits and theory agree.",
     ),
-    ("falcon-real", "experiment-1-overshoot-0"): (
-        "Overshoot over all walls, theory",
-        "Lines of equal cost, the stability boundary, and the stiffest wall without overshoot.",
-    ),
-    ("falcon-real", "experiment-1-overshoot-1"): (
-        "The same, measured",
-        "From the logs alone, of a device with friction.",
-    ),
+    ("falcon-real", "experiment-1-overshoot-0"): ("Overshoot over all walls", "By theory."),
+    ("falcon-real", "experiment-1-overshoot-1"): ("The same, measured", "From logs alone."),
 }
 """Figures by device and name of their file, with heading and caption."""
 
@@ -81,49 +72,46 @@ def drawn(script: Path) -> None:
     subprocess.run([sys.executable, str(script)], cwd=IMAGES, env=os.environ | look, check=True)
 
 
-def page() -> str:
-    """Return the page: each figure with its caption, those of scripts with their source."""
+def gallery() -> str:
+    """Return the section: figures of scripts with their source, which begins with the caption, and of reports."""
     lines = [
-        "# Gallery",
+        SECTION,
         "",
-        "Pictures of reports, and the thesis's figures of theory as short scripts on [`import pipeline`](python.md):",
-        "copy one, change the device, and run it. A mass of 1 kg and a sampling period of 1 s make stiffness",
-        "and damping the normalised α and β.",
-        "",
-        "## In reports",
-        "",
-        "As `pipeline compare --figures DIR` writes them beside a report; the devices are simulated.",
+        "The thesis's figures of theory as short scripts on [`import pipeline`](python.md): copy one, change",
+        "the device, and run it. With a mass of 1 kg and a sampling period of 1 s, K and B are the normalised α and β.",
         "",
     ]
-    for (device, figure), (title, caption) in SHOWN.items():
-        lines += [f"### {title}", "", f"![{title}](img/gallery/{device}-{figure}.svg)", "", caption, ""]
     for chapter, heading in CHAPTERS.items():
-        lines += [f"## {heading}", ""]
+        lines += [f"### {heading}", ""]
         for script in SCRIPTS:
             _, of, figure = script.stem.split("_")
             if of == chapter:
                 tree = ast.parse(script.read_text(encoding="utf-8"))
-                title, _, caption = (ast.get_docstring(tree) or "").partition("\n\n")
-                lines += [
-                    f"### Figure {of}.{int(figure)}: {title}",
-                    "",
-                    f"![{title}](img/gallery/{script.stem}.svg)",
-                    "",
-                ]
-                lines += [caption, "", f"```{{literalinclude}} gallery/{script.name}", ":language: python"]
-                lines += [f":lines: {(tree.body[0].end_lineno or 0) + 2}-", "```", ""]
+                title = (ast.get_docstring(tree) or "").partition("\n")[0]
+                number = f"Figure {of}.{int(figure)}"
+                lines += [f"#### {number}: {title}", "", f"![{number}](img/gallery/{script.stem}.svg)", ""]
+                lines += [f"```{{literalinclude}} gallery/{script.name}", "```", ""]
+    lines += [
+        "### In reports",
+        "",
+        "As `pipeline compare --figures DIR` writes them; the devices are simulated.",
+        "",
+    ]
+    for (device, figure), (title, caption) in SHOWN.items():
+        lines += [f"#### {title}", "", f"![{title}](img/gallery/{device}-{figure}.svg)", "", caption, ""]
     return "\n".join(lines).rstrip() + "\n"
 
 
 def main() -> None:
-    """Draw all figures, or those of some scripts, and write the page."""
+    """Draw all figures, or those of some scripts, and replace the section."""
     IMAGES.mkdir(parents=True, exist_ok=True)
     if len(sys.argv) == 1:
         compared()
     for script in SCRIPTS:
         if len(sys.argv) == 1 or script.stem in sys.argv[1:]:
             drawn(script)
-    PAGE.write_text(page(), encoding="utf-8")
+    before = PAGE.read_text(encoding="utf-8").partition(SECTION)[0]
+    PAGE.write_text(before + gallery(), encoding="utf-8")
 
 
 if __name__ == "__main__":

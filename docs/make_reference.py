@@ -28,6 +28,17 @@ GRID = 61
 POINTS = 40
 SLOWEST = 0.992
 BAND = 0.02
+GENERAL = {
+    "gamma": 0.0,
+    "delta": 0.006,
+    "delay": 2.4,
+    "lag": 1.5,
+    "far_mass": 0.3,
+    "spring": 0.5,
+    "damper": 0.03,
+    "cutoff": 0.08,
+}
+"""Loop with all parts; names are those of `pipeline.studies.accuracy.integrated.HardLoop`."""
 TARGET = Path(__file__).parents[1] / "schemas" / "reference" / "accuracy.json"
 
 mp.mp.dps = DIGITS
@@ -418,6 +429,68 @@ def sweeps() -> dict[str, Any]:
     }
 
 
+def general_radius(alpha: Any, beta: Any) -> Any:
+    """Return the spectral radius of the loop `GENERAL` with a wall, from the matrix of one sample.
+
+    States: position and velocity of the motor's side and of the far mass, force behind the lag, two of the filter, the
+    last position, the three last commands.
+    """
+    g = GENERAL
+    m, f = 1 - mp.mpf(g["far_mass"]), mp.mpf(g["far_mass"])
+    k, c = mp.mpf(g["spring"]), mp.mpf(g["damper"])
+    rates = mp.matrix(6, 6)
+    rates[0, 1] = rates[2, 3] = 1
+    for column, (near, far) in enumerate(((-k - g["gamma"], k), (-c - mp.mpf(g["delta"]), c), (k, -k), (c, -c))):
+        rates[1, column], rates[3, column] = near / m, far / f
+    rates[1, 4] = 1 / m
+    rates[4, 4], rates[4, 5] = -1 / mp.mpf(g["lag"]), 1 / mp.mpf(g["lag"])
+    whole = int(g["delay"])
+    late = mp.mpf(g["delay"]) - whole
+    first, second = mp.expm(rates * late), mp.expm(rates * (1 - late))
+    # Butterworth of order two by the bilinear transform with its cut-off kept
+    w = mp.tan(mp.pi * mp.mpf(g["cutoff"]))
+    a0 = 1 + mp.sqrt(2) * w + w * w
+    b0, a1, a2 = w * w / a0, 2 * (w * w - 1) / a0, (1 - mp.sqrt(2) * w + w * w) / a0
+    loop = mp.matrix(11, 11)
+    both, now = second[:5, :5] * first[:5, :5], second[:5, :5] * first[:5, 5]
+    for i in range(5):
+        for j in range(5):
+            loop[i, j] = both[i, j]
+        loop[i, 8 + whole], loop[i, 7 + whole] = now[i], second[i, 5]
+    # filtered speed = b0 (x - x_before) + s1; s1' = b1 speed - a1 filtered + s2; s2' = b2 speed - a2 filtered
+    filtered = {0: b0, 7: -b0, 5: mp.mpf(1)}
+    for j in (0, 5, 7):
+        speed = {0: 1, 7: -1}.get(j, 0)
+        loop[5, j] = 2 * b0 * speed - a1 * filtered[j]
+        loop[6, j] = b0 * speed - a2 * filtered[j]
+        loop[8, j] = -beta * filtered[j] - (alpha if j == 0 else 0)
+    loop[5, 6] = loop[7, 0] = loop[9, 8] = loop[10, 9] = 1
+    return max(abs(value) for value in mp.eig(loop, left=False, right=False))
+
+
+def general_loop() -> dict[str, Any]:
+    """Limits of the loop with filter, lag, mode and fractional delay, and pole radii well inside."""
+    betas = [float(x) for x in np.linspace(0.02, 0.16, 6)]
+    with mp.workdps(40):
+        limits = []
+        for beta in betas:
+            low, high = mp.mpf("1e-4"), mp.mpf("0.02")
+            for _ in range(60):
+                middle = (low + high) / 2
+                low, high = (middle, high) if general_radius(middle, mp.mpf(beta)) < 1 else (low, middle)
+            limits.append(low)
+        alphas = [0.35 * float(limit) for limit in limits[1:5]]
+        radii = [general_radius(mp.mpf(a), mp.mpf(b)) for a, b in zip(alphas, betas[1:5], strict=True)]
+    return {
+        "loop": GENERAL,
+        "limit_beta": betas,
+        "limit_alpha": limits,
+        "alpha": alphas,
+        "beta": betas[1:5],
+        "radius": radii,
+    }
+
+
 def rounded(value: Any) -> Any:
     """Turn high-precision numbers into doubles."""
     if isinstance(value, dict):
@@ -436,6 +509,7 @@ def main() -> None:
         "points": lambda: points(edge["alpha_max"], edge["beta_max"]),
         "optimum": lambda: {"gamma": 0.0, "delta": 0.0, "delay": 1, **optimum()},
         "sweeps": sweeps,
+        "device": general_loop,
     }
     document: dict[str, Any] = {
         "about": f"computed in {DIGITS} digits by docs/make_reference.py; inputs are exact doubles",

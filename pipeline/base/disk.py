@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import BinaryIO, TypeVar
+from typing import BinaryIO, Self, TypeVar
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -108,7 +108,7 @@ def remove_all(files: Iterable[Path]) -> None:
 
 
 class NewFile:
-    """A file that nobody sees until it is complete.
+    """A file that nobody sees until it is complete; one that is not published when a block ends is removed.
 
     Parameters
     ----------
@@ -129,11 +129,9 @@ class NewFile:
 
     def publish(self, name: str | None = None, stem: str = "", ending: str = "") -> Path:
         """Give the complete file its name, by default that of its content; return its path when all is on the disk."""
-        try:
+        with self.stream:
             self.stream.flush()
             os.fsync(self.stream.fileno())
-        finally:
-            self.stream.close()
         path = self._temporary.with_name(name or f"{stem}{content_of(self._temporary)}{ending}")
         os.replace(self._temporary, path)
         for folder in (*self._above, path.parent):
@@ -147,6 +145,12 @@ class NewFile:
         with suppress(FileNotFoundError):
             os.unlink(self._temporary)
 
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.discard()
+
 
 @contextmanager
 def replacing(path: Path) -> Iterator[BinaryIO]:
@@ -155,13 +159,9 @@ def replacing(path: Path) -> Iterator[BinaryIO]:
     What writers that were killed left in its folder is removed, too.
     """
     remove_temporary(path.parent, _ABANDONED_S)
-    new = NewFile(path.parent, path.name)
-    try:
-        with naming(path):
-            yield new.stream
-            new.publish(path.name)
-    finally:
-        new.discard()
+    with naming(path), NewFile(path.parent, path.name) as new:
+        yield new.stream
+        new.publish(path.name)
 
 
 @contextmanager
@@ -196,13 +196,9 @@ def said_content(name: str) -> str | None:
 def write_kept(folder: Path, stem: str, ending: str, data: bytes, mode: int | None = None) -> Path:
     """Keep a result as ``<stem>-<SHA-256><ending>`` in place of former ones of the same stem."""
     remove_temporary(folder, _ABANDONED_S)
-    new = NewFile(folder, stem, mode)
-    try:
-        with naming(folder / f"{stem}{ending}"):
-            new.stream.write(data)
-            path = new.publish(stem=f"{stem}-", ending=ending)
-    finally:
-        new.discard()
+    with naming(folder / f"{stem}{ending}"), NewFile(folder, stem, mode) as new:
+        new.stream.write(data)
+        path = new.publish(stem=f"{stem}-", ending=ending)
     remove_all(file for file in kept_files(folder, stem, ending) if file != path)
     return path
 
@@ -268,12 +264,9 @@ def remove_temporary(folder: Path, age_s: float = 0.0, deep: bool = False) -> No
 
     Without an age only for who alone may write there.
     """
-    with suppress(OSError), os.scandir(folder) as entries:
-        for entry in entries:
-            if deep and entry.is_dir(follow_symlinks=False):
-                remove_temporary(Path(entry.path), age_s, deep)
-            elif _TEMPORARY.fullmatch(entry.name):
-                with suppress(OSError):
-                    old = time.time() - entry.stat(follow_symlinks=False).st_mtime >= age_s
-                    if old and entry.is_file(follow_symlinks=False):
-                        os.unlink(entry.path)
+    for file in (folder.rglob if deep else folder.glob)(f".*{TEMPORARY_ENDING}"):
+        with suppress(OSError):
+            status = os.lstat(file)
+            old = time.time() - status.st_mtime >= age_s
+            if old and stat.S_ISREG(status.st_mode) and _TEMPORARY.fullmatch(file.name):
+                os.unlink(file)

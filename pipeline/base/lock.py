@@ -26,9 +26,6 @@ WAIT_S = 60.0
 """How long a command waits by default [s]: an ingest of thousands of logs takes seconds, so that two commands started
 by scripts at the same moment both succeed; one that hangs is told within a minute."""
 
-_POLL_S = 0.1
-"""Time between two attempts [s]; the kernel offers no wait that ends."""
-
 _GRACE_S = 0.05
 """Wait without being asked to [s]: who looks at the lock (`holder`) takes it for microseconds."""
 
@@ -47,9 +44,9 @@ _UNSUPPORTED = (errno.ENOLCK, errno.ENOTSUP, errno.EINVAL, errno.ENOSYS)
 class Holder:
     """Who writes: process id, host, and since when (UTC, ISO 8601); None where the holder's note is not to be read."""
 
-    pid: int | None
-    host: str | None
-    since: str | None
+    pid: int | None = None
+    host: str | None = None
+    since: str | None = None
 
     def __str__(self) -> str:
         if self.pid is None:
@@ -58,8 +55,8 @@ class Holder:
 
 
 @contextmanager
-def writing(processed: Path, wait_s: float = WAIT_S, say: Callable[[str], None] | None = None) -> Iterator[bool]:
-    """Hold the lock of a store; make its folder if needed. Yields whether it had to wait for another holder.
+def writing(processed: Path, wait_s: float = WAIT_S, say: Callable[[str], None] | None = None) -> Iterator[None]:
+    """Hold the lock of a store; make its folder if needed.
 
     Parameters
     ----------
@@ -79,12 +76,21 @@ def writing(processed: Path, wait_s: float = WAIT_S, say: Callable[[str], None] 
     if not wait_s >= 0:
         raise UsageError(f"wait must be 0 s or more, found {wait_s:g}. 0 does not wait for another command.")
     make_folder(processed)
-    path = processed / LOCK_FILE
-    descriptor = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o666)
+    descriptor = os.open(processed / LOCK_FILE, os.O_RDWR | os.O_CREAT | _NO_LINK, 0o666)
     try:
-        waited = _acquire(descriptor, path, wait_s, say)
-        _note(descriptor)
-        yield waited
+        if not _taken(descriptor, _GRACE_S):
+            if say is not None and wait_s:
+                say(f"{processed}: {_noted(descriptor)} writes there; waiting up to {wait_s:g} s")
+            if not _taken(descriptor, wait_s):
+                raise StoreError(
+                    f"{processed}: {_noted(descriptor)} writes there; waited {wait_s:g} s. Only one command may "
+                    "write at a time: wait for it to end, or give --wait SECONDS."
+                )
+        note = Holder(os.getpid(), socket.gethostname(), datetime.now(UTC).isoformat(timespec="seconds"))
+        os.ftruncate(descriptor, 0)
+        os.lseek(descriptor, 0, os.SEEK_SET)
+        os.write(descriptor, b" " * _LOCKED + json.dumps(vars(note)).encode())
+        yield
         os.ftruncate(descriptor, 0)
     finally:
         os.close(descriptor)  # lets the lock go
@@ -94,69 +100,41 @@ def holder(processed: Path) -> Holder | None:
     """Return who holds the lock of a store, None where nobody does."""
     path = processed / LOCK_FILE
     try:
-        try:
-            descriptor = os.open(path, os.O_RDWR | _NO_LINK)  # NFS has no lock for files that may only be read
-        except OSError:
-            descriptor = os.open(path, os.O_RDONLY | _NO_LINK)
+        # NFS has no lock for files that may only be read
+        descriptor = os.open(path, (os.O_RDWR if os.access(path, os.W_OK) else os.O_RDONLY) | _NO_LINK)
     except OSError:
         return None
-    began = time.monotonic()
     try:
-        while not _lock(descriptor):
-            if time.monotonic() - began > _GRACE_S:
-                return _read(descriptor)
-            time.sleep(_GRACE_S / 5)
-        return None
-    except OSError:  # without locks nobody holds one
+        return None if _taken(descriptor, _GRACE_S) else _noted(descriptor)
+    except StoreError:  # without locks nobody holds one
         return None
     finally:
         os.close(descriptor)
 
 
-def _acquire(descriptor: int, path: Path, wait_s: float, say: Callable[[str], None] | None) -> bool:
-    began = time.monotonic()
-    told = False
-    while True:
-        try:
-            if _lock(descriptor):
-                return time.monotonic() - began > _GRACE_S
-        except OSError as error:
-            if error.errno not in _UNSUPPORTED:
-                raise
-            raise StoreError(
-                f"{path}: this file system has no locks ({error.strerror}), so that two commands could damage each "
-                "other's work. Choose a folder on a local disk (--processed)."
-            ) from error
-        waited = time.monotonic() - began
-        if waited >= max(wait_s, _GRACE_S):
-            raise StoreError(
-                f"{path.parent}: {_read(descriptor)} writes there; waited {wait_s:g} s. Only one command may "
-                "write at a time: wait for it to end, or give --wait SECONDS."
-            )
-        if not told and say is not None and waited >= _GRACE_S:
-            say(f"{path.parent}: {_read(descriptor)} writes there; waiting up to {wait_s:g} s")
-            told = True
-        time.sleep(min(_POLL_S, _GRACE_S if waited < _GRACE_S else _POLL_S))
-
-
-def _lock(descriptor: int) -> bool:
-    """Return whether the lock is had; it goes when the descriptor is closed, or its process ends."""
+def _taken(descriptor: int, within_s: float) -> bool:
+    """Return whether the lock is had within a time; it goes when the descriptor is closed, or its process ends."""
     from filelock import lock_descriptor  # 0.07 s that commands which only read need not wait for
 
-    return lock_descriptor(descriptor, blocking=False)
+    end = time.monotonic() + within_s
+    try:
+        while not lock_descriptor(descriptor, blocking=False):
+            if time.monotonic() >= end:
+                return False
+            time.sleep(_GRACE_S / 5)
+    except OSError as error:
+        if error.errno not in _UNSUPPORTED:
+            raise
+        raise StoreError(
+            f"this file system has no locks ({error.strerror}), so that two commands could damage each other's work. "
+            "Choose a folder on a local disk (--processed)."
+        ) from error
+    return True
 
 
-def _note(descriptor: int) -> None:
-    note = {"pid": os.getpid(), "host": socket.gethostname(), "since": datetime.now(UTC).isoformat(timespec="seconds")}
-    os.ftruncate(descriptor, 0)
-    os.lseek(descriptor, 0, os.SEEK_SET)
-    os.write(descriptor, b" " * _LOCKED + json.dumps(note).encode())
-
-
-def _read(descriptor: int) -> Holder:
+def _noted(descriptor: int) -> Holder:
     try:
         os.lseek(descriptor, _LOCKED, os.SEEK_SET)
-        note = json.loads(os.read(descriptor, _LONGEST_NOTE))
-        return Holder(int(note["pid"]), str(note["host"]), str(note["since"]))
-    except (OSError, ValueError, KeyError, TypeError):
-        return Holder(None, None, None)
+        return Holder(**json.loads(os.read(descriptor, _LONGEST_NOTE)))
+    except (OSError, ValueError, TypeError):
+        return Holder()

@@ -9,26 +9,25 @@ from __future__ import annotations
 import json
 import os
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import ExitStack, suppress
 from pathlib import Path
-from typing import Literal, cast
+from typing import Literal
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from pipeline.base.disk import content_of, make_folder, remove_all, said_content, sync_folder, write_text
+from pipeline.base.disk import READABLE, content_of, make_folder, remove_all, said_content, sync_folder, write_text
 from pipeline.base.errors import LogError, StoreError, UsageError
 from pipeline.base.file_names import path_of_text
 from pipeline.base.lock import WAIT_S, writing
 from pipeline.intake.ingest import ingest
-from pipeline.intake.quarantine import RECORD, list_quarantine, quarantine_folder, record_id
+from pipeline.intake.quarantine import RECORD, quarantine_folder
 from pipeline.intake.reading import load_source
 from pipeline.intake.sources import find_sources
 from pipeline.profiles.profile_files import load_profile, shipped_profiles
 from pipeline.profiles.profile_model import Profile
 from pipeline.records.findings import Record
-from pipeline.records.models import Motion
 from pipeline.store.batch_files import NewBatch
 from pipeline.store.gone import Gone, gone
 from pipeline.store.storage import FILE, TABLE, read_versions
@@ -127,19 +126,26 @@ def check(
                 faults[file] = str(error.strerror)
         if progress:
             progress(done, len(files))
-    faults |= _copies(processed)
     trials = [file for file in faults if file.relative_to(processed).parts[0] == "trials"]
-    known = {p.name: p for p in (*shipped_profiles(), *([load_profile(profile)] if profile else []))}
     damage = [_of_others(processed, file, fault) for file, fault in faults.items() if file not in trials]
+    profiles = {p.name: p for p in (*shipped_profiles(), *([load_profile(profile)] if profile else []))}
+    stored = _stored(processed, trials)
+    salvages = [_Salvage(processed, file, profiles, stored) for file in trials]
     try:
-        again = _read_again(processed, trials, known, profile, wait_s) if repair else None
         if repair and faults:
             with writing(processed, wait_s, say):
                 for one in damage:
                     _set_aside(processed, processed / one.file, one.remedy)
-                damage += [_save(processed, file, faults[file], trials, again, known) for file in trials]
-        else:
-            damage += [_save(processed, file, faults[file], trials, again, known) for file in trials]
+                for salvage in salvages:
+                    salvage.keep()
+            again: dict[str, set[Path]] = defaultdict(set)
+            for salvage in salvages:
+                for name, logs in salvage.again.items():
+                    again[name] |= set(logs.values())
+            for name, paths in again.items():
+                own = profile if profile is not None and load_profile(profile).name == name else name
+                ingest(sorted(paths), processed, own, wait_s=wait_s)
+        damage += [one.told(faults[one.file], _stored(processed, trials) if repair else None) for one in salvages]
     except OSError as error:
         raise StoreError(f"{processed}: cannot be written ({error}). Make room, and repair again.") from error
     damage.sort(key=lambda one: one.file)
@@ -156,17 +162,6 @@ def _files(processed: Path) -> Iterator[Path]:
 
 def _is_stored(file: Path) -> bool:
     return file.is_file() and not file.name.startswith(".")
-
-
-def _copies(processed: Path) -> dict[Path, str]:
-    """Return the copies of refused logs that are not as the log was; of one with several files none is told."""
-    found = {}
-    for record in list_quarantine(processed, {}):
-        folder = quarantine_folder(processed) / record_id(record)
-        copies = [file for file in folder.glob("*") if not file.name.startswith((".", f"{RECORD}-"))]
-        if len(copies) == 1 and record.sha256 not in (None, content_of(copies[0])):
-            found[copies[0]] = "is not as the log that was refused"
-    return found
 
 
 def _of_others(processed: Path, file: Path, fault: str) -> Damage:
@@ -201,96 +196,78 @@ def _groups(file: Path, columns: list[str] | None) -> Iterator[pa.Table | int]:
                 yield int(stored.metadata.row_group(number).num_rows)
 
 
-def _known_rows(file: Path) -> list[dict[str, str]]:
-    """Return what can be read of the identity of each trial of a damaged file; empty words for what cannot."""
-    parts: dict[str, list[str]] = {name: [] for name in _IDENTITY}
-    for name, values in parts.items():
-        for group in _groups(file, [name]):
-            values += [""] * group if isinstance(group, int) else group.column(0).to_pylist()
-    return [dict(zip(parts, row, strict=True)) for row in zip(*parts.values(), strict=True)]
-
-
-def _as_they_were(rows: Sequence[Mapping[str, str]], known: Mapping[str, Profile]) -> dict[str, list[Path]]:
-    """Return the logs of some trials that are where they were with the same content, by the profile that read them."""
-    wanted: dict[str, dict[str, str]] = defaultdict(dict)
-    for row in rows:
-        wanted[row["profile"]][row["source_path"]] = row["source_sha256"]
-    found: dict[str, list[Path]] = defaultdict(list)
-    for name, sources in wanted.items():
-        for path, sha256 in sources.items() if name in known else ():
-            with suppress(LogError, UsageError, OSError, ValueError):
-                (source,) = find_sources([path_of_text(path)], (known[name],))
-                if load_source(source)[1] == sha256:
-                    found[name].append(source.path)
-    return found
-
-
-def _read_again(
-    processed: Path, files: Sequence[Path], known: Mapping[str, Profile], profile: str | None, wait_s: float
-) -> set[str]:
-    """Ingest the logs of damaged files that are as they were; return the paths of all that is stored then."""
-    rows = [row for file in files for row in _known_rows(file)]
-    for name, paths in _as_they_were(rows, known).items():
-        own = profile if profile is not None and load_profile(profile).name == name else name
-        ingest(paths, processed, own, wait_s=wait_s, without=files)
-    return _stored(processed, files)
-
-
 def _stored(processed: Path, without: Sequence[Path]) -> set[str]:
+    """Return the paths of the logs that are stored, but those in some files."""
     table, files, _ = read_versions(processed, None, None, ["source_path"], {})
     rows = zip(table.column("source_path").to_pylist(), table.column(FILE).to_pylist(), strict=True)
     return {path for path, index in rows if files[index] not in without}
 
 
-def _save(
-    processed: Path,
-    file: Path,
-    fault: str,
-    damaged: Sequence[Path],
-    again: set[str] | None,
-    known: Mapping[str, Profile],
-) -> Damage:
-    """Keep what can be read of a damaged file and is not stored otherwise; without `again` only tell what would be."""
-    rows = _known_rows(file)
-    if again is None:
-        there = {os.fspath(path) for paths in _as_they_were(rows, known).values() for path in paths}
-        stored = _stored(processed, damaged)
-        stored |= {row["source_path"] for row in rows if os.fspath(path_of_text(row["source_path"])) in there}
-    else:
-        stored = again
-    kept: set[str] = set()
-    new: NewBatch | None = None
-    try:
-        for group in _groups(file, None):
-            if isinstance(group, int):
-                continue
-            paths = group.column("source_path").to_pylist()
-            wanted = pa.array([path not in stored for path in paths])
-            kept |= set(paths) - stored
-            if again is not None and wanted.true_count:
-                row = group.slice(0, 1).to_pylist()[0]
-                place = row["device"], row["experiment"], cast(Motion, row["motion"])
-                new = new or NewBatch(processed, *place, file.stat().st_mode & 0o666)
-                new.write(group.filter(wanted))
-        if new is not None:
-            new.publish()
-    finally:
-        if new is not None:
-            new.discard()
-    lost = [row for row in rows if row["source_path"] not in stored | kept]
-    name = file.relative_to(processed).as_posix()
-    found = Damage(
-        file=name,
-        fault=fault,
-        remedy="save" if rows else "set aside",
-        trials=len(rows),
-        read_again=sum(row["source_path"] in stored for row in rows),
-        kept=sum(row["source_path"] in kept for row in rows),
-        lost=tuple(LostTrial(trial_id=row["trial_id"], source_path=row["source_path"]) for row in lost),
-    )
-    if again is not None:
-        if lost:
+class _Salvage:
+    """What is done about a damaged file of trials, none of which is stored elsewhere.
+
+    First what can be read of it is kept, if its log is not as it was any more; then it is set aside, so that the other
+    logs are new to an ingest. Killed in between it has lost nothing: the next ingest reads these logs.
+    """
+
+    def __init__(self, processed: Path, file: Path, profiles: Mapping[str, Profile], stored: set[str]) -> None:
+        self.processed, self.file, self.stored = processed, file, stored
+        parts: dict[str, list[str]] = {name: [] for name in _IDENTITY}
+        for name, values in parts.items():
+            for group in _groups(file, [name]):
+                values += [""] * group if isinstance(group, int) else group.column(0).to_pylist()
+        self.rows = [dict(zip(parts, row, strict=True)) for row in zip(*parts.values(), strict=True)]
+        self.again: dict[str, dict[str, Path]] = defaultdict(dict)
+        """Logs that are where they were with the same content, by the profile that read them and their stored path."""
+        for row in self.rows:
+            path = path_of_text(row["source_path"])
+            if row["profile"] in profiles and row["source_path"] not in stored:
+                with suppress(LogError, UsageError, OSError, ValueError):
+                    (source,) = find_sources([path], (profiles[row["profile"]],))
+                    if load_source(source)[1] == row["source_sha256"]:
+                        self.again[row["profile"]][row["source_path"]] = path
+        known = stored.union(*self.again.values())
+        self.kept = {path for group in self._readable(known) for path in group.column("source_path").to_pylist()}
+
+    def _readable(self, without: Collection[str]) -> Iterator[pa.Table]:
+        """Yield the trials that can be read, but those of some logs."""
+        for group in _groups(self.file, None):
+            if not isinstance(group, int):
+                wanted = [path not in without for path in group.column("source_path").to_pylist()]
+                if any(wanted):
+                    yield group.filter(pa.array(wanted))
+
+    def keep(self) -> None:
+        """Store what can be read and not be read again; set the file aside."""
+        with ExitStack() as stack:
+            new: NewBatch | None = None
+            for trials in self._readable(self.stored.union(*self.again.values())):
+                row = trials.select(["device", "experiment", "motion"]).slice(0, 1).to_pylist()[0]
+                if new is None:
+                    mode = self.file.stat().st_mode & READABLE
+                    new = NewBatch(self.processed, row["device"], row["experiment"], row["motion"], mode)
+                    stack.callback(new.discard)
+                new.write(trials)
+            if new is not None:
+                new.publish()
+        _set_aside(self.processed, self.file, "set aside")
+
+    def told(self, fault: str, stored: set[str] | None) -> Damage:
+        """Return what became of the trials by what is stored now; without it what would become of them."""
+        again = self.stored.union(*self.again.values()) - self.kept
+        there = stored if stored is not None else again | self.kept
+        lost = [row for row in self.rows if row["source_path"] not in there]
+        found = Damage(
+            file=self.file.relative_to(self.processed).as_posix(),
+            fault=fault,
+            remedy="save" if self.rows else "set aside",
+            trials=len(self.rows),
+            read_again=sum(row["source_path"] in again & there for row in self.rows),
+            kept=sum(row["source_path"] in self.kept for row in self.rows),
+            lost=tuple(LostTrial(trial_id=row["trial_id"], source_path=row["source_path"]) for row in lost),
+        )
+        if stored is not None and lost:
             text = json.dumps([one.model_dump() for one in found.lost], indent=1)
-            write_text(processed / DAMAGED_FOLDER / f"{name.removesuffix(TABLE)}.lost.json", text + "\n")
-        _set_aside(processed, file, "set aside")
-    return found
+            list_of = self.processed / DAMAGED_FOLDER / f"{found.file.removesuffix(TABLE)}.lost.json"
+            write_text(list_of, text + "\n")
+        return found

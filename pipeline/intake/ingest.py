@@ -24,7 +24,6 @@ from pipeline.intake.ingest_report import (
     ChangedSource,
     IngestReport,
     LogWarning,
-    when_stopped,
 )
 from pipeline.intake.known import Places, StoredSource, StoredSources, gone_of, stored_source
 from pipeline.intake.periods import Periods
@@ -60,7 +59,6 @@ def ingest(
     growing: Collection[str] = (),
     wait_s: float = WAIT_S,
     say: Callable[[str], None] | None = None,
-    without: Sequence[Path] = (),
 ) -> IngestReport:
     """Store all new logs below some folders.
 
@@ -91,8 +89,6 @@ def ingest(
         How long to wait for another command that writes to `processed` [s].
     say : callable, optional
         Gets a line when waiting begins.
-    without : sequence of Path
-        Stored files of which nothing is known: they are damaged, and their logs are to be read again.
 
     Returns
     -------
@@ -116,7 +112,7 @@ def ingest(
     run: _Ingest | None = None
     try:
         with nullcontext() if dry_run else writing(processed, wait_s, say):
-            run = _Ingest(processed, dry_run, rehash, replace, digests, progress, without)
+            run = _Ingest(processed, dry_run, rehash, replace, digests, progress)
 
             def noticed(folder: Path, text: str) -> None:
                 assert run is not None, "it is made above"
@@ -133,8 +129,11 @@ def ingest(
             run.find_removed(folders)
             return run.report()
     except (KeyboardInterrupt, Ended) as error:
-        stored, kept = (0, 0) if run is None else (len(run.writer.visible), run.keeper.kept)
-        error.add_note(when_stopped(processed, stored, kept))
+        stored, kept = (0, 0) if run is None else (len(run.writer.visible), run.kept)
+        error.add_note(
+            f"{stored} new logs are stored in {processed} and {kept} more are in quarantine. The same command finds "
+            "the rest again."
+        )
         raise
     except OSError as error:
         raise StoreError(
@@ -154,15 +153,14 @@ class _Ingest(Tally):
         replace: bool,
         digests: dict[Profile, str],
         progress: Callable[[int, int], None] | None,
-        without: Sequence[Path],
     ) -> None:
         super().__init__(processed, dry_run, progress)
         self.rehash, self.replace, self.digests = rehash, replace, digests
         self.motions = {name: device.motion for name, device in known_devices().items()}
         claims = digest(sorted(digests.values()))
-        self.stored = StoredSources(processed, claims, self.damaged, without)
+        self.stored = StoredSources(processed, claims, self.damaged)
         self.writer = TrialWriter(processed, PENDING_BYTES, claims, self.stored.latest)
-        if not dry_run and not without:
+        if not dry_run:
             for name in ("trials", "quarantine", "corrections"):
                 remove_temporary(processed / name, deep=True)
             remove_all(self.stored.replaced)
@@ -171,7 +169,6 @@ class _Ingest(Tally):
         self.replaced: set[tuple[str, str, str]] = set()
         self.present: set[str] = set()
         self.renamed: set[str] = set()
-        self.periods = Periods(self.stored.table)
         self.places = Places({}, {})
         self.gone: dict[tuple[str, str], list[str]] = {}
         self.taken: dict[str, StoredSource] = {}
@@ -197,17 +194,16 @@ class _Ingest(Tally):
             # a source that is looked at again enters after that
             self.places = self.stored.places({source.key for source in unsettled})
             self.gone = gone_of(self.stored, self.present)
+            self.periods = Periods(self.stored.table)
         # stored sources come first: a log that was copied and touched is recognised at its old place
         unsettled.sort(key=lambda source: (source.key not in self.stored, source.key))
         read = partial(self._read, use_threads=jobs > 2)
-        # one pool reads and writes: more threads than processors only take the interpreter from each other
         with ThreadPoolExecutor(jobs) if jobs > 1 and unsettled else nullcontext() as pool:
-            self.writer.executor = pool
             try:
                 for batch in in_order(read, batches_of(unsettled), pool, jobs):
                     for done in batch:
                         self._settle(done)
-                    self.keeper.flush()
+                    self._keep()
                 self._written(self.writer.flush())
             except BaseException:
                 self.writer.discard()
@@ -246,7 +242,7 @@ class _Ingest(Tally):
         return True
 
     def _read(self, sources: list[Source], use_threads: bool) -> list[Read]:
-        return read_and_check(sources, self._is_known, use_threads)[0]
+        return read_and_check(sources, self._is_known, use_threads)
 
     def _is_known(self, source: Source, sha256: str) -> bool:
         """Return whether a content was read by the same profile and is stored as a whole, here or elsewhere."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Literal
 
 from pipeline.base.errors import Code
@@ -85,20 +84,6 @@ class IngestReport(Record):
     damaged: tuple[str, ...] = ()
 
 
-def when_stopped(processed: Path, stored: int, kept: int) -> str:
-    """Say what an interrupted ingest has stored: new logs, and records in quarantine."""
-    return (
-        f"{stored} new logs are stored in {processed} and {kept} more are in quarantine. The same command finds the "
-        "rest again."
-    )
-
-
 def refusal_of(source: Source, record: QuarantineRecord) -> Refusal:
     """Return what is reported of a source that is in quarantine."""
-    return Refusal(
-        path=source.shown,
-        reason=record.reason,
-        row=record.row,
-        code=record.code,
-        profile_line=record.profile_line,
-    )
+    return Refusal(source.shown, record.reason, record.row, record.code, record.profile_line)

@@ -14,7 +14,7 @@ from pipeline.intake.bags import ENDINGS
 from pipeline.intake.sources import Source, told_by_name
 from pipeline.intake.trialstore import Accepted, trial_id
 from pipeline.store.batch_files import drop
-from pipeline.store.storage import VERSION_COLUMNS, newest_versions, read_versions
+from pipeline.store.storage import each_once, newest_versions, read_versions
 
 
 class StoredSource(NamedTuple):
@@ -54,6 +54,16 @@ def stored_source(accepted: Sequence[Accepted]) -> StoredSource:
     return StoredSource(*told, devices, tuple(one.row["trial_id"] for one in accepted), True)
 
 
+SEEN = (
+    *("source_path", "source_sha256", "source_size", "source_mtime_ns", "source_trials"),
+    *("claims", "version", "formerly"),
+)
+"""Columns that tell whether anything is new; with groups of 64 rows each column costs a tenth of the time."""
+
+MORE = ("device", "experiment", "sampling_period_s", "profile", "profile_sha256", "trial_id")
+"""Columns that are read when something is."""
+
+
 class StoredSources(Mapping[str, StoredSource]):
     """What is stored of each source, by its path; a record is made when it is asked for, of 100,000 hardly any.
 
@@ -64,29 +74,46 @@ class StoredSources(Mapping[str, StoredSource]):
         Hash of all profiles that may claim a file now.
     damaged : dict of Path to str
         As for `storage.read_trials`.
-    without : sequence of Path
-        Files of which nothing is known to be stored, as they are damaged.
     """
 
-    def __init__(self, processed: Path, claims: str, damaged: dict[Path, str], without: Sequence[Path] = ()) -> None:
-        columns = ["source_size", "source_trials", "device", "experiment", "sampling_period_s", "profile", "claims"]
-        self.table, self.files, self.replaced = read_versions(
-            processed, None, None, [*columns, *VERSION_COLUMNS], damaged
-        )
-        self.processed, self.claims = processed, claims
-        self._newest = newest_versions(self.table)
-        if without:
-            owner = self.table.column("file_index").to_pylist()
-            self._newest &= np.array([self.files[index] not in without for index in owner], dtype=np.bool_)
+    def __init__(self, processed: Path, claims: str, damaged: dict[Path, str]) -> None:
+        self.processed, self.claims, self.damaged = processed, claims, damaged
+        self._look(SEEN)
+        if not each_once(self.table):
+            self.complete()
+
+    def _look(self, columns: Sequence[str]) -> None:
+        self.table, self.files, self.replaced = read_versions(self.processed, None, None, list(columns), self.damaged)
+        self._index()
+
+    def complete(self) -> None:
+        """Read all columns."""
+        if MORE[0] in self.table.column_names:
+            return
+        more, files, _ = read_versions(self.processed, None, None, list(MORE), self.damaged)
+        if files != self.files or more.num_rows != self.table.num_rows:  # what is damaged in these alone is left out
+            self._look((*SEEN, *MORE))
+            return
+        for name in MORE:
+            self.table = self.table.append_column(more.schema.field(name), more.column(name))
+        self._index()
+
+    def _index(self) -> None:
+        self._newest = np.ones(self.table.num_rows, dtype=np.bool_)
+        if MORE[0] in self.table.column_names:
+            self._newest = newest_versions(self.table)
         self._columns: dict[str, list[Any]] = {}
-        paths = self._column("source_path")
+        paths, trials = self._column("source_path"), self.table.column("source_trials").to_numpy()
         rows = np.flatnonzero(self._newest).tolist()
         self._last: dict[str, int] = {paths[row]: row for row in rows}
+        self._whole = self._newest & (trials == 1)
         # of sources with several trials alone: a list for each of 100,000 takes longer than all else
         self._several: dict[str, list[int]] = {}
         if len(self._last) < len(rows):
             for row in rows:
                 self._several.setdefault(paths[row], []).append(row)
+            for own in self._several.values():
+                self._whole[own] = len(own) >= trials[own[-1]]
 
     @property
     def latest(self) -> int:
@@ -103,34 +130,28 @@ class StoredSources(Mapping[str, StoredSource]):
     @property
     def states(self) -> dict[str, tuple[int, int]]:
         """Size [byte] and time [ns] of each source that is one file, stored as a whole, of a profile that is sure."""
-        names = ("claims", "source_size", "source_mtime_ns", "source_trials")
-        claims, sizes, times, trials = map(self._column, names)
+        names = ("source_path", "source_size", "source_mtime_ns", "claims")
+        rows = zip(*map(self._column, names), self._whole.tolist(), strict=True)
         return {
-            path: (sizes[row], times[row])
-            for path, row in self._last.items()
-            if claims[row] == self.claims
-            and (trials[row] == 1 or self._is_whole(path, row))
-            and not path.endswith(ENDINGS)
+            path: (size, time)
+            for path, size, time, claims, whole in rows
+            if whole and claims == self.claims and not path.endswith(ENDINGS)
         }
 
     def __getitem__(self, path: str) -> StoredSource:
+        self.complete()
         last = self._last[path]
         rows = self._several.get(path, (last,))
         names = ("source_sha256", "profile_sha256", "profile", "source_size", "source_mtime_ns")
         sha256, profile_sha256, profile, size, mtime_ns = (self._column(name)[last] for name in names)
         devices, trials = (tuple(self._column(name)[row] for row in rows) for name in ("device", "trial_id"))
-        whole = self._is_whole(path, last)
-        return StoredSource(sha256, profile_sha256, profile, size, mtime_ns, devices, trials, whole)
+        return StoredSource(sha256, profile_sha256, profile, size, mtime_ns, devices, trials, bool(self._whole[last]))
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._last)
 
     def __len__(self) -> int:
         return len(self._last)
-
-    def _is_whole(self, path: str, last: int) -> bool:
-        trials: int = self._column("source_trials")[last]
-        return trials == 1 or len(self._several.get(path, (last,))) >= trials
 
     def _column(self, name: str) -> list[Any]:
         if name not in self._columns:
@@ -139,14 +160,13 @@ class StoredSources(Mapping[str, StoredSource]):
 
     def places(self, but: set[str]) -> Places:
         """Return where contents and trials are stored as a whole, but those of some sources."""
-        contents, trials = self._column("source_sha256"), self._column("trial_id")
-        known = {path: row for path, row in self._last.items() if path not in but and self._is_whole(path, row)}
-        rows = {row: path for path, row in known.items()}
-        several = {row: path for path, own in self._several.items() if path in known for row in own}
-        return Places(
-            {contents[row]: path for path, row in known.items()},
-            {trials[row]: path for row, path in (rows | several).items()},
-        )
+        self.complete()
+        found = Places({}, {})
+        rows = zip(*map(self._column, ("source_path", "source_sha256", "trial_id")), self._whole.tolist(), strict=True)
+        for path, content, trial, whole in rows:
+            if whole and path not in but:
+                found.contents[content] = found.trials[trial] = path
+        return found
 
 
 class Places(NamedTuple):

@@ -1,7 +1,7 @@
-"""Logs that were refused: a copy and the reason, one folder per source below ``processed/quarantine``.
+"""Logs that were refused, and why: a record of each in a folder of its own below ``processed/quarantine``.
 
 A source has at most one record: refusing it again replaces the record, accepting it removes the record. The
-source itself is never touched.
+source itself is never touched, and not copied: the excerpt shows it where it is still as it was.
 """
 
 from __future__ import annotations
@@ -9,10 +9,11 @@ from __future__ import annotations
 import io
 import os
 import shutil
+from collections.abc import Sequence
 from itertools import islice
 from pathlib import Path
 
-from pipeline.base.disk import NewFile, each, kept_files, remove_all, said_content, shared_mode, write_kept
+from pipeline.base.disk import each, kept_files, said_content, write_kept
 from pipeline.base.errors import OTHER_COLUMNS, REMEDY, Code, LogError, StoreError, UsageError
 from pipeline.base.file_names import path_of_text, path_text, storable
 from pipeline.base.provenance import digest
@@ -21,9 +22,6 @@ from pipeline.base.regular_files import open_regular
 from pipeline.intake.sources import Source
 from pipeline.records.findings import Record
 
-LARGEST_COPY = 64 << 20
-"""Bytes up to which a refused file is copied; a log is well below 1 MB, what is larger was hardly one."""
-
 RECORD = "reason"
 """Begin of the name of a record."""
 
@@ -31,10 +29,7 @@ EXCERPT_ROWS, LONGEST_SHOWN = 3, 160
 """Lines shown before and behind the row at fault, and characters of each."""
 
 REFUSED_TOGETHER = 64
-"""Refused logs that go into quarantine at once; each holds a file or two open until then, of 256 that macOS allows."""
-
-LONGEST_COPY_NAME = 100
-"""Bytes of a file name that its copy keeps: a file system allows 255, with the endings of temporary files."""
+"""Refused logs that go into quarantine at once."""
 
 
 class QuarantineRecord(Record):
@@ -165,95 +160,46 @@ def record_of(source: Source, sha256: str | None, error: LogError, profile_sha25
     )
 
 
-class Keeper:
-    """Collects refused sources and puts them into quarantine together; what is collected is kept by `flush`."""
+def keep(processed: Path, refused: Sequence[tuple[Source, QuarantineRecord]]) -> None:
+    """Put refused sources into quarantine; files that are synced together take a twentieth of the time.
 
-    def __init__(self, processed: Path) -> None:
-        self.processed = processed
-        self.kept = 0
-        self._refused: list[tuple[Source, QuarantineRecord]] = []
-
-    def add(self, source: Source, record: QuarantineRecord) -> None:
-        """Take a source and its record."""
-        self._refused.append((source, record))
-        if len(self._refused) >= REFUSED_TOGETHER:
-            self.flush()
-
-    def flush(self) -> None:
-        """Put into quarantine what was collected: files that are synced together take a twentieth of the time."""
-        each(lambda one: _refuse(self.processed, *one), self._refused)
-        self.kept += len(self._refused)
-        self._refused.clear()
-
-
-def _refuse(processed: Path, source: Source, record: QuarantineRecord) -> None:
-    """Keep a copy of each file (up to 64 MiB), and the record, which appears last.
-
-    Copy and record may be read by whom the source may be read by.
+    A record quotes the log, and may be read by whom that may be read by.
     """
-    folder = quarantine_folder(processed) / digest(record.path)
-    former = set(folder.iterdir()) if folder.is_dir() else set()
-    like = []
-    for file in source.files:
-        content = _content(file, source.within)
-        if content is not None:
-            data, status = content
-            like.append(status)
-            new = NewFile(folder, file.name, shared_mode([status], folder))
-            try:
-                new.stream.write(data)
-                former.discard(new.publish(_copy_name(file)))
-            finally:
-                new.discard()
-    text = record.model_dump_json() + "\n"
-    # without a copy the record quotes nothing but what whoever ingests may say
-    former.discard(write_kept(folder, RECORD, ".json", text.encode(), shared_mode(like, folder)))
-    remove_all(sorted(former))
+
+    def write(one: tuple[Source, QuarantineRecord]) -> None:
+        source, record = one
+        text = record.model_dump_json() + "\n"
+        write_kept(folder_of(processed, record.path), RECORD, ".json", text.encode(), source.mode)
+
+    each(write, refused)
 
 
 def release(processed: Path, path: str) -> None:
     """Remove the record of a source, if there is one: it was repaired and is now stored."""
-    folder = quarantine_folder(processed) / digest(path)
-    if folder.is_dir():
-        # first the record: what is left after an interruption is no record any more
-        remove_all(kept_files(folder, RECORD, ".json"))
-        shutil.rmtree(folder, ignore_errors=True)
+    shutil.rmtree(folder_of(processed, path), ignore_errors=True)
 
 
-def _copy_name(file: Path) -> str:
-    """Return the name of a copy: the file's own where it is short, printable and cannot be taken for anything else."""
-    name = file.name
-    plain = name.isprintable() and len(os.fsencode(name)) <= LONGEST_COPY_NAME
-    # neither may a copy be taken for the record, nor for a table: each *.parquet here is readable
-    own = name.startswith((".", f"{RECORD}-")) or name.lower().endswith((".parquet", ".tmp"))
-    if plain and not own:
-        return name
-    return f"{name}.refused" if plain else f"{digest(path_text(name))}.refused"
+def folder_of(processed: Path, path: str) -> Path:
+    """Return the folder with the record of a source, named by the id of the record."""
+    return quarantine_folder(processed) / digest(path)
 
 
-def _content(file: Path, within: str | None) -> tuple[bytes, os.stat_result] | None:
-    """Return a file's content and status; None for one that cannot be read or is too large to be copied."""
-    try:
-        with open_regular(file, within) as stream:
-            status = os.fstat(stream.fileno())
-            # at once: whatever fails here is the source's fault, which must not end the ingest of all others
-            data = stream.read(LARGEST_COPY + 1) if status.st_size <= LARGEST_COPY else None
-    except OSError:  # the record says that it cannot be read
-        return None
-    return None if data is None or len(data) > LARGEST_COPY else (data, status)
+def excerpt_of(record: QuarantineRecord) -> list[tuple[int, str]]:
+    """Return number and text of the lines around the row at fault, safe to print.
 
-
-def excerpt_of(processed: Path, record: QuarantineRecord) -> list[tuple[int, str]]:
-    """Return number and text of the lines around the row at fault, safe to print; nothing of a file without lines."""
+    Nothing of a log that is no longer as it was when it was refused, and of one without lines.
+    """
     from pipeline.readers.formats.delimited import unpacked  # which loads what computes with Arrow
 
-    folder = quarantine_folder(processed) / digest(record.path)
-    copies = [file for file in sorted(folder.glob("*")) if not file.name.startswith(f"{RECORD}-")]
     if ".json" in record.path.lower() and record.code != "syntax":
         return []  # its row is that of a record
+    log = path_of_text(record.path)
     try:
-        data = unpacked(copies[0].name, copies[0].read_bytes()) if copies else b""
-    except LogError:
+        with open_regular(log) as stream:
+            content = stream.read(record.size + 1)
+        # another content is not what was refused, and may not be for whom reads this
+        data = unpacked(log.name, content) if sha256_of(content) == record.sha256 else b""
+    except (OSError, LogError):
         return []
     marks = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
     try:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future
 from dataclasses import dataclass, replace
@@ -40,30 +39,12 @@ class Read:
     result: tuple[Log, ...] | LogError | None
 
 
-@dataclass(frozen=True)
-class Metrics:
-    """What reading a list of sources took: counts, bytes read, samples, and wall time [s].
-
-    ``found = accepted + known + refused``; ``known`` are those whose content is stored already.
-    """
-
-    found: int
-    accepted: int
-    known: int
-    refused: int
-    bytes: int
-    rows: int
-    seconds: float
-
-
 def read_and_check(
     sources: Sequence[Source], known: Callable[[Source, str], bool], use_threads: bool = False
-) -> tuple[list[Read], Metrics]:
-    """Read, hash, parse and check sources of one profile.
+) -> list[Read]:
+    """Read, hash, parse and check sources of one profile, in the order given.
 
-    A pure task: it writes nothing, keeps nothing, and depends on its arguments and the files alone, so that it may run
-    in a thread. An engine that runs tasks may call it with the files of one task (`sources.find_sources` makes sources
-    of paths) and keep the metrics as its row; what it returns is stored by one writer (`trialstore.TrialWriter`).
+    It writes and keeps nothing, so that it may run in a thread.
 
     Parameters
     ----------
@@ -73,43 +54,27 @@ def read_and_check(
         Whether a source with a content (its SHA-256) is stored already; such a source is not parsed.
     use_threads : bool
         Whether parsing may use several processors.
-
-    Returns
-    -------
-    reads : list of Read
-        One for each source, in the order given; a source that is refused has a `LogError` for its result.
-    metrics : Metrics
     """
-    began = time.perf_counter()
-    reads: list[Read | None] = [None] * len(sources)
+    reads: dict[int, Read] = {}
     raws: dict[int, RawLog] = {}
-    loaded: dict[int, tuple[Source, str]] = {}
-    size = 0
     for index, source in enumerate(sources):
         try:
             raw, sha256, seen = load_source(source)
         except LogError as error:
             reads[index] = Read(source, None, error)
             continue
-        size += seen.size
-        if known(source, sha256):
-            reads[index] = Read(seen, sha256, None)
-        else:
-            raws[index], loaded[index] = raw, (seen, sha256)
+        reads[index] = Read(seen, sha256, None)
+        if not known(source, sha256):
+            raws[index] = raw
     profile = sources[0].profile if sources else None
     if raws and profile:
         outcomes = reader_of(profile)(profile, list(raws.values()), use_threads)
-        for (index, (seen, sha256)), outcome in zip(loaded.items(), outcomes, strict=True):
-            reads[index] = Read(seen, sha256, outcome)
-    done = [read for read in reads if read is not None]
-    for read in done:
+        for index, outcome in zip(raws, outcomes, strict=True):
+            reads[index] = replace(reads[index], result=outcome)
+    for read in reads.values():
         if isinstance(read.result, LogError):
             _forget_frames(read.result)
-    logs = [read.result for read in done if isinstance(read.result, tuple)]
-    refused = sum(isinstance(read.result, LogError) for read in done)
-    rows = sum(len(log.time) for source_logs in logs for log in source_logs)
-    seconds = time.perf_counter() - began
-    return done, Metrics(len(done), len(logs), len(done) - len(logs) - refused, refused, size, rows, seconds)
+    return list(reads.values())
 
 
 def logs_of(source: Source) -> tuple[Profile, RawLog, tuple[Log, ...]]:

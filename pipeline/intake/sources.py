@@ -11,6 +11,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
+from types import MappingProxyType
 
 from pipeline.base.disk import READABLE, shared_mode
 from pipeline.base.errors import Code, UsageError
@@ -76,8 +77,8 @@ def find_sources(
     paths: Sequence[Path],
     profiles: tuple[Profile, ...],
     exclude: Path | None = None,
-    notice: Notice | None = None,
-    unchanged: Mapping[str, tuple[int, int]] | None = None,
+    notice: Notice = lambda folder, reason: None,
+    unchanged: Mapping[str, tuple[int, int]] = MappingProxyType({}),
     present: set[str] | None = None,
 ) -> list[Source]:
     """Return every log below the given folders and files, each once, in order of path.
@@ -123,7 +124,7 @@ def find_sources(
         folder = path if path.is_dir() else path.parent
         # a link that is given itself is the user's own choice
         within = None if folder != path and path.is_symlink() else os.path.realpath(folder)
-        look = _files(path, excluded, notice or _say_nothing, unchanged or {}, set() if present is None else present)
+        look = _files(path, excluded, notice, unchanged, set() if present is None else present)
         for file in look if folder == path else [path]:
             source = _source(file, profiles, within)
             found.setdefault(source.key, source)
@@ -144,9 +145,9 @@ def _files(
                     name = entry.name
                     if name[0] == ".":
                         continue
-                    known = unchanged.get(below + name)
-                    if known and _state(entry) == known:
-                        present.add(below + name)
+                    path = below + name
+                    if path in unchanged and _state(entry) == unchanged[path]:
+                        present.add(path)
                     elif _is_folder(entry):
                         if os.path.realpath(entry.path) in excluded:
                             continue
@@ -162,12 +163,12 @@ def _files(
 
 
 def _state(entry: os.DirEntry[str]) -> tuple[int, int] | None:
-    """Return size and time of a file that is no link."""
+    """Return size and time of what has a name: of a link those of the link itself."""
     try:
         status = entry.stat(follow_symlinks=False)
     except OSError:
         return None
-    return (status.st_size, status.st_mtime_ns) if stat.S_ISREG(status.st_mode) else None
+    return status.st_size, status.st_mtime_ns
 
 
 def _is_folder(entry: os.DirEntry[str]) -> bool:
@@ -215,24 +216,17 @@ def by_rest(sources: Sequence[Source], settle_s: float, growing: frozenset[str])
     growing : frozenset of str
         Absolute paths of files that are not at rest, whatever their times say.
     """
-    young = [
-        not is_settled(s.mtime_ns, settle_s) or not growing.isdisjoint(os.path.abspath(f) for f in s.files)
-        for s in sources
-    ]
-    return (
-        [source for source, recent in zip(sources, young, strict=True) if not recent],
-        [source for source, recent in zip(sources, young, strict=True) if recent],
-    )
+    settled, young = list[Source](), list[Source]()
+    for source in sources:
+        rests = is_settled(source.mtime_ns, settle_s) and growing.isdisjoint(map(os.path.abspath, source.files))
+        (settled if rests else young).append(source)
+    return settled, young
 
 
 def is_settled(mtime_ns: int, settle_s: float) -> bool:
     """Return whether a time [ns] is so long ago [s] that a file is not recorded to any more."""
     # one in the future, by a clock that is wrong, is no reason to wait for ever
     return abs(time.time_ns() - mtime_ns) >= settle_s * 1e9
-
-
-def _say_nothing(folder: Path, reason: str) -> None:
-    """Take no notice."""
 
 
 _Problem = tuple[str, Code]

@@ -18,7 +18,7 @@ from pipeline.intake.ingest_report import (
     refusal_of,
 )
 from pipeline.intake.known import StoredSources
-from pipeline.intake.quarantine import Keeper, QuarantineRecord, record_of, release
+from pipeline.intake.quarantine import REFUSED_TOGETHER, QuarantineRecord, keep, record_of, release
 from pipeline.intake.reading import Read
 from pipeline.intake.sources import Source
 from pipeline.profiles.profile_model import Profile
@@ -35,7 +35,7 @@ class Tally:
         self.processed, self.dry_run, self.progress = processed, dry_run, progress
         self.found = self.ingested = self.skipped = 0
         self.refusals: list[Refusal] = []
-        self.keeper = Keeper(processed)
+        self.kept, self._keeping = 0, list[tuple[Source, QuarantineRecord]]()
         self.warnings: list[LogWarning] = []
         self.changed: list[ChangedSource] = []
         self.removed, self.waiting = list[str](), list[str]()
@@ -78,7 +78,15 @@ class Tally:
         self._refused(source, record)
         former = self.refused.get(source.key)
         if not self.dry_run and record != former and not record.knows_less(former):
-            self.keeper.add(source, record)
+            self._keeping.append((source, record))
+            if len(self._keeping) >= REFUSED_TOGETHER:
+                self._keep()
+
+    def _keep(self) -> None:
+        """Put into quarantine what was refused."""
+        keep(self.processed, self._keeping)
+        self.kept += len(self._keeping)
+        self._keeping.clear()
 
     def _refused(self, source: Source, record: QuarantineRecord) -> None:
         refusal = refusal_of(source, record)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from concurrent.futures import Executor, Future
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -93,10 +92,9 @@ def _marked(profile: Profile, log: Log) -> Log:
 class TrialWriter:
     """Collects accepted logs and writes them as one batch per device, experiment, motion and who may read them.
 
-    Samples go to disk group by group, so that memory does not grow with a batch; with an executor one group of a batch
-    is written while the next is collected, and those of several batches at a time. The file of a batch is opened for
-    its first group: logs of thousands of experiments wait in memory, of which `limit` is the bound, and not in as many
-    open files.
+    Samples go to disk group by group, so that memory does not grow with a batch. The file of a batch is opened for its
+    first group: logs of thousands of experiments wait in memory, of which `limit` is the bound, and not in as many open
+    files.
 
     Parameters
     ----------
@@ -111,7 +109,6 @@ class TrialWriter:
 
     def __init__(self, processed: Path, limit: int, claims: str, latest: int) -> None:
         self.processed, self.limit = processed, limit
-        self.executor: Executor | None = None
         self._common = {"claims": claims, "version": latest + 1}
         self._batches: dict[tuple[str, str, Motion, int], _Batch] = {}
         self._sources: list[Source] = []
@@ -127,7 +124,7 @@ class TrialWriter:
             header = one.log.header
             key = header.device, header.experiment, one.motion, readers_of(one.source.mode)
             if key not in self._batches:
-                self._batches[key] = _Batch((self.processed, *key), self.executor, self._common)
+                self._batches[key] = _Batch((self.processed, *key), self._common)
             self._batches[key].add(one)
             self._bytes += one.bytes
         self._sources += [one.source for one in accepted]
@@ -137,11 +134,7 @@ class TrialWriter:
         """Make all that was collected visible and return its sources; after an error all that is stored is valid."""
         batches = list(self._batches.values())
         for start in range(0, len(batches), OPEN_FILES):
-            some = batches[start : start + OPEN_FILES]
-            for batch in some:
-                batch.write_pending()
-            # each waits for what it has begun to write
-            self.folders.update(path.parent for path in each(_Batch.publish, some))
+            self.folders.update(path.parent for path in each(_Batch.publish, batches[start : start + OPEN_FILES]))
         self._batches.clear()
         publish(self.processed)
         sources, self._sources, self._bytes = self._sources, [], 0
@@ -151,73 +144,57 @@ class TrialWriter:
     def discard(self) -> None:
         """Remove what was not made visible."""
         for batch in self._batches.values():
-            batch.discard()
+            if batch.file is not None:
+                batch.file.discard()
 
 
 class _Batch:
     """Logs of one experiment on their way into a file."""
 
-    def __init__(
-        self, place: tuple[Path, str, str, Motion, int], executor: Executor | None, common: Mapping[str, Any]
-    ) -> None:
-        self.place, self.executor, self.common = place, executor, common
+    def __init__(self, place: tuple[Path, str, str, Motion, int], common: Mapping[str, Any]) -> None:
+        self.place, self.common = place, common
         self.file: NewBatch | None = None
-        self.writing: Future[None] | None = None
         self.pending: list[Accepted] = []
         self.bytes = 0
 
     def add(self, accepted: Accepted) -> None:
+        if len(self.pending) >= GROUP_TRIALS or self.bytes + accepted.bytes > GROUP_BYTES:
+            self.write_pending()
         self.pending.append(accepted)
         self.bytes += accepted.bytes
-        if len(self.pending) >= GROUP_TRIALS or self.bytes >= GROUP_BYTES:
-            self.write_pending()
 
     def write_pending(self) -> None:
-        """Begin to write what is pending."""
-        members, self.pending, self.bytes = self.pending, [], 0
-        if not members:
-            return
-        if self.writing is not None:
-            # groups stand in order, and no more than one waits in memory
-            self.writing.result()
-        self.file = self.file or NewBatch(*self.place)
-        if self.executor is None:
-            self._write(self.file, members)
-        else:
-            self.writing = self.executor.submit(self._write, self.file, members)
+        if self.pending:
+            self.file = self.file or NewBatch(*self.place)
+            self.file.write(_table(self.pending, self.file.schema, self.common))
+        self.pending, self.bytes = [], 0
 
     def publish(self) -> Path:
-        """Make all that was written visible."""
-        if self.writing is not None:
-            self.writing.result()
-        assert self.file is not None, "a batch is made for a log, which is pending or written"
+        """Make all logs visible."""
+        self.write_pending()
+        assert self.file is not None, "a batch is made for a log"
         return self.file.publish()
 
-    def discard(self) -> None:
-        if self.writing is not None:
-            # what it raised was raised to who waited for it, or comes from the same cause
-            self.writing.exception()
-        if self.file is not None:
-            self.file.discard()
 
-    def _write(self, file: NewBatch, members: Sequence[Accepted]) -> None:
-        rows = np.array([len(m.log.time) for m in members], dtype=np.int64)
-        time_s = np.concatenate([m.log.time for m in members])
-        period = np.array([m.log.header.sampling_period_s for m in members], dtype=np.float64)
-        flags = step_flags(time_s, rows, period)
-        trials = [_trial(member, flag, self.common) for member, flag in zip(members, flags, strict=True)]
-        samples: dict[str, Sequence[Any]] = {
-            "time_s": [m.log.time for m in members],
-            "command": [m.log.command for m in members],
-            "position": [m.log.position for m in members],
-            "force": [m.log.force for m in members],
-            "velocity": [m.log.velocity for m in members],
-            "raw_time": [_raw(m.log, "f") for m in members],
-            "raw_count": [_raw(m.log, "i") for m in members],
-        }
-        columns: dict[str, Any] = {name: [trial[name] for trial in trials] for name in trials[0]}
-        columns |= {name: _lists(values, file.schema.field(name).type) for name, values in samples.items()}
-        file.write(to_arrow("trials", columns, rotation=self.place[3] == "rotation"))
+def _table(members: Sequence[Accepted], schema: pa.Schema, common: Mapping[str, Any]) -> pa.Table:
+    """Return the trials table of some logs."""
+    logs = [member.log for member in members]
+    rows = np.array([len(log.time) for log in logs], dtype=np.int64)
+    period = np.array([log.header.sampling_period_s for log in logs], dtype=np.float64)
+    flags = step_flags(np.concatenate([log.time for log in logs]), rows, period)
+    trials = [_trial(member, flag, common) for member, flag in zip(members, flags, strict=True)]
+    samples: dict[str, Sequence[Any]] = {
+        "time_s": [log.time for log in logs],
+        "command": [log.command for log in logs],
+        "position": [log.position for log in logs],
+        "force": [log.force for log in logs],
+        "velocity": [log.velocity for log in logs],
+        "raw_time": [_raw(log, "f") for log in logs],
+        "raw_count": [_raw(log, "i") for log in logs],
+    }
+    columns: dict[str, Any] = {name: [trial[name] for trial in trials] for name in trials[0]}
+    columns |= {name: _lists(values, schema.field(name).type) for name, values in samples.items()}
+    return to_arrow("trials", columns, rotation=members[0].motion == "rotation")
 
 
 def _trial(accepted: Accepted, flags: Mapping[str, Any], common: Mapping[str, Any]) -> dict[str, Any]:

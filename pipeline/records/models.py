@@ -1,7 +1,7 @@
 """Records that stages hand to each other and that users read: frozen, validated, SI.
 
 Units follow the motion of the device: N, N/m, Ns/m, kg and m for ``translation``; Nm, Nm/rad, Nms/rad,
-kg m^2 and rad for ``rotation``. ``docs/nomenclature.md`` lists the symbols. The JSON Schemas in ``schemas/``
+kg m^2 and rad for ``rotation``. ``docs/definitions.md`` lists the symbols. The JSON Schemas in ``schemas/``
 are generated from these classes.
 """
 

@@ -1,4 +1,4 @@
-"""How well theory predicts an experiment: finished scores, each with its unit; `docs/scores.md` defines them."""
+"""How well theory predicts an experiment: finished scores, each with its unit (docs/definitions.md)."""
 
 from __future__ import annotations
 

@@ -80,26 +80,22 @@ class NewBatch:
         self._file = NewFile(trials_folder(processed, device, experiment), "batch", mode)
         self._writer = pq.ParquetWriter(self._file.stream, self.schema, use_dictionary=_REPEATED, **WRITING)
         self._waiting: list[pa.Table] = []
-        self._size = [0, 0]
+        self._size = np.zeros(2, dtype=np.int64)
+        """Trials that wait, and bytes of their samples."""
 
     def write(self, trials: pa.Table) -> None:
-        """Append trials; they come to the disk in groups."""
-        rows = trials.column("rows").to_numpy()
-        while trials.num_rows:
-            room = np.flatnonzero(self._size[1] + np.cumsum(rows) * READING_BYTES > GROUP_BYTES)
-            fit = min(GROUP_TRIALS - self._size[0], int(room[0]) if len(room) else len(rows), len(rows))
-            fit = fit or int(not self._waiting)  # a trial that is larger than a group is one
-            self._waiting += [trials.slice(0, fit)] if fit else []
-            self._size = [self._size[0] + fit, self._size[1] + int(rows[:fit].sum()) * READING_BYTES]
-            trials, rows = trials.slice(fit), rows[fit:]
-            if trials.num_rows or self._size[0] >= GROUP_TRIALS:
-                self._write_group()
+        """Append trials, at most a group of them; they come to the disk in groups."""
+        size = np.array([trials.num_rows, READING_BYTES * trials.column("rows").to_numpy().sum()])
+        if (self._size + size > (GROUP_TRIALS, GROUP_BYTES)).any():
+            self._write_group()
+        self._waiting.append(trials)
+        self._size = self._size + size
 
     def _write_group(self) -> None:
         if self._waiting:
             group = pa.concat_tables(self._waiting).replace_schema_metadata(self.schema.metadata)
             self._writer.write_table(group.cast(self.schema) if group.schema != self.schema else group)
-        self._waiting, self._size = [], [0, 0]
+        self._waiting, self._size = [], np.zeros(2, dtype=np.int64)
 
     def publish(self) -> Path:
         """Make the batch visible and return its file."""

@@ -103,12 +103,9 @@ def write_corrections(processed: Path, new: Iterable[Correction]) -> None:
     rows = [one.model_dump() for one in known.values()]
     columns = {name: [row[name] for row in rows] for name in TABLES["corrections"]}
     metadata = stamp(replaces=" ".join(file.stem for file in former))
-    file = NewFile(processed / "corrections")
-    try:
+    with NewFile(processed / "corrections") as file:
         file.stream.write(parquet_bytes(to_arrow("corrections", columns, metadata=metadata)))
         path = file.publish(ending=".parquet")
-    finally:
-        file.discard()
     remove_all(old for old in former if old != path)
 
 

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import errno
 import os
-from collections import Counter
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from datetime import datetime, timedelta
@@ -44,8 +43,6 @@ class Objects:
 
     def __init__(self, url: str) -> None:
         self.url = url.rstrip("/")
-        self.requests: Counter[str] = Counter()
-        """How many requests of each kind were made."""
         if not self.url.startswith(SCHEME) or len(self.url) == len(SCHEME):
             raise UsageError(f"{url}: is no URL of a store; expected a folder, or {SCHEME}BUCKET/PREFIX.")
         check_installed("obstore", f"a store at {self.url}")
@@ -73,7 +70,7 @@ class Objects:
         """Return an object, None where there is none."""
         import obstore
 
-        with self._told("GET"):
+        with self._told():
             try:
                 return bytes(obstore.get(self._store, name).bytes())
             except FileNotFoundError:
@@ -83,7 +80,7 @@ class Objects:
         """Store a file as an object: all of it, or nothing."""
         import obstore
 
-        with self._told("PUT"):
+        with self._told():
             obstore.put(self._store, name, file)
 
     def list(self, prefix: str) -> list[tuple[str, int, datetime]]:
@@ -91,9 +88,8 @@ class Objects:
         import obstore
 
         found: list[tuple[str, int, datetime]] = []
-        with self._told(None):
+        with self._told():
             for page in obstore.list(self._store, prefix, chunk_size=1000):
-                self.requests["LIST"] += 1
                 found += [(meta["path"], meta["size"], meta["last_modified"]) for meta in page]
         return found
 
@@ -103,16 +99,14 @@ class Objects:
 
         gone = list(names)
         if gone:
-            with self._told("DELETE"):
+            with self._told():
                 obstore.delete(self._store, gone)
 
     @contextmanager
-    def _told(self, kind: str | None) -> Iterator[None]:
-        """Count a request, and turn its failure into an error that says what to do."""
+    def _told(self) -> Iterator[None]:
+        """Turn the failure of a request into an error that says what to do."""
         from obstore.exceptions import BaseError, PermissionDeniedError, UnauthenticatedError
 
-        if kind is not None:
-            self.requests[kind] += 1
         try:
             yield
         except (PermissionDeniedError, UnauthenticatedError) as error:

@@ -13,6 +13,7 @@ the folder again where it changed while they read.
 from __future__ import annotations
 
 import os
+import re
 import shlex
 import time
 from collections.abc import Callable
@@ -96,19 +97,8 @@ def _places(processed: Path, device: str | None = None) -> set[tuple[str, str]]:
 
 def natural_key(name: str) -> tuple[tuple[int, int | str], ...]:
     """Return a sort key that orders numbers inside names by value."""
-    parts: list[tuple[int, int | str]] = []
-    digits = ""
-    for character in name:
-        if character.isascii() and character.isdigit():
-            digits += character
-            continue
-        if digits:
-            parts.append((0, int(digits)))
-            digits = ""
-        parts.append((1, character))
-    if digits:
-        parts.append((0, int(digits)))
-    return tuple(parts)
+    parts = re.findall(r"[0-9]+|[^0-9]", name)
+    return tuple((0, int(part)) if part.isdecimal() and part.isascii() else (1, part) for part in parts)
 
 
 def trials_files(processed: Path, device: str | None = None, experiment: str | None = None) -> list[Path]:
@@ -262,7 +252,7 @@ def _rows(
     try:
         with open_table(file) as stored:
             replaced.update(replaced_by(stored.schema_arrow))
-            table = stored.read([name for name in columns if name not in LOCATION])
+            table = stored.read([name for name in columns if name not in LOCATION], use_threads=False)
     except StoreError as error:
         if damaged is None:
             raise
@@ -287,16 +277,21 @@ def _schema(columns: list[str]) -> pa.Schema:
     return pa.schema([whole.field(name) for name in columns])
 
 
+def each_once(table: pa.Table) -> bool:
+    """Return whether no two rows of `read_versions` have one path or content, and none was renamed."""
+    alone = all(len(set(table.column(name).to_pylist())) == len(table) for name in ("source_path", "source_sha256"))
+    return alone and table.column("formerly").null_count == len(table)
+
+
 def newest_versions(table: pa.Table) -> Booleans:
     """Return which rows of `read_versions` are the newest of their source path, each trial once.
 
     A log that stands under two paths, as while one is renamed, is returned under the one that was stored later.
     """
-    paths, sources = (table.column(name).to_pylist() for name in ("source_path", "source_sha256"))
-    formerly = table.column("formerly")
-    if len(set(paths)) == len(set(sources)) == len(paths) and formerly.null_count == len(paths):
+    if each_once(table):
         return np.ones(table.num_rows, dtype=np.bool_)
-    trials, profiles, before = (table.column(name).to_pylist() for name in ("trial_id", "profile_sha256", "formerly"))
+    names = ("source_path", "source_sha256", "trial_id", "profile_sha256", "formerly")
+    paths, sources, trials, profiles, before = (table.column(name).to_pylist() for name in names)
     order = np.lexsort([table.column(name).to_numpy() for name in ("source_mtime_ns", "version")]).tolist()
     newest: dict[str, tuple[str, str] | None] = {}
     for row in order:

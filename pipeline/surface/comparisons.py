@@ -102,7 +102,7 @@ class Comparison:
 
     @property
     def scores(self) -> pd.DataFrame:
-        """How well theory predicts the experiments; ``docs/scores.md`` defines each number.
+        """How well theory predicts the experiments; ``docs/definitions.md`` defines each number.
 
         ``experiment``, ``basis`` (theory by the device file or by the estimates), ``score`` (``region``, ``distance``,
         ``verdicts``, ``stiffness``, ``optima``, ``maps``, ``delay``, ``band``, ``bound``), ``quantity``, ``criterion``,

@@ -64,7 +64,7 @@ def test_a_log_on_a_bad_sector_costs_itself_alone(logs, processed, monkeypatch):
     report = ingest([logs], processed, jobs=1)
     assert (report.found, report.ingested, len(report.quarantined)) == (2, 1, 1)
     (record,) = quarantine.list_quarantine(processed)
-    assert quarantine.excerpt_of(processed, record) == []
+    assert quarantine.excerpt_of(record) == []
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ from itertools import chain
 from pathlib import Path
 
 import pytest
-from command_lines import commands, fault
+from command_lines import commands, every_command, fault
 from places import ROOT
 
 PAGES = [ROOT / name for name in ("README.md", "CHANGELOG.md", "CONTRIBUTING.md")]
@@ -114,27 +114,62 @@ def names_of_the_code() -> set[str]:
     return names
 
 
-def test_nomenclature_is_that_of_the_code() -> None:
+def names_on_the_page() -> set[str]:
+    """Names of code in the second column of the tables of symbols and of stored results."""
+    section = read(ROOT / "docs" / "definitions.md").partition("## Symbols and names")[2]
+    rows = [line.split("|") for line in section.splitlines() if line.startswith("|")]
+    return {name for row in rows for name in re.findall(r"`([^`]+)`", row[2])}
+
+
+def test_symbols_are_names_of_the_code() -> None:
     from pipeline.records.tables import COLUMNS
 
-    rows = [line.split("|") for line in read(ROOT / "docs" / "nomenclature.md").splitlines() if "|" in line]
-    listed = {name for row in rows for name in re.findall(r"`([^`]+)`", row[2])}
+    listed = names_on_the_page()
     assert len(listed) > 40
-    known = names_of_the_code()
-    bases = {name.removesuffix("_discrete") for name in listed}
     energy = {f"energy_{signal}_w{w}" for signal in ("step", "impulse") for w in (0, 1, 2)}
-    assert bases - known - energy - set(COLUMNS) == set()
+    assert listed - names_of_the_code() - energy - set(COLUMNS) == set()
 
 
-def test_stored_columns_are_in_the_nomenclature() -> None:
+def test_stored_columns_are_documented() -> None:
     from pipeline.records.tables import COLUMNS, TABLES
 
-    page = read(ROOT / "docs" / "nomenclature.md")
     results = {name for table, names in TABLES.items() if table != "trials" for name in names}
     # a correction repeats what its trial is known by
     results -= set(TABLES["trials"]) & set(TABLES["corrections"])
-    assert [name for name in sorted(results) if f"`{name}`" not in page] == []
-    assert set(COLUMNS) >= results
+    bases = {
+        re.sub(r"_w[12](?=_|$)", "_w0", re.sub(r"(?<!onset)(?<!peak)_(low|high|error)$", "", name)) for name in results
+    }
+    page = read(ROOT / "docs" / "definitions.md")
+    assert [name for name in sorted(bases) if f"`{name}`" not in page] == []
+    assert [name for name in sorted(results) if not COLUMNS[name].meaning] == []
+
+
+def pages() -> str:
+    return "\n".join(read(page) for page in PAGES if page.name not in ("CHANGELOG.md", "CONTRIBUTING.md"))
+
+
+def test_every_command_and_option_is_documented() -> None:
+    text = pages()
+    missing = []
+    for name, command in every_command():
+        options = [option for p in command.params for option in (*p.opts, *p.secondary_opts) if option.startswith("--")]
+        missing += [name] * (name not in text)
+        missing += [f"{name} {option}" for option in options if not re.search(rf"{option}(?![\w-])", text)]
+    assert [word for word in missing if not word.endswith(" --help")] == []
+
+
+def test_every_setting_is_documented() -> None:
+    from pipeline.records.loop_parts import LoopParts
+    from pipeline.records.simulation_parts import SimulationParts
+
+    page = read(ROOT / "docs" / "devices.md")
+    keys = [key for model in (LoopParts, SimulationParts) for key in model.model_fields]
+    assert len(keys) > 12
+    assert [key for key in keys if f"`{key}`" not in page] == []
+    source = "".join(read(path) for path in (ROOT / "pipeline").rglob("*.py"))
+    variables = set(re.findall(r"\bPIPELINE_[A-Z]+\b", source))
+    assert variables
+    assert [name for name in sorted(variables) if f"`{name}`" not in pages()] == []
 
 
 @pytest.mark.parametrize("name", MODULES)

@@ -25,7 +25,7 @@ def number(script: Path) -> str:
 
 def test_every_data_figure_of_the_theory_chapters_is_there_and_on_the_page() -> None:
     assert {number(script) for script in SCRIPTS} == THESIS
-    page = (ROOT / "docs" / "gallery.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "theory.md").read_text(encoding="utf-8")
     for script in SCRIPTS:
         title = (ast.get_docstring(ast.parse(script.read_text(encoding="utf-8"))) or "").partition("\n")[0]
         assert f"Figure {number(script)}: {title}" in page

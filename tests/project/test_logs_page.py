@@ -8,12 +8,20 @@ from pathlib import Path
 
 import pytest
 from places import ROOT
+from sample_logs import STEP, WRITERS
 
 from pipeline.profiles.profile_columns import Fraction, PositionSource, TimeSource
 from pipeline.profiles.profile_model import ConditionUnits, Constants, FileEntry, Partner, Profile, StepEntry, Window
 from pipeline.shell.cli import run
 
 PAGE = (ROOT / "docs" / "logs.md").read_text(encoding="utf-8")
+CONDITIONS = f"""device = "rig"
+experiment = "1"
+stiffness = 300
+damping = 2
+step = {STEP}
+sampling_period_s = 0.001
+"""
 BLOCK = re.compile(r"^```(\w+) ?(\S*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
 
@@ -29,6 +37,16 @@ def section(title):
     return PAGE[start : start + len(title) + end.start()] if end else PAGE[start:]
 
 
+def rest_of_a_profile(name, content):
+    """What the page leaves out of a profile for a format of its own, whose sample is written on the way."""
+    if name not in WRITERS:
+        return ""
+    assert "[constants]" not in content
+    WRITERS[name]()
+    motion = 'motion = "rotation"\n' if "rad" in content else ""
+    return "\n[constants]\n" + motion + CONDITIONS
+
+
 def follow(text, capsys):
     """Do what a page says; returns what each command printed."""
     printed = []
@@ -36,7 +54,7 @@ def follow(text, capsys):
         if language != "sh":
             assert name, "a file needs a name"
             Path(name).parent.mkdir(parents=True, exist_ok=True)
-            Path(name).write_text(content, encoding="utf-8")
+            Path(name).write_text(content + rest_of_a_profile(name, content), encoding="utf-8")
             continue
         for line in content.splitlines():
             command, _, expected = line.partition(" # status ")

@@ -45,7 +45,7 @@ def test_it_builds_without_a_warning_and_asks_for_nothing(site: Path) -> None:
 
 
 def test_every_public_name_is_in_the_reference(site: Path) -> None:
-    page = (site / "api.html").read_text(encoding="utf-8")
+    page = (site / "python.html").read_text(encoding="utf-8")
     assert [name for name in pipeline.__all__ if f'id="pipeline.{name}"' not in page] == []
 
 
@@ -121,12 +121,9 @@ def test_a_matlab_script_gives_the_costs_of_one_log(tmp_path: Path, monkeypatch:
     logs = pipeline.simulate("lwr", "delay-2", seed=3, coarsen=6, duration_s=0.4, out="logs")
     pipeline.ingest("logs")
     found: dict[str, Any] = {}
-    block = re.search(
-        r"^```python\n(.*?)^```$", (DOCS / "migrate.md").read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL
-    )
-    assert block is not None
-    exec(block.group(1), found)
-    costs = found["costs"]
+    (block,) = (block for block in blocks("python.md", "python") if "by_wall" in block)
+    exec(f"import pipeline\n{block}", found)
+    costs = found["by_wall"]
     estimates = pipeline.estimates("processed", "lwr", "delay-2").set_index("quantity")["value"]
     held = 0
     for log in logs:

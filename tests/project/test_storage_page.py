@@ -32,8 +32,6 @@ def test_examples_read_what_is_stored(block, tmp_path, monkeypatch):
     if "unit" in names:
         assert names["unit"] == "m"
         assert dict(zip(names["trials"].column("trial_id").to_pylist(), names["peak"], strict=True)) == peaks
-    elif "overshoot" in names:
-        assert names["overshoot"].tolist() == list(peaks.values())
     elif "copy" in names:
         copies = [pq.read_table(file) for file in Path("for_matlab").rglob("*.parquet")]
         assert sum(copy.num_rows for copy in copies) == batch.rows.sum()
@@ -46,5 +44,5 @@ def test_examples_read_what_is_stored(block, tmp_path, monkeypatch):
 
 
 def test_each_way_is_shown():
-    for word in ("pandas", "polars", "duckdb", "pyarrow", "parquetread", "load_batch"):
+    for word in ("pandas", "polars", "duckdb", "pyarrow", "parquetread"):
         assert any(word in block for block in (*BLOCKS, *re.findall(r"```matlab\n(.*?)```", PAGE, re.DOTALL)))

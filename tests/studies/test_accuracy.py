@@ -2,8 +2,10 @@
 
 import json
 import math
+import sys
 from dataclasses import replace
 from html.parser import HTMLParser
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -25,17 +27,19 @@ from pipeline.records import accuracy
 from pipeline.records.accuracy import OURS, AccuracyReport, Rung
 from pipeline.rendering.report import report as comparison_report
 from pipeline.rendering.report.report_parts import take_apart
-from pipeline.studies.accuracy import libraries, methods, page, rungs, searches, sweeps
-from pipeline.studies.accuracy.names import words
-from pipeline.studies.accuracy.run import left_out, measure
-from pipeline.studies.accuracy.theory_ladders import QUANTITIES, reference, theory_ladders
+from pipeline.studies.accuracy import ladder, methods, page, searches, sweeps
+from pipeline.studies.accuracy.device_ladders import DEVICE_QUANTITIES, device_ladders
+from pipeline.studies.accuracy.run import left_out, measure, words
+from pipeline.studies.accuracy.theory_ladders import IDEAL, reference, theory_ladders
+
+QUANTITIES = (*IDEAL, *DEVICE_QUANTITIES)
 
 CASE = methods.Case(0.001, 0.02, 4)
 
 
 @pytest.fixture(scope="module")
 def report() -> AccuracyReport:
-    return measure(quick=True, measured=False)
+    return measure(quick=True)
 
 
 # reference values, by methods that share nothing with their script
@@ -99,7 +103,7 @@ def test_reference_near_the_limit_follows_the_power_law() -> None:
 
 def test_printed_formula_equals_matrix_exponential_where_it_holds() -> None:
     printed = methods.printed_transfer(0.3, 0.4)
-    assert printed == pytest.approx(methods.transfer_by(methods.plant_by_expm)(0.3, 0.4), rel=1e-13)
+    assert printed == pytest.approx(methods.transfer_by_expm(0.3, 0.4), rel=1e-13)
     with pytest.raises(ZeroDivisionError):
         methods.printed_transfer(0.0, 0.4)
     with pytest.raises(ZeroDivisionError):
@@ -115,10 +119,9 @@ def test_runge_kutta_is_of_fourth_order() -> None:
 @pytest.mark.parametrize("delay", [0, 1, 4])
 def test_radii_agree(delay: int) -> None:
     alpha, beta = np.array([0.01, 0.02]), np.array([0.1, 0.15])
-    case, by_expm = methods.Case(0.001, 0.02, delay), methods.transfer_by(methods.plant_by_expm)
+    case, by_expm = methods.Case(0.001, 0.02, delay), methods.transfer_by_expm
     exact = [radius_by_polynomial(0.001, 0.02, delay, a, b) for a, b in zip(alpha, beta, strict=True)]
     assert methods.radius_by_roots(case, alpha, beta, by_expm) == pytest.approx(exact, rel=1e-11)
-    assert methods.radius_by_companion(case, alpha, beta, by_expm) == pytest.approx(exact, rel=1e-11)
     assert methods.radius_by_eigenvalues(case, alpha, beta) == pytest.approx(exact, rel=1e-11)
     assert methods.radius_by_squaring(case, alpha, beta, 40) == pytest.approx(exact, rel=1e-9)
 
@@ -145,30 +148,21 @@ class _StandIn:
         def poles(self) -> np.ndarray:
             return np.linalg.eigvals(self.A)
 
-    class Transfer:
-        def __init__(self, top: object, bottom: object, dt: float) -> None:
-            self.top, self.bottom = np.asarray(top), np.asarray(bottom)
-
-        def poles(self) -> np.ndarray:
-            return np.roots(self.bottom)
-
-    ss, tf = System, Transfer
-
-    @staticmethod
-    def feedback(first: Transfer, second: Transfer) -> Transfer:
-        open_loop = np.polymul(first.bottom, second.bottom)
-        closed = np.polyadd(open_loop, np.polymul(first.top, second.top))
-        return _StandIn.Transfer(np.polymul(first.top, second.bottom), closed, 1.0)
+    ss = System
 
 
-def test_calls_of_python_control_make_the_same_loop() -> None:
+def test_calls_of_python_control_make_the_same_loop(monkeypatch: pytest.MonkeyPatch) -> None:
     row = reference()["points"]["rows"][0]
-    alpha, beta = np.array([row["alpha"]]), np.array([row["beta"]])
-    stand_in = _StandIn()
-    found = libraries.radius_by_control_states(stand_in, CASE, alpha, beta)
+    monkeypatch.setitem(sys.modules, "control", _StandIn)  # type: ignore[arg-type]
+    found = methods.radius_by_control(CASE, np.array([row["alpha"]]), np.array([row["beta"]]))
     assert found == pytest.approx([row["radius"]], rel=1e-12)
-    found = libraries.radius_by_control_transfer(stand_in, CASE, alpha, beta)
-    assert found == pytest.approx([row["radius"]], rel=1e-12)
+
+
+def test_lyapunov_energies_are_the_sums_of_a_long_recurrence() -> None:
+    wall = np.array([0.02]), np.array([0.15])
+    by_equations, summed = methods.lyapunov_energy(CASE, *wall), methods.truncated_energy(CASE, *wall, 4096)
+    for w in range(3):
+        assert by_equations[w] == pytest.approx(summed[w], rel=1e-9)
 
 
 # the measurement
@@ -224,13 +218,13 @@ def test_sweeps_find_where_the_printed_formula_fails(report: AccuracyReport) -> 
 def test_left_out_methods_have_reasons() -> None:
     entries = left_out()
     assert all(entry.reason for entry in entries)
-    absent = libraries.load("control") is None
+    absent = find_spec("control") is None
     assert absent == any(entry.method == "python-control" for entry in entries)
 
 
 def test_time_is_the_least_of_repetitions() -> None:
     calls: list[int] = []
-    result, seconds = rungs.best_time(lambda: calls.append(1) or len(calls), 0.005)
+    result, seconds = ladder.best_time(lambda: calls.append(1) or len(calls), 0.005)
     assert result == 1
     assert 0 < seconds < 1e-3
     assert len(calls) > 100
@@ -306,7 +300,7 @@ def test_summary_compares_with_the_quickest_good_method() -> None:
 
 def test_full_ladders_hold_all_rungs_of_the_quick_ones() -> None:
     quick, full = (
-        {(*ladder.exact, m.name) for ladder in theory_ladders() for m in ladder.methods for _ in m.runs(q)}
+        {(*of.exact, m.name) for of in (*theory_ladders(), *device_ladders()) for m in of.methods for _ in m.runs(q)}
         for q in (True, False)
     )
     assert quick == full
@@ -318,9 +312,9 @@ def test_command_writes_page_and_json(tmp_path: Path, monkeypatch: pytest.Monkey
     from pipeline.shell import cli
     from pipeline.studies.accuracy import run
 
-    monkeypatch.setattr(run, "measure", lambda quick, say, theory, measured: report)
+    monkeypatch.setattr(run, "measure", lambda quick, say: report)
     out, processed = tmp_path / "page.html", tmp_path / "processed"
-    arguments = ["accuracy", "--only", "theory", "--quick", "--json", "--out", str(out), "--processed", str(processed)]
+    arguments = ["accuracy", "--quick", "--json", "--out", str(out), "--processed", str(processed)]
     result = CliRunner().invoke(cli.app, arguments)
     assert result.exit_code == 0
     assert AccuracyReport.model_validate(json.loads(result.stdout)) == report
@@ -342,7 +336,7 @@ def test_reports_of_comparisons_show_the_stored_measurement(report: AccuracyRepo
 
 @pytest.mark.slow
 def test_full_measurement_holds_up_to_the_largest_delay() -> None:
-    report = measure(measured=False)
+    report = measure()
     assert report.seconds < 120  # a minute on a quiet core
     longest = {s.sweep: s for s in report.sweeps if s.method == OURS and s.sweep.startswith("delay")}
     assert all(s.x[-1] == 256 and s.starts is None for s in longest.values())

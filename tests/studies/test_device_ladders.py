@@ -13,6 +13,7 @@ from pipeline.records.accuracy import OURS
 from pipeline.records.loop_parts import Butterworth, LoopParts, Mode
 from pipeline.studies.accuracy import device_ladders as ladders
 from pipeline.studies.accuracy import integrated
+from pipeline.studies.accuracy.theory_ladders import reference
 
 TURN = math.sqrt(0.5 / 0.21)
 """Free resonance of a spring 0.5 between masses 0.3 and 0.7 [rad/sample]."""
@@ -31,21 +32,23 @@ def truth():
 
 
 def test_limits(truth):
-    for alpha, beta in zip(ladders.exact_limits()[::2], ladders.BETA[::2], strict=True):
+    known = reference()["device"]
+    for alpha, beta in zip(known["limit_alpha"][::2], known["limit_beta"][::2], strict=True):
         assert [truth.stable(alpha * (1 + side * 1e-12), beta) for side in (-1, 1)] == [True, False]
 
 
 def test_radii(truth):
-    for alpha, beta, radius in list(zip(*ladders.walls(), ladders.exact_radii(), strict=True))[::2]:
-        matrix = truth.matrix(mp.mpf(float(alpha)), mp.mpf(float(beta)))
+    known = reference()["device"]
+    for alpha, beta, radius in list(zip(known["alpha"], known["beta"], known["radius"], strict=True))[::2]:
+        matrix = truth.matrix(mp.mpf(alpha), mp.mpf(beta))
         used = [*truth.kept, *range(5, matrix.rows)]
         kept = mp.matrix([[matrix[i, j] for j in used] for i in used])
-        circles = [mp.mpf(float(radius)) * (1 + side * mp.mpf("1e-12")) for side in (-1, 1)]
+        circles = [mp.mpf(radius) * (1 + side * mp.mpf("1e-12")) for side in (-1, 1)]
         assert [schur_cohn(characteristic(kept / circle)) for circle in circles] == [False, True]
 
 
 def test_costs(truth):
-    alpha, beta = (float(values[1]) for values in ladders.walls())
+    alpha, beta = (reference()["device"][name][1] for name in ("alpha", "beta"))
     matrix = truth.matrix(mp.mpf(alpha), mp.mpf(beta))
     z = mp.zeros(matrix.rows, 1)
     z[0] = z[2] = -1

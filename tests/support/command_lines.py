@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shlex
+from collections.abc import Iterator
 from typing import Any
 
 import typer
@@ -14,6 +15,19 @@ def commands(text: str) -> list[str]:
     spans = re.findall(r"`(pipeline(?: [^`]+)?)`", " ".join(text.split("\n")))
     lines = re.findall(r"^ {4}(pipeline .*)$", text, flags=re.MULTILINE)
     return [span for span in (*spans, *lines) if " " in span]
+
+
+def every_command() -> Iterator[tuple[str, Any]]:
+    """All commands that do something, with their names."""
+    from pipeline.shell.cli import app
+
+    waiting: list[tuple[str, Any]] = [("pipeline", typer.main.get_command(app))]
+    while waiting:
+        name, command = waiting.pop()
+        of = getattr(command, "commands", {})
+        waiting += [(f"{name} {word}", each) for word, each in of.items()]
+        if not of:
+            yield name, command
 
 
 def fault(command: str) -> str | None:

@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 from simulated import FALCON, simulate, spectral_radius
 
+from pipeline.device_data.devices import find_experiment, load_device
+from pipeline.loop.loop import Normalised
 from pipeline.measured.cost.reading_error import reading_error
 from pipeline.measured.signal.response import find_response
 from pipeline.measured.signal.verdict import judge
+from pipeline.simulation.setup import setup_of
+from pipeline.simulation.simulate import simulate as simulate_trials
+from pipeline.theory.cost.pointcosts import point_costs_by_name
+from pipeline.theory.stability.extent import damping_range
+from pipeline.theory.stability.region import stiffness_limit
+from pipeline.theory.stability.stability import spectral_radius as exact_radius
 
 SENSORS = [(2e-6, 5e-7), (2e-6, 1e-6), (1e-5, 5e-7), (1e-5, 1e-6)]
 EDGE, DELAY = 20, 4
@@ -41,3 +50,24 @@ def measured(quantum, noise, count=150):
     batch = simulate(K, B, **FREE, quantum=quantum, noise=noise, seed=5)
     response = find_response(batch)
     return batch, response, judge(batch, response), reading_error(batch, response, DELAY)
+
+
+def shipped(name, experiment, count):
+    """Trials of a shipped device without jitter, spread over its region: batch, experiment and exact energies.
+
+    Spectral radii are at most 0.985, so that after the 380 rows of a Falcon's log 0.3 % of the motion is left.
+    """
+    device = load_device(name)
+    e = find_experiment(device, experiment)
+    units = Normalised(e.mass, device.sampling_period_s)
+    loop, random = units.loop(e.stiffness, e.damping, e.delay_samples), np.random.default_rng(4001)
+    beta = random.uniform(0.03, 1.0, 8 * count) * damping_range(loop)[1]
+    alpha = stiffness_limit(loop, beta) * random.uniform(0.1, 0.95, 8 * count)
+    inside = np.flatnonzero((alpha > 0) & (exact_radius(loop, np.maximum(alpha, 1e-9), beta) <= 0.985))[:count]
+    alpha, beta = alpha[inside], beta[inside]
+    assert len(alpha) == count
+    setup = replace(setup_of(device, e), jitter_samples=())
+    batch = simulate_trials(setup, alpha * units.stiffness, beta * units.damping, seed=4001)
+    names = [f"energy_step_w{w}_discrete" for w in range(3)]
+    found = point_costs_by_name(loop, alpha, beta, names, 20000)
+    return batch, e, {f"energy_step_w{w}": found[each] for w, each in enumerate(names)}

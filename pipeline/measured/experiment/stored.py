@@ -14,7 +14,7 @@ Result = TypeVar("Result")
 
 SHARED = 0.3
 """Part of the error of one trial that all trials of an experiment share, so that more of them do not average it out: by
-simulation the bias of fitted masses, dampings and delays is up to 0.31 of it (docs/coverage.md), jitter included."""
+simulation the bias of fitted masses, dampings and delays is up to 0.31 of it (docs/verification.md)."""
 
 
 class Stored(Protocol):

@@ -121,7 +121,7 @@ def refused(service: Service) -> list[dict[str, Any]]:
         author = service.database.uploader(record.path)
         name = uploaded_name(service.database, record.path)
         found.append({"id": record_id(record), "name": name, "since": since, "author": author, **shown,
-                      "excerpt": excerpt_of(processed, record)})  # fmt: skip
+                      "excerpt": excerpt_of(record)})  # fmt: skip
     return found
 
 

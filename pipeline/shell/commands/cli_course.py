@@ -25,13 +25,6 @@ class DampingRange(StrEnum):
     full = "full"
 
 
-class AccuracyPart(StrEnum):
-    """Which part of the accuracy page is measured."""
-
-    theory = "theory"
-    measured = "measured"
-
-
 def demo(
     full: Annotated[bool, typer.Option("--full", help="Thesis size: all experiments, all trials.")] = False,
 ) -> None:
@@ -135,18 +128,15 @@ def accuracy(
     out: Annotated[Path, typer.Option("--out", help="HTML file to write, with the JSON document beside it.")] = Path(
         "reports/accuracy.html"
     ),
-    only: Annotated[
-        AccuracyPart | None, typer.Option("--only", help="This part alone; the page then has no other.")
-    ] = None,
     quick: Annotated[
         bool, typer.Option("--quick", help="Fewer settings and repetitions: seconds, not two minutes.")
     ] = False,
     processed: Processed = Path("processed"),
     as_json: Json = False,
 ) -> None:
-    """Measure error against run time of every method of theory and measured branch, and write a page.
+    """Measure error against run time of every numerical method of theory, and write a page.
 
-    Reports of comparisons show the part on the theory while code and machine are unchanged.
+    Reports of comparisons show the results while code and machine are unchanged.
 
     Example: pipeline accuracy --quick
     """
@@ -156,17 +146,14 @@ def accuracy(
 
     check_output(out, "--out", document_beside=True)
     say = (lambda _: None) if as_json else console.note
-    parts = {"theory": only != AccuracyPart.measured, "measured": only != AccuracyPart.theory}
-    report = run.measure(quick, say, **parts)
+    report = run.measure(quick, say)
     page.write(report, out)
     write_text(out.with_suffix(".json"), report.model_dump_json(indent=1) + "\n")
-    if report.rungs:
-        results.store(report, processed)
+    results.store(report, processed)
     if as_json:
         console.print_json(report.model_dump(mode="json"))
         return
-    if report.rungs:
-        for line in console.table(page.summary_rows(report), ("quantity", "error", "time", "other", "other time")):
-            console.say(line)
+    for line in console.table(page.summary_rows(report), ("quantity", "error", "time", "other", "other time")):
+        console.say(line)
     console.say(f"{report.machine['processor']}, Python {report.machine['python']}, numpy {report.machine['numpy']}")
     console.say(f"report: {out}")

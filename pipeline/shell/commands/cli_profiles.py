@@ -194,7 +194,7 @@ def show(
 
     _see_folder(processed)
     record = find_record(processed, wanted)
-    excerpt = excerpt_of(processed, record)
+    excerpt = excerpt_of(record)
     if as_json:
         console.print_json({"id": record_id(record), **record.model_dump(mode="json"), "excerpt": excerpt})
         return
@@ -206,7 +206,7 @@ def show(
         for line in record.profile_line.splitlines():
             console.say(f"    {line}")
     if not excerpt:
-        console.say("no excerpt: the file has no lines, could not be read, or was too large to be copied")
+        console.say("no excerpt: the log has no lines, or is no longer as it was")
     for number, line in excerpt:
         console.say(f"{'>' if number == record.row else ' '} {number:>6}  {line}")
 

@@ -12,7 +12,7 @@ def _folder(text: str) -> Path:
     from pipeline.store.objects import is_url
 
     if is_url(text):
-        raise typer.BadParameter(f"{text}: this command takes a folder; docs/scale.md names those that take a URL.")
+        raise typer.BadParameter(f"{text}: this command takes a folder; docs/storage.md names those that take a URL.")
     return Path(text)
 
 

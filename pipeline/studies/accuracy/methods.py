@@ -1,7 +1,7 @@
 """Methods for the loop that others use: what `pipeline accuracy` measures this package against.
 
-They are written as a careful user of numpy would write them, vectorised where that is possible, and share nothing with
-the exact methods of the theory branch. Loops have an integer delay.
+They are written as a careful user of numpy, scipy or python-control would write them, vectorised where possible, and
+share nothing with the exact methods of the theory branch. Loops have an integer delay.
 """
 
 from __future__ import annotations
@@ -9,6 +9,9 @@ from __future__ import annotations
 import cmath
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from importlib import import_module
+from importlib.util import find_spec
+from typing import Any
 
 import numpy as np
 from numpy.polynomial.legendre import leggauss
@@ -64,14 +67,20 @@ def plant_by_runge_kutta(gamma: float, delta: float, steps: int) -> Sampled:
     return Sampled.of(np.linalg.matrix_power(one, steps))
 
 
-def plant_by_taylor(gamma: float, delta: float, terms: int) -> Sampled:
-    """Return the sampled plant from a plain Taylor series."""
-    a = generator(gamma, delta)
-    term = m = np.eye(3)
-    for n in range(1, terms + 1):
-        term = term @ a / n
-        m = m + term
-    return Sampled.of(m)
+def plant_by_scipy(gamma: float, delta: float) -> Sampled:
+    """Return the sampled plant from `scipy.signal.cont2discrete`, zero-order hold."""
+    from scipy.signal import cont2discrete  # takes a second that the sweeps of other commands do without
+
+    g = generator(gamma, delta)
+    a, b, *_ = cont2discrete((g[:2, :2], g[:2, 2:], np.eye(2), np.zeros((2, 1))), 1.0, method="zoh")
+    return Sampled(np.asarray(a), np.asarray(b)[:, 0])
+
+
+def plant_by_control(gamma: float, delta: float) -> Sampled:
+    """Return the sampled plant from `control.c2d`, zero-order hold."""
+    control, g = import_module("control"), generator(gamma, delta)
+    system = control.c2d(control.ss(g[:2, :2], g[:2, 2:], np.eye(2), np.zeros((2, 1))), 1.0, method="zoh")
+    return Sampled(np.asarray(system.A), np.asarray(system.B)[:, 0])
 
 
 Transfer = tuple[float, float, float, float]
@@ -107,6 +116,20 @@ def printed_transfer(gamma: float, delta: float) -> Transfer:
     return n1.real, n0.real, (c2 + c3).real, decay.real
 
 
+transfer_by_runge_kutta = transfer_by(plant_by_runge_kutta)
+transfer_by_expm = transfer_by(plant_by_expm)
+
+
+def transfers() -> dict[str, TransferOf]:
+    """Return ways of others to the plant's transfer function that need no setting, by name."""
+    known: dict[str, TransferOf] = {
+        "printed formula (3.7)": printed_transfer,
+        "matrix exponential": transfer_by_expm,
+        "scipy cont2discrete": transfer_by(plant_by_scipy),
+    }
+    return known | ({"python-control": transfer_by(plant_by_control)} if find_spec("control") else {})
+
+
 def polynomials(case: Case, alpha: Floats, beta: Floats, transfer: TransferOf = printed_transfer) -> Floats:
     """Return characteristic polynomials, highest power first, shape (n, d + 4).
 
@@ -125,16 +148,6 @@ def polynomials(case: Case, alpha: Floats, beta: Floats, transfer: TransferOf = 
 def radius_by_roots(case: Case, alpha: Floats, beta: Floats, transfer: TransferOf = printed_transfer) -> Floats:
     """Return the largest root modulus of each characteristic polynomial, one `np.roots` at a time."""
     return np.array([np.abs(np.roots(row)).max() for row in polynomials(case, alpha, beta, transfer)])
-
-
-def radius_by_companion(case: Case, alpha: Floats, beta: Floats, transfer: TransferOf = printed_transfer) -> Floats:
-    """Return the largest root modulus of each characteristic polynomial from batched companion matrices."""
-    polynomial = polynomials(case, alpha, beta, transfer)
-    degree = polynomial.shape[1] - 1
-    companion = np.zeros((len(polynomial), degree, degree))
-    companion[:, 0] = -polynomial[:, 1:] / polynomial[:, :1]
-    companion[:, np.arange(1, degree), np.arange(degree - 1)] = 1.0
-    return np.asarray(np.abs(np.linalg.eigvals(companion)).max(axis=1))
 
 
 def held(delay: int) -> tuple[int, int]:
@@ -177,6 +190,36 @@ def radius_by_squaring(case: Case, alpha: Floats, beta: Floats, squarings: int) 
         power /= norm[:, None, None]
         log = 2 * log + np.log(norm)
     return np.exp(log / 2.0**squarings)
+
+
+def _systems(case: Case, alpha: Floats, beta: Floats) -> Iterator[tuple[Any, ...]]:
+    """State spaces (A, B, C, D, T) of the loop without input, whose output is the position."""
+    size = case.delay + 3
+    for matrix in matrices(case, alpha, beta):
+        yield matrix, np.zeros((size, 1)), np.eye(1, size), np.zeros((1, 1)), 1.0
+
+
+def radius_by_control(case: Case, alpha: Floats, beta: Floats) -> Floats:
+    """Return spectral radii from the poles of python-control state spaces."""
+    control = import_module("control")
+    return np.array([np.abs(control.ss(*system).poles()).max() for system in _systems(case, alpha, beta)])
+
+
+def response_by_control(case: Case, alpha: Floats, beta: Floats, samples: int) -> Floats:
+    """Return the deviation at the samples of a step from `control.forced_response`, shape (samples, n)."""
+    control = import_module("control")
+    rest = np.arange(samples), np.zeros(samples), step_state(case.delay)
+    found = (control.forced_response(control.ss(*system), *rest) for system in _systems(case, alpha, beta))
+    return np.array([np.ravel(motion.outputs) for motion in found]).T
+
+
+def response_by_dlsim(case: Case, alpha: Floats, beta: Floats, samples: int) -> Floats:
+    """Return the deviation at the samples of a step from `scipy.signal.dlsim`, shape (samples, n)."""
+    from scipy.signal import dlsim
+
+    rest, start = np.zeros((samples, 1)), step_state(case.delay)
+    found = (dlsim(system, rest, x0=start)[1] for system in _systems(case, alpha, beta))
+    return np.array([np.asarray(position)[:, 0] for position in found]).T
 
 
 def march(case: Case, alpha: Floats, beta: Floats, samples: int) -> Iterator[tuple[Floats, Floats, Floats, Floats]]:
@@ -268,38 +311,27 @@ def truncated_energy(case: Case, alpha: Floats, beta: Floats, samples: int) -> d
     }
 
 
-def lyapunov_energy(case: Case, alpha: Floats, beta: Floats, solve: object = None) -> dict[int, Floats]:
-    """Return the energy costs of a step from discrete Lyapunov equations, one after another.
+def lyapunov_energy(case: Case, alpha: Floats, beta: Floats) -> dict[int, Floats]:
+    """Return the energy costs of a step from discrete Lyapunov equations (scipy), one after another."""
+    from scipy.linalg import solve_discrete_lyapunov
 
-    Parameters
-    ----------
-    solve : callable, optional
-        ``solve(A, Q)`` for X = A X A' + Q; a linear system with Kronecker products where not given.
-    """
-    solver = solve if callable(solve) else _by_kronecker
     start = step_state(case.delay)
     rows = np.zeros((3, len(start)))
     rows[0, 0] = rows[1, 1] = 1.0
     now, before = held(case.delay)
     parts = [forms(case, w) for w in range(3)]
     result: dict[int, list[float]] = {0: [], 1: [], 2: []}
-    for a, matrix in zip(range(len(alpha)), matrices(case, alpha, beta), strict=True):
+    for a, b, matrix in zip(alpha, beta, matrices(case, alpha, beta), strict=True):
         rows[2] = 0.0
-        rows[2, now], rows[2, before] = -(alpha[a] + beta[a]), beta[a]
-        x0 = solver(matrix, np.outer(start, start))
-        x1 = solver(matrix, matrix @ x0 @ matrix.T)
-        x2 = solver(matrix, matrix @ (2 * x1 + x0) @ matrix.T)
-        m = [rows.T @ (place + speed / (alpha[a] + case.gamma)) @ rows for place, speed in parts]
+        rows[2, now], rows[2, before] = -(a + b), b
+        x0 = solve_discrete_lyapunov(matrix, np.outer(start, start))
+        x1 = solve_discrete_lyapunov(matrix, matrix @ x0 @ matrix.T)
+        x2 = solve_discrete_lyapunov(matrix, matrix @ (2 * x1 + x0) @ matrix.T)
+        m = [rows.T @ (place + speed / (a + case.gamma)) @ rows for place, speed in parts]
         result[0].append(float((m[0] * x0).sum()))
         result[1].append(float((m[0] * x1).sum() + (m[1] * x0).sum()))
         result[2].append(float((m[0] * x2).sum() + 2 * (m[1] * x1).sum() + (m[2] * x0).sum()))
     return {w: np.array(values) for w, values in result.items()}
-
-
-def _by_kronecker(matrix: Floats, right: Floats) -> Floats:
-    size = len(matrix)
-    system = np.eye(size * size) - np.kron(matrix, matrix)
-    return np.asarray(np.linalg.solve(system, right.ravel()).reshape(size, size))
 
 
 def discrete_map(case: Case, alpha: Floats, beta: Floats, samples: int) -> dict[str, Floats]:
@@ -318,9 +350,7 @@ def discrete_map(case: Case, alpha: Floats, beta: Floats, samples: int) -> dict[
             energy[w] += float(k) ** w * term
     values = {"settle_2pct": np.where(settle == samples, np.nan, settle), "overshoot": peak}
     values |= {f"energy_step_w{w}": energy[w] for w in range(3)}
-    result = {}
+    result = {name: np.full(len(alpha), np.nan) for name in values}
     for name, column in values.items():
-        full = np.full(len(alpha), np.nan)
-        full[stable] = column
-        result[name] = full
+        result[name][stable] = column
     return result

@@ -64,14 +64,6 @@ def grid_limit(case: Case, beta: Floats, high: float, tolerance: float) -> Float
     return result
 
 
-def grid_optimum(cost: Cost, high: tuple[float, float], points: int) -> tuple[float, float]:
-    """Return the best point of one plain grid over the bounding box (0, 0) to ``high``."""
-    axes = (np.linspace(0, top, points + 1)[1:] for top in high)
-    alpha, beta = (g.ravel() for g in np.meshgrid(*axes))
-    best = int(np.argmin(cost(alpha, beta)))
-    return float(alpha[best]), float(beta[best])
-
-
 def iterated_grid_optimum(cost: Cost, high: tuple[float, float], tolerance: float) -> tuple[float, float]:
     """Return the best point of ever finer grids, each two cells to either side of the best one so far.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
+from importlib.util import find_spec
 from typing import Any, TypeVar
 
 import numpy as np
@@ -12,9 +13,9 @@ import numpy as np
 from pipeline.loop.loop import LARGEST_DELAY, Loop
 from pipeline.records.accuracy import OURS, WRONG, Sweep
 from pipeline.records.batch import Booleans, Floats
-from pipeline.studies.accuracy import libraries, methods
-from pipeline.studies.accuracy.methods import Case, transfer_by
-from pipeline.studies.accuracy.rungs import FAILURES, largest
+from pipeline.studies.accuracy import methods
+from pipeline.studies.accuracy.ladder import FAILURES, largest
+from pipeline.studies.accuracy.methods import Case
 from pipeline.studies.accuracy.theory_ladders import case_of, loop_of, own_energies, own_plant, reference
 from pipeline.theory.stability.region import is_inside
 from pipeline.theory.stability.stability import is_stable, spectral_radius
@@ -27,9 +28,6 @@ QUICK_DELAY = 64
 MARGINS = range(1, 15)
 """Relative distances 10^-k from the boundary."""
 
-KRONECKER = "Lyapunov equations (numpy)"
-"""Needs a linear system of (d + 3)^2 unknowns: not along the delays."""
-
 WEIGHTS = (0, 1, 2)
 
 SHORT, LONG = 512, 8192
@@ -37,6 +35,8 @@ SHORT, LONG = 512, 8192
 
 _SQUARINGS = 40
 """2^40 samples: the norm of a power of the loop matrix tells the spectral radius to rounding."""
+
+_ROOTS, _EIGENVALUES = "polynomial roots", "eigenvalues, matrix exponential"
 
 Row = dict[str, Any]
 """A point of a path: its abscissa x, the loop and wall there, and the exact values."""
@@ -64,10 +64,8 @@ def sweeps(quick: bool) -> Iterator[Sweep]:
     for method, inside in _judges().items():
         yield _margin_sweep(method, inside)
     for method, energy in _energies().items():
-        if method != KRONECKER:
-            found = [_attempt(_energy_errors, energy, row, row["delay"]) or {} for row in paths["delay"]]
-            yield _sweep("delay_energy", method, paths["delay"], [worst([f.get(w) for w in WEIGHTS]) for f in found])
-    for method, energy in _energies().items():
+        found = [_attempt(_energy_errors, energy, row, row["delay"]) or {} for row in paths["delay"]]
+        yield _sweep("delay_energy", method, paths["delay"], [worst([f.get(w) for w in WEIGHTS]) for f in found])
         found = [_attempt(_energy_errors, energy, row, 1) or {} for row in paths["limit"]]
         for w in WEIGHTS:
             yield _sweep(f"limit_w{w}", method, paths["limit"], [f.get(w) for f in found])
@@ -109,39 +107,26 @@ def _sweep(name: str, method: str, path: Sequence[Row], errors: Errors, wrong: S
     )
 
 
-def _transfers() -> dict[str, Callable[..., methods.Transfer]]:
+def _transfers() -> dict[str, methods.TransferOf]:
     """Ways to the plant's transfer function."""
-    known: dict[str, Callable[..., methods.Transfer]] = {
-        "printed formula (3.7)": methods.printed_transfer,
-        "matrix exponential": transfer_by(methods.plant_by_expm),
-        "Taylor series, 24 terms": transfer_by(partial(methods.plant_by_taylor, terms=24)),
-        "Runge-Kutta, 256 steps": transfer_by(partial(methods.plant_by_runge_kutta, steps=256)),
-    }
-    if linalg := libraries.load("scipy.linalg"):
-        known["scipy expm"] = transfer_by(partial(libraries.plant_by_scipy_expm, linalg))
-    if control := libraries.load("control"):
-        known["python-control"] = transfer_by(partial(libraries.plant_by_control, control))
-    return known | {OURS: transfer_by(own_plant)}
+    runge_kutta = methods.transfer_by(partial(methods.plant_by_runge_kutta, steps=256))
+    return methods.transfers() | {"Runge-Kutta, 256 steps": runge_kutta, OURS: methods.transfer_by(own_plant)}
 
 
-def _plant_error(transfer: Callable[..., methods.Transfer], row: Row) -> float | None:
+def _plant_error(transfer: methods.TransferOf, row: Row) -> float | None:
     found, exact = np.array(transfer(row["gamma"], row["delta"])[:2]), np.array(row["numerator"])
-    return largest((found - exact) / exact)[0] if np.isfinite(found).all() else None
+    return largest((found - exact) / exact) if np.isfinite(found).all() else None
 
 
 def _radii() -> dict[str, Callable[[Row], Verdict]]:
     """Ways to a verdict on a point."""
-    by_expm = transfer_by(methods.plant_by_expm)
     known = {
-        "polynomial roots": _judged_by(methods.radius_by_roots, by_expm),
-        "eigenvalues, matrix exponential": _judged_by(methods.radius_by_eigenvalues),
+        _ROOTS: _judged_by(methods.radius_by_roots, methods.transfer_by_expm),
+        _EIGENVALUES: _judged_by(methods.radius_by_eigenvalues),
         "squaring of the loop matrix": _judged_by(methods.radius_by_squaring, _SQUARINGS),
     }
-    if control := libraries.load("control"):
-        by_states = partial(libraries.radius_by_control_states, control)
-        by_transfer = partial(libraries.radius_by_control_transfer, control)
-        known["python-control, state space"] = _judged_by(by_states)
-        known["python-control, transfer function"] = _judged_by(by_transfer, by_expm)
+    if find_spec("control"):
+        known["python-control, state space"] = _judged_by(methods.radius_by_control)
     return known | {OURS: _own_verdict}
 
 
@@ -159,20 +144,15 @@ def _own_verdict(row: Row) -> Verdict:
 
 
 def _radius_sweep(name: str, method: str, judge: Callable[[Row], Verdict], path: Sequence[Row]) -> Sweep:
-    errors: list[float | None] = []
-    wrong = []
-    for row in path:
-        found = _attempt(judge, row)
-        errors.append(None if found is None else abs(found[0] - row["radius"]) / row["radius"])
-        wrong.append(found is None or found[1] != (row["excess"] < 0))
+    found = [_attempt(judge, row) for row in path]
+    errors = [f and abs(f[0] - row["radius"]) / row["radius"] for f, row in zip(found, path, strict=True)]
+    wrong = [f is None or f[1] != (row["excess"] < 0) for f, row in zip(found, path, strict=True)]
     return _sweep(name, method, path, errors, wrong)
 
 
 def _energies() -> dict[str, Energy]:
     """Ways to the energy costs of a step, by weight."""
-    known: dict[str, Energy] = {KRONECKER: methods.lyapunov_energy}
-    if linalg := libraries.load("scipy.linalg"):
-        known["Lyapunov equations (scipy)"] = partial(methods.lyapunov_energy, solve=linalg.solve_discrete_lyapunov)
+    known: dict[str, Energy] = {"Lyapunov equations (scipy)": methods.lyapunov_energy}
     for samples in (SHORT, LONG):
         known[f"truncated recurrence, {samples} samples"] = partial(methods.truncated_energy, samples=samples)
     return known | {OURS: lambda case, *wall: own_energies(Loop(case.gamma, case.delta, float(case.delay)), *wall)}
@@ -191,8 +171,8 @@ def _judges() -> dict[str, Callable[[Floats, Floats], Booleans]]:
     entry = reference()["loop"]
     case, loop = case_of(entry), loop_of(entry)
     return {
-        "polynomial roots": lambda alpha, beta: methods.radius_by_roots(case, alpha, beta) < 1,
-        "eigenvalues, matrix exponential": lambda alpha, beta: methods.radius_by_eigenvalues(case, alpha, beta) < 1,
+        _ROOTS: lambda alpha, beta: methods.radius_by_roots(case, alpha, beta) < 1,
+        _EIGENVALUES: lambda alpha, beta: methods.radius_by_eigenvalues(case, alpha, beta) < 1,
         OURS: lambda alpha, beta: is_inside(loop, alpha, beta),
     }
 

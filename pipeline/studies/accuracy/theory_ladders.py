@@ -1,4 +1,4 @@
-"""Each quantity of the theory by each method over its settings: what is true, what is run.
+"""Each quantity of the ideal loop by each method over its settings: what is true, what is run.
 
 An error is the largest one over all reference points: relative, but for overshoot, which is relative to the final
 displacement already. A result that a method could not give counts as an error of 1.
@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import cache, partial
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -17,14 +19,13 @@ from pipeline.loop.loop import Loop
 from pipeline.loop.plant import flow
 from pipeline.records.accuracy import OURS, reference_file
 from pipeline.records.batch import Floats
-from pipeline.studies.accuracy import libraries, methods, searches
-from pipeline.studies.accuracy.device_ladders import DEVICE_QUANTITIES, device_ladders
-from pipeline.studies.accuracy.rungs import Ladder, Method, Values
+from pipeline.studies.accuracy import methods, searches
+from pipeline.studies.accuracy.ladder import Ladder, Method, Values
 from pipeline.theory.cost.energy import energy_costs
 from pipeline.theory.cost.maps import cost_maps
 from pipeline.theory.cost.settling_overshoot import transient_costs
 from pipeline.theory.optimum.optimum import optimal_point
-from pipeline.theory.stability.region import region, stiffness_limit
+from pipeline.theory.stability.region import stiffness_limit
 from pipeline.theory.stability.stability import spectral_radius
 
 BAND = 0.02
@@ -49,12 +50,13 @@ OPTIMA = {"optimum of energy": "energy_step_w0", "optimum of settling time": "se
 """Criterion of each optimum that is looked for."""
 
 IDEAL = ("plant", "boundary", "spectral radius", "settling time", "overshoot", *ENERGIES, *OPTIMA, "map")
-QUANTITIES = (*IDEAL, *DEVICE_QUANTITIES)
 
 _TOLERANCE = "tolerance {:.0e}"
 _SAMPLES = "{} samples"
 _FINE = "{} points a sample", (1, 2, 4, 8, 16, 32, 64), (1, 4, 16)
 """Settings that several methods share."""
+
+_repetition = count()
 
 
 @cache
@@ -65,7 +67,7 @@ def reference() -> dict[str, Any]:
 
 
 def theory_ladders() -> Iterator[Ladder]:
-    """Yield all ladders of the theory."""
+    """Yield all ladders of the ideal loop."""
     yield _plant()
     yield _boundary()
     yield _radius()
@@ -73,7 +75,6 @@ def theory_ladders() -> Iterator[Ladder]:
     yield _energies()
     yield from (_optimum(quantity, criterion) for quantity, criterion in OPTIMA.items())
     yield _map()
-    yield from device_ladders()
 
 
 def case_of(entry: dict[str, Any]) -> methods.Case:
@@ -86,9 +87,20 @@ def loop_of(entry: dict[str, Any]) -> Loop:
     return Loop(entry["gamma"], entry["delta"], float(entry["delay"]))
 
 
+def unknown(loop: Loop) -> Loop:
+    """Return a loop of which nothing is kept from earlier calls: each has a damping some roundings larger."""
+    return replace(loop, delta=loop.delta + next(_repetition) * 2.0**-57)
+
+
 def _main() -> tuple[methods.Case, Loop]:
     """Loop of all quantities but the optima, for others and for this package."""
     return case_of(reference()["loop"]), loop_of(reference()["loop"])
+
+
+def _points() -> tuple[Floats, Floats, dict[str, Floats]]:
+    rows = reference()["points"]["rows"]
+    columns = {name: np.array([row[name] for row in rows], dtype=np.float64) for name in rows[0]}
+    return columns["alpha"], columns["beta"], columns
 
 
 def own_energies(loop: Loop, alpha: Floats, beta: Floats) -> dict[int, Floats]:
@@ -111,25 +123,17 @@ def _named(quantity: str, run: Callable[..., Any], *arguments: Any) -> Callable[
 def _plant() -> Ladder:
     rows = reference()["plant"]
 
-    def over_rows(transfer: Callable[..., methods.Transfer]) -> Callable[..., Values]:
+    def by(transfer: Callable[..., methods.Transfer]) -> Callable[..., Values]:
         return _named("plant", lambda *at: [transfer(row["gamma"], row["delta"], *at)[:2] for row in rows])
 
-    def by(plant: Callable[..., methods.Sampled]) -> Callable[..., Values]:
-        return over_rows(methods.transfer_by(plant))
-
-    linalg, signal, control = map(libraries.load, ("scipy.linalg", "scipy.signal", "control"))
-    steps, terms = (1, 2, 4, 8, 16, 32, 64, 128, 256), (2, 4, 6, 8, 10, 12, 16, 20, 24)
+    steps = (1, 2, 4, 8, 16, 32, 64, 128, 256)
+    known = methods.transfers()
     return Ladder(
         {"plant": np.array([row["numerator"] for row in rows])},
         (
-            Method("printed formula (3.7)", over_rows(methods.printed_transfer)),
-            Method("simulation (Runge-Kutta)", by(methods.plant_by_runge_kutta), "{} steps", steps, (1, 16, 128)),
-            Method("Taylor series", by(methods.plant_by_taylor), "{} terms", terms, (4, 8, 16)),
-            Method("matrix exponential", by(methods.plant_by_expm)),
-            Method("scipy expm", by(partial(libraries.plant_by_scipy_expm, linalg)), needs="scipy.linalg"),
-            Method("scipy cont2discrete", by(partial(libraries.plant_by_scipy_signal, signal)), needs="scipy.signal"),
-            Method("python-control", by(partial(libraries.plant_by_control, control)), "c2d", needs="control"),
-            Method(OURS, by(own_plant)),
+            Method("simulation (Runge-Kutta)", by(methods.transfer_by_runge_kutta), "{} steps", steps, (1, 16, 128)),
+            *(Method(name, by(transfer)) for name, transfer in known.items()),
+            Method(OURS, by(methods.transfer_by(own_plant))),
         ),
     )
 
@@ -140,62 +144,39 @@ def _boundary() -> Ladder:
     case, loop = _main()
 
     def bisection(radius: Callable[..., Floats]) -> Callable[..., Values]:
-        return _named("boundary", searches.bisect_limit, radius, beta, high)
+        return _named("boundary", searches.bisect_limit, partial(radius, case), beta, high)
 
-    def ours() -> Values:
-        region.cache_clear()
-        return {"boundary": stiffness_limit(loop, beta)}
-
-    states = partial(methods.radius_by_eigenvalues, case)
-    roots = partial(methods.radius_by_roots, case)
-    poles = partial(libraries.radius_by_control_states, libraries.load("control"), case)
-    gridding = _named("boundary", searches.grid_limit, case, beta, high)
+    states, roots = bisection(methods.radius_by_eigenvalues), bisection(methods.radius_by_roots)
+    poles, gridding = bisection(methods.radius_by_control), _named("boundary", searches.grid_limit, case, beta, high)
     widths = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10, 1e-12, 1e-14)
     by_poles = "poles and bisection, {:.0e}"
     return Ladder(
         {"boundary": np.array(entry["alpha"])},
         (
             Method("gridding with poles (3.4)", gridding, _TOLERANCE, widths[:5], (1e-2, 1e-5)),
-            Method("eigenvalues and bisection", bisection(states), _TOLERANCE, widths, (1e-2, 1e-6, 1e-10)),
-            Method("polynomial roots and bisection", bisection(roots), _TOLERANCE, widths[:6], (1e-2, 1e-6)),
-            Method("python-control", bisection(poles), by_poles, (1e-2, 1e-5, 1e-8), (1e-2,), needs="control"),
-            Method(OURS, ours, "closed form"),
+            Method("eigenvalues and bisection", states, _TOLERANCE, widths, (1e-2, 1e-6, 1e-10)),
+            Method("polynomial roots and bisection", roots, _TOLERANCE, widths[:6], (1e-2, 1e-6)),
+            Method("python-control", poles, by_poles, (1e-2, 1e-5, 1e-8), (1e-2,), needs="control"),
+            Method(OURS, lambda: {"boundary": stiffness_limit(unknown(loop), beta)}, "closed form"),
         ),
     )
-
-
-def _points() -> tuple[Floats, Floats, dict[str, Floats]]:
-    rows = reference()["points"]["rows"]
-    columns = {name: np.array([row[name] for row in rows], dtype=np.float64) for name in rows[0]}
-    return columns["alpha"], columns["beta"], columns
 
 
 def _radius() -> Ladder:
     alpha, beta, exact = _points()
     case, loop = _main()
-    control = libraries.load("control")
 
-    def of(radius: Callable[..., Floats], *first: object) -> Callable[..., Values]:
-        return _named("spectral radius", radius, *first, alpha, beta)
+    def of(radius: Callable[..., Floats]) -> Callable[..., Values]:
+        return _named("spectral radius", radius, case, alpha, beta)
 
-    squarings = (2, 4, 6, 8, 12, 16, 20, 24, 30, 40)
-    states = of(libraries.radius_by_control_states, control, case)
-    transfer = of(libraries.radius_by_control_transfer, control, case)
+    squarings = "{} squarings", (2, 4, 6, 8, 12, 16, 20, 24, 30, 40), (4, 16)
     return Ladder(
         {"spectral radius": exact["radius"]},
         (
-            Method(
-                "squaring of the loop matrix",
-                of(methods.radius_by_squaring, case),
-                "{} squarings",
-                squarings,
-                (4, 16),
-            ),
-            Method("polynomial roots, one by one", of(methods.radius_by_roots, case), "numpy.roots of (3.11)"),
-            Method("polynomial roots, batched", of(methods.radius_by_companion, case), "companion matrices"),
-            Method("python-control", states, "state space", needs="control"),
-            Method("python-control, transfer function", transfer, "transfer function", needs="control"),
-            Method(OURS, of(spectral_radius, loop), "eigenvalues, batched"),
+            Method("squaring of the loop matrix", of(methods.radius_by_squaring), *squarings),
+            Method("polynomial roots, one by one", of(methods.radius_by_roots), "numpy.roots of (3.11)"),
+            Method("python-control", of(methods.radius_by_control), "state space", needs="control"),
+            Method(OURS, _named("spectral radius", spectral_radius, loop, alpha, beta), "eigenvalues, batched"),
         ),
     )
 
@@ -203,7 +184,6 @@ def _radius() -> Ladder:
 def _transients() -> Ladder:
     alpha, beta, exact = _points()
     case, loop = _main()
-    signal, control = map(libraries.load, ("scipy.signal", "control"))
 
     def read(position: Floats, fine: int = 1) -> Values:
         settle = methods.settling_of(position, fine, BAND)
@@ -212,21 +192,20 @@ def _transients() -> Ladder:
     def simulated(fine: int) -> Values:
         return read(methods.dense(case, alpha, beta, DENSE_SAMPLES, fine)[0], fine)
 
-    def by(response: Callable[..., Floats], library: object) -> Callable[[int], Values]:
-        return lambda samples: read(response(library, case, alpha, beta, samples))
+    def by(response: Callable[..., Floats]) -> Callable[[int], Values]:
+        return lambda samples: read(response(case, alpha, beta, samples))
 
     def ours() -> Values:
         costs = transient_costs(loop, alpha, beta, (BAND,))
         return {"settling time": costs["settle_2pct"], "overshoot": costs["overshoot"]}
 
-    dlsim, forced = by(libraries.response_by_dlsim, signal), by(libraries.response_by_control, control)
     horizons = _SAMPLES, (256, 512, 1024), (256,)
     return Ladder(
         {"settling time": exact["settle_2pct"], "overshoot": exact["overshoot"]},
         (
             Method("dense simulation", simulated, *_FINE),
-            Method("scipy dlsim", dlsim, *horizons, needs="scipy.signal"),
-            Method("python-control", forced, *horizons, needs="control"),
+            Method("scipy dlsim", by(methods.response_by_dlsim), *horizons),
+            Method("python-control", by(methods.response_by_control), *horizons, needs="control"),
             Method(OURS, ours, "exact"),
         ),
         scale={"overshoot": 1.0},
@@ -236,28 +215,25 @@ def _transients() -> Ladder:
 def _energies() -> Ladder:
     alpha, beta, exact = _points()
     case, loop = _main()
-    solve = getattr(libraries.load("scipy.linalg"), "solve_discrete_lyapunov", None)
 
     def simulated(fine: int) -> Values:
         motion = methods.dense(case, alpha, beta, DENSE_SAMPLES, fine)
         return {name: methods.energy_of(*motion, case, alpha, fine, w) for w, name in enumerate(ENERGIES)}
 
-    def by(energy: Callable[..., dict[int, Floats]], *first: object) -> Callable[..., Values]:
+    def by(energy: Callable[..., dict[int, Floats]], first: object) -> Callable[..., Values]:
         def run(*setting: object) -> Values:
-            found = energy(*first, alpha, beta, *setting)
+            found = energy(first, alpha, beta, *setting)
             return {name: found[w] for w, name in enumerate(ENERGIES)}
 
         return run
 
-    lyapunov = by(methods.lyapunov_energy, case)
-    truncated = by(methods.truncated_energy, case)
+    horizons = _SAMPLES, tuple(64 * 2**n for n in range(8)), (64, 512)
     return Ladder(
         {name: exact[f"energy_step_w{w}"] for w, name in enumerate(ENERGIES)},
         (
             Method("dense simulation", simulated, *_FINE),
-            Method("truncated recurrence", truncated, _SAMPLES, tuple(64 * 2**n for n in range(8)), (64, 512)),
-            Method("Lyapunov equations (numpy)", lyapunov),
-            Method("Lyapunov equations (scipy)", lambda: lyapunov(solve), needs="scipy.linalg"),
+            Method("truncated recurrence", by(methods.truncated_energy, case), *horizons),
+            Method("Lyapunov equations (scipy)", by(methods.lyapunov_energy, case)),
             Method(OURS, by(own_energies, loop), "exact sum"),
         ),
     )
@@ -284,17 +260,14 @@ def _optimum(quantity: str, criterion: str) -> Ladder:
     cost = partial(_simulated_cost, case_of(entry), criterion)
 
     def ours() -> Values:
-        point = optimal_point.__wrapped__(loop_of(entry), criterion)  # without its cache
+        point = optimal_point(unknown(loop_of(entry)), criterion)
         return {quantity: np.array([point.alpha, point.beta])}
 
-    plain, iterated = (
-        _named(quantity, search, cost, SEARCH_BOX) for search in (searches.grid_optimum, searches.iterated_grid_optimum)
-    )
+    iterated = _named(quantity, searches.iterated_grid_optimum, cost, SEARCH_BOX)
     simplex = _named(quantity, searches.nelder_mead, cost, START, 0.2)
     return Ladder(
         {quantity: np.array([entry[criterion]["alpha"], entry[criterion]["beta"]])},
         (
-            Method("plain grid", plain, "{0} x {0}", (11, 31, 71), (11,)),
             Method("iterated gridding (5.1.2)", iterated, _TOLERANCE, (1e-1, 1e-2, 1e-3, 1e-5), (1e-2,)),
             Method("Nelder-Mead, one start", simplex, _TOLERANCE, (1e-1, 1e-2, 1e-4, 1e-6), (1e-2,)),
             Method(OURS, ours, "global search"),

@@ -7,10 +7,11 @@ import dataclasses
 import not_ideal
 import numpy as np
 import pytest
-from sensor_trials import DELAY, EDGE, FEWEST, FREE, SENSORS, measured, trials, truth
+from sensor_trials import DELAY, EDGE, FEWEST, FREE, SENSORS, measured, shipped, trials, truth
 from simulated import FALCON, plant, simulate
 
 from pipeline.base.errors import ParameterError
+from pipeline.device_data.devices import load_device
 from pipeline.measured.cost.cost_intervals import overshoot_interval, settling_interval
 from pipeline.measured.cost.energy_intervals import energy_interval
 from pipeline.measured.cost.reading_error import reading_error, sensor_error
@@ -23,7 +24,6 @@ from pipeline.records.criteria import SETTLING_BANDS
 from pipeline.simulation.plants import MassSpringDamper
 from pipeline.simulation.setup import Setup
 from pipeline.simulation.simulate import simulate as simulate_device
-from pipeline.studies.accuracy.truth import SLOWEST_COST, draw_trials, truth_of
 
 
 def last_outside(error, width):
@@ -83,12 +83,10 @@ def test_noise_of_a_rounded_baseline_counts_once(noise):
 
 @pytest.mark.parametrize("of", ["falcon 1", "lwr delay-2", "lwr delay-8"])
 def test_a_wall_that_pulls_the_device_off_the_edge_of_a_quantum_hides_no_noise(of):
-    """Within 4 %: chance moves it by 1 %, walls and delays by 3 %."""
-    known = truth_of(*of.split())
-    drawn = draw_trials(known, 600, seed=4002, slowest=SLOWEST_COST)
-    setup, found = known.setup(), drawn.response
+    """Within 5.5 %: chance moves it by 2 %, and walls behind a long delay, which pull late, by 3 %."""
+    sensor, found = load_device(of.split()[0]).sensor, find_response(shipped(*of.split(), 600)[0])
     error = sensor_error(found.sensor_noise, found.sensor_quantum, found.edge_row)
-    assert error == pytest.approx(np.hypot(setup.noise, setup.quantum / np.sqrt(12)), rel=0.04)
+    assert error == pytest.approx(np.hypot(sensor.noise, sensor.quantum / np.sqrt(12)), rel=0.055)
 
 
 def test_jitter_magnifies_the_errors_and_that_is_seen():

@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from sensor_trials import DELAY, EDGE, FEWEST, FREE, SENSORS, measured, trials, truth
+from sensor_trials import DELAY, EDGE, FEWEST, FREE, SENSORS, measured, shipped, trials, truth
 from simulated import FALCON, simulate
 
 from pipeline.base.errors import ParameterError
@@ -15,7 +15,6 @@ from pipeline.measured.cost.reading_error import reading_error
 from pipeline.measured.signal.horizon import energy_terms
 from pipeline.measured.signal.response import find_response
 from pipeline.measured.signal.verdict import judge
-from pipeline.studies.accuracy.truth import SLOWEST_COST, draw_trials, truth_of
 
 MASS = FALCON["mass"]
 
@@ -81,14 +80,11 @@ def test_intervals_hold_the_truth_of_500_trials(quantum, noise):
 @pytest.mark.parametrize("of", ["falcon 1", "falcon 4", "falcon 6", "lwr delay-2", "lwr delay-6", "lwr delay-8"])
 def test_95_of_100_intervals_of_shipped_devices_hold_the_exact_cost(of):
     """Not fewer and not many more, 1,000 trials each: chance alone moves the share by 0.7 % (one standard error)."""
-    known = truth_of(*of.split())
-    drawn = draw_trials(known, 1000, seed=4001, slowest=SLOWEST_COST)
-    error = reading_error(drawn.batch, drawn.response, drawn.delay_samples)
-    mass = known.experiment.mass
-    found = energy_interval(drawn.batch, drawn.response, drawn.verdicts, error, drawn.delay_samples, mass)
-    names = [f"energy_step_w{w}" for w in range(3)]
-    costs = known.costs(drawn.batch.stiffness, drawn.batch.damping, names)
-    shares = held(found, np.stack([costs[name] for name in names], axis=1))
+    batch, experiment, costs = shipped(*of.split(), 1000)
+    response, delay = find_response(batch), round(experiment.delay_samples)
+    error = reading_error(batch, response, delay)
+    found = energy_interval(batch, response, judge(batch, response), error, delay, experiment.mass)
+    shares = held(found, np.stack(list(costs.values()), axis=1))
     assert 0.93 <= min(shares) <= max(shares) <= 0.977
 
 

@@ -618,7 +618,7 @@ def test_signals_end_a_watch_with_status_0_and_no_process_left(tmp_path, number)
 
 
 def test_commands_of_the_service_and_of_cron_exist():
-    text = (ROOT / "docs" / "watch.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "plan.md").read_text(encoding="utf-8")
     commands = re.findall(r"bin/(pipeline watch .*)$", text, flags=re.MULTILINE)
     assert len(commands) == 2
     assert [fault(command) for command in commands] == [None, None]
@@ -631,7 +631,7 @@ def test_every_event_is_on_the_page_and_has_words():
     ]
     found = {kind for text in sources for kind in re.findall(r'"event": "(\w+)"', text)} - {"outcome"}
     found |= {"report", "unchanged"}  # chosen by whether something changed
-    page = (ROOT / "docs" / "watch.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "plan.md").read_text(encoding="utf-8")
     assert [kind for kind in sorted(found) if f"`{kind}`" not in page] == []
     assert len(found) > 10
     words = (ROOT / "pipeline" / "shell" / "commands" / "cli_watch.py").read_text()
