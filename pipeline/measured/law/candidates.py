@@ -20,8 +20,9 @@ from pipeline.records.batch import Booleans, Floats
 LONGEST_RAMP = 0.25
 """Part of the rows after the edge that a ramped step may take."""
 
-LONGEST_WINDOW = 32
-"""Samples of the longest adaptive window."""
+LONGEST_WINDOW, ADAPTS = 32, 0.25
+"""Samples of the longest adaptive window, and share of the rows of a motion from which on the velocity is not the last
+change: of the rows behind a lost one, a few percent, some window fits by chance."""
 
 LEVEL_ROWS = 5
 """Rows for which the external force must stay on a level to be a step of its own."""
@@ -243,7 +244,8 @@ def _adaptive(log: LogRows) -> tuple[Departure, ...] | None:
     lengths = np.arange(1, LONGEST_WINDOW + 1)[:, None]
     rows = np.maximum(np.arange(len(output)) - lengths, 0)
     fits = np.abs(output * lengths - (log.position - log.position[rows])) <= lengths * tolerance
-    if not fits.any(axis=0)[log.kept].all():
+    moves = log.kept & (np.abs(output) > tolerance)
+    if not fits.any(axis=0)[log.kept].all() or (~fits[0, moves]).sum() <= ADAPTS * moves.sum():
         return None
     longest = int(np.argmax(fits[:, log.kept], axis=0).max()) + 1
     text = f"the velocity of the wall law is taken over 1 to {longest} samples, over others from row to row"
