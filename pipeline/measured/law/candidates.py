@@ -20,7 +20,7 @@ from pipeline.records.batch import Booleans, Floats
 LONGEST_RAMP = 0.25
 """Part of the rows after the edge that a ramped step may take."""
 
-LONGEST_WINDOW, ADAPTS = 32, 0.25
+LONGEST_WINDOW, ADAPTS = 32, 0.1
 """Samples of the longest adaptive window, and share of the rows of a motion from which on the velocity is not the last
 change: of the rows behind a lost one, a few percent, some window fits by chance."""
 
