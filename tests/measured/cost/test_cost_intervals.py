@@ -12,7 +12,7 @@ from simulated import FALCON, plant, simulate
 
 from pipeline.base.errors import ParameterError
 from pipeline.device_data.devices import load_device
-from pipeline.measured.cost.cost_intervals import overshoot_interval, settling_interval
+from pipeline.measured.cost.cost_intervals import _stays, overshoot_interval, settling_interval
 from pipeline.measured.cost.energy_intervals import energy_interval
 from pipeline.measured.cost.reading_error import reading_error, sensor_error
 from pipeline.measured.cost.settling_overshoot import overshoot, settling
@@ -293,3 +293,31 @@ def test_a_slow_swing_that_passes_a_band_has_no_upper_end(seed):
         told = np.isfinite(interval.high[name])
         assert (true[told] <= interval.high[name][told] + 10).all()
         assert (true[told] <= rows).all()
+
+
+def stays(stay, swing, ratio):
+    """Whether a motion that entered its band of 1 after 600 rows stays in it: its thirds change by a ratio."""
+    third = np.arange(stay) * 3 / stay
+    offset = np.concatenate([np.full(600, 5.0), 0.9 * ratio**third])[None, :]
+    rows, one = np.array([offset.shape[1]]), np.ones(1)
+    first, entry = np.zeros(1, np.int64), np.array([600])
+    return bool(_stays(offset, 1e-9 * np.ones_like(offset), first, entry, rows, swing * one, one)[0])
+
+
+@pytest.mark.parametrize(
+    ("stay", "swing", "ratio", "settled"),
+    [
+        # as long as its slowest swing and an eighth, and as that and three eighths
+        (90, 80.0, 0.99, False),
+        (110, 80.0, 0.99, True),
+        # a creep for a seventh, and more than a sixth, of the time up to the band
+        (90, np.inf, 0.5, False),
+        (110, np.inf, 0.5, True),
+        # a creep that hardly slows may go on beyond the band
+        (300, np.inf, 0.9, False),
+        (300, np.inf, 0.75, True),
+    ],
+)
+def test_a_response_has_settled_after_a_swing_or_a_creep_in_its_band(stay, swing, ratio, settled):
+    """Either side of each threshold, nearer than 30 % to it."""
+    assert stays(stay, swing, ratio) is settled
